@@ -1,0 +1,68 @@
+"""Builds the application from the registered commands and maps errors to exit statuses."""
+
+from __future__ import annotations
+
+import os
+import sys
+from importlib.metadata import entry_points
+
+import click
+import typer
+
+from invid import __version__
+from invid.cli.output import note
+from invid.errors import InvidError
+
+GROUP = "invid.commands"
+
+
+def create_app() -> typer.Typer:
+    """The application with every registered command, in the order of the contract."""
+    app = typer.Typer(
+        name="invid",
+        no_args_is_help=True,
+        add_completion=False,
+        pretty_exceptions_enable=False,
+        rich_markup_mode=None,
+        help="Identify the elastic model of robot drives over CAN, and say what the simulation gets wrong.",
+    )
+
+    @app.callback(invoke_without_command=True)
+    def _root(
+        context: typer.Context,
+        version: bool = typer.Option(False, "--version", help="Print the version and exit."),
+    ) -> None:
+        if version:
+            typer.echo(__version__)
+            raise typer.Exit
+        if context.invoked_subcommand is None:
+            typer.echo(context.get_help())
+            raise typer.Exit(2)
+
+    for point in sorted(entry_points(group=GROUP), key=lambda p: p.name):
+        point.load()(app)
+    return app
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run one command; every error raised on purpose is one message and its exit status."""
+    sys.exit(run(sys.argv[1:] if arguments is None else arguments))
+
+
+def run(arguments: list[str]) -> int:
+    """Exit status of one command line."""
+    try:
+        result = create_app()(args=arguments, standalone_mode=False, prog_name="invid")
+    except InvidError as error:
+        note(f"invid: {error}")
+        return error.exit_code
+    except click.ClickException as error:
+        error.show(file=sys.stderr)
+        return 2
+    except (click.Abort, KeyboardInterrupt):
+        note("invid: interrupted")
+        return 4
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    return result if isinstance(result, int) else 0

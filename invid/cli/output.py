@@ -1,0 +1,23 @@
+"""What a command prints: results on stdout, everything else on stderr."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from typing import Any
+
+from invid.model import dump_json
+
+EXIT_OK = 0
+EXIT_NOT_TRUSTWORTHY = 3
+
+
+def note(text: str) -> None:
+    """A line for the person, on stderr."""
+    print(text, file=sys.stderr, flush=True)
+
+
+def emit(document: Mapping[str, Any], text: str, *, as_json: bool) -> None:
+    """The command's result on stdout: the JSON document alone, or the text for a person."""
+    sys.stdout.write(dump_json(document) if as_json else text.rstrip("\n") + "\n")
+    sys.stdout.flush()

@@ -1,0 +1,101 @@
+"""The cell's configuration: bus, axes, holds, limits, experiments, and (optionally) a simulation.
+
+Units stand in the keys. A rotary axis uses the keys ending in _Nm and _rad, a linear axis those in
+_N and _m; both fill the same field. ``simulation`` is validated by the simulated drives, which own it.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pydantic import AliasChoices, BaseModel, ConfigDict, Field
+
+
+class Strict(BaseModel):
+    """Unknown keys are errors: a misspelt limit must not be ignored."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, frozen=True, populate_by_name=True)
+
+
+class BusConfig(Strict):
+    """Any python-can interface. ``invid-virtual`` steps simulated drives in virtual time."""
+
+    interface: str
+    channel: str
+    bitrate_bit_per_s: int = Field(default=1_000_000, gt=0)
+    cycle_s: float = Field(default=0.001, gt=0, le=0.1)
+    """SYNC period."""
+    max_load: float = Field(default=0.8, gt=0, le=1.0)
+    options: dict[str, Any] = {}
+    """Passed to python-can as they are."""
+
+
+class HoldConfig(Strict):
+    """How an axis is held while others are shaken; see docs on the stability of holds."""
+
+    mode: Literal["drive", "master_pd", "master_p"] = "drive"
+    gain: float = Field(
+        default=0.0, ge=0, validation_alias=AliasChoices("gain", "gain_Nm_per_rad", "gain_N_per_m")
+    )
+    damping: float | None = Field(
+        default=None,
+        ge=0,
+        validation_alias=AliasChoices("damping", "damping_Nms_per_rad", "damping_Ns_per_m"),
+    )
+
+
+class LimitsConfig(Strict):
+    """Checked before and during motion, on swept and on held axes."""
+
+    torque: float = Field(gt=0, validation_alias=AliasChoices("torque", "torque_Nm", "force_N"))
+    position: float = Field(
+        gt=0, validation_alias=AliasChoices("position", "position_window_rad", "position_window_m")
+    )
+    """Largest distance from where the axis stood at the start."""
+    velocity: float = Field(
+        gt=0, validation_alias=AliasChoices("velocity", "velocity_rad_per_s", "velocity_m_per_s")
+    )
+
+
+class AxisConfig(Strict):
+    """One drive."""
+
+    name: str = Field(min_length=1)
+    node_id: int = Field(ge=1, le=126)
+    eds: str | None = None
+    vendor: str = "generic"
+    """Row of the table of vendors' differences."""
+    rated_torque: float | None = Field(
+        default=None,
+        gt=0,
+        validation_alias=AliasChoices("rated_torque", "rated_torque_Nm", "rated_force_N"),
+    )
+    """Used where the drive's 0x6076 is missing or zero."""
+    position_per_count: float | None = Field(
+        default=None,
+        gt=0,
+        validation_alias=AliasChoices("position_per_count", "position_rad_per_count", "position_m_per_count"),
+    )
+    """Motor position per count of 0x6064; default from 0x608F and 0x6091."""
+    direction: Literal[1, -1] = 1
+    gravity_loaded: bool = False
+    allow_missing_heartbeat: bool = False
+    """Opt-in needed where the drive cannot watch the master's heartbeat (0x1016)."""
+    masses: int | None = Field(default=None, ge=1)
+    hold: HoldConfig = HoldConfig()
+    limits: LimitsConfig
+
+
+class CellConfig(Strict):
+    """A robot cell."""
+
+    format: Literal["invid-config"]
+    format_version: Literal[1] = 1
+    robot: str
+    motion: Literal["rotary", "linear"] = "rotary"
+    bus: BusConfig
+    axes: list[AxisConfig] = Field(min_length=1)
+    experiments: list[dict[str, Any]] = []
+    """Validated by ``invid.plan``."""
+    simulation: dict[str, Any] | None = None
+    """Validated by ``invid_drivers.simulated``; a cell with this section has no hardware behind it."""

@@ -1,0 +1,65 @@
+"""The errors invid raises on purpose, and the exit status each one ends a command with.
+
+An error says what was found, where (file, field, axis, value) and the way out. Each is also the
+matching builtin, so that library users may catch what they know::
+
+    InvidError
+    +-- InputError        (ValueError)       exit 2: usage, config, file or data that cannot be used
+    |   +-- RecordingError                   exit 2: an HDF5 recording that breaks the contract
+    |   +-- ConfigError                      exit 2: a config that cannot be used
+    |   +-- ModelError                       exit 2: masses, springs, couplings that are no model
+    +-- NotIdentifiableError                 exit 3: the data cannot carry the result asked for
+    +-- SafetyStop                           exit 4: a limit was met; motion is stopped
+    +-- BusError          (ConnectionError)  exit 5: the bus failed
+        +-- DriveError                       exit 5: a drive failed, or cannot do the job
+"""
+
+from __future__ import annotations
+
+
+class InvidError(Exception):
+    """Base of every error raised on purpose; ``exit_code`` is the command's exit status."""
+
+    exit_code = 2
+
+
+class InputError(InvidError, ValueError):
+    """Usage or input that cannot be used: says what, where, the value found and the way out."""
+
+    exit_code = 2
+
+
+class RecordingError(InputError):
+    """A recording that breaks the ``invid-recording`` contract."""
+
+
+class ConfigError(InputError):
+    """A config that cannot be used."""
+
+
+class ModelError(InputError):
+    """Parameters that do not make a model (shape, sign, positive definiteness)."""
+
+
+class NotIdentifiableError(InvidError):
+    """The data cannot carry the result that was asked for; says which and what would."""
+
+    exit_code = 3
+
+
+class SafetyStop(InvidError):
+    """Motion was stopped because a limit was met or a watched quantity left its window."""
+
+    exit_code = 4
+
+
+class BusError(InvidError, ConnectionError):
+    """The bus failed (no adapter, bus-off, send queue full)."""
+
+    exit_code = 5
+
+
+class DriveError(BusError):
+    """A drive failed, does not answer, or cannot do the job."""
+
+    exit_code = 5
