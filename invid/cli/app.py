@@ -16,8 +16,12 @@ from invid.errors import InvidError
 GROUP = "invid.commands"
 
 
-def create_app() -> typer.Typer:
-    """The application with every registered command, in the order of the contract."""
+def create_app(command: str | None = None) -> typer.Typer:
+    """The application with every registered command, or with the one named alone.
+
+    Commands pull in what they need (numba, the web, the bus); loading only the one asked for keeps
+    ``invid --version`` and every other command quick to start.
+    """
     app = typer.Typer(
         name="invid",
         no_args_is_help=True,
@@ -39,7 +43,9 @@ def create_app() -> typer.Typer:
             typer.echo(context.get_help())
             raise typer.Exit(2)
 
-    for point in sorted(entry_points(group=GROUP), key=lambda p: p.name):
+    points = sorted(entry_points(group=GROUP), key=lambda p: p.name)
+    wanted = [p for p in points if p.name == command]
+    for point in wanted or points:
         point.load()(app)
     return app
 
@@ -52,7 +58,8 @@ def main(arguments: list[str] | None = None) -> None:
 def run(arguments: list[str]) -> int:
     """Exit status of one command line."""
     try:
-        result = create_app()(args=arguments, standalone_mode=False, prog_name="invid")
+        named = next((a for a in arguments if not a.startswith("-")), None)
+        result = create_app(named)(args=arguments, standalone_mode=False, prog_name="invid")
     except InvidError as error:
         note(f"invid: {error}")
         return error.exit_code
