@@ -6,7 +6,6 @@ import os
 import sys
 from importlib.metadata import entry_points
 
-import click
 import typer
 
 from invid import __version__
@@ -14,6 +13,10 @@ from invid.cli.output import note
 from invid.errors import InvidError
 
 GROUP = "invid.commands"
+
+# Newer Typer carries its own copy of click, older ones import it: the base of BadParameter is the
+# usage error in both.
+UsageError: type[Exception] = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
 
 
 def create_app(command: str | None = None) -> typer.Typer:
@@ -63,10 +66,10 @@ def run(arguments: list[str]) -> int:
     except InvidError as error:
         note(f"invid: {error}")
         return error.exit_code
-    except click.ClickException as error:
-        error.show(file=sys.stderr)
+    except UsageError as error:
+        error.show(file=sys.stderr)  # type: ignore[attr-defined]
         return 2
-    except (click.Abort, KeyboardInterrupt):
+    except (typer.Abort, KeyboardInterrupt):
         note("invid: interrupted")
         return 4
     except BrokenPipeError:
