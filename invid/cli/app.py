@@ -13,6 +13,7 @@ from invid.cli.output import note
 from invid.errors import InvidError
 
 GROUP = "invid.commands"
+EXIT_INTERNAL = 70  # EX_SOFTWARE of sysexits.h: not one of the contract's, because it is our fault
 
 # Newer Typer carries its own copy of click, older ones import it: the base of BadParameter is the
 # usage error in both.
@@ -63,6 +64,9 @@ def run(arguments: list[str]) -> int:
     try:
         named = next((a for a in arguments if not a.startswith("-")), None)
         result = create_app(named)(args=arguments, standalone_mode=False, prog_name="invid")
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
     except InvidError as error:
         note(f"invid: {error}")
         return error.exit_code
@@ -72,7 +76,12 @@ def run(arguments: list[str]) -> int:
     except (typer.Abort, KeyboardInterrupt):
         note("invid: interrupted")
         return 4
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
+    except Exception as error:
+        if os.environ.get("INVID_DEBUG"):
+            raise
+        note(
+            f"invid: internal error, please report it: {type(error).__name__}: {error} "
+            "(set INVID_DEBUG=1 and run again to see where)"
+        )
+        return EXIT_INTERNAL
     return result if isinstance(result, int) else 0
