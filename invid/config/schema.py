@@ -8,13 +8,9 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-from pydantic import AliasChoices, BaseModel, ConfigDict, Field
+from pydantic import AliasChoices, Field, model_validator
 
-
-class Strict(BaseModel):
-    """Unknown keys are errors: a misspelt limit must not be ignored."""
-
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, frozen=True, populate_by_name=True)
+from invid.config.experiments import ExperimentSpec, Strict
 
 
 class BusConfig(Strict):
@@ -26,7 +22,7 @@ class BusConfig(Strict):
     cycle_s: float = Field(default=0.001, gt=0, le=0.1)
     """SYNC period."""
     max_load: float = Field(default=0.8, gt=0, le=1.0)
-    options: dict[str, Any] = {}
+    options: dict[str, Any] = Field(default_factory=dict)
     """Passed to python-can as they are."""
 
 
@@ -78,12 +74,32 @@ class AxisConfig(Strict):
     )
     """Motor position per count of 0x6064; default from 0x608F and 0x6091."""
     direction: Literal[1, -1] = 1
+    inertia: float | None = Field(
+        default=None, gt=0, validation_alias=AliasChoices("inertia", "inertia_kgm2", "mass_kg")
+    )
+    """Rigid inertia seen by the motor, roughly: predicts travel before anything moves."""
     gravity_loaded: bool = False
+    """Zero torque would let it fall: it is never left without torque or brake."""
+    brake: Literal["none", "drive"] = "none"
+    """``drive``: the drive closes a brake by itself when it is disabled."""
     allow_missing_heartbeat: bool = False
     """Opt-in needed where the drive cannot watch the master's heartbeat (0x1016)."""
     masses: int | None = Field(default=None, ge=1)
     hold: HoldConfig = HoldConfig()
     limits: LimitsConfig
+
+
+class SafetyConfig(Strict):
+    """What the master watches beside the limits of each axis."""
+
+    heartbeat_s: float = Field(default=0.1, gt=0, le=5)
+    """Period of the master's heartbeat; a drive that misses three of them stops by itself."""
+    missed_tpdos: int = Field(default=5, ge=1, le=1000)
+    """Cycles in a row without an axis's TPDO before everything stops."""
+    overrun_cycles: int = Field(default=20, ge=1)
+    """SYNC slots skipped in a row before everything stops."""
+    test_amplitude: float = Field(default=0.1, gt=0, le=0.1)
+    """Share of the full amplitude at which torque and encoder signs are tried first."""
 
 
 class CellConfig(Strict):
@@ -95,7 +111,36 @@ class CellConfig(Strict):
     motion: Literal["rotary", "linear"] = "rotary"
     bus: BusConfig
     axes: list[AxisConfig] = Field(min_length=1)
-    experiments: list[dict[str, Any]] = []
-    """Validated by ``invid.plan``."""
+    safety: SafetyConfig = SafetyConfig()
+    experiments: list[ExperimentSpec] = Field(default_factory=list)
+    """Empty: the default plan of ``invid.plan``."""
     simulation: dict[str, Any] | None = None
     """Validated by ``invid_drivers.simulated``; a cell with this section has no hardware behind it."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> CellConfig:
+        for what, values in (
+            ("axis name", [a.name for a in self.axes]),
+            ("node_id", [str(a.node_id) for a in self.axes]),
+        ):
+            twice = sorted({v for v in values if values.count(v) > 1})
+            if twice:
+                raise ValueError(
+                    f"{what} {', '.join(twice)} is used by more than one axis; each needs its own"
+                )
+        names = {a.name for a in self.axes}
+        for i, experiment in enumerate(self.experiments):
+            unknown = [n for n in experiment.axes or () if n not in names]
+            if unknown:
+                raise ValueError(f"experiments[{i}].axes names {unknown[0]!r}; the axes are {sorted(names)}")
+        return self
+
+    @property
+    def linear(self) -> bool:
+        """True for axes in metres and newtons."""
+        return self.motion == "linear"
+
+    @property
+    def simulated(self) -> bool:
+        """True where no hardware stands behind the config."""
+        return self.simulation is not None

@@ -1,0 +1,99 @@
+"""What a config may ask to be measured: one pydantic model per kind of experiment."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import AliasChoices, BaseModel, ConfigDict, Field, model_validator
+
+
+class Strict(BaseModel):
+    """Unknown keys are errors: a misspelt limit must not be ignored."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, frozen=True, populate_by_name=True)
+
+
+class _Spec(Strict):
+    role: Literal["identify", "validate"] = "identify"
+    axes: tuple[str, ...] | None = None
+    """Axes to excite, by name; ``None``: all."""
+    amplitude: float = Field(default=0.5, gt=0, le=1.0)
+    """Peak torque as a fraction of each axis's torque limit."""
+
+
+class MultisineSpec(_Spec):
+    """Random-phase odd multisine on all axes at once, phases orthogonal over ``experiments`` runs."""
+
+    kind: Literal["multisine"]
+    band_Hz: tuple[float, float] = (0.5, 12.0)
+    period_s: float = Field(default=8.192, gt=0, le=600)
+    periods: int = Field(default=3, ge=1, le=1000)
+    settle_periods: int = Field(default=1, ge=0, le=100)
+    experiments: int | None = Field(default=None, ge=1, le=64)
+    """How many orthogonal runs; default: as many as axes are excited (1 for interleaved lines)."""
+    lines: Literal["odd", "all", "interleaved"] = "odd"
+    detection_fraction: float = Field(default=0.2, ge=0, le=0.9)
+    """Share of the odd lines left out at random: there odd distortion shows without excitation."""
+    seed: int = Field(default=0, ge=0)
+    creep_velocity: float = Field(
+        default=0.0,
+        ge=0,
+        validation_alias=AliasChoices("creep_velocity", "creep_velocity_rad_per_s", "creep_velocity_m_per_s"),
+    )
+    """Slow motion under the excitation that keeps friction from changing sign."""
+
+    @model_validator(mode="after")
+    def _band(self) -> MultisineSpec:
+        low, high = self.band_Hz
+        if not 0 < low < high:
+            raise ValueError(f"band_Hz must rise from above zero, found {list(self.band_Hz)}")
+        if self.period_s * (high - low) < 2:
+            raise ValueError(
+                f"a period of {self.period_s:g} s puts fewer than two lines into {low:g}…{high:g} Hz; "
+                "lengthen period_s or widen band_Hz"
+            )
+        return self
+
+
+class SteppedSineSpec(_Spec):
+    """One axis after another, one frequency after another, cosine start."""
+
+    kind: Literal["stepped_sine"]
+    frequencies_Hz: tuple[Annotated[float, Field(gt=0)], ...] = Field(min_length=1, max_length=10_000)
+    cycles: int = Field(default=10, ge=1)
+    settle_cycles: int = Field(default=5, ge=0)
+
+
+class ChirpSpec(_Spec):
+    """Linear sweep, one axis after another."""
+
+    kind: Literal["chirp"]
+    band_Hz: tuple[float, float] = (0.5, 12.0)
+    duration_s: float = Field(default=30.0, gt=0, le=3600)
+
+    @model_validator(mode="after")
+    def _band(self) -> ChirpSpec:
+        if not 0 < self.band_Hz[0] < self.band_Hz[1]:
+            raise ValueError(f"band_Hz must rise from above zero, found {list(self.band_Hz)}")
+        return self
+
+
+class ConstantVelocitySpec(_Spec):
+    """Slow moves forth and back at each speed, under a master PD that follows the path."""
+
+    kind: Literal["constant_velocity"]
+    velocities: tuple[Annotated[float, Field(gt=0)], ...] = Field(
+        min_length=1,
+        max_length=100,
+        validation_alias=AliasChoices("velocities", "velocities_rad_per_s", "velocities_m_per_s"),
+    )
+    travel: float = Field(
+        gt=0,
+        validation_alias=AliasChoices("travel", "travel_rad", "travel_m"),
+    )
+    """Distance of one move; must fit into the position window."""
+
+
+ExperimentSpec = Annotated[
+    MultisineSpec | SteppedSineSpec | ChirpSpec | ConstantVelocitySpec, Field(discriminator="kind")
+]
