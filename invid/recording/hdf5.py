@@ -1,0 +1,366 @@
+"""Recordings as HDF5 by the contract: read strictly, written whole.
+
+``read_recording`` accepts a file of the contract's shape written by anyone and turns every violation
+into one sentence; ``write_recording`` writes under a temporary name and renames, so that a crash
+leaves whatever stood there before. Writing while measuring is in ``invid.recording.writer``.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import h5py
+import numpy as np
+
+from invid.arrays import Float64, UInt16, frozen, frozen_float
+from invid.errors import RecordingError
+from invid.recording.attributes import Attributes, read_attributes
+from invid.recording.check import check_recording
+from invid.recording.model import Experiment, Kind, Outcome, Recording, Role
+
+FORMAT = "invid-recording"
+FORMAT_VERSION = 1
+MAX_VALUES = 200_000_000
+"""Most numbers read from one file (1.6 GB as float64): eight axes at 1 kHz for an hour are 90 million.
+A small compressed file can claim any size; the claim is checked before memory is taken."""
+MAX_EXPERIMENTS = 10_000
+
+ROOT_ATTRIBUTES = frozenset(
+    [
+        "format",
+        "format_version",
+        "created",
+        "robot",
+        "axes",
+        "masses_per_axis",
+        "position_unit",
+        "torque_unit",
+        "rated_torque",
+        "encoder_resolution",
+        "config",
+        "outcome",
+    ]
+)
+EXPERIMENT_ATTRIBUTES = frozenset(
+    ["kind", "excited_axis", "role", "hold_gain", "period_samples", "frequencies_hz", "sample_rate_hz"]
+)
+# What else libhdf5 and h5py raise on a damaged file, depending on which byte is damaged.
+_DAMAGED = (
+    OSError,
+    KeyError,
+    RuntimeError,
+    ValueError,
+    TypeError,
+    AttributeError,
+    MemoryError,
+    OverflowError,
+)
+_Enum = TypeVar("_Enum", Kind, Role, Outcome)
+
+
+@dataclass
+class _Budget:
+    left: int
+
+
+def read_recording(path: str | Path, *, max_values: int = MAX_VALUES) -> Recording:
+    """The recording in an HDF5 file.
+
+    Raises
+    ------
+    RecordingError
+        Where the file is not there, not HDF5, damaged, or breaks the contract; one sentence says what,
+        where and the value found. ``max_values`` bounds the numbers read.
+    """
+    path = Path(path)
+    source = str(path)
+    try:
+        size = path.stat().st_size
+        if path.is_dir():
+            raise RecordingError(f"{source}: is a directory; give the HDF5 file of a recording")
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise RecordingError(f"{source}: cannot be opened: {reason}") from None
+    if size == 0:
+        raise RecordingError(f"{source}: the file is empty; it is not a recording")
+    try:
+        with h5py.File(path, "r") as file:
+            recording = _read_root(file, source, _Budget(max_values))
+    except RecordingError:
+        raise
+    except _DAMAGED as error:
+        raise RecordingError(_damage(path, source, error)) from None
+    check_recording(recording)
+    return recording
+
+
+def _damage(path: Path, source: str, error: BaseException) -> str:
+    first = " ".join(str(error).split())[:200]
+    lowered = first.lower()
+    if "lock" in lowered:
+        return f"{source}: another program is writing this file; wait until it is done"
+    try:
+        with path.open("rb") as raw:
+            signed = raw.read(8) == b"\x89HDF\r\n\x1a\n"
+    except OSError as refused:
+        return f"{source}: cannot be opened: {refused.strerror}"
+    if not signed:
+        return f"{source}: is not an HDF5 file; 'invid import' reads CSV, MAT, Parquet and CAN logs"
+    if "truncated" in lowered:
+        return f"{source}: the HDF5 file is truncated; copy it again from where it was written"
+    return f"{source}: the HDF5 file is damaged or holds something unreadable ({first})"
+
+
+def _read_root(file: h5py.File, source: str, budget: _Budget) -> Recording:
+    a = read_attributes(file, source)
+    if not a.has("format"):
+        raise RecordingError(
+            f"{source}: attribute 'format' is missing; it is HDF5 but no invid recording "
+            f"('invid import' reads HDF5 with other names)"
+        )
+    if a.text("format") != FORMAT:
+        raise RecordingError(f"{source}: attribute 'format' is {a.text('format')!r}; it must be {FORMAT!r}")
+    if a.whole("format_version") != FORMAT_VERSION:
+        raise RecordingError(
+            f"{source}: attribute 'format_version' is {a.whole('format_version')}; this invid reads version "
+            f"{FORMAT_VERSION}"
+        )
+    axes = a.texts("axes")
+    if not axes:
+        raise RecordingError(f"{source}: attribute 'axes' names no axis; at least one is needed")
+    outcome = _choice(Outcome, a, "outcome", source) if a.has("outcome") else None
+    return Recording(
+        robot=a.text("robot"),
+        axes=axes,
+        position_unit=a.text("position_unit").strip(),
+        torque_unit=_torque_unit(a.text("torque_unit")),
+        created=a.text("created"),
+        experiments=_read_experiments(file, source, axes, outcome, budget),
+        masses_per_axis=tuple(_wholes(a, "masses_per_axis", source)) if a.has("masses_per_axis") else None,
+        rated_torque=a.numbers("rated_torque") if a.has("rated_torque") else None,
+        encoder_resolution=a.numbers("encoder_resolution") if a.has("encoder_resolution") else None,
+        config=a.text("config") if a.has("config") else None,
+        outcome=outcome,
+        attributes=a.rest(ROOT_ATTRIBUTES),
+        source=source,
+    )
+
+
+def _torque_unit(text: str) -> str:
+    # The dot of N·m is typed in several ways (U+00B7, U+22C5, '.', '*', a space, none).
+    compact = text.strip()
+    for dot in ("⋅", "•", ".", "*", " ", "·"):
+        compact = compact.replace(dot, "")
+    return {"Nm": "N·m", "N": "N"}.get(compact, text)
+
+
+def _wholes(a: Attributes, name: str, source: str) -> list[int]:
+    values = a.numbers(name)
+    if not np.array_equal(values, np.round(values)) or (np.abs(values) > 1e9).any():
+        raise RecordingError(f"{source}: attribute {name!r} is {values.tolist()}; it must be whole numbers")
+    return [int(v) for v in values]
+
+
+def _choice(kind: Callable[[str], _Enum], a: Attributes, name: str, where: str) -> _Enum:
+    text = a.text(name)
+    try:
+        return kind(text)
+    except ValueError:
+        allowed = ", ".join(repr(str(v)) for v in kind)  # type: ignore[attr-defined]
+        raise RecordingError(
+            f"{where}: attribute {name!r} is {text!r}; it must be one of {allowed}"
+        ) from None
+
+
+def _read_experiments(
+    file: h5py.File, source: str, axes: tuple[str, ...], outcome: Outcome | None, budget: _Budget
+) -> tuple[Experiment, ...]:
+    group = _own(file, "experiments", source)
+    if not isinstance(group, h5py.Group):
+        raise RecordingError(f"{source}: group '/experiments' is missing; a recording needs at least one")
+    if len(group) > MAX_EXPERIMENTS:
+        raise RecordingError(f"{source}: '/experiments' holds {len(group)} groups; at most {MAX_EXPERIMENTS}")
+    keys = sorted(str(k) for k in group)
+    experiments = []
+    for position, key in enumerate(keys):
+        where = f"{source}: experiment {key}"
+        node = _own(group, key, where)
+        if not isinstance(node, h5py.Group):
+            raise RecordingError(f"{where}: '/experiments/{key}' is no group")
+        # A measurement cut off by a crash may leave its last experiment without rows: that is no fault.
+        unfinished = outcome is not Outcome.COMPLETED and position == len(keys) - 1 and position > 0
+        if unfinished and _rows(node) < 2:
+            continue
+        experiments.append(_read_experiment(node, key, where, axes, budget))
+    return tuple(experiments)
+
+
+def _rows(node: h5py.Group) -> int:
+    time = node.get("time")
+    return int(time.shape[0]) if isinstance(time, h5py.Dataset) and time.shape else 0
+
+
+def _own(parent: h5py.Group, name: str, where: str) -> Any:
+    """The object of this name inside this very file; None where there is none."""
+    link = parent.get(name, getlink=True)
+    if link is None:
+        return None
+    if isinstance(link, h5py.ExternalLink):
+        raise RecordingError(f"{where}: {name!r} is a link into another file; a recording must be whole")
+    return parent.get(name)
+
+
+def _read_experiment(
+    node: h5py.Group, key: str, where: str, axes: tuple[str, ...], budget: _Budget
+) -> Experiment:
+    a = read_attributes(node, where)
+    hold_gain = a.numbers("hold_gain")
+    if hold_gain.size == 1:
+        hold_gain = frozen_float(np.full(len(axes), hold_gain[0]))
+    excited_axis, period_samples = a.whole("excited_axis"), a.whole("period_samples")
+    kind, role = _choice(Kind, a, "kind", where), _choice(Role, a, "role", where)
+    time = _dataset(node, "time", where, budget, columns=0)
+    if time is None:
+        raise RecordingError(f"{where}: dataset 'time' is missing; the contract needs it")
+    columns: dict[str, Any] = {}
+    for name in ("position", "torque", "torque_demand", "status"):
+        values = _dataset(node, name, where, budget, columns=len(axes), rows=time.shape[0])
+        if values is None and name in ("position", "torque"):
+            raise RecordingError(f"{where}: dataset {name!r} is missing; the contract needs it")
+        columns[name] = values
+    status: UInt16 | None = None
+    if columns["status"] is not None:
+        raw = columns["status"]
+        if raw.size and not ((raw >= 0) & (raw <= 65535) & (raw == np.round(raw))).all():
+            raise RecordingError(f"{where}: dataset 'status' holds values that are no 16-bit statuswords")
+        status = frozen(raw, np.uint16)  # type: ignore[assignment]
+    return Experiment(
+        key=key,
+        kind=kind,
+        role=role,
+        excited_axis=excited_axis,
+        hold_gain=hold_gain,
+        period_samples=period_samples,
+        frequencies_hz=a.numbers("frequencies_hz"),
+        sample_rate_hz=a.number("sample_rate_hz"),
+        time=time,
+        position=columns["position"],
+        torque=columns["torque"],
+        torque_demand=columns["torque_demand"],
+        status=status,
+        attributes=a.rest(EXPERIMENT_ATTRIBUTES),
+    )
+
+
+def _dataset(
+    node: h5py.Group, name: str, where: str, budget: _Budget, *, columns: int, rows: int | None = None
+) -> Float64 | None:
+    data = _own(node, name, where)
+    if data is None:
+        return None
+    if not isinstance(data, h5py.Dataset):
+        raise RecordingError(f"{where}: {name!r} is no dataset")
+    if data.is_virtual or data.external:
+        raise RecordingError(f"{where}: dataset {name!r} lies in another file; a recording must be whole")
+    if data.shape is None or data.dtype.kind not in "iuf":
+        raise RecordingError(f"{where}: dataset {name!r} holds {data.dtype}, no real numbers")
+    shape = tuple(int(s) for s in data.shape)
+    needed = "[n]" if columns == 0 else f"({'n' if rows is None else rows}, {columns})"
+    if len(shape) != (1 if columns == 0 else 2) or (columns and shape != (rows, columns)):
+        hint = "; it is transposed: rows are samples, columns are axes" if shape == (columns, rows) else ""
+        raise RecordingError(f"{where}: dataset {name!r} has shape {shape}; it must be {needed}{hint}")
+    count = int(np.prod(shape, dtype=object))
+    if count > budget.left:
+        raise RecordingError(
+            f"{where}: dataset {name!r} has shape {shape}: more numbers than this program reads from one file"
+        )
+    budget.left -= count
+    # An early allocation of what a few bytes claim would be the bomb; a chunk that was never written is
+    # not in the file, so the storage must at least exist.
+    if count > 1_000_000 and data.id.get_storage_size() == 0:
+        raise RecordingError(f"{where}: dataset {name!r} has shape {shape} but holds no data")
+    return frozen_float(data[()])
+
+
+def root_attributes(recording: Recording) -> dict[str, Any]:
+    """HDF5 attributes of the root group."""
+    attributes: dict[str, Any] = {
+        **recording.attributes,
+        "format": FORMAT,
+        "format_version": FORMAT_VERSION,
+        "created": recording.created,
+        "robot": recording.robot,
+        "axes": json.dumps(list(recording.axes), ensure_ascii=False),
+        "position_unit": recording.position_unit,
+        "torque_unit": recording.torque_unit,
+    }
+    if recording.masses_per_axis is not None:
+        attributes["masses_per_axis"] = np.array(recording.masses_per_axis, dtype=np.int64)
+    for name in ("rated_torque", "encoder_resolution", "config"):
+        if getattr(recording, name) is not None:
+            attributes[name] = getattr(recording, name)
+    if recording.outcome is not None:
+        attributes["outcome"] = str(recording.outcome)
+    return attributes
+
+
+def experiment_attributes(e: Experiment) -> dict[str, Any]:
+    """HDF5 attributes of one experiment's group."""
+    return {
+        **e.attributes,
+        "kind": str(e.kind),
+        "excited_axis": e.excited_axis,
+        "role": str(e.role),
+        "hold_gain": np.asarray(e.hold_gain, dtype=np.float64),
+        "period_samples": e.period_samples,
+        "frequencies_hz": np.asarray(e.frequencies_hz, dtype=np.float64),
+        "sample_rate_hz": e.sample_rate_hz,
+    }
+
+
+def set_attributes(node: h5py.HLObject, attributes: Mapping[str, Any]) -> None:
+    """Write attributes; RecordingError names one that HDF5 cannot hold."""
+    for name, value in attributes.items():
+        try:
+            node.attrs[name] = value
+        except (TypeError, ValueError, OSError, RuntimeError) as error:
+            raise RecordingError(f"attribute {name!r}: cannot be stored in HDF5: {error}") from None
+
+
+def write_recording(recording: Recording, path: str | Path) -> None:
+    """Write ``recording`` by the contract: checked, under a temporary name, then renamed.
+
+    Raises
+    ------
+    RecordingError
+        Where the recording breaks the contract or the file cannot be written; a file already at
+        ``path`` is then left as it was.
+    """
+    path = Path(path)
+    check_recording(recording)
+    temporary = path.with_name(path.name + ".part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with h5py.File(temporary, "w") as file:
+            set_attributes(file, root_attributes(recording))
+            group = file.create_group("experiments")
+            for e in recording.experiments:
+                node = group.create_group(e.key)
+                set_attributes(node, experiment_attributes(e))
+                for name in ("time", "position", "torque", "torque_demand", "status"):
+                    values = getattr(e, name)
+                    if values is not None:
+                        node.create_dataset(
+                            name, data=values, compression="gzip", compression_opts=1, shuffle=True
+                        )
+        temporary.replace(path)
+    except (OSError, ValueError, RuntimeError) as error:
+        temporary.unlink(missing_ok=True)
+        if isinstance(error, RecordingError):
+            raise RecordingError(f"{path}: {error}") from None
+        reason = getattr(error, "strerror", None) or str(error)
+        raise RecordingError(f"{path}: cannot be written: {reason}") from None
