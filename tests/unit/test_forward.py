@@ -1,0 +1,125 @@
+"""The forward model against dense linear algebra written out here."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.linalg
+
+from invid.chains import CoupledChains, case_study
+from invid.errors import InputError
+from invid.forward import antiresonances, condense, dynamic_stiffness, frf, resonances
+
+
+def random_chains(rng: np.random.Generator, counts: list[int], *, damped: bool) -> CoupledChains:
+    masses = [rng.uniform(0.5, 5.0, n) for n in counts]
+    springs = [rng.uniform(500.0, 5000.0, n - 1) for n in counts]
+    dampers = [rng.uniform(0.0, 3.0, n - 1) for n in counts] if damped else None
+    ends = np.array([m[-1] for m in masses])
+    raw = rng.uniform(-1, 1, (len(counts), len(counts)))
+    couplings = np.triu(raw, 1) * np.sqrt(np.outer(ends, ends)) * 0.8 / max(len(counts) - 1, 1)
+    return CoupledChains.build(masses, springs, dampers, couplings + couplings.T)
+
+
+def dense(chains: CoupledChains, omega: float) -> np.ndarray:
+    return chains.stiffness_matrix + 1j * omega * chains.damping_matrix - omega**2 * chains.mass_matrix
+
+
+CASES = [
+    [1],
+    [2],
+    [3],
+    [7],
+    [1, 1],
+    [1, 2, 3],
+    [3, 3, 3],
+    [5, 1, 2, 4],
+    [2, 2, 6, 1, 3, 1, 4, 5],
+]
+
+
+@pytest.mark.parametrize("counts", CASES, ids=str)
+@pytest.mark.parametrize("damped", [False, True], ids=["undamped", "damped"])
+def test_the_recursion_equals_a_dense_solve_to_1e_10(counts: list[int], damped: bool) -> None:
+    rng = np.random.default_rng(len(counts) * 10 + damped)
+    chains = random_chains(rng, counts, damped=damped).with_holds(
+        rng.uniform(0, 300, len(counts)), rng.uniform(0, 2, len(counts)) * damped
+    )
+    omega = rng.uniform(0.5, 120.0, 60)
+    got = condense(chains, omega)
+    response = frf(chains, omega)
+    motor = chains.motor_dofs
+    inner = np.setdiff1d(np.arange(chains.dofs), motor)
+    for f, w in enumerate(omega):
+        full = dense(chains, w)
+        motion = np.zeros((chains.dofs, chains.branches), dtype=complex)
+        motion[motor] = np.eye(chains.branches)
+        motion[inner] = -np.linalg.solve(full[np.ix_(inner, inner)], full[np.ix_(inner, motor)])
+        stiffness = full[motor] @ motion
+        assert np.abs(got.motion[f] - motion).max() <= 1e-10 * np.abs(motion).max()
+        assert np.abs(got.stiffness[f] - stiffness).max() <= 1e-10 * np.abs(stiffness).max()
+        receptance = np.linalg.inv(full)[np.ix_(motor, motor)]
+        assert np.abs(response[f] - receptance).max() <= 1e-10 * np.abs(receptance).max()
+
+
+def test_a_line_on_the_resonance_of_a_clamped_chain_piece_is_as_exact() -> None:
+    chains = case_study()
+    omega = np.sqrt([1500.0, 1500.0 * (1 + 1e-13), 1400.0])  # (K1 + K2)/m2 of the first two branches
+    for f, w in enumerate(omega):
+        full = dense(chains, w)
+        receptance = np.linalg.inv(full)[np.ix_(chains.motor_dofs, chains.motor_dofs)]
+        np.testing.assert_allclose(frf(chains, omega)[f], receptance, rtol=1e-9, atol=1e-12)
+
+
+def test_a_line_on_an_antiresonance_of_all_motors_gives_the_finite_receptance() -> None:
+    chains = CoupledChains.build([[1.0, 2.0]], [[100.0]])
+    omega = np.sqrt(100.0 / 2.0)
+    assert abs(frf(chains, omega)[0, 0, 0]) < 1e-12
+
+
+def test_resonances_of_the_case_study_have_one_zero_per_free_motor() -> None:
+    chains = case_study()
+    values = resonances(chains)
+    direct = np.sqrt(np.abs(scipy.linalg.eigvals(chains.stiffness_matrix, chains.mass_matrix)).real)
+    np.testing.assert_array_equal(values[:3], 0.0)
+    np.testing.assert_allclose(values[3:], np.sort(direct)[3:], rtol=1e-9)
+    held = resonances(chains.with_holds([0.0, 50.0, 50.0]))
+    assert (held == 0).sum() == 1
+
+
+def test_antiresonances_are_zeros_of_the_driving_point_receptance() -> None:
+    chains = case_study()
+    for axis in range(3):
+        zeros = antiresonances(chains, axis)
+        assert zeros.size == 6
+        eps = 1e-7
+        below = frf(chains, zeros * (1 - eps))[:, axis, axis].real
+        above = frf(chains, zeros * (1 + eps))[:, axis, axis].real
+        assert np.all(below * above < 0)
+
+
+def test_a_single_free_mass_has_no_antiresonance() -> None:
+    assert antiresonances(CoupledChains.build([[2.0]], [[]]), 0).size == 0
+
+
+def test_the_low_frequency_stiffness_is_the_rigid_mass_matrix() -> None:
+    chains = case_study(damping_ratio=0.01)
+    omega = np.array([0.01])
+    rigid = -dynamic_stiffness(chains, omega)[0] / omega[0] ** 2
+    np.testing.assert_allclose(rigid.real, chains.rigid_mass_matrix, rtol=1e-5)
+
+
+@pytest.mark.parametrize("bad", [[-1.0], [np.nan], [[1.0, 2.0]]])
+def test_bad_frequencies_are_named(bad: list[float]) -> None:
+    with pytest.raises(InputError, match="omega"):
+        condense(case_study(), bad)
+
+
+def test_the_receptance_at_zero_of_a_free_plant_is_refused() -> None:
+    with pytest.raises(InputError, match="singular"):
+        frf(case_study(), [0.0])
+
+
+def test_an_axis_out_of_range_is_named() -> None:
+    with pytest.raises(InputError, match="axis 3"):
+        antiresonances(case_study(), 3)
