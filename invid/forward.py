@@ -60,7 +60,7 @@ def condense(chains: CoupledChains, omega: npt.ArrayLike) -> Condensed:
     motion = np.zeros((lines, chains.dofs, count), dtype=complex)
     near = np.zeros((lines, count), dtype=complex)  # A: condensed stiffness at the motor
     cross = np.zeros((lines, count), dtype=complex)  # B: motor to final mass
-    end_system = -w2[:, None, None] * chains.end_mass_matrix + 0j
+    end_system = (-w2[:, None, None] * chains.end_mass_matrix).astype(np.complex128)
     pivots: list[tuple[Complex128, Complex128, Complex128]] = []  # (B, κ, p) in order of elimination
     healthy = np.ones(lines, dtype=bool)
     for i in range(count):
@@ -140,10 +140,8 @@ def _solve(matrix: Complex128, right: Complex128, healthy: npt.NDArray[np.bool_]
 
 
 def _full_matrix(chains: CoupledChains, omega: float) -> Complex128:
-    matrix: Complex128 = (
-        chains.stiffness_matrix + 1j * omega * chains.damping_matrix - omega**2 * chains.mass_matrix
-    )
-    return matrix
+    real = chains.stiffness_matrix - omega**2 * chains.mass_matrix
+    return (real + 1j * omega * chains.damping_matrix).astype(np.complex128)
 
 
 def _condense_densely(chains: CoupledChains, omega: Float64) -> tuple[Complex128, Complex128]:
@@ -181,7 +179,7 @@ def frf(chains: CoupledChains, omega: npt.ArrayLike) -> Complex128:
     stiffness = condense(chains, w).stiffness
     result = np.zeros_like(stiffness)
     # The inverse of Z is good wherever Z is finite and not near one of its own poles.
-    sound = np.isfinite(stiffness).all(axis=(1, 2))
+    sound = np.isfinite(stiffness).all(axis=(1, 2)) & (w > 0)
     if sound.any():
         condition = np.full(w.size, np.inf)
         scale = 1.0 / np.sqrt(np.abs(np.diagonal(stiffness[sound], axis1=1, axis2=2)) + np.finfo(float).tiny)
