@@ -1,0 +1,81 @@
+"""Travel, velocity and power to expect, from the last model or a rigid guess."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from invid.arrays import Float64
+from invid.chains import CoupledChains
+from invid.config import CellConfig
+from invid.plan.model import AxisForecast, PlannedExperiment
+from invid.recording.model import Kind
+
+
+def forecast(
+    config: CellConfig, experiments: Sequence[PlannedExperiment], *, model: CoupledChains | None = None
+) -> tuple[AxisForecast, ...]:
+    """Peak torque, travel, velocity and power of every axis over all experiments.
+
+    With a model the response at every line is G(ω)·T(ω), resonances and couplings included, summed in
+    magnitude. With an inertia alone it is Σ|T|/(S·ω²): rigid, so flexible modes may exceed it. With
+    neither nothing is foretold and the trial at low amplitude must tell.
+    """
+    count = len(config.axes)
+    peak = np.zeros(count)
+    travel, velocity = np.zeros(count), np.zeros(count)
+    for e in experiments:
+        peak = np.maximum(peak, np.abs(e.torque).max(axis=0, initial=0.0))
+        x, v = _motion(config, e, model)
+        travel, velocity = np.maximum(travel, x), np.maximum(velocity, v)
+    known = "model" if model is not None else "inertia"
+    result = []
+    for i, axis in enumerate(config.axes):
+        has = model is not None or axis.inertia is not None
+        result.append(
+            AxisForecast(
+                axis=axis.name,
+                unit="N" if config.linear else "N·m",
+                peak_torque=float(peak[i]),
+                travel=float(travel[i]) if has else None,
+                velocity=float(velocity[i]) if has else None,
+                power=float(peak[i] * velocity[i]) if has else None,
+                basis=known if has else "unknown",
+            )
+        )
+    return tuple(result)
+
+
+def _motion(config: CellConfig, e: PlannedExperiment, model: CoupledChains | None) -> tuple[Float64, Float64]:
+    count = len(config.axes)
+    if e.kind is Kind.CONSTANT_VELOCITY and e.reference is not None:
+        rate = 1.0 / config.bus.cycle_s
+        return np.abs(e.reference).max(axis=0), np.abs(np.diff(e.reference, axis=0)).max(axis=0) * rate
+    rows = e.torque[e.record_from : e.record_from + e.period_samples] if e.period_samples else e.torque
+    spectrum = np.fft.rfft(rows, axis=0) * (2.0 / len(rows))
+    omega = 2 * np.pi * np.fft.rfftfreq(len(rows), config.bus.cycle_s)
+    keep = np.abs(spectrum).max(axis=1) > 1e-6 * max(float(np.abs(spectrum).max()), 1e-300)
+    # Below the band is leakage of the ramps, which division by ω² would blow up.
+    low, _ = e.attributes.get("band_hz", (0.0, 0.0))
+    keep &= omega > np.pi * low
+    keep[0] = False
+    omega, spectrum = omega[keep], spectrum[keep]
+    if not omega.size:
+        return np.zeros(count), np.zeros(count)
+    if model is not None:
+        from invid.forward import frf
+
+        response = np.abs(np.einsum("fij,fj->fi", frf(model, omega), spectrum))
+    else:
+        inertia = np.array([a.inertia if a.inertia is not None else np.inf for a in config.axes])
+        response = np.abs(spectrum) / (omega[:, None] ** 2 * inertia)
+    offset = np.abs(e.reference).max(axis=0) if e.reference is not None else np.zeros(count)
+    if e.period_samples:
+        return response.sum(axis=0) + offset, (omega[:, None] * response).sum(axis=0)
+    # A sweep is at one frequency at a time: its spectrum adds up to its peak only in rms.
+    scale = np.sqrt(2.0)
+    return (
+        np.sqrt((response**2).sum(axis=0)) * scale + offset,
+        np.sqrt(((omega[:, None] * response) ** 2).sum(axis=0)) * scale,
+    )
