@@ -1,11 +1,25 @@
-"""Line spectra of an experiment with the noise covariance that the recording itself reveals."""
+"""Line spectra of an experiment with the noise covariance that the recording itself reveals.
+
+Periodic records are averaged over settled periods. Everything else (from rest, chirp, stepped sine,
+one period) is taken whole: the discrete Fourier transform of the record, corrected for its end
+points, together with the boundary terms that the fit adds (``transient``) is exact for any motion.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from invid.arrays import Bool, Complex128, Float64
-from invid.recording.model import Role
+import numpy as np
+
+from invid.arrays import Bool, Complex128, Float64, frozen, frozen_float
+from invid.noise import flat_covariance, pooled_covariance, quiet_power
+from invid.periods import find_period, fold, repeats, settle, without_drift
+from invid.recording.model import Experiment, Kind, Recording, Role
+from invid.timebase import Uniform, uniform
+
+NOT_PERIODIC = 0.3
+"""Share of the variance that does not repeat above which a declared period is not believed: noise of
+half the signal's power still passes, a wrong period gives about 1."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,10 +42,20 @@ class LineSpectra:
         (F,) True on lines that the excitation drives.
     transient
         True where the record is not periodic steady state (from rest, aperiodic): fits must add the
-        boundary terms of every coordinate (see ``docs/reference/equations.md``).
+        boundary terms of every coordinate (see ``docs/explanations/identification.md``).
     time, position_wave, torque_wave
         (n,), (n, M), (n, M): the averaged period (or the whole record), sampled uniformly: what
         effects are evaluated on.
+    span_s
+        Duration T over which the boundary terms are spread: Z Θ = T − (2/T)·Wᵀ(…) for the whole of
+        the periods averaged, or the whole record.
+    driven
+        (M,) True for axes that the excitation drives in this experiment.
+    staircase
+        (M,) 1 where the torque is known to be held over each sample (it follows a recorded demand),
+        0 where it is known to be continuous, NaN where the recording does not tell.
+    deviations
+        (P, F, 2M) spectra of each period minus their mean; empty with fewer than two periods.
     """
 
     key: str
@@ -49,3 +73,322 @@ class LineSpectra:
     position_wave: Float64
     torque_wave: Float64
     warnings: tuple[str, ...] = field(default=())
+    span_s: float = 0.0
+    driven: Bool = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    staircase: Float64 = field(default_factory=lambda: np.zeros(0))
+    deviations: Complex128 = field(default_factory=lambda: np.zeros((0, 0, 0), dtype=complex))
+    hold_gain: Float64 = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def omega(self) -> Float64:
+        """(F,) lines [rad/s]."""
+        result: Float64 = 2 * np.pi * self.frequency_hz
+        return result
+
+    @property
+    def axis_count(self) -> int:
+        """M."""
+        return int(self.position.shape[1])
+
+
+def all_spectra(recording: Recording, role: Role | None = None) -> tuple[LineSpectra, ...]:
+    """Spectra of every experiment that shakes an axis, of one role or of both.
+
+    Slow constant-velocity moves carry friction, not elasticity, and are left out.
+    """
+    return tuple(
+        spectra_of(e)
+        for e in recording.experiments
+        if e.kind is not Kind.CONSTANT_VELOCITY and (role is None or e.role is role)
+    )
+
+
+def spectra_of(
+    experiment: Experiment, *, band_hz: tuple[float, float] | None = None, drop_transient: bool = True
+) -> LineSpectra:
+    """Spectra on every line of the band.
+
+    ``band_hz`` defaults to everything from the first line to one and a half times the highest
+    excited line (at most 0.45 of the sample rate). ``drop_transient=False`` keeps every period.
+
+    Raises
+    ------
+    RecordingError
+        Too few samples, or time that does not increase.
+    """
+    data = uniform(experiment)
+    warnings: list[str] = []
+    if data.lost:
+        warnings.append(
+            f"experiment {experiment.key}: {data.lost} of {data.samples} samples are missing"
+            + (f", up to {data.longest_gap - 1} in a row" if data.longest_gap > 2 else "")
+            + "; they were interpolated"
+        )
+    period = _period(experiment, data, warnings)
+    if period is None:
+        return _whole(experiment, data, band_hz, warnings)
+    return _periodic(experiment, data, period, band_hz, drop_transient, warnings)
+
+
+def _period(experiment: Experiment, data: Uniform, warnings: list[str]) -> int | None:
+    """The period to use [samples]; the declared one is verified, never trusted."""
+    declared = experiment.period_samples
+    key = experiment.key
+    if declared <= 0 or declared > data.samples:
+        if declared > data.samples:
+            warnings.append(
+                f"experiment {key}: the declared period of {declared} samples is longer than the record "
+                f"({data.samples} samples); it is used as one aperiodic record"
+            )
+        return None
+    if data.samples // declared < 2:
+        return None
+    loudest = int(np.argmax(_loudness(experiment, data.torque)))
+    share = float(repeats(fold(data.torque[:, [loudest]], declared))[0])
+    if share <= NOT_PERIODIC:
+        return declared
+    found = find_period(data.torque[:, loudest], data.samples // 2)
+    if found is not None and float(repeats(fold(data.torque[:, [loudest]], found))[0]) < NOT_PERIODIC / 3:
+        warnings.append(
+            f"experiment {key}: the declared period of {declared} samples does not repeat; the torque "
+            f"repeats every {found} samples, which is used instead"
+        )
+        return found
+    warnings.append(
+        f"experiment {key}: the declared period of {declared} samples does not repeat ({share:.0%} of the "
+        "torque changes from one to the next); the record is used as aperiodic"
+    )
+    return None
+
+
+def _loudness(experiment: Experiment, torque: Float64) -> Float64:
+    """(M,) rms torque without its mean; the excited axis first where it is named."""
+    rms: Float64 = torque.std(axis=0)
+    if 0 <= experiment.excited_axis < rms.size and rms[experiment.excited_axis] > 0:
+        rms = rms * 1.0
+        rms[experiment.excited_axis] = np.inf
+    return rms
+
+
+def _amplitudes(values: Float64, lines: int) -> Complex128:
+    """(…, F, C) one-sided amplitudes of lines 1…F from (…, n, C) samples."""
+    count = values.shape[-2]
+    spectrum: Complex128 = np.fft.rfft(values, axis=-2)[..., 1 : lines + 1, :] * (2.0 / count)
+    return spectrum
+
+
+def _periodic(
+    experiment: Experiment,
+    data: Uniform,
+    period: int,
+    band_hz: tuple[float, float] | None,
+    drop_transient: bool,
+    warnings: list[str],
+) -> LineSpectra:
+    motors = data.position.shape[1]
+    position = without_drift(fold(data.position, period))
+    torque = fold(data.torque, period)
+    channels = np.concatenate((position, torque), axis=2)
+    nyquist = (period - 1) // 2
+    spectra = _amplitudes(channels, nyquist)
+    hz = np.arange(1, nyquist + 1) / (period * data.step)
+    top = _highest_excited(experiment, hz, spectra)
+    quiet = (hz > 1.5 * hz[top]) & (hz < 0.45 / data.step)
+    change = np.diff(spectra, axis=0).reshape(-1, 2 * motors) / np.sqrt(2.0)
+    floor, floor_dof = quiet_power(change, np.tile(quiet, spectra.shape[0] - 1))
+    band = _band(hz, top, band_hz)
+    settling = settle(spectra[:, : top + 1], floor, floor_dof)
+    first = settling.first if drop_transient else 0
+    if first:
+        position = without_drift(fold(data.position, period)[first:])
+        spectra = _amplitudes(np.concatenate((position, torque[first:]), axis=2), nyquist)
+    used = spectra.shape[0]
+    mean = spectra.mean(axis=0)
+    deviations = (spectra - mean)[:, band]
+    covariance, dof = pooled_covariance(deviations, floor)
+    excited = _excited(experiment, hz[band], mean[band], covariance, motors, period * data.step)
+    return _assemble(
+        experiment,
+        data,
+        hz[band],
+        mean[band],
+        covariance,
+        dof,
+        excited,
+        periods=used,
+        transient=not settling.settled,
+        wave=np.concatenate((position.mean(0), torque[first:].mean(0)), axis=1),
+        span=used * period * data.step,
+        deviations=deviations,
+        warnings=warnings,
+    )
+
+
+def _whole(
+    experiment: Experiment, data: Uniform, band_hz: tuple[float, float] | None, warnings: list[str]
+) -> LineSpectra:
+    """The whole record, end points corrected: Σ x e^{−jωt} h + h (x_n − x_0)/2 is the integral to O(h²)."""
+    motors = data.position.shape[1]
+    count = data.samples - 1
+    wave = np.concatenate((data.position, data.torque), axis=1)
+    # A constant and a slope carry no line of their own; without them the endpoint correction and
+    # the leakage of drift into the quiet lines are small.
+    nyquist = (count - 1) // 2
+    mean = _amplitudes(wave[:count], nyquist)
+    ends = (wave[count] - wave[0]) / count
+    staircase = _staircase(experiment, data)
+    held = np.concatenate((np.zeros(motors), np.nan_to_num(staircase, nan=0.0)))
+    mean = mean + ends * (1.0 - held)
+    hz = np.arange(1, nyquist + 1) / (count * data.step)
+    top = _highest_excited(experiment, hz, mean[None])
+    quiet = (hz > 1.5 * hz[top]) & (hz < 0.45 / data.step)
+    if quiet.sum() < 16:
+        quiet = hz > 0.9 * hz[-1]
+    floor, dof = quiet_power(_windowed(wave[:count], nyquist), quiet)
+    band = _band(hz, top, band_hz)
+    covariance = flat_covariance(np.maximum(floor, 1e-300), int(band.sum()))
+    excited = _excited(experiment, hz[band], mean[band], covariance, motors, count * data.step)
+    return _assemble(
+        experiment,
+        data,
+        hz[band],
+        mean[band],
+        covariance,
+        np.full(int(band.sum()), dof),
+        excited,
+        periods=1,
+        transient=True,
+        wave=wave[:count],
+        span=count * data.step,
+        deviations=np.zeros((0, int(band.sum()), 2 * motors), dtype=complex),
+        warnings=warnings,
+    )
+
+
+def _windowed(wave: Float64, lines: int) -> Complex128:
+    """Spectrum through a Blackman window of unit noise gain: no leakage into the quiet lines."""
+    count = wave.shape[0]
+    window = np.blackman(count)
+    window = window / np.sqrt(np.mean(window**2))
+    centred = wave - wave.mean(axis=0)
+    return _amplitudes(centred * window[:, None], lines)
+
+
+def _highest_excited(experiment: Experiment, hz: Float64, spectra: Complex128) -> int:
+    """Index of the highest line that carries signal."""
+    declared = experiment.frequencies_hz[np.isfinite(experiment.frequencies_hz)]
+    declared = declared[(declared > 0) & (declared <= hz[-1])]
+    if declared.size:
+        return int(np.argmin(np.abs(hz - declared.max())))
+    motors = spectra.shape[2] // 2
+    power = (np.abs(spectra[..., motors:].mean(axis=0)) ** 2).sum(axis=1)
+    # The band that holds all but a thousandth of the torque's power.
+    cumulative = np.cumsum(power) / max(float(power.sum()), 1e-300)
+    return int(np.searchsorted(cumulative, 0.999).clip(0, hz.size - 1))
+
+
+def _band(hz: Float64, top: int, band_hz: tuple[float, float] | None) -> Bool:
+    low, high = (0.0, min(1.5 * hz[top], 0.9 * hz[-1])) if band_hz is None else band_hz
+    band: Bool = (hz >= low) & (hz <= max(high, hz[0]))
+    return band
+
+
+def _excited(
+    experiment: Experiment,
+    hz: Float64,
+    mean: Complex128,
+    covariance: Complex128,
+    motors: int,
+    duration: float,
+) -> Bool:
+    """(F,) lines that the excitation drives: as declared, or by a test of every line's torque."""
+    declared = experiment.frequencies_hz[np.isfinite(experiment.frequencies_hz)]
+    excited: Bool = np.zeros(hz.size, dtype=bool)
+    if declared.size and experiment.kind is Kind.MULTISINE:
+        nearest = np.round(declared * duration).astype(int)
+        first = round(float(hz[0] * duration))
+        inside = (nearest >= first) & (nearest < first + hz.size)
+        excited[nearest[inside] - first] = True
+        return excited
+    power = np.abs(mean[:, motors:]) ** 2
+    noise = np.einsum("fcc->fc", covariance).real[:, motors:]
+    # |X|²/σ² is exponential for noise: exceeded once in 1e4 lines; a thousandth of the strongest
+    # line's power is no excitation either, but distortion or leakage.
+    limit = np.maximum(noise * np.log(1e4), 1e-4 * power.max(axis=0))
+    above: Bool = (power > limit).any(axis=1)
+    return above
+
+
+def _staircase(experiment: Experiment, data: Uniform) -> Float64:
+    """(M,) 1 where the torque repeats a recorded demand, delayed by whole samples; NaN unknown."""
+    motors = data.torque.shape[1]
+    result = np.full(motors, np.nan)
+    if experiment.torque_demand is None:
+        return result
+    demand = np.asarray(experiment.torque_demand)
+    torque = np.asarray(experiment.torque)
+    for i in range(motors):
+        spread = demand[:, i].std()
+        if spread <= 1e-9 * max(np.abs(torque[:, i]).max(), 1e-300):
+            continue
+        for lag in range(4):
+            error = torque[lag:, i] - demand[: demand.shape[0] - lag, i]
+            # Following to a tenth is a staircase with noise; a filtered torque or one with a hold
+            # added inside the drive differs by more over a whole sample of delay.
+            if error.std() < 0.1 * spread:
+                result[i] = 1.0
+                break
+    return result
+
+
+def _driven(experiment: Experiment, torque: Complex128, excited: Bool) -> Bool:
+    motors = torque.shape[1]
+    if 0 <= experiment.excited_axis < motors:
+        driven: Bool = np.arange(motors) == experiment.excited_axis
+        return driven
+    return np.ones(motors, dtype=bool)
+
+
+def _assemble(
+    experiment: Experiment,
+    data: Uniform,
+    hz: Float64,
+    mean: Complex128,
+    covariance: Complex128,
+    dof: Float64,
+    excited: Bool,
+    *,
+    periods: int,
+    transient: bool,
+    wave: Float64,
+    span: float,
+    deviations: Complex128,
+    warnings: list[str],
+) -> LineSpectra:
+    motors = data.position.shape[1]
+
+    def fixed(values: Complex128) -> Complex128:
+        return frozen(values, np.complex128)  # type: ignore[return-value]
+
+    return LineSpectra(
+        key=experiment.key,
+        role=experiment.role,
+        frequency_hz=frozen_float(hz),
+        position=fixed(mean[:, :motors]),
+        torque=fixed(mean[:, motors:]),
+        covariance=fixed(covariance),
+        covariance_dof=frozen_float(dof),
+        excited=frozen(excited, np.bool_),  # type: ignore[arg-type]
+        periods=periods,
+        sample_rate_hz=1.0 / data.step,
+        transient=transient,
+        time=frozen_float(np.arange(wave.shape[0]) * data.step),
+        position_wave=frozen_float(wave[:, :motors]),
+        torque_wave=frozen_float(wave[:, motors:]),
+        warnings=tuple(warnings),
+        span_s=span,
+        driven=frozen(_driven(experiment, mean[:, motors:], excited), np.bool_),  # type: ignore[arg-type]
+        staircase=frozen_float(_staircase(experiment, data)),
+        deviations=fixed(deviations),
+        hold_gain=frozen_float(experiment.hold_gain),
+    )

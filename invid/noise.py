@@ -1,0 +1,64 @@
+"""Noise covariance of averaged spectra: from the periods, or from lines that carry no signal."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from invid.arrays import Complex128, Float64
+
+
+def pooled_covariance(deviations: Complex128, floor: Float64) -> tuple[Complex128, Float64]:
+    """Covariance of the mean over periods, pooled over neighbouring lines.
+
+    Parameters
+    ----------
+    deviations
+        (P, F, C) period spectra minus their mean over the periods.
+    floor
+        (C,) smallest believable noise power of one line of one period.
+
+    Returns
+    -------
+    covariance
+        (F, C, C) of the mean over the P periods.
+    dof
+        (F,) real degrees of freedom behind it.
+
+    Noise varies smoothly with frequency, so neighbours share one covariance: as many as give four
+    complex degrees of freedom per channel pair's row (4·C), which keeps a C×C matrix well
+    conditioned and the Hotelling inflation below 1.4.
+    """
+    periods, lines, channels = deviations.shape
+    free = periods - 1
+    half = int(np.ceil((4 * channels / free - 1) / 2))
+    half = min(max(half, 2), (lines - 1) // 2 if lines > 2 else 0)
+    outer = np.einsum("pfc,pfd->fcd", deviations, deviations.conj()) / free
+    sums = np.concatenate((np.zeros((1, channels, channels), complex), np.cumsum(outer, axis=0)))
+    low = np.clip(np.arange(lines) - half, 0, max(lines - 2 * half - 1, 0))
+    high = np.minimum(low + 2 * half + 1, lines)
+    covariance = (sums[high] - sums[low]) / (high - low)[:, None, None]
+    diagonal = np.einsum("fcc->fc", covariance).real
+    lift = np.maximum(floor - diagonal, 0.0)
+    covariance = covariance + np.einsum("fc,cd->fcd", lift, np.eye(channels))
+    dof = 2.0 * free * (high - low)
+    return covariance / periods, dof.astype(float)
+
+
+def flat_covariance(floor: Float64, lines: int) -> Complex128:
+    """(F, C, C) diagonal covariance of white noise of power ``floor`` (C,) a line."""
+    result: Complex128 = np.broadcast_to(np.diag(floor).astype(complex), (lines, floor.size, floor.size))
+    return result.copy()
+
+
+def quiet_power(spectrum: Complex128, quiet: np.ndarray) -> tuple[Float64, float]:
+    """(C,) noise power a line of (F, C) spectra over the ``quiet`` lines, and its real dof.
+
+    From the median, which a few signal lines among the quiet ones do not move: the power of complex
+    noise is exponential, so its mean is the median over ln 2.
+    """
+    power = np.abs(spectrum[quiet]) ** 2
+    if power.shape[0] == 0:
+        return np.zeros(spectrum.shape[1]), 0.0
+    level: Float64 = np.median(power, axis=0) / np.log(2.0)
+    # The median of an exponential has 1/ln²2 times the variance of the mean.
+    return level, 2.0 * power.shape[0] * float(np.log(2.0) ** 2)
