@@ -13,6 +13,8 @@ from invid.arrays import Float64
 from invid.errors import RecordingError
 from invid.recording.model import Experiment, Recording
 
+COLUMNS = ("position", "torque", "torque_demand", "position_reference", "torque_feedforward")
+"""Datasets of n rows and M columns, ``status`` aside; the last two are this program's own additions."""
 TORQUE_UNIT = {"rad": "N·m", "m": "N"}
 
 
@@ -87,7 +89,7 @@ def check_experiment(experiment: Experiment, axes: tuple[str, ...], *, source: s
         raise RecordingError(f"{where}: dataset 'time' has shape {e.time.shape}; it must be [n]")
     if samples < 2:
         raise RecordingError(f"{where}: dataset 'time' holds {samples} samples; at least 2 are needed")
-    for name in ("position", "torque", "torque_demand", "status"):
+    for name in (*COLUMNS, "status"):
         values = getattr(e, name)
         if values is None:
             continue

@@ -19,7 +19,7 @@ import numpy as np
 from invid.arrays import Float64, UInt16, frozen, frozen_float
 from invid.errors import RecordingError
 from invid.recording.attributes import Attributes, read_attributes
-from invid.recording.check import check_recording
+from invid.recording.check import COLUMNS, check_recording
 from invid.recording.model import Experiment, Kind, Outcome, Recording, Role
 
 FORMAT = "invid-recording"
@@ -227,7 +227,7 @@ def _read_experiment(
     if time is None:
         raise RecordingError(f"{where}: dataset 'time' is missing; the contract needs it")
     columns: dict[str, Any] = {}
-    for name in ("position", "torque", "torque_demand", "status"):
+    for name in (*COLUMNS, "status"):
         values = _dataset(node, name, where, budget, columns=len(axes), rows=time.shape[0])
         if values is None and name in ("position", "torque"):
             raise RecordingError(f"{where}: dataset {name!r} is missing; the contract needs it")
@@ -251,6 +251,8 @@ def _read_experiment(
         position=columns["position"],
         torque=columns["torque"],
         torque_demand=columns["torque_demand"],
+        position_reference=columns["position_reference"],
+        torque_feedforward=columns["torque_feedforward"],
         status=status,
         attributes=a.rest(EXPERIMENT_ATTRIBUTES),
     )
@@ -351,7 +353,7 @@ def write_recording(recording: Recording, path: str | Path) -> None:
             for e in recording.experiments:
                 node = group.create_group(e.key)
                 set_attributes(node, experiment_attributes(e))
-                for name in ("time", "position", "torque", "torque_demand", "status"):
+                for name in ("time", *COLUMNS, "status"):
                     values = getattr(e, name)
                     if values is not None:
                         node.create_dataset(

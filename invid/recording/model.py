@@ -64,6 +64,9 @@ class Experiment:
         The excited lines [Hz]; empty where unknown.
     attributes
         Other HDF5 attributes, kept as they were.
+    position_reference, torque_feedforward
+        (n, M) what a known controller was told (extra datasets beside the contract's); ``None`` where
+        not known. With the attribute ``controller`` they let closed-loop data be simulated.
     """
 
     key: str
@@ -80,6 +83,8 @@ class Experiment:
     torque_demand: Float64 | None = None
     status: UInt16 | None = None
     attributes: dict[str, Any] = field(default_factory=dict)
+    position_reference: Float64 | None = None
+    torque_feedforward: Float64 | None = None
 
     @property
     def samples(self) -> int:

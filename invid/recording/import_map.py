@@ -1,0 +1,197 @@
+"""The map file of ``invid import``: which columns of a foreign log are what, in which units.
+
+YAML, validated, unknown keys refused. The reference with examples is ``docs/reference/recording.md``.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from invid.errors import InputError
+from invid.model import describe_validation_error
+from invid.recording.model import Kind, Role
+
+FORMAT = "invid-import-map"
+MAX_BYTES = 1_000_000
+
+
+class Strict(BaseModel):
+    """Unknown keys are errors."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, frozen=True)
+
+
+class Channel(Strict):
+    """One column with its unit: SI value = sign · scale · unit factor · (column − offset)."""
+
+    column: str | int
+    """Name as in the file, or its index from 0."""
+    unit: str
+    sign: Literal[1, -1] = 1
+    scale: float = Field(default=1.0, gt=0)
+    offset: float = 0.0
+    """In the column's unit, subtracted first."""
+    remove_mean: bool = False
+    per_count: float | None = Field(default=None, gt=0)
+    """SI value of one count, where the unit is counts."""
+
+
+class TorqueChannel(Channel):
+    """The torque: where the number comes from decides what a diagnosis may blame on the actuator."""
+
+    meaning: Literal["applied", "measured", "demanded"] = "measured"
+    torque_constant: float | None = Field(default=None, gt=0)
+    """N·m (or N) per A or V, where the unit is A or V; 1 where unknown: all comes out per that constant."""
+
+
+class Controller(Strict):
+    """Known control law: torque = stiffness·(reference − position) − damping·velocity + feedforward."""
+
+    stiffness: float = Field(ge=0)
+    """N·m/rad or N/m."""
+    damping: float = Field(ge=0)
+    """N·m·s/rad or N·s/m."""
+    limit: float | None = Field(default=None, gt=0)
+    """Largest torque the law may ask for."""
+
+
+class AxisMap(Strict):
+    """One axis: a torque, and a position or a velocity."""
+
+    name: str = Field(min_length=1)
+    position: Channel | None = None
+    velocity: Channel | None = None
+    """Only where there is no position; the position is then the velocity's integral, and marked so."""
+    torque: TorqueChannel
+    torque_demand: TorqueChannel | None = None
+    position_reference: Channel | None = None
+    """What the controller was told; kept beside the contract's datasets, for simulating closed-loop data."""
+    torque_feedforward: TorqueChannel | None = None
+    controller: Controller | None = None
+    status: str | int | None = None
+    rated_torque: float | None = Field(default=None, gt=0)
+    encoder_resolution: float | None = Field(default=None, gt=0)
+    masses: int | None = Field(default=None, ge=1)
+
+    @model_validator(mode="after")
+    def _one_motion(self) -> AxisMap:
+        if (self.position is None) == (self.velocity is None):
+            raise ValueError(f"axis {self.name}: give either 'position' or 'velocity', not both or none")
+        return self
+
+
+class TimeMap(Strict):
+    """The time column, or a constant rate where the file has none."""
+
+    column: str | int | None = None
+    unit: str = "s"
+    sample_rate_hz: float | None = Field(default=None, gt=0)
+
+    @model_validator(mode="after")
+    def _one(self) -> TimeMap:
+        if (self.column is None) == (self.sample_rate_hz is None):
+            raise ValueError("give either 'column' (with 'unit') or 'sample_rate_hz'")
+        return self
+
+
+class Signal(Strict):
+    """One mapped object of a PDO; becomes a column of this name."""
+
+    name: str
+    type: Literal["int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "skip"]
+    bits: int | None = Field(default=None, gt=0, le=64)
+    """Length of a ``skip``."""
+
+
+class Pdo(Strict):
+    """One PDO: its CAN identifier and the objects in it, first byte first (little-endian)."""
+
+    id: int = Field(ge=0, le=0x1FFFFFFF)
+    direction: Literal["from_drive", "to_drive"] = "from_drive"
+    """``to_drive``: the value acts from the next SYNC on, and is listed with that sample."""
+    signals: list[Signal] = []
+
+
+class Source(Strict):
+    """How the file is to be read; whatever is left out is found out from the file."""
+
+    kind: Literal["csv", "mat", "parquet", "hdf5", "can_log"] | None = None
+    delimiter: str | None = Field(default=None, min_length=1, max_length=1)
+    decimal: Literal[".", ","] | None = None
+    header_lines: int | None = Field(default=None, ge=0)
+    """Lines before the first row of data, the line of names among them."""
+    names: list[str] | None = None
+    """Column names, where the file's are missing or unfit."""
+    encoding: str | None = None
+    sync_id: int | None = 0x80
+    """CAN identifier of SYNC; null: a sample is taken at each frame of the first PDO."""
+    pdos: list[Pdo] = []
+    eds: str | None = None
+    """EDS file beside the map: the PDOs are read from it, for ``nodes``."""
+    nodes: list[int] = []
+
+
+class ExperimentMap(Strict):
+    """Which rows are one experiment, and what it is for."""
+
+    file: str = "*"
+    """Pattern of file names (or of paths below a folder given as SOURCE)."""
+    rows: tuple[int | None, int | None] = (None, None)
+    """First row and row after the last, from 0, among the file's rows of data."""
+    role: Role = Role.IDENTIFY
+    kind: Kind = Kind.OTHER
+    excited_axis: int = -1
+    period_samples: int = Field(default=0, ge=0)
+    drop_periods: int = Field(default=0, ge=0)
+    """Periods left out at the start, before steady state."""
+    frequencies_hz: list[float] = []
+    hold_gain: list[float] | None = None
+    attributes: dict[str, str | int | float | bool] = {}
+    """Kept with the experiment; for the reader."""
+
+
+class ImportMap(Strict):
+    """The whole map."""
+
+    format: Literal["invid-import-map"]
+    format_version: Literal[1] = 1
+    robot: str = "unnamed"
+    description: str = ""
+    motion: Literal["rotary", "linear"] | None = None
+    """Needed only where the units do not tell (counts, raw)."""
+    source: Source = Source()
+    time: TimeMap
+    axes: list[AxisMap] = Field(min_length=1, max_length=64)
+    experiments: list[ExperimentMap] = Field(default=[ExperimentMap()], min_length=1, max_length=1000)
+    attributes: dict[str, str | int | float | bool] = {}
+
+
+def load_map(path: Path) -> ImportMap:
+    """The map in a YAML file; InputError says where and what is wrong."""
+    try:
+        raw = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
+    if len(raw) > MAX_BYTES:
+        raise InputError(f"{path}: {len(raw)} bytes; a map is a short YAML file")
+    return parse_map(raw, source=str(path))
+
+
+def parse_map(text: str | bytes, *, source: str = "map") -> ImportMap:
+    """The map in a YAML text."""
+    try:
+        document: Any = yaml.safe_load(text)
+    except (yaml.YAMLError, RecursionError, ValueError) as error:
+        place = getattr(error, "problem_mark", None)
+        line = f" line {place.line + 1}" if place is not None else ""
+        raise InputError(f"{source}:{line} not YAML: {getattr(error, 'problem', None) or error}") from None
+    if not isinstance(document, dict):
+        raise InputError(f"{source}: holds no mapping; a map starts with 'format: {FORMAT}'")
+    try:
+        return ImportMap.model_validate(document)
+    except ValidationError as error:
+        raise InputError(describe_validation_error(error, source)) from None

@@ -1,0 +1,392 @@
+"""Foreign tables and a map to a ``Recording``: units, signs, roles, broken rows counted and skipped."""
+
+from __future__ import annotations
+
+import fnmatch
+import importlib
+import json
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from invid.arrays import Bool, Float64, UInt16, frozen, frozen_float
+from invid.errors import InputError
+from invid.recording.binary_table import read_hdf5_table, read_mat_table, read_parquet_table
+from invid.recording.check import check_recording
+from invid.recording.import_map import AxisMap, Channel, ExperimentMap, ImportMap, Source
+from invid.recording.model import Experiment, Recording, nominal_sample_rate
+from invid.recording.tables import BrokenRow, Table
+from invid.recording.text_table import read_text_table
+from invid.recording.units import LINEAR, MachineConstants, Quantity, factor, normal_unit
+
+BROKEN_LIMIT = 0.01
+"""More broken rows than this stop an import: it is then more likely a wrong map than a bad log (issue 7)."""
+_KINDS = {
+    ".csv": "csv", ".txt": "csv", ".tsv": "csv", ".dat": "csv",
+    ".mat": "mat", ".parquet": "parquet", ".pq": "parquet",
+    ".h5": "hdf5", ".hdf5": "hdf5", ".hdf": "hdf5",
+    ".log": "can_log", ".asc": "can_log", ".blf": "can_log",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Import:
+    """What an import yields: the recording, and what was skipped or assumed on the way."""
+
+    recording: Recording
+    broken: tuple[BrokenRow, ...]
+    rows: int
+    warnings: tuple[str, ...]
+
+
+def read_table(path: Path, source: Source, *, beside: Path | None = None) -> Table:
+    """The columns of one file; its kind from the map, else from the name's ending and the content."""
+    kind = source.kind or _KINDS.get(path.suffix.lower())
+    try:
+        with path.open("rb") as raw:
+            head = raw.read(8)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
+    if not head:
+        raise InputError(f"{path}: the file is empty")
+    if kind is None:
+        kind = "hdf5" if head == b"\x89HDF\r\n\x1a\n" else "parquet" if head[:4] == b"PAR1" else "csv"
+    if kind == "mat":
+        return read_mat_table(path)
+    if kind == "hdf5":
+        return read_hdf5_table(path)
+    if kind == "parquet":
+        return read_parquet_table(path)
+    if kind == "can_log":
+        return _can_log(path, source, beside)
+    return read_text_table(path, source)
+
+
+def _can_log(path: Path, source: Source, beside: Path | None) -> Table:
+    # The core knows no bus: the reader lives with the drivers and is found by name when it is asked for.
+    try:
+        reader: Any = importlib.import_module("invid_drivers.can_log")
+    except ImportError:
+        raise InputError(f"{path}: reading CAN logs needs invid_drivers, which is not installed") from None
+    table: Table = reader.read_can_log(path, source, beside=beside)
+    return table
+
+
+def import_files(
+    sources: Sequence[Path], chart: ImportMap, *, created: str, beside: Path | None = None
+) -> Import:
+    """All files through one map.
+
+    Parameters
+    ----------
+    sources
+        Files, or one folder that the map's ``file`` patterns pick from.
+    created
+        ISO 8601 time for the recording; time is data here.
+    beside
+        Folder of the map, where an EDS it names is looked for.
+    """
+    linear = _is_linear(chart)
+    experiments: list[Experiment] = []
+    broken: list[BrokenRow] = []
+    warnings: list[str] = []
+    rows = 0
+    tables: dict[Path, tuple[Table, Bool]] = {}
+    for entry, path in _assign(sources, chart.experiments):
+        if path not in tables:
+            table = read_table(path, chart.source, beside=beside)
+            good, skipped = _good_rows(table, chart, path)
+            tables[path] = (table, good)
+            broken += skipped
+            rows += max(good.size, 1)
+        table, good = tables[path]
+        experiment, remarks = _experiment(f"{len(experiments):03d}", entry, table, good, chart, path)
+        experiments.append(experiment)
+        warnings += remarks
+    for path in sources:
+        if path.is_file() and path not in tables:
+            raise InputError(f"{path}: no experiment of the map takes this file; see 'file' in the map")
+    recording = Recording(
+        robot=chart.robot,
+        axes=tuple(a.name for a in chart.axes),
+        position_unit="m" if linear else "rad",
+        torque_unit="N" if linear else "N·m",
+        created=created,
+        experiments=tuple(experiments),
+        masses_per_axis=_every([a.masses for a in chart.axes]),
+        rated_torque=_vector(_every([a.rated_torque for a in chart.axes])),
+        encoder_resolution=_vector(_every([_resolution(a) for a in chart.axes])),
+        attributes={"imported_by": "invid import", "broken_rows": len(broken), **chart.attributes},
+        source=", ".join(str(s) for s in sources),
+    )
+    check_recording(recording)
+    return Import(recording, tuple(broken), rows, tuple(warnings))
+
+
+def _every(values: Sequence[Any]) -> Any:
+    return None if any(v is None for v in values) else tuple(values)
+
+
+def _vector(values: Any) -> Float64 | None:
+    return None if values is None else frozen_float(values)
+
+
+def _resolution(axis: AxisMap) -> float | None:
+    if axis.encoder_resolution is not None:
+        return axis.encoder_resolution
+    p = axis.position
+    return (
+        p.per_count * p.scale if p is not None and p.per_count and normal_unit(p.unit) == "counts" else None
+    )
+
+
+def _is_linear(chart: ImportMap) -> bool:
+    said: dict[bool, str] = {}
+    for axis in chart.axes:
+        for quantity in ("position", "velocity", "torque"):
+            channel = getattr(axis, quantity)
+            if channel is None:
+                continue
+            unit = normal_unit(channel.unit)
+            if unit in LINEAR[quantity]:
+                said[True] = f"{quantity} of {axis.name} in {channel.unit}"
+            elif unit not in ("raw", "counts", "A", "V", "%", "permille"):
+                said[False] = f"{quantity} of {axis.name} in {channel.unit}"
+    if len(said) == 2:
+        raise InputError(
+            f"map: {said[True]} is linear but {said[False]} is rotary; one recording is one or the other"
+        )
+    if not said and chart.motion is None:
+        raise InputError(
+            "map: no unit tells a rotary from a linear machine; add 'motion: rotary' or 'motion: linear'"
+        )
+    linear = next(iter(said)) if said else chart.motion == "linear"
+    if said and chart.motion is not None and linear != (chart.motion == "linear"):
+        raise InputError(f"map: 'motion' is {chart.motion}, but {said[linear]}")
+    return linear
+
+
+def _natural(path: Path) -> list[Any]:
+    return [(int(p), "") if p.isdigit() else (-1, p) for p in re.split(r"(\d+)", str(path))]
+
+
+def _assign(sources: Sequence[Path], entries: Sequence[ExperimentMap]) -> list[tuple[ExperimentMap, Path]]:
+    pairs: list[tuple[ExperimentMap, Path]] = []
+    for source in sources:
+        if not source.exists():
+            raise InputError(f"{source}: no such file or folder")
+    for entry in entries:
+        found = False
+        for source in sources:
+            if source.is_dir():
+                inside = sorted((p for p in source.rglob("*") if p.is_file()), key=_natural)
+                names = [(p, p.relative_to(source).as_posix()) for p in inside]
+            else:
+                names = [(source, source.as_posix())]
+            for path, name in names:
+                if fnmatch.fnmatchcase(name, entry.file) or fnmatch.fnmatchcase(name, f"*/{entry.file}"):
+                    pairs.append((entry, path))
+                    found = True
+        if not found and any(s.is_dir() for s in sources):
+            raise InputError(f"map: no file matches {entry.file!r} below {', '.join(map(str, sources))}")
+    if not pairs:
+        raise InputError(
+            f"map: no experiment takes {', '.join(map(str, sources))}; the map's 'file' patterns are "
+            f"{[e.file for e in entries]}"
+        )
+    return pairs
+
+
+def _needed(chart: ImportMap) -> list[str | int]:
+    names: list[str | int] = [] if chart.time.column is None else [chart.time.column]
+    for axis in chart.axes:
+        channels = (axis.position, axis.velocity, axis.torque, axis.torque_demand, axis.position_reference)
+        names += [c.column for c in channels if c is not None]
+        names += [] if axis.status is None else [axis.status]
+    return names
+
+
+def _good_rows(table: Table, chart: ImportMap, path: Path) -> tuple[Bool, list[BrokenRow]]:
+    """Mask of usable rows and the others with their reason; InputError beyond one per cent."""
+    needed = _needed(chart)
+    columns = {name: table.column(name) for name in needed}
+    sizes = {c.size for c in columns.values()}
+    if len(sizes) != 1:
+        found = ", ".join(f"{n!r} {c.size}" for n, c in columns.items())
+        raise InputError(f"{path}: the columns of the map differ in length: {found}")
+    count = sizes.pop()
+    good: Bool = np.ones(count, dtype=np.bool_)
+    reasons: dict[int, str] = {}
+    for name, column in columns.items():
+        for row in np.flatnonzero(~np.isfinite(column) & good).tolist():
+            good[row] = False
+            reasons[row] = f"column {name!r} holds no number"
+    if chart.time.column is not None:
+        for row in _out_of_order(columns[chart.time.column], good):
+            good[row] = False
+            reasons[row] = "time does not increase"
+    known = {b.line: b.reason for b in table.broken}
+    numbers = np.arange(count) if table.lines is None else table.lines
+    skipped = [
+        BrokenRow(path.name, int(numbers[row]), known.get(int(numbers[row]), reason))
+        for row, reason in sorted(reasons.items())
+    ]
+    if len(skipped) > BROKEN_LIMIT * count or good.sum() < 2:
+        shown = "; ".join(f"{table.line_word} {b.line}: {b.reason}" for b in skipped[:5])
+        raise InputError(
+            f"{path}: {len(skipped)} of {count} rows are broken, more than {BROKEN_LIMIT:.0%} ({shown}"
+            f"{'; …' if len(skipped) > 5 else ''}); check the map's columns, 'delimiter' and 'decimal', "
+            f"or repair the file"
+        )
+    return good, skipped
+
+
+def _out_of_order(time: Float64, good: Bool) -> list[int]:
+    rows = np.flatnonzero(good)
+    t = time[rows]
+    if rows.size < 2 or (np.diff(t) > 0).all():
+        return []
+    bad: list[int] = []
+    last = -np.inf
+    for i, row in enumerate(rows):
+        # A lone instant far ahead would make every later row look late: it is the one that is wrong.
+        leap = i + 1 < rows.size and last < t[i + 1] < t[i] and (i + 2 >= rows.size or t[i + 2] < t[i])
+        if t[i] <= last or leap:
+            bad.append(int(row))
+        else:
+            last = t[i]
+    return bad
+
+
+def _experiment(
+    key: str, entry: ExperimentMap, table: Table, good: Bool, chart: ImportMap, path: Path
+) -> tuple[Experiment, list[str]]:
+    where = f"{path}: experiment {key}"
+    first, stop, _ = slice(*entry.rows).indices(good.size)
+    first += entry.drop_periods * entry.period_samples
+    inside = np.zeros(good.size, dtype=np.bool_)
+    inside[first:stop] = True
+    use = np.flatnonzero(inside & good)
+    if use.size < 2:
+        raise InputError(
+            f"{where}: rows {list(entry.rows)} leave {use.size} samples of the file's {good.size}; "
+            f"at least 2 are needed"
+        )
+    remarks: list[str] = []
+    period = entry.period_samples
+    if period and int(inside.sum()) != use.size:
+        period = 0
+        remarks.append(
+            f"{path.name}: broken rows were skipped inside a periodic experiment, so it is no longer "
+            f"periodic; choose rows without them"
+        )
+    time, offset = _time(table, use, chart, where)
+    position, torque = np.empty((use.size, len(chart.axes))), np.empty((use.size, len(chart.axes)))
+    demand, status = np.zeros_like(torque), np.zeros(torque.shape, dtype=np.uint16)
+    reference, feedforward = np.zeros_like(torque), np.zeros_like(torque)
+    velocity_only = []
+    for i, axis in enumerate(chart.axes):
+        if axis.position is not None:
+            position[:, i] = _values(table, axis.position, axis, "position", where)[use]
+        elif axis.velocity is not None:
+            velocity_only.append(axis.name)
+            position[:, i] = integrated(time, _values(table, axis.velocity, axis, "velocity", where)[use])
+        torque[:, i] = _values(table, axis.torque, axis, "torque", where)[use]
+        command = axis.torque_demand or (axis.torque if axis.torque.meaning == "demanded" else None)
+        if command is not None:
+            demand[:, i] = _values(table, command, axis, "torque", where)[use]
+        if axis.position_reference is not None:
+            reference[:, i] = _values(table, axis.position_reference, axis, "position", where)[use]
+        if axis.torque_feedforward is not None and _has(table, axis.torque_feedforward.column):
+            feedforward[:, i] = _values(table, axis.torque_feedforward, axis, "torque", where)[use]
+        if axis.status is not None:
+            word = table.column(axis.status)[use]
+            status[:, i] = np.mod(np.round(word), 65536).astype(np.uint16)
+    has_demand = all(a.torque_demand is not None or a.torque.meaning == "demanded" for a in chart.axes)
+    has_status = all(a.status is not None for a in chart.axes)
+    meanings = sorted({a.torque.meaning for a in chart.axes})
+    attributes: dict[str, Any] = {
+        "source_file": path.name,
+        "torque_source": meanings[0] if len(meanings) == 1 else "mixed",
+        **entry.attributes,
+    }
+    if offset:
+        attributes["time_offset_s"] = offset
+    if velocity_only:
+        if len(velocity_only) != len(chart.axes):
+            raise InputError(
+                f"map: axes {velocity_only} give velocity only, the others position; use one kind"
+            )
+        attributes["position_source"] = "integrated_velocity"
+    if any(a.controller is not None for a in chart.axes):
+        laws = [None if a.controller is None else a.controller.model_dump() for a in chart.axes]
+        attributes["controller"] = json.dumps(laws)
+    has_reference = all(a.position_reference is not None for a in chart.axes)
+    status_words: UInt16 = frozen(status, np.uint16)  # type: ignore[assignment]
+    experiment = Experiment(
+        key=key,
+        kind=entry.kind,
+        role=entry.role,
+        excited_axis=entry.excited_axis,
+        hold_gain=frozen_float(np.zeros(len(chart.axes)) if entry.hold_gain is None else entry.hold_gain),
+        period_samples=period,
+        frequencies_hz=frozen_float(np.asarray(entry.frequencies_hz, dtype=float)),
+        sample_rate_hz=chart.time.sample_rate_hz or _rate(time),
+        time=time,
+        position=frozen_float(position),
+        torque=frozen_float(torque),
+        torque_demand=frozen_float(demand) if has_demand else None,
+        status=status_words if has_status else None,
+        attributes=attributes,
+        position_reference=frozen_float(reference) if has_reference else None,
+        torque_feedforward=frozen_float(feedforward) if feedforward.any() else None,
+    )
+    return experiment, remarks
+
+
+def _has(table: Table, key: str | int) -> bool:
+    # A feedforward may be logged in some of the files only: zero in the others.
+    return key in table.columns or isinstance(key, int)
+
+
+def _rate(time: Float64) -> float:
+    # The mean rate averages out the time stamps' rounding; with gaps or jitter the median is the nominal one.
+    median = nominal_sample_rate(time)
+    mean = (time.size - 1) / float(time[-1] - time[0])
+    return mean if abs(mean / median - 1) < 0.01 else median
+
+
+def _time(
+    table: Table, use: np.typing.NDArray[np.intp], chart: ImportMap, where: str
+) -> tuple[Float64, float]:
+    if chart.time.column is None:
+        return frozen_float(use / (chart.time.sample_rate_hz or 1.0)), 0.0
+    unit = factor("time", chart.time.unit, MachineConstants(), f"{where}: time")
+    time = table.column(chart.time.column)[use] * unit
+    # Seconds since 1970 leave 0.2 µs in a float64: take the start out before anything is computed.
+    offset = float(time[0]) if abs(time[0]) > 1e6 else 0.0
+    return frozen_float(time - offset), offset
+
+
+def _values(table: Table, channel: Channel, axis: AxisMap, quantity: Quantity, where: str) -> Float64:
+    constants = MachineConstants(
+        torque_constant=getattr(channel, "torque_constant", None),
+        rated_torque=axis.rated_torque,
+        per_count=channel.per_count,
+    )
+    unit = factor(quantity, channel.unit, constants, f"{where}: {quantity} of {axis.name}")
+    raw = table.column(channel.column) - channel.offset
+    if channel.remove_mean:
+        raw = raw - float(np.mean(raw[np.isfinite(raw)]))
+    values: Float64 = channel.sign * channel.scale * unit * raw
+    return values
+
+
+def integrated(time: Float64, velocity: Float64) -> Float64:
+    """Position from velocity held over each sample, so that forward differences give it back exactly."""
+    position: Float64 = np.concatenate(([0.0], np.cumsum(velocity[:-1] * np.diff(time))))
+    return position

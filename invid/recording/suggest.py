@@ -1,0 +1,296 @@
+"""A first map guessed from a file, with the reason for every guess; unsure guesses say so."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from invid.arrays import Float64
+from invid.recording.import_map import FORMAT, ImportMap
+from invid.recording.tables import Table
+from invid.recording.units import FACTORS, LINEAR, normal_unit
+
+_WORDS = {
+    "time": r"^(time|t|timestamp|timestamps|zeit|time_cont|clock)$",
+    "demand": r"(ref|cmd|command|demand|target|setpoint|set|des|desired|soll|goal)",
+    "velocity": r"(vel|velocity|speed|omega|dq|qd|rpm|drehzahl)",
+    "torque": r"(tau|torque|trq|moment|drehmoment|force|iq|current|strom|effort|vir)",
+    "position": r"(pos|position|theta|angle|phi|winkel|enc|encoder|q|qm|joint)",
+}
+_SECOND = r"(^|[^a-z])(se|load|link|second|secondary|abtrieb|out)([^a-z]|$)|y$"
+
+
+@dataclass
+class _Axis:
+    position: str | None = None
+    velocity: str | None = None
+    torque: str | None = None
+    torque_demand: str | None = None
+    others: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Suggestion:
+    """A map with the reasons for it; ``unsure`` lists what a person must decide."""
+
+    document: dict[str, Any]
+    reasons: tuple[str, ...]
+    unsure: tuple[str, ...]
+
+    def as_map(self) -> ImportMap:
+        """The map, validated."""
+        return ImportMap.model_validate(self.document)
+
+    def as_yaml(self) -> str:
+        """YAML with the reasons as comments."""
+        lines = ["# A first map, guessed by 'invid import --suggest'. Check every line before you trust it."]
+        lines += [f"# - {r}" for r in self.reasons]
+        lines += [f"# ? UNSURE: {u}" for u in self.unsure]
+        return "\n".join(lines) + "\n" + _yaml(self.document, 0)
+
+
+def _yaml(value: Any, depth: int) -> str:
+    pad = "  " * depth
+    text = ""
+    for key, item in value.items():
+        if isinstance(item, dict) and depth < 1 and item:
+            text += f"{pad}{key}:\n" + _yaml(item, depth + 1)
+        elif isinstance(item, list) and item and isinstance(item[0], dict):
+            text += f"{pad}{key}:\n"
+            for entry in item:
+                rows = [f"{k}: {json.dumps(v, ensure_ascii=False)}" for k, v in entry.items()]
+                text += f"{pad}  - " + f"\n{pad}    ".join(rows) + "\n"
+        else:
+            text += f"{pad}{key}: {json.dumps(item, ensure_ascii=False)}\n"
+    return text
+
+
+def suggest(table: Table, path: Path) -> Suggestion:
+    """A first map for the columns of ``table``."""
+    reasons: list[str] = []
+    unsure: list[str] = []
+    document: dict[str, Any] = {"format": FORMAT, "format_version": 1, "robot": path.stem}
+    if table.notes:
+        kept = {k: table.notes[k] for k in ("delimiter", "decimal", "header_lines") if k in table.notes}
+        document["source"] = kept
+        reasons.append("the file is delimited text: " + ", ".join(f"{k} {v!r}" for k, v in kept.items()))
+        if table.units:
+            document["source"]["names"] = list(table.columns)
+    document["time"], time_column = _time(table, reasons, unsure)
+    axes = _axes(table, time_column, reasons, unsure)
+    document["axes"] = [_axis(name, a, table, reasons, unsure) for name, a in axes.items()]
+    document["axes"] = [a for a in document["axes"] if a]
+    experiment: dict[str, Any] = {"rows": [0, None], "role": "identify", "kind": "other"}
+    if document["axes"]:
+        first = document["axes"][0]
+        motion = first.get("position") or first["velocity"]
+        signals = [table.column(c["column"]) for c in (first["torque"], motion)]
+        period, moved = (find_period(s[np.isfinite(s)]) for s in signals)
+        if period and period == moved:
+            experiment.update(kind="multisine", period_samples=period, drop_periods=1)
+            reasons.append(
+                f"torque and motion repeat every {period} samples: periodic, first period left out"
+            )
+            unsure.append("'frequencies_hz' of the excited lines is not known: add it where it is")
+    else:
+        unsure.append("no column looks like a torque with a position or a velocity: name them by hand")
+        document["axes"] = [
+            {
+                "name": "A1",
+                "position": {"column": "?", "unit": "rad"},
+                "torque": {"column": "?", "unit": "N·m"},
+            }
+        ]
+    document["experiments"] = [experiment]
+    used = {json.dumps(a, ensure_ascii=False) for a in document["axes"]}
+    rest = [n for n in table.columns if n != time_column and not any(f'"{n}"' in u for u in used)]
+    if rest:
+        reasons.append("left out: " + ", ".join(rest[:30]))
+    return Suggestion(document, tuple(reasons), tuple(unsure))
+
+
+def _time(table: Table, reasons: list[str], unsure: list[str]) -> tuple[dict[str, Any], str | None]:
+    length = max(c.size for c in table.columns.values())
+    rising = [
+        n
+        for n, c in table.columns.items()
+        if c.size == length and c.size > 2 and np.mean(np.diff(c[np.isfinite(c)]) > 0) > 0.98
+    ]
+    named = [n for n in rising if re.match(_WORDS["time"], _words(n)[-1] if _words(n) else "")]
+    candidates = named or [n for n in rising if _guess_quantity(n) is None]
+    chosen = candidates[0] if candidates else None
+    if chosen is None:
+        unsure.append("no column rises like time: the sample rate 1000 Hz below is a placeholder")
+        return {"sample_rate_hz": 1000.0}, None
+    stated = table.units.get(chosen) or _unit_in_name(chosen)
+    if stated and normal_unit(stated) in FACTORS["time"]:
+        reasons.append(f"time is {chosen!r} in {stated}, as the file says")
+        return {"column": chosen, "unit": normal_unit(stated)}, chosen
+    column = table.columns[chosen]
+    step = float(np.median(np.diff(column[np.isfinite(column)])))
+    # Logs of drives run between 10 Hz and 100 kHz: of the units that put the step there, the largest.
+    unit = next((u for u in ("s", "ms", "us", "ns") if 1e-5 <= step * FACTORS["time"][u] <= 0.1), "s")
+    reasons.append(f"time is {chosen!r}: it rises throughout")
+    if unit == "s":
+        reasons.append(f"its unit is taken as s from its median step {step:g}")
+    else:
+        unsure.append(f"the unit of {chosen!r} is guessed as {unit} from its median step {step:g}")
+    return {"column": chosen, "unit": unit}, chosen
+
+
+def _words(name: str) -> list[str]:
+    bare = re.sub(r"[\[(].*?[\])]", " ", name)
+    return [w for w in re.split(r"[^a-zA-Zäöü]+", bare.lower()) if w]
+
+
+def _rank(name: str) -> int:
+    """Measured beats unsaid beats derived, by the words people use."""
+    words = set(_words(name))
+    if words & {"act", "actual", "meas", "measured", "mot", "motor", "m", "qm", "msr"}:
+        return 1
+    return -1 if words & {"err", "error", "ref", "qg", "rel", "ff", "calc", "model"} else 0
+
+
+def _family(name: str) -> str:
+    return re.sub(r"\[\d+\]$", "[…]", name)
+
+
+def _guess_quantity(name: str) -> str | None:
+    words = _words(name)
+    for quantity in ("velocity", "torque", "position"):
+        if any(re.match(_WORDS[quantity], w) for w in words if len(w) > 1 or w == "q"):
+            return quantity
+    return None
+
+
+def _unit_in_name(name: str) -> str | None:
+    bracket = re.findall(r"[\[(]\s*([^\])]+?)\s*[\])]", name)
+    candidates = [b for b in bracket if not b.isdigit()]
+    lowered = name.lower()
+    for suffix, unit in (
+        ("deg_per_s", "deg/s"), ("rad_per_s", "rad/s"), ("_rpm", "rpm"), ("_deg", "deg"), ("_rad", "rad"),
+        ("_nm", "N·m"), ("_ms", "ms"), ("_us", "us"), ("_mm", "mm"), ("_m", "m"), ("_n", "N"), ("_s", "s"),
+        ("_a", "A"), ("_v", "V"),
+    ):  # fmt: skip
+        if re.sub(r"\[\d+\]$", "", lowered).endswith(suffix):
+            candidates.append(unit)
+            break
+    return candidates[0] if candidates else None
+
+
+def _axes(table: Table, time_column: str | None, reasons: list[str], unsure: list[str]) -> dict[str, _Axis]:
+    length = table.columns[time_column].size if time_column else max(c.size for c in table.columns.values())
+    groups: dict[str, _Axis] = {}
+    for name, column in table.columns.items():
+        if name == time_column or column.size != length:
+            continue
+        quantity = _guess_quantity(name)
+        if quantity is None:
+            continue
+        words = _words(name)
+        demanded = any(re.match(_WORDS["demand"], w) for w in words)
+        digits = re.findall(r"\[(\d+)\]$", name) or re.findall(r"(\d+)\D*$", name)
+        axis = groups.setdefault(digits[0] if digits else "", _Axis())
+        slot = f"{quantity}_demand" if demanded else quantity
+        if slot in ("position_demand", "velocity_demand"):
+            continue
+        if slot == "position" and any(re.search(_SECOND, w) for w in words):
+            axis.others.append(name)
+            continue
+        held = getattr(axis, slot)
+        if held is None or _rank(name) > _rank(held):
+            setattr(axis, slot, name)
+        if held is not None:
+            taken, left = (name, held) if _rank(name) > _rank(held) else (held, name)
+            doubt = f"both {_family(taken)!r} and {_family(left)!r} look like {slot}: the former was taken"
+            if doubt not in unsure:
+                unsure.append(doubt)
+    base = 0 if "0" in groups else 1
+    named: dict[str, _Axis] = {}
+    for key in sorted(groups, key=lambda k: int(k) if k else -1):
+        axis = groups[key]
+        if axis.others:
+            reasons.append(f"{axis.others[0]!r} looks like a second encoder: kept out of the recording")
+        name = f"A{int(key) + 1 - base}" if key else "A1"
+        if name not in named:
+            named[name] = axis
+    return named
+
+
+def _axis(name: str, axis: _Axis, table: Table, reasons: list[str], unsure: list[str]) -> dict[str, Any]:
+    torque = axis.torque or axis.torque_demand
+    motion = axis.position or axis.velocity
+    if torque is None or motion is None:
+        return {}
+    quantity = "position" if axis.position else "velocity"
+    unit, sure = _unit(motion, quantity, table.columns[motion], table)
+    linear = unit in LINEAR[quantity]
+    entry: dict[str, Any] = {"name": name, quantity: {"column": motion, "unit": unit}}
+    reasons.append(f"{name}: {quantity} is {motion!r} by its name, in {unit}")
+    if not sure:
+        unsure.append(f"unit of {motion!r} is not stated; {unit} is assumed")
+    torque_unit, sure = _unit(torque, "torque", table.columns[torque], table)
+    if not sure:
+        current = bool({"iq", "current", "strom"} & set(_words(torque)))
+        torque_unit = "A" if current else "N" if linear else "N·m"
+        unsure.append(f"unit of {torque!r} is not stated; {torque_unit} is assumed")
+    channel: dict[str, Any] = {"column": torque, "unit": torque_unit}
+    channel["meaning"] = "measured" if axis.torque else "demanded"
+    if torque_unit in ("A", "V"):
+        channel["torque_constant"] = 1.0
+        unsure.append(
+            f"{torque!r} is in {torque_unit}: with torque_constant 1 all comes out per that constant"
+        )
+    if torque_unit in ("%", "permille"):
+        entry["rated_torque"] = 1.0
+        unsure.append(f"{torque!r} is in {torque_unit} of rated torque: give 'rated_torque'")
+    entry["torque"] = channel
+    reasons.append(f"{name}: torque is {torque!r} by its name, taken as {channel['meaning']}")
+    if axis.torque and axis.torque_demand:
+        demand = {k: v for k, v in channel.items() if k != "meaning"}
+        entry["torque_demand"] = {**demand, "column": axis.torque_demand}
+    return entry
+
+
+def _unit(name: str, quantity: str, column: Float64, table: Table) -> tuple[str, bool]:
+    stated = table.units.get(name) or _unit_in_name(name)
+    if stated:
+        unit = normal_unit(stated)
+        if unit in FACTORS[quantity] or (quantity == "torque" and unit in ("A", "V", "%", "permille")):
+            return unit, True
+    return {"position": "rad", "velocity": "rad/s", "torque": "N·m"}[quantity], False
+
+
+def find_period(values: Float64) -> int:
+    """Samples after which a signal repeats at least four times over; 0 where it does not.
+
+    Candidates come from the autocorrelation. A candidate stands where the mean over periods explains
+    98 % of the power. That bound is empirical: a measured multisine with 5 % noise reaches 99.7 %; moves
+    repeated under closed loop with friction reach 95 %, and are not periodic in the sense of spectra.
+    """
+    n = values.size
+    if n < 64:
+        return 0
+    x = values - values.mean()
+    power = float(np.mean(x**2))
+    if power <= 0:
+        return 0
+    spectrum = np.fft.rfft(x, 1 << (2 * n - 1).bit_length())
+    half = n // 4 + 1
+    lags = np.fft.irfft(spectrum * spectrum.conj())[:half] / (n - np.arange(half)) / power
+    below = np.flatnonzero(lags < 0.2)
+    if below.size == 0 or int(below[0]) >= half - 1:
+        return 0
+    start = int(below[0])
+    peaks = [start + int(i) for i in np.flatnonzero(lags[start:] > lags[start:].max() - 0.02)]
+    for period in peaks[:20]:
+        count = n // period
+        blocks = x[n - count * period :].reshape(count, period)[count // 4 :]
+        if np.mean((blocks - blocks.mean(axis=0)) ** 2) < 0.02 * power:
+            return period
+    return 0

@@ -1,0 +1,208 @@
+"""Tables from delimited text: any separator, any header, decimal point or comma, broken rows counted."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+
+from invid.arrays import Float64
+from invid.errors import InputError
+from invid.recording.import_map import Source
+from invid.recording.tables import BrokenRow, Table
+from invid.recording.units import FACTORS, normal_unit
+
+MAX_BYTES = 2_000_000_000
+_DELIMITERS = (";", "\t", ",", "|", " ")
+_NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?$")
+_NOT_A_NUMBER = {"nan", "inf", "+inf", "-inf", "na", "n/a", "null", "none", ""}
+
+
+def read_text_table(path: Path, source: Source) -> Table:
+    """Columns of a text file; what ``source`` leaves open is found out and noted."""
+    text = _decode(path, source.encoding)
+    lines = text.splitlines()
+    numbered = [(i + 1, line) for i, line in enumerate(lines) if line.strip()]
+    if source.header_lines is not None:
+        numbered = [(n, line) for n, line in numbered if n > source.header_lines]
+    else:
+        numbered = [(n, line) for n, line in numbered if not line.lstrip().startswith(("#", "%", "//"))]
+    if not numbered:
+        raise InputError(f"{path}: holds no row of data; is it the right file?")
+    delimiter = source.delimiter or _find_delimiter([line for _, line in numbered], source.decimal)
+    decimal = source.decimal or _find_decimal([line for _, line in numbered], delimiter)
+    rows = [(n, _cells(line, delimiter)) for n, line in numbered]
+    width = Counter(len(cells) for _, cells in rows[-5000:]).most_common(1)[0][0]
+    if source.header_lines is not None:
+        header, start = lines[: source.header_lines], 0
+    else:
+        start = _first_data_row(rows, width, decimal, path)
+        header = lines[: rows[start][0] - 1]
+    names, units = _names(header, delimiter, width, source.names, path)
+    data, numbers, broken = _parse(rows[start:], width, decimal, path.name)
+    return Table(
+        name=str(path),
+        columns={name: np.ascontiguousarray(data[:, i]) for i, name in enumerate(names)},
+        lines=numbers,
+        line_word="line",
+        notes={"delimiter": delimiter, "decimal": decimal, "header_lines": rows[start][0] - 1},
+        broken=broken,
+        rows_seen=len(rows) - start,
+        units=units,
+    )
+
+
+def _decode(path: Path, encoding: str | None) -> str:
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise InputError(f"{path}: {path.stat().st_size} bytes of text are more than this program reads")
+        raw = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
+    if not raw.strip():
+        raise InputError(f"{path}: the file is empty")
+    guesses = (
+        [encoding] if encoding else ["utf-16"] * raw.startswith((b"\xff\xfe", b"\xfe\xff")) + ["utf-8-sig"]
+    )
+    for guess in [*guesses, *([] if encoding else ["latin-1"])]:
+        try:
+            text = raw.decode(guess)
+        except (UnicodeDecodeError, LookupError):
+            continue
+        if "\0" in text[:10_000]:
+            break
+        return text
+    raise InputError(
+        f"{path}: is no text that can be read as {encoding or 'UTF-8 or Latin-1'}; name its kind in the map"
+    )
+
+
+def _cells(line: str, delimiter: str) -> list[str]:
+    if delimiter == " ":
+        return line.split()
+    if delimiter != ",":
+        # A spreadsheet that took the file for comma-separated leaves empty cells at the end of the line.
+        line = line.rstrip().rstrip(",")
+    cells = [cell.strip().strip('"').strip() for cell in line.split(delimiter)]
+    # A separator at the end of every line is habit, not a column.
+    return cells[:-1] if len(cells) > 1 and cells[-1] == "" else cells
+
+
+def _is_number(cell: str, decimal: str) -> bool:
+    return bool(_NUMBER.match(cell)) and (decimal in ",." and not ("," in cell and decimal == "."))
+
+
+def _find_delimiter(lines: list[str], decimal: str | None) -> str:
+    """The separator that splits the body into the most columns of numbers, evenly."""
+    body = lines[len(lines) // 2 :][:400]
+    best, best_score = ",", -1.0
+    for delimiter in _DELIMITERS:
+        rows = [_cells(line, delimiter) for line in body]
+        width, count = Counter(len(r) for r in rows).most_common(1)[0]
+        if width < 2:
+            continue
+        numeric = [sum(bool(_NUMBER.match(c)) for c in r) / len(r) for r in rows if len(r) == width]
+        # A decimal comma makes ',' split numbers too; where another separator works it is the right one.
+        score = count / len(body) * float(np.mean(numeric)) - (0.05 if delimiter == "," else 0.0)
+        score -= 0.5 if delimiter == decimal else 0.0
+        if score > best_score + 1e-9:
+            best, best_score = delimiter, score
+    return best
+
+
+def _find_decimal(lines: list[str], delimiter: str) -> str:
+    if delimiter == ",":
+        return "."
+    body = lines[len(lines) // 2 :][:400]
+    commas = sum("," in c and bool(_NUMBER.match(c)) for line in body for c in _cells(line, delimiter))
+    points = sum("." in c and bool(_NUMBER.match(c)) for line in body for c in _cells(line, delimiter))
+    return "," if commas > points else "."
+
+
+def _first_data_row(rows: list[tuple[int, list[str]]], width: int, decimal: str, path: Path) -> int:
+    for i, (_, cells) in enumerate(rows):
+        if (
+            len(cells) == width
+            and all(_is_number(c, decimal) or c.lower() in _NOT_A_NUMBER for c in cells)
+            and any(_is_number(c, decimal) for c in cells)
+        ):
+            return i
+    raise InputError(
+        f"{path}: no row of numbers found; give 'delimiter', 'decimal' and 'header_lines' in the map's "
+        f"'source'"
+    )
+
+
+def _names(
+    header: list[str], delimiter: str, width: int, given: list[str] | None, path: Path
+) -> tuple[list[str], dict[str, str]]:
+    if given is not None:
+        if len(given) != width:
+            raise InputError(f"{path}: the map names {len(given)} columns, the file has {width}")
+        return given, {}
+    candidates = []
+    for line in header:
+        line = line if delimiter == "," else line.rstrip().rstrip(",")
+        # Keep a leading separator: an unnamed first column is common (it is the time).
+        cells = (
+            line.lstrip("#%/ ").split()
+            if delimiter == " "
+            else [c.strip().strip('"').strip() for c in line.lstrip("#%").split(delimiter)]
+        )
+        cells = cells[:-1] if len(cells) == width + 1 and cells[-1] == "" else cells
+        if len(cells) == width and any(c and not _NUMBER.match(c) for c in cells):
+            candidates.append(cells)
+    units: list[str] = []
+    if len(candidates) >= 2 and _all_units(candidates[-1]):
+        units = candidates.pop()
+    names = candidates[-1] if candidates else [""] * width
+    names = [
+        n
+        or (
+            "time"
+            if i == 0 and not (units and normal_unit(units[0]) not in FACTORS["time"])
+            else f"column{i}"
+        )
+        for i, n in enumerate(names)
+    ]
+    unique: list[str] = []
+    for n in names:
+        unique.append(n if n not in unique else f"{n}.{sum(u.split('.')[0] == n for u in unique)}")
+    return unique, dict(zip(unique, units, strict=True)) if units else {}
+
+
+def _all_units(cells: list[str]) -> bool:
+    known = {u for table in FACTORS.values() for u in table} | {"A", "V", "%", "permille", "counts", "-", ""}
+    return all(normal_unit(c.strip("[]()")) in known for c in cells)
+
+
+def _parse(
+    rows: list[tuple[int, list[str]]], width: int, decimal: str, name: str
+) -> tuple[Float64, np.typing.NDArray[np.int64], tuple[BrokenRow, ...]]:
+    """(n, width) numbers; NaN where a cell holds none. Rows of another width are broken at once."""
+    kept: list[list[float]] = []
+    numbers: list[int] = []
+    broken: list[BrokenRow] = []
+    comma = decimal == ","
+    for number, cells in rows:
+        if len(cells) != width:
+            # A missing last cell was taken for a separator at the end of the line.
+            if len(cells) == width - 1:
+                cells = [*cells, ""]
+            else:
+                broken.append(BrokenRow(name, number, f"{len(cells)} cells instead of {width}"))
+                cells = [""] * width
+        values = []
+        for cell in cells:
+            try:
+                value = float(cell.replace(",", ".") if comma else cell)
+            except ValueError:
+                value = math.nan
+            values.append(math.nan if "_" in cell else value)
+        kept.append(values)
+        numbers.append(number)
+    data = np.array(kept, dtype=np.float64).reshape(len(kept), width)
+    return data, np.array(numbers, dtype=np.int64), tuple(broken)

@@ -1,0 +1,115 @@
+"""Units that logs come in, as factors to SI; what needs a constant of the machine says so."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from invid.errors import InputError
+
+Quantity = Literal["time", "position", "velocity", "torque"]
+
+_TURN = 2.0 * math.pi
+FACTORS: dict[str, dict[str, float]] = {
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
+    "position": {
+        "rad": 1.0,
+        "mrad": 1e-3,
+        "deg": math.pi / 180,
+        "rev": _TURN,
+        "m": 1.0,
+        "mm": 1e-3,
+        "um": 1e-6,
+        "in": 0.0254,
+    },
+    "velocity": {
+        "rad/s": 1.0,
+        "deg/s": math.pi / 180,
+        "rpm": _TURN / 60,
+        "rev/s": _TURN,
+        "m/s": 1.0,
+        "mm/s": 1e-3,
+        "mm/min": 1e-3 / 60,
+        "um/s": 1e-6,
+    },
+    "torque": {
+        "N·m": 1.0,
+        "mN·m": 1e-3,
+        "N·cm": 1e-2,
+        "N·mm": 1e-3,
+        "kN·m": 1e3,
+        "N": 1.0,
+        "mN": 1e-3,
+        "kN": 1e3,
+    },
+}
+LINEAR = {
+    "position": {"m", "mm", "um", "in"},
+    "velocity": {"m/s", "mm/s", "mm/min", "um/s"},
+    "torque": {"N", "mN", "kN"},
+}
+"""Units of axes in metres and newtons; the others of these quantities are rotary."""
+
+_SPELLINGS = {
+    "nm": "N·m", "n*m": "N·m", "n.m": "N·m", "n m": "N·m", "newtonmeter": "N·m",
+    "mnm": "mN·m", "ncm": "N·cm", "nmm": "N·mm", "knm": "kN·m",
+    "µs": "us", "μs": "us", "usec": "us", "sec": "s", "seconds": "s", "msec": "ms",
+    "degree": "deg", "degrees": "deg", "°": "deg", "°/s": "deg/s", "deg_per_s": "deg/s",
+    "1/min": "rpm", "min-1": "rpm", "u/min": "rpm", "radians": "rad", "rad_per_s": "rad/s",
+    "µm": "um", "μm": "um", "ampere": "A", "a": "A", "volt": "V", "v": "V",
+    "percent": "%", "per mille": "permille", "‰": "permille", "per_mille": "permille",
+    "count": "counts", "inc": "counts", "turns": "rev",
+}  # fmt: skip
+
+
+def normal_unit(text: str) -> str:
+    """The unit's name in this module; unknown ones come back stripped, unchanged."""
+    unit = text.strip()
+    for dot in ("⋅", "•"):
+        unit = unit.replace(dot, "·")
+    if any(unit in table for table in FACTORS.values()):
+        return unit
+    lowered = unit.lower().replace("·", "")
+    if lowered in _SPELLINGS:
+        return _SPELLINGS[lowered]
+    return lowered if any(lowered in table for table in FACTORS.values()) else unit
+
+
+@dataclass(frozen=True)
+class MachineConstants:
+    """What some units need: ``None`` where the map does not give it."""
+
+    torque_constant: float | None = None
+    """Torque per ampere or per volt."""
+    rated_torque: float | None = None
+    per_count: float | None = None
+    """SI value of one count (of position, of velocity, of torque)."""
+
+
+def factor(quantity: Quantity, unit: str, constants: MachineConstants, where: str) -> float:
+    """SI value of one ``unit``; InputError names the constant that is missing."""
+    name = normal_unit(unit)
+    if name in FACTORS[quantity]:
+        return FACTORS[quantity][name]
+    if name == "raw":
+        return 1.0
+    if name == "counts" and quantity != "time":
+        return _needed(constants.per_count, "per_count", unit, where)
+    if quantity == "torque":
+        if name in ("A", "V"):
+            return _needed(constants.torque_constant, "torque_constant", unit, where)
+        if name == "%":
+            return 0.01 * _needed(constants.rated_torque, "rated_torque", unit, where)
+        if name == "permille":
+            return 0.001 * _needed(constants.rated_torque, "rated_torque", unit, where)
+    known = [*FACTORS[quantity], "raw"]
+    known += ["counts"] if quantity != "time" else []
+    known += ["A", "V", "%", "permille"] if quantity == "torque" else []
+    raise InputError(f"{where}: unit {unit!r} is no unit of {quantity}; known are {', '.join(known)}")
+
+
+def _needed(value: float | None, name: str, unit: str, where: str) -> float:
+    if value is None:
+        raise InputError(f"{where}: unit {unit!r} needs {name!r} beside it in the map")
+    return value
