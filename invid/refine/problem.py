@@ -1,0 +1,441 @@
+"""The missing torque of every record, whitened, with its Jacobian: what the fit makes small.
+
+r = Z(p) Θ − A(p) T + Σ c X, with A the time offset (and hold over the sample) of each axis' torque
+and X further columns (friction at the motors, or what a caller adds). Its noise covariance is
+C_r = [Z, −A] C_n [Z, −A]ᴴ, re-evaluated at every iterate; V = Σ rᴴ C_r⁻¹ r is the maximum-likelihood
+cost of the errors-in-variables problem, and with the Jacobian taken at the projected measurement
+Θ̂ = Θ − C_Θr C_r⁻¹ r its gradient is exact (envelope theorem).
+
+Records that are not in steady state carry boundary terms: with Δx, Δv the end-minus-start position
+and velocity of every coordinate, Z_full q + (2/T)((C + jωM)Δx + MΔv) = τ. They are linear, 2·ΣN real
+numbers a record, and projected out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+import numpy as np
+
+from invid.arrays import Bool, Complex128, Float64
+from invid.refine.structure import ChainStructure
+from invid.spectra import LineSpectra
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """One record on the lines that the fit uses.
+
+    Attributes
+    ----------
+    omega
+        (F,) [rad/s].
+    position, torque
+        (F, M).
+    covariance
+        (F, 2M, 2M) of [position; torque].
+    span
+        Duration [s] the boundary terms are spread over.
+    transient
+        Whether boundary terms are needed.
+    delay_index
+        (M,) which delay parameter each axis' torque has in this record.
+    hold_delay_index
+        (M,) which delay parameter the holding part of each axis' torque has.
+    hold
+        (F, M) hold law: torque −hold·position added by a controller at its own rate; zero for none.
+    staircase_index
+        (M,) which hold-over-the-sample parameter, or −1 where it is known (``staircase``).
+    staircase
+        (M,) known values, used where the index is −1.
+    step
+        Sample interval [s].
+    columns
+        (F, M, L) columns shared by all records (torque side, one coefficient each).
+    """
+
+    key: str
+    omega: Float64
+    position: Complex128
+    torque: Complex128
+    covariance: Complex128
+    span: float
+    transient: bool
+    delay_index: tuple[int, ...]
+    hold_delay_index: tuple[int, ...]
+    hold: Complex128
+    staircase_index: tuple[int, ...]
+    staircase: Float64
+    step: float
+    columns: Complex128
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Everything known about one block at one parameter vector, before whitening."""
+
+    block: Block
+    motion: Complex128
+    """(F, ΣN, M) W."""
+    stiffness: Complex128
+    """(F, M, M) Z."""
+    inner: Complex128
+    """(F, ΣN, M) … see ``inner_inverse``; here Z_ii⁻¹ padded to all coordinates, (F, ΣN, ΣN)."""
+    residual: Complex128
+    """(F, M) missing torque r, boundary terms included."""
+    jacobian: Complex128
+    """(F, M, n) derivative of r by all parameters, at the projected measurement."""
+    boundary: Complex128
+    """(F, M, 2ΣN or 0) boundary columns."""
+    covariance: Complex128
+    """(F, M, M) C_r."""
+    projected_position: Complex128
+    """(F, M) Θ̂."""
+    all_motion: Complex128
+    """(F, ΣN) motion of all coordinates, boundary response included."""
+
+
+class Extra(Protocol):
+    """Further torque-side terms with parameters of their own (effects, extra shapes)."""
+
+    names: tuple[str, ...]
+
+    def evaluate(
+        self, block: Block, motion: Complex128, q: Complex128, x: Float64
+    ) -> tuple[Complex128, Complex128]:
+        """Contribution (F, M) to r and its derivative (F, M, len(names)) at values ``x``.
+
+        ``motion`` is W (F, ΣN, M), ``q`` (F, ΣN) the motion of all coordinates.
+        """
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class MissingTorqueProblem:
+    """Residual and Jacobian of all records.
+
+    The parameter vector is: the structure's, delays [s], staircase parameters [−], column
+    coefficients, extra parameters.
+    """
+
+    structure: ChainStructure
+    blocks: tuple[Block, ...]
+    delay_names: tuple[str, ...] = ()
+    staircase_names: tuple[str, ...] = ()
+    column_names: tuple[str, ...] = ()
+    extra: Extra | None = None
+    staircase_prior: tuple[float, float] = (0.5, 0.5)
+    """Mean and standard deviation: nothing but 0 (continuous) … 1 (held) is physical."""
+    fixed: tuple[str, ...] = ()
+    """Names of parameters that do not move."""
+    caches: dict[str, object] = field(default_factory=dict)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All parameters."""
+        extra = () if self.extra is None else tuple(self.extra.names)
+        return self.structure.names + self.delay_names + self.staircase_names + self.column_names + extra
+
+    @property
+    def slices(self) -> dict[str, slice]:
+        """Where structure, delay, staircase, column, extra stand."""
+        counts = {
+            "structure": self.structure.count,
+            "delay": len(self.delay_names),
+            "staircase": len(self.staircase_names),
+            "column": len(self.column_names),
+            "extra": 0 if self.extra is None else len(self.extra.names),
+        }
+        out, at = {}, 0
+        for kind, count in counts.items():
+            out[kind] = slice(at, at + count)
+            at += count
+        return out
+
+    @property
+    def free(self) -> Bool:
+        """(n,) parameters that move."""
+        held = set(self.fixed)
+        flags: Bool = np.array([name not in held for name in self.names])
+        return flags
+
+    def start(self, structure: Float64) -> Float64:
+        """A full vector from the structure's parameters, the rest at its neutral value."""
+        p = np.zeros(len(self.names))
+        p[self.slices["structure"]] = structure
+        p[self.slices["staircase"]] = self.staircase_prior[0]
+        return p
+
+    # --- evaluation ----------------------------------------------------------------------------
+    def states(self, p: Float64) -> list[State]:
+        """Unwhitened quantities of every block."""
+        plants: dict[bytes, tuple[Complex128, Complex128, Complex128]] = {}
+        out = []
+        for block in self.blocks:
+            key = block.omega.tobytes()
+            if key not in plants:
+                plants[key] = condense_dense(self.structure, p[self.slices["structure"]], block.omega)
+            out.append(self._state(block, p, *plants[key]))
+        return out
+
+    def _state(
+        self, block: Block, p: Float64, motion: Complex128, stiffness: Complex128, inner: Complex128
+    ) -> State:
+        structure, s = self.structure, self.slices
+        sp = p[s["structure"]]
+        motors = structure.motors
+        factor, hold_part, delay_jac, stair_jac = self._torque_factor(block, p)
+        # r = Zeff Θ − diag(factor) T
+        effective = stiffness - _diagonal(hold_part)
+        residual = np.einsum("fij,fj->fi", effective, block.position) - factor * block.torque
+        both = np.concatenate((effective, -_diagonal(factor)), axis=2)
+        cross = block.covariance @ both.conj().transpose(0, 2, 1)  # C_nr (F, 2M, M)
+        covariance = both @ cross
+        covariance = 0.5 * (covariance + covariance.conj().transpose(0, 2, 1))
+        columns = s["column"]
+        if columns.stop > columns.start:
+            residual = residual + block.columns @ p[columns]
+        free = np.einsum("fqm,fm->fq", motion, block.position)
+        extra_jac = np.zeros((block.omega.size, motors, 0), dtype=complex)
+        if self.extra is not None:
+            contribution, extra_jac = self.extra.evaluate(block, motion, free, p[s["extra"]])
+            residual = residual + contribution
+        boundary = np.zeros((block.omega.size, motors, 0), dtype=complex)
+        forces = np.zeros((block.omega.size, structure.dofs, 0), dtype=complex)
+        ends = np.zeros(0)
+        if block.transient:
+            mass, damping, _ = structure.matrices(sp)
+            at_position = damping + 1j * block.omega[:, None, None] * mass
+            forces = np.concatenate((at_position, np.broadcast_to(mass, at_position.shape)), axis=2)
+            forces = forces * (2.0 / block.span)
+            boundary = motion.transpose(0, 2, 1) @ forces
+            root = _whitener(covariance)
+            columns_w = _stack(root @ boundary)
+            right = _stack(root @ residual[..., None])[:, 0]
+            scale = np.linalg.norm(columns_w, axis=0)
+            scale[scale == 0] = 1.0
+            ends = -np.linalg.lstsq(columns_w / scale, right, rcond=1e-12)[0] / scale
+            residual = residual + boundary @ ends
+        gain = np.linalg.solve(covariance, residual[..., None])[..., 0]
+        noise = np.einsum("fcm,fm->fc", cross, gain)
+        position = block.position - noise[:, :motors]
+        torque = block.torque - noise[:, motors:]
+        q = np.einsum("fqm,fm->fq", motion, position)
+        if block.transient:
+            q = q - np.einsum("fab,fb->fa", inner, forces @ ends)
+        jacobian = np.empty((block.omega.size, motors, p.size), dtype=complex)
+        jacobian[..., s["structure"]] = structure.torque_derivative(sp, block.omega, motion, q[None])[0]
+        if block.transient:
+            self._boundary_derivative(jacobian, block, sp, motion, ends)
+        hold_torque = block.hold * position
+        jacobian[..., s["delay"]] = -delay_jac[0] * torque[..., None] - delay_jac[1] * hold_torque[..., None]
+        jacobian[..., s["staircase"]] = -stair_jac * (torque + 0.0)[..., None]
+        jacobian[..., columns] = block.columns
+        jacobian[..., s["extra"]] = extra_jac
+        return State(block, motion, stiffness, inner, residual, jacobian, boundary, covariance, position, q)
+
+    def _boundary_derivative(
+        self, jacobian: Complex128, block: Block, sp: Float64, motion: Complex128, ends: Float64
+    ) -> None:
+        """Adds Wᵀ ∂B/∂p u: the boundary force depends on mass and damping itself."""
+        structure = self.structure
+        n = structure.dofs
+        shift, speed = ends[:n], ends[n:]
+        jw = 1j * block.omega[:, None]
+        # ∂(C + jωM)Δx + ∂M Δv has the pattern of ∂Z with −ω²q replaced by jωΔx + Δv for masses and
+        # jωq replaced by Δx for dampers.
+        pseudo = (jw * shift + speed) * (2.0 / block.span)
+        w2 = -(block.omega[:, None] ** 2)
+        mass_like = structure.torque_derivative(sp, block.omega, motion, (pseudo / w2)[None])[0]
+        damp_like = structure.torque_derivative(
+            sp, block.omega, motion, (shift / jw * (2.0 / block.span))[None]
+        )[0]
+        for kind in ("mass", "coupling"):
+            part = structure.slices[kind]
+            jacobian[..., part] += mass_like[..., part]
+        for kind in ("damper", "viscous"):
+            part = structure.slices[kind]
+            jacobian[..., part] += damp_like[..., part]
+
+    def _torque_factor(
+        self, block: Block, p: Float64
+    ) -> tuple[Complex128, Complex128, tuple[Complex128, Complex128], Complex128]:
+        """A (F, M), its hold part, and derivatives by delays and staircase parameters.
+
+        Acting torque = z₁T + (z₁ − z₂)·H·Θ with z the delays of the command and of the hold: the
+        command E = T + HΘ acts with z₁, the hold's −HΘ with z₂.
+        """
+        s = self.slices
+        delays, stairs = p[s["delay"]], p[s["staircase"]]
+        motors, lines = self.structure.motors, block.omega.size
+        jw = 1j * block.omega
+        half = block.omega * block.step / 2
+        smear = 1.0 - np.sinc(half / np.pi)  # what holding over the sample takes away
+        factor = np.ones((lines, motors), dtype=complex)
+        hold_part = np.zeros((lines, motors), dtype=complex)
+        by_delay = np.zeros((lines, motors, delays.size), dtype=complex)
+        by_hold = np.zeros((lines, motors, delays.size), dtype=complex)
+        by_stair = np.zeros((lines, motors, stairs.size), dtype=complex)
+        for i in range(motors):
+            at = block.delay_index[i]
+            z = np.exp(-jw * delays[at]) if at >= 0 else np.ones(lines, dtype=complex)
+            stair = block.staircase_index[i]
+            share = stairs[stair] if stair >= 0 else block.staircase[i]
+            factor[:, i] = z * (1.0 - share * smear)
+            if stair >= 0:
+                by_stair[:, i, stair] = -z * smear
+            if at >= 0:
+                by_delay[:, i, at] = -jw * factor[:, i]
+            held = block.hold_delay_index[i]
+            if held >= 0:
+                z2 = np.exp(-jw * delays[held])
+                hold_part[:, i] = (z - z2) * block.hold[:, i]
+                by_hold[:, i, held] += jw * z2
+                if at >= 0:
+                    by_hold[:, i, at] += -jw * z
+        return factor, hold_part, (by_delay, by_hold), by_stair
+
+    def evaluate(self, p: Float64) -> tuple[Float64, Float64]:
+        """Whitened residual (rows,) and Jacobian (rows, free parameters), boundary terms projected out."""
+        residuals, jacobians = [], []
+        free = self.free
+        for state in self.states(p):
+            root = _whitener(state.covariance)
+            r = _stack(root @ state.residual[..., None])[:, 0]
+            j = _stack(root @ state.jacobian[..., free])
+            if state.boundary.shape[2]:
+                b = _stack(root @ state.boundary)
+                scale = np.linalg.norm(b, axis=0)
+                b = b[:, scale > 0] / scale[scale > 0]
+                left, size, _ = np.linalg.svd(b, full_matrices=False)
+                basis = left[:, size > 1e-9 * size[0]]
+                r = r - basis @ (basis.T @ r)
+                j = j - basis @ (basis.T @ j)
+            residuals.append(r)
+            jacobians.append(j)
+        stairs = self.slices["staircase"]
+        for at in range(stairs.start, stairs.stop):
+            mean, std = self.staircase_prior
+            row = np.zeros(p.size)
+            row[at] = 1.0 / std
+            residuals.append(np.array([(p[at] - mean) / std]))
+            jacobians.append(row[None, free])
+        return np.concatenate(residuals), np.concatenate(jacobians)
+
+    @property
+    def dof(self) -> int:
+        """Real degrees of freedom left for χ²."""
+        rows = 0
+        for block in self.blocks:
+            rows += 2 * block.position.size
+            rows -= 2 * self.structure.dofs if block.transient else 0
+        return rows + len(self.staircase_names) - int(self.free.sum())
+
+    def with_covariance(self, covariances: Sequence[Complex128]) -> MissingTorqueProblem:
+        """The same problem with other noise covariances."""
+        blocks = tuple(replace(b, covariance=c) for b, c in zip(self.blocks, covariances, strict=True))
+        return replace(self, blocks=blocks)
+
+
+def condense_dense(
+    structure: ChainStructure, p: Float64, omega: Float64
+) -> tuple[Complex128, Complex128, Complex128]:
+    """W (F, ΣN, M), Z (F, M, M) and Z_ii⁻¹ padded to (F, ΣN, ΣN) by one batched solve.
+
+    Works for any sign of the dampers, which ``invid.forward.condense`` (valid plants) need not.
+    """
+    mass, damping, stiffness = structure.matrices(p)
+    full = stiffness + 1j * omega[:, None, None] * damping - (omega**2)[:, None, None] * mass
+    motors, inner = list(structure.motor_dofs), list(structure.inner_dofs)
+    lines = omega.size
+    motion = np.zeros((lines, structure.dofs, len(motors)), dtype=complex)
+    motion[:, motors] = np.eye(len(motors))
+    inverse = np.zeros((lines, structure.dofs, structure.dofs), dtype=complex)
+    if inner:
+        rows = np.array(inner)
+        block = np.linalg.inv(full[:, rows[:, None], rows])
+        inverse[:, rows[:, None], rows] = block
+        motion[:, rows] = -block @ full[:, rows[:, None], motors]
+    stiff = full[:, motors] @ motion
+    return motion, 0.5 * (stiff + stiff.transpose(0, 2, 1)), inverse
+
+
+def _diagonal(values: Complex128) -> Complex128:
+    out = np.zeros((*values.shape, values.shape[-1]), dtype=complex)
+    index = np.arange(values.shape[-1])
+    out[..., index, index] = values
+    return out
+
+
+def _whitener(covariance: Complex128) -> Complex128:
+    """√2·L⁻¹ of (F, M, M): real and imaginary part of the whitened residual have unit variance."""
+    diagonal = np.sqrt(np.maximum(np.einsum("fii->fi", covariance).real, 1e-300))
+    scaled = covariance / diagonal[:, :, None] / diagonal[:, None, :]
+    # 1e-12 of a unit diagonal: quantised channels that repeat exactly must not stop the fit.
+    lower = np.linalg.cholesky(scaled + 1e-12 * np.eye(covariance.shape[1]))
+    root: Complex128 = np.sqrt(2.0) * np.linalg.inv(lower) / diagonal[:, None, :]
+    return root
+
+
+def _stack(values: Complex128) -> Float64:
+    """(F, M, n) complex to (2FM, n) real rows."""
+    flat = values.reshape(-1, values.shape[-1])
+    return np.concatenate((flat.real, flat.imag))
+
+
+def blocks_from_spectra(
+    spectra: Sequence[LineSpectra], *, use: str = "excited"
+) -> tuple[tuple[Block, ...], tuple[str, ...], tuple[str, ...]]:
+    """Blocks, delay names and staircase names of the records.
+
+    ``use`` is "excited" (lines that carry information in a steady state) or "all"; records with
+    boundary terms always use all lines up to the highest excited one.
+    """
+    if not spectra:
+        return (), (), ()
+    motors = spectra[0].axis_count
+    separate = [
+        any(bool(s.driven[i]) for s in spectra) and any(not s.driven[i] for s in spectra)
+        for i in range(motors)
+    ]
+    delay_names = [f"delay.{i}" for i in range(motors)]
+    hold_names = [i for i in range(motors) if separate[i]]
+    delay_names += [f"hold_delay.{i}" for i in hold_names]
+    unknown = [i for i in range(motors) if any(np.isnan(s.staircase[i]) for s in spectra)]
+    stair_names = [f"staircase.{i}" for i in unknown]
+    blocks = []
+    for s in spectra:
+        lines = _used_lines(s, use)
+        own = tuple(
+            i if s.driven[i] or i not in hold_names else motors + hold_names.index(i) for i in range(motors)
+        )
+        stair = tuple(unknown.index(i) if np.isnan(s.staircase[i]) else -1 for i in range(motors))
+        blocks.append(
+            Block(
+                key=s.key,
+                omega=s.omega[lines],
+                position=s.position[lines],
+                torque=s.torque[lines],
+                covariance=s.covariance[lines],
+                span=s.span_s,
+                transient=s.transient,
+                delay_index=own,
+                hold_delay_index=(-1,) * motors,
+                hold=np.zeros((int(lines.sum()), motors), dtype=complex),
+                staircase_index=stair,
+                staircase=np.nan_to_num(s.staircase, nan=0.0),
+                step=1.0 / s.sample_rate_hz,
+                columns=np.zeros((int(lines.sum()), motors, 0), dtype=complex),
+            )
+        )
+    return tuple(blocks), tuple(delay_names), tuple(stair_names)
+
+
+def _used_lines(s: LineSpectra, use: str) -> Bool:
+    lines: Bool = np.array(s.excited, dtype=bool)
+    if s.transient or use == "all":
+        top = np.flatnonzero(lines)
+        lines = np.arange(lines.size) <= (top[-1] if top.size else -1)
+    return lines
