@@ -1,0 +1,8 @@
+"""Simulated drives on a plant: a virtual-time bus, and the same drives in real time."""
+
+from __future__ import annotations
+
+from invid_drivers.simulated.bus import VirtualTimeBus, open_virtual_bus
+from invid_drivers.simulated.config import SimulationConfig, simulation_of, truth
+
+__all__ = ["SimulationConfig", "VirtualTimeBus", "open_virtual_bus", "simulation_of", "truth"]

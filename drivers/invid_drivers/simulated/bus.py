@@ -1,0 +1,283 @@
+"""A python-can bus whose time is virtual: simulated drives answer, the plant moves, nobody waits.
+
+One thread owns the bus. ``send`` queues a frame at the present virtual instant and returns; ``recv``
+lets virtual time pass until a frame arrives or its timeout is over; ``clock.sleep_until`` lets it pass
+regardless. Between two calls no time passes at all, so ``recv(0)`` in a loop waits for ever.
+What is modelled and what is not stands in docs/explanations/simulated-cell.md.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import can
+import yaml
+from can import BusABC, Message
+
+from invid.config.schema import CellConfig
+from invid.errors import InvidError
+from invid_drivers.simulated.cell import NEVER, SimulatedCell
+
+_NS = 1_000_000_000
+
+
+def frame_bits(data_bytes: int) -> int:
+    """Worst-case length on the wire of a frame with an 11-bit identifier.
+
+    47 bits of frame and inter-frame space, 8 per byte, and one stuff bit for every four of the
+    34 + 8n bits that are stuffed.
+    """
+    return 47 + 8 * data_bytes + (34 + 8 * data_bytes - 1) // 4
+
+
+class VirtualClock:
+    """Virtual time of one wire [s]."""
+
+    def __init__(self, wire: VirtualWire) -> None:
+        self._wire = wire
+
+    def now(self) -> float:
+        """Seconds since the cell was started."""
+        return self._wire.now_ns / _NS
+
+    def sleep_until(self, time_s: float) -> None:
+        """Let virtual time pass; frames that arrive are kept for ``recv``."""
+        self._wire.run(round(time_s * _NS), None)
+
+
+class VirtualWire:
+    """The wire and the cell on it: arbitration by identifier, wire times, virtual time."""
+
+    def __init__(self, cell: SimulatedCell, bitrate: int) -> None:
+        self.cell = cell
+        self.now_ns = 0
+        self._frame_ns = [round(frame_bits(n) * _NS / bitrate) for n in range(9)]
+        self._host: deque[tuple[int, bytes, int]] = deque()
+        self._nodes: list[tuple[int, int, bytes]] = []
+        self._late: list[tuple[int, int, int, bytes]] = []
+        self._count = 0
+        self._busy: tuple[int, bytes, int] | None = None
+        self._busy_until = 0
+        self.inboxes: list[deque[tuple[int, int, bytes]]] = []
+        self.limit = cell.simulation.tx_queue_frames
+        self.frames = 0
+        self.busy_ns = 0
+        cell.transmit = self._from_node
+
+    @property
+    def waiting(self) -> int:
+        """Frames of the master that have not been on the wire yet."""
+        return len(self._host)
+
+    def submit(self, can_id: int, data: bytes, sender: int) -> None:
+        """Queue a frame of the master; its queue is first in, first out, as a controller's is."""
+        if self.cell.master_off:
+            raise can.CanOperationError("the controller is bus-off: too many errors on the wire", 100)
+        if len(self._host) >= self.limit:
+            raise can.CanOperationError(
+                f"send queue full: {self.limit} frames wait for the wire; the bus is overloaded", 105
+            )
+        self._host.append((can_id, data, sender))
+
+    def _from_node(self, can_id: int, data: bytes, delay_ns: int) -> None:
+        self._count += 1
+        if delay_ns:
+            heapq.heappush(self._late, (self.now_ns + delay_ns, self._count, can_id, data))
+        else:
+            heapq.heappush(self._nodes, (can_id, self._count, data))
+
+    def run(self, limit_ns: int, inbox: deque[tuple[int, int, bytes]] | None) -> None:
+        """Let time pass to ``limit_ns``, or until ``inbox`` has a frame."""
+        cell, host, nodes, late = self.cell, self._host, self._nodes, self._late
+        while True:
+            if self._busy is None and (host or nodes):
+                if nodes and not (host and host[0][0] <= nodes[0][0]):
+                    can_id, _, data = heapq.heappop(nodes)
+                    self._busy = (can_id, data, -1)
+                else:
+                    self._busy = host.popleft()
+                    data = self._busy[1]
+                length = self._frame_ns[len(data)]
+                self._busy_until = self.now_ns + length
+                self.busy_ns += length
+            due = self._busy_until if self._busy is not None else NEVER
+            if late and late[0][0] < due:
+                due = late[0][0]
+            if cell.due_ns < due:
+                due = cell.due_ns
+            if due > limit_ns:
+                if limit_ns > self.now_ns:
+                    self.now_ns = limit_ns
+                return
+            if due > self.now_ns:
+                self.now_ns = due
+            if self._busy is not None and self._busy_until == due:
+                can_id, data, sender = self._busy
+                self._busy = None
+                self.frames += 1
+                if sender < 0 and cell.master_off:
+                    continue
+                cell.receive(can_id, data, due) if sender >= 0 else cell.deliver(can_id, data, due)
+                for number, box in enumerate(self.inboxes):
+                    if number != sender:
+                        box.append((due, can_id, data))
+                if inbox:
+                    return
+            elif cell.due_ns <= due:
+                cell.now_ns = due
+                cell.run_timers(due)
+            else:
+                _, count, can_id, data = heapq.heappop(late)
+                heapq.heappush(nodes, (can_id, count, data))
+
+
+_WIRES: dict[str, VirtualWire] = {}
+
+
+class VirtualTimeBus(BusABC):
+    """The master's port on a virtual wire.
+
+    Parameters
+    ----------
+    channel
+        The channel of a cell started with ``open_virtual_bus``, or the path of a cell's YAML config,
+        which starts one.
+
+    Raises
+    ------
+    can.CanInitializationError
+        Where the channel is neither.
+    """
+
+    def __init__(
+        self, channel: Any = None, can_filters: Any = None, *, wire: VirtualWire | None = None, **_: Any
+    ) -> None:
+        self.wire = wire if wire is not None else _find_wire(str(channel))
+        self.clock = VirtualClock(self.wire)
+        self.channel_info = f"invid-virtual {channel}"
+        self._inbox: deque[tuple[int, int, bytes]] = deque()
+        self._number = len(self.wire.inboxes)
+        self.wire.inboxes.append(self._inbox)
+        self._error_shown = False
+        super().__init__(channel=channel, can_filters=can_filters)
+
+    @property
+    def cell(self) -> SimulatedCell:
+        """The cell behind the bus, for tests and for showing the truth."""
+        return self.wire.cell
+
+    # --- fast path, without can.Message ----------------------------------------------------------
+    def send_raw(self, can_id: int, data: bytes) -> None:
+        """Queue a data frame with an 11-bit identifier."""
+        self.wire.submit(can_id, data, self._number)
+
+    def recv_raw(self, timeout: float | None = None) -> tuple[float, int, bytes] | None:
+        """(time [s], identifier, data), or None when the timeout is over."""
+        inbox = self._inbox
+        if not inbox:
+            wire = self.wire
+            wire.run(NEVER - 1 if timeout is None else wire.now_ns + round(timeout * _NS), inbox)
+            if not inbox:
+                return None
+        time_ns, can_id, data = inbox.popleft()
+        return time_ns / _NS, can_id, data
+
+    # --- python-can ------------------------------------------------------------------------------
+    def send(self, msg: Message, timeout: float | None = None) -> None:
+        """Queue a frame at the present virtual instant.
+
+        Extended, remote and error frames mean nothing to the drives and only take wire time.
+        """
+        if msg.is_fd or len(msg.data) > 8:
+            raise can.CanOperationError("invid-virtual is a classic CAN bus: at most 8 data bytes")
+        plain = not (msg.is_extended_id or msg.is_remote_frame or msg.is_error_frame)
+        can_id = msg.arbitration_id if plain else 0x20000000 | msg.arbitration_id
+        self.wire.submit(can_id, bytes(msg.data), self._number)
+
+    def recv(self, timeout: float | None = None) -> Message | None:
+        """The next frame; virtual time passes until it arrives or ``timeout`` [virtual s] is over.
+
+        ``None`` waits for the next frame however far away; a bus on which nothing will ever happen
+        again raises instead of hanging.
+        """
+        if self.wire.cell.master_off and not self._error_shown:
+            self._error_shown = True
+            return Message(timestamp=self.clock.now(), is_error_frame=True, is_extended_id=False, dlc=8)
+        end = None if timeout is None else self.wire.now_ns + round(timeout * _NS)
+        while True:
+            left = None if end is None else (end - self.wire.now_ns) / _NS
+            frame = self.recv_raw(left)
+            if frame is None:
+                if timeout is None:
+                    raise can.CanOperationError(
+                        "nothing will ever be received: no drive has anything to send"
+                    )
+                return None
+            when, can_id, data = frame
+            message = Message(when, can_id & 0x1FFFFFFF, can_id > 0x1FFFFFFF, data=data, dlc=len(data))
+            if self._filters is None or self._matches_filters(message):
+                return message
+
+    @property
+    def state(self) -> can.BusState:
+        """ERROR while bus-off."""
+        return can.BusState.ERROR if self.wire.cell.master_off else can.BusState.ACTIVE
+
+    @state.setter
+    def state(self, new_state: can.BusState) -> None:
+        raise NotImplementedError("the state of the virtual bus cannot be set")
+
+    def _send_periodic_internal(self, *_: Any, **__: Any) -> Any:
+        raise NotImplementedError(
+            "invid-virtual sends nothing by itself: its time stands still between two calls; "
+            "send each frame when clock.now() says so"
+        )
+
+    def flush_tx_buffer(self) -> None:
+        """Discard what has not been on the wire."""
+        self.wire._host.clear()
+
+    def shutdown(self) -> None:
+        """Close this port."""
+        super().shutdown()
+        for name in [n for n, wire in _WIRES.items() if wire is self.wire]:
+            del _WIRES[name]
+
+    @staticmethod
+    def _detect_available_configs() -> list[Any]:
+        return [{"interface": "invid-virtual", "channel": name} for name in _WIRES]
+
+
+def _find_wire(channel: str) -> VirtualWire:
+    if channel in _WIRES:
+        return _WIRES[channel]
+    path = Path(channel)
+    if not path.is_file():
+        raise can.CanInitializationError(
+            f"invid-virtual: {channel!r} is neither a running simulated cell nor a config file"
+        )
+    try:
+        config = CellConfig.model_validate(yaml.safe_load(path.read_text(encoding="utf-8")))
+        return VirtualWire(SimulatedCell(config), config.bus.bitrate_bit_per_s)
+    except (ValueError, InvidError, yaml.YAMLError) as error:
+        raise can.CanInitializationError(f"invid-virtual: {channel}: {error}") from None
+
+
+def open_virtual_bus(
+    config: CellConfig, *, prepare: Callable[[SimulatedCell], None] | None = None
+) -> VirtualTimeBus:
+    """A fresh simulated cell at virtual time 0 and the master's port on its bus.
+
+    While the port is open, ``can.Bus(interface="invid-virtual", channel=config.bus.channel)`` opens
+    a second port on the same wire. ``prepare`` sees the cell before any time passes.
+    """
+    cell = SimulatedCell(config)
+    if prepare is not None:
+        prepare(cell)
+    wire = VirtualWire(cell, config.bus.bitrate_bit_per_s)
+    _WIRES[config.bus.channel] = wire
+    return VirtualTimeBus(config.bus.channel, wire=wire)

@@ -1,0 +1,399 @@
+"""The simulated cell: drives, plant and faults, without a bus and without a clock.
+
+A bus adapter feeds frames and time in and takes frames out; the same cell stands behind the bus in
+virtual time and behind ``invid simcell`` in real time. Times are integer nanoseconds since the start.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from invid.arrays import Float64
+from invid.config.schema import AxisConfig, CellConfig
+from invid_drivers.simulated import kernel
+from invid_drivers.simulated.config import AxisSimulation, simulation_of, truth
+from invid_drivers.simulated.drive import Drive
+from invid_drivers.simulated.faults import FRAME_FAULTS, FaultConfig, FrameFault, disturb
+from invid_drivers.simulated.node import Handler, Node
+from invid_drivers.simulated.object_dictionary import drive_dictionary
+from invid_drivers.simulated.plant import Plant
+from invid_drivers.simulated.state_machine import State
+from invid_drivers.simulated.structure import build_structure
+from invid_drivers.simulated.vendors import PROFILES, Profile
+
+NEVER = 1 << 62
+_NS = 1_000_000_000
+_TICK_NS = 1_000_000  # the drives' own control period where no SYNC drives them
+_NOISE_ROWS = 4096
+
+Emit = Callable[[int, bytes, int], None]
+
+
+class SimulatedCell:
+    """All drives of a cell on one plant.
+
+    Parameters
+    ----------
+    config
+        A cell with a ``simulation`` section.
+    """
+
+    def __init__(self, config: CellConfig) -> None:
+        self.config = config
+        self.simulation = simulation_of(config)
+        self.now_ns = 0
+        self.due_ns = NEVER
+        self.transmit: Emit = lambda can_id, data, delay_ns: None
+        """Set by the bus: (identifier, data, delay [ns])."""
+        self.master_off = False
+        """True while the master's own port is bus-off."""
+        self._timers: list[tuple[int, int, Callable[[int], None]]] = []
+        self._count = 0
+        self._dispatch: dict[int, list[Handler]] | None = None
+        self._tick_ns = 0
+        self.frame_faults: list[FrameFault] = []
+        self.frames_in = self.frames_out = self.syncs = 0
+        chains = truth(config)
+        axes = [self.simulation.axis(a.name) for a in config.axes]
+        structure = build_structure(chains, axes, self.simulation.effects)
+        cycle = config.bus.cycle_s
+        substeps = math.ceil(cycle / self.simulation.plant.substep_s - 1e-9)
+        self.plant = Plant(structure, cycle / substeps)
+        streams = np.random.SeedSequence(self.simulation.seed).spawn(3)
+        self._noise_random, self._fault_random, self._drop_random = map(np.random.default_rng, streams)
+        self.drives: list[Drive] = []
+        for i, (axis, settings) in enumerate(zip(config.axes, axes, strict=True)):
+            self.drives.append(self._build_drive(i, axis, settings, float(chains.masses[i][0])))
+        self._drop_rate = np.zeros(len(axes))
+        self._set_motor_effects()
+        self._drops = bool(self._drop_rate.any())
+        self._noise_scale = np.array(
+            [(a.position_noise_counts, a.torque_noise * 1000.0) for a in axes], dtype=float
+        )
+        self._noise = np.zeros((_NOISE_ROWS, len(axes), 2))
+        self._noise_row = _NOISE_ROWS
+        self._noisy = bool(self._noise_scale.any())
+        for fault in self.simulation.faults:
+            self._plan_fault(fault)
+        for drive in self.drives:
+            drive.node.power_on(0)
+        self.schedule(_TICK_NS, self._watchdog)
+
+    def _build_drive(self, row: int, axis: AxisConfig, settings: AxisSimulation, motor: float) -> Drive:
+        linear = self.config.motion == "linear"
+        objects = settings.objects
+        known = PROFILES[objects.profile]
+        profile = Profile(
+            lacks=known.lacks | {int(name, 0) for name in objects.lacks},
+            values={**known.values, **{_address(k): v for k, v in objects.values.items()}},
+            rpdos=known.rpdos,
+            tpdos=known.tpdos,
+            dummy_mapping=known.dummy_mapping if objects.dummy_mapping is None else objects.dummy_mapping,
+        )
+        rated = settings.rated_torque or axis.rated_torque or 100.0
+        counts_per_unit = settings.encoder_counts / (1.0 if linear else 2.0 * math.pi)
+        od = drive_dictionary(
+            axis.node_id,
+            name="invid drive",
+            rated_torque=rated,
+            encoder_counts=settings.encoder_counts,
+            linear=linear,
+            serial=axis.node_id,
+            profile=profile,
+        )
+        for name in objects.not_mappable:
+            entry = od.find(*_address(name))
+            if entry is not None:
+                entry.mappable = ""
+        node = Node(
+            axis.node_id,
+            od,
+            self,
+            sdo_ns=round(settings.sdo_response_s * _NS),
+            boot_ns=round(self.simulation.boot_s * _NS),
+        )
+        bandwidth = 2.0 * math.pi * settings.position_loop_Hz
+        drive = Drive(
+            row,
+            node,
+            self.plant,
+            rated_torque=rated,
+            counts_per_unit=counts_per_unit,
+            direction=axis.direction,
+            # 0.7 of critical damping on the motor mass alone; passive, so stable on any structure
+            gains=(motor * bandwidth**2, 1.4 * motor * bandwidth),
+            brake_torque=(settings.brake_torque or 2.0 * rated) if settings.brake else 0.0,
+            delay_cycles=settings.command_delay_cycles,
+            lag_cycles=settings.actual_torque_lag_cycles,
+            cycle_s=self.config.bus.cycle_s,
+            linear=linear,
+        )
+        node.application = drive
+        command = self.plant.command[row]
+        command[kernel.RATED] = rated
+        command[kernel.COUNTS_PER_UNIT] = counts_per_unit
+        command[kernel.TORQUE_STEPS] = settings.torque_steps_permille
+        command[kernel.LAG] = _lag(self.plant.h, settings.current_loop_s)
+        return drive
+
+    def _set_motor_effects(self) -> None:
+        names = [a.name for a in self.config.axes]
+        for effect in self.plant.structure.motor_effects:
+            i, p = names.index(effect.axis), effect.parameters
+            command = self.plant.command[i]
+            if effect.cause == "torque_delay":
+                self.plant.set_delay(i, p["delay"])
+            elif effect.cause == "torque_lag":
+                command[kernel.HIDDEN_LAG] = _lag(self.plant.h, p["time_constant"])
+            elif effect.cause == "torque_gain":
+                command[kernel.TORQUE_GAIN] *= p["gain"]
+            elif effect.cause == "torque_saturation":
+                command[kernel.SATURATION] = p["limit"]
+            elif effect.cause == "encoder_eccentricity":
+                command[kernel.ECCENTRICITY] = p["amplitude"]
+                command[kernel.ECCENTRICITY_PHASE] = p.get("phase", 0.0)
+            elif effect.cause == "dropped_samples":
+                self._drop_rate[i] = p["fraction"]
+
+    # --- host of the nodes ---------------------------------------------------------------------
+    def emit(self, node: Node, can_id: int, data: bytes, delay_ns: int = 0) -> None:
+        """A node sends."""
+        if node.silent:
+            return
+        self.frames_out += 1
+        if self.frame_faults:
+            for late, changed in disturb(self.frame_faults, can_id, data, self._fault_random):
+                self.transmit(can_id, changed, delay_ns + round(late * _NS))
+        else:
+            self.transmit(can_id, data, delay_ns)
+
+    def schedule(self, due_ns: int, callback: Callable[[int], None]) -> None:
+        """Call ``callback`` at ``due_ns`` or as soon as possible after."""
+        self._count += 1
+        heapq.heappush(self._timers, (max(due_ns, self.now_ns), self._count, callback))
+        self.due_ns = self._timers[0][0]
+
+    def rewire(self) -> None:
+        """Identifiers changed: build the dispatch anew with the next frame."""
+        self._dispatch = None
+
+    # --- in from the bus -----------------------------------------------------------------------
+    def receive(self, can_id: int, data: bytes, now_ns: int) -> None:
+        """A frame from the master, complete on the wire at ``now_ns``."""
+        self.now_ns = max(now_ns, self.now_ns)
+        self.frames_in += 1
+        if self.frame_faults:
+            for late, changed in disturb(self.frame_faults, can_id, data, self._fault_random):
+                if late:
+                    self.schedule(now_ns + round(late * _NS), self._later(can_id, changed))
+                else:
+                    self.deliver(can_id, changed, self.now_ns)
+        else:
+            self.deliver(can_id, data, self.now_ns)
+
+    def _later(self, can_id: int, data: bytes) -> Callable[[int], None]:
+        return lambda now_ns: self.deliver(can_id, data, now_ns)
+
+    def deliver(self, can_id: int, data: bytes, now_ns: int) -> None:
+        """Hand a frame to every node that listens to it."""
+        dispatch = self._dispatch
+        if dispatch is None:
+            dispatch = self._wire_up()
+        for handler in dispatch.get(can_id, ()):
+            handler(data, now_ns)
+
+    def _wire_up(self) -> dict[int, list[Handler]]:
+        table: dict[int, list[Handler]] = {}
+        for drive in self.drives:
+            for can_id, handler in drive.node.handlers():
+                table.setdefault(can_id, []).append(handler)
+        for sync_id in {d.node.sync_id for d in self.drives} - {-1}:
+            members = [d for d in self.drives if d.node.sync_id == sync_id]
+            table.setdefault(sync_id, []).insert(0, self._sync_handler(members))
+        self._dispatch = table
+        return table
+
+    def _sync_handler(self, members: list[Drive]) -> Handler:
+        pairs = [(drive, drive.node.on_sync) for drive in members]
+
+        def on_sync(_data: bytes, now_ns: int) -> None:
+            self.syncs += 1
+            self._observe(now_ns)
+            self._tick_ns = now_ns
+            for drive, act in pairs:
+                drive.synchronous = True
+                act(now_ns)
+
+        return on_sync
+
+    def _observe(self, now_ns: int) -> None:
+        """Bring the plant up to date and let every drive measure."""
+        self.plant.advance_to(now_ns)
+        if self._noise_row >= _NOISE_ROWS:
+            if self._noisy:
+                self._noise_random.standard_normal(out=self._noise)
+                self._noise *= self._noise_scale
+            self._noise_row = 0
+        noise: Float64 = self._noise[self._noise_row]
+        self._noise_row += 1
+        rows = self.plant.measure(now_ns, noise)
+        if self._drops:
+            kept = self._drop_random.random(len(rows)) >= self._drop_rate
+        else:
+            kept = None
+        for i, drive in enumerate(self.drives):
+            if kept is None or kept[i]:
+                drive.measured = rows[i]  # type: ignore[assignment]
+
+    # --- time ----------------------------------------------------------------------------------
+    def run_timers(self, now_ns: int) -> None:
+        """Call back everything due at or before ``now_ns``."""
+        self.now_ns = max(now_ns, self.now_ns)
+        timers = self._timers
+        while timers and timers[0][0] <= now_ns:
+            _, _, callback = heapq.heappop(timers)
+            callback(self.now_ns)
+        self.due_ns = timers[0][0] if timers else NEVER
+
+    def _watchdog(self, now_ns: int) -> None:
+        """The drives' own control period: act where no SYNC has come."""
+        if now_ns - self._tick_ns >= _TICK_NS + _TICK_NS // 2:
+            self._observe(now_ns)
+            self._tick_ns = now_ns - _TICK_NS // 2  # next own tick one period from now
+            for drive in self.drives:
+                drive.tick(now_ns)
+                drive.node.events(now_ns)
+        self.schedule(self._tick_ns + _TICK_NS + _TICK_NS // 2, self._watchdog)
+
+    # --- faults --------------------------------------------------------------------------------
+    def _plan_fault(self, fault: FaultConfig) -> None:
+        if fault.at_s is not None:
+            self.schedule(round(fault.at_s * _NS), lambda now_ns: self.begin_fault(fault, now_ns))
+            return
+        wanted = State[(fault.at_state or "").upper()]
+        drive = self.drive(fault.axis)
+
+        def wait(now_ns: int) -> None:
+            if drive.state is wanted:
+                self.schedule(
+                    now_ns + round(fault.after_s * _NS), lambda at_ns: self.begin_fault(fault, at_ns)
+                )
+            else:
+                self.schedule(now_ns + _TICK_NS, wait)
+
+        self.schedule(0, wait)
+
+    def drive(self, axis: str | None) -> Drive:
+        """The drive of an axis."""
+        return self.drives[[a.name for a in self.config.axes].index(str(axis))]
+
+    def begin_fault(self, fault: FaultConfig, now_ns: int) -> None:
+        """Let a fault happen now; tests and campaigns call it directly as well."""
+        undo = self._start_fault(fault, now_ns)
+        if fault.duration_s is not None and undo is not None:
+            self.schedule(now_ns + round(fault.duration_s * _NS), undo)
+
+    def _start_fault(self, fault: FaultConfig, now_ns: int) -> Callable[[int], None] | None:
+        kind = fault.kind
+        if kind in FRAME_FAULTS:
+            active = FrameFault(fault, self._fault_ids(fault), fault.count)
+            self.frame_faults.append(active)
+            return lambda _now: self.frame_faults.remove(active)
+        if kind == "bus_off" and fault.axis is None:
+            self.master_off = True
+            return lambda _now: setattr(self, "master_off", False)
+        drive = self.drive(fault.axis)
+        node = drive.node
+        if kind in ("node_silent", "bus_off"):
+            if kind == "bus_off":  # a node knows that it is bus-off; one with a pulled cable does not
+                drive.connection_lost(now_ns)
+            return self._set(node, "silent", True, then=self.rewire)
+        if kind == "node_reset":
+            node.power_on(now_ns)
+        elif kind == "emcy":
+            node.emergency(fault.code, 0x01, length=fault.length)
+        elif kind == "drive_fault":
+            drive.fail(fault.code, 0x01, now_ns)
+        elif kind in ("ignore_quick_stop", "ignore_controlword"):
+            return self._set(drive, kind, True)
+        elif kind == "brake_stuck":
+            return self._set(drive, "brake_stuck", True, then=drive.refresh_brake)
+        elif kind == "statusword":
+            return self._set(drive, "statusword_lie", fault.value & 0xFFFF)
+        elif kind == "mode_display":
+            return self._set(drive, "mode_lie", fault.value)
+        else:
+            return self._disturb_motor(fault, drive, now_ns)
+        return None
+
+    @staticmethod
+    def _set(
+        target: object, name: str, value: object, then: Callable[[], None] = lambda: None
+    ) -> Callable[[int], None]:
+        before = getattr(target, name)
+        setattr(target, name, value)
+        then()
+
+        def undo(_now: int) -> None:
+            setattr(target, name, before)
+            then()
+
+        return undo
+
+    def _disturb_motor(self, fault: FaultConfig, drive: Drive, now_ns: int) -> Callable[[int], None] | None:
+        self.plant.advance_to(now_ns)
+        command = self.plant.command[drive.row]
+        kind = fault.kind
+        if kind == "push":
+            motor = int(self.plant.structure.motors[drive.row])
+            self.plant.external[motor] += fault.torque
+
+            def let_go(at_ns: int) -> None:
+                self.plant.advance_to(at_ns)
+                self.plant.external[motor] -= fault.torque
+
+            return let_go
+        if kind == "encoder_jump":
+            column, value = kernel.ENCODER_OFFSET, command[kernel.ENCODER_OFFSET]
+            value += drive.direction * fault.counts / drive.counts_per_unit
+        elif kind == "encoder_stuck":
+            command[kernel.STUCK_AT] = (
+                drive.measured[0] / drive.counts_per_unit - command[kernel.ENCODER_OFFSET]
+            )
+            column, value = kernel.STUCK, 1.0
+        elif kind == "sign_flip":
+            column = kernel.TORQUE_GAIN if fault.signal == "torque" else kernel.ENCODER_SIGN
+            value = -command[column]
+        else:
+            column, value = kernel.SATURATION, fault.limit
+        before = float(command[column])
+        command[column] = value
+
+        def undo(at_ns: int) -> None:
+            self.plant.advance_to(at_ns)
+            command[column] = before
+
+        return undo
+
+    def _fault_ids(self, fault: FaultConfig) -> frozenset[int] | None:
+        if fault.can_ids is not None:
+            return frozenset(fault.can_ids)
+        if fault.axis is None:
+            return None
+        node = self.drive(fault.axis).node.node_id
+        return frozenset(base + node for base in range(0x80, 0x780, 0x80))
+
+
+def _lag(h: float, time_constant: float) -> float:
+    """Share of the way a first-order lag covers in one sub-step."""
+    return 1.0 if time_constant <= 0.0 else 1.0 - math.exp(-h / time_constant)
+
+
+def _address(name: str) -> tuple[int, int]:
+    """(index, subindex) of "0x607D" or "0x607D:1"."""
+    index, _, sub = name.partition(":")
+    return int(index, 0), int(sub or "0", 0)

@@ -1,0 +1,251 @@
+"""The ``simulation`` section of a cell's configuration: plant, drives, effects, faults.
+
+Units stand in the keys. For a linear axis read N for Nm and m for rad: both spellings are accepted.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pydantic import AliasChoices, Field, ValidationError, model_validator
+
+from invid.chains import CoupledChains, case_study
+from invid.config.schema import CellConfig, Strict
+from invid.errors import ConfigError, ModelError
+from invid_drivers.simulated.faults import FaultConfig
+from invid_drivers.simulated.vendors import PROFILES
+
+
+class BranchConfig(Strict):
+    """One chain, the motor first."""
+
+    axis: str
+    masses: list[float] = Field(
+        min_length=1, validation_alias=AliasChoices("masses", "masses_kgm2", "masses_kg")
+    )
+    springs: list[float] = Field(
+        default=[], validation_alias=AliasChoices("springs", "springs_Nm_per_rad", "springs_N_per_m")
+    )
+    dampers: list[float] = Field(
+        default=[], validation_alias=AliasChoices("dampers", "dampers_Nms_per_rad", "dampers_Ns_per_m")
+    )
+
+
+class CouplingConfig(Strict):
+    """Inertia shared by the final masses of two branches."""
+
+    between: tuple[str, str]
+    value: float = Field(validation_alias=AliasChoices("value", "value_kgm2", "value_kg"))
+
+
+class PlantConfig(Strict):
+    """The mechanics: either the paper's case study or branches of one's own."""
+
+    case_study: bool = False
+    damping_ratio: float = Field(default=0.0, ge=0, lt=1)
+    branches: list[BranchConfig] = []
+    couplings: list[CouplingConfig] = []
+    substep_s: float = Field(default=0.00025, gt=0, le=0.005)
+    """Longest sub-step; the drives' inner position loops run once in each."""
+
+    @model_validator(mode="after")
+    def _one_plant(self) -> PlantConfig:
+        if self.case_study == bool(self.branches):
+            raise ValueError("give either case_study: true or branches, not both and not neither")
+        return self
+
+
+class FrictionConfig(Strict):
+    """Motor friction; ``coulomb`` is the sliding level, ``static`` the break-away level."""
+
+    coulomb: float = Field(
+        default=0.0, ge=0, validation_alias=AliasChoices("coulomb", "coulomb_Nm", "coulomb_N")
+    )
+    viscous: float = Field(
+        default=0.0,
+        ge=0,
+        validation_alias=AliasChoices("viscous", "viscous_Nms_per_rad", "viscous_Ns_per_m"),
+    )
+    static: float | None = Field(
+        default=None, ge=0, validation_alias=AliasChoices("static", "static_Nm", "static_N")
+    )
+    stribeck_velocity: float = Field(
+        default=0.01,
+        gt=0,
+        validation_alias=AliasChoices(
+            "stribeck_velocity", "stribeck_velocity_rad_per_s", "stribeck_velocity_m_per_s"
+        ),
+    )
+
+
+class ObjectsConfig(Strict):
+    """How one drive's object dictionary departs from the generic one."""
+
+    profile: Literal[tuple(PROFILES)] = "generic"  # type: ignore[valid-type]
+    lacks: list[str] = []
+    """Objects that do not exist, as "0x6072"."""
+    values: dict[str, int | str] = {}
+    """Start values, as "0x605A": 6 or "0x608F:1": 4096."""
+    not_mappable: list[str] = []
+    dummy_mapping: bool | None = None
+
+
+class AxisSimulation(Strict):
+    """One simulated drive and motor."""
+
+    rated_torque: float | None = Field(
+        default=None, gt=0, validation_alias=AliasChoices("rated_torque", "rated_torque_Nm", "rated_force_N")
+    )
+    """Default: the axis's own rated torque, else 100."""
+    encoder_counts: float = Field(
+        default=524288,
+        gt=0,
+        validation_alias=AliasChoices("encoder_counts", "encoder_counts_per_rev", "encoder_counts_per_m"),
+    )
+    torque_steps_permille: int = Field(default=1, ge=1)
+    """Steps of 0x6077 in thousandths of rated torque."""
+    torque_noise: float = Field(
+        default=0.0, ge=0, validation_alias=AliasChoices("torque_noise", "torque_noise_fraction_of_rated")
+    )
+    """Standard deviation of the noise on 0x6077, as a fraction of rated torque."""
+    position_noise_counts: float = Field(default=0.0, ge=0)
+    command_delay_cycles: int = Field(default=0, ge=0, le=20)
+    """Whole SYNC cycles from the SYNC that makes a target torque valid to the torque acting."""
+    actual_torque_lag_cycles: int = Field(default=0, ge=0, le=20)
+    """Whole SYNC cycles by which 0x6077 lags the torque that acts."""
+    current_loop_s: float = Field(default=0.0, ge=0)
+    """Time constant of the current loop; 0x6077 shows it."""
+    friction: FrictionConfig = FrictionConfig()
+    position_loop_Hz: float = Field(default=25.0, gt=0, le=300)
+    """Bandwidth of the drive's own position loop on the motor mass alone."""
+    brake: bool = True
+    brake_torque: float | None = Field(
+        default=None, gt=0, validation_alias=AliasChoices("brake_torque", "brake_torque_Nm", "brake_force_N")
+    )
+    """Default: twice rated torque."""
+    sdo_response_s: float = Field(default=0.0002, ge=0, le=1)
+    objects: ObjectsConfig = ObjectsConfig()
+
+
+class EffectConfig(Strict):
+    """One departure from the linear model, by its name in the contract's list of causes."""
+
+    cause: str
+    axis: str
+    element: str | None = None
+    """"mass q" or "spring s", counted from the motor; default mass 1 or spring 1."""
+    other_axis: str | None = None
+    parameters: dict[str, float] = {}
+
+
+class SimulationConfig(Strict):
+    """What stands behind the bus instead of hardware."""
+
+    seed: int = Field(default=0, ge=0)
+    plant: PlantConfig
+    defaults: AxisSimulation = AxisSimulation()
+    axes: dict[str, AxisSimulation] = {}
+    effects: list[EffectConfig] = []
+    faults: list[FaultConfig] = []
+    tx_queue_frames: int = Field(default=256, ge=1)
+    """Frames that the master may have waiting on the virtual bus."""
+    boot_s: float = Field(default=0.002, ge=0, le=60)
+
+    def axis(self, name: str) -> AxisSimulation:
+        """The settings of one axis: its own over ``defaults``."""
+        own = self.axes.get(name)
+        if own is None:
+            return self.defaults
+        return self.defaults.model_copy(update={k: getattr(own, k) for k in own.model_fields_set})
+
+
+def simulation_of(config: CellConfig) -> SimulationConfig:
+    """The validated ``simulation`` section; ConfigError where it is missing or wrong."""
+    if config.simulation is None:
+        raise ConfigError(
+            f"config of {config.robot!r}: no section 'simulation'; it says what stands behind the bus"
+        )
+    try:
+        simulation = SimulationConfig.model_validate(config.simulation)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in ("simulation", *first["loc"]))
+        found = "" if isinstance(first["input"], dict | list) else f", found {first['input']!r}"
+        raise ConfigError(f"config of {config.robot!r}: {where}: {first['msg']}{found}") from None
+    names = [axis.name for axis in config.axes]
+    used: list[tuple[str, str | None]] = [("simulation.axes", name) for name in simulation.axes]
+    used += [("simulation.effects", name) for e in simulation.effects for name in (e.axis, e.other_axis)]
+    used += [("simulation.faults", fault.axis) for fault in simulation.faults]
+    for where, axis in used:
+        if axis is not None and axis not in names:
+            raise ConfigError(f"config of {config.robot!r}: {where}: no axis {axis!r}; the cell has {names}")
+    return simulation
+
+
+def truth(config: CellConfig) -> CoupledChains:
+    """The linear part of the simulated plant, motor viscous friction as ground dampers.
+
+    Raises
+    ------
+    ConfigError
+        Where the section is missing, or its plant does not fit the cell's axes.
+    """
+    simulation = simulation_of(config)
+    plant = simulation.plant
+    names = [axis.name for axis in config.axes]
+    viscous = [simulation.axis(name).friction.viscous for name in names]
+    if plant.case_study:
+        paper = case_study(damping_ratio=plant.damping_ratio)
+        if len(names) != paper.branches:
+            raise ConfigError(
+                f"config of {config.robot!r}: simulation.plant.case_study has {paper.branches} axes, "
+                f"the cell has {len(names)}"
+            )
+        return CoupledChains.build(
+            paper.masses, paper.springs, paper.dampers, paper.couplings, ground_dampers=viscous, axes=names
+        )
+    by_axis = {branch.axis: branch for branch in plant.branches}
+    if sorted(by_axis) != sorted(names) or len(plant.branches) != len(names):
+        raise ConfigError(
+            f"config of {config.robot!r}: simulation.plant.branches are for "
+            f"{[b.axis for b in plant.branches]}, the cell has {names}; one branch per axis is needed"
+        )
+    branches = [by_axis[name] for name in names]
+    try:
+        couplings = _coupling_matrix(plant.couplings, names)
+        return CoupledChains.build(
+            [b.masses for b in branches],
+            [b.springs for b in branches],
+            [b.dampers or _dampers(b, plant.damping_ratio) for b in branches],
+            couplings,
+            ground_dampers=viscous,
+            axes=names,
+        )
+    except ModelError as error:
+        raise ConfigError(f"config of {config.robot!r}: simulation.plant: {error}") from None
+
+
+def _coupling_matrix(couplings: list[CouplingConfig], names: list[str]) -> list[list[float]]:
+    matrix = [[0.0] * len(names) for _ in names]
+    for coupling in couplings:
+        for name in coupling.between:
+            if name not in names:
+                raise ModelError(f"coupling between {list(coupling.between)}: no axis {name!r}")
+        i, j = (names.index(name) for name in coupling.between)
+        if i == j:
+            raise ModelError(f"coupling between {list(coupling.between)}: the two axes must differ")
+        matrix[i][j] = matrix[j][i] = coupling.value
+    return matrix
+
+
+def _dampers(branch: BranchConfig, ratio: float) -> list[float]:
+    """d = 2ζ√(K·m_reduced) of the two masses each spring joins."""
+    values: list[float] = []
+    for k, a, b in zip(branch.springs, branch.masses[:-1], branch.masses[1:], strict=False):
+        values.append(2.0 * ratio * max(k * a * b / (a + b), 0.0) ** 0.5)
+    return values
+
+
+def as_mapping(simulation: SimulationConfig) -> dict[str, Any]:
+    """Plain data, for writing a config."""
+    return simulation.model_dump(mode="json", exclude_defaults=True)

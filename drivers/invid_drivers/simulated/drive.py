@@ -1,0 +1,388 @@
+"""The CiA 402 application of a simulated drive: states, modes, ramps, limits, fault reactions.
+
+Angles and torques are in the plant's coordinates; ``direction`` turns them into the drive's.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+from invid.errors import ConfigError
+from invid_drivers.simulated import kernel
+from invid_drivers.simulated.node import Node, Nmt
+from invid_drivers.simulated.object_dictionary import Entry, ObjectDictionary, SdoAbort
+from invid_drivers.simulated.plant import Plant
+from invid_drivers.simulated.state_machine import Command, State, command_of, transition
+
+PROFILE_TORQUE, CYCLIC_POSITION, CYCLIC_TORQUE = 4, 8, 10
+_MODE_BITS = {PROFILE_TORQUE: 1 << 3, CYCLIC_POSITION: 1 << 7, CYCLIC_TORQUE: 1 << 9}
+_UNLIMITED = 0xFFFFFFFF
+_ENERGISED = (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE)
+
+# EMCY codes of CiA 402
+FOLLOWING_ERROR, REFERENCE_LIMIT, OVERSPEED, HEARTBEAT = 0x8611, 0x8612, 0x8480, 0x8130
+
+
+class Drive:
+    """One axis: follows its object dictionary, commands the plant."""
+
+    def __init__(
+        self,
+        row: int,
+        node: Node,
+        plant: Plant,
+        *,
+        rated_torque: float,
+        counts_per_unit: float,
+        direction: int,
+        gains: tuple[float, float],
+        brake_torque: float,
+        delay_cycles: int,
+        lag_cycles: int,
+        cycle_s: float,
+        linear: bool,
+    ) -> None:
+        if rated_torque <= 0 or counts_per_unit <= 0:
+            raise ConfigError("simulation: rated torque and encoder counts must be positive")
+        self.node, self._plant, self.row = node, plant, row
+        self.rated_torque, self.counts_per_unit, self.direction = rated_torque, counts_per_unit, direction
+        self._gains, self._brake_torque, self._cycle_s = gains, brake_torque, cycle_s
+        self._radians_per_rev = 0.0 if linear else 2.0 * math.pi
+        self._delay: deque[float] = deque([0.0] * delay_cycles)
+        self._lag: deque[float] = deque([0.0] * lag_cycles)
+        self._command = plant.command[row]
+        self.state = State.SWITCH_ON_DISABLED
+        self.measured = (0.0, 0.0, 0.0)
+        self.synchronous = False
+        """True while a tick comes from a SYNC."""
+        # what faults set
+        self.ignore_quick_stop = False
+        self.ignore_controlword = False
+        self.brake_stuck = False
+        self.statusword_lie: int | None = None
+        self.mode_lie: int | None = None
+        od = node.od
+        entry = self._entry
+        self._e_controlword, self._e_statusword = entry(od, 0x6040, "H"), entry(od, 0x6041, "H")
+        self._e_mode, self._e_display = entry(od, 0x6060, "b"), entry(od, 0x6061, "b")
+        self._e_position, self._e_velocity = entry(od, 0x6064, "i"), entry(od, 0x606C, "i")
+        self._e_torque, self._e_demand = entry(od, 0x6077, "h"), entry(od, 0x6074, "h")
+        self._e_target_torque, self._e_offset = entry(od, 0x6071, "h"), entry(od, 0x60B2, "h")
+        self._e_target_position, self._e_demand_position = entry(od, 0x607A, "i"), entry(od, 0x6062, "i")
+        self._e_following = entry(od, 0x60F4, "i")
+        self._e_max_torque = entry(od, 0x6072, "H", 3000)
+        od.entry(0x6060).on_write = self._check_mode
+        self.configured()
+        self._forget()
+
+    @staticmethod
+    def _entry(od: ObjectDictionary, index: int, code: str, missing: int = 0) -> Entry:
+        """The drive's entry, or a private one where the vendor left the object out."""
+        return od.find(index) or Entry(index, 0, code, "rw", missing)
+
+    def _forget(self) -> None:
+        self._controlword = 0
+        self.mode = 0
+        self._after_stop: State | None = None
+        self._stop_deadline_ns = 0
+        self._demand = 0.0
+        self._target_counts: int | None = None
+        self._lost_ns: int | None = None
+        self._last_ns = 0
+        self._internal_limit = False
+        self._following = False
+
+    # --- life ----------------------------------------------------------------------------------
+    def reset(self, now_ns: int) -> None:
+        """Power-on: nothing energised, no command remembered."""
+        self._forget()
+        self._enter(State.SWITCH_ON_DISABLED)
+
+    def _check_mode(self, value: int) -> None:
+        if value and not self.node.od.number(0x6502) & _MODE_BITS.get(value, 0):
+            raise SdoAbort(SdoAbort.RANGE)
+
+    def _enter(self, state: State) -> None:
+        energised = state in _ENERGISED
+        if energised and self.state not in _ENERGISED:
+            self._target_counts = None
+            self._demand = 0.0
+        self.state = state
+        self._after_stop = None
+        if not energised:
+            self._command[kernel.MODE] = kernel.MODE_OFF
+            self._demand = 0.0
+            for i in range(len(self._delay)):
+                self._delay[i] = 0.0
+        released = energised and not self.brake_stuck
+        self._command[kernel.BRAKE] = 0.0 if released else self._brake_torque
+
+    def refresh_brake(self) -> None:
+        """Apply a change of ``brake_stuck``."""
+        self._command[kernel.BRAKE] = (
+            0.0 if self.state in _ENERGISED and not self.brake_stuck else self._brake_torque
+        )
+
+    # --- one step --------------------------------------------------------------------------------
+    def tick(self, now_ns: int) -> None:
+        """Feedback, commands, modes, supervision, statusword."""
+        self._feedback()
+        word = int(self._e_controlword.value)
+        if word != self._controlword or (
+            self.state is State.SWITCHED_ON and command_of(word, word) is Command.ENABLE_OPERATION
+        ):
+            self._control(word, now_ns)
+        self._select_mode()
+        if self._after_stop is not None:
+            self._continue_stop(now_ns)
+        elif self.state is State.OPERATION_ENABLED:
+            self._operate(now_ns)
+        if self.state is State.OPERATION_ENABLED:
+            self._supervise(now_ns)
+        self._last_ns = now_ns
+        self.synchronous = False
+        self._show()
+
+    def _feedback(self) -> None:
+        counts, speed, permille = self.measured
+        d = self.direction
+        value = int(counts) * d & 0xFFFFFFFF
+        self._e_position.value = value - 0x100000000 if value & 0x80000000 else value
+        self._e_velocity.value = max(-0x80000000, min(0x7FFFFFFF, int(speed) * d))
+        if self._lag:
+            if self.synchronous:
+                self._lag.append(permille)
+                permille = self._lag.popleft()
+            else:
+                permille = self._lag[0]
+        self._e_torque.value = max(-32768, min(32767, int(permille) * d))
+
+    def _control(self, word: int, now_ns: int) -> None:
+        previous, self._controlword = self._controlword, word
+        if self.ignore_controlword:
+            return
+        command = command_of(word, previous)
+        if command is Command.QUICK_STOP and self.ignore_quick_stop and self.state is State.OPERATION_ENABLED:
+            return
+        found = transition(self.state, command)
+        if found is None:
+            return
+        number, target = found
+        od = self.node.od
+        if number == 16 and od.number(0x605A, missing=2) not in (5, 6, 7, 8):
+            return
+        if number == 11:
+            self._quick_stop(now_ns)
+        elif number == 5 and od.number(0x605C, missing=0) == 1:
+            self._begin_stop(target, od.number(0x6084, missing=0), now_ns)
+        elif number == 8 and od.number(0x605B, missing=0) == 1:
+            self._begin_stop(target, od.number(0x6084, missing=0), now_ns)
+        elif number == 15:
+            od.entry(0x603F).value = 0
+            self._enter(target)
+            self.node.emergency(0x0000, 0x00)
+        else:
+            self._enter(target)
+            if number == 3 and command is Command.ENABLE_OPERATION:
+                self._enter(State.OPERATION_ENABLED)
+
+    def _select_mode(self) -> None:
+        wanted = int(self._e_mode.value)
+        if wanted == self.mode:
+            return
+        if wanted == 0 or self.node.od.number(0x6502) & _MODE_BITS.get(wanted, 0):
+            self.mode = wanted
+            self._target_counts = None
+            self._demand = 0.0
+
+    # --- modes -----------------------------------------------------------------------------------
+    def _operate(self, now_ns: int) -> None:
+        command = self._command
+        limit = int(self._e_max_torque.value)
+        command[kernel.LIMIT] = limit * self.rated_torque / 1000.0
+        if self.mode == CYCLIC_POSITION:
+            self._follow_position()
+            return
+        if self.mode == CYCLIC_TORQUE:
+            wanted = float(int(self._e_target_torque.value) + int(self._e_offset.value))
+            wanted = max(-32768.0, min(32767.0, wanted))
+        elif self.mode == PROFILE_TORQUE:
+            target = 0.0 if self._controlword & 0x100 else float(int(self._e_target_torque.value))
+            step = self.node.od.number(0x6087, missing=1000) * (now_ns - self._last_ns) * 1e-9
+            wanted = self._demand + max(-step, min(step, target - self._demand))
+        else:
+            wanted = 0.0
+        clipped = wanted > limit or wanted < -limit
+        if clipped:
+            wanted = math.copysign(limit, wanted)
+        self._internal_limit = clipped
+        self._demand = wanted
+        self._e_demand.value = int(wanted)
+        if self._delay:
+            if not self.synchronous:
+                return
+            self._delay.append(wanted)
+            wanted = self._delay.popleft()
+        torque = self.direction * wanted * self.rated_torque / 1000.0
+        if command[kernel.TORQUE] != torque or command[kernel.MODE] != kernel.MODE_TORQUE:
+            command[kernel.TORQUE] = torque
+            command[kernel.MODE] = kernel.MODE_TORQUE
+            command[kernel.BLEND] = self._plant.blend_at(now_ns)
+
+    def _here(self) -> float:
+        """Position reference equal to what the encoder shows."""
+        return self.measured[0] / self.counts_per_unit
+
+    def _hold_here(self, speed: float = 0.0, deceleration: float = 0.0) -> None:
+        command = self._command
+        command[kernel.GAIN_P], command[kernel.GAIN_D] = self._gains
+        command[kernel.POSITION] = self._here()
+        command[kernel.VELOCITY] = speed
+        command[kernel.DECELERATION] = deceleration
+        command[kernel.INTERPOLATE] = 0.0
+        command[kernel.MODE] = kernel.MODE_POSITION
+
+    def _follow_position(self) -> None:
+        command = self._command
+        target = int(self._e_target_position.value)
+        low, high = self._range
+        self._internal_limit = False
+        if not low <= target <= high:
+            target = max(low, min(high, target))
+            self._internal_limit = True
+        if self._target_counts is None:
+            self._hold_here()
+            self._target_counts = int(self._e_position.value)
+        if target != self._target_counts:
+            self._target_counts = target
+            goal = self.direction * target / self.counts_per_unit
+            steps = max(1.0, round(self._cycle_s / self._plant.h))
+            command[kernel.VELOCITY] = (goal - command[kernel.POSITION]) / (steps * self._plant.h)
+            command[kernel.INTERPOLATE] = steps
+        self._e_demand_position.value = target
+        error = target - int(self._e_position.value)
+        self._e_following.value = max(-0x80000000, min(0x7FFFFFFF, error))
+
+    # --- stopping --------------------------------------------------------------------------------
+    def _begin_stop(self, target: State, deceleration_counts: int, now_ns: int) -> None:
+        """Decelerate under position control; enter ``target`` at standstill."""
+        speed = self.measured[1] / self.counts_per_unit
+        deceleration = deceleration_counts / self.counts_per_unit
+        if deceleration <= 0.0:
+            self._enter(target)
+            return
+        self._hold_here(speed, deceleration)
+        self._after_stop = target
+        # the ramp and a tenth of a second to settle; then the drive gives up on standstill
+        self._stop_deadline_ns = now_ns + round((abs(speed) / deceleration + 0.1) * 1e9)
+
+    def _continue_stop(self, now_ns: int) -> None:
+        standing = (
+            self._command[kernel.VELOCITY] == 0.0 and abs(self.measured[1]) / self.counts_per_unit < 0.005
+        )
+        if standing or now_ns >= self._stop_deadline_ns:
+            target = self._after_stop
+            self._after_stop = None
+            if target is not None and target is not self.state:
+                self._enter(target)
+
+    def _quick_stop(self, now_ns: int) -> None:
+        od = self.node.od
+        option = od.number(0x605A, missing=2)
+        if option == 0:
+            self._enter(State.SWITCH_ON_DISABLED)
+            return
+        self._enter(State.QUICK_STOP_ACTIVE)
+        stay = option in (5, 6, 7, 8)
+        target = State.QUICK_STOP_ACTIVE if stay else State.SWITCH_ON_DISABLED
+        ramp = od.number(0x6084 if option in (1, 5) else 0x6085, missing=0)
+        self._begin_stop(target, ramp, now_ns)
+
+    def fail(self, code: int, register: int, now_ns: int) -> None:
+        """Transition 13: fault reaction by 0x605E, then fault."""
+        if self.state in (State.FAULT, State.FAULT_REACTION_ACTIVE):
+            return
+        od = self.node.od
+        od.entry(0x603F).value = code
+        self.node.emergency(code, register | 0x01)
+        option = od.number(0x605E, missing=0)
+        if self.state not in (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE) or option == 0:
+            self._enter(State.FAULT)
+        else:
+            self._enter(State.FAULT_REACTION_ACTIVE)
+            self._begin_stop(State.FAULT, od.number(0x6084 if option == 1 else 0x6085, missing=0), now_ns)
+        self._show()
+
+    def connection_lost(self, now_ns: int) -> None:
+        """React by 0x6007: 0 nothing, 1 fault, 2 disable voltage, 3 quick stop."""
+        option = self.node.od.number(0x6007, missing=0)
+        if option == 1:
+            self.fail(HEARTBEAT, 0x10, now_ns)
+        elif option == 2 and self.state not in (State.FAULT, State.FAULT_REACTION_ACTIVE):
+            self._enter(State.SWITCH_ON_DISABLED)
+        elif option == 3 and self.state is State.OPERATION_ENABLED:
+            if not self.ignore_quick_stop:
+                self._quick_stop(now_ns)
+        elif option == 3 and self.state in (State.READY_TO_SWITCH_ON, State.SWITCHED_ON):
+            self._enter(State.SWITCH_ON_DISABLED)
+        self._show()
+
+    # --- supervision -----------------------------------------------------------------------------
+    def configured(self) -> None:
+        """Take over limits that may have been written."""
+        od = self.node.od
+        fastest = float(od.number(0x607F, missing=_UNLIMITED))
+        self._fastest = math.inf if fastest == _UNLIMITED else fastest
+        rpm = od.number(0x6080, missing=_UNLIMITED)
+        if rpm != _UNLIMITED and self._radians_per_rev:
+            self._fastest = min(self._fastest, rpm * self.counts_per_unit * self._radians_per_rev / 60.0)
+        low, high = od.number(0x607D, 1, -(1 << 31)), od.number(0x607D, 2, (1 << 31) - 1)
+        self._range = (low, high) if low < high else (-(1 << 31), (1 << 31) - 1)
+        window = od.number(0x6065, missing=_UNLIMITED)
+        self._window = math.inf if window == _UNLIMITED else float(window)
+
+    def _supervise(self, now_ns: int) -> None:
+        counts, speed, _ = self.measured
+        if not -self._fastest <= speed <= self._fastest:
+            self.fail(OVERSPEED, 0x20, now_ns)
+            return
+        position: int = self._e_position.value  # type: ignore[assignment]
+        low, high = self._range
+        if not low <= position <= high:
+            outward = int(self._e_velocity.value)
+            if (position > high and outward > 0) or (position < low and outward < 0):
+                self.fail(REFERENCE_LIMIT, 0x20, now_ns)
+                return
+        self._following = False
+        window = self._window
+        if self.mode == CYCLIC_POSITION and window != math.inf and self._target_counts is not None:
+            demand = self._command[kernel.POSITION] * self.counts_per_unit
+            if abs(demand - counts) > window:
+                self._following = True
+                if self._lost_ns is None:
+                    self._lost_ns = now_ns
+                if now_ns - self._lost_ns >= self.node.od.number(0x6066, missing=0) * 1_000_000:
+                    self.fail(FOLLOWING_ERROR, 0x20, now_ns)
+            else:
+                self._lost_ns = None
+
+    def _show(self) -> None:
+        """Statusword and mode display."""
+        state = self.state
+        word = state | 0x10  # voltage enabled
+        if state in (State.FAULT, State.FAULT_REACTION_ACTIVE):
+            word |= 0x20
+        if self.node.state is Nmt.OPERATIONAL:
+            word |= 0x200
+        if self._internal_limit:
+            word |= 0x800
+        if state is State.OPERATION_ENABLED and self._after_stop is None:
+            if self.mode in (CYCLIC_POSITION, CYCLIC_TORQUE):
+                word |= 0x1000
+                if self._following:
+                    word |= 0x2000
+            elif self.mode == PROFILE_TORQUE and self._demand == self._e_target_torque.value:
+                word |= 0x400
+        self._e_statusword.value = word if self.statusword_lie is None else self.statusword_lie
+        self._e_display.value = self.mode if self.mode_lie is None else self.mode_lie

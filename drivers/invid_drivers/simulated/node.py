@@ -1,0 +1,395 @@
+"""A CANopen node (CiA 301): NMT, SDO, PDO, SYNC, heartbeat, emergency. Knows no drive and no clock.
+
+The node is driven from outside: frames through ``handlers``, time through callbacks that it asks its
+``Host`` for. The drive profile is the ``Application``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from enum import IntEnum
+from typing import Protocol
+
+from invid_drivers.simulated import pdo
+from invid_drivers.simulated.object_dictionary import ObjectDictionary, SdoAbort
+from invid_drivers.simulated.sdo import SdoServer
+
+_MS = 1_000_000
+SAVE, LOAD = 0x65766173, 0x64616F6C
+Handler = Callable[[bytes, int], None]
+
+
+class Nmt(IntEnum):
+    """NMT states as in the heartbeat."""
+
+    INITIALISING = 0
+    STOPPED = 4
+    OPERATIONAL = 5
+    PRE_OPERATIONAL = 127
+
+
+class Host(Protocol):
+    """What a node needs from the cell it stands in."""
+
+    def emit(self, node: Node, can_id: int, data: bytes, delay_ns: int = 0) -> None:
+        """Put a frame on the bus."""
+
+    def schedule(self, due_ns: int, callback: Callable[[int], None]) -> None:
+        """Call back once at a time."""
+
+    def rewire(self) -> None:
+        """The identifiers that a node listens to have changed."""
+
+
+class Application(Protocol):
+    """The device profile on top of the node."""
+
+    def tick(self, now_ns: int) -> None:
+        """Act on the values received."""
+
+    def configured(self) -> None:
+        """Values of the object dictionary may have changed other than by a PDO."""
+
+    def connection_lost(self, now_ns: int) -> None:
+        """Heartbeat lost, bus-off, or NMT took the node out of operation."""
+
+    def reset(self, now_ns: int) -> None:
+        """Power-on state."""
+
+
+class Node:
+    """CANopen communication of one device."""
+
+    def __init__(self, node_id: int, od: ObjectDictionary, host: Host, *, sdo_ns: int, boot_ns: int) -> None:
+        self.node_id, self.od, self._host = node_id, od, host
+        self.application: Application
+        self.state = Nmt.INITIALISING
+        self.silent = False
+        self._sdo = SdoServer(od)
+        self._sdo_ns, self._boot_ns = sdo_ns, boot_ns
+        self._epoch = 0
+        self._stored: dict[tuple[int, int], int | str] = {}
+        self._rpdos: list[pdo.ReceivePdo] = []
+        self._tpdos: list[pdo.TransmitPdo] = []
+        self._heard: dict[int, int] = {}
+        self._guard_objects()
+
+    # --- start and reset ---------------------------------------------------------------------
+    def power_on(self, now_ns: int) -> None:
+        """Boot: values from the store, boot-up message after the boot time."""
+        self._epoch += 1
+        epoch = self._epoch
+        self.state = Nmt.INITIALISING
+        for entry in self.od:
+            entry.value = self._stored.get((entry.index, entry.sub), entry.default)
+        self._clear_communication()
+        self.application.reset(now_ns)
+
+        def booted(at_ns: int) -> None:
+            if epoch == self._epoch:
+                self._booted(at_ns)
+
+        self._host.schedule(now_ns + self._boot_ns, booted)
+
+    def _booted(self, now_ns: int) -> None:
+        self.state = Nmt.PRE_OPERATIONAL
+        self._host.emit(self, 0x700 + self.node_id, b"\0")
+        self._start_heartbeat(now_ns)
+        self._host.rewire()
+
+    def _clear_communication(self) -> None:
+        self.application.configured()
+        self._sdo.reset()
+        self._heard.clear()
+        self._rpdos, self._tpdos = [], []
+        self._host.rewire()
+
+    def _reset_communication(self, now_ns: int) -> None:
+        for entry in self.od:
+            if 0x1000 <= entry.index <= 0x1FFF:
+                entry.value = self._stored.get((entry.index, entry.sub), entry.default)
+        self._epoch += 1
+        self.state = Nmt.INITIALISING
+        self._clear_communication()
+        self._booted(now_ns)
+
+    def _guard_objects(self) -> None:
+        od = self.od
+        number = 1
+        while od.find(0x13FF + number, 1):
+            pdo.guard_configuration(
+                od, communication=0x13FF + number, mapping=0x15FF + number, way="w", changed=self._rebuild
+            )
+            number += 1
+        number = 1
+        while od.find(0x17FF + number, 1):
+            pdo.guard_configuration(
+                od, communication=0x17FF + number, mapping=0x19FF + number, way="r", changed=self._rebuild
+            )
+            number += 1
+        od.entry(0x1003).on_write = self._clear_history
+        od.entry(0x1005).on_write = self._write_sync_id
+        od.entry(0x1017).on_write = self._write_producer
+        od.entry(0x1010, 1).on_write = self._save
+        od.entry(0x1011, 1).on_write = self._load
+        for sub in range(1, od.number(0x1016) + 1):
+            od.entry(0x1016, sub).on_write = self._write_consumer
+
+    def _save(self, value: int) -> None:
+        if value != SAVE:
+            raise SdoAbort(SdoAbort.NOT_STORED)
+        self._stored = {(e.index, e.sub): e.value for e in self.od if e.access == "rw" and e.index != 0x1010}
+
+    def _load(self, value: int) -> None:
+        if value != LOAD:
+            raise SdoAbort(SdoAbort.NOT_STORED)
+        self._stored = {}  # takes effect at the next reset, as CiA 301 has it
+
+    def _clear_history(self, value: int) -> None:
+        if value != 0:
+            raise SdoAbort(SdoAbort.RANGE)
+        for sub in range(1, 9):
+            self.od.entry(0x1003, sub).value = 0
+
+    def _write_sync_id(self, value: int) -> None:
+        if value & 0x60000000 or not value & 0x7FF:
+            raise SdoAbort(SdoAbort.RANGE)
+        self.od.entry(0x1005).value = value
+        self._host.rewire()
+
+    # --- heartbeat -----------------------------------------------------------------------------
+    def _write_producer(self, value: int) -> None:
+        self.od.entry(0x1017).value = value
+        self._start_heartbeat(None)
+
+    def _start_heartbeat(self, now_ns: int | None) -> None:
+        token = self._heartbeat_token = object()
+
+        def beat(at_ns: int) -> None:
+            period = self.od.number(0x1017) * _MS
+            if token is not self._heartbeat_token or not period or self.state is Nmt.INITIALISING:
+                return
+            self._host.emit(self, 0x700 + self.node_id, bytes([self.state]))
+            self._host.schedule(at_ns + period, beat)
+
+        period = self.od.number(0x1017) * _MS
+        if period:
+            self._host.schedule(0 if now_ns is None else now_ns + period, beat)
+
+    def _write_consumer(self, value: int) -> None:
+        producer = value >> 16 & 0x7F
+        if value & 0xFFFF and not producer:
+            raise SdoAbort(SdoAbort.RANGE)
+        self._heard.pop(producer, None)
+        self._host.rewire()
+
+    def heard_producers(self) -> dict[int, int]:
+        """Node ids whose heartbeat is consumed, and their timeout [ns]."""
+        consumed: dict[int, int] = {}
+        for sub in range(1, self.od.number(0x1016) + 1):
+            value = self.od.number(0x1016, sub)
+            if value & 0xFFFF and value >> 16 & 0x7F:
+                consumed[value >> 16 & 0x7F] = (value & 0xFFFF) * _MS
+        return consumed
+
+    def _on_heartbeat(self, producer: int) -> Handler:
+        def heard(_data: bytes, now_ns: int) -> None:
+            first = producer not in self._heard
+            self._heard[producer] = now_ns
+            if first:
+                self._watch(producer, now_ns)
+
+        return heard
+
+    def _watch(self, producer: int, now_ns: int) -> None:
+        epoch = self._epoch
+
+        def check(at_ns: int) -> None:
+            timeout = self.heard_producers().get(producer)
+            last = self._heard.get(producer)
+            if epoch != self._epoch or timeout is None or last is None:
+                return
+            if at_ns < last + timeout:
+                self._host.schedule(last + timeout, check)
+                return
+            del self._heard[producer]  # watching resumes with the next heartbeat
+            self.emergency(0x8130, 0x10, bytes([producer]))
+            if self.state is Nmt.OPERATIONAL and self.od.number(0x1029, 1) == 0:
+                self._set_state(Nmt.PRE_OPERATIONAL, at_ns)
+            elif self.state is Nmt.OPERATIONAL and self.od.number(0x1029, 1) == 2:
+                self._set_state(Nmt.STOPPED, at_ns)
+            else:
+                self.application.connection_lost(at_ns)
+
+        timeout = self.heard_producers().get(producer)
+        if timeout is not None:
+            self._host.schedule(now_ns + timeout, check)
+
+    # --- emergency -----------------------------------------------------------------------------
+    def emergency(self, code: int, register: int, vendor: bytes = b"", length: int = 8) -> None:
+        """Send an EMCY and write the history; ``length`` other than 8 is what some drives do."""
+        od = self.od
+        od.entry(0x1001).value = register
+        if code:
+            for sub in range(8, 1, -1):
+                od.entry(0x1003, sub).value = od.number(0x1003, sub - 1)
+            od.entry(0x1003, 1).value = code
+            od.entry(0x1003).value = min(od.number(0x1003) + 1, 8)
+        cob = od.number(0x1014)
+        if not cob & pdo.INVALID and self.state in (Nmt.PRE_OPERATIONAL, Nmt.OPERATIONAL):
+            data = bytes([code & 0xFF, code >> 8, register]) + vendor[:5].ljust(5, b"\0")
+            self._host.emit(self, cob & 0x7FF, data[:length])
+
+    # --- NMT -----------------------------------------------------------------------------------
+    def on_nmt(self, data: bytes, now_ns: int) -> None:
+        """NMT command frame."""
+        if len(data) != 2 or data[1] not in (0, self.node_id) or self.state is Nmt.INITIALISING:
+            return
+        command = data[0]
+        if command == 1:
+            self._set_state(Nmt.OPERATIONAL, now_ns)
+        elif command == 2:
+            self._set_state(Nmt.STOPPED, now_ns)
+        elif command == 128:
+            self._set_state(Nmt.PRE_OPERATIONAL, now_ns)
+        elif command == 129:
+            self.power_on(now_ns)
+        elif command == 130:
+            self.application.connection_lost(now_ns)
+            self._reset_communication(now_ns)
+
+    def _set_state(self, state: Nmt, now_ns: int) -> None:
+        before, self.state = self.state, state
+        if before is state:
+            return
+        self._rebuild()
+        if before is Nmt.OPERATIONAL:
+            self.application.connection_lost(now_ns)
+
+    # --- PDO -----------------------------------------------------------------------------------
+    def _rebuild(self) -> None:
+        self._rpdos, self._tpdos = [], []
+        if self.state is Nmt.OPERATIONAL:
+            self._build_pdos()
+        self._host.rewire()
+
+    def _build_pdos(self) -> None:
+        od = self.od
+        number = 1
+        while (cob := od.find(0x13FF + number, 1)) is not None:
+            value = int(cob.value)
+            if not value & pdo.INVALID:
+                try:
+                    entries = pdo.mapped_entries(od, 0x15FF + number, "w")
+                except SdoAbort:
+                    entries = []
+                kind = od.number(0x13FF + number, 2)
+                self._rpdos.append(pdo.ReceivePdo(number, value & 0x7FF, kind, entries))
+            number += 1
+        number = 1
+        while (cob := od.find(0x17FF + number, 1)) is not None:
+            value = int(cob.value)
+            if not value & pdo.INVALID:
+                try:
+                    entries = pdo.mapped_entries(od, 0x19FF + number, "r")
+                except SdoAbort:
+                    entries = []
+                made = pdo.TransmitPdo(
+                    number,
+                    value & 0x7FF,
+                    od.number(0x17FF + number, 2),
+                    entries,
+                    od.number(0x17FF + number, 3) * 100_000,
+                    od.number(0x17FF + number, 5) * _MS,
+                )
+                if entries:
+                    self._tpdos.append(made)
+                    if made.kind >= 254 and made.event_ns:
+                        self._start_event_timer(made)
+            number += 1
+
+    def _start_event_timer(self, made: pdo.TransmitPdo) -> None:
+        def fire(at_ns: int) -> None:
+            if made in self._tpdos:
+                if at_ns >= made.sent_ns + made.event_ns:
+                    self._transmit(made, made.pack(), at_ns)
+                self._host.schedule(max(made.sent_ns + made.event_ns, at_ns + 1), fire)
+
+        self._host.schedule(0, fire)
+
+    def _on_rpdo(self, received: pdo.ReceivePdo) -> Handler:
+        size = received.packing.size
+
+        def take(data: bytes, now_ns: int) -> None:
+            if len(data) < size:
+                self.emergency(0x8210, self.od.number(0x1001) | 0x10)
+            elif received.synchronous:
+                received.pending = data
+            else:
+                received.apply(data)
+                self.application.tick(now_ns)
+                self.events(now_ns)
+
+        return take
+
+    def _transmit(self, made: pdo.TransmitPdo, data: bytes, now_ns: int) -> None:
+        made.last, made.sent_ns, made.seen = data, now_ns, 0
+        self._host.emit(self, made.can_id, data)
+
+    def on_sync(self, now_ns: int) -> None:
+        """Take over what was received, act, send what is due."""
+        for received in self._rpdos:
+            if received.pending is not None:
+                received.apply(received.pending)
+                received.pending = None
+        self.application.tick(now_ns)
+        for made in self._tpdos:
+            kind = made.kind
+            if kind <= 240:
+                made.seen += 1
+                if made.seen >= kind:
+                    data = made.packing.pack(*[e.value for e in made.entries])
+                    if kind or data != made.last:
+                        made.seen = 0
+                        made.last = data
+                        self._host.emit(self, made.can_id, data)
+            else:
+                self._event(made, now_ns)
+
+    def events(self, now_ns: int) -> None:
+        """Send event-driven PDOs whose content changed."""
+        for made in self._tpdos:
+            if made.kind > 240:
+                self._event(made, now_ns)
+
+    def _event(self, made: pdo.TransmitPdo, now_ns: int) -> None:
+        data = made.pack()
+        if data != made.last and now_ns >= made.sent_ns + made.inhibit_ns:
+            self._transmit(made, data, now_ns)
+
+    # --- wiring --------------------------------------------------------------------------------
+    def _on_sdo(self, data: bytes, now_ns: int) -> None:
+        answer = self._sdo.answer(data)
+        if answer is not None:
+            self._host.emit(self, 0x580 + self.node_id, answer, self._sdo_ns)
+        self.application.configured()
+        self.application.tick(now_ns)
+        self.events(now_ns)
+
+    def handlers(self) -> list[tuple[int, Handler]]:
+        """Identifiers that the node listens to now; SYNC apart."""
+        if self.silent or self.state is Nmt.INITIALISING:
+            return []
+        table: list[tuple[int, Handler]] = [(0, self.on_nmt)]
+        table += [(0x700 + p, self._on_heartbeat(p)) for p in self.heard_producers()]
+        if self.state in (Nmt.PRE_OPERATIONAL, Nmt.OPERATIONAL):
+            table.append((0x600 + self.node_id, self._on_sdo))
+        if self.state is Nmt.OPERATIONAL:
+            table += [(r.can_id, self._on_rpdo(r)) for r in self._rpdos]
+        return table
+
+    @property
+    def sync_id(self) -> int:
+        """Identifier of the SYNC that the node follows; −1 while it follows none."""
+        listening = not self.silent and self.state is Nmt.OPERATIONAL
+        return self.od.number(0x1005) & 0x7FF if listening else -1

@@ -1,0 +1,275 @@
+"""The object dictionary of a simulated CiA 402 drive."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable, Iterator
+
+from invid_drivers.simulated.vendors import Profile
+
+# data types of CiA 301 that are used: struct code and size in bytes ("s": visible string)
+_SIZES = {"b": 1, "B": 1, "h": 2, "H": 2, "i": 4, "I": 4}
+
+
+class SdoAbort(Exception):
+    """An SDO access that is refused, with CiA 301's abort code."""
+
+    TOGGLE = 0x05030000
+    COMMAND = 0x05040001
+    UNSUPPORTED = 0x06010000
+    WRITE_ONLY = 0x06010001
+    READ_ONLY = 0x06010002
+    NO_OBJECT = 0x06020000
+    NOT_MAPPABLE = 0x06040041
+    PDO_LENGTH = 0x06040042
+    TOO_LONG = 0x06070012
+    TOO_SHORT = 0x06070013
+    NO_SUBINDEX = 0x06090011
+    RANGE = 0x06090030
+    TOO_HIGH = 0x06090031
+    TOO_LOW = 0x06090032
+    NOT_STORED = 0x08000020
+    STATE = 0x08000022
+
+    def __init__(self, code: int) -> None:
+        super().__init__(f"SDO abort {code:#010x}")
+        self.code = code
+
+
+class Entry:
+    """One value of the dictionary: type, access, limits, and what happens when it is written."""
+
+    __slots__ = (
+        "access",
+        "code",
+        "default",
+        "high",
+        "index",
+        "low",
+        "mappable",
+        "on_write",
+        "size",
+        "sub",
+        "value",
+    )
+
+    def __init__(
+        self, index: int, sub: int, code: str, access: str, value: int | str, mappable: str = ""
+    ) -> None:
+        self.index, self.sub, self.code, self.access = index, sub, code, access
+        self.value: int | str = value
+        self.default = value
+        self.mappable = mappable
+        """"r": may be sent in a TPDO, "w": may be received in an RPDO."""
+        self.size = _SIZES.get(code, 0)
+        bits = 8 * self.size or 8  # a string has no limits of its own
+        self.low = -(1 << (bits - 1)) if code.islower() else 0
+        self.high = (1 << (bits - 1)) - 1 if code.islower() else (1 << bits) - 1
+        self.on_write: Callable[[int], None] | None = None
+        """Called before a value is stored; raises SdoAbort to refuse."""
+
+    def encode(self) -> bytes:
+        """The value as it goes over the bus."""
+        if isinstance(self.value, str):
+            return self.value.encode("ascii", "replace")
+        return struct.pack("<" + self.code, self.value)
+
+    def read(self) -> bytes:
+        """SDO upload."""
+        if self.access == "wo":
+            raise SdoAbort(SdoAbort.WRITE_ONLY)
+        return self.encode()
+
+    def write(self, data: bytes) -> None:
+        """SDO download."""
+        if self.access in ("ro", "const"):
+            raise SdoAbort(SdoAbort.READ_ONLY)
+        if len(data) != self.size:
+            raise SdoAbort(SdoAbort.TOO_LONG if len(data) > self.size else SdoAbort.TOO_SHORT)
+        value: int = struct.unpack("<" + self.code, data)[0]
+        if value > self.high:
+            raise SdoAbort(SdoAbort.TOO_HIGH)
+        if value < self.low:
+            raise SdoAbort(SdoAbort.TOO_LOW)
+        if self.on_write is not None:
+            self.on_write(value)
+        self.value = value
+
+
+class ObjectDictionary:
+    """Entries by index and subindex."""
+
+    def __init__(self) -> None:
+        self._entries: dict[int, dict[int, Entry]] = {}
+
+    def add(
+        self, index: int, sub: int, code: str, access: str, value: int | str = 0, mappable: str = ""
+    ) -> Entry:
+        """New entry."""
+        entry = Entry(index, sub, code, access, value, mappable)
+        self._entries.setdefault(index, {})[sub] = entry
+        return entry
+
+    def add_record(self, index: int, *subs: tuple[str, str, int]) -> None:
+        """Sub 0 with the highest subindex, then one entry per (code, access, value)."""
+        self.add(index, 0, "B", "const", len(subs))
+        for number, (code, access, value) in enumerate(subs, start=1):
+            self.add(index, number, code, access, value)
+
+    def entry(self, index: int, sub: int = 0) -> Entry:
+        """The entry, or the abort code that tells which of the two does not exist."""
+        subs = self._entries.get(index)
+        if subs is None:
+            raise SdoAbort(SdoAbort.NO_OBJECT)
+        entry = subs.get(sub)
+        if entry is None:
+            raise SdoAbort(SdoAbort.NO_SUBINDEX)
+        return entry
+
+    def find(self, index: int, sub: int = 0) -> Entry | None:
+        """The entry, None where the drive lacks it."""
+        return self._entries.get(index, {}).get(sub)
+
+    def number(self, index: int, sub: int = 0, missing: int = 0) -> int:
+        """An integer value; ``missing`` where the drive lacks the object."""
+        entry = self._entries.get(index, {}).get(sub)
+        return missing if entry is None or isinstance(entry.value, str) else entry.value
+
+    def remove(self, index: int) -> None:
+        """Take an object away, as a vendor did."""
+        self._entries.pop(index, None)
+
+    def __iter__(self) -> Iterator[Entry]:
+        for subs in self._entries.values():
+            yield from subs.values()
+
+
+def drive_dictionary(
+    node_id: int,
+    *,
+    name: str,
+    rated_torque: float,
+    encoder_counts: float,
+    linear: bool,
+    serial: int,
+    profile: Profile,
+) -> ObjectDictionary:
+    """The generic drive with one vendor's departures applied.
+
+    ``rated_torque`` [N·m or N] goes into 0x6076 in thousandths; ``encoder_counts`` per revolution
+    or metre into 0x608F. Velocities are in counts per second.
+    """
+    od = ObjectDictionary()
+    add = od.add
+    add(0x1000, 0, "I", "ro", 0x00020192)  # servo drive, CiA 402
+    add(0x1001, 0, "B", "ro", 0, "r")
+    add(0x1003, 0, "B", "rw", 0)
+    for sub in range(1, 9):
+        add(0x1003, sub, "I", "ro", 0)
+    add(0x1005, 0, "I", "rw", 0x80)
+    add(0x1006, 0, "I", "rw", 0)
+    add(0x1007, 0, "I", "rw", 0)
+    add(0x1008, 0, "s", "const", name)
+    add(0x1009, 0, "s", "const", "1.0")
+    add(0x100A, 0, "s", "const", "invid simulated drive")
+    for index in (0x1010, 0x1011):
+        od.add_record(index, ("I", "rw", 1))
+    add(0x1014, 0, "I", "rw", 0x80 + node_id)
+    add(0x1015, 0, "H", "rw", 0)
+    od.add_record(0x1016, *[("I", "rw", 0)] * 3)
+    add(0x1017, 0, "H", "rw", 0)
+    od.add_record(0x1018, *[("I", "ro", v) for v in (0x00000000, 0x402, 1, serial)])
+    od.add_record(0x1029, ("B", "rw", 0))
+    od.add_record(0x1200, ("I", "ro", 0x600 + node_id), ("I", "ro", 0x580 + node_id))
+    for code, index in (("b", 2), ("h", 3), ("i", 4), ("B", 5), ("H", 6), ("I", 7)):
+        if profile.dummy_mapping:  # CiA 301: dummies to fill a receive PDO
+            add(index, 0, code, "wo", 0, "w")
+    _add_pdos(od, node_id, profile)
+    _add_drive_profile(od, rated_torque, encoder_counts, linear)
+    for index in profile.lacks:
+        od.remove(index)
+    for (index, sub), value in profile.values.items():
+        entry = od.find(index, sub)
+        if entry is not None:
+            entry.value = entry.default = value
+    return od
+
+
+def _add_pdos(od: ObjectDictionary, node_id: int, profile: Profile) -> None:
+    maps = {1: [0x60400010], 2: [0x60400010, 0x60600008], 3: [0x60400010, 0x60710010], 4: [0x607A0020]}
+    for number in range(1, profile.rpdos + 1):
+        base = 0x100 + 0x100 * number + node_id if number <= 4 else 0x80000000
+        invalid = 0 if number == 1 else 0x80000000
+        od.add(0x13FF + number, 0, "B", "const", 5)
+        od.add(0x13FF + number, 1, "I", "rw", base | invalid)
+        od.add(0x13FF + number, 2, "B", "rw", 255)
+        od.add(0x13FF + number, 3, "H", "rw", 0)
+        od.add(0x13FF + number, 5, "H", "rw", 0)
+        _add_map(od, 0x15FF + number, maps.get(number, []))
+    maps = {1: [0x60410010], 2: [0x60410010, 0x60610008], 3: [0x60410010, 0x60640020], 4: [0x606C0020]}
+    for number in range(1, profile.tpdos + 1):
+        base = 0x80 + 0x100 * number + node_id if number <= 4 else 0x80000000
+        invalid = 0 if number == 1 else 0x80000000
+        od.add(0x17FF + number, 0, "B", "const", 5)
+        od.add(0x17FF + number, 1, "I", "rw", base | invalid)
+        od.add(0x17FF + number, 2, "B", "rw", 255)
+        od.add(0x17FF + number, 3, "H", "rw", 0)
+        od.add(0x17FF + number, 5, "H", "rw", 0)
+        _add_map(od, 0x19FF + number, maps.get(number, []))
+
+
+def _add_map(od: ObjectDictionary, index: int, mapped: list[int]) -> None:
+    od.add(index, 0, "B", "rw", len(mapped))
+    for sub in range(1, 9):
+        od.add(index, sub, "I", "rw", mapped[sub - 1] if sub <= len(mapped) else 0)
+
+
+def _add_drive_profile(
+    od: ObjectDictionary, rated_torque: float, encoder_counts: float, linear: bool
+) -> None:
+    add = od.add
+    rated = max(1, round(rated_torque * 1000.0))
+    add(0x6007, 0, "h", "rw", 1)
+    add(0x603F, 0, "H", "ro", 0, "r")
+    add(0x6040, 0, "H", "rw", 0, "rw")
+    add(0x6041, 0, "H", "ro", 0, "r")
+    for index, value in ((0x605A, 2), (0x605B, 0), (0x605C, 1), (0x605D, 1), (0x605E, 2)):
+        add(index, 0, "h", "rw", value)
+    add(0x6060, 0, "b", "rw", 0, "rw")
+    add(0x6061, 0, "b", "ro", 0, "r")
+    add(0x6062, 0, "i", "ro", 0, "r")
+    add(0x6064, 0, "i", "ro", 0, "r")
+    add(0x6065, 0, "I", "rw", 0xFFFFFFFF)
+    add(0x6066, 0, "H", "rw", 0)
+    add(0x606C, 0, "i", "ro", 0, "r")
+    add(0x6071, 0, "h", "rw", 0, "rw")
+    add(0x6072, 0, "H", "rw", 3000, "rw")
+    add(0x6073, 0, "H", "rw", 3000)
+    add(0x6074, 0, "h", "ro", 0, "r")
+    add(0x6075, 0, "I", "rw", rated)
+    add(0x6076, 0, "I", "rw", rated)
+    add(0x6077, 0, "h", "ro", 0, "r")
+    add(0x6078, 0, "h", "ro", 0, "r")
+    add(0x607A, 0, "i", "rw", 0, "rw")
+    add(0x607C, 0, "i", "rw", 0)
+    od.add_record(0x607D, ("i", "rw", -(1 << 31)), ("i", "rw", (1 << 31) - 1))
+    add(0x607F, 0, "I", "rw", 0xFFFFFFFF)
+    add(0x6080, 0, "I", "rw", 0xFFFFFFFF)
+    # ramps that stop from 1 rad/s (1 m/s) in 0.1 s and 0.5 s
+    per_unit = encoder_counts if linear else encoder_counts / (2.0 * math.pi)
+    add(0x6084, 0, "I", "rw", max(1, round(2.0 * per_unit)))
+    add(0x6085, 0, "I", "rw", max(1, round(10.0 * per_unit)))
+    add(0x6087, 0, "I", "rw", 1000)
+    counts = max(1, round(encoder_counts))
+    od.add_record(0x608F, ("I", "rw", counts), ("I", "rw", 1))
+    od.add_record(0x6091, ("I", "rw", 1), ("I", "rw", 1))
+    od.add_record(0x6092, ("I", "rw", counts), ("I", "rw", 1))
+    add(0x60B2, 0, "h", "rw", 0, "rw")
+    od.add_record(0x60C2, ("B", "rw", 1), ("b", "rw", -3))
+    add(0x60F4, 0, "i", "ro", 0, "r")
+    add(0x60FD, 0, "I", "ro", 0, "r")
+    add(0x60FF, 0, "i", "rw", 0, "rw")
+    # torque profile, cyclic synchronous position, cyclic synchronous torque
+    add(0x6502, 0, "I", "ro", (1 << 3) | (1 << 7) | (1 << 9))
+    od.add_record(0x3001, ("I", "ro", counts), ("I", "rw", 5000))  # a vendor's area: current limits in mA
