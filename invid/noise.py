@@ -62,3 +62,25 @@ def quiet_power(spectrum: Complex128, quiet: np.ndarray) -> tuple[Float64, float
     level: Float64 = np.median(power, axis=0) / np.log(2.0)
     # The median of an exponential has 1/ln²2 times the variance of the mean.
     return level, 2.0 * power.shape[0] * float(np.log(2.0) ** 2)
+
+
+def quantum(values: Float64) -> Float64:
+    """(C,) step of channels whose (n, C) values lie on a lattice; zero for the others.
+
+    The smallest change between samples that differ; a lattice only if all changes are multiples of
+    it to a part in a hundred (counts scaled to units are exact to rounding).
+    """
+    result = np.zeros(values.shape[1])
+    for channel in range(values.shape[1]):
+        change = np.abs(np.diff(values[:, channel]))
+        rounding = 1e-9 * max(float(np.abs(values[:, channel]).max(initial=0.0)), 1e-300)
+        change = change[change > rounding]
+        if change.size == 0:
+            continue
+        step = float(change.min())
+        ratio = change / step
+        # Differences of thousands of counts carry the rounding of the scale: judge small ones.
+        small = ratio[ratio < 50]
+        if small.size > 3 and np.abs(small - np.round(small)).max() < 0.01:
+            result[channel] = step
+    return result

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from invid.arrays import Bool, Complex128, Float64, frozen, frozen_float
-from invid.noise import flat_covariance, pooled_covariance, quiet_power
+from invid.noise import flat_covariance, pooled_covariance, quantum, quiet_power
 from invid.periods import find_period, fold, repeats, settle, without_drift
 from invid.recording.model import Experiment, Kind, Recording, Role
 from invid.timebase import Uniform, uniform
@@ -77,6 +77,8 @@ class LineSpectra:
     driven: Bool = field(default_factory=lambda: np.zeros(0, dtype=bool))
     staircase: Float64 = field(default_factory=lambda: np.zeros(0))
     deviations: Complex128 = field(default_factory=lambda: np.zeros((0, 0, 0), dtype=complex))
+    floor: Float64 = field(default_factory=lambda: np.zeros(0))
+    """(2M,) noise power of the averaged spectra from lines above the band, quantisation included."""
     hold_gain: Float64 = field(default_factory=lambda: np.zeros(0))
 
     @property
@@ -204,6 +206,12 @@ def _periodic(
         spectra = _amplitudes(np.concatenate((position, torque[first:]), axis=2), nyquist)
     used = spectra.shape[0]
     mean = spectra.mean(axis=0)
+    # Quantisation error of a motion that repeats exactly repeats too: averaging does not remove it,
+    # the spread between periods does not show it, the quiet lines of the mean do.
+    repeating, _ = quiet_power(mean, quiet)
+    lattice = quantum(np.concatenate((data.position, data.torque), axis=1)) ** 2 / 12 * 4 / period
+    floor = np.maximum(floor, lattice)
+    averaged = np.maximum(np.maximum(repeating, floor / used), 1e-300)
     deviations = (spectra - mean)[:, band]
     covariance, dof = pooled_covariance(deviations, floor)
     excited = _excited(experiment, hz[band], mean[band], covariance, motors, period * data.step)
@@ -220,6 +228,7 @@ def _periodic(
         wave=np.concatenate((position.mean(0), torque[first:].mean(0)), axis=1),
         span=used * period * data.step,
         deviations=deviations,
+        floor=averaged,
         warnings=warnings,
     )
 
@@ -245,8 +254,9 @@ def _whole(
     if quiet.sum() < 16:
         quiet = hz > 0.9 * hz[-1]
     floor, dof = quiet_power(_windowed(wave[:count], nyquist), quiet)
+    floor = np.maximum(np.maximum(floor, quantum(wave) ** 2 / 12 * 4 / count), 1e-300)
     band = _band(hz, top, band_hz)
-    covariance = flat_covariance(np.maximum(floor, 1e-300), int(band.sum()))
+    covariance = flat_covariance(floor, int(band.sum()))
     excited = _excited(experiment, hz[band], mean[band], covariance, motors, count * data.step)
     return _assemble(
         experiment,
@@ -261,6 +271,7 @@ def _whole(
         wave=wave[:count],
         span=count * data.step,
         deviations=np.zeros((0, int(band.sum()), 2 * motors), dtype=complex),
+        floor=floor,
         warnings=warnings,
     )
 
@@ -363,6 +374,7 @@ def _assemble(
     wave: Float64,
     span: float,
     deviations: Complex128,
+    floor: Float64,
     warnings: list[str],
 ) -> LineSpectra:
     motors = data.position.shape[1]
@@ -390,5 +402,6 @@ def _assemble(
         driven=frozen(_driven(experiment, mean[:, motors:], excited), np.bool_),  # type: ignore[arg-type]
         staircase=frozen_float(_staircase(experiment, data)),
         deviations=fixed(deviations),
+        floor=frozen_float(floor),
         hold_gain=frozen_float(experiment.hold_gain),
     )

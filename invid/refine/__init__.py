@@ -1,6 +1,7 @@
 """Structured errors-in-variables maximum likelihood on the missing torque."""
 
-from invid.refine.problem import Block, Extra, MissingTorqueProblem, State, blocks_from_spectra
+from invid.refine.blocks import carried, problem_from_spectra, with_columns
+from invid.refine.problem import Block, Extra, MissingTorqueProblem, State
 from invid.refine.solver import Solution, gauss_newton
 from invid.refine.structure import ChainStructure, structure_of
 
@@ -11,7 +12,9 @@ __all__ = [
     "MissingTorqueProblem",
     "Solution",
     "State",
-    "blocks_from_spectra",
+    "carried",
     "gauss_newton",
+    "problem_from_spectra",
     "structure_of",
+    "with_columns",
 ]

@@ -14,14 +14,14 @@ numbers a record, and projected out.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
+import numpy.typing as npt
 
 from invid.arrays import Bool, Complex128, Float64
 from invid.refine.structure import ChainStructure
-from invid.spectra import LineSpectra
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +46,8 @@ class Block:
         (M,) which delay parameter the holding part of each axis' torque has.
     hold
         (F, M) hold law: torque −hold·position added by a controller at its own rate; zero for none.
+    share_index
+        (M,) which hold-share parameter (is the law at work while the axis is driven), or −1.
     staircase_index
         (M,) which hold-over-the-sample parameter, or −1 where it is known (``staircase``).
     staircase
@@ -66,6 +68,7 @@ class Block:
     delay_index: tuple[int, ...]
     hold_delay_index: tuple[int, ...]
     hold: Complex128
+    share_index: tuple[int, ...]
     staircase_index: tuple[int, ...]
     staircase: Float64
     step: float
@@ -117,34 +120,42 @@ class MissingTorqueProblem:
     """Residual and Jacobian of all records.
 
     The parameter vector is: the structure's, delays [s], staircase parameters [−], column
-    coefficients, extra parameters.
+    hold shares [−], coefficients, extra parameters.
     """
 
     structure: ChainStructure
     blocks: tuple[Block, ...]
     delay_names: tuple[str, ...] = ()
     staircase_names: tuple[str, ...] = ()
+    share_names: tuple[str, ...] = ()
     column_names: tuple[str, ...] = ()
     extra: Extra | None = None
-    staircase_prior: tuple[float, float] = (0.5, 0.5)
-    """Mean and standard deviation: nothing but 0 (continuous) … 1 (held) is physical."""
+    prior: tuple[float, float] = (0.5, 0.5)
+    """Mean and standard deviation of staircase and hold share: only 0 … 1 is physical."""
     fixed: tuple[str, ...] = ()
     """Names of parameters that do not move."""
-    caches: dict[str, object] = field(default_factory=dict)
 
     @property
     def names(self) -> tuple[str, ...]:
         """All parameters."""
         extra = () if self.extra is None else tuple(self.extra.names)
-        return self.structure.names + self.delay_names + self.staircase_names + self.column_names + extra
+        return (
+            self.structure.names
+            + self.delay_names
+            + self.staircase_names
+            + self.share_names
+            + self.column_names
+            + extra
+        )
 
     @property
     def slices(self) -> dict[str, slice]:
-        """Where structure, delay, staircase, column, extra stand."""
+        """Where structure, delay, staircase, share, column, extra stand."""
         counts = {
             "structure": self.structure.count,
             "delay": len(self.delay_names),
             "staircase": len(self.staircase_names),
+            "share": len(self.share_names),
             "column": len(self.column_names),
             "extra": 0 if self.extra is None else len(self.extra.names),
         }
@@ -165,7 +176,8 @@ class MissingTorqueProblem:
         """A full vector from the structure's parameters, the rest at its neutral value."""
         p = np.zeros(len(self.names))
         p[self.slices["structure"]] = structure
-        p[self.slices["staircase"]] = self.staircase_prior[0]
+        p[self.slices["staircase"]] = self.prior[0]
+        p[self.slices["share"]] = self.prior[0]
         return p
 
     # --- evaluation ----------------------------------------------------------------------------
@@ -186,7 +198,7 @@ class MissingTorqueProblem:
         structure, s = self.structure, self.slices
         sp = p[s["structure"]]
         motors = structure.motors
-        factor, hold_part, delay_jac, stair_jac = self._torque_factor(block, p)
+        factor, hold_part, delay_jac, stair_jac, share_jac = self._torque_factor(block, p)
         # r = Zeff Θ − diag(factor) T
         effective = stiffness - _diagonal(hold_part)
         residual = np.einsum("fij,fj->fi", effective, block.position) - factor * block.torque
@@ -229,9 +241,10 @@ class MissingTorqueProblem:
         jacobian[..., s["structure"]] = structure.torque_derivative(sp, block.omega, motion, q[None])[0]
         if block.transient:
             self._boundary_derivative(jacobian, block, sp, motion, ends)
-        hold_torque = block.hold * position
-        jacobian[..., s["delay"]] = -delay_jac[0] * torque[..., None] - delay_jac[1] * hold_torque[..., None]
-        jacobian[..., s["staircase"]] = -stair_jac * (torque + 0.0)[..., None]
+        hold_torque = (block.hold * position)[..., None]
+        jacobian[..., s["delay"]] = -delay_jac[0] * torque[..., None] - delay_jac[1] * hold_torque
+        jacobian[..., s["staircase"]] = -stair_jac * torque[..., None]
+        jacobian[..., s["share"]] = -share_jac * hold_torque
         jacobian[..., columns] = block.columns
         jacobian[..., s["extra"]] = extra_jac
         return State(block, motion, stiffness, inner, residual, jacobian, boundary, covariance, position, q)
@@ -248,9 +261,9 @@ class MissingTorqueProblem:
         # jωq replaced by Δx for dampers.
         pseudo = (jw * shift + speed) * (2.0 / block.span)
         w2 = -(block.omega[:, None] ** 2)
-        mass_like = structure.torque_derivative(sp, block.omega, motion, (pseudo / w2)[None])[0]
+        mass_like = structure.torque_derivative(sp, block.omega, motion, _complex(pseudo / w2)[None])[0]
         damp_like = structure.torque_derivative(
-            sp, block.omega, motion, (shift / jw * (2.0 / block.span))[None]
+            sp, block.omega, motion, _complex(shift / jw * (2.0 / block.span))[None]
         )[0]
         for kind in ("mass", "coupling"):
             part = structure.slices[kind]
@@ -261,8 +274,8 @@ class MissingTorqueProblem:
 
     def _torque_factor(
         self, block: Block, p: Float64
-    ) -> tuple[Complex128, Complex128, tuple[Complex128, Complex128], Complex128]:
-        """A (F, M), its hold part, and derivatives by delays and staircase parameters.
+    ) -> tuple[Complex128, Complex128, tuple[Complex128, Complex128], Complex128, Complex128]:
+        """A (F, M), its hold part, and derivatives by delays, staircase and hold shares.
 
         Acting torque = z₁T + (z₁ − z₂)·H·Θ with z the delays of the command and of the hold: the
         command E = T + HΘ acts with z₁, the hold's −HΘ with z₂.
@@ -278,6 +291,8 @@ class MissingTorqueProblem:
         by_delay = np.zeros((lines, motors, delays.size), dtype=complex)
         by_hold = np.zeros((lines, motors, delays.size), dtype=complex)
         by_stair = np.zeros((lines, motors, stairs.size), dtype=complex)
+        shares = p[s["share"]]
+        by_share = np.zeros((lines, motors, shares.size), dtype=complex)
         for i in range(motors):
             at = block.delay_index[i]
             z = np.exp(-jw * delays[at]) if at >= 0 else np.ones(lines, dtype=complex)
@@ -291,11 +306,15 @@ class MissingTorqueProblem:
             held = block.hold_delay_index[i]
             if held >= 0:
                 z2 = np.exp(-jw * delays[held])
-                hold_part[:, i] = (z - z2) * block.hold[:, i]
-                by_hold[:, i, held] += jw * z2
+                in_share = block.share_index[i]
+                part = shares[in_share] if in_share >= 0 else 1.0
+                hold_part[:, i] = part * (z - z2) * block.hold[:, i]
+                by_hold[:, i, held] += part * jw * z2
                 if at >= 0:
-                    by_hold[:, i, at] += -jw * z
-        return factor, hold_part, (by_delay, by_hold), by_stair
+                    by_hold[:, i, at] += -part * jw * z
+                if in_share >= 0:
+                    by_share[:, i, in_share] = z - z2
+        return factor, hold_part, (by_delay, by_hold), by_stair, by_share
 
     def evaluate(self, p: Float64) -> tuple[Float64, Float64]:
         """Whitened residual (rows,) and Jacobian (rows, free parameters), boundary terms projected out."""
@@ -315,9 +334,10 @@ class MissingTorqueProblem:
                 j = j - basis @ (basis.T @ j)
             residuals.append(r)
             jacobians.append(j)
-        stairs = self.slices["staircase"]
-        for at in range(stairs.start, stairs.stop):
-            mean, std = self.staircase_prior
+        for at in range(self.slices["staircase"].start, self.slices["share"].stop):
+            if not free[at]:
+                continue
+            mean, std = self.prior
             row = np.zeros(p.size)
             row[at] = 1.0 / std
             residuals.append(np.array([(p[at] - mean) / std]))
@@ -331,7 +351,8 @@ class MissingTorqueProblem:
         for block in self.blocks:
             rows += 2 * block.position.size
             rows -= 2 * self.structure.dofs if block.transient else 0
-        return rows + len(self.staircase_names) - int(self.free.sum())
+        priors = int(self.free[self.slices["staircase"].start : self.slices["share"].stop].sum())
+        return rows + priors - int(self.free.sum())
 
     def with_covariance(self, covariances: Sequence[Complex128]) -> MissingTorqueProblem:
         """The same problem with other noise covariances."""
@@ -359,7 +380,12 @@ def condense_dense(
         inverse[:, rows[:, None], rows] = block
         motion[:, rows] = -block @ full[:, rows[:, None], motors]
     stiff = full[:, motors] @ motion
-    return motion, 0.5 * (stiff + stiff.transpose(0, 2, 1)), inverse
+    return motion, _complex(0.5 * (stiff + stiff.transpose(0, 2, 1))), inverse
+
+
+def _complex(values: npt.ArrayLike) -> Complex128:
+    result: Complex128 = np.asarray(values, dtype=np.complex128)
+    return result
 
 
 def _diagonal(values: Complex128) -> Complex128:
@@ -383,59 +409,3 @@ def _stack(values: Complex128) -> Float64:
     """(F, M, n) complex to (2FM, n) real rows."""
     flat = values.reshape(-1, values.shape[-1])
     return np.concatenate((flat.real, flat.imag))
-
-
-def blocks_from_spectra(
-    spectra: Sequence[LineSpectra], *, use: str = "excited"
-) -> tuple[tuple[Block, ...], tuple[str, ...], tuple[str, ...]]:
-    """Blocks, delay names and staircase names of the records.
-
-    ``use`` is "excited" (lines that carry information in a steady state) or "all"; records with
-    boundary terms always use all lines up to the highest excited one.
-    """
-    if not spectra:
-        return (), (), ()
-    motors = spectra[0].axis_count
-    separate = [
-        any(bool(s.driven[i]) for s in spectra) and any(not s.driven[i] for s in spectra)
-        for i in range(motors)
-    ]
-    delay_names = [f"delay.{i}" for i in range(motors)]
-    hold_names = [i for i in range(motors) if separate[i]]
-    delay_names += [f"hold_delay.{i}" for i in hold_names]
-    unknown = [i for i in range(motors) if any(np.isnan(s.staircase[i]) for s in spectra)]
-    stair_names = [f"staircase.{i}" for i in unknown]
-    blocks = []
-    for s in spectra:
-        lines = _used_lines(s, use)
-        own = tuple(
-            i if s.driven[i] or i not in hold_names else motors + hold_names.index(i) for i in range(motors)
-        )
-        stair = tuple(unknown.index(i) if np.isnan(s.staircase[i]) else -1 for i in range(motors))
-        blocks.append(
-            Block(
-                key=s.key,
-                omega=s.omega[lines],
-                position=s.position[lines],
-                torque=s.torque[lines],
-                covariance=s.covariance[lines],
-                span=s.span_s,
-                transient=s.transient,
-                delay_index=own,
-                hold_delay_index=(-1,) * motors,
-                hold=np.zeros((int(lines.sum()), motors), dtype=complex),
-                staircase_index=stair,
-                staircase=np.nan_to_num(s.staircase, nan=0.0),
-                step=1.0 / s.sample_rate_hz,
-                columns=np.zeros((int(lines.sum()), motors, 0), dtype=complex),
-            )
-        )
-    return tuple(blocks), tuple(delay_names), tuple(stair_names)
-
-
-def _used_lines(s: LineSpectra, use: str) -> Bool:
-    lines: Bool = np.array(s.excited, dtype=bool)
-    if s.transient or use == "all":
-        top = np.flatnonzero(lines)
-        lines = np.arange(lines.size) <= (top[-1] if top.size else -1)
-    return lines

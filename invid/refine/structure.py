@@ -91,7 +91,7 @@ class ChainStructure:
     @property
     def count(self) -> int:
         """Length of the parameter vector."""
-        return self.slices["ground_spring"].stop
+        return int(self.slices["ground_spring"].stop)
 
     @cached_property
     def logarithmic(self) -> Bool:

@@ -1,0 +1,147 @@
+"""From spectra to the blocks of the fit: lines, delays, holds, and the noise they start with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from invid.arrays import Bool, Complex128, Float64
+from invid.noise import flat_covariance
+from invid.refine.problem import Block, MissingTorqueProblem
+from invid.refine.structure import ChainStructure
+from invid.spectra import LineSpectra
+
+
+def problem_from_spectra(
+    structure: ChainStructure,
+    spectra: Sequence[LineSpectra],
+    *,
+    lines: str = "excited",
+    noise: str = "floor",
+    boundary: Sequence[bool] | None = None,
+) -> MissingTorqueProblem:
+    """The problem of fitting ``structure`` to the records.
+
+    Parameters
+    ----------
+    lines
+        "excited" (the lines that carry information in a steady state) or "all" up to the highest
+        excited one; records with boundary terms always use all.
+    noise
+        "floor": white noise of each channel, from the lines above the band; "spectra": the
+        covariance in the spectra (from the spread of the periods).
+    boundary
+        Per record, whether it carries boundary terms; default where the spectra say so.
+    """
+    motors = structure.motors
+    driven = np.array([s.driven for s in spectra])
+    # An axis that is driven in some records and held in others gets two delays: the torque of a
+    # position loop inside the drive has its own sampling.
+    both = [i for i in range(motors) if driven[:, i].any() and not driven[:, i].all()]
+    laws = hold_laws(spectra, both)
+    holding = [i for i in both if laws[i] is not None]
+    unknown = [i for i in range(motors) if any(np.isnan(s.staircase[i]) for s in spectra)]
+    blocks = []
+    for number, s in enumerate(spectra):
+        transient = s.transient if boundary is None else boundary[number]
+        used = used_lines(s, everything=transient or lines == "all")
+        own, second, share = [], [], []
+        hold = np.zeros((int(used.sum()), motors), dtype=complex)
+        for i in range(motors):
+            held = motors + both.index(i) if i in both else -1
+            own.append(i if s.driven[i] or held < 0 else held)
+            law = laws[i]
+            works = bool(s.driven[i]) and law is not None
+            second.append(held if works else -1)
+            share.append(holding.index(i) if works else -1)
+            if works and law is not None:
+                hold[:, i] = law[0] + 1j * s.omega[used] * law[1]
+        blocks.append(
+            Block(
+                key=s.key,
+                omega=s.omega[used],
+                position=s.position[used],
+                torque=s.torque[used],
+                covariance=flat_covariance(s.floor, int(used.sum()))
+                if noise == "floor"
+                else s.covariance[used],
+                span=s.span_s,
+                transient=transient,
+                delay_index=tuple(own),
+                hold_delay_index=tuple(second),
+                hold=hold,
+                share_index=tuple(share),
+                staircase_index=tuple(
+                    unknown.index(i) if np.isnan(s.staircase[i]) else -1 for i in range(motors)
+                ),
+                staircase=np.nan_to_num(s.staircase, nan=0.0),
+                step=1.0 / s.sample_rate_hz,
+                columns=np.zeros((int(used.sum()), motors, 0), dtype=complex),
+            )
+        )
+    axes = structure.axes
+    return MissingTorqueProblem(
+        structure,
+        tuple(blocks),
+        delay_names=tuple([f"{a}.time_offset" for a in axes] + [f"{axes[i]}.hold_time_offset" for i in both]),
+        staircase_names=tuple(f"{axes[i]}.held_over_sample" for i in unknown),
+        share_names=tuple(f"{axes[i]}.hold_while_driven" for i in holding),
+    )
+
+
+def used_lines(s: LineSpectra, *, everything: bool) -> Bool:
+    """(F,) the lines of the spectra that enter the fit."""
+    lines: Bool = np.array(s.excited, dtype=bool)
+    if everything:
+        top = np.flatnonzero(lines)
+        lines = np.arange(lines.size) <= (top[-1] if top.size else -1)
+    return lines
+
+
+def hold_laws(spectra: Sequence[LineSpectra], axes: Sequence[int]) -> dict[int, tuple[float, float] | None]:
+    """Proportional and derivative gain of each axis' hold, from the records in which it is held.
+
+    There torque = −(P + jωD)·position; least squares over the excited lines, weighted by the torque
+    noise. ``None`` where an axis is not held by such a law (free, or stiffer than the data show).
+    """
+    laws: dict[int, tuple[float, float] | None] = dict.fromkeys(
+        range(spectra[0].axis_count if spectra else 0)
+    )
+    for i in axes:
+        rows, right = [], []
+        for s in spectra:
+            if s.driven[i]:
+                continue
+            lines = used_lines(s, everything=False)
+            weight = 1.0 / np.sqrt(s.floor[s.axis_count + i])
+            theta = s.position[lines, i] * weight
+            rows.append(np.stack((-theta, -1j * s.omega[lines] * theta), axis=1))
+            right.append(s.torque[lines, i] * weight)
+        matrix, target = np.concatenate(rows), np.concatenate(right)
+        real = np.concatenate((matrix.real, matrix.imag))
+        goal = np.concatenate((target.real, target.imag))
+        if goal.size < 6 or not np.any(goal):
+            continue
+        (gain, damping), *_ = np.linalg.lstsq(real, goal, rcond=None)
+        left = goal - real @ np.array([gain, damping])
+        # The law is believed where it explains nine tenths of the held axis' torque.
+        if float(left @ left) < 0.1 * float(goal @ goal) and gain > 0:
+            laws[i] = (float(gain), float(damping))
+    return laws
+
+
+def with_columns(
+    problem: MissingTorqueProblem, columns: Sequence[Complex128], names: Sequence[str]
+) -> MissingTorqueProblem:
+    """The problem with torque-side columns (F, M, L) per block, one shared coefficient each."""
+    blocks = tuple(replace(b, columns=c) for b, c in zip(problem.blocks, columns, strict=True))
+    return replace(problem, blocks=blocks, column_names=tuple(names))
+
+
+def carried(old: MissingTorqueProblem, p: Float64, new: MissingTorqueProblem) -> Float64:
+    """Parameters of ``new`` by name from those of ``old``; new names start at their neutral value."""
+    start = new.start(p[old.slices["structure"]][: new.structure.count])
+    known = dict(zip(old.names, p, strict=True))
+    return np.array([known.get(name, value) for name, value in zip(new.names, start, strict=True)])

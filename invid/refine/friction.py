@@ -1,0 +1,46 @@
+"""Coulomb friction at the motors as a column of the fit: the spectrum of the sign of the velocity."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from invid.arrays import Bool, Complex128, Float64
+from invid.spectra import LineSpectra
+
+
+def motor_velocity(s: LineSpectra) -> tuple[Float64, Float64]:
+    """(n, M) velocity of the averaged wave and (M,) its noise, both after a Wiener filter.
+
+    Differentiation is spectral; each line is scaled by the share of its power that is signal, so
+    quantisation does not become velocity.
+    """
+    wave = np.asarray(s.position_wave)
+    count, motors = wave.shape
+    step = 1.0 / s.sample_rate_hz
+    ramp = np.zeros(motors)
+    if s.transient and s.periods == 1:
+        # A record that does not close is differentiated without the line between its ends.
+        ramp = (wave[-1] - wave[0]) / ((count - 1) * step)
+        wave = wave - np.arange(count)[:, None] * step * ramp
+    spectrum = np.fft.rfft(wave - wave.mean(axis=0), axis=0)
+    omega = 2 * np.pi * np.fft.rfftfreq(count, step)
+    noise = s.floor[:motors] * (count / 2.0) ** 2
+    power = np.abs(spectrum) ** 2
+    # Lines within four times the noise power are taken for noise (1 line in 50 of pure noise passes).
+    keep = np.where(power > 4.0 * noise, 1.0 - noise / np.maximum(power, 1e-300), 0.0)
+    velocity = np.fft.irfft(1j * omega[:, None] * spectrum * keep, count, axis=0) + ramp
+    left = (omega[:, None] ** 2 * noise * (keep > 0)).sum(axis=0) * 2 / count**2
+    return velocity, np.sqrt(left)
+
+
+def coulomb_columns(s: LineSpectra) -> tuple[Complex128, Bool]:
+    """(F, M) spectrum of sign(velocity) of each motor on all lines, and (M,) whether it moves clearly."""
+    velocity, noise = motor_velocity(s)
+    count = velocity.shape[0]
+    rms = np.sqrt(np.mean(velocity**2, axis=0))
+    smooth = np.maximum(2.0 * noise, 1e-3 * np.maximum(rms, 1e-300))
+    sign = np.tanh(velocity / smooth)
+    lines = np.round(s.frequency_hz * count / s.sample_rate_hz).astype(int)
+    spectrum: Complex128 = np.fft.rfft(sign, axis=0)[lines] * (2.0 / count)
+    moves: Bool = rms > 10.0 * noise
+    return spectrum, moves
