@@ -3,28 +3,37 @@
 from invid.inverse.coupling import branch_sum, coupling, couplings, motor_mass
 from invid.inverse.deflate import peel_all, peel_response, peel_spectrum
 from invid.inverse.eigenvector import Spectrum, checked_spectrum, first_row_of_eigenvectors
+from invid.inverse.from_modes import Gains, chains_of, gains_of, low_frequency_mass
+from invid.inverse.identify import PaperResult, identify_paper, starts
 from invid.inverse.lanczos import LanczosRows, lanczos
 from invid.inverse.paper import Route, chain_from_spectrum, paper_inverse
 from invid.inverse.springs import Branch, inverse_end_mass, last_mass, springs_and_masses
 
 __all__ = [
     "Branch",
+    "Gains",
     "LanczosRows",
+    "PaperResult",
     "Route",
     "Spectrum",
     "branch_sum",
     "chain_from_spectrum",
+    "chains_of",
     "checked_spectrum",
     "coupling",
     "couplings",
     "first_row_of_eigenvectors",
+    "gains_of",
+    "identify_paper",
     "inverse_end_mass",
     "lanczos",
     "last_mass",
+    "low_frequency_mass",
     "motor_mass",
     "paper_inverse",
     "peel_all",
     "peel_response",
     "peel_spectrum",
     "springs_and_masses",
+    "starts",
 ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -42,8 +43,8 @@ def lanczos(poles: npt.ArrayLike, first_row: npt.ArrayLike, steps: int) -> Lancz
     """
     d, u = real_array(poles), real_array(first_row)
     rows = [u / np.sqrt(u @ u)]
-    diagonal: list[np.floating] = []
-    off_diagonal: list[np.floating] = []
+    diagonal: list[Any] = []
+    off_diagonal: list[Any] = []
     remainders: list[npt.NDArray[np.floating]] = []
     for step in range(steps):
         current = rows[-1]
