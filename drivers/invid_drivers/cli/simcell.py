@@ -1,9 +1,62 @@
-"""The command of this name."""
+"""``invid simcell``: the simulated drives alone, in real time, for another master to drive."""
 
 from __future__ import annotations
 
+import signal
+import threading
+from pathlib import Path
+from types import FrameType
+
 import typer
+
+from invid.cli.output import emit, note
 
 
 def register(app: typer.Typer) -> None:
-    """Placeholder until the command lands."""
+    """Add the command."""
+
+    @app.command("simcell")
+    def simcell(
+        config: Path = typer.Argument(..., help="Cell configuration with a section 'simulation'."),
+        duration_s: float | None = typer.Option(
+            None, "--duration", help="Stop by itself after so many seconds.", min=0.0
+        ),
+        as_json: bool = typer.Option(False, "--json", help="Print statistics as one JSON document."),
+    ) -> None:
+        """Run the simulated drives in real time on the bus that CONFIG names, until Ctrl-C."""
+        from invid.config import load_config
+        from invid_drivers.simulated.simcell import run_simcell
+
+        cell = load_config(config)
+        stop, ready = threading.Event(), threading.Event()
+
+        def leave(_number: int, _frame: FrameType | None) -> None:
+            stop.set()
+
+        before = {n: signal.signal(n, leave) for n in (signal.SIGINT, signal.SIGTERM)}
+        timers = [] if duration_s is None else [threading.Timer(duration_s, stop.set)]
+        timers.append(threading.Timer(0.0, _announce, (ready, stop, cell.bus.interface, cell.bus.channel)))
+        try:
+            for timer in timers:
+                timer.daemon = True
+                timer.start()
+            statistics = run_simcell(cell, stop, ready=ready)
+        finally:
+            stop.set()
+            for timer in timers:
+                timer.cancel()
+            for number, handler in before.items():
+                signal.signal(number, handler)
+        lines = [
+            f"simulated cell ran {statistics.duration_s:.1f} s: {statistics.syncs} SYNC, "
+            f"{statistics.frames_received} frames received, {statistics.frames_sent} sent"
+        ]
+        lines += [f"  {d['axis']} (node {d['node_id']}): {d['state']}" for d in statistics.drives]
+        emit(statistics.to_json(), "\n".join(lines), as_json=as_json)
+
+
+def _announce(ready: threading.Event, stop: threading.Event, interface: str, channel: str) -> None:
+    while not stop.is_set():
+        if ready.wait(0.05):
+            note(f"simulated cell is ready on {interface} {channel}; Ctrl-C ends it")
+            return

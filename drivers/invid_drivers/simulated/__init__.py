@@ -4,5 +4,13 @@ from __future__ import annotations
 
 from invid_drivers.simulated.bus import VirtualTimeBus, open_virtual_bus
 from invid_drivers.simulated.config import SimulationConfig, simulation_of, truth
+from invid_drivers.simulated.simcell import run_simcell
 
-__all__ = ["SimulationConfig", "VirtualTimeBus", "open_virtual_bus", "simulation_of", "truth"]
+__all__ = [
+    "SimulationConfig",
+    "VirtualTimeBus",
+    "open_virtual_bus",
+    "run_simcell",
+    "simulation_of",
+    "truth",
+]

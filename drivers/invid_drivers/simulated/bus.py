@@ -8,16 +8,16 @@ What is modelled and what is not stands in docs/explanations/simulated-cell.md.
 
 from __future__ import annotations
 
-import heapq
 from collections import deque
 from collections.abc import Callable
+from heapq import heappop, heappush
 from pathlib import Path
 from typing import Any
 
 import can
-import yaml
 from can import BusABC, Message
 
+from invid.config import load_config
 from invid.config.schema import CellConfig
 from invid.errors import InvidError
 from invid_drivers.simulated.cell import NEVER, SimulatedCell
@@ -56,13 +56,15 @@ class VirtualWire:
         self.cell = cell
         self.now_ns = 0
         self._frame_ns = [round(frame_bits(n) * _NS / bitrate) for n in range(9)]
-        self._host: deque[tuple[int, bytes, int]] = deque()
+        # frames: identifier, the port that sent it (nodes: a negative running number), data
+        self._host: deque[tuple[int, int, bytes]] = deque()
         self._nodes: list[tuple[int, int, bytes]] = []
         self._late: list[tuple[int, int, int, bytes]] = []
         self._count = 0
-        self._busy: tuple[int, bytes, int] | None = None
+        self._busy: tuple[int, int, bytes] | None = None
         self._busy_until = 0
-        self.inboxes: list[deque[tuple[int, int, bytes]]] = []
+        self.inboxes: list[deque[tuple[int, int, bytes]] | None] = []
+        self.sole_inbox: deque[tuple[int, int, bytes]] | None = None
         self.limit = cell.simulation.tx_queue_frames
         self.frames = 0
         self.busy_ns = 0
@@ -81,58 +83,88 @@ class VirtualWire:
             raise can.CanOperationError(
                 f"send queue full: {self.limit} frames wait for the wire; the bus is overloaded", 105
             )
-        self._host.append((can_id, data, sender))
+        self._host.append((can_id, sender, data))
 
     def _from_node(self, can_id: int, data: bytes, delay_ns: int) -> None:
         self._count += 1
         if delay_ns:
-            heapq.heappush(self._late, (self.now_ns + delay_ns, self._count, can_id, data))
+            heappush(self._late, (self.now_ns + delay_ns, self._count, can_id, data))
         else:
-            heapq.heappush(self._nodes, (can_id, self._count, data))
+            heappush(self._nodes, (can_id, self._count - NEVER, data))
 
     def run(self, limit_ns: int, inbox: deque[tuple[int, int, bytes]] | None) -> None:
         """Let time pass to ``limit_ns``, or until ``inbox`` has a frame."""
-        cell, host, nodes, late = self.cell, self._host, self._nodes, self._late
+        cell, host, nodes, late, frame_ns = self.cell, self._host, self._nodes, self._late, self._frame_ns
+        busy, busy_until = self._busy, self._busy_until
         while True:
-            if self._busy is None and (host or nodes):
+            if busy is None:
                 if nodes and not (host and host[0][0] <= nodes[0][0]):
-                    can_id, _, data = heapq.heappop(nodes)
-                    self._busy = (can_id, data, -1)
-                else:
-                    self._busy = host.popleft()
-                    data = self._busy[1]
-                length = self._frame_ns[len(data)]
-                self._busy_until = self.now_ns + length
-                self.busy_ns += length
-            due = self._busy_until if self._busy is not None else NEVER
+                    busy = heappop(nodes)
+                elif host:
+                    busy = host.popleft()
+                if busy is not None:
+                    length = frame_ns[len(busy[2])]
+                    busy_until = self.now_ns + length
+                    self.busy_ns += length
+            due = cell.due_ns
             if late and late[0][0] < due:
                 due = late[0][0]
-            if cell.due_ns < due:
-                due = cell.due_ns
-            if due > limit_ns:
-                if limit_ns > self.now_ns:
-                    self.now_ns = limit_ns
-                return
-            if due > self.now_ns:
-                self.now_ns = due
-            if self._busy is not None and self._busy_until == due:
-                can_id, data, sender = self._busy
-                self._busy = None
+            if busy is not None and busy_until <= due:
+                if busy_until > limit_ns:
+                    break
+                self.now_ns = due = busy_until
+                can_id, sender, data = busy
+                busy = None
                 self.frames += 1
-                if sender < 0 and cell.master_off:
-                    continue
-                cell.receive(can_id, data, due) if sender >= 0 else cell.deliver(can_id, data, due)
-                for number, box in enumerate(self.inboxes):
-                    if number != sender:
-                        box.append((due, can_id, data))
+                if sender >= 0:
+                    self._busy = None  # the handlers may come back to this wire
+                    cell.receive(can_id, data, due)
+                    if self.sole_inbox is None:
+                        self._spread(due, can_id, data, sender)
+                elif not cell.master_off:
+                    sole = self.sole_inbox
+                    if sole is not None:
+                        sole.append((due, can_id, data))
+                    else:
+                        self._spread(due, can_id, data, -1)
+                    cell.deliver(can_id, data, due)
                 if inbox:
+                    self._busy = None
                     return
-            elif cell.due_ns <= due:
-                cell.now_ns = due
-                cell.run_timers(due)
+            elif due > limit_ns:
+                break
             else:
-                _, count, can_id, data = heapq.heappop(late)
-                heapq.heappush(nodes, (can_id, count, data))
+                if due > self.now_ns:
+                    self.now_ns = due
+                if cell.due_ns <= due:
+                    cell.run_timers(self.now_ns)
+                else:
+                    _, count, can_id, data = heappop(late)
+                    heappush(nodes, (can_id, count - NEVER, data))
+        self._busy, self._busy_until = busy, busy_until
+        if limit_ns > self.now_ns:
+            self.now_ns = limit_ns
+
+    def _spread(self, now_ns: int, can_id: int, data: bytes, sender: int) -> None:
+        for number, box in enumerate(self.inboxes):
+            if box is not None and number != sender:
+                box.append((now_ns, can_id, data))
+
+    def open_inbox(self) -> tuple[int, deque[tuple[int, int, bytes]]]:
+        """A further port on the wire."""
+        box: deque[tuple[int, int, bytes]] = deque()
+        self.inboxes.append(box)
+        self._find_sole()
+        return len(self.inboxes) - 1, box
+
+    def close_inbox(self, number: int) -> None:
+        """Port ``number`` listens no longer."""
+        self.inboxes[number] = None
+        self._find_sole()
+
+    def _find_sole(self) -> None:
+        open_boxes = [box for box in self.inboxes if box is not None]
+        self.sole_inbox = open_boxes[0] if len(open_boxes) == 1 else None
 
 
 _WIRES: dict[str, VirtualWire] = {}
@@ -159,9 +191,7 @@ class VirtualTimeBus(BusABC):
         self.wire = wire if wire is not None else _find_wire(str(channel))
         self.clock = VirtualClock(self.wire)
         self.channel_info = f"invid-virtual {channel}"
-        self._inbox: deque[tuple[int, int, bytes]] = deque()
-        self._number = len(self.wire.inboxes)
-        self.wire.inboxes.append(self._inbox)
+        self._number, self._inbox = self.wire.open_inbox()
         self._error_shown = False
         super().__init__(channel=channel, can_filters=can_filters)
 
@@ -242,8 +272,12 @@ class VirtualTimeBus(BusABC):
         self.wire._host.clear()
 
     def shutdown(self) -> None:
-        """Close this port."""
+        """Close this port; the last one to close ends the cell's name."""
+        if not self._is_shutdown:
+            self.wire.close_inbox(self._number)
         super().shutdown()
+        if any(box is not None for box in self.wire.inboxes):
+            return
         for name in [n for n, wire in _WIRES.items() if wire is self.wire]:
             del _WIRES[name]
 
@@ -261,9 +295,9 @@ def _find_wire(channel: str) -> VirtualWire:
             f"invid-virtual: {channel!r} is neither a running simulated cell nor a config file"
         )
     try:
-        config = CellConfig.model_validate(yaml.safe_load(path.read_text(encoding="utf-8")))
+        config = load_config(path)
         return VirtualWire(SimulatedCell(config), config.bus.bitrate_bit_per_s)
-    except (ValueError, InvidError, yaml.YAMLError) as error:
+    except InvidError as error:
         raise can.CanInitializationError(f"invid-virtual: {channel}: {error}") from None
 
 

@@ -135,6 +135,7 @@ class SimulatedCell:
         node.application = drive
         command = self.plant.command[row]
         command[kernel.RATED] = rated
+        command[kernel.DIRECTION] = axis.direction
         command[kernel.COUNTS_PER_UNIT] = counts_per_unit
         command[kernel.TORQUE_STEPS] = settings.torque_steps_permille
         command[kernel.LAG] = _lag(self.plant.h, settings.current_loop_s)
@@ -184,26 +185,24 @@ class SimulatedCell:
     # --- in from the bus -----------------------------------------------------------------------
     def receive(self, can_id: int, data: bytes, now_ns: int) -> None:
         """A frame from the master, complete on the wire at ``now_ns``."""
-        self.now_ns = max(now_ns, self.now_ns)
+        self.now_ns = now_ns
         self.frames_in += 1
         if self.frame_faults:
             for late, changed in disturb(self.frame_faults, can_id, data, self._fault_random):
                 if late:
                     self.schedule(now_ns + round(late * _NS), self._later(can_id, changed))
                 else:
-                    self.deliver(can_id, changed, self.now_ns)
+                    self.deliver(can_id, changed, now_ns)
         else:
-            self.deliver(can_id, data, self.now_ns)
+            for handler in (self._dispatch or self._wire_up()).get(can_id, ()):
+                handler(data, now_ns)
 
     def _later(self, can_id: int, data: bytes) -> Callable[[int], None]:
         return lambda now_ns: self.deliver(can_id, data, now_ns)
 
     def deliver(self, can_id: int, data: bytes, now_ns: int) -> None:
         """Hand a frame to every node that listens to it."""
-        dispatch = self._dispatch
-        if dispatch is None:
-            dispatch = self._wire_up()
-        for handler in dispatch.get(can_id, ()):
+        for handler in (self._dispatch or self._wire_up()).get(can_id, ()):
             handler(data, now_ns)
 
     def _wire_up(self) -> dict[int, list[Handler]]:
@@ -247,7 +246,7 @@ class SimulatedCell:
             kept = None
         for i, drive in enumerate(self.drives):
             if kept is None or kept[i]:
-                drive.measured = rows[i]  # type: ignore[assignment]
+                drive.measured = rows[i]
 
     # --- time ----------------------------------------------------------------------------------
     def run_timers(self, now_ns: int) -> None:
@@ -294,6 +293,8 @@ class SimulatedCell:
     def begin_fault(self, fault: FaultConfig, now_ns: int) -> None:
         """Let a fault happen now; tests and campaigns call it directly as well."""
         undo = self._start_fault(fault, now_ns)
+        for drive in self.drives:
+            drive.unsettle()
         if fault.duration_s is not None and undo is not None:
             self.schedule(now_ns + round(fault.duration_s * _NS), undo)
 
@@ -340,6 +341,8 @@ class SimulatedCell:
 
         def undo(_now: int) -> None:
             setattr(target, name, before)
+            if isinstance(target, Drive):
+                target.unsettle()
             then()
 
         return undo
@@ -362,7 +365,7 @@ class SimulatedCell:
             value += drive.direction * fault.counts / drive.counts_per_unit
         elif kind == "encoder_stuck":
             command[kernel.STUCK_AT] = (
-                drive.measured[0] / drive.counts_per_unit - command[kernel.ENCODER_OFFSET]
+                drive.measured[3] / drive.counts_per_unit - command[kernel.ENCODER_OFFSET]
             )
             column, value = kernel.STUCK, 1.0
         elif kind == "sign_flip":

@@ -5,12 +5,14 @@ Units stand in the keys. For a linear axis read N for Nm and m for rad: both spe
 
 from __future__ import annotations
 
-from typing import Any, Literal
+import re
+from typing import Any
 
-from pydantic import AliasChoices, Field, ValidationError, model_validator
+from pydantic import AliasChoices, Field, ValidationError, field_validator, model_validator
 
 from invid.chains import CoupledChains, case_study
-from invid.config.schema import CellConfig, Strict
+from invid.config.experiments import Strict
+from invid.config.schema import CellConfig
 from invid.errors import ConfigError, ModelError
 from invid_drivers.simulated.faults import FaultConfig
 from invid_drivers.simulated.vendors import PROFILES
@@ -43,8 +45,8 @@ class PlantConfig(Strict):
 
     case_study: bool = False
     damping_ratio: float = Field(default=0.0, ge=0, lt=1)
-    branches: list[BranchConfig] = []
-    couplings: list[CouplingConfig] = []
+    branches: list[BranchConfig] = Field(default_factory=list)
+    couplings: list[CouplingConfig] = Field(default_factory=list)
     substep_s: float = Field(default=0.00025, gt=0, le=0.005)
     """Longest sub-step; the drives' inner position loops run once in each."""
 
@@ -81,13 +83,29 @@ class FrictionConfig(Strict):
 class ObjectsConfig(Strict):
     """How one drive's object dictionary departs from the generic one."""
 
-    profile: Literal[tuple(PROFILES)] = "generic"  # type: ignore[valid-type]
-    lacks: list[str] = []
+    profile: str = "generic"
+    """Row of the table in ``vendors``."""
+    lacks: list[str] = Field(default_factory=list)
     """Objects that do not exist, as "0x6072"."""
-    values: dict[str, int | str] = {}
+    values: dict[str, int | str] = Field(default_factory=dict)
     """Start values, as "0x605A": 6 or "0x608F:1": 4096."""
-    not_mappable: list[str] = []
+    not_mappable: list[str] = Field(default_factory=list)
     dummy_mapping: bool | None = None
+
+    @field_validator("profile")
+    @classmethod
+    def _known(cls, value: str) -> str:
+        if value not in PROFILES:
+            raise ValueError(f"unknown profile; known are {list(PROFILES)}")
+        return value
+
+    @field_validator("lacks", "values", "not_mappable")
+    @classmethod
+    def _addresses(cls, value: Any) -> Any:
+        for name in value:
+            if not re.fullmatch(r"0[xX][0-9a-fA-F]{1,4}(:\d{1,3})?", name):
+                raise ValueError(f'{name!r} is no object; write "0x6072" or "0x607D:1"')
+        return value
 
 
 class AxisSimulation(Strict):
@@ -135,7 +153,7 @@ class EffectConfig(Strict):
     element: str | None = None
     """"mass q" or "spring s", counted from the motor; default mass 1 or spring 1."""
     other_axis: str | None = None
-    parameters: dict[str, float] = {}
+    parameters: dict[str, float] = Field(default_factory=dict)
 
 
 class SimulationConfig(Strict):
@@ -144,9 +162,9 @@ class SimulationConfig(Strict):
     seed: int = Field(default=0, ge=0)
     plant: PlantConfig
     defaults: AxisSimulation = AxisSimulation()
-    axes: dict[str, AxisSimulation] = {}
-    effects: list[EffectConfig] = []
-    faults: list[FaultConfig] = []
+    axes: dict[str, AxisSimulation] = Field(default_factory=dict)
+    effects: list[EffectConfig] = Field(default_factory=list)
+    faults: list[FaultConfig] = Field(default_factory=list)
     tx_queue_frames: int = Field(default=256, ge=1)
     """Frames that the master may have waiting on the virtual bus."""
     boot_s: float = Field(default=0.002, ge=0, le=60)
@@ -240,12 +258,7 @@ def _coupling_matrix(couplings: list[CouplingConfig], names: list[str]) -> list[
 
 def _dampers(branch: BranchConfig, ratio: float) -> list[float]:
     """d = 2ζ√(K·m_reduced) of the two masses each spring joins."""
-    values: list[float] = []
+    values: list[float] = Field(default_factory=list)
     for k, a, b in zip(branch.springs, branch.masses[:-1], branch.masses[1:], strict=False):
         values.append(2.0 * ratio * max(k * a * b / (a + b), 0.0) ** 0.5)
     return values
-
-
-def as_mapping(simulation: SimulationConfig) -> dict[str, Any]:
-    """Plain data, for writing a config."""
-    return simulation.model_dump(mode="json", exclude_defaults=True)

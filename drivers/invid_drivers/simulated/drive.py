@@ -10,7 +10,7 @@ from collections import deque
 
 from invid.errors import ConfigError
 from invid_drivers.simulated import kernel
-from invid_drivers.simulated.node import Node, Nmt
+from invid_drivers.simulated.node import Nmt, Node
 from invid_drivers.simulated.object_dictionary import Entry, ObjectDictionary, SdoAbort
 from invid_drivers.simulated.plant import Plant
 from invid_drivers.simulated.state_machine import Command, State, command_of, transition
@@ -50,10 +50,11 @@ class Drive:
         self._gains, self._brake_torque, self._cycle_s = gains, brake_torque, cycle_s
         self._radians_per_rev = 0.0 if linear else 2.0 * math.pi
         self._delay: deque[float] = deque([0.0] * delay_cycles)
-        self._lag: deque[float] = deque([0.0] * lag_cycles)
+        self._lag: deque[int] = deque([0] * lag_cycles)
         self._command = plant.command[row]
         self.state = State.SWITCH_ON_DISABLED
-        self.measured = (0.0, 0.0, 0.0)
+        self.measured = [0, 0, 0, 0]
+        """Counts, counts/s, thousandths of rated torque; counts in the plant's sign."""
         self.synchronous = False
         """True while a tick comes from a SYNC."""
         # what faults set
@@ -85,6 +86,8 @@ class Drive:
         self._controlword = 0
         self.mode = 0
         self._after_stop: State | None = None
+        self._steady = False
+        self._shown_nmt = Nmt.INITIALISING
         self._stop_deadline_ns = 0
         self._demand = 0.0
         self._target_counts: int | None = None
@@ -104,6 +107,7 @@ class Drive:
             raise SdoAbort(SdoAbort.RANGE)
 
     def _enter(self, state: State) -> None:
+        self._steady = False
         energised = state in _ENERGISED
         if energised and self.state not in _ENERGISED:
             self._target_counts = None
@@ -118,6 +122,10 @@ class Drive:
         released = energised and not self.brake_stuck
         self._command[kernel.BRAKE] = 0.0 if released else self._brake_torque
 
+    def unsettle(self) -> None:
+        """Look at everything in the next tick: something changed from outside."""
+        self._steady = False
+
     def refresh_brake(self) -> None:
         """Apply a change of ``brake_stuck``."""
         self._command[kernel.BRAKE] = (
@@ -127,11 +135,28 @@ class Drive:
     # --- one step --------------------------------------------------------------------------------
     def tick(self, now_ns: int) -> None:
         """Feedback, commands, modes, supervision, statusword."""
-        self._feedback()
-        word = int(self._e_controlword.value)
-        if word != self._controlword or (
-            self.state is State.SWITCHED_ON and command_of(word, word) is Command.ENABLE_OPERATION
+        self._e_position.value, self._e_velocity.value, permille, _ = self.measured
+        self._e_torque.value = self._lagged(permille) if self._lag else permille
+        word: int = self._e_controlword.value  # type: ignore[assignment]
+        if (
+            self._steady
+            and word == self._controlword
+            and self._e_mode.value == self.mode
+            and self.node.state is self._shown_nmt
         ):
+            limited = self._internal_limit
+            self._operate(now_ns)
+            self._supervise(now_ns)
+            if limited is not self._internal_limit or self._following or not self._steady:
+                self._show()
+        else:
+            self._step(word, now_ns)
+        self._last_ns = now_ns
+        self.synchronous = False
+
+    def _step(self, word: int, now_ns: int) -> None:
+        """A tick in which something may change."""
+        if word != self._controlword:
             self._control(word, now_ns)
         self._select_mode()
         if self._after_stop is not None:
@@ -140,23 +165,18 @@ class Drive:
             self._operate(now_ns)
         if self.state is State.OPERATION_ENABLED:
             self._supervise(now_ns)
-        self._last_ns = now_ns
-        self.synchronous = False
         self._show()
+        # a ramp changes bit 10 of the statusword by itself, so profile torque is never steady
+        self._steady = (
+            self.state is State.OPERATION_ENABLED and self._after_stop is None and self.mode != PROFILE_TORQUE
+        )
 
-    def _feedback(self) -> None:
-        counts, speed, permille = self.measured
-        d = self.direction
-        value = int(counts) * d & 0xFFFFFFFF
-        self._e_position.value = value - 0x100000000 if value & 0x80000000 else value
-        self._e_velocity.value = max(-0x80000000, min(0x7FFFFFFF, int(speed) * d))
-        if self._lag:
-            if self.synchronous:
-                self._lag.append(permille)
-                permille = self._lag.popleft()
-            else:
-                permille = self._lag[0]
-        self._e_torque.value = max(-32768, min(32767, int(permille) * d))
+    def _lagged(self, permille: int) -> int:
+        """0x6077 as it was some cycles ago."""
+        if not self.synchronous:
+            return self._lag[0]
+        self._lag.append(permille)
+        return self._lag.popleft()
 
     def _control(self, word: int, now_ns: int) -> None:
         previous, self._controlword = self._controlword, word
@@ -174,9 +194,7 @@ class Drive:
             return
         if number == 11:
             self._quick_stop(now_ns)
-        elif number == 5 and od.number(0x605C, missing=0) == 1:
-            self._begin_stop(target, od.number(0x6084, missing=0), now_ns)
-        elif number == 8 and od.number(0x605B, missing=0) == 1:
+        elif number in (5, 8) and od.number(0x605C if number == 5 else 0x605B, missing=0) == 1:
             self._begin_stop(target, od.number(0x6084, missing=0), now_ns)
         elif number == 15:
             od.entry(0x603F).value = 0
@@ -191,6 +209,7 @@ class Drive:
         wanted = int(self._e_mode.value)
         if wanted == self.mode:
             return
+        self._steady = False
         if wanted == 0 or self.node.od.number(0x6502) & _MODE_BITS.get(wanted, 0):
             self.mode = wanted
             self._target_counts = None
@@ -232,7 +251,7 @@ class Drive:
 
     def _here(self) -> float:
         """Position reference equal to what the encoder shows."""
-        return self.measured[0] / self.counts_per_unit
+        return self.measured[3] / self.counts_per_unit
 
     def _hold_here(self, speed: float = 0.0, deceleration: float = 0.0) -> None:
         command = self._command
@@ -267,12 +286,13 @@ class Drive:
     # --- stopping --------------------------------------------------------------------------------
     def _begin_stop(self, target: State, deceleration_counts: int, now_ns: int) -> None:
         """Decelerate under position control; enter ``target`` at standstill."""
-        speed = self.measured[1] / self.counts_per_unit
+        speed = self.direction * self.measured[1] / self.counts_per_unit
         deceleration = deceleration_counts / self.counts_per_unit
         if deceleration <= 0.0:
             self._enter(target)
             return
         self._hold_here(speed, deceleration)
+        self._steady = False
         self._after_stop = target
         # the ramp and a tenth of a second to settle; then the drive gives up on standstill
         self._stop_deadline_ns = now_ns + round((abs(speed) / deceleration + 0.1) * 1e9)
@@ -343,22 +363,19 @@ class Drive:
         self._window = math.inf if window == _UNLIMITED else float(window)
 
     def _supervise(self, now_ns: int) -> None:
-        counts, speed, _ = self.measured
+        position, speed, _, _ = self.measured
         if not -self._fastest <= speed <= self._fastest:
             self.fail(OVERSPEED, 0x20, now_ns)
             return
-        position: int = self._e_position.value  # type: ignore[assignment]
         low, high = self._range
-        if not low <= position <= high:
-            outward = int(self._e_velocity.value)
-            if (position > high and outward > 0) or (position < low and outward < 0):
-                self.fail(REFERENCE_LIMIT, 0x20, now_ns)
-                return
+        if (position > high and speed > 0) or (position < low and speed < 0):
+            self.fail(REFERENCE_LIMIT, 0x20, now_ns)
+            return
         self._following = False
         window = self._window
         if self.mode == CYCLIC_POSITION and window != math.inf and self._target_counts is not None:
             demand = self._command[kernel.POSITION] * self.counts_per_unit
-            if abs(demand - counts) > window:
+            if abs(demand - self.measured[3]) > window:
                 self._following = True
                 if self._lost_ns is None:
                     self._lost_ns = now_ns
@@ -370,6 +387,7 @@ class Drive:
     def _show(self) -> None:
         """Statusword and mode display."""
         state = self.state
+        self._shown_nmt = self.node.state
         word = state | 0x10  # voltage enabled
         if state in (State.FAULT, State.FAULT_REACTION_ACTIVE):
             word |= 0x20

@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from invid.config.schema import Strict
+from invid.config.experiments import Strict
 
 FRAME_FAULTS = ("drop", "delay", "duplicate", "corrupt")
 DRIVE_FAULTS = (

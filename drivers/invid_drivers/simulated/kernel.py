@@ -13,19 +13,21 @@ Written independently of ``invid.simulate`` and of the estimators.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, TypeVar
+from collections.abc import Callable
+from typing import TypeVar, cast
 
+import numba
 import numpy as np
 
 from invid.arrays import Float64, Int64
 
-if TYPE_CHECKING:
-    _F = TypeVar("_F")
+_Function = TypeVar("_Function", bound=Callable[..., object])
 
-    def njit(**options: Any) -> Any:
-        """numba's decorator, which has no type information."""
-else:
-    from numba import njit
+
+def _compiled(function: _Function) -> _Function:
+    """numba's decorator with the type of what it decorates."""
+    return cast(_Function, numba.njit(cache=True)(function))
+
 
 # columns of the command table, one row per motor
 MODE, TORQUE, POSITION, VELOCITY, DECELERATION, INTERPOLATE, GAIN_P, GAIN_D, LIMIT, BRAKE = range(10)
@@ -34,8 +36,8 @@ TORQUE_GAIN, SATURATION, LAG, HIDDEN_LAG, DELAY = range(10, 15)
 ENCODER_SIGN, ENCODER_OFFSET, STUCK, STUCK_AT, COUNTS_PER_UNIT, ECCENTRICITY, ECCENTRICITY_PHASE = range(
     15, 22
 )
-BLEND, RATED, TORQUE_STEPS = range(22, 25)
-COMMAND_COLUMNS = 25
+BLEND, RATED, TORQUE_STEPS, DIRECTION = range(22, 26)
+COMMAND_COLUMNS = 26
 
 MODE_OFF, MODE_TORQUE, MODE_POSITION = 0.0, 1.0, 2.0
 
@@ -55,7 +57,7 @@ FRICTION_COLUMNS = 6
 _SWEEPS = 60  # of projected Gauss-Seidel; two or three are used, the cap only bounds the time
 
 
-@njit(cache=True)
+@_compiled
 def _nonlinear(
     q: Float64, n: int, elements: Float64, memory: Float64, force: Float64, update: bool
 ) -> None:  # pragma: no cover - compiled
@@ -100,7 +102,7 @@ def _nonlinear(
             force[b] += f
 
 
-@njit(cache=True)
+@_compiled
 def _motors(
     q: Float64, n: int, motors: Int64, command: Float64, state: Float64, ring: Float64, slot: int, h: float
 ) -> None:  # pragma: no cover - compiled
@@ -153,7 +155,7 @@ def _motors(
         state[i, ACTING] = min(max(acting, -row[SATURATION]), row[SATURATION])
 
 
-@njit(cache=True)
+@_compiled
 def _friction(
     q: Float64, free: Float64, n: int, gamma: Float64, friction: Float64, level: Float64, command: Float64
 ) -> None:  # pragma: no cover - compiled
@@ -198,7 +200,7 @@ def _friction(
                 free[k] += gamma[k, a] * level[i]
 
 
-@njit(cache=True)
+@_compiled
 def advance(
     q: Float64,
     steps: int,
@@ -257,19 +259,21 @@ def advance(
     return slot
 
 
-@njit(cache=True)
+@_compiled
 def sample(
-    q: Float64, rest: float, motors: Int64, command: Float64, state: Float64, noise: Float64, out: Float64
+    q: Float64, rest: float, motors: Int64, command: Float64, state: Float64, noise: Float64, out: Int64
 ) -> None:  # pragma: no cover - compiled
     """What the drives report ``rest`` seconds after the last sub-step.
 
-    Columns of ``out``: counts, counts per second, torque in thousandths of rated. ``noise`` holds
+    Columns of ``out``: counts (32 bits, wrapped), counts per second, torque in thousandths of rated,
+    all with the drive's own sign; then counts in the plant's sign, not wrapped. ``noise`` holds
     position noise in counts and torque noise in thousandths.
     """
     n = q.shape[0] // 2
     for i in range(motors.shape[0]):
         row = command[i]
         a = motors[i]
+        sign = row[DIRECTION]
         velocity = q[n + a] + state[i, ACCELERATION] * rest
         angle = q[a] + (q[n + a] + 0.5 * state[i, ACCELERATION] * rest) * rest
         if row[STUCK] == 0.0:
@@ -277,15 +281,23 @@ def sample(
             velocity *= row[ENCODER_SIGN]
         else:
             seen, velocity = row[STUCK_AT], 0.0
-        out[i, 0] = math.floor((seen + row[ENCODER_OFFSET]) * row[COUNTS_PER_UNIT] + noise[i, 0] + 0.5)
-        out[i, 1] = math.floor(velocity * row[COUNTS_PER_UNIT] + 0.5)
-        permille = state[i, RECORDED] / row[RATED] * 1000.0 + noise[i, 1]
-        out[i, 2] = math.floor(permille / row[TORQUE_STEPS] + 0.5) * row[TORQUE_STEPS]
+        counts = math.floor((seen + row[ENCODER_OFFSET]) * row[COUNTS_PER_UNIT] + noise[i, 0] + 0.5)
+        counts = min(max(counts, -9e18), 9e18)
+        out[i, 3] = int(counts)
+        wrapped = (int(sign) * int(counts)) & 0xFFFFFFFF
+        out[i, 0] = wrapped - 0x100000000 if wrapped >= 0x80000000 else wrapped
+        speed = math.floor(sign * velocity * row[COUNTS_PER_UNIT] + 0.5)
+        out[i, 1] = int(min(max(speed, -2147483648.0), 2147483647.0))
+        permille = sign * state[i, RECORDED] / row[RATED] * 1000.0 + noise[i, 1]
+        permille = math.floor(permille / row[TORQUE_STEPS] + 0.5) * row[TORQUE_STEPS]
+        out[i, 2] = int(min(max(permille, -32768.0), 32767.0))
 
 
 def empty_tables(motors: int) -> tuple[Float64, Float64]:
     """Command and state tables of ``motors`` drives that do nothing and distort nothing."""
     command = np.zeros((motors, COMMAND_COLUMNS))
-    command[:, [TORQUE_GAIN, LAG, HIDDEN_LAG, ENCODER_SIGN, COUNTS_PER_UNIT, RATED, TORQUE_STEPS]] = 1.0
+    command[
+        :, [TORQUE_GAIN, LAG, HIDDEN_LAG, ENCODER_SIGN, COUNTS_PER_UNIT, RATED, TORQUE_STEPS, DIRECTION]
+    ] = 1.0
     command[:, [LIMIT, SATURATION]] = np.inf
     return command, np.zeros((motors, STATE_COLUMNS))

@@ -43,7 +43,7 @@ class Plant:
         self._work = np.zeros((3, 2 * n))
         self._slot = 0
         self._steps_done = 0
-        self.measured = np.zeros((motors, 3))
+        self.measured = np.zeros((motors, 4), dtype=np.int64)
         self._ring = np.zeros((motors, 4))
         self._changes = list(structure.changes)
         self._set_matrices(0.0)
@@ -100,8 +100,8 @@ class Plant:
                 self._set_matrices(time_ns / _NS)
                 self._next_change_ns = self._change_due(time_ns)
 
-    def measure(self, now_ns: int, noise: Float64) -> list[list[float]]:
-        """Counts, counts/s and torque (thousandths of rated) of every drive at ``now_ns``.
+    def measure(self, now_ns: int, noise: Float64) -> list[list[int]]:
+        """What ``kernel.sample`` gives for every drive at ``now_ns``.
 
         ``noise`` (M, 2): counts and thousandths.
         """
@@ -109,7 +109,7 @@ class Plant:
         kernel.sample(
             self.state, rest, self.structure.motors, self.command, self.motor_state, noise, self.measured
         )
-        values: list[list[float]] = self.measured.tolist()
+        values: list[list[int]] = self.measured.tolist()
         return values
 
     def blend_at(self, now_ns: int) -> float:

@@ -1,0 +1,194 @@
+"""The simulated drives in real time, on any python-can bus, for a master in another process."""
+
+from __future__ import annotations
+
+import gc
+import threading
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+import can
+from can import BusABC, Message
+
+from invid.config.schema import CellConfig
+from invid.errors import BusError
+from invid_drivers.simulated.cell import NEVER, SimulatedCell
+from invid_drivers.simulated.unix_bus import UnixHub
+
+_NS = 1_000_000_000
+_LONGEST_WAIT_NS = 20_000_000
+"""How long the loop may sleep before it looks at the stop event: 20 ms is not felt at a Ctrl-C."""
+
+
+@dataclass
+class SimcellStatistics:
+    """What a run of the simulated cell did."""
+
+    duration_s: float = 0.0
+    frames_received: int = 0
+    frames_sent: int = 0
+    frames_not_sent: int = 0
+    syncs: int = 0
+    late_max_s: float = 0.0
+    """Worst lateness of a timer."""
+    drives: list[dict[str, Any]] = field(default_factory=list)
+
+    def to_json(self) -> dict[str, Any]:
+        """Document of ``invid simcell --json``."""
+        return {
+            "format": "invid-simcell",
+            "format_version": 1,
+            "simulated": True,
+            "duration_s": self.duration_s,
+            "frames_received": self.frames_received,
+            "frames_sent": self.frames_sent,
+            "frames_not_sent": self.frames_not_sent,
+            "syncs": self.syncs,
+            "late_max_s": self.late_max_s,
+            "drives": self.drives,
+        }
+
+
+def open_cell_bus(config: CellConfig) -> BusABC:
+    """The drives' side of the bus that the config names.
+
+    Raises
+    ------
+    BusError
+        Where the bus cannot be opened, or exists in virtual time only.
+    """
+    bus = config.bus
+    if bus.interface == "invid-virtual":
+        raise BusError(
+            "bus: invid-virtual lives inside the master's process and has no real time; "
+            "give the simulated cell invid-unix, socketcan or another python-can interface"
+        )
+    try:
+        if bus.interface == "invid-unix":
+            return UnixHub(bus.channel)
+        return can.Bus(
+            interface=bus.interface, channel=bus.channel, bitrate=bus.bitrate_bit_per_s, **bus.options
+        )
+    except (can.CanError, OSError, ValueError, ImportError) as error:
+        raise BusError(f"bus {bus.interface} {bus.channel!r}: cannot be opened: {error}") from None
+
+
+def run_simcell(
+    config: CellConfig,
+    stop_event: threading.Event,
+    *,
+    bus: BusABC | None = None,
+    ready: threading.Event | None = None,
+) -> SimcellStatistics:
+    """Run the drives until ``stop_event`` is set; ``bus`` as opened, else as the config names it.
+
+    Raises
+    ------
+    BusError
+        Where the bus cannot be opened or fails for good.
+    """
+    own = bus is None
+    wire = open_cell_bus(config) if bus is None else bus
+    collecting = gc.isenabled()
+    try:
+        cell = SimulatedCell(config)
+        # compile or load the kernel before the first frame is due
+        cell.plant.advance_to(0)
+        loop = _Loop(cell, wire)
+        loop.warm_up()
+        if own:  # the process is the cell's own: no pauses for collection
+            gc.disable()
+        if ready is not None:
+            ready.set()
+        loop.run(stop_event)
+        return loop.statistics()
+    finally:
+        if collecting:
+            gc.enable()
+        if own:
+            wire.shutdown()
+
+
+class _Loop:
+    """Frames and timers against the monotonic clock."""
+
+    def __init__(self, cell: SimulatedCell, bus: BusABC) -> None:
+        self._cell, self._bus = cell, bus
+        self._later: list[tuple[int, int, bytes]] = []
+        self._not_sent = 0
+        self._late_ns = 0
+        self._start_ns = time.monotonic_ns()
+        cell.transmit = self._transmit
+
+    def warm_up(self) -> None:
+        """Touch the compiled code once, without moving anything."""
+        probe = SimulatedCell(self._cell.config)
+        probe.run_timers(5_000_000)
+        self._start_ns = time.monotonic_ns()
+
+    def _now(self) -> int:
+        return time.monotonic_ns() - self._start_ns
+
+    def _transmit(self, can_id: int, data: bytes, delay_ns: int) -> None:
+        if delay_ns:
+            self._cell.schedule(self._cell.now_ns + delay_ns, lambda _now: self._send(can_id, data))
+        else:
+            self._send(can_id, data)
+
+    def _send(self, can_id: int, data: bytes) -> None:
+        if self._cell.master_off:
+            return
+        try:
+            self._bus.send(Message(arbitration_id=can_id, is_extended_id=False, data=data))
+        except can.CanError:  # a full queue or no listener: a drive does not care
+            self._not_sent += 1
+
+    def run(self, stop_event: threading.Event) -> None:
+        """Until stopped."""
+        cell, bus = self._cell, self._bus
+        failures = 0
+        while not stop_event.is_set():
+            now = self._now()
+            if cell.due_ns <= now:
+                self._late_ns = max(self._late_ns, now - cell.due_ns)
+                cell.run_timers(now)
+                now = self._now()
+            wait = (
+                min(max(cell.due_ns - now, 0), _LONGEST_WAIT_NS) if cell.due_ns < NEVER else _LONGEST_WAIT_NS
+            )
+            try:
+                message = bus.recv(wait / _NS)
+                failures = 0
+            except can.CanError as error:
+                failures += 1
+                if failures > 100:
+                    raise BusError(f"bus: receiving failed {failures} times in a row: {error}") from None
+                time.sleep(0.001)
+                continue
+            if message is None or cell.master_off:
+                continue
+            if message.is_extended_id or message.is_remote_frame or message.is_error_frame or message.is_fd:
+                continue
+            cell.receive(message.arbitration_id, bytes(message.data), self._now())
+
+    def statistics(self) -> SimcellStatistics:
+        """What was done so far."""
+        cell = self._cell
+        return SimcellStatistics(
+            duration_s=self._now() / _NS,
+            frames_received=cell.frames_in,
+            frames_sent=cell.frames_out - self._not_sent,
+            frames_not_sent=self._not_sent,
+            syncs=cell.syncs,
+            late_max_s=self._late_ns / _NS,
+            drives=[
+                {
+                    "axis": axis.name,
+                    "node_id": axis.node_id,
+                    "state": drive.state.name.lower(),
+                    "position": float(cell.plant.positions[cell.plant.structure.motors[drive.row]]),
+                }
+                for axis, drive in zip(cell.config.axes, cell.drives, strict=True)
+            ],
+        )
