@@ -1,9 +1,53 @@
-"""The command of this name."""
+"""``invid compare OLD.json NEW.json``: which parameters changed beyond their uncertainty."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import typer
+
+from invid.cli.output import EXIT_NOT_TRUSTWORTHY, EXIT_OK, emit, note
 
 
 def register(app: typer.Typer) -> None:
-    """Placeholder until the command lands."""
+    """Add the command."""
+
+    @app.command("compare")
+    def _compare(
+        old: Path = typer.Argument(..., help="Model before (invid-model JSON)."),
+        new: Path = typer.Argument(..., help="Model after (invid-model JSON)."),
+        tolerance: float = typer.Option(2.0, help="±x in per cent below which a parameter is unchanged."),
+        alpha: float = typer.Option(0.01, help="Probability of a false 'changed' over all parameters."),
+        repeatability: float = typer.Option(
+            0.0, help="Standard deviation in per cent between measurements of an unchanged robot."
+        ),
+        as_json: bool = typer.Option(False, "--json", help="One JSON document on stdout."),
+    ) -> int:
+        """Which parameters changed beyond their uncertainty, in words and numbers."""
+        from invid.compare import compare
+        from invid.compare_words import table
+        from invid.model import load_model
+
+        result = compare(
+            load_model(old),
+            load_model(new),
+            tolerance=tolerance / 100.0,
+            alpha=alpha,
+            repeatability=repeatability / 100.0,
+        )
+        for warning in result.warnings:
+            note(f"warning: {warning}")
+        document = result.to_json()
+        if not result.told:
+            note("nothing could be told: no parameter has an uncertainty small enough in both models")
+            document["warnings"] = [
+                *result.warnings,
+                "nothing could be told: measure longer or at a higher amplitude, or identify again with a "
+                "method that gives standard deviations",
+            ]
+        emit(
+            document,
+            "\n".join([*result.sentences, "", table(result.parameters + result.effects)]),
+            as_json=as_json,
+        )
+        return EXIT_OK if result.told else EXIT_NOT_TRUSTWORTHY

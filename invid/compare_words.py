@@ -1,0 +1,109 @@
+"""What a change in a model means to the person who stands at the robot."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from invid.compare import Change
+
+
+def differing_number(value: float, std: float) -> str:
+    """A number with as many decimals as its standard deviation has meaning (one digit of it)."""
+    if not (std > 0 and math.isfinite(std)):
+        return f"{value:.6g}"
+    first = math.floor(math.log10(std))
+    if std / 10**first >= 9.5:  # would round up into the next decade
+        first += 1
+    decimals = max(0, -first)
+    if decimals > 12 or abs(value) >= 1e9:
+        return f"{value:.6g}"
+    return f"{value:.{decimals}f}"
+
+
+def interpret(changed: Sequence[Change], every: Sequence[Change]) -> list[str]:
+    """One sentence a change, or one for changes that have one reason."""
+    said: list[str] = []
+    left = list(changed)
+    for axis in dict.fromkeys(c.axis for c in changed):
+        factor = _common_factor(
+            [c for c in every if c.axis == axis and c.kind in ("mass", "spring", "inertia")]
+        )
+        own = [c for c in left if c.axis == axis and c.kind in ("mass", "spring", "damper")]
+        if factor is None or len(own) < 3:
+            continue
+        said.append(
+            f"{axis}: all masses and springs changed by the same factor {factor:.4g}: consistent with "
+            "another torque scale of this drive (rated torque, current calibration), not with a mechanical "
+            "change."
+        )
+        left = [c for c in left if c not in own]
+    final_masses = [c for c in left if c.final]
+    for c in left:
+        said.append(f"{_numbers(c)}{_meaning(c, len(final_masses))}")
+    return said
+
+
+def _common_factor(changes: Sequence[Change]) -> float | None:
+    """Ratio new/old where all of one axis share it (chi-square of the log ratios below 3 per item)."""
+    ratios, weights = [], []
+    for c in changes:
+        if c.std is None or c.old is None or c.new is None or c.old.value <= 0 or c.new.value <= 0:
+            return None
+        ratios.append(math.log(c.new.value / c.old.value))
+        weights.append((c.old.value / c.std) ** 2)
+    if len(ratios) < 3:
+        return None
+    mean = sum(r * w for r, w in zip(ratios, weights, strict=True)) / sum(weights)
+    misfit = sum(w * (r - mean) ** 2 for r, w in zip(ratios, weights, strict=True))
+    sure = abs(mean) * math.sqrt(sum(weights)) > 5
+    return math.exp(mean) if sure and misfit < 3 * (len(ratios) - 1) else None
+
+
+def _numbers(c: Change) -> str:
+    if c.old is None or c.new is None or c.difference is None or c.std is None:
+        return c.label
+    old, new = differing_number(c.old.value, c.std), differing_number(c.new.value, c.std)
+    unit = f" {c.unit}" if c.unit else ""
+    sign = "+" if c.difference >= 0 else "−"
+    size = differing_number(abs(c.difference), c.std)
+    return f"{c.label} {old} → {new}{unit} ({sign}{size} ± {differing_number(c.std, c.std)})"
+
+
+def _meaning(c: Change, final_masses: int) -> str:
+    more = (c.difference or 0.0) > 0
+    if c.kind == "mass" and c.final:
+        if final_masses > 1:
+            return f": {'more' if more else 'less'} load on several axes, consistent with a tool change."
+        return ": consistent with a tool change."
+    if c.kind == "mass" and c.label.endswith("motor mass"):
+        return ": consistent with another motor, brake or coupling on the motor's side."
+    if c.kind in ("mass", "inertia"):
+        return ": consistent with a change of load or structure between motor and tool."
+    if c.kind == "spring":
+        if more:
+            return ": stiffer; consistent with a tightened belt or an exchanged gear."
+        return ": softer; check belt tension, screws and the gear for wear."
+    if c.kind == "damper":
+        return f": {'more' if more else 'less'} damping; consistent with lubrication or temperature."
+    if c.kind == "coupling":
+        return ": consistent with another load or pose."
+    return "."
+
+
+def table(changes: Sequence[Change]) -> str:
+    """Every parameter, one line each."""
+    words = {"changed": "changed", "unchanged": "unchanged", "cannot_tell": "cannot tell"}
+    lines = [f"{'parameter':<36} {'old':>12} {'new':>12} {'difference':>12} {'± std':>10}  verdict"]
+    for c in changes:
+        numbers = [c.old.value if c.old else None, c.new.value if c.new else None, c.difference, c.std]
+        shown = [("–" if n is None else f"{n:.5g}") for n in numbers]
+        within = f" within ±{100 * c.bound:.2g} %" if c.status == "unchanged" and c.bound is not None else ""
+        why = f": {c.reason}" if c.reason else ""
+        lines.append(
+            f"{c.label:<36} {shown[0]:>12} {shown[1]:>12} {shown[2]:>12} {shown[3]:>10}  "
+            f"{words[str(c.status)]}{within}{why}"
+        )
+    return "\n".join(lines)

@@ -1,0 +1,232 @@
+"""What `compare` says about two models, and how often it is wrong."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from invid.chains import CoupledChains
+from invid.compare import Comparison, Status, compare
+from invid.compare_words import differing_number
+from invid.errors import InputError
+from invid.model import ChainStd, EffectTerm, Estimate, Model, parameter_vector, save_model
+
+MASSES = [[0.7, 2.0, 3.0], [4.0, 5.0, 6.0]]
+SPRINGS = [[1000.0, 2000.0], [3000.0, 4000.0]]
+DAMPERS = [[0.5, 0.6], [0.7, 0.8]]
+
+
+def model(
+    masses: list[list[float]] = MASSES,
+    springs: list[list[float]] = SPRINGS,
+    coupling: float = 1.0,
+    *,
+    relative: float = 0.002,
+    axes: tuple[str, ...] = ("A1", "A2"),
+    effects: tuple[EffectTerm, ...] = (),
+) -> Model:
+    count = len(masses)
+    couplings = np.full((count, count), coupling) - np.diag([coupling] * count)
+    chains = CoupledChains.build(
+        masses, springs, [[0.5 for _ in k] for k in springs], couplings, axes=axes[:count]
+    )
+    std = ChainStd(
+        masses=tuple(relative * m for m in chains.masses),
+        springs=tuple(relative * k for k in chains.springs),
+        dampers=tuple(relative * d for d in chains.dampers),
+        couplings=np.full((count, count), relative * 3),
+        ground_springs=np.full(count, np.nan),
+    )
+    return Model("cell", "refined", chains, std, effects=effects)
+
+
+def drawn(base: Model, rng: np.random.Generator) -> Model:
+    """Another estimate of the same robot: every parameter off by its own standard deviation."""
+    chains, std = base.chains, base.std
+    noisy = CoupledChains.build(
+        [m + s * rng.standard_normal(m.size) for m, s in zip(chains.masses, std.masses, strict=True)],
+        [k + s * rng.standard_normal(k.size) for k, s in zip(chains.springs, std.springs, strict=True)],
+        [d + s * rng.standard_normal(d.size) for d, s in zip(chains.dampers, std.dampers, strict=True)],
+        chains.couplings
+        + (lambda x: x + x.T)(np.triu(std.couplings, 1) * rng.standard_normal(chains.couplings.shape)),
+        axes=chains.axes,
+    )
+    return replace(base, chains=noisy)
+
+
+def by_name(c: Comparison, name: str) -> Status:
+    return next(x.status for x in c.parameters + c.effects if x.name == name)
+
+
+def test_a_heavier_tool_is_named_and_nothing_else() -> None:
+    heavier = model([[0.7, 2.0, 3.0], [4.0, 5.0, 7.31]])
+    result = compare(model(), heavier)
+    assert [c.name for c in result.parameters if c.status is Status.CHANGED] == ["A2.mass.3"]
+    assert result.sentences[0] == (
+        "A2: final mass 6.00 → 7.31 kg·m² (+1.31 ± 0.02): consistent with a tool change."
+    )
+    assert result.sentences[1].startswith("Nothing else changed: all 14 parameters are the same within ±")
+
+
+def test_the_same_robot_measured_twice_is_called_changed_at_most_as_often_as_stated() -> None:
+    """Family-wise error over 1200 pairs at alpha = 5 %: within three binomial deviations of it."""
+    rng = np.random.default_rng(20261121)
+    base, trials = model(), 1200
+    false = sum(
+        any(
+            c.status is Status.CHANGED
+            for c in compare(drawn(base, rng), drawn(base, rng), alpha=0.05).parameters
+        )
+        for _ in range(trials)
+    )
+    assert false / trials < 0.05 + 3 * np.sqrt(0.05 * 0.95 / trials)
+    assert false / trials > 0.02  # Holm on independent tests is not conservative: a dead test would show 0
+
+
+def test_the_joint_test_is_uniform_on_a_robot_that_did_not_change() -> None:
+    rng = np.random.default_rng(7)
+    base = model()
+    p = np.array([compare(drawn(base, rng), drawn(base, rng)).joint_p for _ in range(500)], dtype=float)
+    assert abs(np.mean(p < 0.1) - 0.1) < 3 * np.sqrt(0.09 / 500)
+    assert abs(p.mean() - 0.5) < 3 * 0.2887 / np.sqrt(500)
+
+
+def test_a_change_along_a_well_known_direction_of_correlated_parameters_is_seen_jointly() -> None:
+    """Two masses known only badly apart, their sum very well: the sum changes by ten deviations."""
+    old = model()
+    names, values = parameter_vector(old.chains)
+    a, b = names.index("A1.mass.1"), names.index("A1.mass.2")
+    covariance = np.diag((0.002 * np.abs(values)) ** 2)
+    spread = 0.2
+    covariance[a, a] = covariance[b, b] = spread**2
+    covariance[a, b] = covariance[b, a] = -0.9999 * spread**2
+    masses = tuple(m.copy() for m in old.std.masses)
+    masses[0][:2] = spread
+    std = replace(old.std, masses=masses)
+    old = replace(old, std=std, covariance=covariance, parameter_names=names)
+    moved = model([[0.7 + 0.02, 2.0 + 0.02, 3.0], [4.0, 5.0, 6.0]])
+    new = replace(moved, std=std, covariance=covariance, parameter_names=names)
+    result = compare(old, new)
+    assert not any(c.status is Status.CHANGED for c in result.parameters)
+    assert result.joint_p is not None
+    assert result.joint_p < 1e-6
+    assert any("cannot tell which parameter" in s for s in result.sentences)
+    assert not any(s.startswith("Nothing changed") for s in result.sentences)
+
+
+def test_without_a_standard_deviation_nothing_is_claimed() -> None:
+    old = model()
+    result = compare(replace(old, std=ChainStd.unknown(old.chains)), model([[0.7, 2, 3], [4, 5, 60.0]]))
+    assert not result.told
+    assert all(c.status is Status.CANNOT_TELL for c in result.parameters)
+    assert not any("othing" in s and "changed" in s for s in result.sentences)
+
+
+def test_a_wide_uncertainty_is_no_proof_of_no_change() -> None:
+    result = compare(model(relative=0.2), model(relative=0.2))
+    assert {c.status for c in result.parameters} == {Status.CANNOT_TELL}
+    assert "would not be seen" in result.sentences[-1]
+
+
+def test_repeatability_of_the_robot_silences_small_changes() -> None:
+    slightly = model([[0.7, 2.0, 3.0], [4.0, 5.0, 6.2]])
+    assert by_name(compare(model(), slightly), "A2.mass.3") is Status.CHANGED
+    assert by_name(compare(model(), slightly, repeatability=0.02), "A2.mass.3") is Status.CANNOT_TELL
+
+
+def test_one_axis_scaled_as_a_whole_is_a_torque_scale_and_no_mechanical_change() -> None:
+    scaled = model(
+        [[0.7, 2.0, 3.0], [x * 1.06 for x in MASSES[1]]], [SPRINGS[0], [k * 1.06 for k in SPRINGS[1]]]
+    )
+    result = compare(model(), scaled)
+    assert "torque scale" in result.sentences[0]
+    assert "1.06" in result.sentences[0]
+    assert not any("tool change" in s for s in result.sentences)
+
+
+def test_another_number_of_masses_compares_the_whole_inertia() -> None:
+    shorter = model([[0.7, 5.0], [4.0, 5.0, 6.0]], [[900.0], [3000.0, 4000.0]])
+    result = compare(model(), shorter)
+    assert any("A1 had 3 masses and now has 2" in s for s in result.sentences)
+    assert by_name(result, "A1.inertia") is Status.UNCHANGED
+    assert not any(c.name == "A1.mass.1" for c in result.parameters)
+
+
+def test_axes_in_another_order_are_paired_by_name() -> None:
+    swapped = model(MASSES[::-1], SPRINGS[::-1], axes=("A2", "A1"))
+    result = compare(model(), swapped)
+    assert all(c.status is Status.UNCHANGED for c in result.parameters)
+
+
+def test_models_of_different_robots_are_refused_with_the_reason() -> None:
+    with pytest.raises(InputError, match="no axis in common"):
+        compare(model(), model(axes=("X", "Y")))
+    with pytest.raises(InputError, match=r"kg·m²"):
+        compare(model(), replace(model(), linear=True))
+    with pytest.raises(InputError, match="tolerance"):
+        compare(model(), model(), tolerance=-1.0)
+
+
+def coulomb(torque: float, cause: str = "coulomb_friction") -> EffectTerm:
+    return EffectTerm(cause, "A2", {"torque": Estimate(torque, 0.05, "N·m")}, "mass 1")
+
+
+def test_effects_that_grow_come_or_go_are_said() -> None:
+    grown = compare(model(effects=(coulomb(2.0),)), model(effects=(coulomb(3.0),)))
+    assert by_name(grown, "A2.coulomb_friction.mass 1.torque") is Status.CHANGED
+    came = compare(model(), model(effects=(coulomb(2.0),)))
+    assert "A2: coulomb friction at mass 1 (torque 2.00 ± 0.05 N·m) is new." in came.sentences
+    gone = compare(model(effects=(coulomb(2.0),)), model())
+    assert any("no longer found" in s for s in gone.sentences)
+    renamed = compare(model(effects=(coulomb(2.0),)), model(effects=(coulomb(2.0, "presliding_friction"),)))
+    assert any("described as presliding friction now" in s for s in renamed.sentences)
+    assert not any("is new" in s for s in renamed.sentences)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.floats(1e-6, 1e6), st.floats(1e-8, 1e3))
+def test_a_printed_number_is_never_further_off_than_its_standard_deviation(value: float, std: float) -> None:
+    assert abs(float(differing_number(value, std)) - value) <= max(std, 1e-5 * value)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.floats(0.5, 2.0), st.floats(1e-4, 0.3))
+def test_swapping_old_and_new_keeps_what_changed(factor: float, relative: float) -> None:
+    a, b = model(relative=relative), model([[0.7, 2.0, 3.0 * factor], MASSES[1]], relative=relative)
+    forward = {c.name for c in compare(a, b).parameters if c.status is Status.CHANGED}
+    backward = {c.name for c in compare(b, a).parameters if c.status is Status.CHANGED}
+    assert forward == backward
+
+
+def command(*arguments: str) -> subprocess.CompletedProcess[str]:
+    code = "from invid.cli import main; main()"
+    return subprocess.run(
+        [sys.executable, "-c", code, "compare", *arguments], capture_output=True, text=True, check=False
+    )
+
+
+def test_the_command_prints_one_document_and_the_exit_status_of_the_contract(tmp_path: Path) -> None:
+    old, new, blind = tmp_path / "old.json", tmp_path / "new.json", tmp_path / "blind.json"
+    save_model(model(), old)
+    save_model(model([[0.7, 2.0, 3.0], [4.0, 5.0, 7.31]]), new)
+    save_model(replace(model(), std=ChainStd.unknown(model().chains)), blind)
+    done = command(str(old), str(new), "--json")
+    assert done.returncode == 0
+    document = json.loads(done.stdout)
+    assert document["format"] == "invid-comparison"
+    assert [p["parameter"] for p in document["parameters"] if p["status"] == "changed"] == ["A2.mass.3"]
+    untold = command(str(old), str(blind), "--json")
+    assert untold.returncode == 3
+    assert json.loads(untold.stdout)["warnings"]
+    assert "Traceback" not in untold.stderr
+    missing = command(str(old), str(tmp_path / "none.json"))
+    assert missing.returncode == 2
+    assert "no such file" in missing.stderr
