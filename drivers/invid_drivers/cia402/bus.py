@@ -1,0 +1,439 @@
+"""The cell: every drive on one bus, exchanged with once per SYNC. Implements ``invid.sweep.ports.Cell``.
+
+Raw ``struct`` in the cycle; SDO, maps and states before and after it. Whoever energises also stops:
+``stop`` works from any state, any number of times, and never raises.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import struct
+from collections.abc import Sequence
+
+import can
+
+from invid.config import CellConfig
+from invid.errors import BusError, DriveError, InvidError
+from invid.sweep.ports import Clock, Event, Mode, Sample, Severity
+from invid_drivers.cia402 import objects as od
+from invid_drivers.cia402 import states
+from invid_drivers.cia402.axis import Drive, DriveReport
+from invid_drivers.cia402.journal import Journal
+from invid_drivers.cia402.link import NMT_PRE_OPERATIONAL, NMT_START, NMT_STOP, Link
+from invid_drivers.cia402.states import DriveState, OperationMode, state_of
+from invid_drivers.cia402.units import wrapped_difference
+
+ENABLE_S = 3.0
+"""Longest way to operation enabled: brakes take a few hundred milliseconds to open."""
+QUICK_STOP_S = 1.0
+"""Longest quick stop before the voltage is taken away regardless."""
+DISABLE_S = 0.2
+MODE_POLL_S = 0.1
+"""0x6061 of one axis after another is asked for at this interval during the cycle."""
+HEARTBEAT_PERIODS = 3.5
+"""A drive's heartbeat is lost after this many periods: three missed ones and some jitter."""
+
+_RPDO = struct.Struct("<Hh")
+_TPDO = struct.Struct("<ihH")
+_MODE_REQUEST = bytes((0x40, od.MODE_DISPLAY.index & 0xFF, od.MODE_DISPLAY.index >> 8, 0, 0, 0, 0, 0))
+
+
+class Cia402Cell:
+    """Drives of a cell on a python-can bus, which it owns from here on."""
+
+    def __init__(self, bus: can.BusABC, config: CellConfig, *, journal: Journal | None = None) -> None:
+        self._config = config
+        self._cycle = config.bus.cycle_s
+        self._link = Link(bus, heartbeat_s=config.safety.heartbeat_s)
+        self.journal = journal if journal is not None else Journal(None)
+        self._drives = [Drive(self._link, a, self.journal, linear=config.linear) for a in config.axes]
+        self._reports: list[DriveReport] = []
+        self._modes: list[Mode] = []
+        count = len(self._drives)
+        self._control = [states.DISABLE_VOLTAGE] * count
+        self._rpdo_ids = [0x200 + d.node_id for d in self._drives]
+        self._tpdo_axis = {0x180 + d.node_id: i for i, d in enumerate(self._drives)}
+        self._sdo_axis = {0x580 + d.node_id: i for i, d in enumerate(self._drives)}
+        self._peers = [self._link.peers[d.node_id] for d in self._drives]
+        self._sync = can.Message(arbitration_id=0x80, data=b"", is_extended_id=False)
+        self._origin: list[int | None] = [None] * count
+        self._per_mille = [0.0] * count
+        self._position_unit = [0.0] * count
+        self._torque_unit = [0.0] * count
+        self._sample = Sample(
+            position=[0.0] * count, torque=[0.0] * count, status=[0] * count, fresh=[False] * count
+        )
+        self._started = 0.0
+        self._slot = -1
+        self._late = True
+        self._operational = False
+        self._touched = False
+        self._mode_asked: int | None = None
+        self._next_mode_poll = 0.0
+        self._stopped = True
+        self.held_at_end: tuple[str, ...] = ()
+        self.skipped_slots = 0
+        self.lateness: list[float] | None = None
+
+    # --- facts ---------------------------------------------------------------------------------
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names, in the order of every list."""
+        return tuple(d.name for d in self._drives)
+
+    @property
+    def clock(self) -> Clock:
+        """The clock that the SYNC instants are of."""
+        return self._link.clock
+
+    @property
+    def reports(self) -> tuple[DriveReport, ...]:
+        """What each drive said at ``check``."""
+        return tuple(self._reports)
+
+    @property
+    def can_hold(self) -> tuple[bool, ...]:
+        """Whether each drive can hold its place by itself."""
+        return tuple(r.can_hold for r in self._reports)
+
+    @property
+    def resolution(self) -> tuple[float, ...]:
+        """Position of one encoder count of each axis [rad or m]."""
+        return tuple(r.scaling.position_per_count for r in self._reports)
+
+    @property
+    def rated_torque(self) -> tuple[float, ...]:
+        """Rated torque of each axis [N·m or N]."""
+        return tuple(r.scaling.rated_torque for r in self._reports)
+
+    # --- before motion -------------------------------------------------------------------------
+    def check(self) -> tuple[DriveReport, ...]:
+        """Restore what an earlier run left behind, then ask every drive what it can do. Moves nothing."""
+        self._link.require_bus()
+        self._pre_operational()
+        for drive in self._drives:
+            if self.journal.of_node(drive.node_id):
+                drive.restore()
+        self._reports = [d.check() for d in self._drives]
+        for i, r in enumerate(self._reports):
+            self._position_unit[i] = r.scaling.direction * r.scaling.position_per_count
+            self._torque_unit[i] = r.scaling.torque(1)
+            self._per_mille[i] = 1.0 / self._torque_unit[i]
+        return self.reports
+
+    def _pre_operational(self) -> None:
+        self._link.nmt(NMT_PRE_OPERATIONAL)
+        self._link.wait(0.02)
+
+    def energise(self, modes: Sequence[Mode]) -> None:
+        """Protect, map, start and enable every drive at rest where it stands."""
+        if not self._reports:
+            self.check()
+        self._stopped = False
+        self._touched = True
+        self._link.beating = True
+        for drive, report in zip(self._drives, self._reports, strict=True):
+            drive.protect(report, self._config.safety.heartbeat_s)
+            drive.map_pdos()
+        self._modes = list(modes)
+        for drive, report, mode in zip(self._drives, self._reports, modes, strict=True):
+            drive.command(od.TARGET_TORQUE, 0)
+            if mode is Mode.HOLD:
+                drive.command(od.TARGET_POSITION, drive.read(od.POSITION))
+            drive.set_mode(self._operation_mode(report, mode))
+        self._link.events.clear()
+        for peer in self._peers:
+            peer.last_heartbeat = None
+        self._link.nmt(NMT_START)
+        self._link.wait(0.005)
+        self._operational = True
+        self._restart_slots()
+        self._enable()
+
+    def _operation_mode(self, report: DriveReport, mode: Mode) -> OperationMode:
+        return report.torque_mode if mode is Mode.TORQUE else OperationMode.CYCLIC_POSITION
+
+    def _enable(self) -> None:
+        zero = [0.0] * len(self._drives)
+        end = self.clock.now() + ENABLE_S
+        self._control = [states.DISABLE_VOLTAGE] * len(self._drives)
+        while True:
+            sample = self.exchange(zero)
+            for event in sample.events:
+                if event.severity is not Severity.NOTE:
+                    raise DriveError(f"{event.text} while it was being enabled")
+            found = [state_of(s) for s in sample.status]
+            if all(sample.fresh) and all(s is DriveState.OPERATION_ENABLED for s in found):
+                return
+            for i, state in enumerate(found):
+                if sample.fresh[i]:
+                    self._control[i] = states.towards_enabled(state)
+            if self.clock.now() >= end:
+                i = next(
+                    (
+                        k
+                        for k, s in enumerate(found)
+                        if not sample.fresh[k] or s is not DriveState.OPERATION_ENABLED
+                    )
+                )
+                seen = found[i].words if sample.fresh[i] else "silence (no TPDO comes)"
+                raise DriveError(
+                    f"axis {self.axes[i]} (node {self._drives[i].node_id}): not enabled after "
+                    f"{ENABLE_S:g} s, the drive "
+                    f"shows {seen}; check its supply, its enable input, safe torque off and the brake"
+                )
+
+    def set_modes(self, modes: Sequence[Mode], torque: Sequence[float]) -> None:
+        """Change modes while energised; an axis that is to be held keeps its present place."""
+        for i, (drive, report, mode) in enumerate(zip(self._drives, self._reports, modes, strict=True)):
+            if mode is self._modes[i]:
+                continue
+            if mode is Mode.HOLD:
+                drive.command(od.TARGET_POSITION, drive.read(od.POSITION))
+            else:
+                drive.command(od.TARGET_TORQUE, report.scaling.permille(torque[i]))
+            drive.set_mode(self._operation_mode(report, mode))
+            self._modes[i] = mode
+        self._mode_asked = None
+        self._restart_slots()
+
+    def _restart_slots(self) -> None:
+        """The next SYNC is at the next whole slot from now: SDO traffic took time of its own."""
+        now = self.clock.now()
+        if self._slot < 0:
+            self._started, self._slot = now, -1
+        else:
+            self._slot = max(self._slot, int((now - self._started) / self._cycle))
+        self._late = True
+
+    # --- the cycle -----------------------------------------------------------------------------
+    def exchange(self, torque: Sequence[float]) -> Sample:
+        """Targets out, SYNC at its slot, samples in."""
+        link, clock = self._link, self.clock
+        sample, put = self._sample, link.put
+        if self._late:
+            self._drain()
+        hold = Mode.HOLD
+        for i, cob in enumerate(self._rpdo_ids):
+            value = 0 if self._modes[i] is hold else round(torque[i] * self._per_mille[i])
+            if value > 32767 or value < -32768:
+                value = 32767 if value > 0 else -32768
+            put(
+                can.Message(
+                    arbitration_id=cob, data=_RPDO.pack(self._control[i], value), is_extended_id=False
+                )
+            )
+        slot = self._slot + 1
+        deadline = self._started + slot * self._cycle
+        now = clock.now()
+        if now > deadline + 0.5 * self._cycle:
+            # Overrun: skip to the next slot that is still ahead; never catch up with a burst of SYNCs.
+            ahead = int((now - self._started) / self._cycle) + 1
+            self.skipped_slots += ahead - slot
+            slot = ahead
+            deadline = self._started + slot * self._cycle
+        clock.sleep_until(deadline)
+        instant = clock.now()
+        put(self._sync)
+        self._slot = slot
+        if self.lateness is not None:
+            self.lateness.append(instant - deadline)
+        sample.slot, sample.time = slot, instant
+        fresh = sample.fresh
+        for i in range(len(fresh)):
+            fresh[i] = False
+        pending = len(fresh)
+        tpdo_axis, get = self._tpdo_axis, link.get
+        end = deadline + 0.85 * self._cycle
+        while pending:
+            rest = end - clock.now()
+            if rest <= 0:
+                break
+            message = get(rest)
+            if message is None:
+                break
+            axis = tpdo_axis.get(message.arbitration_id)
+            if axis is None:
+                self._sort(message)
+            elif self._take(axis, message) and not fresh[axis]:
+                fresh[axis] = True
+                pending -= 1
+        self._late = pending > 0
+        link.beat(instant)
+        if instant >= self._next_mode_poll:
+            self._watch_slowly(instant)
+        if link.events:
+            sample.events = link.events
+            link.events = []
+        elif sample.events:
+            sample.events = []
+        return sample
+
+    def _take(self, axis: int, message: can.Message) -> bool:
+        data = message.data
+        if len(data) != 8 or message.is_extended_id or message.is_error_frame or message.is_remote_frame:
+            self._link.sort(message)
+            return False
+        counts, permille, status = _TPDO.unpack(data)
+        origin = self._origin[axis]
+        if origin is None:
+            origin = self._origin[axis] = counts
+        moved = counts - origin
+        if moved > 0x7FFFFFFF or moved < -0x80000000:
+            moved = wrapped_difference(counts, origin)
+        sample = self._sample
+        sample.position[axis] = (origin + moved) * self._position_unit[axis]
+        sample.torque[axis] = permille * self._torque_unit[axis]
+        sample.status[axis] = status
+        return True
+
+    def _sort(self, message: can.Message) -> None:
+        axis = self._sdo_axis.get(message.arbitration_id)
+        if axis is None or message.is_error_frame:
+            self._link.sort(message)
+            return
+        data = bytes(message.data)
+        if len(data) == 8 and data[1:4] == _MODE_REQUEST[1:4] and data[0] & 0xE0 == 0x40:
+            if axis == self._mode_asked:
+                self._mode_asked = None
+            shown = int.from_bytes(data[4:5], "little", signed=True)
+            wanted = self._operation_mode(self._reports[axis], self._modes[axis])
+            if shown != int(wanted):
+                self._link.events.append(
+                    Event(
+                        Severity.DRIVE,
+                        f"axis {self.axes[axis]}: the drive left mode {wanted.name.lower()} for mode "
+                        f"{shown} (0x6061)",
+                        self.axes[axis],
+                    )
+                )
+
+    def _drain(self) -> None:
+        """Frames of the cycle before would pass for this one's."""
+        while (message := self._link.get(0)) is not None:
+            axis = self._tpdo_axis.get(message.arbitration_id)
+            if axis is None:
+                self._sort(message)
+
+    def _watch_slowly(self, now: float) -> None:
+        """Heartbeats and bus state; 0x6061 of one axis after another."""
+        self._next_mode_poll = now + MODE_POLL_S
+        self._link.require_bus()
+        limit = HEARTBEAT_PERIODS * self._config.safety.heartbeat_s
+        for drive, peer in zip(self._drives, self._peers, strict=True):
+            if peer.last_heartbeat is not None and now - peer.last_heartbeat > limit:
+                self._link.events.append(
+                    Event(
+                        Severity.DRIVE,
+                        f"axis {drive.name} (node {drive.node_id}): no heartbeat for "
+                        f"{now - peer.last_heartbeat:.2f} s",
+                        drive.name,
+                    )
+                )
+        following = 0 if self._mode_asked is None else (self._mode_asked + 1) % len(self._drives)
+        self._mode_asked = following
+        self._link.send(0x600 + self._drives[following].node_id, _MODE_REQUEST)
+
+    # --- the way out ---------------------------------------------------------------------------
+    def stop(self) -> None:
+        """Quick stop, disable voltage, NMT stop; idempotent, from any state, never raises."""
+        if self._stopped:
+            return
+        self._stopped = True
+        with contextlib.suppress(InvidError):
+            self._drive_to(states.QUICK_STOP, QUICK_STOP_S, self._at_rest)
+        for i, drive in enumerate(self._drives):
+            if self._may_disable(i):
+                self._control[i] = states.DISABLE_VOLTAGE
+            else:
+                self.held_at_end = (*self.held_at_end, drive.name)
+        with contextlib.suppress(InvidError):
+            self._drive_to(None, DISABLE_S, self._disabled)
+        for i, drive in enumerate(self._drives):
+            if self._may_disable(i) and states.is_energised(state_of(self._sample.status[i])):
+                drive.quiet_command(od.CONTROLWORD, states.DISABLE_VOLTAGE)
+        for i, drive in enumerate(self._drives):
+            if self._may_disable(i):
+                with contextlib.suppress(InvidError):
+                    self._link.nmt(NMT_STOP, drive.node_id)
+
+    def _may_disable(self, axis: int) -> bool:
+        """A gravity-loaded axis without a brake stays in quick stop active, which holds it."""
+        config = self._drives[axis].config
+        return not config.gravity_loaded or config.brake == "drive"
+
+    def _drive_to(self, controlword: int | None, seconds: float, reached: object) -> None:
+        if controlword is not None:
+            self._control = [controlword] * len(self._drives)
+        zero = [0.0] * len(self._drives)
+        end = self.clock.now() + seconds
+        missing = 0
+        while self.clock.now() < end:
+            try:
+                sample = self.exchange(zero)
+            except BusError:
+                missing += 1
+                if missing > 3:
+                    raise
+                self._link.wait(self._cycle)
+                continue
+            if callable(reached) and reached(sample):
+                return
+
+    def _at_rest(self, sample: Sample) -> bool:
+        """Every drive that talks has left operation enabled and, where it stays energised, stands."""
+        for i, status in enumerate(sample.status):
+            if not sample.fresh[i]:
+                return False
+            match state_of(status):
+                case DriveState.OPERATION_ENABLED | DriveState.FAULT_REACTION_ACTIVE:
+                    return False
+                case DriveState.QUICK_STOP_ACTIVE:
+                    if self._may_disable(i):
+                        return False  # option 2: the drive switches itself off when the ramp has ended
+                case _:
+                    pass
+        return True
+
+    def _disabled(self, sample: Sample) -> bool:
+        return all(
+            sample.fresh[i] and (not self._may_disable(i) or not states.is_energised(state_of(s)))
+            for i, s in enumerate(sample.status)
+        )
+
+    def states(self) -> dict[str, DriveState]:
+        """The last state heard of each drive."""
+        return {d.name: state_of(s) for d, s in zip(self._drives, self._sample.status, strict=True)}
+
+    def close(self) -> list[str]:
+        """Stop, restore every object that was written, close the bus; what could not be restored."""
+        complaints: list[str] = []
+        self.stop()
+        try:
+            if self._touched or self.journal.entries:
+                self._restore(complaints)
+        except InvidError as error:
+            complaints.append(str(error))
+        finally:
+            self._link.beating = False
+            self._link.close()
+        return complaints
+
+    def _restore(self, complaints: list[str]) -> None:
+        for drive in self._drives:
+            if drive.name in self.held_at_end:
+                complaints.append(
+                    f"axis {drive.name} is held by its drive in quick stop active; its objects are "
+                    "restored at the "
+                    "next start. Set the brake before switching it off"
+                )
+                continue
+            self._link.nmt(NMT_PRE_OPERATIONAL, drive.node_id)
+        self._link.wait(0.02)
+        for drive in self._drives:
+            if drive.name in self.held_at_end:
+                continue
+            try:
+                drive.restore()
+            except InvidError as error:
+                complaints.append(str(error))

@@ -1,0 +1,93 @@
+"""What the service wrote into a drive, and what stood there before: undone on every way out.
+
+The journal goes to disk before each write. After a power cut the next start finds it and restores the
+drive before anything else. Undoing the entries from the last to the first also undoes PDO maps in the
+one order that drives accept.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from invid.errors import BusError
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One write: where, and the bytes before it (hex)."""
+
+    node_id: int
+    serial: int
+    index: int
+    sub: int
+    before: str
+
+
+class Journal:
+    """Writes not yet undone; ``path`` ``None`` keeps them in memory (a simulated cell forgets anyway)."""
+
+    def __init__(self, path: Path | None) -> None:
+        self.path = path
+        self._entries: list[Entry] = []
+        if path is not None and path.exists():
+            self._entries = _read(path)
+
+    @property
+    def entries(self) -> tuple[Entry, ...]:
+        """In the order written."""
+        return tuple(self._entries)
+
+    def of_node(self, node_id: int) -> tuple[Entry, ...]:
+        """The entries of one node, last first: the order to undo them in."""
+        return tuple(e for e in reversed(self._entries) if e.node_id == node_id)
+
+    def add(self, entry: Entry) -> None:
+        """Record a write before it is made."""
+        self._entries.append(entry)
+        if self.path is None:
+            return
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            with self.path.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(asdict(entry)) + "\n")
+                file.flush()
+                os.fsync(file.fileno())
+        except OSError as error:
+            raise BusError(
+                f"journal {self.path}: cannot be written ({error.strerror}); nothing is written into a drive "
+                "that could not be restored after a power cut; set XDG_STATE_HOME to a writable folder"
+            ) from None
+
+    def forget(self, node_id: int) -> None:
+        """A node is as it was."""
+        self._entries = [e for e in self._entries if e.node_id != node_id]
+        if self.path is None:
+            return
+        if not self._entries:
+            self.path.unlink(missing_ok=True)
+            return
+        part = self.path.with_suffix(".part")
+        part.write_text("".join(json.dumps(asdict(e)) + "\n" for e in self._entries), encoding="utf-8")
+        part.replace(self.path)
+
+
+def _read(path: Path) -> list[Entry]:
+    entries = []
+    for line in path.read_text(encoding="utf-8").splitlines():
+        try:
+            entry = Entry(**json.loads(line))
+            bytes.fromhex(entry.before)
+        except (ValueError, TypeError):
+            continue  # a line cut off by the power cut: its write was never made
+        entries.append(entry)
+    return entries
+
+
+def journal_path(interface: str, channel: str) -> Path:
+    """Where the journal of a bus stands."""
+    base = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state")
+    safe = "".join(c if c.isalnum() else "-" for c in f"{interface}-{channel}")
+    return base / "invid" / f"{safe}.journal"

@@ -1,0 +1,293 @@
+"""The one owner of the bus: SDO, NMT, heartbeats, EMCY, without a second thread.
+
+``canopen`` runs the SDO protocol; whoever waits for an answer pumps ``bus.recv()`` itself, so that
+nothing else ever touches the bus and virtual time only advances here.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+
+import can
+import canopen
+from canopen.sdo.client import SdoClient
+from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError, SdoError
+
+from invid.errors import BusError
+from invid.sweep.ports import Clock, Event, Severity
+
+MASTER_ID = 127
+"""Node id of the service in its own heartbeat; axes have 1…126."""
+
+SHORTEST_WAIT_S = 1e-6
+"""A rest of a wait below a bus's clock tick would never pass in virtual time."""
+
+NMT_START, NMT_STOP, NMT_PRE_OPERATIONAL, NMT_RESET, NMT_RESET_COMMUNICATION = 0x01, 0x02, 0x80, 0x81, 0x82
+
+
+class RealClock:
+    """Monotonic time; sleeps most of the way and spins the rest."""
+
+    def __init__(self, spin_s: float = 0.0002) -> None:
+        self._spin = spin_s
+
+    def now(self) -> float:
+        """Seconds since some fixed instant."""
+        return time.monotonic()
+
+    def sleep_until(self, instant: float) -> None:
+        """Return not before ``instant``."""
+        rest = instant - time.monotonic() - self._spin
+        if rest > 0:
+            time.sleep(rest)
+        while time.monotonic() < instant:
+            pass
+
+
+@dataclass
+class Peer:
+    """What is known of one node from frames it sent of itself."""
+
+    node_id: int
+    name: str
+    last_heartbeat: float | None = None
+    nmt_state: int | None = None
+    booted: bool = False
+    emcy: list[tuple[float, int]] = field(default_factory=list)
+
+
+class Link:
+    """A python-can bus, its clock, and the nodes heard on it."""
+
+    def __init__(self, bus: can.BusABC, *, heartbeat_s: float) -> None:
+        self.bus = bus
+        self.clock: Clock = getattr(bus, "clock", None) or RealClock()
+        self.network = canopen.Network(bus)
+        self.peers: dict[int, Peer] = {}
+        self.events: list[Event] = []
+        self._sdo: dict[int, _PumpedSdo] = {}
+        self._heartbeat_s = heartbeat_s
+        self._next_heartbeat = 0.0
+        self._heartbeat = can.Message(
+            arbitration_id=0x700 + MASTER_ID, data=b"\x05", is_extended_id=False, check=False
+        )
+        self.beating = False
+
+    # --- frames --------------------------------------------------------------------------------
+    def send(self, cob_id: int, data: bytes) -> None:
+        """One frame; BusError where the bus does not take it."""
+        self.put(can.Message(arbitration_id=cob_id, data=data, is_extended_id=False))
+
+    def put(self, message: can.Message) -> None:
+        """One frame; BusError where the bus does not take it."""
+        try:
+            self.bus.send(message)
+        except can.CanError as error:
+            raise BusError(
+                f"bus {self.bus.channel_info}: frame 0x{message.arbitration_id:03X} was not taken ({error}); "
+                "check cable, termination and bit rate"
+            ) from None
+        except (OSError, ValueError) as error:
+            raise BusError(f"bus {self.bus.channel_info}: {error}") from None
+
+    def get(self, timeout: float) -> can.Message | None:
+        """Next frame, or ``None`` after ``timeout`` seconds; BusError where the bus is gone."""
+        if 0.0 < timeout < SHORTEST_WAIT_S:
+            timeout = SHORTEST_WAIT_S
+        try:
+            return self.bus.recv(timeout)
+        except can.CanError as error:
+            raise BusError(f"bus {self.bus.channel_info}: {error}") from None
+        except (OSError, ValueError) as error:
+            raise BusError(f"bus {self.bus.channel_info}: {error}") from None
+
+    def beat(self, now: float) -> None:
+        """Send the master's heartbeat when it is due."""
+        if self.beating and now >= self._next_heartbeat:
+            self._next_heartbeat = now + self._heartbeat_s
+            self.put(self._heartbeat)
+
+    def pump(self, timeout: float) -> None:
+        """Take and sort frames for ``timeout`` seconds, or until one was taken."""
+        self.beat(self.clock.now())
+        message = self.get(min(timeout, self._heartbeat_s / 2) if self.beating else timeout)
+        if message is not None:
+            self.sort(message)
+
+    def wait(self, seconds: float) -> None:
+        """Pump for a while."""
+        end = self.clock.now() + seconds
+        while (rest := end - self.clock.now()) > 0:
+            self.pump(rest)
+
+    def sort(self, message: can.Message) -> None:
+        """Heartbeat, boot-up, EMCY of any length, SDO answers, error frames; the rest is ignored."""
+        if message.is_error_frame:
+            self._error_frame(message)
+            return
+        if message.is_remote_frame or message.is_extended_id:
+            return
+        cob, data = message.arbitration_id, bytes(message.data)
+        node = self.peers.get(cob & 0x7F)
+        if cob & 0x780 == 0x580:
+            self.network.notify(cob, bytearray(data), message.timestamp)
+        elif node is None:
+            return
+        elif cob & 0x780 == 0x700:
+            self._heard(node, data)
+        elif cob & 0x780 == 0x080:
+            self._emergency(node, data)
+
+    def _heard(self, node: Peer, data: bytes) -> None:
+        if not data:
+            return
+        node.last_heartbeat = self.clock.now()
+        state = data[0] & 0x7F
+        if state == 0:
+            node.booted = True
+            self.events.append(
+                Event(Severity.DRIVE, f"axis {node.name} (node {node.node_id}) has restarted", node.name)
+            )
+        node.nmt_state = state
+
+    def _emergency(self, node: Peer, data: bytes) -> None:
+        code = int.from_bytes(data[:2], "little") if data else 0
+        node.emcy.append((self.clock.now(), code))
+        if len(data) >= 2 and code < 0x0100:
+            return  # 00xx: an error has gone
+        what = f"error 0x{code:04X}" if len(data) >= 2 else f"an emergency message of {len(data)} bytes"
+        self.events.append(
+            Event(
+                Severity.DRIVE,
+                f"axis {node.name} (node {node.node_id}) reports {what} ({_emcy_words(code)})",
+                node.name,
+            )
+        )
+
+    def _error_frame(self, message: can.Message) -> None:
+        # Linux error class bit 6: controller went bus-off
+        if message.arbitration_id & 0x40:
+            self.events.append(
+                Event(Severity.BUS, "the CAN controller went bus-off; check cable and bit rate")
+            )
+
+    def require_bus(self) -> None:
+        """BusError where the controller reports bus-off."""
+        state = getattr(self.bus, "state", None)
+        if state is can.BusState.ERROR:
+            raise BusError("the CAN controller is bus-off; check cable, termination and bit rate")
+
+    # --- services ------------------------------------------------------------------------------
+    def add_peer(self, node_id: int, name: str) -> Peer:
+        """Listen to a node."""
+        return self.peers.setdefault(node_id, Peer(node_id, name))
+
+    def nmt(self, command: int, node_id: int = 0) -> None:
+        """NMT command to one node or (0) to all."""
+        self.send(0x000, bytes((command, node_id)))
+
+    def sdo(self, node_id: int) -> SdoClient:
+        """The SDO client of a node."""
+        client = self._sdo.get(node_id)
+        if client is None:
+            client = self._sdo[node_id] = _PumpedSdo(self, node_id)
+        return client
+
+    def close(self) -> None:
+        """Close the bus; safe to call twice."""
+        try:
+            self.bus.shutdown()
+        except Exception as error:  # a driver that fails to close must not hide the error before it
+            self.events.append(Event(Severity.NOTE, f"the bus did not close cleanly: {error}"))
+
+
+class _PumpedSdo(SdoClient):
+    """``canopen``'s SDO client that takes its answers from the link instead of a second thread."""
+
+    RESPONSE_TIMEOUT = 0.3
+
+    def __init__(self, link: Link, node_id: int) -> None:
+        super().__init__(  # type: ignore[no-untyped-call]
+            0x600 + node_id,
+            0x580 + node_id,
+            canopen.ObjectDictionary(),  # type: ignore[no-untyped-call]
+        )
+        self.network = link.network
+        self._link = link
+        self._answers: list[bytes] = []
+        link.network.subscribe(0x580 + node_id, self.on_response)
+
+    def on_response(self, can_id: int, data: bytearray, timestamp: float) -> None:
+        """An SDO answer came."""
+        if len(data) == 8:
+            self._answers.append(bytes(data))
+
+    def request_response(self, sdo_request: bytes) -> bytes:
+        """Send a request and pump until its answer is there; one retry, because a frame may be lost."""
+        for attempt in (1, 2):
+            self._answers.clear()
+            self.send_request(sdo_request)
+            try:
+                return self.read_response()
+            except SdoCommunicationError:
+                if attempt == 2:
+                    raise
+        raise SdoCommunicationError("No SDO response received")
+
+    def send_request(self, request: bytes) -> None:
+        """One SDO frame."""
+        self._link.send(self.rx_cobid, bytes(request))
+
+    def read_response(self) -> bytes:
+        """Pump until an answer is there."""
+        clock = self._link.clock
+        end = clock.now() + self.RESPONSE_TIMEOUT
+        while not self._answers:
+            rest = end - clock.now()
+            if rest <= 0:
+                raise SdoCommunicationError("No SDO response received")
+            self._link.pump(rest)
+        answer = self._answers.pop(0)
+        if answer[0] == 0x80:
+            raise SdoAbortedError(int.from_bytes(answer[4:8], "little"))
+        return answer
+
+
+def _emcy_words(code: int) -> str:
+    for mask, words in (
+        (0xFF00, {0x8100: "communication", 0x8600: "positioning", 0x2300: "output current"}),
+        (
+            0xF000,
+            {
+                0x1000: "generic",
+                0x2000: "current",
+                0x3000: "voltage",
+                0x4000: "temperature",
+                0x5000: "drive hardware",
+                0x6000: "drive software",
+                0x7000: "sensor or brake",
+                0x8000: "monitoring",
+                0x9000: "external",
+                0xF000: "vendor's own",
+            },
+        ),
+    ):
+        found = words.get(code & mask)
+        if found:
+            return found
+    return "see the drive's manual"
+
+
+__all__ = [
+    "MASTER_ID",
+    "NMT_PRE_OPERATIONAL",
+    "NMT_START",
+    "NMT_STOP",
+    "Link",
+    "Peer",
+    "RealClock",
+    "SdoAbortedError",
+    "SdoCommunicationError",
+    "SdoError",
+]

@@ -1,0 +1,104 @@
+"""The CiA 301 and CiA 402 objects that the service reads or writes, in one table."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Object:
+    """One object: address, ``struct`` code of its type, name for messages."""
+
+    index: int
+    sub: int
+    code: str
+    name: str
+
+    @property
+    def address(self) -> str:
+        """``0x6071`` or ``0x607D:1``."""
+        return f"0x{self.index:04X}" + (f":{self.sub}" if self.sub else "")
+
+    @property
+    def size(self) -> int:
+        """Size of the value."""
+        return struct.calcsize("<" + self.code)
+
+    @property
+    def mapping(self) -> int:
+        """Entry of a PDO map: index, subindex, length in bits."""
+        return self.index << 16 | self.sub << 8 | self.size * 8
+
+    def pack(self, value: int) -> bytes:
+        """Little-endian bytes; the value is clipped to the type, which a limit may exceed."""
+        bits = self.size * 8
+        low = -(1 << (bits - 1)) if self.code.islower() else 0
+        high = (1 << (bits - 1)) - 1 if self.code.islower() else (1 << bits) - 1
+        return struct.pack("<" + self.code, min(max(value, low), high))
+
+    def unpack(self, data: bytes) -> int:
+        """The value; a shorter answer than the type is extended, as some drives send it."""
+        size = self.size
+        if len(data) < size:
+            negative = self.code.islower() and bool(data) and data[-1] & 0x80
+            data = data + (b"\xff" if negative else b"\0") * (size - len(data))
+        value: int = struct.unpack("<" + self.code, data[:size])[0]
+        return value
+
+
+DEVICE_TYPE = Object(0x1000, 0, "I", "device type")
+ERROR_REGISTER = Object(0x1001, 0, "B", "error register")
+CONSUMER_HEARTBEAT = Object(0x1016, 1, "I", "consumer heartbeat")
+PRODUCER_HEARTBEAT = Object(0x1017, 0, "H", "producer heartbeat")
+VENDOR_ID = Object(0x1018, 1, "I", "vendor id")
+PRODUCT_CODE = Object(0x1018, 2, "I", "product code")
+SERIAL_NUMBER = Object(0x1018, 4, "I", "serial number")
+ABORT_CONNECTION = Object(0x6007, 0, "h", "abort connection option")
+ERROR_CODE = Object(0x603F, 0, "H", "error code")
+CONTROLWORD = Object(0x6040, 0, "H", "controlword")
+STATUSWORD = Object(0x6041, 0, "H", "statusword")
+QUICK_STOP_OPTION = Object(0x605A, 0, "h", "quick stop option")
+MODE = Object(0x6060, 0, "b", "mode of operation")
+MODE_DISPLAY = Object(0x6061, 0, "b", "mode of operation display")
+POSITION = Object(0x6064, 0, "i", "position actual value")
+FOLLOWING_WINDOW = Object(0x6065, 0, "I", "following error window")
+FOLLOWING_TIME = Object(0x6066, 0, "H", "following error time out")
+TARGET_TORQUE = Object(0x6071, 0, "h", "target torque")
+MAX_TORQUE = Object(0x6072, 0, "H", "max torque")
+RATED_TORQUE = Object(0x6076, 0, "I", "motor rated torque")
+TORQUE = Object(0x6077, 0, "h", "torque actual value")
+TARGET_POSITION = Object(0x607A, 0, "i", "target position")
+POSITION_LIMIT_LOW = Object(0x607D, 1, "i", "software position limit, min")
+POSITION_LIMIT_HIGH = Object(0x607D, 2, "i", "software position limit, max")
+MAX_VELOCITY = Object(0x607F, 0, "I", "max profile velocity")
+ENCODER_INCREMENTS = Object(0x608F, 1, "I", "position encoder resolution, increments")
+ENCODER_REVOLUTIONS = Object(0x608F, 2, "I", "position encoder resolution, revolutions")
+GEAR_MOTOR = Object(0x6091, 1, "I", "gear ratio, motor revolutions")
+GEAR_SHAFT = Object(0x6091, 2, "I", "gear ratio, shaft revolutions")
+FEED = Object(0x6092, 1, "I", "feed constant, feed")
+FEED_REVOLUTIONS = Object(0x6092, 2, "I", "feed constant, shaft revolutions")
+SUPPORTED_MODES = Object(0x6502, 0, "I", "supported drive modes")
+
+RPDO_MAP = (CONTROLWORD, TARGET_TORQUE)
+TPDO_MAP = (POSITION, TORQUE, STATUSWORD)
+
+
+def rpdo_communication(number: int, sub: int) -> Object:
+    """0x1400 + number − 1."""
+    return Object(0x13FF + number, sub, "I" if sub == 1 else "B", f"RPDO {number} communication")
+
+
+def rpdo_mapping(number: int, sub: int) -> Object:
+    """0x1600 + number − 1."""
+    return Object(0x15FF + number, sub, "I" if sub else "B", f"RPDO {number} mapping")
+
+
+def tpdo_communication(number: int, sub: int) -> Object:
+    """0x1800 + number − 1."""
+    return Object(0x17FF + number, sub, "I" if sub == 1 else "B", f"TPDO {number} communication")
+
+
+def tpdo_mapping(number: int, sub: int) -> Object:
+    """0x1A00 + number − 1."""
+    return Object(0x19FF + number, sub, "I" if sub else "B", f"TPDO {number} mapping")

@@ -1,0 +1,53 @@
+"""Config to cell: the only place that names adapters."""
+
+from __future__ import annotations
+
+import can
+
+from invid.config import CellConfig
+from invid.errors import BusError, ConfigError
+from invid_drivers.cia402.bus import Cia402Cell
+from invid_drivers.cia402.journal import Journal, journal_path
+
+VIRTUAL = "invid-virtual"
+
+
+def is_virtual(config: CellConfig) -> bool:
+    """Whether the bus steps simulated drives in virtual time."""
+    return config.bus.interface == VIRTUAL
+
+
+def open_bus(config: CellConfig) -> can.BusABC:
+    """The bus a config names; BusError where it cannot be opened."""
+    bus = config.bus
+    if is_virtual(config):
+        if config.simulation is None:
+            raise ConfigError(
+                f"bus: interface {VIRTUAL!r} needs a section 'simulation' that says what stands behind it"
+            )
+        from invid_drivers.simulated import open_virtual_bus
+
+        return open_virtual_bus(config)
+    try:
+        return can.Bus(
+            interface=bus.interface,
+            channel=bus.channel,
+            **{"bitrate": bus.bitrate_bit_per_s, **bus.options},
+        )
+    except can.CanInterfaceNotImplementedError as error:
+        raise ConfigError(
+            f"bus.interface {bus.interface!r} is not known to python-can or its driver is missing ({error}); "
+            "known are " + ", ".join(sorted(can.VALID_INTERFACES))
+        ) from None
+    except (can.CanError, OSError, ValueError, TypeError, ImportError) as error:
+        raise BusError(
+            f"bus {bus.interface} {bus.channel}: cannot be opened ({error}); check that the interface is "
+            "there, up "
+            "and not in use, and bus.channel in the config"
+        ) from None
+
+
+def connect(config: CellConfig) -> Cia402Cell:
+    """The cell behind a config, its bus open and nothing written yet. Call ``close`` on every way out."""
+    journal = None if is_virtual(config) else Journal(journal_path(config.bus.interface, config.bus.channel))
+    return Cia402Cell(open_bus(config), config, journal=journal)

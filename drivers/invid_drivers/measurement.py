@@ -1,0 +1,188 @@
+"""``measure_to_file``: the one way to measure, used by the command, the demo and the service."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from invid.arrays import frozen_float
+from invid.chains import CoupledChains
+from invid.config import CellConfig
+from invid.errors import ConfigError, SafetyStop
+from invid.plan import Plan, make_plan
+from invid.recording import Outcome, Recording, RecordingWriter
+from invid.sweep import Progress, Sweep, SweepResult
+from invid.sweep.recorder import Recorder
+from invid_drivers.cia402.bus import Cia402Cell
+from invid_drivers.connect import connect
+
+__all__ = ["MeasurementResult", "Progress", "measure_to_file"]
+
+
+@dataclass(frozen=True)
+class MeasurementResult:
+    """A finished measurement."""
+
+    path: Path
+    outcome: Outcome
+    duration_s: float
+    """Robot time [s]."""
+    simulated: bool
+    amplitude_scale: float
+    skipped_slots: int = 0
+    missed_tpdos: dict[str, int] = field(default_factory=dict)
+    peaks: dict[str, dict[str, float]] = field(default_factory=dict)
+    jitter_us: dict[str, float] | None = None
+    """Lateness of SYNC against its slot, in real time: median, 99th and 99.9th percentile, worst."""
+    drives: tuple[dict[str, Any], ...] = ()
+    warnings: tuple[str, ...] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return {
+            "recording": str(self.path),
+            "outcome": str(self.outcome),
+            "simulated": self.simulated,
+            "duration_s": self.duration_s,
+            "amplitude_scale": self.amplitude_scale,
+            "skipped_slots": self.skipped_slots,
+            "missed_tpdos": self.missed_tpdos,
+            "peaks": self.peaks,
+            "jitter_us": self.jitter_us,
+            "drives": list(self.drives),
+            "warnings": list(self.warnings),
+        }
+
+
+def measure_to_file(
+    config: CellConfig,
+    out: Path,
+    *,
+    axes: Sequence[str] | None = None,
+    amplitude_scale: float = 1.0,
+    progress: Callable[[Progress], None] | None = None,
+    stop: threading.Event | None = None,
+    model: CoupledChains | None = None,
+) -> MeasurementResult:
+    """Run the config's experiments and write the recording.
+
+    ``out`` is not touched before the first experiment begins. Whatever ends the run, the drives are
+    stopped and restored, and what was measured is closed and marked in ``out``.
+
+    Raises
+    ------
+    ConfigError
+        Before anything is opened.
+    SafetyStop, DriveError, BusError
+        The measurement ended early; the recording so far is in ``out``.
+    """
+    plan = make_plan(config, axes=axes, amplitude_scale=amplitude_scale, model=model)
+    cell = connect(config)
+    return run_measurement(config, plan, cell, Path(out), progress=progress, stop=stop)
+
+
+def run_measurement(
+    config: CellConfig,
+    plan: Plan,
+    cell: Cia402Cell,
+    out: Path,
+    *,
+    progress: Callable[[Progress], None] | None = None,
+    stop: threading.Event | None = None,
+) -> MeasurementResult:
+    """The measurement on a connected cell, which is closed at the end."""
+    complaints: list[str] = []
+    closed = False
+    recorder: Recorder | None = None
+    outcome = Outcome.FAILED
+    try:
+        cell.check()
+        if out.is_dir():
+            raise ConfigError(f"{out}: is a folder; name a file for the recording")
+        header = _header(config, cell)
+        recorder = Recorder(lambda: RecordingWriter(out, header), plan.cycle_s, len(plan.axes))
+        sweep = Sweep(plan, config, cell, recorder, progress=progress, stop=stop)
+        result = sweep.run()
+        outcome = Outcome.COMPLETED
+        complaints = cell.close()
+        closed = True
+        return _result(config, cell, out, result, recorder, complaints)
+    except (SafetyStop, KeyboardInterrupt):
+        outcome = Outcome.ABORTED
+        raise
+    finally:
+        # The drives first: a file that cannot be closed must not keep an axis energised.
+        if not closed:
+            cell.close()
+        if recorder is not None:
+            recorder.close(outcome)
+
+
+def _header(config: CellConfig, cell: Cia402Cell) -> Recording:
+    masses = [a.masses for a in config.axes]
+    known = [m for m in masses if m is not None]
+    document = config.model_dump(mode="json", exclude_none=True)
+    return Recording(
+        robot=config.robot,
+        axes=cell.axes,
+        position_unit="m" if config.linear else "rad",
+        torque_unit="N" if config.linear else "N·m",
+        created=datetime.now(UTC).isoformat(timespec="seconds"),
+        experiments=(),
+        masses_per_axis=tuple(known) if len(known) == len(masses) else None,
+        rated_torque=frozen_float(cell.rated_torque),
+        encoder_resolution=frozen_float(cell.resolution),
+        config=yaml.safe_dump(document, sort_keys=False, allow_unicode=True),
+        attributes={"simulated": config.simulated},
+    )
+
+
+def _result(
+    config: CellConfig,
+    cell: Cia402Cell,
+    out: Path,
+    result: SweepResult,
+    recorder: Recorder,
+    complaints: list[str],
+) -> MeasurementResult:
+    seen = result.statistics
+    axes = cell.axes
+    warnings = [*result.warnings, *complaints]
+    for report in cell.reports:
+        warnings += report.warnings
+        warnings += [f"axis {report.axis}: the drive lacks {what}" for what in report.lacks]
+    rows = seen.cycles * len(axes)
+    lost = sum(seen.missed_tpdos or [])
+    if lost > 0.001 * rows:
+        warnings.append(f"{lost} of {rows} samples did not arrive and were filled from their neighbours")
+    if seen.skipped_slots > 0.001 * max(seen.cycles, 1):
+        warnings.append(
+            f"{seen.skipped_slots} of {seen.cycles} SYNC slots were skipped: the computer was late"
+        )
+    return MeasurementResult(
+        path=out,
+        outcome=Outcome.COMPLETED,
+        duration_s=result.measured_s,
+        simulated=config.simulated,
+        amplitude_scale=result.scale,
+        skipped_slots=seen.skipped_slots,
+        missed_tpdos=dict(zip(axes, seen.missed_tpdos or [], strict=False)),
+        peaks={
+            a: {"travel": x, "velocity": v, "torque": t}
+            for a, x, v, t in zip(
+                axes,
+                seen.peak_travel or [],
+                seen.peak_velocity or [],
+                seen.peak_torque or [],
+                strict=False,
+            )
+        },
+        drives=tuple(r.to_json() for r in cell.reports),
+        warnings=tuple(dict.fromkeys(warnings)),
+    )

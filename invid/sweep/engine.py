@@ -1,0 +1,456 @@
+"""The sweep: runs a plan against ports. Whoever energises also stops, whatever happens in between."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from invid.arrays import Float64
+from invid.config import CellConfig
+from invid.errors import SafetyStop
+from invid.excitation import doublet
+from invid.plan.model import Plan, PlannedExperiment
+from invid.recording.model import Kind
+from invid.sweep import trials
+from invid.sweep.holds import Gains, centring, following, least_damping, master_hold
+from invid.sweep.ports import Cell, Mode, Sample, Sink
+from invid.sweep.watch import AxisLimits, Statistics, Watch
+
+SETTLE_S = 0.3
+"""Held by the drives before anything else, to measure the torque that the holds need (gravity)."""
+TRIAL_FIRST_S, TRIAL_LAST_S = 0.02, 2.56
+"""Lengths of the doublets, doubled until the axis has moved enough."""
+TRIAL_COUNTS, TRIAL_WINDOW = 50, 0.01
+"""Enough is 50 encoder counts and 1 % of the position window: the slope is then good to a few per cent."""
+LEAST_COUNTS = 5
+"""Less than this after the longest doublet, and the axis did not move."""
+NEAR_LIMIT = 0.8
+"""The trial foretells the motion at full amplitude; beyond this share of a limit it is scaled down."""
+TRIAL_PERIOD_S = 10.0
+FADE_S = 0.1
+"""A stop on request fades the torque out in this time before the quick stop."""
+PROGRESS_S = 0.2
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a measurement is."""
+
+    phase: str
+    axis: str | None
+    frequency: float | None
+    """[Hz] where there is one."""
+    fraction: float
+    """0…1."""
+    eta_s: float
+    """Remaining robot time [s]."""
+
+
+@dataclass(frozen=True)
+class SweepResult:
+    """Facts of a finished sweep."""
+
+    scale: float
+    """Factor applied to every torque of the plan; below 1 where a limit was near."""
+    inertia: dict[str, float]
+    """Rigid inertia of each excited axis as the trial saw it [kg·m² or kg]."""
+    statistics: Statistics
+    warnings: tuple[str, ...] = ()
+    measured_s: float = 0.0
+
+
+@dataclass
+class _Feedback:
+    """One axis in torque mode."""
+
+    axis: int
+    gains: Gains
+    bias: float
+    limit: float
+
+
+@dataclass
+class Sweep:
+    """One run of one plan. ``run`` may be called once."""
+
+    plan: Plan
+    config: CellConfig
+    cell: Cell
+    sink: Sink
+    progress: Callable[[Progress], None] | None = None
+    stop: threading.Event | None = None
+    warnings: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        count = len(self.config.axes)
+        self._count = count
+        self._zero = [0.0] * count
+        self._origin = [0.0] * count
+        self._bias = [0.0] * count
+        self._last: list[float] = [0.0] * count
+        self._last_time = 0.0
+        self._velocity = [0.0] * count
+        self._demand = [0.0] * count
+        self._feedback: list[_Feedback] = []
+        self._modes: list[Mode] = []
+        self._inertia: dict[int, float] = {}
+        self._scale = 1.0
+        self._done_s = 0.0
+        self._total_s = self.plan.duration_s + self._trial_s()
+        self._next_report = 0.0
+        self._phase = "enabling"
+        self._now: PlannedExperiment | None = None
+        self._watch: Watch | None = None
+
+    def _trial_s(self) -> float:
+        return 2.0 * len(self.plan.excited) + TRIAL_PERIOD_S
+
+    # --- the run -------------------------------------------------------------------------------
+    def run(self) -> SweepResult:
+        """Enable, try, measure, stop.
+
+        Raises
+        ------
+        SafetyStop, DriveError, BusError
+            The drives are stopped by then; what the sink holds is what was measured so far.
+        """
+        self._report()
+        for axis in self.config.axes:
+            master_hold(axis, self.plan.cycle_s)  # refuses an unstable hold before anything is enabled
+        try:
+            self._start()
+            for i in self.plan.excited:
+                self._try_signs(i)
+            self._try_amplitude()
+            for number, experiment in enumerate(self.plan.experiments):
+                self._experiment(experiment, number)
+        finally:
+            self.cell.stop()
+        self._phase, self._done_s = "done", self._total_s
+        self._report()
+        return SweepResult(
+            scale=self._scale,
+            inertia={self.plan.axes[i]: m for i, m in self._inertia.items()},
+            statistics=self._watching.statistics,
+            warnings=tuple(self.warnings),
+            measured_s=self._total_s,
+        )
+
+    @property
+    def statistics(self) -> Statistics:
+        """What was seen so far."""
+        return self._watch.statistics if self._watch is not None else Statistics()
+
+    @property
+    def _watching(self) -> Watch:
+        if self._watch is None:
+            raise SafetyStop("the sweep watches nothing before it has started")
+        return self._watch
+
+    def _resting_modes(self) -> list[Mode]:
+        return [Mode.HOLD if can else Mode.TORQUE for can in self.cell.can_hold]
+
+    def _start(self) -> None:
+        cell, config = self.cell, self.config
+        # A drive that can hold starts holding; the others start at zero torque.
+        if not cell.can_hold:
+            raise SafetyStop("the cell was not checked before the sweep")
+        self._modes = self._resting_modes()
+        cell.energise(self._modes)
+        unit = "m" if config.linear else "rad"
+        self._watch = Watch(
+            [
+                AxisLimits(
+                    a.name,
+                    a.limits.torque,
+                    a.limits.position,
+                    a.limits.velocity,
+                    cell.resolution[i],
+                    cell.rated_torque[i],
+                    unit,
+                    "N" if config.linear else "N·m",
+                )
+                for i, a in enumerate(config.axes)
+            ],
+            cycle_s=self.plan.cycle_s,
+            missed_tpdos=config.safety.missed_tpdos,
+            overrun_cycles=config.safety.overrun_cycles,
+        )
+        sample = cell.exchange(self._zero)
+        self._origin = list(sample.position)
+        self._last, self._last_time = list(sample.position), sample.time
+        self._watching.start(self._origin)
+        self._watching.held = set(range(self._count))
+        self._phase = "settling"
+        rows = self._play(None, round(SETTLE_S / self.plan.cycle_s), log=True)
+        torque = rows[1][len(rows[1]) // 2 :]
+        for i, mode in enumerate(self._modes):
+            # What the drive needs to hold an axis is what it needs when the master takes over; only a
+            # gravity-loaded axis is believed to need any, friction held at rest can be anything.
+            if mode is Mode.HOLD and config.axes[i].gravity_loaded:
+                self._bias[i] = float(np.mean(torque[:, i]))
+
+    # --- one cycle and many --------------------------------------------------------------------
+    def _play(
+        self,
+        torque: Sequence[Sequence[float]] | None,
+        cycles: int,
+        *,
+        reference: Sequence[Sequence[float]] | None = None,
+        scale: float = 1.0,
+        sink: Sink | None = None,
+        rows: tuple[int, int] = (0, 0),
+        log: bool = False,
+    ) -> list[Float64]:
+        """Run ``cycles`` cycles of excitation around the feedback; the log is demand, torque, position."""
+        cell, watch, stop = self.cell, self._watching, self.stop
+        cycle = self.plan.cycle_s
+        feedback, origin, velocity = self._feedback, self._origin, self._velocity
+        demand = self._demand
+        first, last = rows
+        kept: tuple[list[list[float]], list[list[float]], list[list[float]]] = ([], [], [])
+        start: int | None = None
+        fading = 0
+        fade = max(1, round(FADE_S / cycle))
+        k = 0
+        while k < cycles:
+            excitation = torque[k] if torque is not None else self._zero
+            path = reference[k] if reference is not None else None
+            before = reference[k - 1] if reference is not None and k else path
+            gain = scale
+            if fading:
+                gain *= 1.0 - fading / fade
+            for f in feedback:
+                i = f.axis
+                away, speed = self._last[i] - origin[i], velocity[i]
+                if path is not None and before is not None:
+                    away -= path[i]
+                    speed -= (path[i] - before[i]) / cycle
+                value = f.bias + gain * excitation[i] - f.gains.stiffness * away - f.gains.damping * speed
+                demand[i] = f.limit if value > f.limit else -f.limit if value < -f.limit else value
+            sample = cell.exchange(demand)
+            if start is None:
+                start = sample.slot
+            k = sample.slot - start
+            watch.check(sample)
+            self._differentiate(sample)
+            if sink is not None and first <= k < last:
+                sink.row(sample, demand)
+            if log:
+                kept[0].append(list(demand))
+                kept[1].append(list(sample.torque))
+                kept[2].append(list(sample.position))
+            k += 1
+            if fading:
+                fading += 1
+                if fading > fade:
+                    raise SafetyStop("stopped on request; the recording so far is kept")
+            elif stop is not None and stop.is_set():
+                fading = 1
+                cycles = max(cycles, k + fade + 1)
+                if torque is not None:
+                    torque = [*torque, *([torque[-1]] * (fade + 2))]
+                if reference is not None:
+                    reference = [*reference, *([reference[-1]] * (fade + 2))]
+            if sample.time >= self._next_report:
+                self._next_report = sample.time + PROGRESS_S
+                self._report(k * cycle)
+        self._done_s += cycles * cycle
+        return [np.asarray(part) for part in kept]
+
+    def _differentiate(self, sample: Sample) -> None:
+        dt = sample.time - self._last_time
+        if dt <= 0:
+            return
+        last, velocity, position = self._last, self._velocity, sample.position
+        for i, fresh in enumerate(sample.fresh):
+            if fresh:
+                velocity[i] = (position[i] - last[i]) / dt
+                last[i] = position[i]
+        self._last_time = sample.time
+
+    def _change(self, modes: Sequence[Mode], feedback: list[_Feedback]) -> None:
+        """New modes and feedback. Torque starts at the bias, as the hold left it."""
+        demand = list(self._zero)
+        for f in feedback:
+            demand[f.axis] = f.bias
+        self._feedback, self._demand = feedback, demand
+        if list(modes) != self._modes:
+            self.cell.set_modes(modes, demand)
+            self._modes = list(modes)
+            self._watching.pause()
+            self._velocity = [0.0] * self._count
+            self._last_time = 0.0
+        self._watching.settle()
+
+    # --- trials --------------------------------------------------------------------------------
+    def _try_signs(self, axis: int) -> None:
+        """Doublets of at most a tenth of the amplitude, longer and longer, until the axis has moved."""
+        settings = self.config.axes[axis]
+        name, limits = settings.name, settings.limits
+        cycle = self.plan.cycle_s
+        peak = max(float(np.abs(e.torque[:, axis]).max()) for e in self.plan.experiments)
+        amplitude = self.config.safety.test_amplitude * (peak if peak > 0 else 0.5 * limits.torque)
+        self._phase, self._now = f"trying the signs of {name}", None
+        modes = self._resting_modes()
+        modes[axis] = Mode.TORQUE
+        others = [
+            _Feedback(i, Gains(0.0, 0.0), self._bias[i], limit.limits.torque)
+            for i, limit in enumerate(self.config.axes)
+            if modes[i] is Mode.TORQUE
+        ]
+        self._change(modes, others)
+        self._watching.held = set(range(self._count)) - {axis}
+        resolution = self.cell.resolution[axis]
+        # The slope is of the sampled position, so the axis must move many counts.
+        wanted = max(TRIAL_COUNTS * resolution, TRIAL_WINDOW * limits.position)
+        length = TRIAL_FIRST_S
+        while True:
+            wave = amplitude * doublet(round(length / cycle))
+            rows = np.zeros((wave.size + 1, self._count))
+            rows[:-1, axis] = wave
+            kept = self._play(rows.tolist(), len(rows), log=True)
+            demand = kept[0][:, axis] - self._bias[axis]
+            position = kept[2][:, axis] - kept[2][0, axis]
+            found = trials.response(
+                demand,
+                kept[1][:, axis] - self._bias[axis],
+                position,
+                cycle,
+                self.cell.rated_torque[axis],
+            )
+            if found.displacement >= wanted or (length * 2 > TRIAL_LAST_S):
+                break
+            length *= 2
+        unit, torque_unit = ("m", "N") if self.config.linear else ("rad", "N·m")
+        if found.displacement < LEAST_COUNTS * resolution:
+            raise SafetyStop(
+                f"axis {name}: {amplitude:.3g} {torque_unit} for {length:.2g} s moved the encoder by "
+                f"{found.displacement / resolution:.0f} counts: the brake is closed, the encoder is "
+                "stuck, or friction is "
+                "above the trial torque; free the axis, or raise limits.torque if the axis may take more"
+            )
+        trials.judge(name, found, amplitude=amplitude, unit=unit, torque_unit=torque_unit)
+        self._inertia[axis] = settings.inertia if settings.inertia is not None else found.inertia
+        # back to where it stood, gently
+        self._centre({axis}, lowest=3.0)
+        self._play(None, round(0.3 / cycle))
+        if self.cell.can_hold[axis]:
+            self._change(self._resting_modes(), [f for f in others if f.axis != axis])
+
+    def _centre(self, excited: set[int], *, lowest: float, path: bool = False) -> None:
+        """Excited axes in torque mode around their place, the others held as configured."""
+        cycle = self.plan.cycle_s
+        modes: list[Mode] = []
+        feedback = []
+        for i, settings in enumerate(self.config.axes):
+            limit = settings.limits.torque
+            if i in excited:
+                inertia = self._inertia.get(i) or settings.inertia or 0.0
+                gains = following(inertia, cycle) if path else centring(inertia, lowest, cycle)
+                modes.append(Mode.TORQUE)
+                feedback.append(_Feedback(i, gains, self._bias[i], limit))
+                continue
+            held = self._hold_gains(i)
+            modes.append(Mode.HOLD if held is None else Mode.TORQUE)
+            if held is not None:
+                feedback.append(_Feedback(i, held, self._bias[i], limit))
+        self._change(modes, feedback)
+        self._watching.held = set(range(self._count)) - excited
+
+    def _hold_gains(self, axis: int) -> Gains | None:
+        """Gains of a held axis; ``None``: inside the drive."""
+        settings = self.config.axes[axis]
+        held = master_hold(settings, self.plan.cycle_s)
+        if held is not None:
+            return held
+        if self.cell.can_hold[axis]:
+            return None
+        # A drive without position mode is held by the master: half the torque limit at the window's edge.
+        stiffness = 0.5 * settings.limits.torque / settings.limits.position
+        return Gains(stiffness, max(least_damping(stiffness, self.plan.cycle_s), 0.1 * stiffness))
+
+    def _lowest(self, experiments: Sequence[PlannedExperiment]) -> float:
+        lines = [float(e.frequencies_hz.min()) for e in experiments if e.frequencies_hz.size]
+        lines += [float(e.attributes["band_hz"][0]) for e in experiments if "band_hz" in e.attributes]
+        return min(lines, default=1.0)
+
+    def _try_amplitude(self) -> None:
+        """A tenth of the first shaking: does the motion at full amplitude stay within the limits?"""
+        shaking = [e for e in self.plan.experiments if e.kind is not Kind.CONSTANT_VELOCITY]
+        if not shaking:
+            return
+        experiment = shaking[0]
+        share = self.config.safety.test_amplitude
+        self._phase, self._now = "trying the amplitude", experiment
+        excited = set(experiment.excited)
+        self._centre(excited, lowest=self._lowest([experiment]))
+        cycle = self.plan.cycle_s
+        cycles = min(experiment.cycles, round(TRIAL_PERIOD_S / cycle))
+        rows = experiment.torque[:cycles] * share
+        kept = self._play(rows.tolist(), cycles, log=True)
+        self._play(None, round(self.plan.rest_s / cycle))
+        for i in sorted(excited):
+            limits = self.config.axes[i].limits
+            motion = kept[2][:, i] - self._origin[i]
+            travel = float(np.abs(motion).max()) / share
+            step = max(1, round(0.004 / cycle))
+            moved = np.abs(motion[step:] - motion[:-step]) - self.cell.resolution[i]
+            velocity = float(moved.max(initial=0.0)) / (step * cycle) / share
+            for what, value, limit in (
+                ("travel", travel, limits.position),
+                ("velocity", velocity, limits.velocity),
+            ):
+                if value * self._scale > NEAR_LIMIT * limit:
+                    self._scale = NEAR_LIMIT * limit / value
+                    self.warnings.append(
+                        f"axis {self.plan.axes[i]}: at full amplitude the {what} would be {value:.3g}, limit "
+                        f"{limit:g}; every torque is scaled by {self._scale:.2f}"
+                    )
+
+    # --- experiments ---------------------------------------------------------------------------
+    def _experiment(self, experiment: PlannedExperiment, number: int) -> None:
+        self._phase = f"experiment {number + 1} of {len(self.plan.experiments)}"
+        self._now = experiment
+        path = experiment.kind is Kind.CONSTANT_VELOCITY
+        excited = set(experiment.excited)
+        self._centre(excited, lowest=self._lowest([experiment]), path=path)
+        cycle = self.plan.cycle_s
+        self._play(None, round(self.plan.rest_s / cycle))
+        self._watching.excited = set() if path else excited
+        gains = [float("nan")] * self._count
+        for f in self._feedback:
+            gains[f.axis] = f.gains.stiffness
+        self.sink.begin(experiment, gains, self._scale)
+        try:
+            self._play(
+                experiment.torque.tolist(),
+                experiment.cycles,
+                reference=None if experiment.reference is None else experiment.reference.tolist(),
+                scale=self._scale,
+                sink=self.sink,
+                rows=(experiment.record_from, experiment.record_to),
+            )
+        finally:
+            self._watching.excited = set()
+            self.sink.end()
+
+    def _report(self, within: float = 0.0) -> None:
+        if self.progress is None:
+            return
+        done = min(self._done_s + within, self._total_s)
+        e = self._now
+        self.progress(
+            Progress(
+                phase=self._phase,
+                axis=self.plan.axes[e.excited[0]] if e is not None and len(e.excited) == 1 else None,
+                frequency=float(e.frequencies_hz[0])
+                if e is not None and e.frequencies_hz.size == 1
+                else None,
+                fraction=done / self._total_s if self._total_s > 0 else 1.0,
+                eta_s=max(self._total_s - done, 0.0),
+            )
+        )

@@ -1,0 +1,128 @@
+"""What the sweep engine needs from outside: a clock, a cell of drives, a place for the samples."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Protocol
+
+from invid.plan.model import PlannedExperiment
+
+
+class Mode(StrEnum):
+    """What a drive does with an energised axis."""
+
+    TORQUE = "torque"
+    """Follows the master's torque every cycle (cyclic synchronous torque)."""
+    HOLD = "hold"
+    """Holds its place by itself (cyclic synchronous position); survives the loss of the master."""
+
+
+class Severity(StrEnum):
+    """What an event from the bus means for the motion."""
+
+    DRIVE = "drive"
+    """A drive failed; everything stops."""
+    BUS = "bus"
+    """The bus failed; everything stops."""
+    NOTE = "note"
+    """Worth a line in the result."""
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something a drive or the bus said outside the cycle (EMCY, lost heartbeat, late frames, …)."""
+
+    severity: Severity
+    text: str
+    axis: str | None = None
+
+
+@dataclass(slots=True)
+class Sample:
+    """What one SYNC brought; lists are indexed by axis and owned by the cell until the next exchange."""
+
+    slot: int = 0
+    """Number of the SYNC slot since the start; a jump of more than one is skipped slots."""
+    time: float = 0.0
+    """SYNC instant [s]."""
+    position: list[float] = field(default_factory=list)
+    torque: list[float] = field(default_factory=list)
+    status: list[int] = field(default_factory=list)
+    fresh: list[bool] = field(default_factory=list)
+    """False where the axis's TPDO did not come; its values are then the last ones."""
+    events: list[Event] = field(default_factory=list)
+
+
+class Clock(Protocol):
+    """Real or virtual time [s]."""
+
+    def now(self) -> float:
+        """Seconds since some fixed instant."""
+        ...
+
+    def sleep_until(self, instant: float) -> None:
+        """Return not before ``instant``."""
+        ...
+
+
+class Cell(Protocol):
+    """Drives on a bus, all of them held or driven at all times between ``energise`` and ``stop``."""
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names, in the order of every list."""
+        ...
+
+    @property
+    def clock(self) -> Clock:
+        """The clock that the SYNC instants are of."""
+        ...
+
+    @property
+    def can_hold(self) -> tuple[bool, ...]:
+        """Whether each drive can hold its place by itself."""
+        ...
+
+    @property
+    def resolution(self) -> tuple[float, ...]:
+        """Position of one encoder count of each axis [rad or m]."""
+        ...
+
+    @property
+    def rated_torque(self) -> tuple[float, ...]:
+        """Rated torque of each axis [N·m or N]."""
+        ...
+
+    def energise(self, modes: Sequence[Mode]) -> None:
+        """Enable every axis in its mode, at rest where it stands."""
+        ...
+
+    def set_modes(self, modes: Sequence[Mode], torque: Sequence[float]) -> None:
+        """Change modes while energised; ``torque`` is applied to axes in torque mode from then on."""
+        ...
+
+    def exchange(self, torque: Sequence[float]) -> Sample:
+        """One cycle: targets out, SYNC at its slot, samples in. BusError where the bus fails."""
+        ...
+
+    def stop(self) -> None:
+        """Quick stop, disable voltage, NMT stop. From any state, any number of times; never raises."""
+        ...
+
+
+class Sink(Protocol):
+    """Where samples go."""
+
+    def begin(self, experiment: PlannedExperiment, hold_gain: Sequence[float], scale: float) -> None:
+        """A new experiment."""
+        ...
+
+    def row(self, sample: Sample, demand: Sequence[float]) -> None:
+        """One cycle of it. The sample's lists are only valid during the call."""
+        ...
+
+    def end(self) -> None:
+        """The experiment is over."""
+        ...
