@@ -1,0 +1,1 @@
+"""Cells: readiness, stop, the accepted model and its history."""

@@ -1,0 +1,103 @@
+"""May a cell start, and if not, why not and what to do: one function for the page and for the 409."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from pydantic import BaseModel
+
+from invid.config import CellConfig
+from invid_service.jobs.live import LiveRun
+
+
+class Reason(BaseModel):
+    """Why not: a stable code, a sentence, a way out."""
+
+    code: Literal[
+        "run_in_progress", "disk_full", "store_unavailable", "bus_missing", "no_model", "shutting_down"
+    ]
+    text: str
+    fix: str
+
+
+class Readiness(BaseModel):
+    """As in the contract."""
+
+    can_start: bool
+    reasons: list[Reason]
+    simulated: bool = False
+
+
+@dataclass(frozen=True)
+class Situation:
+    """What readiness is judged on; gathering it is the caller's business."""
+
+    config: CellConfig
+    occupied_by: LiveRun | None
+    free_bytes: int
+    needed_bytes: int
+    store_answers: bool
+    shutting_down: bool
+    has_model: bool
+    mode: Literal["simulate", "test", "full"] | None = None
+    """The mode asked for; ``None``: whether any measurement could start."""
+
+
+def readiness(s: Situation) -> Readiness:
+    """Every reason why the cell cannot start now; none: it can."""
+    reasons = []
+    if s.shutting_down:
+        reasons.append(
+            Reason(code="shutting_down", text="the service is shutting down", fix="wait for its restart")
+        )
+    if s.occupied_by is not None:
+        run = s.occupied_by.record
+        reasons.append(
+            Reason(
+                code="run_in_progress",
+                text=f"identification {run.id} is {run.state}",
+                fix="wait until it has ended, or cancel it",
+            )
+        )
+    if not s.store_answers:
+        reasons.append(
+            Reason(
+                code="store_unavailable",
+                text="the store does not answer: a result could not be kept",
+                fix="look at the database and the disk of the service",
+            )
+        )
+    if s.free_bytes < s.needed_bytes:
+        reasons.append(
+            Reason(
+                code="disk_full",
+                text=f"{s.free_bytes / 1e6:.0f} MB are free on the service's disk, a run needs "
+                f"{s.needed_bytes / 1e6:.0f} MB",
+                fix="delete old files on that disk or shorten retention_days",
+            )
+        )
+    bus = s.config.bus
+    if (
+        s.mode != "simulate"
+        and bus.interface == "socketcan"
+        and not Path("/sys/class/net", bus.channel).exists()
+    ):
+        reasons.append(
+            Reason(
+                code="bus_missing",
+                text=f"this computer has no CAN interface {bus.channel}",
+                fix=f"plug the adapter in, then: ip link set {bus.channel} up type can "
+                f"bitrate {bus.bitrate_bit_per_s}",
+            )
+        )
+    if s.mode == "simulate" and not s.config.simulated and not s.has_model:
+        reasons.append(
+            Reason(
+                code="no_model",
+                text="a real cell is simulated with its accepted model, and it has none yet",
+                fix="identify the cell in mode full and accept the result first",
+            )
+        )
+    return Readiness(can_start=not reasons, reasons=reasons, simulated=s.config.simulated)

@@ -1,0 +1,133 @@
+"""The cells that this service serves: one config each."""
+
+from __future__ import annotations
+
+import copy
+import json
+import logging
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from invid.config import CellConfig, load_config
+from invid.errors import ConfigError, InputError
+from invid.model import dump_json, load_json, save_text
+
+log = logging.getLogger(__name__)
+
+
+class Cell:
+    """A cell: its config and, where it is simulated, how its simulation was changed since."""
+
+    def __init__(self, identity: str, config: CellConfig, folder: Path) -> None:
+        self.id, self._config = identity, config
+        self._override = folder / "simulation" / f"{identity}.json"
+        self._simulation = config.simulation
+        if config.simulated and self._override.exists():
+            try:
+                stored = load_json(self._override)
+                self._checked(stored)
+                self._simulation = stored
+            except InputError as error:
+                log.error("cell %s: its changed simulation is ignored: %s", identity, error)
+
+    @property
+    def simulated(self) -> bool:
+        """True where no hardware is behind it."""
+        return self._config.simulated
+
+    @property
+    def config(self) -> CellConfig:
+        """The config with the simulation as it is now."""
+        return self._config.model_copy(update={"simulation": self._simulation})
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Axis names."""
+        return tuple(a.name for a in self._config.axes)
+
+    @property
+    def simulation(self) -> dict[str, Any]:
+        """The section as it is now."""
+        return copy.deepcopy(self._simulation or {})
+
+    def _checked(self, simulation: Any) -> None:
+        from invid_drivers.simulated import truth
+
+        truth(self._config.model_copy(update={"simulation": simulation}))
+
+    def set_simulation(self, simulation: dict[str, Any] | None) -> None:
+        """Replace the simulation (``None``: as in the config); ConfigError where it is none."""
+        if simulation is None:
+            self._simulation = self._config.simulation
+            self._override.unlink(missing_ok=True)
+            return
+        self._checked(simulation)
+        save_text(self._override, dump_json(simulation))
+        self._simulation = simulation
+
+    def with_payload(self, axis: str, mass: float) -> dict[str, Any]:
+        """The simulation with ``mass`` more on the final mass of one axis: another tool."""
+        from invid_drivers.simulated import truth
+
+        chains = truth(self.config)
+        if axis not in self.axes:
+            raise ConfigError(f"payload.axis: no axis {axis!r}; the cell has {list(self.axes)}")
+        simulation = self.simulation
+        old = simulation["plant"]
+        branches = [
+            {"axis": name, "masses": m.tolist(), "springs": k.tolist(), "dampers": d.tolist()}
+            for name, m, k, d in zip(chains.axes, chains.masses, chains.springs, chains.dampers, strict=True)
+        ]
+        branches[self.axes.index(axis)]["masses"][-1] += mass
+        couplings = [
+            {"between": [a, b], "value": float(chains.couplings[i, j])}
+            for i, a in enumerate(self.axes)
+            for j, b in enumerate(self.axes)
+            if i < j and chains.couplings[i, j] != 0
+        ]
+        kept = {k: v for k, v in old.items() if k in ("substep_s", "damping_ratio")}
+        simulation["plant"] = {**kept, "branches": branches, "couplings": couplings}
+        return simulation
+
+    def job_config(self, run_number: int) -> dict[str, Any]:
+        """The config for a runner. A simulated cell draws other noise in every run, as a real one does."""
+        document = self.config.model_dump(mode="json")
+        if document.get("simulation"):
+            document["simulation"]["seed"] = int(document["simulation"].get("seed", 0)) + run_number
+        return document
+
+
+def slug(text: str) -> str:
+    """A name that can stand in an address."""
+    return re.sub(r"[^a-z0-9_]+", "-", text.lower()).strip("-")[:64] or "cell"
+
+
+def load_cells(configs: Sequence[Path], folder: Path) -> dict[str, Cell]:
+    """Cells by id, the file's stem; ConfigError says what is wrong with a config."""
+    paths = list(configs)
+    if not paths:
+        from invid_drivers.simulated import CASE_STUDY
+
+        paths = [CASE_STUDY]
+    cells: dict[str, Cell] = {}
+    for path in paths:
+        identity = slug(path.stem)
+        if identity in cells:
+            raise ConfigError(f"{path}: another cell is already called {identity!r}; rename the file")
+        cells[identity] = Cell(identity, load_config(path), folder)
+    return cells
+
+
+def merged(base: Any, patch: Any) -> Any:
+    """JSON merge patch (RFC 7396)."""
+    if not isinstance(patch, dict):
+        return patch
+    result = dict(base) if isinstance(base, dict) else {}
+    for key, value in patch.items():
+        if value is None:
+            result.pop(key, None)
+        else:
+            result[key] = merged(result.get(key), value)
+    return json.loads(json.dumps(result))

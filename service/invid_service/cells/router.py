@@ -1,0 +1,291 @@
+"""Cells: what they are, whether they can start, their stop, their models."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Query, Request
+from fastapi.responses import JSONResponse
+
+from invid.errors import InputError
+from invid_service.auth import Accepter, Anyone, Reader, Require, Scope
+from invid_service.cells.readiness import Readiness
+from invid_service.cells.registry import Cell, merged
+from invid_service.cells.schema import (
+    AcceptedModel,
+    AxisLimits,
+    CellList,
+    CellView,
+    Drive,
+    ModelEntry,
+    ModelList,
+    SimulationPatch,
+    SimulationView,
+    StopAnswer,
+)
+from invid_service.context import Context
+from invid_service.jobs.schema import API, view
+from invid_service.problems import EVERYWHERE, Problem, problem_responses
+from invid_service.service import Service
+from invid_service.store.store import Approval, StoredModel
+
+router = APIRouter(tags=["cells"], responses=EVERYWHERE)
+_background: set[asyncio.Future[None]] = set()
+
+
+@router.get("/cells", response_model=CellList)
+async def list_cells(service: Context, _caller: Reader) -> CellList:
+    """All cells."""
+    views = [await _cell_view(service, cell) for cell in service.cells.values()]
+    return CellList(cells=views, simulated=any(v.simulated for v in views))
+
+
+@router.get("/cells/{cell}", response_model=CellView)
+async def get_cell(cell: str, service: Context, _caller: Reader) -> CellView:
+    """One cell: drives, limits, the model in force, the last identification."""
+    return await _cell_view(service, service.cell(cell))
+
+
+async def _cell_view(service: Service, cell: Cell) -> CellView:
+    config = cell.config
+    approvals = await asyncio.to_thread(service.store.approvals, cell.id)
+    last = await asyncio.to_thread(service.store.runs, cell=cell.id, limit=1)
+    torque, position = ("N", "m") if config.linear else ("N·m", "rad")
+    base = f"{API}/cells/{cell.id}"
+    return CellView(
+        id=cell.id,
+        name=config.robot,
+        robot=config.robot,
+        simulated=cell.simulated,
+        axes=list(cell.axes),
+        bus={"interface": config.bus.interface, "channel": config.bus.channel, "cycle_s": config.bus.cycle_s},
+        drives=[
+            Drive(
+                axis=a.name, node_id=a.node_id, vendor=a.vendor, rated_torque=a.rated_torque, hold=a.hold.mode
+            )
+            for a in config.axes
+        ],
+        limits=[
+            AxisLimits(
+                axis=a.name,
+                torque=a.limits.torque,
+                position=a.limits.position,
+                velocity=a.limits.velocity,
+                torque_unit=torque,
+                position_unit=position,
+            )
+            for a in config.axes
+        ],
+        model=_accepted(approvals[0]) if approvals else None,
+        last_identification=view(last[0], service.jobs.live(last[0].id)) if last else None,
+        links={
+            name: f"{base}/{name}"
+            for name in ("readiness", "identifications", "stop", "model", "models", "changes")
+        },
+    )
+
+
+def _accepted(a: Approval) -> AcceptedModel:
+    return AcceptedModel(id=a.model, accepted=a.at, by=a.by, how=a.how)
+
+
+@router.get("/cells/{cell}/readiness", response_model=Readiness)
+async def get_readiness(cell: str, service: Context, _caller: Reader) -> Readiness:
+    """May a measurement start now; if not, why, and what to do about it."""
+    return await service.readiness(service.cell(cell))
+
+
+@router.post("/cells/{cell}/stop", response_model=StopAnswer)
+async def stop(cell: str, service: Context, caller: Anyone) -> StopAnswer:
+    """Stop motion at once. This is **not a safety function**: it goes through a network, an operating
+    system and the drives' protocol. Use the emergency stop where people are in danger.
+
+    Any valid key may stop. The answer does not wait for the drives; the identification becomes
+    ``stopped``. Stopping what stands still is no error.
+    """
+    found = service.cell(cell)
+    run = service.jobs.stop_cell(found.id)
+    service.metrics.stopped(found.id)
+    identification = None if run is None else run.record.id
+    # In a thread of its own, after the fact: a disk that hangs must not delay a stop.
+    _later(service, "stop", caller=caller.name, cell=found.id, identification=identification)
+    return StopAnswer(
+        cell=found.id, stopping=run is not None, identification=identification, simulated=found.simulated
+    )
+
+
+def _later(service: Service, action: str, **facts: Any) -> None:
+    future = asyncio.ensure_future(asyncio.to_thread(service.audit.try_write, action, **facts))
+    _background.add(future)
+    future.add_done_callback(_background.discard)
+
+
+@router.get(
+    "/cells/{cell}/model",
+    responses={200: {"content": {"application/json": {"schema": {"type": "object"}}}}},
+    response_class=JSONResponse,
+)
+async def accepted_model(cell: str, service: Context, _caller: Reader) -> JSONResponse:
+    """The model in force."""
+    found = service.cell(cell)
+    model = await asyncio.to_thread(service.results.in_force, found.id)
+    if model is None:
+        raise Problem(
+            "model-not-found",
+            f"cell {found.id} has no accepted model yet; identify it and accept the result",
+            simulated=found.simulated,
+        )
+    return _document(found, model)
+
+
+def _document(cell: Cell, model: StoredModel) -> JSONResponse:
+    return JSONResponse({**json.loads(model.document), "id": model.id, "simulated": cell.simulated})
+
+
+@router.get("/cells/{cell}/models", response_model=ModelList)
+async def models(cell: str, service: Context, _caller: Reader) -> ModelList:
+    """Every model identified on the cell, and the history of those in force."""
+    found = service.cell(cell)
+    stored = await asyncio.to_thread(service.store.models, found.id)
+    approvals = [_accepted(a) for a in await asyncio.to_thread(service.store.approvals, found.id)]
+    in_force = approvals[0].id if approvals else None
+    entries = [
+        ModelEntry(
+            id=m.id,
+            created=m.created,
+            mode=m.mode,
+            in_force=m.id == in_force,
+            accepted=[a for a in approvals if a.id == m.id],
+        )
+        for m in stored
+    ]
+    return ModelList(models=entries, history=approvals, simulated=found.simulated)
+
+
+async def _stored_model(service: Service, cell: Cell, identity: str) -> StoredModel:
+    model = None
+    if len(identity) <= 40 and identity.isascii() and identity.replace("-", "").isalnum():
+        model = await asyncio.to_thread(service.store.model, cell.id, identity)
+    if model is None:
+        raise Problem(
+            "model-not-found", f"cell {cell.id} has no model {identity[:64]!r}", simulated=cell.simulated
+        )
+    return model
+
+
+@router.get(
+    "/cells/{cell}/models/{model}",
+    responses={200: {"content": {"application/json": {"schema": {"type": "object"}}}}},
+    response_class=JSONResponse,
+)
+async def one_model(cell: str, model: str, service: Context, _caller: Reader) -> JSONResponse:
+    """One model of the cell, accepted or not."""
+    found = service.cell(cell)
+    return _document(found, await _stored_model(service, found, model))
+
+
+@router.post("/cells/{cell}/models/{model}/restore", response_model=ModelList)
+async def restore(cell: str, model: str, service: Context, caller: Accepter) -> ModelList:
+    """Take an earlier model into force again; the history keeps both."""
+    found = service.cell(cell)
+    stored = await _stored_model(service, found, model)
+    history = await asyncio.to_thread(service.store.approvals, found.id)
+    if not any(a.model == stored.id for a in history):
+        raise Problem(
+            "model-not-found",
+            f"model {stored.id} was never accepted; only accepted models can be restored",
+            simulated=found.simulated,
+        )
+    facts = {"cell": found.id, "model": stored.id}
+    await asyncio.to_thread(service.audit.try_write, "restore", caller=caller.name, **facts)
+    if history[0].model != stored.id:
+        await asyncio.to_thread(
+            service.store.approve, found.id, stored.id, by=caller.name, how="restore", now=service.clock()
+        )
+    return await models(cell, service, caller)
+
+
+@router.get(
+    "/cells/{cell}/changes",
+    response_model=dict[str, Any],
+    responses=problem_responses(409),
+)
+async def changes(
+    cell: str,
+    service: Context,
+    _caller: Reader,
+    from_model: Annotated[str | None, Query(alias="from", max_length=40, pattern=r"^[A-Za-z0-9-]+$")] = None,
+    to_model: Annotated[str | None, Query(alias="to", max_length=40, pattern=r"^[A-Za-z0-9-]+$")] = None,
+) -> dict[str, Any]:
+    """For each parameter: changed, unchanged within ±x %, or cannot tell.
+
+    Default: the model in force against the one in force before it.
+    """
+    found = service.cell(cell)
+    history = [a.model for a in await asyncio.to_thread(service.store.approvals, found.id)]
+    new = to_model or (history[0] if history else None)
+    if from_model is not None:
+        old: str | None = from_model
+    else:
+        earlier = history[history.index(new) + 1 :] if new in history else history
+        old = next((m for m in earlier if m != new), None)
+    if old is None or new is None:
+        raise Problem(
+            "no-comparison",
+            f"cell {found.id} has {len(set(history))} accepted model(s); name two models with ?from=…&to=…",
+            simulated=found.simulated,
+        )
+    before = await _stored_model(service, found, old)
+    after = await _stored_model(service, found, new)
+    result = await asyncio.to_thread(service.results.changes, found.id, before, after)
+    return {
+        "cell": found.id,
+        "simulated": found.simulated,
+        "from": before.id,
+        "to": after.id,
+        **result.to_json(),
+    }
+
+
+@router.get("/cells/{cell}/simulation", response_model=SimulationView, responses=problem_responses(409))
+async def simulation(cell: str, service: Context, _caller: Reader) -> SimulationView:
+    """A simulated cell as it is now, with the truth to compare with."""
+    return _simulation(_simulated(service, cell))
+
+
+def _simulated(service: Service, cell: str) -> Cell:
+    found = service.cell(cell)
+    if not found.simulated:
+        raise Problem(
+            "not-simulated", f"cell {found.id} has hardware behind it; there is no simulation to change"
+        )
+    return found
+
+
+def _simulation(cell: Cell) -> SimulationView:
+    from invid_drivers.simulated import truth
+
+    return SimulationView(cell=cell.id, simulation=cell.simulation, truth=truth(cell.config).as_dict())
+
+
+@router.patch("/cells/{cell}/simulation", response_model=SimulationView, responses=problem_responses(409))
+async def change_simulation(
+    cell: str, body: SimulationPatch, request: Request, service: Context
+) -> SimulationView:
+    """Change the simulated cell (another tool, say) for the next run; one in progress is not affected."""
+    caller = await Require(Scope.RUN)(request)
+    found = _simulated(service, cell)
+    try:
+        if body.reset:
+            found.set_simulation(None)
+        if body.payload is not None:
+            found.set_simulation(found.with_payload(body.payload.axis, body.payload.mass))
+        if body.patch is not None:
+            found.set_simulation(merged(found.simulation, body.patch))
+    except InputError as error:
+        raise Problem("invalid-request", str(error), simulated=True) from None
+    facts = {"cell": found.id, **body.model_dump(exclude_none=True)}
+    await asyncio.to_thread(service.audit.try_write, "simulation", caller=caller.name, **facts)
+    return _simulation(found)

@@ -1,0 +1,126 @@
+"""Cells as resources."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from invid_service.jobs.schema import Identification
+
+
+class Drive(BaseModel):
+    """One drive of a cell."""
+
+    axis: str
+    node_id: int
+    vendor: str
+    rated_torque: float | None
+    hold: str
+
+
+class AxisLimits(BaseModel):
+    """Limits of one axis."""
+
+    axis: str
+    torque: float
+    position: float
+    velocity: float
+    torque_unit: str
+    position_unit: str
+
+
+class AcceptedModel(BaseModel):
+    """The model in force."""
+
+    id: str
+    accepted: datetime
+    by: str
+    how: str
+    """accept, auto or restore."""
+
+
+class CellView(BaseModel):
+    """A robot cell."""
+
+    id: str
+    name: str
+    robot: str
+    simulated: bool
+    axes: list[str]
+    bus: dict[str, Any]
+    drives: list[Drive]
+    limits: list[AxisLimits]
+    model: AcceptedModel | None
+    last_identification: Identification | None
+    links: dict[str, str]
+
+
+class CellList(BaseModel):
+    """All cells of this service."""
+
+    cells: list[CellView]
+    simulated: bool
+
+
+class StopAnswer(BaseModel):
+    """What the stop met."""
+
+    cell: str
+    stopping: bool
+    """false: nothing was going on."""
+    identification: str | None
+    simulated: bool
+    note: str = "this stops motion through the drives' protocol; it is not a safety function"
+
+
+class ModelEntry(BaseModel):
+    """A model in the list of a cell."""
+
+    id: str
+    created: datetime
+    mode: str
+    in_force: bool
+    accepted: list[AcceptedModel]
+
+
+class ModelList(BaseModel):
+    """Newest first; ``history`` is what was accepted or restored, newest first."""
+
+    models: list[ModelEntry]
+    history: list[AcceptedModel]
+    simulated: bool
+
+
+class Payload(BaseModel):
+    """Mass added to the end of one axis."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+    axis: str
+    mass: float = Field(gt=-1e6, lt=1e6, allow_inf_nan=False)
+    """[kg·m²], or [kg] on a linear axis; added to the final mass, negative takes away."""
+
+
+class SimulationPatch(BaseModel):
+    """A change of the simulated cell: another tool, or anything by JSON merge patch."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        strict=True,
+        json_schema_extra={"examples": [{"payload": {"axis": "A2", "mass": 1.31}}, {"reset": True}]},
+    )
+    reset: bool = False
+    """First go back to what the config says."""
+    payload: Payload | None = None
+    patch: dict[str, Any] | None = None
+    """Merged into the section ``simulation`` of the config (RFC 7396)."""
+
+
+class SimulationView(BaseModel):
+    """The simulated cell as it is now, and the truth an identification should find."""
+
+    cell: str
+    simulated: Literal[True] = True
+    simulation: dict[str, Any]
+    truth: dict[str, Any]

@@ -1,0 +1,73 @@
+"""Events of a run, and server-sent events made of them.
+
+Ids grow with the clock in milliseconds, so that they keep growing over a restart of the service and a
+reader can resume with ``Last-Event-ID`` whatever happened in between.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import time
+from collections import deque
+from collections.abc import AsyncIterator, Callable, Iterable, Mapping
+from typing import Any
+
+from invid_service.store.store import StoredEvent
+
+KEPT = 5000
+"""Events kept in memory per run; beyond it the oldest progress goes, states are in the store."""
+
+
+class EventLog:
+    """Events of one run: appended on the event loop, read by any number of followers."""
+
+    def __init__(
+        self, stored: Iterable[StoredEvent] = (), *, now_ms: Callable[[], int] | None = None
+    ) -> None:
+        self._events: deque[StoredEvent] = deque(stored, maxlen=KEPT)
+        self._last = self._events[-1].id if self._events else 0
+        self._now_ms = now_ms or (lambda: int(time.time() * 1000))
+        self._closed = False
+        self._news = asyncio.Event()
+
+    def append(self, kind: str, data: Mapping[str, Any]) -> StoredEvent:
+        """Add an event and wake the followers."""
+        self._last = max(self._last + 1, self._now_ms())
+        event = StoredEvent(self._last, kind, data)
+        self._events.append(event)
+        self._wake()
+        return event
+
+    def close(self) -> None:
+        """No more events: followers end after the last one."""
+        self._closed = True
+        self._wake()
+
+    def _wake(self) -> None:
+        self._news.set()
+        self._news = asyncio.Event()
+
+    async def follow(self, after: int, keep_alive_s: float) -> AsyncIterator[StoredEvent | None]:
+        """Events with ids above ``after``; ``None`` where nothing happened for ``keep_alive_s``."""
+        while True:
+            news, closed = self._news, self._closed
+            for event in [e for e in self._events if e.id > after]:
+                after = event.id
+                yield event
+            if news.is_set():
+                continue
+            if closed:
+                return
+            try:
+                await asyncio.wait_for(news.wait(), keep_alive_s)
+            except TimeoutError:
+                yield None
+
+
+def sse(event: StoredEvent | None) -> bytes:
+    """One event on the wire; a comment keeps the connection alive."""
+    if event is None:
+        return b": keep-alive\n\n"
+    data = json.dumps(event.data, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
+    return f"id: {event.id}\nevent: {event.type}\ndata: {data}\n\n".encode()

@@ -1,0 +1,89 @@
+"""For the cell's supervision: liveness, readiness of the service, metrics, version, audit."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Query, Response
+from pydantic import BaseModel
+from sqlalchemy.exc import SQLAlchemyError
+
+from invid import __version__
+from invid_service.auth import Admin, Reader
+from invid_service.context import Context
+from invid_service.problems import EVERYWHERE, Problem, problem_responses
+
+router = APIRouter(tags=["operations"], responses=EVERYWHERE)
+
+
+class Live(BaseModel):
+    """The process answers."""
+
+    status: str = "live"
+
+
+class Ready(BaseModel):
+    """The service can take work."""
+
+    status: str = "ready"
+    free_bytes: int
+    cells_busy: int
+
+
+class Version(BaseModel):
+    """What runs here."""
+
+    name: str = "invid"
+    version: str
+    api: str = "v1"
+    formats: dict[str, int]
+
+
+@router.get("/health/live", response_model=Live)
+async def live() -> Live:
+    """Answers while the process does; needs no key and no store."""
+    return Live()
+
+
+@router.get("/health/ready", response_model=Ready, responses=problem_responses(507))
+async def ready(service: Context) -> Ready:
+    """503 while the store does not answer, the disk is full, or the service is going down."""
+    free = service.blobs.free_bytes()
+    try:
+        async with asyncio.timeout(1.0):
+            await asyncio.to_thread(service.store.ping)
+    except (TimeoutError, SQLAlchemyError):
+        raise Problem("store-unavailable", "the store does not answer", {"Retry-After": "2"}) from None
+    if service.shutting_down:
+        raise Problem("store-unavailable", "the service is shutting down")
+    if free < service.settings.min_free_bytes:
+        raise Problem("disk-full", f"{free} bytes are free, {service.settings.min_free_bytes} are needed")
+    busy = sum(service.jobs.occupying(c) is not None for c in service.cells)
+    return Ready(free_bytes=free, cells_busy=busy)
+
+
+@router.get(
+    "/metrics",
+    response_class=Response,
+    responses={200: {"content": {"text/plain": {"schema": {"type": "string"}}}}},
+)
+async def metrics(service: Context, _caller: Reader) -> Response:
+    """Prometheus text format."""
+    return Response(service.metrics.text(), media_type="text/plain; version=0.0.4; charset=utf-8")
+
+
+@router.get("/version", response_model=Version)
+async def version() -> Version:
+    """Version of the program, the interface and the file formats."""
+    return Version(
+        version=__version__, formats={"invid-recording": 1, "invid-model": 1, "invid-diagnosis": 1}
+    )
+
+
+@router.get("/audit", response_model=list[dict[str, Any]])
+async def audit(
+    service: Context, _caller: Admin, limit: Annotated[int, Query(ge=1, le=1000)] = 100
+) -> list[dict[str, Any]]:
+    """The newest lines of the audit log."""
+    return await asyncio.to_thread(service.audit.tail, limit)

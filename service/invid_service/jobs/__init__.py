@@ -1,0 +1,1 @@
+"""Identifications: the state machine, the runner process, and their resource."""

@@ -1,0 +1,107 @@
+"""Starting the runner process and talking to it."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+import sys
+from collections.abc import AsyncIterator, Awaitable, Callable
+from pathlib import Path
+from typing import Any, Protocol
+
+from invid_service.jobs.protocol import Job
+
+_LINE_LIMIT = 16 * 1024 * 1024
+
+
+class Worker(Protocol):
+    """A running job."""
+
+    async def send(self, message: dict[str, Any]) -> None:
+        """Tell the runner something; nothing happens where it is gone."""
+
+    def messages(self) -> AsyncIterator[dict[str, Any]]:
+        """What the runner says, until it ends."""
+
+    def kill(self) -> None:
+        """End the process now."""
+
+    async def wait(self) -> int:
+        """Exit status, once it has ended."""
+
+
+Launcher = Callable[[Job], Awaitable[Worker]]
+
+
+class ProcessWorker:
+    """The runner as a process of its own session: a Ctrl-C meant for the service does not reach it."""
+
+    def __init__(self, process: asyncio.subprocess.Process) -> None:
+        self._process = process
+
+    @property
+    def pid(self) -> int:
+        """Process id."""
+        return self._process.pid
+
+    async def send(self, message: dict[str, Any]) -> None:
+        """Write one line."""
+        pipe = self._process.stdin
+        if pipe is None or pipe.is_closing():
+            return
+        with contextlib.suppress(ConnectionError, OSError):
+            pipe.write(json.dumps(message).encode() + b"\n")
+            await pipe.drain()
+
+    async def messages(self) -> AsyncIterator[dict[str, Any]]:
+        """Parsed lines; a line that is no JSON object is passed over."""
+        pipe = self._process.stdout
+        while pipe is not None:
+            try:
+                line = await pipe.readline()
+            except ValueError:  # longer than the limit: not of our protocol
+                continue
+            if not line:
+                return
+            with contextlib.suppress(json.JSONDecodeError):
+                message = json.loads(line)
+                if isinstance(message, dict):
+                    yield message
+
+    def kill(self) -> None:
+        """SIGKILL."""
+        with contextlib.suppress(ProcessLookupError):
+            self._process.kill()
+
+    async def wait(self) -> int:
+        """Exit status."""
+        return await self._process.wait()
+
+
+async def launch_process(job: Job) -> ProcessWorker:
+    """Start ``invid_service.jobs.worker`` and hand it the job."""
+    job.folder.mkdir(parents=True, exist_ok=True)
+    log = _open_log(job.folder / "worker.log")
+    try:
+        process = await asyncio.create_subprocess_exec(
+            sys.executable,
+            "-m",
+            "invid_service.jobs.worker",
+            stdin=asyncio.subprocess.PIPE,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=log,
+            limit=_LINE_LIMIT,
+            start_new_session=True,
+            env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
+        )
+    finally:
+        os.close(log)
+    worker = ProcessWorker(process)
+    await worker.send(json.loads(job.model_dump_json()))
+    return worker
+
+
+def _open_log(path: Path) -> int:
+    return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)

@@ -1,0 +1,100 @@
+"""A run that is still going on, in memory: what polls and followers see without touching the store."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from datetime import datetime
+from typing import Any, Literal
+
+from invid_service.events import EventLog
+from invid_service.jobs.launcher import Worker
+from invid_service.jobs.states import ENDED, State, may_follow
+from invid_service.store.store import RunRecord, StoredEvent
+
+Wish = Literal["stop", "cancel", "shutdown"]
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a run is."""
+
+    fraction: float = 0.0
+    phase: str = "queued"
+    axis: str | None = None
+    frequency: float | None = None
+    eta_s: float | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """As in the contract."""
+        return {
+            "progress": self.fraction,
+            "phase": self.phase,
+            "axis": self.axis,
+            "frequency": self.frequency,
+            "eta_s": self.eta_s,
+        }
+
+
+class WrongStateError(Exception):
+    """The state machine does not allow this move."""
+
+
+class LiveRun:
+    """State, progress, events and worker of one run; used on the event loop only."""
+
+    def __init__(self, record: RunRecord, stored: Iterable[StoredEvent] = ()) -> None:
+        self.record = record
+        self.progress = Progress(phase=str(record.state))
+        self.events = EventLog(stored)
+        self.worker: Worker | None = None
+        self.wish: Wish | None = None
+        self.motion_ended = asyncio.Event()
+        self.changed = asyncio.Event()
+        self.lock = asyncio.Lock()
+        """One writer of states to the store at a time, in the order in which they happened."""
+
+    @property
+    def ended(self) -> bool:
+        """True in an end state."""
+        return self.record.state in ENDED
+
+    def set(self, state: State, now: datetime, facts: Mapping[str, Any] | None = None) -> StoredEvent:
+        """Move to ``state``; WrongStateError where the machine does not allow it."""
+        if not may_follow(self.record.state, state):
+            raise WrongStateError(f"{self.record.state} → {state}")
+        self.record = replace(
+            self.record,
+            state=state,
+            started=now if state is State.RUNNING else self.record.started,
+            ended=now if state in ENDED else self.record.ended,
+            facts={**self.record.facts, **(facts or {})},
+        )
+        if state in ENDED or state is State.AWAITING_ACCEPT:
+            done = state in (State.AWAITING_ACCEPT, State.SUCCEEDED)
+            self.progress = Progress(1.0 if done else self.progress.fraction, str(state))
+        else:
+            self.progress = replace(self.progress, phase=str(state), eta_s=None)
+        data = {
+            "state": str(state),
+            "simulated": self.record.simulated,
+            **self.progress.to_json(),
+            **{k: self.record.facts[k] for k in ("error", "decision", "summary") if k in self.record.facts},
+        }
+        event = self.events.append("state", data)
+        self._wake()
+        if state in ENDED:
+            self.events.close()
+        return event
+
+    def advance(self, progress: Progress) -> None:
+        """Tell of progress; it never runs backwards."""
+        fraction = min(max(progress.fraction, self.progress.fraction), 1.0)
+        self.progress = replace(progress, fraction=fraction)
+        self.events.append("progress", {"state": str(self.record.state), **self.progress.to_json()})
+        self._wake()
+
+    def _wake(self) -> None:
+        self.changed.set()
+        self.changed = asyncio.Event()

@@ -1,0 +1,394 @@
+"""``JobManager``: takes jobs, watches their runner processes, keeps the state machine honest.
+
+Lives on the event loop. What it knows of runs in progress it knows in memory; the store is told, in a
+thread, and a store that hangs or fails never keeps a stop from reaching the drives.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy.exc import SQLAlchemyError
+
+from invid_service.jobs.launcher import Launcher
+from invid_service.jobs.live import LiveRun, Progress, WrongStateError
+from invid_service.jobs.protocol import ErrorInfo, Job
+from invid_service.jobs.results import Results
+from invid_service.jobs.states import OCCUPYING, State
+from invid_service.store.store import RunRecord, Store, StoredEvent
+
+log = logging.getLogger(__name__)
+_RETRY_S = 1.0
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Times that bound a run [s]."""
+
+    check_s: float
+    arm_s: float
+    analysis_s: float
+    stop_grace_s: float
+
+
+class JobManager:
+    """Runs in progress, one per cell."""
+
+    def __init__(
+        self,
+        store: Store,
+        results: Results,
+        launcher: Launcher,
+        limits: Limits,
+        clock: Callable[[], datetime],
+        *,
+        parallel_uploads: int = 1,
+    ) -> None:
+        self._store, self._results, self._launch = store, results, launcher
+        self._limits, self._clock = limits, clock
+        self._live: dict[str, LiveRun] = {}
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._uploads = asyncio.Semaphore(parallel_uploads)
+        self.on_end: Callable[[LiveRun], None] = lambda run: None
+
+    # --- what is going on ----------------------------------------------------------------------
+    def live(self, run_id: str) -> LiveRun | None:
+        """A run in memory."""
+        return self._live.get(run_id)
+
+    def occupying(self, cell: str) -> LiveRun | None:
+        """The run that occupies a cell."""
+        for run in self._live.values():
+            if run.record.cell == cell and run.record.state in OCCUPYING:
+                return run
+        return None
+
+    def restore(self, record: RunRecord, stored: list[StoredEvent]) -> None:
+        """Take up a result that awaits accept since before a restart."""
+        run = LiveRun(record, stored)
+        run.progress = Progress(1.0, str(record.state))
+        self._live[record.id] = run
+
+    # --- taking jobs ---------------------------------------------------------------------------
+    def reserve(self, record: RunRecord) -> LiveRun:
+        """Occupy the cell in memory, before the store is asked."""
+        run = LiveRun(record)
+        self._live[record.id] = run
+        return run
+
+    def release(self, run: LiveRun) -> None:
+        """Give the cell back: the store did not take the run."""
+        self._live.pop(run.record.id, None)
+
+    def start(self, run: LiveRun, job: Job) -> None:
+        """Run the job in the background."""
+        self._spawn(self._run(run, job))
+
+    def _spawn(self, work: Any) -> None:
+        task = asyncio.create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    # --- wishes --------------------------------------------------------------------------------
+    def stop_cell(self, cell: str) -> LiveRun | None:
+        """Stop whatever the cell does. Touches memory and one pipe; returns at once."""
+        run = self.occupying(cell)
+        if run is not None:
+            self._end_early(run, "stop")
+        return run
+
+    async def cancel(self, run: LiveRun) -> None:
+        """End a run without a result; waits until its motion has ended or the grace is over."""
+        if run.record.state is State.AWAITING_ACCEPT:
+            await self.decide(run, accept=False, by="cancel")
+        elif run.record.state in OCCUPYING:
+            self._end_early(run, "cancel")
+            deadline = self._limits.stop_grace_s + 2.0
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(deadline):
+                    while not run.ended:
+                        await run.changed.wait()
+
+    async def arm(self, run: LiveRun) -> None:
+        """Let the run move; WrongStateError where it does not wait for that."""
+        if run.record.state is State.RUNNING:
+            return
+        if run.record.state is not State.AWAITING_ARM or run.worker is None or run.wish:
+            raise WrongStateError(str(run.record.state))
+        await self._move(run, State.RUNNING)
+        await run.worker.send({"type": "arm"})
+
+    async def decide(self, run: LiveRun, *, accept: bool, by: str) -> None:
+        """Accept or reject the result; WrongStateError where there is none to decide on."""
+        async with run.lock:
+            if run.record.state is not State.AWAITING_ACCEPT:
+                raise WrongStateError(str(run.record.state))
+            now = self._clock()
+            decision = {"type": "accepted" if accept else "rejected", "by": by, "at": now.isoformat()}
+            if accept and run.record.cell is not None:
+                how = "auto" if by == "auto" else "accept"
+                await asyncio.to_thread(
+                    self._store.approve, run.record.cell, run.record.id, by=by, how=how, now=now
+                )
+            state = State.SUCCEEDED if accept else State.CANCELLED
+            event = run.set(state, now, {"decision": decision})
+            await self._persist(run, event)
+        self._retire(run)
+
+    def _retire(self, run: LiveRun) -> None:
+        """Forget an ended run; the store has it."""
+        if run.ended and self._live.pop(run.record.id, None) is not None:
+            self.on_end(run)
+
+    def _end_early(self, run: LiveRun, wish: Any) -> None:
+        if run.wish is None or wish == "stop":
+            run.wish = wish
+        worker = run.worker
+        if worker is None:
+            return  # not launched yet: the launch looks at the wish
+        if run.record.state in (State.ANALYSING, State.AWAITING_ARM):
+            worker.kill()  # nothing moves
+        else:
+            self._spawn(self._stop_worker(run))
+
+    async def _stop_worker(self, run: LiveRun) -> None:
+        worker = run.worker
+        if worker is None:
+            return
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(self._limits.stop_grace_s):
+                await worker.send({"type": "stop"})
+                await run.motion_ended.wait()
+                return
+        log.error("run %s: the runner did not stop in time and is killed", run.record.id)
+        worker.kill()
+
+    # --- the life of a run ---------------------------------------------------------------------
+    async def _run(self, run: LiveRun, job: Job) -> None:
+        guard = self._uploads if job.kind == "analyse" else contextlib.nullcontext()
+        try:
+            async with guard:
+                await self._watch(run, job)
+        except asyncio.CancelledError:
+            raise
+        except Exception:
+            log.exception("run %s", run.record.id)
+            await self._fail(run, "internal-error", "an error of the service", "the log says where")
+        finally:
+            run.motion_ended.set()
+            await asyncio.to_thread(self._results.clear, run.record.id)
+            self._retire(run)
+
+    async def _watch(self, run: LiveRun, job: Job) -> None:
+        if run.wish is not None:
+            await self._finish_early(run)
+            return
+        await self._move(run, State.ANALYSING if job.kind == "analyse" else State.CHECKING)
+        worker = await self._launch(job)
+        run.worker = worker
+        watchdog = asyncio.create_task(self._watchdog(run))
+        verdict: dict[str, Any] | None = None
+        try:
+            if run.wish is not None:
+                worker.kill()
+            async for message in worker.messages():
+                if message.get("type") in ("done", "failed", "stopped"):
+                    verdict = message
+                    run.motion_ended.set()
+                    break
+                await self._hear(run, message)
+            status = await self._reap(run)
+        finally:
+            watchdog.cancel()
+            worker.kill()
+        await self._conclude(run, job, verdict, status)
+
+    async def _reap(self, run: LiveRun) -> int:
+        worker = run.worker
+        if worker is None:
+            return -1
+        try:
+            return await asyncio.wait_for(worker.wait(), 10.0)
+        except TimeoutError:
+            worker.kill()
+            return await worker.wait()
+
+    async def _hear(self, run: LiveRun, message: dict[str, Any]) -> None:
+        match message.get("type"):
+            case "planned":
+                facts = {"plan": message["plan"]}
+                run.record = replace(run.record, facts={**run.record.facts, **facts})
+                run.events.append("plan", message["plan"])
+                if not message.get("arm") and run.wish is None:
+                    await self._move(run, State.AWAITING_ARM)
+            case "running":
+                if run.record.state is State.CHECKING:
+                    await self._move(run, State.RUNNING)
+            case "progress":
+                run.advance(
+                    Progress(
+                        float(message.get("fraction", 0.0)),
+                        str(message.get("phase", run.record.state)),
+                        message.get("axis"),
+                        message.get("frequency"),
+                        message.get("eta_s"),
+                    )
+                )
+            case "response":
+                run.events.append("response", message["response"])
+            case "measured":
+                run.motion_ended.set()
+                if run.wish is None:
+                    await self._move(run, State.ANALYSING)
+            case "recording":
+                run.record = replace(run.record, robot=str(message["robot"]), axes=tuple(message["axes"]))
+            case other:
+                log.warning("run %s: the runner said %r", run.record.id, other)
+
+    async def _watchdog(self, run: LiveRun) -> None:
+        """End a run that hangs: each state has its time; motion itself is watched by the sweep."""
+        while not run.ended:
+            state, changed = run.record.state, run.changed
+            bound = {
+                State.CHECKING: self._limits.check_s,
+                State.AWAITING_ARM: self._limits.arm_s,
+                State.ANALYSING: self._limits.analysis_s,
+            }.get(state)
+            try:
+                async with asyncio.timeout(bound):
+                    while run.record.state is state:
+                        await run.changed.wait()
+                del changed
+            except TimeoutError:
+                if run.wish is None:
+                    what = "was not armed" if state is State.AWAITING_ARM else f"hung while {state}"
+                    error = {
+                        "code": "timeout",
+                        "text": f"the run {what} for {bound:.0f} s and was ended",
+                        "fix": "start again" if state is State.AWAITING_ARM else "see the log of the service",
+                    }
+                    run.record = replace(run.record, facts={**run.record.facts, "error": error})
+                    run.wish = "cancel"
+                if run.worker is not None:
+                    run.worker.kill()
+                return
+
+    async def _conclude(self, run: LiveRun, job: Job, verdict: dict[str, Any] | None, status: int) -> None:
+        stored = await self._keep_results(run)
+        if run.wish is not None:
+            await self._finish_early(run)
+        elif verdict is None:
+            await self._fail(
+                run,
+                "runner-died",
+                f"the runner process ended without a result (exit status {status}); its drives stop by "
+                f"themselves when the master's heartbeat is missing",
+                "look at the robot, then start again; the log of the service says more",
+            )
+        elif verdict["type"] != "done":
+            error = ErrorInfo.model_validate(verdict["error"])
+            if verdict["type"] == "stopped":
+                await self._move(run, State.STOPPED, {"error": error.model_dump()})
+            else:
+                await self._fail(run, error.code, error.text, error.fix)
+        elif not {"recording", "model", "diagnosis", "report"} <= stored:
+            await self._fail(
+                run,
+                "store-unavailable",
+                "the results could not be stored",
+                "make room on the disk, run again",
+            )
+        else:
+            await self._succeed(run, job, verdict.get("summary", {}))
+
+    async def _keep_results(self, run: LiveRun) -> set[str]:
+        try:
+            return await asyncio.to_thread(self._results.keep, run.record, self._clock())
+        except (OSError, SQLAlchemyError) as error:
+            log.error("run %s: results could not be stored: %s", run.record.id, error)
+            return set()
+
+    async def _succeed(self, run: LiveRun, job: Job, summary: dict[str, Any]) -> None:
+        if run.record.cell is None or not job.acceptable:
+            await self._move(run, State.SUCCEEDED, {"summary": summary})
+            return
+        changes = await asyncio.to_thread(self._results.against_accepted, run.record)
+        if changes is not None:
+            summary = {**summary, "changes": changes}
+        await self._move(run, State.AWAITING_ACCEPT, {"summary": summary})
+        if job.mode != "test" and self._results.may_auto_accept(summary):
+            await self.decide(run, accept=True, by="auto")
+
+    async def _finish_early(self, run: LiveRun) -> None:
+        now = self._clock()
+        state = {"stop": State.STOPPED, "cancel": State.CANCELLED, "shutdown": State.INTERRUPTED}[
+            run.wish or "cancel"
+        ]
+        defaults = {
+            State.STOPPED: ("stopped", "stopped on request", "start again when the cell is clear"),
+            State.CANCELLED: ("cancelled", "cancelled on request", "start again at any time"),
+            State.INTERRUPTED: ("interrupted", "the service was shut down", "start a new identification"),
+        }
+        code, text, fix = defaults[state]
+        error = run.record.facts.get("error") or {"code": code, "text": text, "fix": fix}
+        async with run.lock:
+            if not run.ended:
+                await self._persist(run, run.set(state, now, {"error": error}))
+
+    async def _fail(self, run: LiveRun, code: str, text: str, fix: str) -> None:
+        if not run.ended:
+            await self._move(run, State.FAILED, {"error": {"code": code, "text": text, "fix": fix}})
+
+    async def _move(self, run: LiveRun, state: State, facts: dict[str, Any] | None = None) -> None:
+        async with run.lock:
+            event = run.set(state, self._clock(), facts)
+            await self._persist(run, event)
+
+    async def _persist(self, run: LiveRun, event: StoredEvent) -> None:
+        """Tell the store; one that does not answer is told again later, motion does not wait for it."""
+        try:
+            await asyncio.to_thread(self._store.save_state, run.record, event)
+        except SQLAlchemyError as error:
+            log.error("run %s: state %s not stored yet: %s", run.record.id, run.record.state, error)
+            self._spawn(self._persist_later(run, event))
+
+    async def _persist_later(self, run: LiveRun, event: StoredEvent) -> None:
+        while True:
+            await asyncio.sleep(_RETRY_S)
+            with contextlib.suppress(SQLAlchemyError):
+                await asyncio.to_thread(self._store.save_state, run.record, event)
+                return
+
+    # --- the end -------------------------------------------------------------------------------
+    def begin_shutdown(self) -> None:
+        """Stop every motion, and let the followers of runs that wait for a decision go."""
+        for run in self._live.values():
+            if run.record.state in OCCUPYING:
+                if run.wish is None:
+                    self._end_early(run, "shutdown")
+            else:
+                run.events.close()
+
+    async def shutdown(self) -> None:
+        """Stop motion first, then everything else."""
+        runs = [run for run in self._live.values() if run.record.state in OCCUPYING]
+        self.begin_shutdown()
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(self._limits.stop_grace_s + 3.0):
+                for run in runs:
+                    while not run.ended:
+                        await run.changed.wait()
+        for task in list(self._tasks):
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+        for run in runs:
+            if run.worker is not None:
+                run.worker.kill()
+        for run in self._live.values():
+            run.events.close()

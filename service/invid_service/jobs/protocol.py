@@ -1,0 +1,44 @@
+"""What the service and its runner process say to each other: JSON lines over pipes.
+
+Service → runner: the job, then ``{"type": "arm"}`` or ``{"type": "stop"}``; the end of the pipe means
+stop, so that a service that dies takes its motion with it. Runner → service: ``planned``,
+``running``, ``progress``, ``response``, ``measured``, ``done``, ``stopped``, ``failed``.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict
+
+
+class Job(BaseModel):
+    """Everything a runner needs to know."""
+
+    model_config = ConfigDict(extra="forbid")
+    id: str
+    kind: Literal["measure", "analyse"]
+    mode: Literal["simulate", "test", "full", "upload"]
+    folder: Path
+    """Where results are written: ``recording.h5``, ``model.json``, …"""
+    simulated: bool
+    config: dict[str, Any] | None = None
+    axes: list[str] | None = None
+    amplitude_scale: float = 1.0
+    arm: bool = False
+    acceptable: bool = True
+    """False where the result says nothing new of the cell: a real cell simulated with its own model."""
+    model: dict[str, Any] | None = None
+    """The accepted model, for the forecast of travel and for ``mode`` "simulate" on a real cell."""
+    memory_bytes: int
+    stop_grace_s: float
+
+
+class ErrorInfo(BaseModel):
+    """Why a run ended early: a stable code, a sentence, a way out."""
+
+    model_config = ConfigDict(extra="allow")
+    code: str
+    text: str
+    fix: str

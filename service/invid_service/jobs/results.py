@@ -1,0 +1,116 @@
+"""What a run leaves behind: files into the store, its model into the history, and the comparison with
+the model in force."""
+
+from __future__ import annotations
+
+import json
+import logging
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy.exc import SQLAlchemyError
+
+from invid.errors import InvidError
+from invid.model import Model, model_from_json
+from invid_service.cells.changes import Changes, compare_models
+from invid_service.settings import AutoAccept
+from invid_service.store.blobs import KINDS, Blobs
+from invid_service.store.store import RunRecord, Store, StoredModel
+
+log = logging.getLogger(__name__)
+HISTORY = 40
+"""Models of a cell that its repeatability is judged on."""
+
+
+class Results:
+    """Files and models of runs; synchronous, called from threads."""
+
+    def __init__(
+        self, store: Store, blobs: Blobs, *, auto_accept: AutoAccept | None, unchanged_percent: float
+    ) -> None:
+        self._store, self._blobs = store, blobs
+        self._auto, self._unchanged = auto_accept, unchanged_percent
+
+    def keep(self, run: RunRecord, now: datetime) -> set[str]:
+        """Move what the runner wrote into the store; kinds that are safe there."""
+        folder = self._blobs.work / run.id
+        blobs = {}
+        for kind, (name, _media) in KINDS.items():
+            source = folder / name
+            if source.is_file() and source.stat().st_size > 0:
+                blobs[kind] = self._blobs.put(run.id, kind, source)
+        if blobs:
+            self._store.add_artefacts(run.id, blobs, now)
+        if run.cell is not None and "model" in blobs and "diagnosis" in blobs:
+            text = self._blobs.path(blobs["model"].path).read_text(encoding="utf-8")
+            self._store.add_model(StoredModel(run.id, run.cell, now, run.mode, text))
+        return set(blobs)
+
+    def clear(self, run_id: str) -> None:
+        """Forget the working folder; the tail of the runner's log goes to ours."""
+        log_file = self._blobs.work / run_id / "worker.log"
+        try:
+            tail = log_file.read_text(encoding="utf-8", errors="replace")[-2000:].strip()
+        except OSError:
+            tail = ""
+        if tail:
+            log.info("run %s: log of the runner: %s", run_id, tail)
+        self._blobs.clear_scratch(run_id)
+
+    def in_force(self, cell: str) -> StoredModel | None:
+        """The accepted model."""
+        approvals = self._store.approvals(cell)
+        return self._store.model(cell, approvals[0].model) if approvals else None
+
+    def changes(self, cell: str, old: StoredModel, new: StoredModel) -> Changes:
+        """What changed between two models, with this cell's repeatability."""
+        loaded: dict[str, Model] = {}
+        history = []
+        for stored in reversed(self._store.models(cell, HISTORY)):
+            if stored.mode == new.mode or stored.id in (old.id, new.id):
+                try:
+                    loaded[stored.id] = load(stored)
+                except InvidError as error:
+                    log.warning("model %s is left out of the history: %s", stored.id, error)
+                    continue
+                history.append(loaded[stored.id])
+        return compare_models(
+            loaded.get(old.id) or load(old),
+            loaded.get(new.id) or load(new),
+            history=history,
+            unchanged_percent=self._unchanged,
+        )
+
+    def against_accepted(self, run: RunRecord) -> dict[str, Any] | None:
+        """The comparison of a fresh result with the model in force; ``None`` where there is none."""
+        if run.cell is None:
+            return None
+        try:
+            old, new = self.in_force(run.cell), self._store.model(run.cell, run.id)
+            if old is None or new is None:
+                return None
+            return {"from": old.id, **self.changes(run.cell, old, new).to_json()}
+        except (InvidError, SQLAlchemyError) as error:
+            log.error("run %s: no comparison with the accepted model: %s", run.id, error)
+            return None
+
+    def may_auto_accept(self, summary: dict[str, Any]) -> bool:
+        """True where the configured bounds allow acceptance without a person.
+
+        The first model of a cell has nothing to be within bounds of: a person looks at it.
+        """
+        bounds, changes = self._auto, summary.get("changes")
+        if bounds is None or changes is None or summary.get("verdict") not in bounds.verdicts:
+            return False
+        for p in changes["parameters"]:
+            old, difference, std = p["from"]["value"], p["difference"], p["difference_std"]
+            if not old or difference is None or std is None:
+                return False
+            if 100.0 * (abs(difference) + 2.0 * std) / abs(old) > bounds.max_change_percent:
+                return False
+        return True
+
+
+def load(stored: StoredModel) -> Model:
+    """The model in memory; ModelError where the stored text is damaged."""
+    return model_from_json(json.loads(stored.document), source=f"model {stored.id}")

@@ -1,0 +1,266 @@
+"""Identifications: start, follow, decide, fetch."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Header, Query, Request, Response
+from fastapi.responses import FileResponse, StreamingResponse
+
+from invid_service.auth import Reader, Require, Scope
+from invid_service.context import Context
+from invid_service.events import EventLog, sse
+from invid_service.jobs.live import LiveRun, WrongStateError
+from invid_service.jobs.schema import (
+    API,
+    RETRY_AFTER_S,
+    ActionBody,
+    Identification,
+    IdentificationList,
+    StartBody,
+    polling_headers,
+    view,
+)
+from invid_service.jobs.start import start_identification
+from invid_service.jobs.states import ENDED, State
+from invid_service.problems import EVERYWHERE, Problem, problem_responses
+from invid_service.service import Service
+from invid_service.store.blobs import KINDS
+from invid_service.store.store import RunRecord
+
+router = APIRouter(tags=["identifications"], responses=EVERYWHERE)
+
+
+@router.post(
+    "/cells/{cell}/identifications",
+    status_code=202,
+    response_model=Identification,
+    responses=problem_responses(409, 507),
+)
+async def start(
+    cell: str,
+    body: StartBody,
+    request: Request,
+    response: Response,
+    service: Context,
+    idempotency_key: Annotated[
+        str | None, Header(alias="Idempotency-Key", min_length=1, max_length=255, pattern=r"^[!-~ ]+$")
+    ] = None,
+) -> Identification:
+    """Start an identification. It goes on by itself: follow ``Location``.
+
+    The same ``Idempotency-Key`` with the same body answers with the run it started the first time.
+    """
+    caller = await Require(Scope.RUN)(request)
+    record = await start_identification(service, cell, body, caller.name, idempotency_key)
+    response.headers["Location"] = f"{API}/identifications/{record.id}"
+    response.headers["Retry-After"] = str(RETRY_AFTER_S)
+    return view(record, service.jobs.live(record.id))
+
+
+@router.get("/identifications", response_model=IdentificationList)
+async def list_identifications(
+    service: Context,
+    _caller: Reader,
+    cell: Annotated[str | None, Query(max_length=64, pattern=r"^[A-Za-z0-9_-]+$")] = None,
+    limit: Annotated[int, Query(ge=1, le=500)] = 50,
+) -> IdentificationList:
+    """Identifications, newest first."""
+    records = await asyncio.to_thread(service.store.runs, cell=cell, limit=limit)
+    items = [view(record, service.jobs.live(record.id)) for record in records]
+    return IdentificationList(identifications=items, simulated=any(i.simulated for i in items))
+
+
+@router.get("/identifications/{identification}", response_model=Identification)
+async def get_identification(
+    identification: str, response: Response, service: Context, _caller: Reader
+) -> Identification:
+    """State, progress, phase: plain polling is enough."""
+    record, live = await service.run(identification)
+    response.headers.update(polling_headers(record))
+    return view(record, live)
+
+
+@router.post(
+    "/identifications/{identification}/actions",
+    response_model=Identification,
+    responses=problem_responses(409, 507),
+)
+async def act(identification: str, body: ActionBody, request: Request, service: Context) -> Identification:
+    """Arm, cancel, accept or reject. Repeating what was already done is no error."""
+    scope = Scope.RUN if body.type in ("arm", "cancel") else Scope.ACCEPT
+    caller = await Require(scope)(request)
+    record, live = await service.run(identification)
+    facts = {"identification": record.id, "cell": record.cell, "state": str(record.state)}
+    if body.type in ("arm", "accept"):
+        try:
+            await asyncio.to_thread(service.audit.write, body.type, caller=caller.name, **facts)
+        except OSError as error:
+            raise Problem("disk-full", f"the audit log cannot be written: {error.strerror}") from None
+    try:
+        await _apply(service, body.type, record, live, caller.name)
+    except WrongStateError:
+        record, _ = await service.run(identification)
+        raise Problem(
+            "wrong-state",
+            f"{body.type!r} is not possible: the identification is {record.state}",
+            state=str(record.state),
+            simulated=record.simulated,
+        ) from None
+    if body.type in ("cancel", "reject"):
+        await asyncio.to_thread(service.audit.try_write, body.type, caller=caller.name, **facts)
+    record, live = await service.run(identification)
+    return view(record, live)
+
+
+async def _apply(service: Service, action: str, record: RunRecord, live: LiveRun | None, caller: str) -> None:
+    if record.state in ENDED or live is None:
+        decided = (record.facts.get("decision") or {}).get("type")
+        if action != "cancel" and {"accept": "accepted", "reject": "rejected"}.get(action) != decided:
+            raise WrongStateError(str(record.state))
+        return
+    match action:
+        case "arm":
+            ready = await service.readiness(service.cell(record.cell or ""), record.mode, ignore=live)
+            if record.state is State.AWAITING_ARM and not ready.can_start:
+                raise Problem(
+                    "not-ready",
+                    "; ".join(r.text for r in ready.reasons),
+                    reasons=[r.model_dump() for r in ready.reasons],
+                    simulated=record.simulated,
+                )
+            await service.jobs.arm(live)
+        case "cancel":
+            await service.jobs.cancel(live)
+        case _:
+            await service.jobs.decide(live, accept=action == "accept", by=caller)
+
+
+@router.get(
+    "/identifications/{identification}/events",
+    response_class=StreamingResponse,
+    responses={
+        200: {
+            "description": "Server-sent events",
+            "content": {"text/event-stream": {"schema": {"type": "string"}}},
+        }
+    },
+)
+async def events(
+    identification: str,
+    service: Context,
+    _caller: Reader,
+    last_event_id: Annotated[
+        str | None, Header(alias="Last-Event-ID", max_length=20, pattern=r"^\d*$")
+    ] = None,
+) -> StreamingResponse:
+    """Server-sent events ``state``, ``plan``, ``progress``, ``response``; ends when the run has ended.
+
+    Ids grow; ``Last-Event-ID`` resumes after one. A comment every few seconds keeps the line open.
+    """
+    record, live = await service.run(identification)
+    after = int(last_event_id or 0)
+    if live is not None:
+        log = live.events
+    else:
+        log = EventLog(await asyncio.to_thread(service.store.events, record.id, after))
+        log.close()
+
+    async def stream() -> AsyncIterator[bytes]:
+        yield b"retry: 1000\n\n"
+        async for event in log.follow(after, service.settings.keep_alive_s):
+            yield sse(event)
+
+    return StreamingResponse(
+        stream(),
+        media_type="text/event-stream",
+        headers={"Cache-Control": "no-store", "X-Accel-Buffering": "no"},
+    )
+
+
+def _file_responses(media: str) -> dict[int | str, dict[str, Any]]:
+    schema = {"type": "object"} if media == "application/json" else {"type": "string", "format": "binary"}
+    return {
+        **problem_responses(410),
+        200: {"description": "The file", "content": {media.split(";")[0]: {"schema": schema}}},
+    }
+
+
+async def artefact(service: Service, identification: str, kind: str) -> FileResponse:
+    """The stored file of a run; Problem 404 before it exists and 410 after its retention."""
+    record, _ = await service.run(identification)
+    blobs = await asyncio.to_thread(service.store.artefacts, record.id)
+    if kind not in blobs:
+        raise Problem(
+            "artefact-not-found",
+            f"identification {record.id} is {record.state} and has no {kind}",
+            state=str(record.state),
+            simulated=record.simulated,
+        )
+    blob = blobs[kind]
+    if blob is None:
+        raise Problem("artefact-expired", f"the {kind} of {record.id} was deleted after its retention")
+    path = service.blobs.path(blob.path)
+    if not path.is_file():
+        raise Problem("artefact-not-found", f"the {kind} of {record.id} is missing in the store")
+    name, media = KINDS[kind]
+    headers = {"ETag": f'"{blob.sha256}"', "Cache-Control": "private, max-age=3600"}
+    if kind == "report":
+        headers["Content-Security-Policy"] = (
+            "sandbox allow-popups; default-src 'none'; style-src 'unsafe-inline'; "
+            "img-src data:; font-src data:"
+        )
+        return FileResponse(path, media_type=media, headers=headers)
+    return FileResponse(path, media_type=media, headers=headers, filename=f"{record.id}-{name}")
+
+
+@router.get(
+    "/identifications/{identification}/recording",
+    response_class=FileResponse,
+    responses=_file_responses(KINDS["recording"][1]),
+)
+async def recording(identification: str, service: Context, _caller: Reader) -> FileResponse:
+    """The measured data, HDF5; also what was measured before a stop."""
+    return await artefact(service, identification, "recording")
+
+
+@router.get(
+    "/identifications/{identification}/model",
+    response_class=FileResponse,
+    responses=_file_responses("application/json"),
+)
+async def model(identification: str, service: Context, _caller: Reader) -> FileResponse:
+    """The identified model, with its effects."""
+    return await artefact(service, identification, "model")
+
+
+@router.get(
+    "/identifications/{identification}/diagnosis",
+    response_class=FileResponse,
+    responses=_file_responses("application/json"),
+)
+async def diagnosis(identification: str, service: Context, _caller: Reader) -> FileResponse:
+    """What the simulation gets wrong."""
+    return await artefact(service, identification, "diagnosis")
+
+
+@router.get(
+    "/identifications/{identification}/report",
+    response_class=FileResponse,
+    responses=_file_responses("text/html"),
+)
+async def report(identification: str, service: Context, _caller: Reader) -> FileResponse:
+    """One self-contained HTML file."""
+    return await artefact(service, identification, "report")
+
+
+@router.get(
+    "/identifications/{identification}/plots",
+    response_class=FileResponse,
+    responses=_file_responses("application/json"),
+)
+async def plots(identification: str, service: Context, _caller: Reader) -> FileResponse:
+    """The numbers behind the page's pictures."""
+    return await artefact(service, identification, "plots")

@@ -1,0 +1,114 @@
+"""The identification as a resource."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from invid_service.jobs.live import LiveRun, Progress
+from invid_service.jobs.protocol import ErrorInfo
+from invid_service.jobs.states import ENDED, State
+from invid_service.store.store import RunRecord
+
+API = "/api/v1"
+RETRY_AFTER_S = 1
+
+
+class StartBody(BaseModel):
+    """What to do."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        strict=True,
+        json_schema_extra={"examples": [{"mode": "full", "axes": ["A1", "A2"], "arm": True}]},
+    )
+    mode: Literal["simulate", "test", "full"]
+    """simulate: no hardware; test: at most 10 % amplitude; full."""
+    axes: list[str] | None = Field(default=None, min_length=1, max_length=64)
+    """Axes to excite; the others are held. Default: all."""
+    arm: bool = False
+    """true: do not wait for the action "arm" (for a cell controller that has its own release)."""
+
+
+class ActionBody(BaseModel):
+    """What somebody decided."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, json_schema_extra={"examples": [{"type": "arm"}]})
+    type: Literal["arm", "cancel", "accept", "reject"]
+
+
+class Identification(BaseModel):
+    """A run: what it is, where it is, what came of it."""
+
+    id: str
+    cell: str | None
+    robot: str
+    mode: str
+    axes: list[str]
+    state: State
+    simulated: bool
+    progress: float = Field(ge=0, le=1)
+    phase: str
+    axis: str | None
+    frequency: float | None
+    """[Hz]"""
+    eta_s: float | None
+    error: ErrorInfo | None
+    created: datetime
+    started: datetime | None
+    ended: datetime | None
+    requested_by: str
+    plan: dict[str, Any] | None
+    """What will move and how far, once checked."""
+    decision: dict[str, Any] | None
+    summary: dict[str, Any] | None
+    """verdict, sentences, warnings and changes against the accepted model."""
+    links: dict[str, str]
+
+
+class IdentificationList(BaseModel):
+    """Newest first."""
+
+    identifications: list[Identification]
+    simulated: bool
+
+
+def view(record: RunRecord, live: LiveRun | None) -> Identification:
+    """The resource of a stored or living run."""
+    if live is not None:
+        record, progress = live.record, live.progress
+    else:
+        done = record.state in (State.SUCCEEDED, State.AWAITING_ACCEPT)
+        progress = Progress(1.0 if done else 0.0, str(record.state))
+    base = f"{API}/identifications/{record.id}"
+    names = ["events", "recording", "model", "diagnosis", "report", "plots"]
+    return Identification(
+        id=record.id,
+        cell=record.cell,
+        robot=record.robot,
+        mode=record.mode,
+        axes=list(record.axes),
+        state=record.state,
+        simulated=record.simulated,
+        progress=progress.fraction,
+        phase=progress.phase,
+        axis=progress.axis,
+        frequency=progress.frequency,
+        eta_s=progress.eta_s,
+        error=record.facts.get("error"),
+        created=record.created,
+        started=record.started,
+        ended=record.ended,
+        requested_by=record.requested_by,
+        plan=record.facts.get("plan"),
+        decision=record.facts.get("decision"),
+        summary=record.facts.get("summary"),
+        links={"self": base, **{name: f"{base}/{name}" for name in names}},
+    )
+
+
+def polling_headers(record: RunRecord) -> dict[str, str]:
+    """``Retry-After`` while there is something to wait for."""
+    return {} if record.state in ENDED else {"Retry-After": str(RETRY_AFTER_S)}

@@ -1,0 +1,267 @@
+"""The runner: one job in its own process, ``python -m invid_service.jobs.worker``.
+
+Reads the job and its wishes on stdin, tells of its progress on stdout (see ``jobs.protocol``). When
+stdin ends, whoever started it is gone: motion is stopped and the process ends.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import queue
+import resource
+import sys
+import threading
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import IO, Any
+
+from invid.errors import InvidError, SafetyStop
+from invid_service.jobs.protocol import ErrorInfo, Job
+
+_PROGRESS_PERIOD_S = 0.2
+_QUEUE = 200
+
+FIXES = {
+    "ConfigError": "correct the cell's configuration",
+    "RecordingError": "check the file; the contract of recordings is in the documentation",
+    "NotIdentifiableError": "measure longer, with more amplitude or on more axes",
+    "SafetyStop": "look at the robot: clear the cause, then start again with a lower amplitude",
+    "DriveError": "look at the drive's display and cable, then start again",
+    "BusError": "check the CAN adapter, its cable and its termination, then start again",
+}
+
+
+class Stopped(Exception):
+    """Somebody asked for the end."""
+
+
+class Line:
+    """Both directions of the pipe. Telling never blocks: progress that nobody reads is dropped."""
+
+    def __init__(self, source: IO[bytes], sink: IO[bytes]) -> None:
+        self._source, self._sink = source, sink
+        self.stop = threading.Event()
+        self.armed = threading.Event()
+        self.orphaned = threading.Event()
+        self._outbox: queue.Queue[dict[str, Any] | None] = queue.Queue()
+        self._last_progress = 0.0
+        self._writer = threading.Thread(target=self._write, name="writer", daemon=True)
+        self._writer.start()
+
+    def read_job(self) -> Job:
+        """The first line."""
+        return Job.model_validate_json(self._source.readline())
+
+    def listen(self) -> None:
+        """Hear wishes from now on."""
+        threading.Thread(target=self._listen, name="listener", daemon=True).start()
+
+    def _listen(self) -> None:
+        for line in self._source:
+            kind = json.loads(line).get("type")
+            if kind == "arm":
+                self.armed.set()
+            elif kind == "stop":
+                self.stop.set()
+        self.orphaned.set()
+        self.stop.set()
+
+    def _write(self) -> None:
+        while (message := self._outbox.get()) is not None:
+            try:
+                self._sink.write(json.dumps(message, allow_nan=False).encode() + b"\n")
+                self._sink.flush()
+            except OSError:
+                return
+
+    def tell(self, kind: str, **members: Any) -> None:
+        """Queue a message."""
+        self._outbox.put({"type": kind, **members})
+
+    def progress(self, fraction: float, phase: str, **members: Any) -> None:
+        """Queue progress, at most five times a second and only while it is read."""
+        now = time.monotonic()
+        if now - self._last_progress < _PROGRESS_PERIOD_S or self._outbox.qsize() > _QUEUE:
+            return
+        self._last_progress = now
+        self.tell("progress", fraction=fraction, phase=phase, **members)
+
+    def close(self) -> None:
+        """Send what is queued."""
+        self._outbox.put(None)
+        self._writer.join(5.0)
+
+    def check_stop(self) -> None:
+        """Raise where the end was asked for."""
+        if self.stop.is_set():
+            raise Stopped
+
+
+def error_info(error: BaseException) -> dict[str, Any]:
+    """A stable code, the sentence, a way out."""
+    kind = type(error).__name__
+    if isinstance(error, InvidError):
+        code = "".join("-" + c.lower() if c.isupper() else c for c in kind).lstrip("-")
+        code = code.removesuffix("-error")
+        fix = next((FIXES[c.__name__] for c in type(error).__mro__ if c.__name__ in FIXES), "see the manual")
+        return ErrorInfo(code=code, text=str(error), fix=fix).model_dump()
+    if isinstance(error, MemoryError):
+        return ErrorInfo(
+            code="out-of-memory",
+            text="the data need more memory than one run may take",
+            fix="cut the recording into shorter ones",
+        ).model_dump()
+    return ErrorInfo(
+        code="internal-error", text=f"{kind}: {error}", fix="please report it, with the log of the service"
+    ).model_dump()
+
+
+def measure(job: Job, line: Line) -> Path:
+    """Check, wait for arm, move, write ``recording.h5``."""
+    from invid.config import CellConfig
+    from invid.errors import ConfigError
+    from invid.model import model_from_json
+    from invid.plan import make_plan
+    from invid_drivers.measurement import measure_to_file
+    from invid_service.jobs.response import ResponseWatch
+
+    if job.config is None:
+        raise ConfigError("the job has no configuration")
+    config = CellConfig.model_validate(job.config)
+    model = None if job.model is None else model_from_json(job.model, source="accepted model").chains
+    if model is not None and model.axes != tuple(a.name for a in config.axes):
+        model = None
+    plan = make_plan(config, axes=job.axes, amplitude_scale=job.amplitude_scale, model=model)
+    line.tell("planned", plan=_plain(plan.to_json()), arm=job.arm)
+    del plan
+    while not (job.arm or line.armed.is_set()):
+        line.stop.wait(0.05)
+        line.check_stop()
+    line.check_stop()
+    line.tell("running")
+    target = job.folder / "recording.h5"
+    watch = ResponseWatch(target, lambda response: line.tell("response", response=response))
+
+    def progress(p: Any) -> None:
+        line.progress(
+            float(p.fraction) * 0.8, str(p.phase), axis=p.axis, frequency=p.frequency, eta_s=float(p.eta_s)
+        )
+        watch.look(str(p.phase))
+
+    measure_to_file(
+        config,
+        target,
+        axes=job.axes,
+        amplitude_scale=job.amplitude_scale,
+        progress=progress,
+        stop=line.stop,
+        model=model,
+    )
+    line.check_stop()
+    line.tell("measured")
+    return target
+
+
+def analyse(job: Job, line: Line, path: Path) -> dict[str, Any]:
+    """Identify, diagnose, report, and the numbers of the page's pictures; the summary."""
+    from invid.identify import identify
+
+    from invid.diagnosis import diagnosis_to_json
+    from invid.discrepancy import diagnose
+    from invid.model import dump_json, model_to_json, save_text
+    from invid.recording import read_recording
+    from invid.report import render_report
+    from invid_service.jobs.plots import plot_data
+
+    line.progress(0.8, "reading the recording")
+    recording = read_recording(path)
+    line.tell("recording", robot=recording.robot, axes=list(recording.axes))
+    line.tell("progress", fraction=0.82, phase="identifying")
+    model = identify(recording)
+    line.tell("progress", fraction=0.88, phase="diagnosing")
+    diagnosis = diagnose(recording, model=model)
+    line.tell("progress", fraction=0.95, phase="writing the report")
+    flag = {"simulated": job.simulated}
+    best = diagnosis.model if diagnosis.findings else model
+    save_text(job.folder / "model.json", dump_json({**model_to_json(best), **flag}))
+    save_text(job.folder / "diagnosis.json", dump_json({**diagnosis_to_json(diagnosis), **flag}))
+    report = render_report(recording, model, diagnosis)
+    save_text(job.folder / "report.html", _marked(report, job.simulated))
+    save_text(job.folder / "plots.json", dump_json({**plot_data(recording, model, diagnosis), **flag}))
+    return {
+        "verdict": str(diagnosis.verdict),
+        "sentences": list(diagnosis.sentences),
+        "explained_fraction": diagnosis.explained_fraction,
+        "warnings": list(dict.fromkeys([*model.warnings, *diagnosis.warnings])),
+    }
+
+
+def _marked(report: str, simulated: bool) -> str:
+    """A report of a simulated cell says so on its first line."""
+    if not simulated or "<body" not in report:
+        return report
+    head, _, rest = report.partition("<body")
+    tag, _, body = rest.partition(">")
+    style = "border:2px solid;padding:.5em;font-weight:bold"
+    banner = f'<p role="note" style="{style}">Simulated cell: no hardware</p>'
+    return f"{head}<body{tag}>{banner}{body}"
+
+
+def _plain(document: Mapping[str, Any]) -> Any:
+    return json.loads(json.dumps(document, default=float))
+
+
+def run(line: Line) -> int:
+    """One job; the exit status."""
+    job = line.read_job()
+    resource.setrlimit(resource.RLIMIT_AS, (job.memory_bytes, job.memory_bytes))
+    line.listen()
+    threading.Thread(target=_end_with_parent, args=(line, job.stop_grace_s), daemon=True).start()
+    try:
+        path = measure(job, line) if job.kind == "measure" else job.folder / "recording.h5"
+        summary = analyse(job, line, path)
+    except Stopped:
+        line.tell("stopped", error=_stopped())
+        return 4
+    except SafetyStop as error:
+        line.tell("stopped", error=_stopped() if line.stop.is_set() else error_info(error))
+        return 4
+    except BaseException as error:
+        if not isinstance(error, InvidError):
+            import traceback
+
+            traceback.print_exc()
+        line.tell("failed", error=error_info(error))
+        return getattr(error, "exit_code", 70)
+    line.tell("done", summary=_plain(summary))
+    return 0
+
+
+def _stopped() -> dict[str, Any]:
+    return ErrorInfo(
+        code="stopped", text="stopped on request", fix="start again when the cell is clear"
+    ).model_dump()
+
+
+def _end_with_parent(line: Line, grace_s: float) -> None:
+    """Without a parent nobody can stop this process: let the drives be stopped, then go."""
+    line.orphaned.wait()
+    time.sleep(grace_s)
+    os._exit(4)
+
+
+def main() -> None:
+    """Entry: keeps the pipe to itself, so that nothing a library prints breaks the protocol."""
+    sink = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)
+    line = Line(sys.stdin.buffer, sink)
+    status = run(line)
+    line.close()
+    sys.stderr.flush()
+    os._exit(status)
+
+
+if __name__ == "__main__":
+    main()

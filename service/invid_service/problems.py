@@ -1,0 +1,162 @@
+"""Problem documents (RFC 9457): every failure has a stable ``type``, a sentence and a way out."""
+
+from __future__ import annotations
+
+import logging
+from http import HTTPStatus
+from typing import Any
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import JSONResponse
+from pydantic import BaseModel, ConfigDict
+from sqlalchemy.exc import SQLAlchemyError
+from starlette.exceptions import HTTPException
+
+from invid.errors import InputError
+
+MEDIA_TYPE = "application/problem+json"
+URN = "urn:invid:problem:"
+
+CATALOGUE: dict[str, tuple[int, str]] = {
+    "bad-request": (400, "The request cannot be read"),
+    "key-missing": (401, "A key is needed"),
+    "key-invalid": (401, "The key is not valid"),
+    "scope-missing": (403, "The key does not allow this"),
+    "foreign-origin": (403, "Requests from other web sites are refused"),
+    "not-found": (404, "There is no such thing"),
+    "cell-not-found": (404, "There is no such cell"),
+    "identification-not-found": (404, "There is no such identification"),
+    "model-not-found": (404, "There is no such model"),
+    "artefact-not-found": (404, "This result does not exist (yet)"),
+    "method-not-allowed": (405, "This address does not take this method"),
+    "run-in-progress": (409, "Another identification is in progress on this cell"),
+    "not-ready": (409, "The cell cannot start"),
+    "wrong-state": (409, "Not possible in this state"),
+    "not-simulated": (409, "The cell has hardware behind it"),
+    "no-comparison": (409, "There are not two models to compare"),
+    "artefact-expired": (410, "This file was deleted after its time of retention"),
+    "length-required": (411, "The size must be given"),
+    "too-large": (413, "The body is too large"),
+    "unsupported-media-type": (415, "This kind of body is not taken"),
+    "invalid-request": (422, "The request holds a value that cannot be used"),
+    "invalid-recording": (422, "The upload is not a recording"),
+    "idempotency-key-reused": (422, "The Idempotency-Key was used with another body"),
+    "upload-stalled": (408, "The upload stalled"),
+    "internal-error": (500, "An error of the service"),
+    "store-unavailable": (503, "The store does not answer"),
+    "disk-full": (507, "There is no room to store this"),
+}
+"""id -> (status, title). Ids are stable: never renamed, never given another meaning."""
+
+_BY_STATUS = {
+    400: "bad-request",
+    401: "key-missing",
+    403: "scope-missing",
+    404: "not-found",
+    405: "method-not-allowed",
+    408: "upload-stalled",
+    411: "length-required",
+    413: "too-large",
+    415: "unsupported-media-type",
+    422: "invalid-request",
+    503: "store-unavailable",
+}
+log = logging.getLogger(__name__)
+
+
+class ProblemDocument(BaseModel):
+    """RFC 9457 with further members by type."""
+
+    model_config = ConfigDict(extra="allow")
+    type: str
+    title: str
+    status: int
+    detail: str
+    instance: str | None = None
+
+
+class Problem(Exception):
+    """Raised anywhere in a request; answered as a problem document."""
+
+    def __init__(self, kind: str, detail: str, headers: dict[str, str] | None = None, **members: Any) -> None:
+        super().__init__(detail)
+        self.kind, self.detail, self.headers, self.members = kind, detail, headers, members
+
+    @property
+    def status(self) -> int:
+        """HTTP status of this kind."""
+        return CATALOGUE[self.kind][0]
+
+    def response(self, instance: str) -> JSONResponse:
+        """The document, ready to send."""
+        status, title = CATALOGUE[self.kind]
+        document = {
+            "type": URN + self.kind,
+            "title": title,
+            "status": status,
+            "detail": self.detail,
+            "instance": instance,
+            **self.members,
+        }
+        return JSONResponse(document, status_code=status, media_type=MEDIA_TYPE, headers=self.headers)
+
+
+def problem_responses(*statuses: int) -> dict[int | str, dict[str, Any]]:
+    """OpenAPI ``responses`` for these statuses."""
+    return {
+        status: {
+            "description": HTTPStatus(status).phrase,
+            "content": {MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/ProblemDocument"}}},
+        }
+        for status in statuses
+    }
+
+
+EVERYWHERE = problem_responses(400, 401, 403, 404, 405, 413, 422, 500, 503)
+"""Failures that any request may meet."""
+
+
+def install(app: FastAPI) -> None:
+    """Map every exception to a problem document."""
+
+    @app.exception_handler(Problem)
+    async def _problem(request: Request, error: Problem) -> JSONResponse:
+        return error.response(request.url.path)
+
+    @app.exception_handler(RequestValidationError)
+    async def _invalid(request: Request, error: RequestValidationError) -> JSONResponse:
+        errors = [
+            {"where": ".".join(str(part) for part in e["loc"]), "message": e["msg"]} for e in error.errors()
+        ]
+        first = errors[0] if errors else {"where": "request", "message": "cannot be read"}
+        detail = f"{first['where']}: {first['message']}"
+        return Problem("invalid-request", detail, errors=errors[:20]).response(request.url.path)
+
+    @app.exception_handler(HTTPException)
+    async def _http(request: Request, error: HTTPException) -> JSONResponse:
+        kind = _BY_STATUS.get(
+            error.status_code, "bad-request" if error.status_code < 500 else "internal-error"
+        )
+        detail = {
+            404: f"nothing is served at {request.url.path}; the calls are listed in /api/v1/openapi.json",
+            405: f"{request.method} is not possible at {request.url.path}",
+        }.get(error.status_code, str(error.detail))
+        headers = dict(error.headers) if error.headers else None
+        return Problem(kind, detail, headers).response(request.url.path)
+
+    @app.exception_handler(InputError)
+    async def _input(request: Request, error: InputError) -> JSONResponse:
+        return Problem("invalid-request", str(error)).response(request.url.path)
+
+    @app.exception_handler(SQLAlchemyError)
+    async def _store(request: Request, error: SQLAlchemyError) -> JSONResponse:
+        log.error("store: %s: %s", type(error).__name__, error)
+        detail = "the store did not answer in time; a stop still works, try this again in a moment"
+        return Problem("store-unavailable", detail, {"Retry-After": "2"}).response(request.url.path)
+
+    @app.exception_handler(Exception)
+    async def _internal(request: Request, error: Exception) -> JSONResponse:
+        log.exception("internal error at %s %s", request.method, request.url.path)
+        detail = f"{type(error).__name__}; the log of the service says where"
+        return Problem("internal-error", detail).response(request.url.path)

@@ -1,0 +1,1 @@
+"""Recordings measured elsewhere: uploaded, identified and diagnosed."""

@@ -1,0 +1,150 @@
+"""``POST /recordings``: measured data from elsewhere, identified and diagnosed with no drive involved."""
+
+from __future__ import annotations
+
+import asyncio
+import shutil
+from pathlib import Path
+from typing import Any
+
+from fastapi import APIRouter, Request, Response
+from sqlalchemy.exc import SQLAlchemyError
+from starlette.datastructures import UploadFile
+from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
+
+from invid_service.auth import Runner
+from invid_service.context import Context
+from invid_service.jobs.protocol import Job
+from invid_service.jobs.schema import API, RETRY_AFTER_S, Identification, view
+from invid_service.problems import EVERYWHERE, Problem, problem_responses
+from invid_service.service import Service
+from invid_service.store.store import RunRecord
+
+router = APIRouter(tags=["recordings"], responses=EVERYWHERE)
+
+SIGNATURE = b"\x89HDF\r\n\x1a\n"
+_RAW = ("application/x-hdf5", "application/x-hdf", "application/octet-stream")
+_BODY: dict[str, Any] = {
+    "requestBody": {
+        "required": True,
+        "content": {
+            **{media: {"schema": {"type": "string", "format": "binary"}} for media in _RAW},
+            "multipart/form-data": {
+                "schema": {
+                    "type": "object",
+                    "required": ["file"],
+                    "properties": {"file": {"type": "string", "format": "binary"}},
+                }
+            },
+        },
+    }
+}
+
+
+@router.post(
+    "/recordings",
+    status_code=202,
+    response_model=Identification,
+    responses=problem_responses(408, 415, 507),
+    openapi_extra=_BODY,
+)
+async def upload(request: Request, response: Response, service: Context, caller: Runner) -> Identification:
+    """Upload an ``invid-recording`` (HDF5), as the body itself or as the form field ``file``."""
+    media = request.headers.get("content-type", "").split(";")[0].strip().lower()
+    if media not in (*_RAW, "multipart/form-data"):
+        raise Problem(
+            "unsupported-media-type",
+            f"Content-Type {media!r}: send the HDF5 file as application/x-hdf5 or as the form field 'file'",
+        )
+    announced = int(request.headers.get("content-length") or 0)
+    if service.blobs.free_bytes() < service.settings.min_free_bytes + announced:
+        raise Problem("disk-full", "there is not enough room on the service's disk for this upload")
+    record = service.new_run(None, "upload", [], caller.name)
+    folder = service.blobs.scratch(record.id)
+    try:
+        target = folder / "recording.h5"
+        if media == "multipart/form-data":
+            await _receive_form(request, target)
+        else:
+            await _receive_raw(request, target)
+        await _queue(service, record, folder)
+    except BaseException:
+        service.blobs.clear_scratch(record.id)
+        raise
+    response.headers["Location"] = f"{API}/identifications/{record.id}"
+    response.headers["Retry-After"] = str(RETRY_AFTER_S)
+    return view(record, service.jobs.live(record.id))
+
+
+async def _receive_raw(request: Request, target: Path) -> None:
+    first = b""
+    try:
+        with target.open("wb") as file:
+            async for chunk in request.stream():
+                if len(first) < len(SIGNATURE):
+                    first += chunk[: len(SIGNATURE) - len(first)]
+                    if not SIGNATURE.startswith(first):
+                        raise _no_recording()
+                await asyncio.to_thread(file.write, chunk)
+    except ClientDisconnect:
+        raise Problem("bad-request", "the upload was cut off; send it again") from None
+    except OSError as error:
+        raise Problem("disk-full", f"the upload cannot be stored: {error.strerror}") from None
+    if first != SIGNATURE:
+        raise _no_recording()
+
+
+def _no_recording() -> Problem:
+    return Problem(
+        "invalid-recording", "the body is no HDF5 file; 'invid import' turns other formats into one"
+    )
+
+
+async def _receive_form(request: Request, target: Path) -> None:
+    # One file, spooled to disk beyond a megabyte: memory does not grow with the upload.
+    try:
+        form = await request.form(max_files=1, max_fields=4, max_part_size=4096)
+    except ClientDisconnect:
+        raise Problem("bad-request", "the upload was cut off; send it again") from None
+    except HTTPException as error:
+        if error.status_code == 400:
+            raise Problem("invalid-request", f"the form cannot be read: {error.detail}") from None
+        raise
+    try:
+        file = form.get("file")
+        if not isinstance(file, UploadFile):
+            raise Problem("invalid-request", "the form has no file in the field 'file'")
+        if (await file.read(len(SIGNATURE))) != SIGNATURE:
+            raise _no_recording()
+        await file.seek(0)
+        await asyncio.to_thread(_copy, file, target)
+    finally:
+        await form.close()
+
+
+def _copy(file: UploadFile, target: Path) -> None:
+    try:
+        with target.open("wb") as out:
+            shutil.copyfileobj(file.file, out, 1024 * 1024)
+    except OSError as error:
+        raise Problem("disk-full", f"the upload cannot be stored: {error.strerror}") from None
+
+
+async def _queue(service: Service, record: RunRecord, folder: Path) -> None:
+    job = Job(
+        id=record.id,
+        kind="analyse",
+        mode="upload",
+        folder=folder,
+        simulated=False,
+        memory_bytes=service.settings.worker_memory_bytes,
+        stop_grace_s=service.settings.stop_grace_s,
+    )
+    live = service.jobs.reserve(record)
+    try:
+        await asyncio.to_thread(service.store.add_run, record)
+    except (SQLAlchemyError, asyncio.CancelledError):
+        service.jobs.release(live)
+        raise
+    service.jobs.start(live, job)

@@ -1,0 +1,212 @@
+"""``Service``: the parts of one application, made from its settings and closed together."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import secrets
+from collections import defaultdict
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
+
+from sqlalchemy.exc import SQLAlchemyError
+
+from invid_service.audit import AuditLog
+from invid_service.auth import Keys, check_bind
+from invid_service.cells.readiness import Readiness, Situation, readiness
+from invid_service.cells.registry import Cell, load_cells
+from invid_service.jobs.launcher import Launcher
+from invid_service.jobs.live import LiveRun
+from invid_service.jobs.manager import JobManager, Limits
+from invid_service.jobs.results import Results
+from invid_service.jobs.states import State
+from invid_service.metrics import Metrics
+from invid_service.problems import Problem
+from invid_service.settings import Settings
+from invid_service.store.blobs import Blobs
+from invid_service.store.database import open_engine, upgrade
+from invid_service.store.lock import DataLock
+from invid_service.store.store import RunRecord, Store
+
+log = logging.getLogger(__name__)
+Clock = Callable[[], datetime]
+_RETENTION_PERIOD_S = 3600.0
+_STORE_PROBE_S = 1.0
+
+
+@dataclass
+class Service:
+    """Everything a request may need."""
+
+    settings: Settings
+    clock: Clock
+    lock: DataLock
+    keys: Keys
+    audit: AuditLog
+    store: Store
+    blobs: Blobs
+    results: Results
+    jobs: JobManager
+    cells: dict[str, Cell]
+    metrics: Metrics
+    start_locks: dict[str, asyncio.Lock] = field(default_factory=lambda: defaultdict(asyncio.Lock))
+    uploads: int = 0
+    """Uploads that are being received."""
+    shutting_down: bool = False
+    _housekeeping: asyncio.Task[None] | None = None
+
+    # --- life ----------------------------------------------------------------------------------
+    async def start(self) -> None:
+        """Settle what the last process left, then keep house."""
+        now = self.clock()
+        cut = await asyncio.to_thread(self.store.interrupt_unfinished, now)
+        for record in cut:
+            log.warning("identification %s was cut off by a restart: interrupted", record.id)
+            await asyncio.to_thread(self.results.keep, record, now)
+            self.blobs.clear_scratch(record.id)
+        for record in await asyncio.to_thread(self.store.runs, state=State.AWAITING_ACCEPT, limit=500):
+            self.jobs.restore(record, await asyncio.to_thread(self.store.events, record.id))
+        self._housekeeping = asyncio.create_task(self._keep_house())
+
+    def begin_shutdown(self) -> None:
+        """Stop motion and end the streams; called as soon as the signal is there."""
+        self.shutting_down = True
+        self.jobs.begin_shutdown()
+
+    async def close(self) -> None:
+        """Motion first, then the rest."""
+        self.begin_shutdown()
+        if self._housekeeping is not None:
+            self._housekeeping.cancel()
+        await self.jobs.shutdown()
+        self.store.close()
+        self.lock.release()
+
+    async def _keep_house(self) -> None:
+        while True:
+            try:
+                await asyncio.to_thread(self.expire)
+            except (OSError, SQLAlchemyError) as error:
+                log.error("retention: %s", error)
+            await asyncio.sleep(_RETENTION_PERIOD_S)
+
+    def expire(self) -> int:
+        """Delete files past their retention; how many."""
+        now = self.clock()
+        paths = self.store.expire_artefacts(now - timedelta(days=self.settings.retention_days), now)
+        for relative in paths:
+            with contextlib.suppress(OSError, ValueError):
+                self.blobs.path(relative).unlink(missing_ok=True)
+        return len(paths)
+
+    # --- questions -----------------------------------------------------------------------------
+    def cell(self, identity: str) -> Cell:
+        """A cell; Problem 404 where there is none."""
+        found = self.cells.get(identity)
+        if found is None:
+            raise Problem("cell-not-found", f"no cell {identity[:64]!r}; the cells are {sorted(self.cells)}")
+        return found
+
+    async def readiness(
+        self, cell: Cell, mode: str | None = None, *, ignore: LiveRun | None = None
+    ) -> Readiness:
+        """Whether the cell can start, judged now."""
+        occupied = self.jobs.occupying(cell.id)
+        answers, has_model = True, False
+        try:
+            async with asyncio.timeout(_STORE_PROBE_S):
+                has_model = await asyncio.to_thread(self.results.in_force, cell.id) is not None
+        except (TimeoutError, SQLAlchemyError):
+            answers = False
+        return readiness(
+            Situation(
+                config=cell.config,
+                occupied_by=None if occupied is ignore else occupied,
+                free_bytes=self.blobs.free_bytes(),
+                needed_bytes=self.settings.min_free_bytes,
+                store_answers=answers,
+                shutting_down=self.shutting_down,
+                has_model=has_model,
+                mode=mode,  # type: ignore[arg-type]
+            )
+        )
+
+    async def run(self, run_id: str) -> tuple[RunRecord, LiveRun | None]:
+        """A run, from memory while it lives; Problem 404 where there is none."""
+        live = self.jobs.live(run_id)
+        if live is not None:
+            return live.record, live
+        record = None
+        if len(run_id) <= 40 and run_id.isascii() and run_id.replace("-", "").isalnum():
+            record = await asyncio.to_thread(self.store.run, run_id)
+        if record is None:
+            raise Problem("identification-not-found", f"no identification {run_id[:64]!r}")
+        return record, self.jobs.live(run_id)
+
+    def new_run(self, cell: Cell | None, mode: str, axes: list[str], caller: str) -> RunRecord:
+        """A queued run with a fresh id that sorts by time."""
+        now = self.clock()
+        identity = f"{now:%Y%m%dT%H%M%S}-{secrets.token_hex(4)}"
+        simulated = cell is not None and (cell.simulated or mode == "simulate")
+        return RunRecord(
+            id=identity,
+            cell=None if cell is None else cell.id,
+            robot="" if cell is None else cell.config.robot,
+            mode=mode,
+            axes=tuple(axes),
+            simulated=simulated,
+            state=State.QUEUED,
+            created=now,
+            requested_by=caller,
+        )
+
+
+def utc_now() -> datetime:
+    """The clock of the service."""
+    return datetime.now(UTC)
+
+
+def build(settings: Settings, launcher: Launcher, clock: Clock) -> Service:
+    """Parts from settings; ConfigError where something cannot be."""
+    keys = Keys.load(settings.key_file) if settings.key_file is not None else Keys()
+    check_bind(settings, keys)
+    lock = DataLock(settings.data_dir)
+    try:
+        cells = load_cells(settings.cells, settings.data_dir)
+        engine = open_engine(settings.database)
+        upgrade(engine)
+        store, blobs = Store(engine), Blobs(settings.data_dir / "files")
+        results = Results(
+            store, blobs, auto_accept=settings.auto_accept, unchanged_percent=settings.unchanged_percent
+        )
+        limits = Limits(
+            settings.check_timeout_s,
+            settings.arm_timeout_s,
+            settings.analysis_timeout_s,
+            settings.stop_grace_s,
+        )
+        jobs = JobManager(store, results, launcher, limits, clock, parallel_uploads=settings.parallel_uploads)
+        metrics = Metrics(lambda: len([c for c in cells if jobs.occupying(c) is not None]))
+        jobs.on_end = lambda run: metrics.ended(str(run.record.state), run.record.mode)
+        audit = AuditLog(settings.data_dir / "audit.jsonl")
+    except BaseException:
+        lock.release()
+        raise
+    return Service(
+        settings=settings,
+        clock=clock,
+        lock=lock,
+        keys=keys,
+        audit=audit,
+        store=store,
+        blobs=blobs,
+        results=results,
+        jobs=jobs,
+        cells=cells,
+        metrics=metrics,
+    )
+
+
+__all__ = ["Clock", "Service", "build", "utc_now"]

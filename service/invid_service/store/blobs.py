@@ -1,0 +1,87 @@
+"""Files beside the database: written under a temporary name, renamed, checksummed."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+KINDS: dict[str, tuple[str, str]] = {
+    "recording": ("recording.h5", "application/x-hdf5"),
+    "model": ("model.json", "application/json"),
+    "diagnosis": ("diagnosis.json", "application/json"),
+    "report": ("report.html", "text/html; charset=utf-8"),
+    "plots": ("plots.json", "application/json"),
+}
+"""kind -> (file name, media type)."""
+
+
+@dataclass(frozen=True)
+class Blob:
+    """A stored file."""
+
+    path: str
+    size: int
+    sha256: str
+
+
+class Blobs:
+    """Files under ``root``, one folder per run."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self.work = root.parent / "work"
+        for folder in (self.root, self.work):
+            folder.mkdir(parents=True, exist_ok=True)
+
+    def scratch(self, run: str) -> Path:
+        """A folder for a run to work in."""
+        folder = self.work / run
+        folder.mkdir(parents=True, exist_ok=True)
+        return folder
+
+    def put(self, run: str, kind: str, source: Path) -> Blob:
+        """Move ``source`` into the store: flushed, then renamed, so that no half file has its name."""
+        target = self.root / run / KINDS[kind][0]
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with source.open("rb") as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+            os.fsync(file.fileno())
+        if source.stat().st_dev == target.parent.stat().st_dev:
+            source.replace(target)
+        else:
+            part = target.with_name(target.name + ".part")
+            shutil.copyfile(source, part)
+            part.replace(target)
+            source.unlink()
+        folder = os.open(target.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+        return Blob(str(target.relative_to(self.root)), target.stat().st_size, digest)
+
+    def path(self, relative: str) -> Path:
+        """The file of a stored path; ValueError where it would lie outside the store."""
+        path = (self.root / relative).resolve()
+        if not path.is_relative_to(self.root.resolve()):
+            raise ValueError(f"{relative!r} lies outside the store")
+        return path
+
+    def intact(self, blob: Blob) -> bool:
+        """True where the file is there with its checksum."""
+        path = self.path(blob.path)
+        if not path.is_file():
+            return False
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest() == blob.sha256
+
+    def clear_scratch(self, run: str) -> None:
+        """Forget a run's working folder."""
+        shutil.rmtree(self.work / run, ignore_errors=True)
+
+    def free_bytes(self) -> int:
+        """Room left on the disk."""
+        return shutil.disk_usage(self.root).free

@@ -1,0 +1,346 @@
+"""``Store``: every question the service asks its database, as plain functions of plain data.
+
+Synchronous; called from threads. Failures of the database leave as ``SQLAlchemyError``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import Any
+
+from sqlalchemy import Engine, delete, select, text, update
+from sqlalchemy.exc import IntegrityError
+from sqlalchemy.orm import Session
+
+from invid_service.jobs.states import OCCUPYING, State
+from invid_service.store.blobs import Blob
+from invid_service.store.tables import (
+    ApprovalRow,
+    ArtefactRow,
+    EventRow,
+    IdempotencyRow,
+    ModelRow,
+    RunRow,
+)
+
+
+@dataclass(frozen=True)
+class RunRecord:
+    """A run as stored."""
+
+    id: str
+    cell: str | None
+    robot: str
+    mode: str
+    axes: tuple[str, ...]
+    simulated: bool
+    state: State
+    created: datetime
+    requested_by: str
+    started: datetime | None = None
+    ended: datetime | None = None
+    facts: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class StoredEvent:
+    """An event with its id."""
+
+    id: int
+    type: str
+    data: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class StoredModel:
+    """A model of a cell."""
+
+    id: str
+    cell: str
+    created: datetime
+    mode: str
+    document: str
+
+
+@dataclass(frozen=True)
+class Approval:
+    """A model taken into force."""
+
+    id: int
+    cell: str
+    model: str
+    at: datetime
+    by: str
+    how: str
+
+
+class KeyReusedError(Exception):
+    """The idempotency key stands for another body."""
+
+
+class CellBusyError(Exception):
+    """Another run occupies the cell."""
+
+
+def _utc(value: datetime | None) -> datetime | None:
+    # SQLite forgets the zone; everything is written in UTC.
+    return value.replace(tzinfo=UTC) if value is not None and value.tzinfo is None else value
+
+
+def _run(row: RunRow) -> RunRecord:
+    created = _utc(row.created)
+    return RunRecord(
+        id=row.id,
+        cell=row.cell,
+        robot=row.robot,
+        mode=row.mode,
+        axes=tuple(row.axes),
+        simulated=row.simulated,
+        state=State(row.state),
+        created=created if created is not None else row.created,
+        requested_by=row.requested_by,
+        started=_utc(row.started),
+        ended=_utc(row.ended),
+        facts=dict(row.facts),
+    )
+
+
+def _model(row: ModelRow) -> StoredModel:
+    return StoredModel(row.id, row.cell, _utc(row.created) or row.created, row.mode, row.document)
+
+
+def _approval(row: ApprovalRow) -> Approval:
+    return Approval(row.id, row.cell, row.model, _utc(row.at) or row.at, row.by, row.how)
+
+
+class Store:
+    """Questions and changes; each its own transaction."""
+
+    def __init__(self, engine: Engine) -> None:
+        self.engine = engine
+
+    # --- runs ----------------------------------------------------------------------------------
+    def add_run(
+        self, run: RunRecord, *, idempotency_key: str | None = None, body_sha256: str = ""
+    ) -> RunRecord:
+        """Insert a queued run, or return the one this idempotency key already stands for.
+
+        Raises
+        ------
+        KeyReusedError
+            Where the key was used with another body.
+        CellBusyError
+            Where the cell has a run in progress.
+        """
+        try:
+            with Session(self.engine) as session, session.begin():
+                if idempotency_key is not None and run.cell is not None:
+                    earlier = session.get(IdempotencyRow, (run.cell, idempotency_key))
+                    if earlier is not None:
+                        if earlier.body_sha256 != body_sha256:
+                            raise KeyReusedError
+                        row = session.get_one(RunRow, earlier.run)
+                        return _run(row)
+                session.add(self._row(run))
+                session.flush()
+                if idempotency_key is not None and run.cell is not None:
+                    session.add(
+                        IdempotencyRow(
+                            cell=run.cell,
+                            key=idempotency_key,
+                            body_sha256=body_sha256,
+                            run=run.id,
+                            created=run.created,
+                        )
+                    )
+            return run
+        except IntegrityError:
+            if idempotency_key is not None and run.cell is not None:
+                found = self.find_idempotent(run.cell, idempotency_key, body_sha256)
+                if found is not None:
+                    return found
+            raise CellBusyError from None
+
+    def find_idempotent(self, cell: str, key: str, body_sha256: str) -> RunRecord | None:
+        """The run this key stands for; KeyReusedError with another body."""
+        with Session(self.engine) as session:
+            earlier = session.get(IdempotencyRow, (cell, key))
+            if earlier is None:
+                return None
+            if earlier.body_sha256 != body_sha256:
+                raise KeyReusedError
+            return _run(session.get_one(RunRow, earlier.run))
+
+    @staticmethod
+    def _row(run: RunRecord) -> RunRow:
+        return RunRow(
+            id=run.id,
+            cell=run.cell,
+            robot=run.robot,
+            mode=run.mode,
+            axes=list(run.axes),
+            simulated=run.simulated,
+            state=str(run.state),
+            created=run.created,
+            started=run.started,
+            ended=run.ended,
+            requested_by=run.requested_by,
+            facts=dict(run.facts),
+        )
+
+    def save_state(self, run: RunRecord, event: StoredEvent | None) -> None:
+        """Write the run's state and facts with the event that tells of it."""
+        with Session(self.engine) as session, session.begin():
+            session.execute(
+                update(RunRow)
+                .where(RunRow.id == run.id)
+                .values(
+                    state=str(run.state),
+                    started=run.started,
+                    ended=run.ended,
+                    facts=dict(run.facts),
+                    robot=run.robot,
+                    axes=list(run.axes),
+                )
+            )
+            if event is not None and session.get(EventRow, (run.id, event.id)) is None:
+                session.add(EventRow(run=run.id, id=event.id, type=event.type, data=dict(event.data)))
+
+    def run(self, run_id: str) -> RunRecord | None:
+        """One run."""
+        with Session(self.engine) as session:
+            row = session.get(RunRow, run_id)
+            return None if row is None else _run(row)
+
+    def runs(
+        self, *, cell: str | None = None, state: State | None = None, limit: int = 50
+    ) -> list[RunRecord]:
+        """Runs, newest first."""
+        query = select(RunRow).order_by(RunRow.created.desc(), RunRow.id.desc()).limit(limit)
+        if cell is not None:
+            query = query.where(RunRow.cell == cell)
+        if state is not None:
+            query = query.where(RunRow.state == str(state))
+        with Session(self.engine) as session:
+            return [_run(row) for row in session.scalars(query)]
+
+    def events(self, run_id: str, after: int = 0) -> list[StoredEvent]:
+        """Stored events of a run."""
+        query = select(EventRow).where(EventRow.run == run_id, EventRow.id > after).order_by(EventRow.id)
+        with Session(self.engine) as session:
+            return [StoredEvent(row.id, row.type, row.data) for row in session.scalars(query)]
+
+    def interrupt_unfinished(self, now: datetime) -> list[RunRecord]:
+        """Mark what a restart cut off; called once, before anything else may start."""
+        with Session(self.engine) as session, session.begin():
+            query = select(RunRow).where(RunRow.state.in_([str(s) for s in OCCUPYING]))
+            rows = list(session.scalars(query))
+            for row in rows:
+                last = session.scalars(
+                    select(EventRow.id).where(EventRow.run == row.id).order_by(EventRow.id.desc()).limit(1)
+                ).first()
+                error = {
+                    "code": "interrupted",
+                    "text": f"the service ended while this run was {row.state}; it was not run again",
+                    "fix": "look at the robot, then start a new identification",
+                }
+                row.facts = {**row.facts, "error": error}
+                row.state, row.ended = str(State.INTERRUPTED), now
+                identity = max((last or 0) + 1, int(now.timestamp() * 1000))
+                session.add(
+                    EventRow(run=row.id, id=identity, type="state", data={"state": row.state, "error": error})
+                )
+            return [_run(row) for row in rows]
+
+    # --- artefacts -----------------------------------------------------------------------------
+    def add_artefacts(self, run_id: str, blobs: Mapping[str, Blob], now: datetime) -> None:
+        """Register stored files."""
+        with Session(self.engine) as session, session.begin():
+            for kind, blob in blobs.items():
+                session.merge(
+                    ArtefactRow(
+                        run=run_id,
+                        kind=kind,
+                        path=blob.path,
+                        size=blob.size,
+                        sha256=blob.sha256,
+                        created=now,
+                        deleted=None,
+                    )
+                )
+
+    def artefacts(self, run_id: str) -> dict[str, Blob | None]:
+        """Files of a run by kind; ``None`` where one was deleted after its retention."""
+        with Session(self.engine) as session:
+            rows = session.scalars(select(ArtefactRow).where(ArtefactRow.run == run_id))
+            return {
+                row.kind: None if row.deleted is not None else Blob(row.path, row.size, row.sha256)
+                for row in rows
+            }
+
+    def expire_artefacts(self, before: datetime, now: datetime) -> list[str]:
+        """Mark files of ended runs older than ``before`` as deleted, accepted models' apart; their paths."""
+        kept = select(ApprovalRow.model)
+        with Session(self.engine) as session, session.begin():
+            query = (
+                select(ArtefactRow)
+                .join(RunRow, RunRow.id == ArtefactRow.run)
+                .where(RunRow.ended < before, ArtefactRow.deleted.is_(None), RunRow.id.not_in(kept))
+            )
+            rows = list(session.scalars(query))
+            for row in rows:
+                row.deleted = now
+            session.execute(delete(IdempotencyRow).where(IdempotencyRow.created < before))
+            return [row.path for row in rows]
+
+    # --- models --------------------------------------------------------------------------------
+    def add_model(self, model: StoredModel) -> None:
+        """Keep an identified model."""
+        with Session(self.engine) as session, session.begin():
+            session.merge(
+                ModelRow(
+                    id=model.id,
+                    cell=model.cell,
+                    created=model.created,
+                    mode=model.mode,
+                    document=model.document,
+                )
+            )
+
+    def model(self, cell: str, model_id: str) -> StoredModel | None:
+        """One model of a cell."""
+        with Session(self.engine) as session:
+            row = session.get(ModelRow, model_id)
+            return None if row is None or row.cell != cell else _model(row)
+
+    def models(self, cell: str, limit: int = 200) -> list[StoredModel]:
+        """Models of a cell, newest first."""
+        query = select(ModelRow).where(ModelRow.cell == cell)
+        with Session(self.engine) as session:
+            rows = session.scalars(query.order_by(ModelRow.created.desc(), ModelRow.id.desc()).limit(limit))
+            return [_model(row) for row in rows]
+
+    def approve(self, cell: str, model_id: str, *, by: str, how: str, now: datetime) -> Approval:
+        """Take a model into force."""
+        with Session(self.engine) as session, session.begin():
+            row = ApprovalRow(cell=cell, model=model_id, at=now, by=by, how=how)
+            session.add(row)
+            session.flush()
+            return _approval(row)
+
+    def approvals(self, cell: str) -> list[Approval]:
+        """The history, newest first."""
+        query = select(ApprovalRow).where(ApprovalRow.cell == cell).order_by(ApprovalRow.id.desc())
+        with Session(self.engine) as session:
+            return [_approval(row) for row in session.scalars(query)]
+
+    def ping(self) -> None:
+        """Raise where the database does not answer."""
+        with self.engine.connect() as connection:
+            connection.execute(text("SELECT 1"))
+
+    def close(self) -> None:
+        """Close every connection."""
+        self.engine.dispose()

@@ -1,0 +1,190 @@
+"""A runner that is a script of messages, and an application around it. A double for tests only: the
+product starts ``invid_service.jobs.worker``."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from fastapi.testclient import TestClient
+
+from invid.chains import case_study
+from invid.model import ChainStd, Model, model_to_json, parameter_vector
+from invid_service.app import create_app
+from invid_service.jobs.protocol import Job
+from invid_service.settings import Settings
+
+CELL = """\
+format: invid-config
+format_version: 1
+robot: test robot
+bus: {interface: invid-virtual, channel: test, cycle_s: 0.001}
+axes:
+  - {name: A1, node_id: 1, rated_torque_Nm: 50, limits: {torque_Nm: 25, position_window_rad: 0.5, velocity_rad_per_s: 3}}
+  - {name: A2, node_id: 2, rated_torque_Nm: 100, limits: {torque_Nm: 50, position_window_rad: 0.5, velocity_rad_per_s: 3}}
+  - {name: A3, node_id: 3, rated_torque_Nm: 200, limits: {torque_Nm: 100, position_window_rad: 0.5, velocity_rad_per_s: 3}}
+simulation:
+  plant: {case_study: true, damping_ratio: 0.01}
+"""
+
+
+def model_document(*, scale_mass: float = 1.0, std: float = 1e-3) -> dict[str, Any]:
+    """A model of the case study; ``scale_mass`` multiplies the final mass of A2."""
+    chains = case_study(damping_ratio=0.01)
+    names, values = parameter_vector(chains)
+    covariance = np.diag((std * np.abs(values)) ** 2)
+    model = Model(
+        robot="test robot",
+        method="refined",
+        chains=chains,
+        std=ChainStd.unknown(chains),
+        covariance=covariance,
+        parameter_names=names,
+    )
+    document = model_to_json(model)
+    for branch in document["branches"]:
+        for kind in ("masses", "springs", "dampers"):
+            for e in branch[kind]:
+                e["std"] = std * e["value"]
+    for c in document["couplings"]:
+        c["std"] = std * c["value"]
+    document["branches"][1]["masses"][-1]["value"] *= scale_mass
+    return document
+
+
+class ScriptedWorker:
+    """Plays a run: plans, waits for arm, moves until told to go on, writes results."""
+
+    def __init__(self, job: Job, director: Director) -> None:
+        self.job, self.director = job, director
+        self.said: list[dict[str, Any]] = []
+        self.stopped = asyncio.Event()
+        self.armed = asyncio.Event()
+        self.killed = asyncio.Event()
+        if job.arm:
+            self.armed.set()
+
+    async def send(self, message: dict[str, Any]) -> None:
+        self.said.append(message)
+        if message["type"] == "arm":
+            self.armed.set()
+        elif message["type"] == "stop" and not self.director.deaf:
+            self.stopped.set()
+
+    def kill(self) -> None:
+        self.killed.set()
+
+    async def wait(self) -> int:
+        return -9 if self.killed.is_set() else 0
+
+    async def _until(self, event: asyncio.Event) -> str:
+        waits = {
+            name: asyncio.ensure_future(e.wait())
+            for name, e in (("event", event), ("stop", self.stopped), ("kill", self.killed))
+        }
+        await asyncio.wait(waits.values(), return_when=asyncio.FIRST_COMPLETED)
+        seen = [name for name in ("kill", "stop", "event") if waits[name].done()]
+        for task in waits.values():
+            task.cancel()
+        return seen[0]
+
+    async def messages(self) -> AsyncIterator[dict[str, Any]]:
+        stopped = {"type": "stopped", "error": {"code": "stopped", "text": "stopped", "fix": "start again"}}
+        if self.job.kind == "measure":
+            plan = {"duration_s": 10.0, "forecast": [{"axis": "A1", "peak_torque": 5.0, "travel": 0.1}]}
+            yield {"type": "planned", "plan": plan, "arm": self.job.arm}
+            if (seen := await self._until(self.armed)) != "event":
+                if seen == "stop":
+                    yield stopped
+                return
+            yield {"type": "running"}
+            for k in range(3):
+                yield {"type": "progress", "fraction": 0.1 * k, "phase": "A1", "axis": "A1", "eta_s": 5.0}
+            if (seen := await self._until(self.director.go)) != "event":
+                if seen == "stop":
+                    self._recording()
+                    yield stopped
+                return
+            self._recording()
+            yield {"type": "measured"}
+        if self.director.failure is not None:
+            yield {"type": "failed", "error": self.director.failure}
+            return
+        if self.director.die:
+            return
+        if (seen := await self._until(self.director.analyse)) != "event":
+            return
+        self._results()
+        yield {"type": "done", "summary": {"verdict": self.director.verdict, "sentences": ["All is well."]}}
+
+    def _recording(self) -> None:
+        with h5py.File(self.job.folder / "recording.h5", "w") as file:
+            file.attrs["format"] = "invid-recording"
+
+    def _results(self) -> None:
+        folder, director = self.job.folder, self.director
+        document = {**director.model(), "simulated": self.job.simulated}
+        (folder / "model.json").write_text(json.dumps(document))
+        (folder / "diagnosis.json").write_text(
+            json.dumps({"format": "invid-diagnosis", "verdict": director.verdict, "simulated": self.job.simulated})
+        )
+        (folder / "report.html").write_text("<html><body>report</body></html>")
+
+
+class Director:
+    """What scripted runs do."""
+
+    def __init__(self) -> None:
+        self.go = asyncio.Event()
+        self.analyse = asyncio.Event()
+        self.go.set()
+        self.analyse.set()
+        self.deaf = False
+        self.die = False
+        self.failure: dict[str, Any] | None = None
+        self.verdict = "consistent"
+        self.model: Callable[[], dict[str, Any]] = model_document
+        self.workers: list[ScriptedWorker] = []
+
+    async def launch(self, job: Job) -> ScriptedWorker:
+        job.folder.mkdir(parents=True, exist_ok=True)
+        worker = ScriptedWorker(job, self)
+        self.workers.append(worker)
+        return worker
+
+
+def settings_in(folder: Path, **given: Any) -> Settings:
+    """Settings of a service with the test cell."""
+    config = folder / "cell.yaml"
+    if not config.exists():
+        config.write_text(CELL)
+    base = {"cells": [config], "data_dir": folder / "data", "min_free_bytes": 0, "stop_grace_s": 0.5}
+    return Settings(**{**base, **given})
+
+
+@contextmanager
+def running(folder: Path, director: Director | None = None, **given: Any) -> Iterator[tuple[TestClient, Director]]:
+    """A client of a running application."""
+    director = director or Director()
+    app = create_app(settings_in(folder, **given), launcher=director.launch)
+    with TestClient(app, raise_server_exceptions=False, base_url="http://127.0.0.1") as client:
+        yield client, director
+
+
+def wait_for(client: TestClient, location: str, *states: str, timeout: float = 5.0) -> dict[str, Any]:
+    """Poll until the run is in one of ``states``; fails with what it saw."""
+    import time
+
+    deadline = time.monotonic() + timeout
+    while time.monotonic() < deadline:
+        body: dict[str, Any] = client.get(location).json()
+        if body.get("state") in states:
+            return body
+        time.sleep(0.01)
+    raise AssertionError(f"{location} did not reach {states}: {body}")
