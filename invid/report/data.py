@@ -1,0 +1,341 @@
+"""``figure_data``: everything the pictures show, as plain lists, for the report and the web page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from invid.arrays import Complex128, Float64
+from invid.chains import CoupledChains
+from invid.diagnosis import Diagnosis
+from invid.errors import InvidError
+from invid.forward import frf, resonances
+from invid.frf import frf_matrix
+from invid.model import EffectTerm, Model
+from invid.recording.model import Recording, Role
+from invid.report import laws
+from invid.report.spectra_data import MissingTorque, binned, missing_torque
+from invid.spectra import LineSpectra, all_spectra
+
+POINTS = 500
+"""Points in a scatter: enough for a shape, few enough for a picture of modest size."""
+
+
+def figure_data(recording: Recording, model: Model, diagnosis: Diagnosis | None = None) -> dict[str, Any]:
+    """Data of every picture, by name; a picture that the data cannot carry is missing, with a note.
+
+    Keys: ``frf`` (one an axis), ``missing_torque`` (one an axis), ``causes`` (one a finding, or the
+    loudest axis over velocity and position where nothing is named), ``residual``, ``notes``.
+    """
+    notes: list[str] = []
+    try:
+        spectra = all_spectra(recording)
+    except InvidError as error:
+        spectra = ()
+        notes.append(f"No spectra, so no pictures over frequency: {error}")
+    fits = bool(spectra) and spectra[0].axis_count == model.chains.branches
+    if spectra and not fits:
+        notes.append(
+            f"The recording has {spectra[0].axis_count} axes and the model {model.chains.branches}: "
+            "no pictures."
+        )
+    if not spectra and not notes:
+        notes.append("The recording shakes no axis, so there are no pictures over frequency.")
+    shown = spectra if fits else ()
+    extended = None if diagnosis is None else diagnosis.model
+    missing = _missing_all(shown, model.chains)
+    unit = recording.torque_unit
+    return {
+        "frf": _receptances(recording, shown, model, extended, notes),
+        "missing_torque": _over_frequency(recording, missing, unit),
+        "causes": _causes(recording, shown, model, diagnosis),
+        "residual": []
+        if diagnosis is None
+        else [
+            {
+                "axis": r.axis,
+                "unit": r.unit,
+                "before": r.before,
+                "after": r.after,
+                "noise_floor": r.noise_floor,
+            }
+            for r in diagnosis.residual
+        ],
+        "notes": notes,
+    }
+
+
+def _missing_all(spectra: Sequence[LineSpectra], chains: CoupledChains) -> list[MissingTorque]:
+    held_out = [s for s in spectra if s.role is Role.VALIDATE]
+    return [missing_torque(s, chains) for s in (held_out or spectra)]
+
+
+# --- receptance -----------------------------------------------------------------------------------
+def _receptances(
+    recording: Recording,
+    spectra: Sequence[LineSpectra],
+    model: Model,
+    extended: Model | None,
+    notes: list[str],
+) -> list[dict[str, Any]]:
+    if not spectra:
+        return []
+    measured = frf_matrix(spectra)
+    if not measured.frequency_hz.size:
+        notes.append(
+            "The experiments do not excite every axis at common frequencies, so the measured frequency "
+            "response of an axis alone cannot be drawn; the curves are the model's."
+        )
+    top = max(float(s.frequency_hz[s.excited].max(initial=s.frequency_hz[0])) for s in spectra)
+    low = min(float(s.frequency_hz[s.excited].min(initial=top)) for s in spectra)
+    grid = np.geomspace(max(low, 1e-6) * 0.9, top * 1.1, 500)
+    natural = resonances(model.chains) / (2 * np.pi)
+    # Every resonance is a grid point, or its peak would be cut off.
+    grid = np.unique(np.concatenate((grid, natural[(natural > grid[0]) & (natural < grid[-1])])))
+    curves = {"before": frf(model.chains, 2 * np.pi * grid)}
+    if extended is not None and extended.chains.branches == model.chains.branches:
+        curves["after"] = frf(extended.chains, 2 * np.pi * grid)
+    unit = f"{recording.position_unit}/({recording.torque_unit})"
+    out = []
+    for i, axis in enumerate(recording.axes):
+        entry: dict[str, Any] = {
+            "axis": axis,
+            "unit": unit,
+            "frequency_hz": grid.tolist(),
+            "simulated": {name: _polar(g[:, i, i]) for name, g in curves.items()},
+            "peaks_hz": _peaks(grid, np.abs(curves["before"][:, i, i])),
+            "measured": None,
+        }
+        if measured.frequency_hz.size:
+            values = measured.frf[:, i, i]
+            std = np.sqrt(np.maximum(measured.variance[:, i, i], 0.0))
+            entry["measured"] = {
+                "frequency_hz": measured.frequency_hz.tolist(),
+                **_polar(values),
+                "std": std.tolist(),
+                "phase_std_deg": np.degrees(std / np.maximum(np.abs(values), 1e-300)).clip(0, 180).tolist(),
+            }
+        out.append(entry)
+    return out
+
+
+def _polar(values: Complex128) -> dict[str, list[float]]:
+    phase = np.degrees(np.angle(values))
+    # −180…180 jumps where a rigid axis has −180 exactly: show −270…90 instead.
+    phase = np.where(phase > 90.0, phase - 360.0, phase)
+    return {"magnitude": np.abs(values).tolist(), "phase_deg": phase.tolist()}
+
+
+def _peaks(hz: Float64, magnitude: Float64) -> list[float]:
+    inner = magnitude[1:-1]
+    at = np.flatnonzero((inner > magnitude[:-2]) & (inner > magnitude[2:])) + 1
+    return [float(hz[k]) for k in at]
+
+
+# --- missing torque over frequency ------------------------------------------------------------------
+def _over_frequency(recording: Recording, before: Sequence[MissingTorque], unit: str) -> list[dict[str, Any]]:
+    out = []
+    for i, axis in enumerate(recording.axes):
+        if not before:
+            continue
+        centre, floor = binned([m.spectra.frequency_hz for m in before], [m.std[:, i] ** 2 for m in before])
+        out.append(
+            {
+                "axis": axis,
+                "unit": unit,
+                "frequency_hz": centre.tolist(),
+                "noise_floor": floor.tolist(),
+                "excited": _lines(before, i, excited=True),
+                "silent": _lines(before, i, excited=False),
+                "held_out": before[0].spectra.role is Role.VALIDATE,
+            }
+        )
+    return out
+
+
+def _lines(before: Sequence[MissingTorque], axis: int, *, excited: bool) -> dict[str, list[float]]:
+    """Rms missing torque on the lines that the excitation drives, or on the others (distortion)."""
+    used = [m.spectra.excited == excited for m in before]
+    hz, rms = binned(
+        [m.spectra.frequency_hz[u] for m, u in zip(before, used, strict=True)],
+        [np.abs(m.torque[u, axis]) ** 2 for m, u in zip(before, used, strict=True)],
+    )
+    return {"frequency_hz": hz.tolist(), "before": rms.tolist()}
+
+
+# --- missing torque over what it depends on ---------------------------------------------------------
+def _causes(
+    recording: Recording, spectra: Sequence[LineSpectra], model: Model, diagnosis: Diagnosis | None
+) -> list[dict[str, Any]]:
+    if not spectra or diagnosis is None:
+        return []
+    out: list[dict[str, Any]] = []
+    chains = diagnosis.model.chains
+    if chains.branches != len(recording.axes):
+        return []
+    for finding in diagnosis.findings:
+        term = finding.effect
+        if term.axis in recording.axes and laws.ABSCISSA.get(term.cause):
+            picture = _cause(recording, spectra, chains, term, diagnosis.model)
+            if picture is not None:
+                out.append(picture)
+    if not out and diagnosis.unexplained is not None and diagnosis.unexplained.axis in recording.axes:
+        axis = diagnosis.unexplained.axis
+        for what in (laws.VELOCITY, laws.POSITION):
+            out.append(_plain(recording, spectra, model.chains, axis, what))
+    return out
+
+
+def _place(chains: CoupledChains, term: EffectTerm) -> tuple[int, Float64, float]:
+    """Axis number, pattern b over all coordinates (the force's place), stiffness of its spring."""
+    i = chains.axes.index(term.axis) if term.axis in chains.axes else 0
+    pattern = np.zeros(chains.dofs)
+    kind, _, number = (term.element or "mass 1").partition(" ")
+    at = max(int(number) if number.isdigit() else 1, 1)
+    start, stiffness = int(chains.motor_dofs[i]), 0.0
+    if term.cause == "coupling_stiffness" and term.other_axis in chains.axes:
+        pattern[chains.end_dofs[i]] = 1.0
+        pattern[chains.end_dofs[chains.axes.index(term.other_axis)]] = -1.0
+    elif kind == "spring" and at <= chains.springs[i].size:
+        pattern[start + at - 1], pattern[start + at] = 1.0, -1.0
+        stiffness = float(chains.springs[i][at - 1])
+    else:
+        if term.cause == "gravity" and term.element is None:
+            at = chains.masses[i].size
+        pattern[start + min(at, chains.masses[i].size) - 1] = 1.0
+    return i, pattern, stiffness
+
+
+def _cause(
+    recording: Recording,
+    spectra: Sequence[LineSpectra],
+    chains: CoupledChains,
+    term: EffectTerm,
+    extended: Model,
+) -> dict[str, Any] | None:
+    i, pattern, stiffness = _place(chains, term)
+    s = _liveliest(spectra, i)
+    others = [e for e in extended.effects if e is not term and e != term]
+    m = missing_torque(s, chains)
+    force = _force_at(m, pattern)
+    what = laws.ABSCISSA[term.cause]
+    x = _abscissa(m, pattern, i, what, term)
+    y = -_wave(s, force)
+    keep = _interior(s, x.size)
+    fitted = laws.curve(term, x, stiffness)
+    picture = _points(x[keep], y[keep])
+    if fitted is not None:
+        fy = fitted.y
+        if fitted.path:  # a path in time: as points, in the record's interior
+            fx, fy = fitted.x[keep], fitted.y[keep] - fitted.y[keep].mean()
+            thin = slice(None, None, max(1, fx.size // 1500))
+            picture["fit"] = {"x": fx[thin].tolist(), "y": fy[thin].tolist()}
+        else:
+            picture["fit"] = {"x": fitted.x.tolist(), "y": fy.tolist()}
+    return {
+        **picture,
+        "cause": term.cause,
+        "axis": term.axis,
+        "element": term.element,
+        "x_label": f"{what} [{_unit(recording, what)}]",
+        "y_label": f"missing torque [{recording.torque_unit}]",
+        "note": f"with {len(others)} other cause(s) still in it" if others else "",
+    }
+
+
+def _plain(
+    recording: Recording, spectra: Sequence[LineSpectra], chains: CoupledChains, axis: str, what: str
+) -> dict[str, Any]:
+    i = recording.axes.index(axis)
+    pattern = np.zeros(chains.dofs)
+    pattern[chains.motor_dofs[i]] = 1.0
+    s = _liveliest(spectra, i)
+    m = missing_torque(s, chains)
+    x, y = _abscissa(m, pattern, i, what, None), -_wave(s, _denoised(m.torque[:, i], m.std[:, i]))
+    keep = _interior(s, x.size)
+    return {
+        **_points(x[keep], y[keep]),
+        "cause": None,
+        "axis": axis,
+        "element": None,
+        "x_label": f"{what} [{_unit(recording, what)}]",
+        "y_label": f"missing torque [{recording.torque_unit}]",
+        "note": "",
+    }
+
+
+def _liveliest(spectra: Sequence[LineSpectra], axis: int) -> LineSpectra:
+    """The record in which this axis moves most, steady ones first."""
+    return max(spectra, key=lambda s: (not s.transient, float(np.abs(s.position[:, axis]).max())))
+
+
+def _force_at(m: MissingTorque, pattern: Float64) -> Complex128:
+    """(F,) force at a place that explains the missing torque best: r = Wᵀ b f, weighted with the noise."""
+    reach = np.einsum("d,fdm->fm", pattern, m.motion)
+    scale = np.maximum(np.einsum("fii->f", m.covariance).real, 1e-300)[:, None, None]
+    solved = np.linalg.solve(
+        m.covariance / scale + 1e-9 * np.eye(reach.shape[1]), np.stack((reach, m.torque), axis=2)
+    )
+    size = np.einsum("fm,fm->f", reach.conj(), solved[..., 0]).real
+    force = np.einsum("fm,fm->f", reach.conj(), solved[..., 1]) / np.maximum(size, 1e-300)
+    return _denoised(force, np.sqrt(scale[:, 0, 0] / np.maximum(size, 1e-300)))
+
+
+def _denoised(values: Complex128, std: Float64) -> Complex128:
+    """Lines shrunk by the share of noise in their power, so that noisy lines do not blur the picture."""
+    power = np.abs(values) ** 2
+    result: Complex128 = values * np.maximum(0.0, 1.0 - std**2 / np.maximum(power, 1e-300))
+    return result
+
+
+def _wave(s: LineSpectra, amplitudes: Complex128) -> Float64:
+    """(n,) time signal of line amplitudes over the averaged period."""
+    count = s.time.size
+    spectrum = np.zeros(count // 2 + 1, dtype=complex)
+    at = np.round(s.frequency_hz * count / s.sample_rate_hz).astype(int)
+    inside = at < spectrum.size
+    spectrum[at[inside]] = amplitudes[inside] * count / 2
+    result: Float64 = np.fft.irfft(spectrum, count)
+    return result
+
+
+def _interior(s: LineSpectra, count: int) -> slice:
+    """All of a period; the middle of a record that is not one (its ends ring)."""
+    edge = count // 20 if s.transient else 0
+    return slice(edge, count - edge)
+
+
+def _abscissa(m: MissingTorque, pattern: Float64, axis: int, what: str, term: EffectTerm | None) -> Float64:
+    s = m.spectra
+    jw = 1j * s.omega
+    if what in (laws.TORQUE, laws.TORQUE_RATE):
+        values = s.torque[:, axis] * (jw if what == laws.TORQUE_RATE else 1.0)
+        return _wave(s, values)
+    own = pattern
+    if term is not None and term.cause == "transmission_error":
+        own = np.maximum(pattern, 0.0)  # the motor's side of the spring
+    moved = np.einsum("d,fdm,fm->f", own, m.motion, s.position)
+    wave = _wave(s, moved * jw if what in (laws.VELOCITY, "deflection rate") else moved)
+    if what == laws.POSITION:
+        # Lines carry no mean; the encoder's does for position-locked causes.
+        wave = wave + float(s.position_wave[:, axis].mean())
+    return wave
+
+
+def _points(x: Float64, y: Float64) -> dict[str, Any]:
+    step = max(1, x.size // POINTS)
+    return {"x": x[::step].tolist(), "y": y[::step].tolist(), "fit": None}
+
+
+def _unit(recording: Recording, what: str) -> str:
+    units: Mapping[str, str] = {
+        laws.VELOCITY: f"{recording.position_unit}/s",
+        laws.POSITION: recording.position_unit,
+        laws.DEFLECTION: recording.position_unit,
+        "deflection rate": f"{recording.position_unit}/s",
+        laws.TORQUE: recording.torque_unit,
+        laws.TORQUE_RATE: f"{recording.torque_unit}/s",
+    }
+    return units[what]

@@ -1,0 +1,228 @@
+"""The pictures as SVG strings, by name."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from invid.diagnosis import Diagnosis
+from invid.model import Model
+from invid.recording.model import Recording
+from invid.report.data import figure_data
+from invid.report.style import AFTER, BEFORE, INK, MEASURED, NOISE, label, powers_of_ten, svg
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+def figures(recording: Recording, model: Model, diagnosis: Diagnosis | None = None) -> dict[str, str]:
+    """SVG of every picture: ``residual``, ``cause-1`` …, ``frf-1`` … (one an axis), ``missing-torque``."""
+    return draw(figure_data(recording, model, diagnosis))
+
+
+def draw(data: dict[str, Any]) -> dict[str, str]:
+    """Pictures of what ``figure_data`` returned."""
+    out: dict[str, str] = {}
+    if data["residual"]:
+        out["residual"] = residual(data["residual"])
+    for number, cause in enumerate(data["causes"], 1):
+        out[f"cause-{number}"] = dependence(cause, f"cause-{number}")
+    if data["missing_torque"]:
+        out["missing-torque"] = missing(data["missing_torque"])
+    for number, axis in enumerate(data["frf"], 1):
+        out[f"frf-{number}"] = response(axis, f"frf-{number}")
+    return out
+
+
+def residual(rows: list[dict[str, Any]]) -> str:
+    """Missing torque before and after, and what noise alone would leave; one scale for all axes."""
+
+    def fill(figure: Figure) -> None:
+        ax = figure.add_subplot()
+        at = np.arange(len(rows))
+        series = (
+            ("before", "linear model", BEFORE, "//"),
+            ("after", "with the causes named", AFTER, ""),
+            ("noise_floor", "noise floor", NOISE, ".."),
+        )
+        # An axis may be hundreds of times another: a logarithmic scale shows all of them.
+        values = [r[k] for r in rows for k, *_ in series if r[k] > 0]
+        wide = bool(values) and max(values) > 30 * min(values)
+        for number, (key, words, colour, hatch) in enumerate(series):
+            bars = ax.bar(
+                at + (number - 1) * 0.27,
+                [r[key] for r in rows],
+                0.25,
+                label=words,
+                facecolor=colour,
+                edgecolor=INK,
+                linewidth=0.5,
+                hatch=hatch,
+            )
+            ax.bar_label(bars, [f"{r[key]:.2g}" for r in rows], padding=1.5, fontsize=8)
+        if wide:
+            ax.set_yscale("log")
+            powers_of_ten(ax.yaxis)
+        ax.margins(y=0.15)
+        ax.set_xticks(at, [label(r["axis"], 16) for r in rows])
+        ax.grid(False, axis="x")
+        ax.set_ylabel(f"missing torque, rms [{label(rows[0]['unit'])}]")
+        figure.legend(loc="upper right", ncols=3)
+
+    return svg(
+        "residual", fill, size=(7.2, 2.9), title="Missing torque of each axis before, after, noise floor"
+    )
+
+
+def dependence(cause: dict[str, Any], name: str) -> str:
+    """Missing torque over what it depends on, with the fitted cause drawn over it."""
+
+    def fill(figure: Figure) -> None:
+        ax = figure.add_subplot()
+        ax.plot(cause["x"], cause["y"], ".", ms=3.2, color=MEASURED, mec="none", label="missing (measured)")
+        if cause["fit"]:
+            words = str(cause["cause"]).replace("_", " ")
+            ax.plot(cause["fit"]["x"], cause["fit"]["y"], color=BEFORE, lw=2.0, label=f"{words} (fitted)")
+        ax.axhline(0.0, color=INK, lw=0.6)
+        ax.set_xlabel(label(cause["x_label"]))
+        ax.set_ylabel(label(cause["y_label"]))
+        place = f", {cause['element']}" if cause["element"] else ""
+        ax.set_title(label(f"{cause['axis']}{place}", 60), loc="left")
+        figure.legend(loc="upper right", ncols=2)
+
+    return svg(
+        name, fill, size=(7.2, 3.3), title=f"Missing torque of {cause['axis']} over {cause['x_label']}"
+    )
+
+
+def missing(rows: list[dict[str, Any]]) -> str:
+    """Missing torque of each axis over frequency against the noise floor; one scale for all."""
+
+    def fill(figure: Figure) -> None:
+        plots = figure.subplots(len(rows), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
+        for ax, row in zip(plots, rows, strict=True):
+            hz = np.array(row["frequency_hz"])
+            ax.fill_between(
+                hz, _positive(row["noise_floor"]), 1e-300, color=NOISE, alpha=0.45, lw=0, label="noise floor"
+            )
+            for key, marker, size, words in (
+                ("excited", "o", 3.0, "missing, excited lines"),
+                ("silent", "x", 2.6, "missing, lines not excited"),
+            ):
+                lines = row[key]
+                ax.plot(
+                    lines["frequency_hz"],
+                    _positive(lines["before"]),
+                    marker,
+                    ms=size,
+                    color=BEFORE,
+                    mew=0.7,
+                    label=words,
+                )
+            ax.set_xscale("log")
+            ax.set_yscale("log")
+            powers_of_ten(ax.yaxis)
+            ax.set_title(label(row["axis"]), loc="left")
+            ax.set_ylabel(f"[{label(row['unit'])}]")
+        values = np.concatenate(
+            [[*row["excited"]["before"], *row["silent"]["before"], *row["noise_floor"]] for row in rows]
+        )
+        values = values[np.isfinite(values) & (values > 0)]
+        if values.size:
+            plots[0].set_ylim(np.quantile(values, 0.02) * 0.5, values.max() * 2)
+        _plain_hz(plots[-1])
+        handles, words = plots[0].get_legend_handles_labels()
+        figure.legend(handles, words, loc="upper right", ncols=3)
+
+    return svg(
+        "missing-torque",
+        fill,
+        size=(7.2, 0.7 + 1.5 * len(rows)),
+        title="Missing torque of each axis over frequency",
+    )
+
+
+def response(row: dict[str, Any], name: str) -> str:
+    """Frequency response of one axis, measured and simulated, before and after on one scale."""
+
+    def fill(figure: Figure) -> None:
+        top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=[2.2, 1])
+        hz, measured = row["frequency_hz"], row["measured"]
+        if measured is not None:
+            f, magnitude = np.array(measured["frequency_hz"]), np.array(measured["magnitude"])
+            std = np.array(measured["std"])
+            top.fill_between(
+                f,
+                np.maximum(magnitude - 2 * std, magnitude * 0.05),
+                magnitude + 2 * std,
+                color=MEASURED,
+                alpha=0.25,
+                lw=0,
+                label="measured ± 2 std",
+            )
+            top.plot(f, magnitude, "o", ms=2.6, color=MEASURED, mec="none", label="measured")
+            bottom.errorbar(
+                f,
+                measured["phase_deg"],
+                2 * np.minimum(measured["phase_std_deg"], 90.0),
+                fmt="o",
+                ms=2.2,
+                color=MEASURED,
+                mec="none",
+                elinewidth=0.6,
+            )
+        styles = (
+            ("before", "linear model", BEFORE, "-"),
+            ("after", "extended model, linear part", AFTER, "--"),
+        )
+        for key, words, colour, line in styles:
+            if key in row["simulated"]:
+                curve = row["simulated"][key]
+                top.plot(hz, _positive(curve["magnitude"]), line, color=colour, lw=1.1, label=words)
+                bottom.plot(hz, curve["phase_deg"], line, color=colour, lw=1.1)
+        top.set_yscale("log")
+        top.set_xscale("log")
+        powers_of_ten(top.yaxis)
+        simulated = np.array(row["simulated"]["before"]["magnitude"])
+        for peak, height in _apart(row["peaks_hz"], hz, simulated):
+            top.annotate(
+                f"{peak:.3g} Hz", (peak, height), (0, 4), textcoords="offset points", ha="center", fontsize=8
+            )
+        top.margins(y=0.12)
+        top.set_ylabel(f"magnitude [{label(row['unit'])}]")
+        top.set_title(label(row["axis"]), loc="left")
+        bottom.set_ylabel("phase [°]")
+        bottom.set_yticks([-270, -180, -90, 0, 90])
+        bottom.set_ylim(-290, 110)
+        _plain_hz(bottom)
+        figure.legend(loc="upper right", ncols=4)
+
+    return svg(
+        name, fill, size=(7.2, 4.3), title=f"Frequency response of {row['axis']}, measured and simulated"
+    )
+
+
+def _apart(peaks: list[float], hz: list[float], magnitude: Any) -> list[tuple[float, float]]:
+    """The highest peaks whose labels do not overlap (22 % apart at this size), with their heights."""
+    kept: list[tuple[float, float]] = []
+    for height, peak in sorted(((float(np.interp(p, hz, magnitude)), p) for p in peaks), reverse=True):
+        if all(abs(np.log(peak / other)) > 0.22 for other, _ in kept):
+            kept.append((peak, height))
+    return kept
+
+
+def _positive(values: list[float]) -> Any:
+    """For a logarithmic scale: what is not positive is left out of the line."""
+    array = np.array(values, dtype=float)
+    return np.where(array > 0, array, np.nan)
+
+
+def _plain_hz(ax: Axes) -> None:
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    ax.set_xlabel("frequency [Hz]")
+    ax.xaxis.set_major_locator(LogLocator(10, subs=(1.0, 2.0, 5.0)))
+    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    ax.xaxis.set_minor_formatter(NullFormatter())

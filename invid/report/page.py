@@ -1,0 +1,209 @@
+"""``render_report``: one HTML file that needs nothing else; the sentence first, then the pictures."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import platform
+from collections.abc import Mapping, Sequence
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from invid import __version__
+from invid.compare_words import differing_number
+from invid.diagnosis import Diagnosis, Verdict
+from invid.model import EffectTerm, Model, units
+from invid.recording.model import Recording
+from invid.report.data import figure_data
+from invid.report.figures import draw
+from invid.report.style import printable
+
+HEADLINE = {
+    Verdict.CONSISTENT: "The model explains this measurement down to its noise.",
+    Verdict.EXPLAINED: "The cause is named, and with it the model is down to the noise.",
+    Verdict.PARTLY_EXPLAINED: "A cause is named, but something is left over.",
+    Verdict.UNEXPLAINED: "Something is missing from the model, and no known cause explains it.",
+}
+
+
+def render_report(recording: Recording, model: Model, diagnosis: Diagnosis | None = None) -> str:
+    """Self-contained HTML: no network, no scripts; everything that comes from data is escaped.
+
+    ``model`` is the linear model before the diagnosis. Pictures that the data cannot carry are
+    replaced by the reason.
+    """
+    data = figure_data(recording, model, diagnosis)
+    environment = Environment(
+        loader=PackageLoader("invid.report", ""), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+    )
+    environment.filters["clean"] = lambda text: printable(str(text), 2000)
+    shown = model if diagnosis is None else diagnosis.model
+    return environment.get_template("report.html.j2").render(
+        recording=recording,
+        diagnosis=diagnosis,
+        headline=_headline(diagnosis),
+        sentences=_sentences(diagnosis),
+        pictures=draw(data),
+        captions=_captions(data),
+        notes=data["notes"],
+        parameters=_parameters(shown),
+        effects=[_effect(e) for e in shown.effects],
+        findings=[] if diagnosis is None else [_finding(f) for f in diagnosis.findings],
+        warnings=list(dict.fromkeys([*model.warnings, *(() if diagnosis is None else diagnosis.warnings)])),
+        facts=_facts(recording, model),
+        provenance=_flat(shown.provenance),
+        fit=_flat(shown.fit),
+        details={} if diagnosis is None else _flat(diagnosis.details),
+        simulated=bool(recording.attributes.get("simulated", False)),
+    )
+
+
+def _headline(diagnosis: Diagnosis | None) -> str:
+    if diagnosis is None:
+        return "The elastic model of this robot, identified from the measurement."
+    return HEADLINE[diagnosis.verdict]
+
+
+def _sentences(diagnosis: Diagnosis | None) -> list[str]:
+    if diagnosis is None:
+        return []
+    said = list(diagnosis.sentences)
+    if not said:
+        said = [f.sentence for f in diagnosis.findings if f.sentence]
+    if diagnosis.unexplained is not None and diagnosis.unexplained.sentence not in said:
+        said.append(diagnosis.unexplained.sentence)
+    return said
+
+
+def _captions(data: Mapping[str, Any]) -> dict[str, str]:
+    captions = {
+        "residual": "Torque that each motor would still need for the measured motion, on data that no fit "
+        "has seen: with the linear model, with the causes named, and what noise alone would leave.",
+        "missing-torque": "The same over frequency, under the linear model. Where the grey floor rises, "
+        "noise of the sensors is amplified by the plant (resonances with the motors held): no fault there.",
+    }
+    for number, cause in enumerate(data["causes"], 1):
+        what = cause["x_label"].split(" [")[0]
+        drawn = f" The line is the fitted {cause['cause'].replace('_', ' ')}." if cause["cause"] else ""
+        note = f" ({cause['note']})" if cause["note"] else ""
+        captions[f"cause-{number}"] = f"What {cause['axis']} is missing, over {what}{note}.{drawn}"
+    for number, axis in enumerate(data["frf"], 1):
+        peaks = ", ".join(f"{peak:.4g}" for peak in axis["peaks_hz"])
+        captions[f"frf-{number}"] = (
+            f"{axis['axis']}: motion per torque, measured and simulated, before and after on one scale."
+            + (f" Peaks at {peaks} Hz." if peaks else "")
+        )
+    return captions
+
+
+# --- tables -----------------------------------------------------------------------------------------
+def _number(value: float, std: float | None) -> tuple[str, str, str]:
+    """Value, std and relative std as text; a dash where the data cannot tell."""
+    if std is None or not math.isfinite(std):
+        return f"{value:.5g}", "cannot tell", ""
+    relative = f"{100 * std / abs(value):.2g} %" if value else ""
+    return differing_number(value, std), f"{std:.2g}", relative
+
+
+def _parameters(model: Model) -> list[dict[str, str]]:
+    unit = units(model.linear)
+    chains, std = model.chains, model.std
+    rows: list[dict[str, str]] = []
+
+    def row(axis: str, name: str, value: float, spread: float, of: str) -> None:
+        shown = _number(float(value), float(spread) if math.isfinite(spread) else None)
+        rows.append(
+            {"axis": axis, "name": name, "value": shown[0], "std": shown[1], "relative": shown[2], "unit": of}
+        )
+
+    for i, axis in enumerate(chains.axes):
+        for name, of, values, spreads in (
+            ("mass", unit["mass"], chains.masses[i], std.masses[i]),
+            ("spring", unit["stiffness"], chains.springs[i], std.springs[i]),
+            ("damper", unit["damping"], chains.dampers[i], std.dampers[i]),
+        ):
+            for q in range(values.size):
+                row(axis, f"{name} {q + 1}", values[q], spreads[q], of)
+        if chains.ground_springs[i] != 0:
+            row(axis, "spring to ground", chains.ground_springs[i], std.ground_springs[i], unit["stiffness"])
+    for i in range(chains.branches):
+        for j in range(i + 1, chains.branches):
+            pair = f"{chains.axes[i]}–{chains.axes[j]}"
+            row(pair, "coupling", chains.couplings[i, j], std.couplings[i, j], unit["mass"])
+    return rows
+
+
+def _effect(term: EffectTerm) -> dict[str, Any]:
+    return {
+        "cause": term.cause.replace("_", " "),
+        "axis": term.axis + (f" – {term.other_axis}" if term.other_axis else ""),
+        "element": term.element or "",
+        "parameters": [
+            {"name": name.replace("_", " "), "shown": _number(e.value, e.std), "unit": e.unit or ""}
+            for name, e in term.parameters.items()
+        ],
+    }
+
+
+def _finding(f: Any) -> dict[str, Any]:
+    return {
+        **_effect(f.effect),
+        "confidence": f"{100 * f.confidence:.1f} %",
+        "before": f"{f.before:.3g}",
+        "after": f"{f.after:.3g}",
+        "fraction": f"{100 * f.fraction:.0f} %",
+        "alternatives": [
+            f"{a.cause.replace('_', ' ')}, {a.axis}{', ' + a.element if a.element else ''} "
+            f"(would leave {a.after:.3g})"
+            for a in f.alternatives
+        ],
+        "separating": None if f.separating_experiment is None else _flat(f.separating_experiment),
+    }
+
+
+def _facts(recording: Recording, model: Model) -> list[tuple[str, str]]:
+    seconds = sum(e.duration for e in recording.experiments)
+    facts = [
+        ("robot", recording.robot),
+        ("recorded", recording.created),
+        ("axes", ", ".join(recording.axes)),
+        ("experiments", f"{len(recording.experiments)}, {seconds:.0f} s in all"),
+        ("method", model.method),
+        ("source", recording.source),
+        ("outcome", str(recording.outcome) if recording.outcome else "not stated"),
+        ("invid", __version__),
+        ("Python", platform.python_version()),
+        *((name, _version(name)) for name in ("numpy", "scipy", "numba")),
+        ("SHA-256 of the samples", _checksum(recording)),
+    ]
+    return [(name, str(value)) for name, value in facts]
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed"
+
+
+def _checksum(recording: Recording) -> str:
+    """Of time, position and torque of every experiment, as float64 in order: the same on any computer."""
+    digest = hashlib.sha256()
+    for e in recording.experiments:
+        for array in (e.time, e.position, e.torque):
+            digest.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
+    return digest.hexdigest()
+
+
+def _flat(document: Mapping[str, Any] | Sequence[Any], most: int = 40) -> list[tuple[str, str]]:
+    """Rows of a free-form document, long values cut."""
+    items = document.items() if isinstance(document, Mapping) else enumerate(document)
+    rows = []
+    for name, value in items:
+        shown = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False, default=str)
+        rows.append((str(name), shown if len(shown) <= 400 else shown[:399] + "…"))
+    return rows[:most]
