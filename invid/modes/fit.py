@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,8 +13,10 @@ from invid.errors import InputError, NotIdentifiableError
 from invid.modes.model import Modes, high_gain_pairs, mode_shape_functions, pairs
 from invid.modes.vector_fit import relocate_poles
 
-_MOST_LINES = 1200  # for the pole search alone; beyond that lines add time, not poles
+_MOST_VALUES = 12_000  # for the pole search alone; beyond that lines add time, not poles
 _STARTING_DAMPING = 0.01
+_GOOD = 2.0
+"""χ²/dof at which the search for poles ends: no other start can do more than halve it."""
 _MODEL_ERRORS = (0.0, 0.02, 0.1)
 """Relative model errors the pole search is tried with: friction makes the FRF wrong by more than its
 noise, and then noise weights alone would spend every pole on the lowest lines."""
@@ -71,15 +73,15 @@ def fit_modes(
     """
     data = _checked(frequency_hz, frf, frf_variance, masses)
     best: tuple[float, _Fit] | None = None
-    for model_error in _MODEL_ERRORS:
+    for model_error, order in _attempts(data):
         weight = data.weight(model_error)
-        for poles in _pole_candidates(data, weight):
-            fit = _levenberg(data, weight, _residue_start(data, weight, poles))
+        for poles in _pole_candidates(data, weight, order):
+            fit = _levenberg(data, weight, _residue_start(data, weight, poles), 20)
             # candidates are compared under one weight that no candidate was favoured by
             cost = _robust_cost(data, fit)
             if best is None or cost < best[0]:
                 best = (cost, fit)
-        if best is not None and _reduced(data, data.weight(0.0), best[1]) < 2.0:
+        if best is not None and _reduced(data, data.weight(0.0), best[1]) < _GOOD:
             break
     if best is None:
         raise NotIdentifiableError("modal fit: no start converged; measure longer or raise the amplitude")
@@ -129,32 +131,56 @@ def _checked(
     return data
 
 
+def _attempts(data: _Data) -> Iterator[tuple[float, int]]:
+    """Model error and number of searched poles of one attempt after another."""
+    for model_error in _MODEL_ERRORS:
+        yield model_error, data.modes
+    # equal or symmetric branches share poles: fewer of them, with residues of higher rank
+    chain = max(data.masses) - 1
+    tried = {data.modes - 1, data.modes - 2, data.modes - chain, 2 * chain, chain}
+    for order in sorted(tried, reverse=True):
+        if 0 < order < data.modes:
+            yield _MODEL_ERRORS[0], order
+
+
 # --- poles -----------------------------------------------------------------------------------------
-def _pole_candidates(data: _Data, weight: Float64) -> list[Complex128]:
-    n = data.modes
+def _pole_candidates(data: _Data, weight: Float64, n: int) -> list[Complex128]:
     if n == 0:
         return [np.zeros(0, dtype=complex)]
-    pick = np.arange(data.w.size)
-    if pick.size > _MOST_LINES:
-        pick = np.unique(np.linspace(0, data.w.size - 1, _MOST_LINES).astype(int))
+    pick = _search_lines(data, max(_MOST_VALUES // data.g.shape[1], 12 * n))
     scale = float(np.sqrt(data.w[0] * data.w[-1]))  # near 1: conditioning
     w = data.w[pick] / scale
     acceleration = -(data.w[pick, None] ** 2) * data.g[pick]
     inverse = weight[pick] / data.w[pick, None] ** 2
     found = []
-    for start in _starting_frequencies(data, pick, n):
+    starting = _starting_frequencies(data, pick, n)
+    for start in starting if n == data.modes else starting[:1]:
         poles = ((start / scale) * (-_STARTING_DAMPING + 1j)).astype(np.complex128)
         found.append(relocate_poles(w, acceleration, inverse, poles, 25) * scale)
     return found
+
+
+def _peakedness(data: _Data, pick: npt.NDArray[np.intp]) -> Float64:
+    """(…,) summed acceleration gain of lines, each entry relative to its own median."""
+    size = np.abs(data.g[pick]) * data.w[pick, None] ** 2
+    total: Float64 = np.sum((size / np.maximum(np.median(size, axis=0), np.finfo(float).tiny)) ** 2, axis=1)
+    return total
+
+
+def _search_lines(data: _Data, most: int) -> npt.NDArray[np.intp]:
+    """At most about ``most`` lines: half spread evenly, half where the response is largest."""
+    every = np.arange(data.w.size)
+    if every.size <= most:
+        return every
+    even = np.linspace(0, data.w.size - 1, most // 2).astype(np.intp)
+    return np.union1d(even, np.argsort(_peakedness(data, every))[::-1][: most // 2])
 
 
 def _starting_frequencies(data: _Data, pick: npt.NDArray[np.intp], n: int) -> list[Float64]:
     w = data.w[pick]
     linear = np.linspace(w[0], w[-1], n + 2)[1:-1] if n > 1 else np.array([np.sqrt(w[0] * w[-1])])
     geometric = np.geomspace(w[0], w[-1], n + 2)[1:-1]
-    # peaks of the summed acceleration gain, each entry relative to its own median
-    size = np.abs(data.g[pick]) * w[:, None] ** 2
-    total = np.sum((size / np.maximum(np.median(size, axis=0), np.finfo(float).tiny)) ** 2, axis=1)
+    total = _peakedness(data, pick)
     inside = np.flatnonzero((total[1:-1] > total[:-2]) & (total[1:-1] >= total[2:])) + 1
     peaks = w[inside[np.argsort(total[inside])[::-1][:n]]]
     if peaks.size < n:
@@ -182,7 +208,11 @@ def _model(data: _Data, fit: _Fit, allowed: Bool) -> Complex128:
 
 
 def _residue_start(data: _Data, weight: Float64, poles: Complex128) -> _Fit:
-    """Symmetric real residues by linear least squares for fixed poles, cut to rank one."""
+    """Symmetric real residues by linear least squares for fixed poles, cut to n terms of rank one.
+
+    A pole that several modes share has a residue of higher rank: the n strongest eigenvectors of all
+    residues, by what they add to the weighted response, become the modes.
+    """
     n, count = poles.size, data.count
     rows, columns = pairs(count)
     allowed = high_gain_pairs(data.masses)
@@ -207,11 +237,26 @@ def _residue_start(data: _Data, weight: Float64, poles: Complex128) -> _Fit:
         friction[p] = solution[n]
         if allowed[p]:
             high[p] = solution[n + 1]
-    shapes = np.zeros((n, count))
+    strength, pole, shapes = [], [], []
+    energy = np.einsum("fp,fr->rp", weight**2, np.abs(functions) ** 2)
     for r in range(n):
         values, vectors = np.linalg.eigh(residue[r])
-        shapes[r] = np.sqrt(max(values[-1], 1e-6 * max(np.abs(values).max(), 1e-30))) * vectors[:, -1]
-    return _Fit(omega, damping, shapes, high[allowed], friction)
+        for value, vector in zip(values, vectors.T, strict=True):
+            shape = np.sqrt(max(value, 1e-6 * max(np.abs(values).max(), 1e-30))) * vector
+            strength.append(float(energy[r] @ (shape[rows] * shape[columns]) ** 2))
+            pole.append(r)
+            shapes.append(shape)
+    strongest = np.argsort(strength)[::-1][: data.modes]
+    chosen = np.array(pole, dtype=int)[strongest]
+    # modes that share a pole must not start at exactly one point
+    split = 1.0 + 1e-4 * np.arange(chosen.size)
+    return _Fit(
+        omega[chosen] * split,
+        damping[chosen],
+        np.array(shapes).reshape(-1, count)[strongest],
+        high[allowed],
+        friction,
+    )
 
 
 def _pack(fit: _Fit) -> Float64:
