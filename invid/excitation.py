@@ -6,7 +6,7 @@ frequencies in Hz, one row a SYNC cycle.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -140,13 +140,16 @@ def multisine(
         clipped = np.fft.rfft(np.clip(waves, -level, level), axis=1)[:, numbers]
         # every rotation votes for the phases it would like, turned back to the common ones
         trial = np.angle(np.sum(clipped * np.exp(-1j * turns[:, None]), axis=0))
-    return Multisine(
+    found = Multisine(
         lines=numbers,
         amplitudes=frozen_float(amplitude / smallest),
         phases=frozen_float(np.mod(phases, 2 * np.pi)),
         period_samples=period_samples,
         sample_rate=sample_rate,
     )
+    # the peak on the samples that are played, not on the coarser grid of the search
+    peak = max(float(np.abs(found.period(turn)).max()) for turn in turns)
+    return replace(found, amplitudes=frozen_float(found.amplitudes / peak))
 
 
 def orthogonal_rotation(axis: int, experiment: int, count: int) -> float:

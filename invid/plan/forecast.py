@@ -41,6 +41,7 @@ def forecast(
                 travel=float(travel[i]) if has else None,
                 velocity=float(velocity[i]) if has else None,
                 power=float(peak[i] * velocity[i]) if has else None,
+                travel_limit=axis.limits.position,
                 basis=known if has else "unknown",
             )
         )

@@ -60,6 +60,8 @@ class AxisForecast:
     velocity: float | None
     power: float | None
     """Peak torque times peak velocity [W]."""
+    travel_limit: float
+    """The position window: beyond it the motion is stopped, whatever was expected."""
     basis: str
     """``model``, ``inertia`` or ``unknown``."""
 
@@ -116,6 +118,7 @@ class Plan:
                     "unit": f.unit,
                     "peak_torque": f.peak_torque,
                     "travel": f.travel,
+                    "travel_limit": f.travel_limit,
                     "velocity": f.velocity,
                     "power_W": f.power,
                     "basis": f.basis,

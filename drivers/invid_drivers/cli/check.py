@@ -1,9 +1,95 @@
-"""The command of this name."""
+"""``invid check``: preflight; moves nothing."""
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 import typer
+
+from invid.cli.output import EXIT_OK, emit
+from invid.config import CellConfig, load_config
+from invid.plan import make_plan
+from invid.sweep.holds import master_hold
+from invid_drivers.cli.measure import plan_text
+from invid_drivers.connect import connect
+
+
+def preflight(config: CellConfig) -> dict[str, Any]:
+    """Config, holds, plan, bus budget, every drive's capabilities and safety objects.
+
+    Raises
+    ------
+    ConfigError, DriveError, BusError
+        The first thing that would keep a measurement from starting.
+    """
+    for axis in config.axes:
+        master_hold(axis, config.bus.cycle_s)
+    plan = make_plan(config)
+    cell = connect(config)
+    try:
+        reports = cell.check()
+    finally:
+        complaints = cell.close()
+    warnings = [*plan.warnings, *complaints]
+    for r in reports:
+        warnings += r.warnings
+    return {
+        "robot": config.robot,
+        "simulated": config.simulated,
+        "ready": True,
+        "bus": {
+            "interface": config.bus.interface,
+            "channel": config.bus.channel,
+            "load": plan.budget.load,
+            "max_load": plan.budget.max_load,
+            "highest_trustworthy_Hz": 0.1 / config.bus.cycle_s,
+        },
+        "drives": [r.to_json() for r in reports],
+        "limits": [
+            {
+                "axis": a.name,
+                "torque": a.limits.torque,
+                "position": a.limits.position,
+                "velocity": a.limits.velocity,
+                "hold": a.hold.mode,
+            }
+            for a in config.axes
+        ],
+        "plan": plan.to_json(),
+        "warnings": warnings,
+    }
+
+
+def _text(config: CellConfig, document: dict[str, Any]) -> str:
+    bus = document["bus"]
+    lines = [
+        f"{config.robot}: ready. Bus {bus['interface']} {bus['channel']}, load {bus['load']:.0%} of "
+        f"{bus['max_load']:.0%}; frequencies up to {bus['highest_trustworthy_Hz']:.0f} Hz can be trusted"
+    ]
+    for drive, limit in zip(document["drives"], document["limits"], strict=True):
+        unit, torque = ("m", "N") if config.linear else ("rad", "N·m")
+        lines.append(
+            f"  {drive['axis']}: node {drive['node_id']}, {drive['torque_mode'].replace('_', ' ')}, rated "
+            f"{drive['rated_torque']:g} {torque}, one count is {drive['position_per_count']:.3g} {unit}; "
+            "limits "
+            f"{limit['torque']:g} {torque}, ±{limit['position']:g} {unit}, {limit['velocity']:g} {unit}/s"
+        )
+        lines += [f"    lacks {what}" for what in drive["lacks"]]
+    lines.append(plan_text(make_plan(config), "plan"))
+    return "\n".join(lines)
 
 
 def register(app: typer.Typer) -> None:
-    """Placeholder until the command lands."""
+    """Add the command."""
+
+    @app.command()
+    def check(
+        config: Path = typer.Argument(..., help="The cell's config."),
+        as_json: bool = typer.Option(False, "--json", help="One JSON document on stdout."),
+    ) -> int:
+        """Preflight: config, bus budget, drives, safety objects, limits; moves nothing."""
+        cell = load_config(config)
+        document = preflight(cell)
+        emit(document, _text(cell, document), as_json=as_json)
+        return EXIT_OK

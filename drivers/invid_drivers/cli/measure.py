@@ -1,9 +1,153 @@
-"""The command of this name."""
+"""``invid measure``: run a config's experiments on its bus."""
 
 from __future__ import annotations
 
+import contextlib
+import signal
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
 import typer
+
+from invid.cli.output import EXIT_OK, emit, note
+from invid.config import load_config
+from invid.errors import InputError, SafetyStop
+from invid.model import load_model
+from invid.plan import Plan, make_plan
+from invid.sweep import Progress
+from invid_drivers.measurement import MeasurementResult, measure_to_file
+
+
+@contextlib.contextmanager
+def stop_on_signals() -> Iterator[threading.Event]:
+    """An event that Ctrl-C and a polite kill set, so that the drives are stopped in order."""
+    stop = threading.Event()
+
+    def ask(number: int, frame: object) -> None:
+        if stop.is_set():
+            raise KeyboardInterrupt
+        note("invid measure: stopping; once more to stop at once")
+        stop.set()
+
+    before = {}
+    for number in (signal.SIGINT, signal.SIGTERM):
+        with contextlib.suppress(ValueError):  # not in the main thread
+            before[number] = signal.signal(number, ask)
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+class ProgressLine:
+    """A line on stderr for every phase and every five seconds of robot time."""
+
+    def __init__(self) -> None:
+        self._phase = ""
+        self._eta = float("inf")
+
+    def __call__(self, progress: Progress) -> None:
+        """Show where it is."""
+        if progress.phase == self._phase and self._eta - progress.eta_s < 5.0:
+            return
+        self._phase, self._eta = progress.phase, progress.eta_s
+        where = f" {progress.axis}" if progress.axis else ""
+        line = f" {progress.frequency:.3g} Hz" if progress.frequency else ""
+        note(f"  {progress.fraction:4.0%}  {progress.eta_s:5.0f} s left  {progress.phase}{where}{line}")
+
+
+def plan_text(plan: Plan, robot: str) -> str:
+    """A dry run for a person."""
+    lines = [
+        f"{robot}: {len(plan.experiments)} experiments, {plan.duration_s:.0f} s of robot time; "
+        f"bus load {plan.budget.load:.0%} of at most {plan.budget.max_load:.0%}",
+        f"  {'experiment':<11}{'kind':<18}{'role':<10}{'axes':<14}{'seconds':>8}  band",
+    ]
+    for e in plan.experiments:
+        axes = ",".join(plan.axes[i] for i in e.excited)
+        band = (
+            f"{e.frequencies_hz.min():.3g}…{e.frequencies_hz.max():.3g} Hz, {e.frequencies_hz.size} lines"
+            if e.frequencies_hz.size
+            else ""
+        )
+        lines.append(
+            f"  {e.key:<11}{e.kind!s:<18}{e.role!s:<10}{axes:<14}{e.cycles * plan.cycle_s:>8.1f}  {band}"
+        )
+    lines.append(f"  {'axis':<11}{'peak torque':<18}{'travel':<22}{'velocity':<18}power")
+    for f in plan.forecast:
+        unit = "m" if f.unit == "N" else "rad"
+        cells = (
+            f"{f.peak_torque:.3g} {f.unit}",
+            f"≤ {f.travel_limit:.3g} {unit} (window)" if f.travel is None else f"±{f.travel:.3g} {unit}",
+            "known after trial" if f.velocity is None else f"{f.velocity:.3g} {unit}/s",
+            "" if f.power is None else f"{f.power:.3g} W",
+        )
+        lines.append(
+            f"  {f.axis:<11}" + "".join(f"{c:<{w}}" for c, w in zip(cells, (18, 22, 18, 0), strict=True))
+        )
+    lines += [f"  note: {w}" for w in plan.warnings]
+    return "\n".join(lines)
+
+
+def result_text(result: MeasurementResult) -> str:
+    """A finished measurement for a person."""
+    lines = [
+        f"{result.path}: {result.duration_s:.0f} s of robot time, {result.outcome}"
+        + (" (simulated: no hardware moved)" if result.simulated else "")
+    ]
+    for axis, peak in result.peaks.items():
+        lines.append(
+            f"  {axis}: travel {peak['travel']:.3g}, velocity {peak['velocity']:.3g}, torque "
+            f"{peak['torque']:.3g} at most"
+        )
+    if result.skipped_slots:
+        lines.append(f"  skipped SYNC slots: {result.skipped_slots}")
+    if result.jitter_us:
+        lines.append("  SYNC late by " + ", ".join(f"{k} {v:.0f} µs" for k, v in result.jitter_us.items()))
+    lines += [f"  note: {w}" for w in result.warnings]
+    return "\n".join(lines)
 
 
 def register(app: typer.Typer) -> None:
-    """Placeholder until the command lands."""
+    """Add the command."""
+
+    @app.command()
+    def measure(
+        config: Path = typer.Argument(..., help="The cell's config."),
+        out: Path | None = typer.Option(None, "-o", "--out", help="Recording to write (HDF5)."),
+        dry_run: bool = typer.Option(False, "--dry-run", help="Print the plan; open no bus, move nothing."),
+        axes: str | None = typer.Option(
+            None, "--axes", help="Excite only these, as A1,A2; the others are held."
+        ),
+        amplitude: float = typer.Option(1.0, "--amplitude", help="Factor on every torque, at most 1."),
+        model: Path | None = typer.Option(None, "--model", help="Last model: foretells travel."),
+        as_json: bool = typer.Option(False, "--json", help="One JSON document on stdout."),
+    ) -> int:
+        """Shake the axes and record position and torque."""
+        cell = load_config(config)
+        chosen = None if axes is None else [a.strip() for a in axes.split(",") if a.strip()]
+        chains = None if model is None else load_model(model).chains
+        if dry_run:
+            plan = make_plan(cell, axes=chosen, amplitude_scale=amplitude, model=chains)
+            document = {"dry_run": True, "robot": cell.robot, "simulated": cell.simulated, **plan.to_json()}
+            emit(document, plan_text(plan, cell.robot), as_json=as_json)
+            return EXIT_OK
+        if out is None:
+            raise InputError("measure: no recording named; add -o REC.h5 (or --dry-run)")
+        with stop_on_signals() as stop:
+            try:
+                result = measure_to_file(
+                    cell,
+                    out,
+                    axes=chosen,
+                    amplitude_scale=amplitude,
+                    progress=ProgressLine(),
+                    stop=stop,
+                    model=chains,
+                )
+            except KeyboardInterrupt:
+                raise SafetyStop("stopped at once on request; the drives are off") from None
+        emit(result.to_json(), result_text(result), as_json=as_json)
+        return EXIT_OK
