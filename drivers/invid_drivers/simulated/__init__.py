@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from invid_drivers.simulated.bus import VirtualTimeBus, open_virtual_bus
 from invid_drivers.simulated.config import SimulationConfig, simulation_of, truth
 from invid_drivers.simulated.simcell import run_simcell
 
+CASE_STUDY = Path(__file__).with_name("case_study.yaml")
+"""Config of the paper's case study as a simulated cell."""
+
 __all__ = [
+    "CASE_STUDY",
     "SimulationConfig",
     "VirtualTimeBus",
     "open_virtual_bus",

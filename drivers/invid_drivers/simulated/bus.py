@@ -210,7 +210,11 @@ class VirtualTimeBus(BusABC):
         inbox = self._inbox
         if not inbox:
             wire = self.wire
-            wire.run(NEVER - 1 if timeout is None else wire.now_ns + round(timeout * _NS), inbox)
+            if timeout is None:
+                limit = NEVER - 1
+            else:  # any timeout above zero passes some time: a loop on what is left must end
+                limit = wire.now_ns + (max(1, round(timeout * _NS)) if timeout > 0.0 else 0)
+            wire.run(limit, inbox)
             if not inbox:
                 return None
         time_ns, can_id, data = inbox.popleft()
@@ -237,9 +241,11 @@ class VirtualTimeBus(BusABC):
         if self.wire.cell.master_off and not self._error_shown:
             self._error_shown = True
             return Message(timestamp=self.clock.now(), is_error_frame=True, is_extended_id=False, dlc=8)
-        end = None if timeout is None else self.wire.now_ns + round(timeout * _NS)
+        end = (
+            None if timeout is None else self.wire.now_ns + max(1 if timeout > 0 else 0, round(timeout * _NS))
+        )
         while True:
-            left = None if end is None else (end - self.wire.now_ns) / _NS
+            left = None if end is None else max(end - self.wire.now_ns, 0) / _NS
             frame = self.recv_raw(left)
             if frame is None:
                 if timeout is None:

@@ -258,7 +258,7 @@ def _coupling_matrix(couplings: list[CouplingConfig], names: list[str]) -> list[
 
 def _dampers(branch: BranchConfig, ratio: float) -> list[float]:
     """d = 2ζ√(K·m_reduced) of the two masses each spring joins."""
-    values: list[float] = Field(default_factory=list)
+    values: list[float] = []
     for k, a, b in zip(branch.springs, branch.masses[:-1], branch.masses[1:], strict=False):
         values.append(2.0 * ratio * max(k * a * b / (a + b), 0.0) ** 0.5)
     return values

@@ -389,8 +389,6 @@ class Drive:
         state = self.state
         self._shown_nmt = self.node.state
         word = state | 0x10  # voltage enabled
-        if state in (State.FAULT, State.FAULT_REACTION_ACTIVE):
-            word |= 0x20
         if self.node.state is Nmt.OPERATIONAL:
             word |= 0x200
         if self._internal_limit:

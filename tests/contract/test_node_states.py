@@ -1,0 +1,247 @@
+"""NMT, heartbeat, EMCY and the CiA 402 states of the simulated node, seen from the bus."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from node_master import Master, cell
+
+# The standard's table, written out here: state bits (mask 0x6F), and per state the commands as
+# (mask, value of the controlword's low byte, new state). Bit 7 is the fault reset.
+SOD, RTSO, SO, OE, QSA, FAULT = 0x40, 0x21, 0x23, 0x27, 0x07, 0x08
+SHUTDOWN, SWITCH_ON, ENABLE = (0x87, 0x06), (0x8F, 0x07), (0x8F, 0x0F)
+DISABLE_VOLTAGE, QUICK_STOP = (0x82, 0x00), (0x86, 0x02)
+TABLE: dict[int, list[tuple[tuple[int, int], int]]] = {
+    SOD: [(SHUTDOWN, RTSO)],
+    RTSO: [(SWITCH_ON, SO), (ENABLE, OE), (DISABLE_VOLTAGE, SOD), (QUICK_STOP, SOD)],
+    SO: [(ENABLE, OE), (SHUTDOWN, RTSO), (DISABLE_VOLTAGE, SOD), (QUICK_STOP, SOD)],
+    OE: [(SWITCH_ON, SO), (SHUTDOWN, RTSO), (DISABLE_VOLTAGE, SOD), (QUICK_STOP, QSA)],
+    QSA: [(DISABLE_VOLTAGE, SOD), (ENABLE, OE)],
+}
+
+
+def expected(state: int, word: int) -> int:
+    for (mask, value), target in TABLE[state]:
+        if word & mask == value:
+            return target
+    return state
+
+
+@pytest.fixture
+def master() -> Iterator[Master]:
+    made = Master(cell())
+    yield made
+    made.close()
+
+
+def status(master: Master) -> int:
+    return master.read(1, 0x6041, 0, "H") & 0x6F
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    words=st.lists(
+        st.sampled_from([0, 2, 6, 7, 0x0F, 0x0B, 0x1F, 0x10F, 0x86, 0x80, 5, 0x0D]) | st.integers(0, 255),
+        max_size=12,
+    )
+)
+def test_any_sequence_of_controlwords_follows_the_standards_table(words: list[int]) -> None:
+    master = Master(cell())
+    try:
+        # option 5: stays in quick stop active; at standstill disable operation has no ramp to wait for
+        assert master.write(1, 0x605A, 0, "h", 6) == 0
+        assert master.write(1, 0x605C, 0, "h", 0) == 0
+        state = SOD
+        assert status(master) == state
+        for word in words:
+            assert master.write(1, 0x6040, 0, "H", word) == 0
+            state = expected(state, word)
+            assert status(master) == state, f"controlword {word:#x}"
+    finally:
+        master.close()
+
+
+@pytest.mark.parametrize(("option", "end"), [(0, SOD), (1, SOD), (2, SOD), (5, QSA), (6, QSA)])
+def test_quick_stop_ends_where_its_option_code_says(master: Master, option: int, end: int) -> None:
+    assert master.write(1, 0x605A, 0, "h", option) == 0
+    master.prepare()
+    master.enable()
+    for _ in range(50):
+        master.cycle([200], 0x0F)  # 20 N·m on 1 kg·m² for 50 ms: 1 rad/s
+    for _ in range(10):
+        last = master.cycle([0], 0x02)[1]
+    if option:
+        assert last[2] & 0x6F == QSA  # it takes time to stop from 1 rad/s
+    for _ in range(700):
+        last = master.cycle([0], 0x02)[1]
+    assert last[2] & 0x6F == end
+    if option:
+        speed = abs(master.read(1, 0x606C, 0, "i")) / 524288 * 6.2832
+        assert speed < 0.02
+
+
+def test_a_fault_needs_an_edge_of_the_reset_bit_and_a_reset_does_not_enable(master: Master) -> None:
+    master.prepare()
+    for _ in range(3):
+        master.cycle([0], 0x80)
+    master.bus.cell.drives[0].fail(0x2310, 0x02, master.bus.wire.now_ns)
+    for _ in range(20):
+        answers = master.cycle([0], 0x80)
+    assert answers[1][2] & 0x6F == FAULT
+    master.cycle([0], 0x00)
+    master.cycle([0], 0x80)
+    for _ in range(5):  # bit 7 stays, then enable operation: still switch on disabled
+        assert master.cycle([0], 0x80)[1][2] & 0x6F == SOD
+    for _ in range(5):
+        answers = master.cycle([0], 0x0F)
+    assert answers[1][2] & 0x6F == SOD
+    emergencies = [struct.unpack_from("<HB", d) for _, i, d in master.other if i == 0x81]
+    assert emergencies[0][0] == 0x2310
+    assert emergencies[-1] == (0, 0)
+
+
+def test_boot_up_comes_once_and_nmt_commands_are_obeyed() -> None:
+    config = cell(axes=2)
+    master = Master(config)
+    boots = [f[1] for f in master.wait(0.001) if f[2] == b"\0"]
+    assert boots == [0x701, 0x702]
+    assert master.write(1, 0x1017, 0, "H", 20) == 0
+    for command, state in ((1, 5), (2, 4), (128, 127), (1, 5)):
+        master.bus.send_raw(0, bytes([command, 1]))
+        beats = [(t, d[0]) for t, i, d in master.wait(0.1) if i == 0x701]
+        assert {s for _, s in beats[1:]} == {state}
+        gaps = [round(b[0] - a[0], 4) for a, b in zip(beats, beats[1:], strict=False)]
+        assert all(abs(g - 0.02) < 0.0005 for g in gaps[1:])
+    with pytest.raises(TimeoutError):
+        master.bus.send_raw(0, b"\x02\x01")
+        master.read(1, 0x1000)  # stopped: no SDO
+    assert master.read(2, 0x1000) == 0x00020192  # the other node was not addressed
+    master.close()
+
+
+@pytest.mark.parametrize(("option", "state"), [(0, OE), (1, FAULT), (2, SOD), (3, SOD)])
+def test_a_lost_heartbeat_of_the_master_ends_as_the_abort_connection_option_says(
+    master: Master, option: int, state: int
+) -> None:
+    assert master.write(1, 0x6007, 0, "h", option) == 0
+    assert master.write(1, 0x1016, 1, "I", 127 << 16 | 50) == 0
+    master.prepare()
+    master.bus.send_raw(0x77F, b"\x05")
+    master.enable()
+    for _ in range(30):
+        master.cycle([100], 0x0F)
+        master.bus.send_raw(0x77F, b"\x05")
+    frames = master.wait(0.5)  # silence
+    emergencies = [(t, struct.unpack_from("<H", d)[0]) for t, i, d in frames if i == 0x81]
+    assert emergencies[0][1] == 0x8130
+    assert status(master) == state
+    if option:
+        first, second = (master.read(1, 0x6064, 0, "i") for _ in range(2))
+        assert abs(first - second) <= 2  # it stands: brake or ramp
+
+
+def test_without_a_first_heartbeat_nothing_is_watched(master: Master) -> None:
+    assert master.write(1, 0x1016, 1, "I", 127 << 16 | 50) == 0
+    assert not [f for f in master.wait(1.0) if f[1] == 0x81]
+
+
+def test_nmt_stop_while_enabled_takes_the_torque_away(master: Master) -> None:
+    master.prepare()
+    master.enable()
+    for _ in range(20):
+        master.cycle([100], 0x0F)
+    master.bus.send_raw(0, b"\x02\x00")
+    master.wait(0.5)
+    drive = master.bus.cell.drives[0]
+    assert drive.state.name == "FAULT"
+    assert abs(float(master.bus.cell.plant.velocities[0])) < 1e-9
+
+
+@pytest.mark.parametrize("length", range(1, 9))
+def test_an_emergency_of_any_length_can_be_sent(length: int) -> None:
+    faults = [{"kind": "emcy", "axis": "A1", "at_s": 0.05, "code": 0x5530, "length": length}]
+    master = Master(cell({"faults": faults}))
+    found = [d for _, i, d in master.wait(0.1) if i == 0x81]
+    assert [len(d) for d in found] == [length]
+    assert found[0] == struct.pack("<HB5x", 0x5530, 1)[:length]
+    assert master.read(1, 0x1003, 1) == 0x5530
+    master.close()
+
+
+def test_an_event_driven_pdo_comes_when_its_content_changes(master: Master) -> None:
+    master.bus.send_raw(0, b"\x01\x01")
+    master.wait(0.01)
+    assert master.write(1, 0x6040, 0, "H", 6) == 0
+    assert [d for _, i, d in master.wait(0.02) if i == 0x181] == [struct.pack("<H", 0x0231)]
+    assert not [d for _, i, d in master.wait(0.05) if i == 0x181]
+
+
+def test_a_pdo_of_type_three_comes_with_every_third_sync(master: Master) -> None:
+    master.map_pdo(1, "t", 1, [0x60640020], kind=3)
+    master.bus.send_raw(0, b"\x01\x01")
+    master.wait(0.001)
+    for _ in range(9):
+        master.bus.send_raw(0x80, b"")
+        master.wait(0.001)
+    assert master.bus.wire.cell.syncs == 9
+    master.other.clear()
+
+
+def test_target_torque_is_clipped_at_the_maximum_and_says_so(master: Master) -> None:
+    assert master.write(1, 0x6072, 0, "H", 150) == 0
+    master.prepare()
+    master.enable()
+    for _ in range(5):
+        answers = master.cycle([400], 0x0F)
+    assert answers[1][1] == 150
+    assert answers[1][2] & 0x0800
+
+
+@pytest.mark.parametrize(
+    ("index", "sub", "code", "value", "emergency"),
+    [
+        (0x607F, 0, "I", 40000, 0x8480),  # counts/s
+        (0x6080, 0, "I", 5, 0x8480),  # rpm
+        (0x607D, 2, "i", 3000, 0x8612),  # software limit
+    ],
+)
+def test_the_drives_own_limits_end_in_a_fault_and_a_stop(
+    master: Master, index: int, sub: int, code: str, value: int, emergency: int
+) -> None:
+    assert master.write(1, index, sub, code, value) == 0
+    if index == 0x607D:
+        assert master.write(1, 0x607D, 1, "i", -3000) == 0
+    master.prepare()
+    master.enable()
+    for _ in range(400):
+        answers = master.cycle([100], 0x0F)
+    assert answers[1][2] & 0x6F == FAULT
+    assert master.read(1, 0x603F, 0, "H") == emergency
+    codes = [struct.unpack_from("<H", d)[0] for _, i, d in master.other if i == 0x81]
+    assert codes == [emergency]
+
+
+def test_position_mode_holds_against_a_push_and_a_following_error_is_a_fault() -> None:
+    faults = [{"kind": "push", "axis": "A1", "at_s": 0.2, "duration_s": 0.3, "torque_Nm": 20}]
+    master = Master(cell({"faults": faults}))
+    master.prepare(mode=8)
+    master.enable()
+    for _ in range(400):
+        answers = master.cycle([0], 0x0F)
+    pushed = answers[1][0] * 6.283185 / 524288
+    # 1 kg·m² and 25 Hz: 20 N·m / (2π25)² = 0.81 mrad
+    assert pushed == pytest.approx(20 / (6.283185 * 25) ** 2, rel=0.02)
+    for _ in range(400):
+        answers = master.cycle([0], 0x0F)
+    assert abs(answers[1][0]) <= 2
+    assert answers[1][2] & 0x6F == OE
+    assert master.write(1, 0x6065, 0, "I", 500) == 0
+    for _ in range(300):
+        answers = master.cycle([20000], 0x0F)
+    assert answers[1][2] & 0x6F == FAULT
+    assert master.read(1, 0x603F, 0, "H") == 0x8611
+    master.close()
