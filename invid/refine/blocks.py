@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,6 +21,7 @@ def problem_from_spectra(
     lines: str = "excited",
     noise: str = "floor",
     boundary: Sequence[bool] | None = None,
+    holds: Mapping[int, tuple[float, float]] | None = None,
 ) -> MissingTorqueProblem:
     """The problem of fitting ``structure`` to the records.
 
@@ -34,30 +35,24 @@ def problem_from_spectra(
         covariance in the spectra (from the spread of the periods).
     boundary
         Per record, whether it carries boundary terms; default where the spectra say so.
+    holds
+        Gains (P, D) of holds that work beside the command while their axis is driven.
     """
     motors = structure.motors
-    driven = np.array([s.driven for s in spectra])
-    # An axis that is driven in some records and held in others gets two delays: the torque of a
-    # position loop inside the drive has its own sampling.
-    both = [i for i in range(motors) if driven[:, i].any() and not driven[:, i].all()]
-    laws = hold_laws(spectra, both)
-    holding = [i for i in both if laws[i] is not None]
+    both = driven_and_held(spectra)
+    laws = {} if holds is None else holds
     unknown = [i for i in range(motors) if any(np.isnan(s.staircase[i]) for s in spectra)]
     blocks = []
     for number, s in enumerate(spectra):
         transient = s.transient if boundary is None else boundary[number]
         used = used_lines(s, everything=transient or lines == "all")
-        own, second, share = [], [], []
+        further = []
         hold = np.zeros((int(used.sum()), motors), dtype=complex)
         for i in range(motors):
-            held = motors + both.index(i) if i in both else -1
-            own.append(i if s.driven[i] or held < 0 else held)
-            law = laws[i]
-            works = bool(s.driven[i]) and law is not None
-            second.append(held if works else -1)
-            share.append(holding.index(i) if works else -1)
-            if works and law is not None:
-                hold[:, i] = law[0] + 1j * s.omega[used] * law[1]
+            beside = bool(s.driven[i]) and i in laws
+            further.append(motors + both.index(i) if i in both and (beside or not s.driven[i]) else -1)
+            if beside:
+                hold[:, i] = laws[i][0] + 1j * s.omega[used] * laws[i][1]
         blocks.append(
             Block(
                 key=s.key,
@@ -69,10 +64,9 @@ def problem_from_spectra(
                 else s.covariance[used],
                 span=s.span_s,
                 transient=transient,
-                delay_index=tuple(own),
-                hold_delay_index=tuple(second),
+                delay_index=tuple(range(motors)),
+                further_index=tuple(further),
                 hold=hold,
-                share_index=tuple(share),
                 staircase_index=tuple(
                     unknown.index(i) if np.isnan(s.staircase[i]) else -1 for i in range(motors)
                 ),
@@ -82,13 +76,29 @@ def problem_from_spectra(
             )
         )
     axes = structure.axes
+    stairs = tuple(f"{axes[i]}.held_over_sample" for i in unknown)
     return MissingTorqueProblem(
         structure,
         tuple(blocks),
-        delay_names=tuple([f"{a}.time_offset" for a in axes] + [f"{axes[i]}.hold_time_offset" for i in both]),
-        staircase_names=tuple(f"{axes[i]}.held_over_sample" for i in unknown),
-        share_names=tuple(f"{axes[i]}.hold_while_driven" for i in holding),
+        delay_names=tuple([f"{a}.time_offset" for a in axes] + [hold_offset(axes[i]) for i in both]),
+        staircase_names=stairs,
+        # Torque is held over the sample (1), continuous (0), or smoothed in between.
+        priors=dict.fromkeys(stairs, (0.5, 0.5)),
     )
+
+
+def hold_offset(axis: str) -> str:
+    """Name of the further delay of an axis' holding torque."""
+    return f"{axis}.hold_time_offset"
+
+
+def driven_and_held(spectra: Sequence[LineSpectra]) -> list[int]:
+    """Axes that are driven in some records and not in others.
+
+    Their torque gets two delays: that of a position loop inside the drive has its own sampling.
+    """
+    driven = np.array([s.driven for s in spectra])
+    return [i for i in range(driven.shape[1]) if driven[:, i].any() and not driven[:, i].all()]
 
 
 def used_lines(s: LineSpectra, *, everything: bool) -> Bool:
@@ -100,15 +110,13 @@ def used_lines(s: LineSpectra, *, everything: bool) -> Bool:
     return lines
 
 
-def hold_laws(spectra: Sequence[LineSpectra], axes: Sequence[int]) -> dict[int, tuple[float, float] | None]:
+def hold_laws(spectra: Sequence[LineSpectra], axes: Sequence[int]) -> dict[int, tuple[float, float]]:
     """Proportional and derivative gain of each axis' hold, from the records in which it is held.
 
     There torque = −(P + jωD)·position; least squares over the excited lines, weighted by the torque
-    noise. ``None`` where an axis is not held by such a law (free, or stiffer than the data show).
+    noise. Axes that are not held by such a law (free, or stiffer than the data show) are left out.
     """
-    laws: dict[int, tuple[float, float] | None] = dict.fromkeys(
-        range(spectra[0].axis_count if spectra else 0)
-    )
+    laws: dict[int, tuple[float, float]] = {}
     for i in axes:
         rows, right = [], []
         for s in spectra:

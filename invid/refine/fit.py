@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,15 @@ from scipy.stats import chi2 as chi2_distribution
 
 from invid.arrays import Complex128, Float64
 from invid.chains import CoupledChains
-from invid.refine.blocks import carried, problem_from_spectra, used_lines, with_columns
+from invid.refine.blocks import (
+    carried,
+    driven_and_held,
+    hold_laws,
+    hold_offset,
+    problem_from_spectra,
+    used_lines,
+    with_columns,
+)
 from invid.refine.friction import coulomb_columns
 from invid.refine.problem import MissingTorqueProblem
 from invid.refine.solver import Solution, gauss_newton
@@ -69,9 +76,10 @@ def fit_structure(
     """
     problem = _with_coulomb(problem_from_spectra(structure, spectra), spectra)
     solution = _best(problem, starts)
+    holds: dict[str, str] = {}
     if thorough:
-        problem, solution = _holds(problem, solution)
         problem, solution = _boundary(problem, solution, spectra)
+        problem, solution, holds = _holds(problem, solution, spectra)
     base = [b.covariance for b in problem.blocks]
     noise_chi2, noise_cost = solution.reduced, solution.chi2
     problem, solution, excess = _weighted(problem, solution, base)
@@ -88,7 +96,7 @@ def fit_structure(
         noise_chi2,
         noise_cost,
         explained,
-        _facts(problem, solution, excess, base),
+        {**_facts(problem, solution, excess), "holds": holds},
     )
 
 
@@ -115,6 +123,21 @@ def physical_covariance(problem: MissingTorqueProblem, solution: Solution) -> Fl
     with np.errstate(invalid="ignore"):
         result: Float64 = full[:count, :count] * factor[:, None] * factor
     return result
+
+
+def spread_of(solution: Solution) -> Float64:
+    """(n,) standard deviation of every parameter as it moves (logarithms relative), inflated; NaN where
+    fixed, infinite where the data do not see it."""
+    scale = np.linalg.norm(solution.jacobian, axis=0)
+    blind = scale == 0
+    scale[blind] = 1.0
+    _, size, right = np.linalg.svd(solution.jacobian / scale, full_matrices=False)
+    size = np.maximum(size, 1e-9 * size[0])
+    own = np.sqrt(((right / size[:, None]) ** 2).sum(axis=0)) / scale
+    own[blind] = np.inf
+    out = np.full(solution.p.size, np.nan)
+    out[solution.free] = own * np.sqrt(max(1.0, solution.reduced))
+    return out
 
 
 def _with_coulomb(problem: MissingTorqueProblem, spectra: Sequence[LineSpectra]) -> MissingTorqueProblem:
@@ -147,35 +170,73 @@ def _best(problem: MissingTorqueProblem, starts: Sequence[CoupledChains]) -> Sol
     return best
 
 
-def _holds(problem: MissingTorqueProblem, solution: Solution) -> tuple[MissingTorqueProblem, Solution]:
-    """Whether a driven axis keeps its hold: decided by the data, axis by axis together.
+def _holds(
+    problem: MissingTorqueProblem, solution: Solution, spectra: Sequence[LineSpectra]
+) -> tuple[MissingTorqueProblem, Solution, dict[str, str]]:
+    """What the holds do while their axis is driven, where no recorded demand tells.
 
-    Torque of a position loop inside the drive is continuous where the command is held over the
-    sample; while the axis is driven, either both act or the command alone.
+    Two cells give the same data: (a) hold and command are held over the sample alike; (b) the hold
+    runs inside the drive, continuous, beside a command held over the sample, and then acts half a
+    sample earlier. With hold gains P, D they differ by a viscous friction P·h/2 and a motor inertia
+    D·h/2, exactly (less where the drive's loop is slow). Friction tells them apart: where it is zero
+    with (a), or on all axes with one common earliness, that is taken; where neither, the half sample
+    stays open and its effect goes into the covariance.
     """
-    names = problem.share_names
-    if not names:
-        return problem, solution
-    best: tuple[float, MissingTorqueProblem, Solution] | None = None
-    choices = (
-        list(product((0.0, 1.0), repeat=len(names)))
-        if len(names) <= 2
-        else [
-            (0.0,) * len(names),
-            (1.0,) * len(names),
-        ]
-    )
-    part = problem.slices["share"]
-    for choice in choices:
-        fixed = replace(problem, fixed=(*problem.fixed, *names))
-        start = solution.p.copy()
-        start[part] = choice
-        found = gauss_newton(fixed, start)
-        if best is None or found.chi2 < best[0]:
-            best = (found.chi2, fixed, found)
-    if best is None:
-        return problem, solution
-    return best[1], best[2]
+    structure = problem.structure
+    names = [hold_offset(structure.axes[i]) for i in driven_and_held(spectra)]
+    laws = hold_laws(spectra, driven_and_held(spectra))
+    step = 1.0 / spectra[0].sample_rate_hz
+    spread = spread_of(solution)
+    at = {name: k for k, name in enumerate(problem.names)}
+    open_axes, decided = [], {}
+    for i, name in zip(driven_and_held(spectra), names, strict=True):
+        if i not in laws or any(s.staircase[i] == 1.0 for s in spectra):
+            continue
+        offset, error = solution.p[at[name]], spread[at[name]]
+        if abs(offset) > max(4.0 * error, 0.1 * step):
+            decided[structure.axes[i]] = "hold and command act at different times; no hold while driven"
+            continue
+        open_axes.append(i)
+    if not open_axes:
+        return problem, solution, decided
+    motors = np.array(open_axes)
+    viscous = np.array([solution.p[structure.slices["viscous"].start + i] for i in motors])
+    error = np.array([spread[structure.slices["viscous"].start + i] for i in motors])
+    shift = np.array([laws[i][0] * step / 2 for i in motors])
+    if np.all(shift < error):
+        return problem, solution, decided
+    early = 2.0 / step * shift  # viscous friction a second of earliness looks like
+    without = float(np.sum((viscous / error) ** 2))
+    common = float(np.sum(viscous * early / error**2) / np.sum((early / error) ** 2))
+    common_error = float(1.0 / np.sqrt(np.sum((early / error) ** 2)))
+    within = float(np.sum(((viscous - early * common) / error) ** 2))
+    # 3 standard deviations' worth of false rejection; one degree of freedom goes into the common time.
+    limit = float(chi2_distribution.isf(0.0027, motors.size))
+    tight = float(chi2_distribution.isf(0.0027, motors.size - 1)) if motors.size > 1 else 0.0
+    fixed = [hold_offset(structure.axes[i]) for i in open_axes]
+    if without < limit and without < within:
+        priors = {**problem.priors, **dict.fromkeys(fixed, (0.0, 1e-3 * step))}
+        text = "as the command, held over the sample"
+        freed = replace(problem, priors=priors)
+    else:
+        holds = {i: laws[i] for i in open_axes}
+        blocks = problem_from_spectra(
+            structure, spectra, boundary=[b.transient for b in problem.blocks], holds=holds
+        ).blocks
+        blocks = tuple(
+            replace(new, columns=old.columns, covariance=old.covariance)
+            for new, old in zip(blocks, problem.blocks, strict=True)
+        )
+        if within < tight and 0.0 < common < 0.55 * step:
+            prior, text = (-common, common_error), f"inside the drive, {common:.3g} s before the command"
+        else:
+            prior, text = (-step / 4, step / 4), "open: inside the drive or held over the sample"
+        freed = replace(problem, blocks=blocks, priors={**problem.priors, **dict.fromkeys(fixed, prior)})
+    decided |= {structure.axes[i]: text for i in open_axes}
+    start = solution.p.copy()
+    for name in fixed:
+        start[at[name]] = freed.priors[name][0]
+    return freed, gauss_newton(freed, start), decided
 
 
 def _boundary(
@@ -219,8 +280,7 @@ def _weighted(
         solution = gauss_newton(problem, solution.p)
         excess = new
         moved = np.abs(solution.p - before)[solution.free]
-        scale = np.sqrt(np.maximum(np.diag(np.linalg.pinv(solution.jacobian.T @ solution.jacobian)), 0.0))
-        if np.all(moved < 0.1 * scale):
+        if np.all(moved < 0.1 * spread_of(solution)[solution.free]):
             break
     return problem, solution, excess
 
@@ -232,10 +292,7 @@ def _drop_coulomb(
     part = problem.slices["column"]
     if part.start == part.stop:
         return problem, solution, excess
-    spread = np.sqrt(np.diag(np.linalg.pinv(solution.jacobian.T @ solution.jacobian)))
-    full = np.full(solution.p.size, np.inf)
-    full[solution.free] = spread * np.sqrt(max(1.0, solution.reduced))
-    keep = solution.p[part] > COULOMB_SIGMA * full[part]
+    keep = solution.p[part] > COULOMB_SIGMA * spread_of(solution)[part]
     if keep.all():
         return problem, solution, excess
     names = tuple(n for n, k in zip(problem.column_names, keep, strict=True) if k)
@@ -254,14 +311,8 @@ def _explained(problem: MissingTorqueProblem, solution: Solution) -> float:
     return max(0.0, 1.0 - left / max(total, 1e-300))
 
 
-def _facts(
-    problem: MissingTorqueProblem, solution: Solution, excess: list[Float64], base: list[Complex128]
-) -> dict[str, Any]:
-    spread = np.full(solution.p.size, np.nan)
-    spread[solution.free] = np.sqrt(
-        np.maximum(np.diag(np.linalg.pinv(solution.jacobian.T @ solution.jacobian)), 0.0)
-        * max(1.0, solution.reduced)
-    )
+def _facts(problem: MissingTorqueProblem, solution: Solution, excess: list[Float64]) -> dict[str, Any]:
+    spread = spread_of(solution)
     s = problem.slices
 
     def listed(part: slice) -> dict[str, dict[str, float]]:
@@ -280,9 +331,6 @@ def _facts(
         "dof": solution.dof,
         "time_offset_s": listed(s["delay"]),
         "held_over_sample": listed(s["staircase"]),
-        "hold_while_driven": {
-            name: float(solution.p[s["share"]][k]) for k, name in enumerate(problem.share_names)
-        },
         "friction": {**listed(s["column"]), **listed(viscous)},
         "boundary_terms": [b.key for b in problem.blocks if b.transient],
         "excess_torque": {

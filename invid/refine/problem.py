@@ -13,8 +13,8 @@ numbers a record, and projected out.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -41,13 +41,12 @@ class Block:
     transient
         Whether boundary terms are needed.
     delay_index
-        (M,) which delay parameter each axis' torque has in this record.
-    hold_delay_index
-        (M,) which delay parameter the holding part of each axis' torque has.
+        (M,) which delay parameter each axis' torque has; −1 none.
+    further_index
+        (M,) a second delay parameter that adds to the first, for the torque of a hold; −1 none.
     hold
-        (F, M) hold law: torque −hold·position added by a controller at its own rate; zero for none.
-    share_index
-        (M,) which hold-share parameter (is the law at work while the axis is driven), or −1.
+        (F, M) hold law at work while the axis is driven, torque −hold·position acting with both
+        delays while the command acts with the first alone; zero for none.
     staircase_index
         (M,) which hold-over-the-sample parameter, or −1 where it is known (``staircase``).
     staircase
@@ -66,9 +65,8 @@ class Block:
     span: float
     transient: bool
     delay_index: tuple[int, ...]
-    hold_delay_index: tuple[int, ...]
+    further_index: tuple[int, ...]
     hold: Complex128
-    share_index: tuple[int, ...]
     staircase_index: tuple[int, ...]
     staircase: Float64
     step: float
@@ -120,18 +118,17 @@ class MissingTorqueProblem:
     """Residual and Jacobian of all records.
 
     The parameter vector is: the structure's, delays [s], staircase parameters [−], column
-    hold shares [−], coefficients, extra parameters.
+    coefficients, extra parameters.
     """
 
     structure: ChainStructure
     blocks: tuple[Block, ...]
     delay_names: tuple[str, ...] = ()
     staircase_names: tuple[str, ...] = ()
-    share_names: tuple[str, ...] = ()
     column_names: tuple[str, ...] = ()
     extra: Extra | None = None
-    prior: tuple[float, float] = (0.5, 0.5)
-    """Mean and standard deviation of staircase and hold share: only 0 … 1 is physical."""
+    priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Mean and standard deviation of parameters about which something is known beforehand."""
     fixed: tuple[str, ...] = ()
     """Names of parameters that do not move."""
 
@@ -139,23 +136,15 @@ class MissingTorqueProblem:
     def names(self) -> tuple[str, ...]:
         """All parameters."""
         extra = () if self.extra is None else tuple(self.extra.names)
-        return (
-            self.structure.names
-            + self.delay_names
-            + self.staircase_names
-            + self.share_names
-            + self.column_names
-            + extra
-        )
+        return self.structure.names + self.delay_names + self.staircase_names + self.column_names + extra
 
     @property
     def slices(self) -> dict[str, slice]:
-        """Where structure, delay, staircase, share, column, extra stand."""
+        """Where structure, delay, staircase, column, extra stand."""
         counts = {
             "structure": self.structure.count,
             "delay": len(self.delay_names),
             "staircase": len(self.staircase_names),
-            "share": len(self.share_names),
             "column": len(self.column_names),
             "extra": 0 if self.extra is None else len(self.extra.names),
         }
@@ -176,8 +165,9 @@ class MissingTorqueProblem:
         """A full vector from the structure's parameters, the rest at its neutral value."""
         p = np.zeros(len(self.names))
         p[self.slices["structure"]] = structure
-        p[self.slices["staircase"]] = self.prior[0]
-        p[self.slices["share"]] = self.prior[0]
+        for at, name in enumerate(self.names):
+            if name in self.priors:
+                p[at] = self.priors[name][0]
         return p
 
     # --- evaluation ----------------------------------------------------------------------------
@@ -198,8 +188,7 @@ class MissingTorqueProblem:
         structure, s = self.structure, self.slices
         sp = p[s["structure"]]
         motors = structure.motors
-        factor, hold_part, delay_jac, stair_jac, share_jac = self._torque_factor(block, p)
-        # r = Zeff Θ − diag(factor) T
+        factor, hold_part, delay_jac, stair_jac = self._torque_factor(block, p)
         effective = stiffness - _diagonal(hold_part)
         residual = np.einsum("fij,fj->fi", effective, block.position) - factor * block.torque
         both = np.concatenate((effective, -_diagonal(factor)), axis=2)
@@ -244,7 +233,6 @@ class MissingTorqueProblem:
         hold_torque = (block.hold * position)[..., None]
         jacobian[..., s["delay"]] = -delay_jac[0] * torque[..., None] - delay_jac[1] * hold_torque
         jacobian[..., s["staircase"]] = -stair_jac * torque[..., None]
-        jacobian[..., s["share"]] = -share_jac * hold_torque
         jacobian[..., columns] = block.columns
         jacobian[..., s["extra"]] = extra_jac
         return State(block, motion, stiffness, inner, residual, jacobian, boundary, covariance, position, q)
@@ -274,47 +262,45 @@ class MissingTorqueProblem:
 
     def _torque_factor(
         self, block: Block, p: Float64
-    ) -> tuple[Complex128, Complex128, tuple[Complex128, Complex128], Complex128, Complex128]:
-        """A (F, M), its hold part, and derivatives by delays, staircase and hold shares.
+    ) -> tuple[Complex128, Complex128, tuple[Complex128, Complex128], Complex128]:
+        """A (F, M), its hold part, and derivatives by delays and staircase parameters.
 
-        Acting torque = z₁T + (z₁ − z₂)·H·Θ with z the delays of the command and of the hold: the
+        Where the hold H works beside a command, the acting torque is z₁T + (z₁ − z₂)·H·Θ: the
         command E = T + HΘ acts with z₁, the hold's −HΘ with z₂.
         """
         s = self.slices
         delays, stairs = p[s["delay"]], p[s["staircase"]]
         motors, lines = self.structure.motors, block.omega.size
         jw = 1j * block.omega
-        half = block.omega * block.step / 2
-        smear = 1.0 - np.sinc(half / np.pi)  # what holding over the sample takes away
+        smear = 1.0 - np.sinc(block.omega * block.step / 2 / np.pi)  # what holding a sample takes away
         factor = np.ones((lines, motors), dtype=complex)
         hold_part = np.zeros((lines, motors), dtype=complex)
         by_delay = np.zeros((lines, motors, delays.size), dtype=complex)
         by_hold = np.zeros((lines, motors, delays.size), dtype=complex)
         by_stair = np.zeros((lines, motors, stairs.size), dtype=complex)
-        shares = p[s["share"]]
-        by_share = np.zeros((lines, motors, shares.size), dtype=complex)
         for i in range(motors):
-            at = block.delay_index[i]
-            z = np.exp(-jw * delays[at]) if at >= 0 else np.ones(lines, dtype=complex)
+            first, further = block.delay_index[i], block.further_index[i]
+            own = delays[first] if first >= 0 else 0.0
+            beside = block.hold[:, i].any()
+            late = own + (delays[further] if further >= 0 else 0.0)
+            z = np.exp(-jw * (own if beside else late))
             stair = block.staircase_index[i]
             share = stairs[stair] if stair >= 0 else block.staircase[i]
             factor[:, i] = z * (1.0 - share * smear)
             if stair >= 0:
                 by_stair[:, i, stair] = -z * smear
-            if at >= 0:
-                by_delay[:, i, at] = -jw * factor[:, i]
-            held = block.hold_delay_index[i]
-            if held >= 0:
-                z2 = np.exp(-jw * delays[held])
-                in_share = block.share_index[i]
-                part = shares[in_share] if in_share >= 0 else 1.0
-                hold_part[:, i] = part * (z - z2) * block.hold[:, i]
-                by_hold[:, i, held] += part * jw * z2
-                if at >= 0:
-                    by_hold[:, i, at] += -part * jw * z
-                if in_share >= 0:
-                    by_share[:, i, in_share] = z - z2
-        return factor, hold_part, (by_delay, by_hold), by_stair, by_share
+            if first >= 0:
+                by_delay[:, i, first] = -jw * factor[:, i]
+            if beside:
+                z2 = np.exp(-jw * late)
+                hold_part[:, i] = (z - z2) * block.hold[:, i]
+                if first >= 0:
+                    by_hold[:, i, first] = -jw * (z - z2)
+                if further >= 0:
+                    by_hold[:, i, further] = jw * z2
+            elif further >= 0:
+                by_delay[:, i, further] = -jw * factor[:, i]
+        return factor, hold_part, (by_delay, by_hold), by_stair
 
     def evaluate(self, p: Float64) -> tuple[Float64, Float64]:
         """Whitened residual (rows,) and Jacobian (rows, free parameters), boundary terms projected out."""
@@ -334,14 +320,14 @@ class MissingTorqueProblem:
                 j = j - basis @ (basis.T @ j)
             residuals.append(r)
             jacobians.append(j)
-        for at in range(self.slices["staircase"].start, self.slices["share"].stop):
-            if not free[at]:
+        for at, name in enumerate(self.names):
+            if not free[at] or name not in self.priors:
                 continue
-            mean, std = self.prior
-            row = np.zeros(p.size)
-            row[at] = 1.0 / std
+            mean, std = self.priors[name]
+            row = np.zeros((1, p.size))
+            row[0, at] = 1.0 / std
             residuals.append(np.array([(p[at] - mean) / std]))
-            jacobians.append(row[None, free])
+            jacobians.append(row[:, free])
         return np.concatenate(residuals), np.concatenate(jacobians)
 
     @property
@@ -351,8 +337,9 @@ class MissingTorqueProblem:
         for block in self.blocks:
             rows += 2 * block.position.size
             rows -= 2 * self.structure.dofs if block.transient else 0
-        priors = int(self.free[self.slices["staircase"].start : self.slices["share"].stop].sum())
-        return rows + priors - int(self.free.sum())
+        free = self.free
+        priors = sum(bool(f) and n in self.priors for f, n in zip(free, self.names, strict=True))
+        return rows + priors - int(free.sum())
 
     def with_covariance(self, covariances: Sequence[Complex128]) -> MissingTorqueProblem:
         """The same problem with other noise covariances."""
