@@ -1,0 +1,102 @@
+// Pictures: curves with uPlot, clouds on a canvas. Colours differ in lightness, lines also in dash and marker.
+
+const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+const DASHES = [[], [10, 5], [3, 4]];
+
+function axes(x, y) {
+  const base = { stroke: colour("--ink"), grid: { stroke: colour("--grid"), width: 1 }, ticks: { stroke: colour("--grid") }, font: "14px system-ui", labelFont: "14px system-ui", labelSize: 28 };
+  return [{ ...base, label: x }, { ...base, label: y, size: 78 }];
+}
+
+// One x for all series: values of each looked up at its own points, null elsewhere.
+function joined(series) {
+  const all = [...new Set(series.flatMap((s) => s.x))].sort((a, b) => a - b);
+  const at = new Map(all.map((v, i) => [v, i]));
+  const columns = series.map((s) => {
+    const column = new Array(all.length).fill(undefined);
+    s.x.forEach((v, i) => { column[at.get(v)] = s.y[i] > 0 || !s.positive ? s.y[i] : null; });
+    return column;
+  });
+  return [all, ...columns];
+}
+
+export function curves(target, { x, y, series, peaks = [], logX = true, logY = true }) {
+  target.replaceChildren();
+  const shown = series.filter((s) => s.x.length);
+  if (!shown.length) return null;
+  const data = joined(shown.map((s) => ({ ...s, positive: logY })));
+  const options = {
+    width: Math.max(280, target.clientWidth), height: Math.min(420, Math.max(300, Math.round(target.clientWidth * 0.5))),
+    scales: { x: { time: false, distr: logX ? 3 : 1 }, y: { distr: logY ? 3 : 1 } },
+    axes: axes(x, y), legend: { live: false }, cursor: { drag: { x: true, y: false } },
+    series: [{}, ...shown.map((s, k) => ({
+      label: s.label, stroke: colour(s.colour), width: s.points ? 0 : 2.5, dash: s.points ? undefined : DASHES[s.dash ?? k % 3], spanGaps: true,
+      points: s.points ? { show: true, size: 6, stroke: colour(s.colour), fill: colour(s.colour) } : { show: false },
+      paths: s.points ? () => null : undefined,
+    }))],
+    hooks: { draw: [(u) => labelPeaks(u, peaks)] },
+  };
+  return new uPlot(options, data, target);
+}
+
+function labelPeaks(u, peaks) {
+  const c = u.ctx, ratio = window.devicePixelRatio || 1;
+  c.save();
+  c.fillStyle = colour("--ink"); c.strokeStyle = colour("--quiet"); c.setLineDash([2 * ratio, 4 * ratio]);
+  c.font = `${13 * ratio}px system-ui`; c.textAlign = "center";
+  let right = -Infinity, row = 0;
+  for (const f of peaks) {
+    if (f < u.scales.x.min || f > u.scales.x.max) continue;
+    const px = u.valToPos(f, "x", true), text = `${f < 10 ? f.toFixed(2) : f.toFixed(1)} Hz`, half = c.measureText(text).width / 2;
+    row = px - half < right + 6 * ratio ? (row + 1) % 3 : 0;
+    right = px + half;
+    const top = u.bbox.top + (14 + 16 * row) * ratio;
+    c.beginPath(); c.moveTo(px, top + 4 * ratio); c.lineTo(px, u.bbox.top + u.bbox.height); c.stroke();
+    c.fillText(text, Math.min(Math.max(px, u.bbox.left + half), u.bbox.left + u.bbox.width - half), top);
+  }
+  c.restore();
+}
+
+// Missing torque over what it depends on, with the fitted cause drawn over the cloud.
+export function cloud(target, { x, y, fit, xLabel, yLabel }) {
+  target.replaceChildren();
+  const canvas = document.createElement("canvas"), ratio = window.devicePixelRatio || 1;
+  const width = Math.max(280, target.clientWidth), height = Math.min(380, Math.max(260, width * 0.45));
+  canvas.width = width * ratio; canvas.height = height * ratio;
+  canvas.style.width = `${width}px`; canvas.style.height = `${height}px`;
+  canvas.setAttribute("role", "img");
+  canvas.setAttribute("aria-label", `${yLabel} over ${xLabel}: ${x.length} points${fit ? " and the fitted cause" : ""}`);
+  target.append(canvas);
+  const c = canvas.getContext("2d");
+  c.scale(ratio, ratio);
+  const box = { left: 74, top: 12, right: width - 12, bottom: height - 48 };
+  const ys = fit ? y.concat(fit.y) : y;
+  const [x0, x1] = range(x), [y0, y1] = range(ys);
+  const px = (v) => box.left + (v - x0) / (x1 - x0) * (box.right - box.left);
+  const py = (v) => box.bottom - (v - y0) / (y1 - y0) * (box.bottom - box.top);
+  c.font = "14px system-ui"; c.fillStyle = colour("--ink"); c.strokeStyle = colour("--grid");
+  for (const v of ticks(x0, x1)) { line(c, px(v), box.top, px(v), box.bottom); c.textAlign = "center"; c.fillText(short(v), px(v), box.bottom + 18); }
+  for (const v of ticks(y0, y1)) { line(c, box.left, py(v), box.right, py(v)); c.textAlign = "right"; c.fillText(short(v), box.left - 8, py(v) + 5); }
+  c.textAlign = "center"; c.fillText(xLabel, (box.left + box.right) / 2, height - 8);
+  c.save(); c.translate(16, (box.top + box.bottom) / 2); c.rotate(-Math.PI / 2); c.fillText(yLabel, 0, 0); c.restore();
+  c.globalAlpha = 0.6; c.fillStyle = colour("--measured");
+  x.forEach((v, i) => { c.beginPath(); c.arc(px(v), py(y[i]), 2.5, 0, 7); c.fill(); });
+  c.globalAlpha = 1;
+  if (fit) {
+    c.strokeStyle = colour("--before"); c.lineWidth = 3; c.beginPath();
+    fit.x.forEach((v, i) => (i ? c.lineTo(px(v), py(fit.y[i])) : c.moveTo(px(v), py(fit.y[i]))));
+    c.stroke();
+  }
+}
+
+function line(c, ax, ay, bx, by) { c.beginPath(); c.moveTo(ax, ay); c.lineTo(bx, by); c.stroke(); }
+function range(values) {
+  const low = Math.min(...values), high = Math.max(...values), pad = (high - low || Math.abs(high) || 1) * 0.06;
+  return [low - pad, high + pad];
+}
+function ticks(low, high) {
+  const raw = (high - low) / 5, power = 10 ** Math.floor(Math.log10(raw)), step = [1, 2, 5, 10].find((s) => s * power >= raw) * power, found = [];
+  for (let v = Math.ceil(low / step) * step; v <= high + step * 1e-9; v += step) found.push(Math.abs(v) < step * 1e-9 ? 0 : v);
+  return found;
+}
+function short(v) { return Math.abs(v) >= 1e5 || (v && Math.abs(v) < 1e-3) ? v.toExponential(1) : String(Number(v.toPrecision(4))); }
