@@ -1,0 +1,356 @@
+"""The diagnosis of a large motion: what the rigid model misses, the cause, the gain on rows kept out."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from invid.arrays import Float64, frozen_float
+from invid.chains import CoupledChains
+from invid.diagnosis import Alternative, AxisResidual, Diagnosis, Finding, Unexplained, Verdict
+from invid.errors import ModelError, NotIdentifiableError
+from invid.model import ChainStd, Model
+from invid.recording.model import Recording
+from invid.trajectory.analysis import Analysis, analyse, row_floor
+from invid.trajectory.causes import effect_of, separating
+from invid.trajectory.regression import Fit, fit
+from invid.trajectory.selection import (
+    INDISTINCT,
+    best_of_label,
+    held_out_p,
+    judged,
+    may_join,
+    rms,
+    training_p,
+)
+from invid.trajectory.terms import Term
+from invid.trajectory.words import sentence_of
+
+AT_FLOOR = 1.3
+"""Held-out residual over noise floor that counts as at the floor: the floor's own error (noise not quite
+white) is some 20 %; empirical, on simulated axes with white noise the ratio stays below 1.15."""
+
+
+def identify_trajectory(recording: Recording, *, model: Model | None = None) -> Model:
+    """Rigid (or grounded) model with the effects the data ask for, fitted together."""
+    return _model(analyse(recording), model)
+
+
+def diagnose_trajectory(recording: Recording, *, model: Model | None = None) -> Diagnosis:
+    """Diagnosis of moves, constant velocities, start and stop, velocity without position.
+
+    ``model`` only lends what such a record cannot show (the inertia at constant velocity).
+    """
+    a = analyse(recording)
+    extended = _model(a, model)
+    rows = judged(a.design)
+    floor = row_floor(a)
+    residual = _residuals(a, floor)
+    findings = tuple(_finding(a, t) for t in a.final.terms if not t.base)
+    findings = tuple(sorted(findings, key=lambda f: f.after - f.before))
+    power = [float(np.sum(r[rows] ** 2)) for r in (a.base.held_out, a.final.held_out)]
+    noise = float(np.sum(floor[rows]))
+    explained = 1 - (power[1] - noise) / (power[0] - noise) if power[0] > 1.05 * noise else None
+    at_floor = all(r.after <= AT_FLOOR * r.noise_floor for r in residual)
+    if not findings:
+        # Without a cause the rigid model is either enough or wrong in a way that has no name here.
+        verdict = Verdict.CONSISTENT if at_floor else Verdict.UNEXPLAINED
+    else:
+        verdict = Verdict.EXPLAINED if at_floor else Verdict.PARTLY_EXPLAINED
+    left = None if at_floor else _unexplained(a, residual)
+    return Diagnosis(
+        verdict=verdict,
+        residual=residual,
+        explained_fraction=None if explained is None else float(np.clip(explained, 0.0, 1.0)),
+        findings=findings,
+        unexplained=left,
+        model=extended,
+        warnings=extended.warnings,
+        sentences=tuple(f.sentence for f in findings) + (() if left is None else (left.sentence,)),
+        details=_details(a),
+    )
+
+
+def _residuals(a: Analysis, floor: Float64) -> tuple[AxisResidual, ...]:
+    rows, unit = judged(a.design), a.recording.torque_unit
+    result = []
+    for i, name in enumerate(a.recording.axes):
+        mine = rows & (a.design.axis == i)
+        before, after = rms(a.base.held_out[mine]), rms(a.final.held_out[mine])
+        result.append(AxisResidual(name, unit, before, after, float(np.sqrt(np.mean(floor[mine])))))
+    return tuple(result)
+
+
+def _finding(a: Analysis, term: Term) -> Finding:
+    design, final = a.design, a.final
+    rest = [t for t in final.terms if t is not term]
+    mine = judged(design) & (design.axis == term.axis)
+    without = fit(design, rest)
+    p = max(training_p(without, final), held_out_p(design, without, final))
+    before, after = rms(without.held_out[mine]), rms(final.held_out[mine])
+    rivals = _rivals(a, term, rest, mine)
+    effect = effect_of(a, term)
+    share = 1.0 / (1 + sum(float(np.exp(-0.5 * max(excess, 0.0))) for _, excess in rivals))
+    causes = {term.cause, *(r.cause for r, _ in rivals)}
+    name = a.recording.axes[term.axis]
+    return Finding(
+        effect=effect,
+        confidence=min(0.999, (1 - p) * share),
+        before=before,
+        after=after,
+        fraction=float(np.clip(1 - after**2 / before**2, 0.0, 1.0)) if before > 0 else 0.0,
+        alternatives=tuple(r for r, _ in rivals),
+        separating_experiment=separating(name, causes, float(a.reach.speed[term.axis]), a.recording.linear)
+        if rivals
+        else None,
+        sentence=sentence_of(effect, before, after, a.recording.torque_unit, tuple(r for r, _ in rivals)),
+    )
+
+
+def _rivals(
+    a: Analysis, term: Term, rest: list[Term], mine: np.typing.NDArray[np.bool_]
+) -> list[tuple[Alternative, float]]:
+    """Other causes in this one's stead that unseen rows cannot tell from it, with their excess cost."""
+    design, final = a.design, a.final
+    labels: dict[Any, list[Term]] = {}
+    for c in a.candidates:
+        if c.axis == term.axis and not c.base and c.label != term.label and may_join(rest, c):
+            labels.setdefault(c.label, []).append(c)
+    found = []
+    for options in labels.values():
+        # What contains the term is a refinement that was tried and not needed, not a rival.
+        if term.cause in options[0].replaces or options[0].cause in term.replaces:
+            continue
+        trial = best_of_label(design, rest, options)
+        if trial is None or held_out_p(design, trial, final) <= INDISTINCT:
+            continue
+        # A rival that explains as little as nothing at all is none.
+        nothing = fit(design, rest)
+        if held_out_p(design, nothing, trial) > INDISTINCT:
+            continue
+        excess = final.effective * float(np.log(max(trial.cost, 1e-300) / max(final.cost, 1e-300)))
+        rival = trial.terms[-1]
+        name = a.recording.axes[term.axis]
+        after = rms(trial.held_out[mine])
+        found.append((Alternative(rival.cause, name, "mass 1", after), excess))
+    return found
+
+
+def _unexplained(a: Analysis, residual: tuple[AxisResidual, ...]) -> Unexplained:
+    worst = max(range(len(residual)), key=lambda i: residual[i].after / max(residual[i].noise_floor, 1e-300))
+    mine = a.design.axis == worst
+    left = a.final.held_out[mine]
+    motion = max(a.motions, key=lambda m: int(m.keep.sum()))
+    character = []
+    position = np.concatenate([m.rows(m.position)[:, worst] for m in a.motions])
+    velocity = np.concatenate([m.rows(m.velocity)[:, worst] for m in a.motions])
+    time = np.arange(left.size, dtype=float)
+    for name, driver in (("position", position), ("velocity", velocity), ("time", time)):
+        if _depends(left, driver, a.final.effective / a.design.axes):
+            character.append(f"{name}-dependent")
+    frequencies: tuple[float, ...] = ()
+    if not motion.steady and left.size >= 64:
+        power = np.abs(np.fft.rfft(left - left.mean())) ** 2
+        line = np.fft.rfftfreq(left.size, motion.row_step)
+        top = sorted(float(f) for f in line[np.argsort(power)[-3:]])
+        frequencies = tuple(round(f, 3) for f in top)
+    r = residual[worst]
+    how = (", " + ", ".join(character)) if character else ""
+    where = f" around {', '.join(f'{f:g}' for f in frequencies)} Hz" if frequencies else ""
+    return Unexplained(
+        axis=r.axis,
+        frequencies_hz=frequencies,
+        character=tuple(character),
+        sentence=f"{r.axis}: {r.after:.3g} {r.unit} rms is left over a noise floor of {r.noise_floor:.3g} "
+        f"{r.unit}{where}{how}; no cause of the catalogue explains it",
+    )
+
+
+def _depends(residual: Float64, driver: Float64, effective: float) -> bool:
+    """More than a tenth of the residual's power, and significant, in its mean over ten bins of ``driver``."""
+    edges = np.quantile(driver, np.linspace(0, 1, 11)[1:-1])
+    bins = np.searchsorted(edges, driver)
+    sums = np.bincount(bins, residual, 10)
+    counts = np.maximum(np.bincount(bins, minlength=10), 1)
+    share = float(np.sum(sums**2 / counts) / max(np.sum(residual**2), 1e-300))
+    return share > max(0.1, 20.0 / max(effective, 1.0))
+
+
+def _model(a: Analysis, given: Model | None) -> Model:
+    recording, final = a.recording, a.final
+    count = recording.axis_count
+    mass, mass_std = np.ones(count), np.full(count, np.nan)
+    coupling, coupling_std = np.zeros((count, count)), np.full((count, count), np.nan)
+    spring, spring_std = np.zeros(count), np.full(count, np.nan)
+    warnings = list(_warnings(a))
+    if a.reach.steady:
+        if given is not None and given.chains.branches == count:
+            mass = np.array([m.sum() for m in given.chains.masses])
+        warnings.append(
+            "constant velocity shows no inertia: the masses in this model are placeholders; record moves "
+            "that accelerate to identify them"
+        )
+    facts: dict[str, Any] = {}
+    for term in final.terms:
+        value, std = final.of(term)
+        if term.cause == "inertia":
+            mass[term.axis], mass_std[term.axis] = value[0], std[0]
+        elif term.cause == "coupling" and term.other is not None:
+            for i, j in ((term.axis, term.other), (term.other, term.axis)):
+                coupling[i, j], coupling_std[i, j] = value[0], std[0]
+        elif term.cause == "ground_spring":
+            spring[term.axis], spring_std[term.axis] = value[0], std[0]
+        elif term.cause == "configuration":
+            facts["inertia_with_angle"] = {
+                "axes": [recording.axes[term.axis], recording.axes[term.other or 0]],
+                "cosine": {"value": float(value[0]), "std": float(std[0])},
+                "sine": {"value": float(value[1]), "std": float(std[1])},
+                "meaning": "M11 += 2 b cos q2, M12 += b cos q2, with the Coriolis terms that belong to it",
+            }
+    for i in range(count):
+        if mass[i] <= 0:
+            raise NotIdentifiableError(
+                f"{recording.source}: the inertia of {recording.axes[i]} comes out as {mass[i]:.3g}: nothing "
+                f"in its band accelerates enough; record faster moves"
+            )
+    try:
+        chains = CoupledChains.build(
+            [[m] for m in mass],
+            [[] for _ in mass],
+            None,
+            coupling,
+            ground_springs=spring,
+            axes=recording.axes,
+        )
+    except ModelError as error:
+        warnings.append(f"inertia couplings left out: {error}")
+        chains = CoupledChains.build([[m] for m in mass], [[] for _ in mass], axes=recording.axes)
+    unknown = ChainStd.unknown(chains)
+    std_of = ChainStd(
+        masses=tuple(frozen_float([s]) for s in mass_std),
+        springs=unknown.springs,
+        dampers=unknown.dampers,
+        couplings=frozen_float(coupling_std),
+        ground_springs=frozen_float(spring_std),
+    )
+    return Model(
+        robot=recording.robot,
+        method="trajectory",
+        chains=chains,
+        std=std_of,
+        linear=recording.linear,
+        effects=tuple(effect_of(a, t) for t in final.terms if not t.base),
+        warnings=tuple(warnings),
+        fit={**facts, "rows": int(a.design.torque.size), "independent_rows": round(final.effective, 1)},
+        provenance={"recording": recording.source, "model_of": "rigid body with gravity and friction"},
+    )
+
+
+def _warnings(a: Analysis) -> list[str]:
+    found = []
+    if not a.design.has_validation:
+        found.append(
+            "the recording names no validation data: whole pieces (or constant-speed records) were kept out "
+            "in turn"
+        )
+    if any(e.attributes.get("position_source") == "integrated_velocity" for e in a.recording.experiments):
+        found.append(
+            "position is the integral of a measured velocity: causes that depend on position were weak"
+        )
+    if not a.reach.steady:
+        cutoffs = ", ".join(f"{f:.3g}" for f in a.band.rows_hz)
+        found.append(
+            f"residuals are judged below {cutoffs} Hz; the noise floor is read from the upper quarter of the "
+            f"spectra and taken as white"
+        )
+    return found
+
+
+def _details(a: Analysis) -> dict[str, Any]:
+    design, rows = a.design, judged(a.design)
+    train = ~design.validate if design.has_validation else rows
+    relative = {}
+    for i, name in enumerate(a.recording.axes):
+        mine = design.axis == i
+        relative[name] = {
+            "fit": _percent(a.final.residual, design.torque, train & mine),
+            "held_out": _percent(a.final.held_out, design.torque, rows & mine),
+            "fit_rms": rms(a.final.residual[train & mine]),
+        }
+    return {
+        "relative_torque_error_percent": relative,
+        "relative_torque_error_percent_all_axes": {
+            "fit": _percent(a.final.residual, design.torque, train),
+            "held_out": _percent(a.final.held_out, design.torque, rows),
+        },
+        "band_hz": [float(f) for f in a.band.rows_hz],
+        "independent_rows": a.final.effective,
+        "ladder": _ladder(a),
+        "not_shown": _not_shown(a),
+    }
+
+
+def _percent(residual: Float64, torque: Float64, rows: np.typing.NDArray[np.bool_]) -> float:
+    size = rms(torque[rows])
+    return 100 * rms(residual[rows]) / size if size > 0 else 0.0
+
+
+def _ladder(a: Analysis) -> list[dict[str, Any]]:
+    """Friction models of rising size on every axis at once, whatever was selected: to compare with tables."""
+    design, rows = a.design, judged(a.design)
+    train = ~design.validate if design.has_validation else rows
+    friction = {
+        "viscous_friction",
+        "coulomb_friction",
+        "stribeck_friction",
+        "asymmetric_friction",
+        "torque_offset",
+    }
+    others = [t for t in a.final.terms if t.cause not in friction]
+    falls = {t.axis for t in others if t.cause == "gravity"}
+    count = a.recording.axis_count
+    viscous = [Term("viscous_friction", i, ("coefficient",)) for i in range(count)]
+    coulomb = [Term("coulomb_friction", i, ("torque",)) for i in range(count)]
+    offset = [Term("torque_offset", i, ("torque",)) for i in range(count) if i not in falls]
+    rungs: list[tuple[str, list[Term]]] = [
+        ("no friction", []),
+        ("viscous", viscous + offset),
+        ("coulomb + viscous", coulomb + viscous),
+        ("coulomb + viscous + offset", coulomb + viscous + offset),
+        ("selected", [t for t in a.final.terms if t.cause in friction]),
+    ]
+    table = []
+    for name, terms in rungs:
+        result: Fit = fit(design, others + terms)
+        parameters = {}
+        for term in result.terms:
+            value, std = result.of(term)
+            label = f"{a.recording.axes[term.axis]}.{term.cause}"
+            parameters[label] = {
+                n: {"value": float(v), "std": float(s)}
+                for n, v, s in zip(term.names, value, std, strict=True)
+            }
+        table.append(
+            {
+                "friction": name,
+                "relative_error_percent": _percent(result.residual, design.torque, train),
+                "held_out_percent": _percent(result.held_out, design.torque, rows),
+                "fit_rms": rms(result.residual[train]),
+                "held_out_rms": rms(result.held_out[rows]),
+                "parameters": parameters,
+            }
+        )
+    return table
+
+
+def _not_shown(a: Analysis) -> list[str]:
+    missing = []
+    for i, name in enumerate(a.recording.axes):
+        if not a.reach.both_ways[i]:
+            missing.append(f"{name}: asymmetric friction (the axis moves one way only)")
+        if not a.recording.linear and a.reach.travel[i] <= 0.2:
+            missing.append(f"{name}: gravity (the axis turns by less than 0.2 rad)")
+        if i not in a.springs:
+            missing.append(f"{name}: stiffness of the transmission (no resonance in the band)")
+    return missing

@@ -1,0 +1,100 @@
+"""Which records are large motions: what is left to the spectral chain diagnosis, and what is not."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.signal import csd, find_peaks, welch
+
+from invid.errors import InvidError
+from invid.recording.model import Kind, Recording
+from invid.timebase import uniform
+from invid.trajectory.motion import find_band, prepare
+from invid.trajectory.regression import Design, fit
+from invid.trajectory.selection import held_out_cost
+from invid.trajectory.terms import Term
+
+COHERENT = 0.8
+"""Coherence above which a response is believed; of 15 averages, noise reaches 0.3 once in a hundred."""
+PROMINENCE = 1.1
+"""ln of the factor by which a resonance stands out of the response (3); empirical: friction makes none."""
+
+
+def is_trajectory(recording: Recording) -> bool:
+    """True for motions that a rigid model with gravity, friction or a spring to ground is for.
+
+    That is: velocity without position; moves and constant velocities with no resonance in sight; and any
+    record whose motor has no rigid mode. Periodic and swept excitation of a free axis is not.
+    """
+    experiments = recording.experiments
+    if any(e.attributes.get("position_source") == "integrated_velocity" for e in experiments):
+        return True
+    if any(e.period_samples and e.periods >= 2 for e in experiments):
+        return False
+    if recording.masses_per_axis is not None and max(recording.masses_per_axis) > 1:
+        return False
+    moves = (Kind.CONSTANT_VELOCITY, Kind.OTHER)
+    try:
+        if all(e.kind in moves for e in experiments):
+            if all(e.kind is Kind.CONSTANT_VELOCITY for e in experiments):
+                return True
+            return bool(grounded_axes(recording)) or not resonance_visible(recording)
+        return recording.axis_count == 1 and bool(grounded_axes(recording))
+    except InvidError:
+        # Too short or too uneven even to look at: the chain diagnosis says what is missing.
+        return False
+
+
+def resonance_visible(recording: Recording) -> bool:
+    """True where some axis's response from torque to acceleration has a peak that stands out."""
+    longest = max((e for e in recording.experiments if e.kind is Kind.OTHER), key=lambda e: e.samples)
+    even = uniform(longest)
+    if even.samples < 512:
+        return False
+    acceleration = np.diff(even.position, 2, axis=0) / even.step**2
+    torque = even.torque[1:-1]
+    length = acceleration.shape[0] // 8
+    for i in range(recording.axis_count):
+        frequency, cross = csd(torque[:, i], acceleration[:, i], 1 / even.step, nperseg=length)
+        _, pa = welch(acceleration[:, i], 1 / even.step, nperseg=length)
+        _, pt = welch(torque[:, i], 1 / even.step, nperseg=length)
+        coherence = np.abs(cross) ** 2 / np.maximum(pa * pt, 1e-300)
+        response = np.log(np.maximum(np.abs(cross) / np.maximum(pt, 1e-300), 1e-300))
+        seen = (coherence > COHERENT) & (frequency > 0)
+        if seen.sum() < 8:
+            continue
+        inside = response[seen]
+        for peak in find_peaks(inside, prominence=PROMINENCE, width=2)[0]:
+            if 2 < peak < inside.size - 3:
+                return True
+    return False
+
+
+def grounded_axes(recording: Recording) -> set[int]:
+    """Axes that a spring holds to ground: no rigid mode, and a resonance inside the band.
+
+    The spring must leave a quarter of what friction, gravity and inertia leave, on rows kept out.
+    """
+    if all(e.kind is Kind.CONSTANT_VELOCITY for e in recording.experiments):
+        return set()
+    band = find_band(recording.experiments)
+    motions = [prepare(e, band) for e in recording.experiments]
+    design = Design(motions)
+    count = recording.axis_count
+    found: set[int] = set()
+    for i in range(count):
+        plain = [Term("inertia", j, ("mass",), base=True) for j in range(count)]
+        plain += [Term("viscous_friction", i, ("coefficient",)), Term("coulomb_friction", i, ("torque",))]
+        plain += [Term("torque_offset", i, ("torque",))]
+        if not recording.linear and np.ptp(np.concatenate([m.position[:, i] for m in motions])) > 1.0:
+            plain.append(Term("gravity", i, ("sine", "cosine")))
+        spring = Term("ground_spring", i, ("stiffness",), base=True)
+        before, after = fit(design, plain), fit(design, [*plain, spring])
+        stiffness, mass = after.of(spring)[0][0], after.of(plain[i])[0][0]
+        if stiffness <= 0 or mass <= 0:
+            continue
+        own = float(np.sqrt(stiffness / mass) / (2 * np.pi))
+        slowest = 4.0 / max(e.duration for e in recording.experiments)
+        inside = slowest < own < float(band.rows_hz[i])
+        if inside and held_out_cost(design, after) < 0.25 * held_out_cost(design, before):
+            found.add(i)
+    return found
