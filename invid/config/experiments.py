@@ -17,7 +17,7 @@ class _Spec(Strict):
     role: Literal["identify", "validate"] = "identify"
     axes: tuple[str, ...] | None = None
     """Axes to excite, by name; ``None``: all."""
-    amplitude: float = Field(default=0.5, gt=0, le=1.0)
+    amplitude: float = Field(default=0.7, gt=0, le=1.0)
     """Peak torque as a fraction of each axis's torque limit."""
 
 

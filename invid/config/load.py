@@ -76,7 +76,10 @@ def parse_config(text: str, *, source: str = "config") -> CellConfig:
 def _load_yaml(text: str, source: str) -> tuple[Any, dict[Where, int]]:
     """Plain data and the line of every key and item."""
     lines: dict[Where, int] = {}
-    loader = yaml.SafeLoader(text)
+    try:
+        loader = yaml.SafeLoader(text)
+    except yaml.YAMLError as error:
+        raise ConfigError(f"{source}: not YAML: {str(error).splitlines()[0]}") from None
     budget = [MAX_VALUES]
 
     def build(node: yaml.Node, where: Where, open_nodes: tuple[int, ...]) -> Any:

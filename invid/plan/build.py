@@ -34,7 +34,7 @@ def default_experiments() -> list[MultisineSpec]:
     """M orthogonal multisines to identify from; one, at another level and phases, to judge with."""
     return [
         MultisineSpec(kind="multisine", seed=1),
-        MultisineSpec(kind="multisine", role="validate", amplitude=0.3, experiments=1, seed=2),
+        MultisineSpec(kind="multisine", role="validate", amplitude=0.35, experiments=1, seed=2),
     ]
 
 

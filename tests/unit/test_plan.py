@@ -1,0 +1,147 @@
+"""Plans: limits kept, budget as in the notes, forecasts against physics done by hand."""
+
+import numpy as np
+import pytest
+
+from invid.chains import case_study
+from invid.config import CellConfig, parse_config
+from invid.errors import ConfigError
+from invid.plan import bus_load, frame_bits, make_plan
+from invid.recording import Kind, Role
+
+
+def cell(experiments: str = "", *, axes: int = 3, bus: str = "", extra: str = "") -> CellConfig:
+    rows = "\n".join(
+        f"  - {{name: A{i + 1}, node_id: {i + 1}, inertia: {5.0 * (i + 1)}, "
+        f"limits: {{torque: {10 * (i + 1)}, position: 0.5, velocity: 3}}{extra}}}"
+        for i in range(axes)
+    )
+    return parse_config(
+        f"format: invid-config\nrobot: r\nbus: {{interface: invid-virtual, channel: x{bus}}}\naxes:\n{rows}\n"
+        + (f"experiments: {experiments}\n" if experiments else "")
+    )
+
+
+@pytest.mark.parametrize(("data_bytes", "bits"), [(0, 55), (2, 75), (6, 115), (8, 135)])
+def test_worst_case_frame_lengths_are_those_of_the_standard(data_bytes: int, bits: int) -> None:
+    assert frame_bits(data_bytes) == bits
+
+
+def test_three_drives_fit_one_megabit_at_one_kilohertz_and_four_do_not() -> None:
+    assert bus_load(3, cycle_s=0.001, bitrate=1_000_000) < 0.8 < bus_load(4, cycle_s=0.001, bitrate=1_000_000)
+
+
+def test_a_bus_over_its_budget_is_refused_with_a_cycle_that_would_do() -> None:
+    with pytest.raises(ConfigError, match=r"cycle_s to 0\.002"):
+        make_plan(cell(axes=4))
+    make_plan(cell(axes=4, bus=", cycle_s: 0.002"))
+
+
+def test_the_default_plan_identifies_with_as_many_runs_as_axes_and_validates_at_another_level() -> None:
+    plan = make_plan(cell())
+    identify = [e for e in plan.experiments if e.role is Role.IDENTIFY]
+    validate = [e for e in plan.experiments if e.role is Role.VALIDATE]
+    assert len(identify) == 3
+    assert len(validate) == 1
+    assert np.abs(validate[0].torque).max() < 0.7 * np.abs(identify[0].torque).max()
+    for e in plan.experiments:
+        assert (e.record_to - e.record_from) % e.period_samples == 0
+        assert (e.record_to - e.record_from) // e.period_samples >= 2
+
+
+def test_the_excitation_matrix_over_the_runs_is_well_conditioned_at_every_line() -> None:
+    plan = make_plan(cell())
+    runs = [e for e in plan.experiments if e.role is Role.IDENTIFY]
+    n = runs[0].period_samples
+    lines = np.round(runs[0].frequencies_hz * n * plan.cycle_s).astype(int)
+    spectra = np.stack(
+        [np.fft.rfft(e.torque[e.record_from : e.record_from + n], axis=0)[lines] for e in runs], axis=-1
+    )
+    scaled = spectra / np.array([10.0, 20.0, 30.0])[None, :, None]
+    assert np.linalg.cond(scaled).max() < 1.01
+
+
+def test_no_plan_asks_for_more_torque_than_the_limit() -> None:
+    plan = make_plan(cell("[{kind: multisine, amplitude: 1.0}, {kind: chirp, amplitude: 1.0}]"))
+    for e in plan.experiments:
+        assert np.all(np.abs(e.torque).max(axis=0) <= np.array([10, 20, 30]) * (1 + 1e-9))
+
+
+def test_the_recorded_part_repeats_with_its_period() -> None:
+    for e in make_plan(
+        cell("[{kind: multisine}, {kind: stepped_sine, frequencies_Hz: [3.3, 0.9]}]")
+    ).experiments:
+        part = e.torque[e.record_from : e.record_to]
+        n = e.period_samples
+        np.testing.assert_allclose(part[n : 2 * n], part[:n], atol=1e-9)
+
+
+def test_a_stepped_sine_puts_each_axis_and_frequency_into_its_own_experiment() -> None:
+    plan = make_plan(cell("[{kind: stepped_sine, frequencies_Hz: [2, 5]}]"))
+    assert [(e.excited_axis, round(float(e.frequencies_hz[0]))) for e in plan.experiments] == [
+        (0, 2),
+        (0, 5),
+        (1, 2),
+        (1, 5),
+        (2, 2),
+        (2, 5),
+    ]
+
+
+def test_interleaved_lines_give_each_axis_its_own() -> None:
+    (e,) = make_plan(cell("[{kind: multisine, lines: interleaved}]")).experiments
+    n = e.period_samples
+    power = np.abs(np.fft.rfft(e.torque[e.record_from : e.record_from + n], axis=0)) > 1e-6
+    assert power.any(axis=0).all()
+    assert power.sum(axis=1).max() == 1
+
+
+def test_axes_that_are_not_chosen_get_no_torque() -> None:
+    plan = make_plan(cell(), axes=["A2"])
+    for e in plan.experiments:
+        assert e.excited == (1,)
+        assert np.all(e.torque[:, [0, 2]] == 0)
+    with pytest.raises(ConfigError, match="'B9'"):
+        make_plan(cell(), axes=["B9"])
+
+
+def test_travel_of_a_sine_on_a_rigid_mass_is_foretold_from_its_inertia() -> None:
+    plan = make_plan(cell("[{kind: stepped_sine, frequencies_Hz: [2.0], axes: [A1], amplitude: 0.5}]"))
+    # A/(S·ω²) with 5 N·m on 5 kg·m² at 2 Hz
+    assert plan.forecast[0].travel == pytest.approx(5.0 / (5.0 * (2 * np.pi * 2.0) ** 2), rel=0.02)
+    assert plan.forecast[0].peak_torque == pytest.approx(5.0, rel=1e-3)
+    assert plan.forecast[1].travel == 0
+
+
+def test_a_model_foretells_more_travel_than_the_rigid_guess_where_a_resonance_is_shaken() -> None:
+    config = cell("[{kind: stepped_sine, frequencies_Hz: [3.92], axes: [A1]}]")
+    rigid = make_plan(config).forecast[0].travel
+    modelled = make_plan(config, model=case_study(damping_ratio=0.01)).forecast[0].travel
+    assert rigid is not None
+    assert modelled is not None
+    assert modelled > 3 * rigid
+
+
+def test_a_move_that_leaves_the_window_is_refused() -> None:
+    with pytest.raises(ConfigError, match="position window"):
+        make_plan(cell("[{kind: constant_velocity, velocities: [0.1], travel: 1.5}]"))
+
+
+def test_a_band_beyond_what_the_cycle_can_carry_is_refused() -> None:
+    with pytest.raises(ConfigError, match="tenth of the cycle rate"):
+        make_plan(cell("[{kind: multisine, band_Hz: [1, 150]}]"))
+
+
+def test_a_creep_moves_slowly_under_the_shaking() -> None:
+    plan = make_plan(cell("[{kind: multisine, creep_velocity_rad_per_s: 0.01, experiments: 1}]"))
+    (e,) = plan.experiments
+    assert e.kind is Kind.MULTISINE
+    assert e.reference is not None
+    assert np.abs(np.diff(e.reference[:, 0])).max() == pytest.approx(0.01 * plan.cycle_s)
+
+
+def test_a_plan_is_plain_json() -> None:
+    import json
+
+    document = make_plan(cell()).to_json()
+    assert json.loads(json.dumps(document)) == document
