@@ -69,3 +69,64 @@ def frf_matrix(spectra: Sequence[LineSpectra], *, delay_s: float = 0.0) -> FrfMa
         empty = np.zeros((0, motors, motors))
         return FrfMatrix(np.zeros(0), empty.astype(complex), empty)
     return FrfMatrix(np.array(hz), np.array(values), np.array(variances))
+
+
+def local_frf_matrix(spectra: Sequence[LineSpectra], *, lines: int = 250) -> FrfMatrix:
+    """G by local regression over neighbouring lines, transients of each record beside it.
+
+    Around each frequency Θ = (G₀ + G₁x + G₂x²)·T + t₀ + t₁x per record that is not settled: what
+    leaks from the ends of a record is smooth over lines where the torque of a random-phase
+    excitation is not (local polynomial method). Serves records from rest, chirps, and axes whose
+    lines interleave. A start for the fit, not a result: resonances narrower than a window are blunted.
+    """
+    motors = spectra[0].axis_count
+    top = max(float(s.frequency_hz[s.excited].max(initial=0.0)) for s in spectra)
+    hz = np.concatenate([s.frequency_hz for s in spectra])
+    owner = np.repeat(np.arange(len(spectra)), [s.frequency_hz.size for s in spectra])
+    use = np.concatenate([s.excited | (s.transient & (s.frequency_hz <= top)) for s in spectra])
+    theta = np.concatenate([s.position for s in spectra])[use]
+    torque = np.concatenate([s.torque for s in spectra])[use]
+    hz, owner = hz[use], owner[use]
+    order = np.argsort(hz, kind="stable")
+    hz, owner, theta, torque = hz[order], owner[order], theta[order], torque[order]
+    loose = [n for n, s in enumerate(spectra) if s.transient]
+    unknowns = 3 * motors + 2 * len(loose)
+    window = int(1.7 * unknowns) + 2
+    if hz.size < window:
+        empty = np.zeros((0, motors, motors))
+        return FrfMatrix(np.zeros(0), empty.astype(complex), empty)
+    scale = np.sqrt(np.mean(np.abs(torque) ** 2, axis=0))
+    scale[scale == 0] = 1.0
+    grid = np.unique(np.linspace(0, hz.size - 1, min(lines, hz.size)).astype(int))
+    keep, values, variances = [], [], []
+    for centre in grid:
+        low = int(np.clip(centre - window // 2, 0, hz.size - window))
+        part = slice(low, low + window)
+        x = (hz[part] - hz[centre]) / max(hz[part][-1] - hz[part][0], 1e-300)
+        t = torque[part] / scale
+        columns = [t, t * x[:, None], t * x[:, None] ** 2]
+        for n in loose:
+            own = (owner[part] == n).astype(complex)
+            columns.append(np.stack((own, own * x), axis=1))
+        matrix = np.concatenate(columns, axis=1)
+        size = np.linalg.norm(matrix, axis=0)
+        matrix = matrix[:, size > 0] / size[size > 0]
+        if not np.all(size[:motors] > 0):
+            continue
+        solution, _, rank, singular = np.linalg.lstsq(matrix, theta[part], rcond=None)
+        if rank < matrix.shape[1] or singular[-1] < 1e-6 * singular[0]:
+            continue
+        left = theta[part] - matrix @ solution
+        free = max(window - matrix.shape[1], 1)
+        inverse = np.linalg.inv(matrix.conj().T @ matrix).real
+        gain = (solution[:motors] / size[:motors, None] / scale[:, None]).T
+        spread = np.diag(inverse)[:motors] / size[:motors] ** 2 / scale**2
+        power = (np.abs(left) ** 2).sum(axis=0) / free
+        keep.append(float(hz[centre]))
+        values.append(gain)
+        variances.append(power[:, None] * spread)
+    if not keep:
+        empty = np.zeros((0, motors, motors))
+        return FrfMatrix(np.zeros(0), empty.astype(complex), empty)
+    at, first = np.unique(np.array(keep), return_index=True)
+    return FrfMatrix(at, np.array(values)[first], np.maximum(np.array(variances)[first], 1e-300))

@@ -1,9 +1,104 @@
-"""The command of this name."""
+"""``invid identify``: recording to model."""
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
 import typer
+
+from invid.cli.output import EXIT_NOT_TRUSTWORTHY, EXIT_OK, emit, note
+from invid.errors import InputError
+from invid.model import Model, model_to_json, save_model
+
+if TYPE_CHECKING:
+    from invid.identify import Masses
 
 
 def register(app: typer.Typer) -> None:
-    """Placeholder until the command lands."""
+    """Adds the command."""
+
+    @app.command("identify")
+    def identify_command(
+        recording: Annotated[Path, typer.Argument(metavar="REC.h5", help="The recording.")],
+        output: Annotated[
+            Path | None, typer.Option("-o", "--output", metavar="MODEL.json", help="Where the model goes.")
+        ] = None,
+        masses: Annotated[
+            str | None,
+            typer.Option(help="Masses of each axis, as 3,3,3; or auto. Default: what the recording says."),
+        ] = None,
+        method: Annotated[str, typer.Option(help="refined or paper.")] = "refined",
+        as_json: Annotated[bool, typer.Option("--json", help="Print the model as JSON.")] = False,
+    ) -> int:
+        """Masses, springs, dampers and inertia couplings from a recording, with their uncertainty."""
+        from invid.identify import identify
+        from invid.recording import read_recording
+
+        if method not in ("refined", "paper"):
+            raise InputError(f"--method {method}: there are refined and paper")
+        wanted = parse_masses(masses)
+        data = read_recording(recording)
+        model = identify(data, masses=wanted, method="paper" if method == "paper" else "refined")
+        if output is not None:
+            save_model(model, output)
+            note(f"model written to {output}")
+        if as_json:
+            for warning in model.warnings:
+                note(f"warning: {warning}")
+        emit(model_to_json(model), model_text(model), as_json=as_json)
+        return EXIT_OK if model.fit.get("trustworthy", True) else EXIT_NOT_TRUSTWORTHY
+
+
+def parse_masses(text: str | None) -> Masses:
+    """ "3,3,3" → (3, 3, 3); "auto" as it is; InputError otherwise."""
+    if text is None:
+        return None
+    if text == "auto":
+        return "auto"
+    try:
+        return tuple(int(part) for part in text.split(","))
+    except ValueError:
+        raise InputError(
+            f"--masses {text}: give whole numbers separated by commas, one an axis, as 3,3,3, or auto"
+        ) from None
+
+
+def model_text(model: Model) -> str:
+    """The model as a table for a person."""
+    chains, std = model.chains, model.std
+    mass, stiff, damp = ("kg", "N/m", "N·s/m") if model.linear else ("kg·m²", "N·m/rad", "N·m·s/rad")
+    lines = [f"{model.robot}: {chains.branches} axes, method {model.method}"]
+    for i, axis in enumerate(chains.axes):
+        for kind, values, errors, unit in (
+            ("mass", chains.masses[i], std.masses[i], mass),
+            ("spring", chains.springs[i], std.springs[i], stiff),
+            ("damper", chains.dampers[i], std.dampers[i], damp),
+        ):
+            for q, (value, error) in enumerate(zip(values, errors, strict=True)):
+                lines.append(_row(f"{axis} {kind} {q + 1}", float(value), float(error), unit))
+        if chains.ground_springs[i] != 0:
+            lines.append(
+                _row(f"{axis} ground", float(chains.ground_springs[i]), float(std.ground_springs[i]), stiff)
+            )
+    for i in range(chains.branches):
+        for j in range(i + 1, chains.branches):
+            name = f"{chains.axes[i]}-{chains.axes[j]} coupling"
+            lines.append(_row(name, float(chains.couplings[i, j]), float(std.couplings[i, j]), mass))
+    if "chi2" in model.fit:
+        lines.append(
+            f"χ²/ν {model.fit['chi2'] / max(model.fit['dof'], 1):.2f} "
+            f"(against sensor noise alone {model.fit['noise_chi2_per_dof']:.3g}), "
+            f"band {model.fit['band_hz'][0]:.3g} … {model.fit['band_hz'][1]:.3g} Hz"
+        )
+    lines += [f"warning: {w}" for w in model.warnings]
+    if not model.fit.get("trustworthy", True):
+        lines.append("not trustworthy: see the warnings")
+    return "\n".join(lines)
+
+
+def _row(name: str, value: float, error: float, unit: str) -> str:
+    if error != error:
+        return f"  {name:<18} {value:>12.5g}   not known       {unit}"
+    relative = f"({100 * error / abs(value):.2g} %)" if value else ""
+    return f"  {name:<18} {value:>12.5g} ± {error:<9.2g} {relative:<9} {unit}"

@@ -1,0 +1,124 @@
+"""How many masses each branch has: chosen by what the data need."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2 as chi2_distribution
+
+from invid.errors import InvidError
+from invid.refine.fit import Fit
+from invid.spectra import LineSpectra
+
+
+@dataclass(frozen=True)
+class OrderChoice:
+    """The masses of each branch and the evidence."""
+
+    sizes: tuple[int, ...]
+    evidence: dict[str, Any] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+
+
+GAIN = 1.3
+"""A further mass must lower χ² by this factor: coloured residuals (friction, ripple) let any extra
+parameter fit a few per cent of them, a missing mode leaves tens to thousands (case study: 26 000 for
+two masses, 1.3 for three and for four)."""
+
+
+def choose_order(spectra: Sequence[LineSpectra], axes: Sequence[str], *, most: int = 6) -> OrderChoice:
+    """The fewest masses that explain the data.
+
+    Equal numbers for all branches grow until χ² falls no further; then masses are taken away branch
+    by branch while it does not rise.
+    """
+    from invid.identify import fit_sizes, measured_frf
+
+    measured = measured_frf(spectra)
+    costs: dict[tuple[int, ...], float] = {}
+    dofs: dict[tuple[int, ...], int] = {}
+    vanishing: dict[str, list[str]] = {}
+
+    def cost(sizes: tuple[int, ...]) -> float:
+        if sizes not in costs:
+            try:
+                fit = fit_sizes(spectra, sizes, axes, measured, thorough=False)
+            except (InvidError, np.linalg.LinAlgError):
+                costs[sizes], dofs[sizes] = np.inf, 1
+            else:
+                costs[sizes], dofs[sizes] = fit.noise_cost, max(fit.problem.dof, 1)
+                gone = _vanishing(fit)
+                if gone:
+                    vanishing[_label(sizes)] = gone
+        return costs[sizes]
+
+    def needed(small: tuple[int, ...], large: tuple[int, ...]) -> bool:
+        """Whether the larger structure is better by more than its parameters may."""
+        before, after = cost(small), cost(large)
+        if not np.isfinite(after):
+            return False
+        if not np.isfinite(before):
+            return True
+        extra = 3 * (sum(large) - sum(small))
+        scale = max(after / dofs[large], 1.0)
+        significant = (before - after) / scale > chi2_distribution.isf(1e-6, extra)
+        return bool(significant and before > GAIN * after)
+
+    count = len(axes)
+    best = (1,) * count
+    while best[0] < most:
+        n = best[0] + 1
+        following = (n,) * count
+        if needed(best, following):
+            best = following
+            continue
+        # One order alone may not pay where two do (a pair of modes close together).
+        if n < most and needed(best, (n + 1,) * count):
+            best = (n + 1,) * count
+            continue
+        break
+    if count > 1:
+        best = _trimmed(best, needed, cost)
+    warnings = []
+    if max(best) == most:
+        warnings.append(
+            f"order: {most} masses a branch are the most that are tried, and the data ask for them"
+        )
+    evidence = {
+        "chosen": list(best),
+        "chi2_per_dof": {
+            _label(sizes): (value / dofs[sizes] if np.isfinite(value) else None)
+            for sizes, value in costs.items()
+        },
+        "vanishing": vanishing,
+    }
+    return OrderChoice(best, evidence, warnings)
+
+
+def _trimmed(
+    best: tuple[int, ...],
+    needed: Callable[[tuple[int, ...], tuple[int, ...]], bool],
+    cost: Callable[[tuple[int, ...]], float],
+) -> tuple[int, ...]:
+    """Masses taken away, the least missed first, while none of those left is superfluous."""
+    while True:
+        smaller = [(*best[:i], n - 1, *best[i + 1 :]) for i, n in enumerate(best) if n > 1]
+        free = [s for s in smaller if np.isfinite(cost(s)) and not needed(s, best)]
+        if not free:
+            return best
+        best = min(free, key=cost)
+
+
+def _vanishing(fit: Fit) -> list[str]:
+    """Masses below a thousandth of their branch: the sign of one too many."""
+    out = []
+    for axis, m in zip(fit.chains.axes, fit.chains.masses, strict=True):
+        out += [f"{axis}.mass.{q + 1}" for q in np.flatnonzero(m < 1e-3 * m.sum())]
+    return out
+
+
+def _label(sizes: tuple[int, ...]) -> str:
+    return ",".join(str(n) for n in sizes)
