@@ -6,8 +6,9 @@ import struct
 from pathlib import Path
 from typing import Any
 
-import invid_drivers.simulated as simulated
 import yaml
+
+import invid_drivers.simulated as simulated
 from invid.config import CellConfig
 from invid_drivers.simulated import VirtualTimeBus, open_virtual_bus
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import struct
 from collections.abc import Iterator
 
@@ -114,10 +115,10 @@ def test_boot_up_comes_once_and_nmt_commands_are_obeyed() -> None:
         master.bus.send_raw(0, bytes([command, 1]))
         beats = [(t, d[0]) for t, i, d in master.wait(0.1) if i == 0x701]
         assert {s for _, s in beats[1:]} == {state}
-        gaps = [round(b[0] - a[0], 4) for a, b in zip(beats, beats[1:], strict=False)]
+        gaps = [round(b[0] - a[0], 4) for a, b in itertools.pairwise(beats)]
         assert all(abs(g - 0.02) < 0.0005 for g in gaps[1:])
+    master.bus.send_raw(0, b"\x02\x01")
     with pytest.raises(TimeoutError):
-        master.bus.send_raw(0, b"\x02\x01")
         master.read(1, 0x1000)  # stopped: no SDO
     assert master.read(2, 0x1000) == 0x00020192  # the other node was not addressed
     master.close()

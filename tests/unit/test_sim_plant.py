@@ -1,0 +1,317 @@
+"""The simulated plant against scipy's solve_ivp and against closed forms."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from invid.chains import CoupledChains, case_study
+from invid.errors import ConfigError
+from invid_drivers.simulated import kernel
+from invid_drivers.simulated.config import AxisSimulation, EffectConfig
+from invid_drivers.simulated.plant import Plant
+from invid_drivers.simulated.structure import CAUSES, build_structure
+
+H = 0.00025
+NS = 1_000_000_000
+
+
+def axes(count: int, **keys: Any) -> list[AxisSimulation]:
+    return [AxisSimulation.model_validate(keys)] * count
+
+
+def plant(chains: CoupledChains, *effects: dict[str, Any], **keys: Any) -> Plant:
+    made = build_structure(
+        chains, axes(chains.branches, **keys), [EffectConfig.model_validate(e) for e in effects]
+    )
+    return Plant(made, H)
+
+
+def run(made: Plant, torque: Any, seconds: float) -> np.ndarray:
+    """Positions at every millisecond under motor torques torque(t), held for a millisecond."""
+    made.command[:, kernel.MODE] = kernel.MODE_TORQUE
+    rows = []
+    for k in range(round(seconds * 1000)):
+        made.command[:, kernel.TORQUE] = torque(k * 0.001)
+        made.advance_to((k + 1) * 1_000_000)
+        rows.append(made.positions.copy())
+    return np.array(rows)
+
+
+def reference(
+    chains: CoupledChains, torque: Any, seconds: float, force: Any = lambda t, q, v: 0.0
+) -> np.ndarray:
+    """The same by solve_ivp, millisecond by millisecond; ``force`` acts on all coordinates."""
+    inverse = np.linalg.inv(chains.mass_matrix)
+    k, c, motors = chains.stiffness_matrix, chains.damping_matrix, chains.motor_dofs
+    n = chains.dofs
+    state = np.zeros(2 * n)
+    rows = []
+    for step in range(round(seconds * 1000)):
+        held = np.zeros(n)
+        held[motors] = torque(step * 0.001)
+
+        def slope(t: float, x: np.ndarray, held: np.ndarray = held) -> np.ndarray:
+            q, v = x[:n], x[n:]
+            return np.concatenate((v, inverse @ (held - k @ q - c @ v + force(t, q, v))))
+
+        span = (step * 0.001, (step + 1) * 0.001)
+        state = solve_ivp(slope, span, state, method="DOP853", rtol=1e-11, atol=1e-13).y[:, -1]
+        rows.append(state[:n].copy())
+    return np.array(rows)
+
+
+def excitation(t: float) -> np.ndarray:
+    return np.array([20.0, 30.0, 40.0]) * np.cos(2 * np.pi * np.array([5.0, 3.1, 7.3]) * t)
+
+
+def one_axis(k: float = 1000.0, d: float = 0.5) -> CoupledChains:
+    return CoupledChains.build([[1.0, 2.0]], [[k]], [[d]])
+
+
+def push(t: float) -> float:
+    return 20.0 * math.cos(2 * math.pi * 4.0 * t)
+
+
+def test_the_linear_case_study_agrees_with_solve_ivp_to_ten_digits() -> None:
+    chains = case_study(damping_ratio=0.01)
+    ours = run(plant(chains), excitation, 0.3)
+    theirs = reference(chains, excitation, 0.3)
+    np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-10 * np.abs(theirs).max())
+
+
+def test_a_mode_far_faster_than_the_substep_is_still_exact() -> None:
+    chains = CoupledChains.build([[1.0, 1e-3]], [[1e7]])  # 1e5 rad/s, 25 rad in a sub-step
+    ours = run(plant(chains), push, 0.02)
+    theirs = reference(chains, push, 0.02)
+    np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-7 * np.abs(theirs).max())
+
+
+def smooth(theta: float, x: float, v: float, kind: str) -> tuple[float, float]:
+    """Force on motor and load of the effects below, written out again."""
+    if kind == "cubic":
+        f = 2e6 * x**3
+        return -f, f
+    if kind == "gravity":
+        return -8.0 * math.sin(theta + 0.5), 0.0
+    if kind == "cogging":
+        return -3.0 * math.sin(30.0 * theta + 0.2), 0.0
+    if kind == "offset":
+        return -2.0, 0.0
+    if kind == "transmission":
+        f = 1000.0 * 0.002 * math.sin(20.0 * theta + 0.3)
+        return -f, f
+    raise LookupError(kind)
+
+
+@pytest.mark.parametrize(
+    ("kind", "effect"),
+    [
+        ("cubic", {"cause": "cubic_stiffness", "parameters": {"coefficient": 2e6}}),
+        ("gravity", {"cause": "gravity", "parameters": {"torque": 8.0, "angle": 0.5}}),
+        ("cogging", {"cause": "cogging", "parameters": {"torque": 3.0, "cycles_per_rev": 30, "phase": 0.2}}),
+        ("offset", {"cause": "torque_offset", "parameters": {"torque": 2.0}}),
+        (
+            "transmission",
+            {
+                "cause": "transmission_error",
+                "parameters": {"amplitude": 0.002, "cycles_per_rev": 20, "phase": 0.3},
+            },
+        ),
+    ],
+)
+def test_a_smooth_effect_agrees_with_solve_ivp(kind: str, effect: dict[str, Any]) -> None:
+    chains = one_axis()
+
+    def force(t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        return np.array(smooth(q[0], q[0] - q[1], v[0] - v[1], kind))
+
+    theirs = reference(chains, push, 0.3, force)
+    ours = run(plant(chains, {"axis": "A1", **effect}), push, 0.3)
+    bare = reference(chains, push, 0.3)
+    change = np.abs(theirs - bare).max()
+    assert change > 1e-3 * np.abs(bare).max(), "the effect must be seen, or the test shows nothing"
+    np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-3 * change)
+
+
+def test_backlash_agrees_with_solve_ivp() -> None:
+    chains, gap, k, d = one_axis(), 0.02, 1000.0, 0.5
+
+    def force(t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        x, speed = q[0] - q[1], v[0] - v[1]
+        free = -(k * x + d * speed)
+        if x > gap / 2:
+            free += max(k * (x - gap / 2) + d * speed, 0.0)
+        elif x < -gap / 2:
+            free += min(k * (x + gap / 2) + d * speed, 0.0)
+        return np.array([-free, free])
+
+    theirs = reference(chains, push, 0.3, force)
+    ours = run(plant(chains, {"cause": "backlash", "axis": "A1", "parameters": {"gap": gap}}), push, 0.3)
+    np.testing.assert_allclose(ours, theirs, rtol=0, atol=2e-3 * np.abs(theirs).max())
+
+
+def test_coulomb_friction_stops_a_coasting_mass_where_the_closed_form_says() -> None:
+    made = plant(CoupledChains.build([[2.0]], [[]]), friction={"coulomb_Nm": 3.0})
+    made.state[1] = 1.5  # rad/s
+    rows = run(made, lambda t: 0.0, 2.0)
+    # stops after J v / F = 1 s, having gone J v² / 2F = 0.75 rad; the sub-step resolves h·v
+    assert rows[-1, 0] == pytest.approx(0.75, abs=2 * H * 1.5)
+    assert made.velocities[0] == pytest.approx(0.0, abs=1e-12)
+    assert rows[1100, 0] == pytest.approx(rows[-1, 0], abs=1e-12)
+
+
+def test_a_mass_below_the_break_away_torque_does_not_creep_and_above_it_moves() -> None:
+    made = plant(CoupledChains.build([[1.0]], [[]]), friction={"coulomb_Nm": 2.0, "static_Nm": 3.0})
+    assert abs(run(made, lambda t: 2.99 * math.cos(50 * t), 3.0)[-1, 0]) < 1e-12
+    made = plant(CoupledChains.build([[1.0]], [[]]), friction={"coulomb_Nm": 2.0, "static_Nm": 3.0})
+    assert run(made, lambda t: 3.2, 0.5)[-1, 0] > 0.05
+
+
+def test_friction_in_motion_agrees_with_a_regularised_reference() -> None:
+    chains = one_axis()
+    viscous = CoupledChains.build([[1.0, 2.0]], [[1000.0]], [[0.5]], ground_dampers=[0.8])
+
+    def force(t: float, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        return np.array([-2.0 * math.tanh(v[0] / 1e-4) - 0.8 * v[0], -1.0 * math.tanh(v[1] / 1e-4)])
+
+    inner = {"cause": "coulomb_friction", "axis": "A1", "element": "mass 2", "parameters": {"torque": 1.0}}
+    ours = run(plant(viscous, inner, friction={"coulomb_Nm": 2.0}), push, 0.3)
+    theirs = reference(chains, push, 0.3, force)
+    np.testing.assert_allclose(ours, theirs, rtol=0, atol=5e-3 * np.abs(theirs).max())
+
+
+def test_friction_never_adds_energy() -> None:
+    made = plant(case_study(), friction={"coulomb_Nm": 5.0})
+    made.state[:9] = np.linspace(-0.1, 0.1, 9)
+    mass, _, stiffness = made.structure.matrices(0.0)
+    energies = []
+    for k in range(400):
+        made.advance_to((k + 1) * 5_000_000)
+        q, v = made.positions, made.velocities
+        energies.append(0.5 * q @ stiffness @ q + 0.5 * v @ mass @ v)
+    # a stuck mass yields by F·h²/12m within a sub-step, a compliance of 1e-8 rad/N·m that stores and
+    # returns energy: nothing may build up beyond it
+    lowest = np.minimum.accumulate(energies)
+    assert np.all(np.array(energies) - lowest <= 1e-7 * energies[0])
+    assert energies[-1] < 0.5 * energies[0]
+
+
+def test_hysteresis_dissipates_four_times_slip_torque_a_cycle() -> None:
+    # a stiff slider k = 1e5 at 1 N·m slips from 1e-5 rad on; forced between ±0.1 rad by a stiff spring
+    chains = CoupledChains.build([[1.0]], [[]], ground_springs=[1e4])
+    effect = {"cause": "presliding_friction", "axis": "A1", "parameters": {"stiffness": 1e4, "torque": 1.0}}
+    made = plant(chains, effect)
+    work, before = 0.0, 0.0
+    for k in range(8000):
+        tau = 100.0 * math.sin(2 * math.pi * 0.5 * k * 0.001)
+        made.command[0, [kernel.MODE, kernel.TORQUE]] = (kernel.MODE_TORQUE, tau)
+        made.advance_to((k + 1) * 1_000_000)
+        if k >= 4000:  # two cycles of 2 s, settled
+            work += tau * (made.positions[0] - before)
+        before = made.positions[0]
+    amplitude = 0.01
+    expected = 2 * 4 * 1.0 * (amplitude - 1.0 / 1e4)
+    assert work == pytest.approx(expected, rel=0.05)
+
+
+def test_payload_change_changes_the_mass_at_its_time() -> None:
+    chains = CoupledChains.build([[1.0]], [[]])
+    made = plant(chains, {"cause": "payload_change", "axis": "A1", "parameters": {"mass": 1.0, "time": 0.5}})
+    run(made, lambda t: 1.0, 1.0)
+    assert made.velocities[0] == pytest.approx(0.5 + 0.25, rel=1e-9)
+
+
+def test_torque_delay_shifts_the_answer_and_not_the_record() -> None:
+    chains = CoupledChains.build([[1.0]], [[]])
+    made = plant(chains)
+    made.set_delay(0, 0.0031)
+    run(made, lambda t: 1.0, 1.0)
+    assert made.velocities[0] == pytest.approx(1.0 - 0.0031, rel=1e-9)
+    assert made.motor_state[0, kernel.RECORDED] == 1.0
+
+
+def test_every_cause_of_the_contract_can_be_put_into_the_plant() -> None:
+    parameters = {
+        "coulomb_friction": {"torque": 1.0},
+        "viscous_friction": {"coefficient": 1.0},
+        "stribeck_friction": {"static": 2.0, "coulomb": 1.0, "velocity": 0.1},
+        "presliding_friction": {"stiffness": 1e4, "torque": 1.0},
+        "asymmetric_friction": {
+            "coulomb_positive": 1.0,
+            "coulomb_negative": 0.5,
+            "viscous_positive": 1.0,
+            "viscous_negative": 0.2,
+        },
+        "torque_offset": {"torque": 1.0},
+        "cogging": {"torque": 1.0, "cycles_per_rev": 20, "phase": 0},
+        "spring_damping": {"coefficient": 3.0},
+        "cubic_stiffness": {"coefficient": 1e5},
+        "backlash": {"gap": 0.005},
+        "spring_hysteresis": {"stiffness": 500.0, "torque": 1.0},
+        "transmission_error": {"amplitude": 0.001, "cycles_per_rev": 20},
+        "gravity": {"torque": 5.0, "angle": 0.3},
+        "extra_mode": {"mass": 0.5, "stiffness": 4000.0},
+        "coupling_stiffness": {"stiffness": 500.0},
+        "payload_change": {"mass": 2.0, "time": 0.05},
+        "parameter_drift": {"rate": 0.5},
+    }
+    chains = case_study(damping_ratio=0.01)
+    bare = run(plant(chains), excitation, 0.4)
+    moved = {}
+    for cause, values in parameters.items():
+        effect = {"cause": cause, "axis": "A1", "parameters": values}
+        if cause == "coupling_stiffness":
+            effect["other_axis"] = "A2"
+        rows = run(plant(chains, effect), excitation, 0.4)[:, :9]
+        assert np.isfinite(rows).all()
+        moved[cause] = np.abs(rows - bare).max()
+    assert min(moved.values()) > 1e-5, moved
+    at_the_motor = {
+        "torque_delay",
+        "torque_lag",
+        "torque_gain",
+        "torque_saturation",
+        "encoder_eccentricity",
+        "dropped_samples",
+    }
+    assert set(parameters) | at_the_motor == set(CAUSES)
+
+
+@pytest.mark.parametrize(
+    ("effect", "words"),
+    [
+        ({"cause": "magic", "axis": "A1"}, "unknown cause 'magic'"),
+        ({"cause": "backlash", "axis": "A1"}, "'gap' is missing"),
+        ({"cause": "backlash", "axis": "A1", "element": "spring 2", "parameters": {"gap": 1}}, "'spring 1'"),
+        (
+            {"cause": "backlash", "axis": "A1", "parameters": {"gap": 1, "play": 2}},
+            "unknown parameter 'play'",
+        ),
+        ({"cause": "coupling_stiffness", "axis": "A1", "parameters": {"stiffness": 1}}, "other_axis"),
+    ],
+)
+def test_an_effect_that_cannot_be_is_refused_with_a_reason(effect: dict[str, Any], words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        plant(one_axis(), effect)
+
+
+def test_the_inner_position_loop_holds_every_axis_of_the_undamped_case_study() -> None:
+    chains = case_study()
+    made = plant(chains, friction={"coulomb_Nm": 0.0})
+    for i, motor in enumerate((0.7, 4.0, 7.0)):
+        w = 2 * math.pi * 25
+        made.command[i, [kernel.GAIN_P, kernel.GAIN_D]] = (motor * w**2, 1.4 * motor * w)
+        made.command[i, kernel.COUNTS_PER_UNIT] = 524288 / (2 * math.pi)
+    made.command[:, kernel.MODE] = kernel.MODE_POSITION
+    made.state[2] = 0.05  # the last mass of the first branch lets go
+    _mass, _, _stiffness = made.structure.matrices(0.0)
+    made.advance_to(NS)
+    first = np.abs(made.state[:9]).max()
+    made.advance_to(60 * NS)
+    assert np.abs(made.state[:9]).max() < first
+    assert np.abs(made.state[[0, 3, 6]]).max() < 1e-3
