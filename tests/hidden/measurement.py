@@ -148,6 +148,8 @@ def excess_db(setup: Setup, active: tuple[Active, ...], *, quick: bool = False) 
         residuals.append(white(r))
         columns.append(np.stack([white(c) for c in cols], axis=1))
     r, j = np.concatenate(residuals), np.concatenate(columns)
+    if not (np.isfinite(r).all() and np.isfinite(j).all()):
+        return 300.0  # so large that the plant ran away: the search for a size goes lower
     scale = np.linalg.norm(j, axis=0)
     j = j / np.where(scale > 0, scale, 1.0)
     u, s, _ = np.linalg.svd(j, full_matrices=False)

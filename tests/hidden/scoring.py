@@ -1,0 +1,175 @@
+"""Whether a diagnosis found what was hidden. One rule for the tests and for the campaigns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hidden.generator import TrueEffect, Truth
+from invid.diagnosis import Diagnosis, Finding, Verdict
+
+CONFIDENT = 0.9
+"""A wrong name from here on is what the product must not do."""
+
+MAIN = {
+    "coulomb_friction": "torque",
+    "viscous_friction": "coefficient",
+    "stribeck_friction": "coulomb",
+    "presliding_friction": "torque",
+    "asymmetric_friction": "coulomb_positive",
+    "torque_offset": "torque",
+    "cogging": "torque",
+    "torque_delay": "delay",
+    "torque_lag": "time_constant",
+    "torque_gain": "gain",
+    "torque_saturation": "limit",
+    "encoder_eccentricity": "amplitude",
+    "dropped_samples": "fraction",
+    "spring_damping": "coefficient",
+    "cubic_stiffness": "coefficient",
+    "backlash": "gap",
+    "spring_hysteresis": "torque",
+    "transmission_error": "amplitude",
+    "gravity": "torque",
+    "extra_mode": "mass",
+    "coupling_stiffness": "stiffness",
+    "payload_change": "mass",
+    "parameter_drift": "rate",
+}
+
+
+@dataclass(frozen=True)
+class Score:
+    """``outcome``: right, cannot_tell (true cause among the alternatives), unexplained, missed (called
+    consistent), wrong_place (right cause), wrong, and false_alarm; for pairs one_of_two as well."""
+
+    outcome: str
+    named: str
+    confidences: tuple[tuple[float, bool], ...] = ()
+    """(confidence, right) of every finding."""
+    wrong_confident: bool = False
+    size_error: float | None = None
+    """(estimate − truth)/truth of the main parameter."""
+    size_sigmas: float | None = None
+    over_floor: float | None = None
+    """Residual after extension over the noise floor, worst axis."""
+
+
+def at_place(e: TrueEffect, axis: str, element: str | None, other_axis: str | None) -> bool:
+    """Whether a place named is the true one; an element that is not named leaves it open."""
+    if e.other_axis is not None:
+        return {axis, other_axis} == {e.axis, e.other_axis}
+    if axis != e.axis:
+        return False
+    return e.element is None or element is None or element == e.element
+
+
+def names(e: TrueEffect, f: Finding) -> bool:
+    """The finding is the true cause at the true place."""
+    return f.effect.cause == e.cause and at_place(e, f.effect.axis, f.effect.element, f.effect.other_axis)
+
+
+def _listed(e: TrueEffect, f: Finding) -> bool:
+    return any(a.cause == e.cause and at_place(e, a.axis, a.element, a.other_axis) for a in f.alternatives)
+
+
+def score(truth: Truth, d: Diagnosis) -> Score:
+    """Compare a diagnosis with what was hidden."""
+    named = "+".join(f.effect.cause for f in d.findings) or str(d.verdict)
+    true = [e for e in truth.effects if e.in_catalogue]
+    flags = tuple((f.confidence, any(names(e, f) for e in true)) for f in d.findings)
+    floors = [r.after / r.noise_floor for r in d.residual if r.noise_floor > 0]
+    common: dict[str, Any] = {
+        "named": named,
+        "confidences": flags,
+        "wrong_confident": any(
+            c >= CONFIDENT and not good and not any(_listed(e, f) for e in true)
+            for (c, good), f in zip(flags, d.findings, strict=True)
+        ),
+        "over_floor": max(floors) if floors else None,
+    }
+    if truth.kind == "null":
+        return Score(
+            "right" if d.verdict is Verdict.CONSISTENT and not d.findings else "false_alarm", **common
+        )
+    if truth.kind == "wrong_order":
+        return Score(_wrong_order(truth, d), **common)
+    if truth.kind == "outside":
+        if d.verdict is Verdict.CONSISTENT:
+            return Score("missed", **common)
+        good = d.verdict in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED)
+        return Score("right" if good else "wrong", **common)
+    hits = [any(names(e, f) for f in d.findings) for e in true]
+    sizes = _size(true[0], d)
+    common |= {"size_error": sizes[0], "size_sigmas": sizes[1]}
+    if truth.kind == "pair":
+        wrong = any(not good for _, good in flags)
+        if all(hits):
+            return Score("right" if not wrong else "right_and_wrong", **common)
+        listed = [h or any(_listed(e, f) for f in d.findings) for h, e in zip(hits, true, strict=True)]
+        if all(listed):
+            return Score("cannot_tell", **common)
+        if any(hits):
+            return Score("one_of_two" if not wrong else "one_and_wrong", **common)
+        return Score(_nothing_right(true, d), **common)
+    e = true[0]
+    if all(hits):
+        extra = [f for f, (_, good) in zip(d.findings, flags, strict=True) if not good]
+        return Score("right_and_wrong" if extra else "right", **common)
+    # A damper beside every spring is in the linear model: nothing is missing once it is fitted.
+    if e.cause == "spring_damping" and d.verdict is Verdict.CONSISTENT:
+        return Score("right", **common)
+    return Score(_nothing_right(true, d), **common)
+
+
+def _nothing_right(true: list[TrueEffect], d: Diagnosis) -> str:
+    if not d.findings:
+        return "missed" if d.verdict is Verdict.CONSISTENT else "unexplained"
+    if any(_listed(e, f) for e in true for f in d.findings):
+        return "cannot_tell"
+    if any(f.effect.cause == e.cause for e in true for f in d.findings):
+        return "wrong_place"
+    return "wrong"
+
+
+def _wrong_order(truth: Truth, d: Diagnosis) -> str:
+    """Any honest sign that the number of masses is not the one declared; no other cause named."""
+    true = tuple(len(m) for m in truth.chains.masses)
+    if d.model.chains.masses_per_branch == true and not d.findings:
+        return "right"
+    if all(f.effect.cause == "extra_mode" for f in d.findings) and d.verdict is not Verdict.CONSISTENT:
+        return "right"
+    if not d.findings and d.verdict is Verdict.CONSISTENT:
+        # One mass too many does no harm; one too few that is invisible in the band neither.
+        return "right" if sum(d.model.chains.masses_per_branch) >= sum(true) else "missed"
+    return "wrong"
+
+
+def _size(e: TrueEffect, d: Diagnosis) -> tuple[float | None, float | None]:
+    for f in d.findings:
+        if names(e, f):
+            key = MAIN[e.cause]
+            found = f.effect.parameters.get(key)
+            if found is None or key not in e.parameters:
+                return None, None
+            value, true = found.value, e.parameters[key]
+            if e.cause == "torque_gain":
+                value, true = value - 1.0, true - 1.0
+            elif e.cause not in ("torque_offset", "parameter_drift", "torque_delay"):
+                value, true = abs(value), abs(true)
+            error = value - true
+            sigmas = error / found.std if found.std else None
+            return float(error / true), None if sigmas is None else float(sigmas)
+    return None, None
+
+
+def parameter_error(truth: Truth, d: Diagnosis) -> float | None:
+    """Largest relative error of masses and springs of the extended model; None for another structure."""
+    chains = d.model.chains
+    if chains.masses_per_branch != tuple(len(m) for m in truth.chains.masses):
+        return None
+    pairs = [*zip(chains.masses, truth.chains.masses, strict=True)]
+    pairs += [*zip(chains.springs, truth.chains.springs, strict=True)]
+    return float(max(np.abs(a / b - 1).max(initial=0.0) for a, b in pairs))
