@@ -132,7 +132,9 @@ class ScriptedWorker:
         document = {**director.model(), "simulated": self.job.simulated}
         (folder / "model.json").write_text(json.dumps(document))
         (folder / "diagnosis.json").write_text(
-            json.dumps({"format": "invid-diagnosis", "verdict": director.verdict, "simulated": self.job.simulated})
+            json.dumps(
+                {"format": "invid-diagnosis", "verdict": director.verdict, "simulated": self.job.simulated}
+            )
         )
         (folder / "report.html").write_text("<html><body>report</body></html>")
 
@@ -169,7 +171,9 @@ def settings_in(folder: Path, **given: Any) -> Settings:
 
 
 @contextmanager
-def running(folder: Path, director: Director | None = None, **given: Any) -> Iterator[tuple[TestClient, Director]]:
+def running(
+    folder: Path, director: Director | None = None, **given: Any
+) -> Iterator[tuple[TestClient, Director]]:
     """A client of a running application."""
     director = director or Director()
     app = create_app(settings_in(folder, **given), launcher=director.launch)

@@ -117,8 +117,9 @@ async def act(identification: str, body: ActionBody, request: Request, service: 
 
 async def _apply(service: Service, action: str, record: RunRecord, live: LiveRun | None, caller: str) -> None:
     if record.state in ENDED or live is None:
-        decided = (record.facts.get("decision") or {}).get("type")
-        if action != "cancel" and {"accept": "accepted", "reject": "rejected"}.get(action) != decided:
+        decided = (record.facts.get("decision") or {}).get("type", "nothing")
+        repeated = decided == {"accept": "accepted", "reject": "rejected"}.get(action)
+        if action != "cancel" and not repeated:
             raise WrongStateError(str(record.state))
         return
     match action:

@@ -1,0 +1,237 @@
+"""Keys, scopes, foreign pages, oversized and malformed requests: each refused with its problem."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+from service_doubles import Director, running, settings_in, wait_for
+
+from invid.errors import ConfigError
+from invid_service.app import create_app
+from invid_service.auth import add_key
+
+START = "/api/v1/cells/cell/identifications"
+
+
+def kind(answer: object) -> str:
+    assert answer.headers["content-type"] == "application/problem+json", answer.text  # type: ignore[attr-defined]
+    return str(answer.json()["type"]).removeprefix("urn:invid:problem:")  # type: ignore[attr-defined]
+
+
+def bearer(token: str) -> dict[str, str]:
+    return {"Authorization": f"Bearer {token}"}
+
+
+@pytest.fixture
+def keys(tmp_path: Path) -> dict[str, str]:
+    path = tmp_path / "keys.json"
+    made = {s: add_key(path, s, [s]) for s in ("read", "run", "accept", "admin")}
+    made["old"] = add_key(path, "old", ["admin"], expires=datetime.now(UTC) - timedelta(days=1))
+    assert not any(token in path.read_text() for token in made.values())
+    assert path.stat().st_mode & 0o077 == 0
+    return made
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.168.1.5", "robot.local"])
+def test_a_bind_beyond_loopback_without_a_key_is_refused(tmp_path: Path, host: str) -> None:
+    with pytest.raises(ConfigError, match="no key"):
+        create_app(settings_in(tmp_path, host=host))
+
+
+def test_keys_open_what_their_scopes_say_and_nothing_else(tmp_path: Path, keys: dict[str, str]) -> None:
+    given = {"host": "0.0.0.0", "key_file": tmp_path / "keys.json"}
+    director = Director()
+    with running(tmp_path, director, **given) as (client, _):
+        assert kind(client.get("/api/v1/cells")) == "key-missing"
+        assert client.get("/api/v1/health/live").status_code == 200
+        assert client.get("/").status_code == 200
+        assert client.get("/api/v1/cells", headers=bearer(keys["read"])).status_code == 200
+        assert client.get("/api/v1/cells", headers={"X-API-Key": keys["read"]}).status_code == 200
+        body = {"mode": "full", "arm": True}
+        assert kind(client.post(START, json=body, headers=bearer(keys["read"]))) == "scope-missing"
+        assert kind(client.post(START, json=body)) == "key-missing"
+        started = client.post(START, json=body, headers=bearer(keys["run"]))
+        location = started.headers["Location"]
+        client.headers.update(bearer(keys["admin"]))
+        wait_for(client, location, "awaiting_accept")
+        actions = f"{location}/actions"
+        assert (
+            kind(client.post(actions, json={"type": "accept"}, headers=bearer(keys["run"])))
+            == "scope-missing"
+        )
+        assert (
+            kind(client.post(actions, json={"type": "cancel"}, headers=bearer(keys["accept"])))
+            == "scope-missing"
+        )
+        accepted = client.post(actions, json={"type": "accept"}, headers=bearer(keys["accept"]))
+        assert accepted.json()["decision"]["by"] == "accept"
+        assert kind(client.get("/api/v1/audit", headers=bearer(keys["run"]))) == "scope-missing"
+        assert [e["caller"] for e in client.get("/api/v1/audit").json()] == ["run", "accept"]
+
+
+def test_wrong_expired_and_misplaced_keys_are_refused(tmp_path: Path, keys: dict[str, str]) -> None:
+    for host in ("127.0.0.1", "0.0.0.0"):
+        with running(tmp_path, host=host, key_file=tmp_path / "keys.json") as (client, _):
+            path = "/api/v1/cells"
+            for token in ("x", "invid_0_0", keys["read"][:-1], keys["read"] + "x", "invid_" + "é" * 10):
+                headers = [(b"authorization", b"Bearer " + token.encode())]
+                assert kind(client.get(path, headers=headers)) == "key-invalid"  # type: ignore[arg-type]
+            assert kind(client.get(path, headers={"Authorization": f"Basic {keys['read']}"})) == "key-invalid"
+            expired = client.get(path, headers=bearer(keys["old"]))
+            assert kind(expired) == "key-invalid"
+            assert "expired" in expired.json()["detail"]
+            assert expired.headers["WWW-Authenticate"] == "Bearer"
+            if host == "0.0.0.0":
+                assert kind(client.get(path, params={"key": keys["read"]})) == "key-missing"
+
+
+def test_any_valid_key_may_stop_but_nobody_without_one(tmp_path: Path, keys: dict[str, str]) -> None:
+    with running(tmp_path, host="0.0.0.0", key_file=tmp_path / "keys.json") as (client, _):
+        stop = "/api/v1/cells/cell/stop"
+        assert client.post(stop, headers=bearer(keys["read"])).status_code == 200
+        assert kind(client.post(stop)) == "key-missing"
+
+
+def test_a_web_site_in_the_technicians_browser_cannot_move_the_robot(tmp_path: Path) -> None:
+    with running(tmp_path) as (client, director):
+        body = {"mode": "full", "arm": True}
+        foreign = client.post(START, json=body, headers={"Origin": "https://evil.example"})
+        assert kind(foreign) == "foreign-origin"
+        rebound = client.post(START, json=body, headers={"Host": "evil.example"})
+        assert kind(rebound) == "foreign-origin"
+        plain = client.post(
+            START, content='{"mode":"full","arm":true}', headers={"Content-Type": "text/plain"}
+        )
+        assert plain.status_code == 422
+        assert director.workers == []
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        {},
+        {"mode": "fast"},
+        {"mode": "full", "axes": []},
+        {"mode": "full", "axes": ["A9"]},
+        {"mode": "full", "arm": "true"},
+        {"mode": "full", "amplitude": 10},
+        [],
+        "full",
+    ],
+)
+def test_a_start_with_anything_unknown_in_it_is_refused(tmp_path: Path, body: object) -> None:
+    with running(tmp_path) as (client, director):
+        assert kind(client.post(START, json=body)) == "invalid-request"
+        assert director.workers == []
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "expected"),
+    [
+        ("GET", "/api/v1/nothing", "not-found"),
+        ("GET", "/api/v1/cells/none", "cell-not-found"),
+        ("POST", "/api/v1/cells/none/stop", "cell-not-found"),
+        ("GET", "/api/v1/identifications/none", "identification-not-found"),
+        ("GET", "/api/v1/identifications/..%2F..%2Fetc%2Fpasswd/model", "not-found"),
+        ("GET", "/api/v1/identifications/%00/model", "identification-not-found"),
+        ("GET", "/api/v1/cells/cell/models/..%5C..%5Cx", "model-not-found"),
+        ("GET", "/api/v1/identifications/" + "9" * 5000, "identification-not-found"),
+        ("DELETE", "/api/v1/cells", "method-not-allowed"),
+        ("GET", "/static/../../settings.py", "not-found"),
+        ("GET", "/static/%2e%2e/%2e%2e/app.py", "not-found"),
+        ("GET", "/api/v1/identifications?limit=100000", "invalid-request"),
+        ("GET", "/api/v1/cells/cell/changes?from=%27%20OR%201%3D1", "invalid-request"),
+    ],
+)
+def test_hostile_addresses_meet_a_problem_document(
+    tmp_path: Path, method: str, path: str, expected: str
+) -> None:
+    with running(tmp_path) as (client, _):
+        assert kind(client.request(method, path)) == expected
+
+
+def test_an_upload_announced_too_large_is_refused_before_it_is_read(tmp_path: Path) -> None:
+    with running(tmp_path, max_upload_bytes=1000) as (client, _):
+        headers = {"Content-Type": "application/x-hdf5", "Content-Length": str(2 * 1024**3)}
+        refused = client.post("/api/v1/recordings", content=b"x", headers=headers)
+        assert kind(refused) == "too-large"
+        lying = client.post("/api/v1/cells/cell/stop", content=b"x", headers={"Content-Length": "-5"})
+        assert kind(lying) == "bad-request"
+
+
+@pytest.mark.parametrize("media", ["application/x-hdf5", "multipart/form-data"])
+def test_an_upload_that_grows_beyond_the_limit_is_cut_off_and_leaves_nothing(
+    tmp_path: Path, media: str
+) -> None:
+    def chunks() -> Iterator[bytes]:
+        yield b"\x89HDF\r\n\x1a\n"
+        for _ in range(100):
+            yield b"\0" * 10_000
+
+    with running(tmp_path, max_upload_bytes=50_000) as (client, director):
+        if media == "application/x-hdf5":
+            answer = client.post("/api/v1/recordings", content=chunks(), headers={"Content-Type": media})
+        else:
+            answer = client.post("/api/v1/recordings", files={"file": io.BytesIO(b"".join(chunks()))})
+        assert kind(answer) == "too-large"
+        assert director.workers == []
+        assert list((tmp_path / "data" / "work").iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("content", "headers", "expected"),
+    [
+        (b"", {"Content-Type": "application/x-hdf5"}, "invalid-recording"),
+        (b"not hdf5 at all", {"Content-Type": "application/x-hdf5"}, "invalid-recording"),
+        (b"PK\x03\x04zip", {"Content-Type": "application/octet-stream"}, "invalid-recording"),
+        (b"{}", {"Content-Type": "application/json"}, "unsupported-media-type"),
+        (b"{}", {}, "unsupported-media-type"),
+        (b"--x\r\n", {"Content-Type": "multipart/form-data; boundary=x"}, "invalid-request"),
+        (b"--x\r\n", {"Content-Type": "multipart/form-data"}, "invalid-request"),
+    ],
+)
+def test_what_is_no_recording_is_refused(
+    tmp_path: Path, content: bytes, headers: dict[str, str], expected: str
+) -> None:
+    with running(tmp_path) as (client, director):
+        assert kind(client.post("/api/v1/recordings", content=content, headers=headers)) == expected
+        assert director.workers == []
+        assert client.get("/api/v1/identifications").json()["identifications"] == []
+
+
+@pytest.mark.parametrize("form", [False, True])
+def test_an_upload_is_analysed_and_needs_no_cell(tmp_path: Path, form: bool) -> None:
+    content = b"\x89HDF\r\n\x1a\n" + b"\0" * 100
+    with running(tmp_path) as (client, director):
+        if form:
+            answer = client.post("/api/v1/recordings", files={"file": ("../../evil.h5", content)})
+        else:
+            headers = {"Content-Type": "application/x-hdf5"}
+            answer = client.post("/api/v1/recordings", content=content, headers=headers)
+        assert answer.status_code == 202
+        location = answer.headers["Location"]
+        done = wait_for(client, location, "succeeded", "failed")
+        assert done["mode"] == "upload"
+        assert done["cell"] is None
+        assert director.workers[0].job.kind == "analyse"
+        assert client.get(f"{location}/recording").content == content
+        assert not list(tmp_path.rglob("*evil*"))
+
+
+def test_an_internal_error_is_a_problem_without_its_secrets(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with running(tmp_path) as (client, _):
+        service = client.app.state.service  # type: ignore[attr-defined]
+
+        def broken(*_: object, **__: object) -> None:
+            raise RuntimeError("secret path /root/x")
+
+        monkeypatch.setattr(service.store, "runs", broken)
+        answer = client.get("/api/v1/identifications")
+        assert kind(answer) == "internal-error"
+        assert "secret" not in answer.text

@@ -1,0 +1,405 @@
+"""Identifications through the REST interface, with a scripted runner."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from fastapi.testclient import TestClient
+from service_doubles import Director, model_document, running, wait_for
+from sqlalchemy.exc import OperationalError
+
+START = "/api/v1/cells/cell/identifications"
+STOP = "/api/v1/cells/cell/stop"
+
+
+def start(client: TestClient, **body: Any) -> str:
+    answer = client.post(START, json={"mode": "full", "arm": True, **body})
+    assert answer.status_code == 202, answer.text
+    assert int(answer.headers["Retry-After"]) >= 1
+    location: str = answer.headers["Location"]
+    return location
+
+
+def act(client: TestClient, location: str, kind: str) -> Any:
+    return client.post(f"{location}/actions", json={"type": kind})
+
+
+def problem(answer: Any, status: int, kind: str) -> dict[str, Any]:
+    """The problem document of an answer, its invariants checked."""
+    assert answer.status_code == status, answer.text
+    assert answer.headers["content-type"] == "application/problem+json"
+    document: dict[str, Any] = answer.json()
+    assert document["type"] == f"urn:invid:problem:{kind}"
+    assert document["status"] == status
+    assert document["title"]
+    assert document["detail"]
+    return document
+
+
+def test_a_run_goes_through_every_state_of_the_contract_in_order(tmp_path: Path) -> None:
+    with running(tmp_path) as (client, _):
+        location = start(client, arm=False)
+        assert wait_for(client, location, "awaiting_arm")["plan"]["duration_s"] == 10.0
+        assert act(client, location, "arm").status_code == 200
+        waiting = wait_for(client, location, "awaiting_accept")
+        assert waiting["progress"] == 1.0
+        assert act(client, location, "accept").json()["state"] == "succeeded"
+        events = client.get(f"{location}/events").text
+    states = [
+        json.loads(line[6:])["state"]
+        for block in events.split("\n\n")
+        if "event: state" in block
+        for line in block.splitlines()
+        if line.startswith("data: ")
+    ]
+    assert states == ["checking", "awaiting_arm", "running", "analysing", "awaiting_accept", "succeeded"]
+
+
+def test_arm_in_the_start_body_skips_the_waiting(tmp_path: Path) -> None:
+    with running(tmp_path) as (client, director):
+        location = start(client, arm=True)
+        wait_for(client, location, "awaiting_accept")
+        assert "awaiting_arm" not in client.get(location).text
+        assert director.workers[0].job.arm is True
+
+
+def test_nothing_moves_before_it_is_armed(tmp_path: Path) -> None:
+    with running(tmp_path) as (client, director):
+        location = start(client, arm=False)
+        wait_for(client, location, "awaiting_arm")
+        time.sleep(0.2)
+        assert client.get(location).json()["state"] == "awaiting_arm"
+        assert director.workers[0].said == []
+
+
+def test_a_test_run_asks_for_at_most_a_tenth_of_the_torque(tmp_path: Path) -> None:
+    with running(tmp_path) as (client, director):
+        wait_for(client, start(client, mode="test"), "awaiting_accept")
+        wait_for(client, start(client, mode="full"), "awaiting_accept")
+    assert director.workers[0].job.amplitude_scale <= 0.1
+    assert director.workers[1].job.amplitude_scale == 1.0
+
+
+def test_every_body_of_a_simulated_cell_says_so(tmp_path: Path) -> None:
+    with running(tmp_path) as (client, _):
+        location = start(client)
+        wait_for(client, location, "awaiting_accept")
+        act(client, location, "accept")
+        for path in (
+            "/api/v1/cells",
+            "/api/v1/cells/cell",
+            "/api/v1/cells/cell/readiness",
+            "/api/v1/cells/cell/model",
+            "/api/v1/cells/cell/models",
+            "/api/v1/identifications",
+            location,
+            f"{location}/model",
+            f"{location}/diagnosis",
+        ):
+            assert client.get(path).json()["simulated"] is True, path
+        assert client.post(STOP).json()["simulated"] is True
+
+
+def test_a_second_start_is_refused_and_names_the_run_in_progress(tmp_path: Path) -> None:
+    director = Director()
+    director.go.clear()
+    with running(tmp_path, director) as (client, _):
+        location = start(client)
+        document = problem(client.post(START, json={"mode": "full"}), 409, "run-in-progress")
+        assert document["identification"] == location.rsplit("/", 1)[1]
+        assert document["reasons"][0]["code"] == "run_in_progress"
+
+
+def test_readiness_and_the_conflict_of_a_start_give_the_same_reasons(tmp_path: Path) -> None:
+    with running(tmp_path, min_free_bytes=10**18) as (client, _):
+        ready = client.get("/api/v1/cells/cell/readiness").json()
+        refused = problem(client.post(START, json={"mode": "full"}), 409, "not-ready")
+        assert ready["can_start"] is False
+        assert [r["code"] for r in ready["reasons"]] == ["disk_full"]
+        assert refused["reasons"] == ready["reasons"]
+        assert all(r["text"] and r["fix"] for r in ready["reasons"])
+
+
+def test_the_same_idempotency_key_gives_the_same_run_and_another_body_is_refused(tmp_path: Path) -> None:
+    with running(tmp_path) as (client, director):
+        headers = {"Idempotency-Key": "plc-7"}
+        body = {"mode": "full", "arm": True}
+        first = client.post(START, json=body, headers=headers)
+        again = client.post(START, json=body, headers=headers)
+        assert again.status_code == 202
+        assert again.headers["Location"] == first.headers["Location"]
+        wait_for(client, first.headers["Location"], "awaiting_accept")
+        late = client.post(START, json=body, headers=headers)
+        assert late.headers["Location"] == first.headers["Location"]
+        other = client.post(START, json={"mode": "test", "arm": True}, headers=headers)
+        problem(other, 422, "idempotency-key-reused")
+        assert len(director.workers) == 1
+
+
+@pytest.mark.parametrize("state", ["awaiting_arm", "running", "analysing"])
+def test_a_stop_ends_the_run_as_stopped_whatever_it_does(tmp_path: Path, state: str) -> None:
+    director = Director()
+    (director.analyse if state == "analysing" else director.go).clear()
+    with running(tmp_path, director) as (client, _):
+        location = start(client, arm=state != "awaiting_arm")
+        wait_for(client, location, state)
+        answer = client.post(STOP)
+        assert answer.status_code == 200
+        assert answer.json()["identification"] == location.rsplit("/", 1)[1]
+        ended = wait_for(client, location, "stopped")
+        assert ended["error"]["code"] == "stopped"
+        if state != "awaiting_arm":
+            assert client.get(f"{location}/recording").status_code == 200
+        assert client.get("/api/v1/cells/cell/readiness").json()["can_start"] is True
+
+
+def test_a_runner_that_does_not_hear_the_stop_is_killed(tmp_path: Path) -> None:
+    director = Director()
+    director.go.clear()
+    director.deaf = True
+    with running(tmp_path, director, stop_grace_s=0.2) as (client, _):
+        location = start(client)
+        wait_for(client, location, "running")
+        client.post(STOP)
+        wait_for(client, location, "stopped")
+        assert director.workers[0].killed.is_set()
+
+
+def test_stopping_what_stands_still_is_no_error_and_neither_is_stopping_twice(tmp_path: Path) -> None:
+    with running(tmp_path) as (client, _):
+        for _ in range(2):
+            assert client.post(STOP).json()["stopping"] is False
+
+
+def test_a_stop_reaches_the_runner_while_the_store_is_locked_and_the_disk_is_full(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    director = Director()
+    director.go.clear()
+    with running(tmp_path, director) as (client, _):
+        location = start(client)
+        wait_for(client, location, "running")
+        service = client.app.state.service  # type: ignore[attr-defined]
+
+        def locked(*_: Any, **__: Any) -> None:
+            time.sleep(1.0)
+            raise OperationalError("locked", None, Exception("database is locked"))
+
+        def full(*_: Any, **__: Any) -> None:
+            time.sleep(1.0)
+            raise OSError(28, "No space left on device")
+
+        monkeypatch.setattr(service.store, "save_state", locked)
+        monkeypatch.setattr(service.store, "run", locked)
+        monkeypatch.setattr(service.audit, "write", full)
+        began = time.monotonic()
+        assert client.post(STOP).status_code == 200
+        assert time.monotonic() - began < 0.5
+        deadline = time.monotonic() + 0.5
+        while not director.workers[0].stopped.is_set() and time.monotonic() < deadline:
+            time.sleep(0.01)
+        assert director.workers[0].stopped.is_set()
+        monkeypatch.undo()
+        wait_for(client, location, "stopped")
+
+
+def test_cancel_is_idempotent_and_ended_states_never_change(tmp_path: Path) -> None:
+    director = Director()
+    director.go.clear()
+    with running(tmp_path, director) as (client, _):
+        location = start(client)
+        wait_for(client, location, "running")
+        for _ in range(3):
+            assert act(client, location, "cancel").json()["state"] == "cancelled"
+        for kind in ("arm", "accept", "reject"):
+            problem(act(client, location, kind), 409, "wrong-state")
+        client.post(STOP)
+        assert client.get(location).json()["state"] == "cancelled"
+
+
+def test_a_runner_that_dies_makes_the_run_fail_and_frees_the_cell(tmp_path: Path) -> None:
+    director = Director()
+    director.die = True
+    with running(tmp_path, director) as (client, _):
+        location = start(client)
+        failed = wait_for(client, location, "failed")
+        assert failed["error"]["code"] == "runner-died"
+        director.die = False
+        wait_for(client, start(client), "awaiting_accept")
+
+
+def test_a_failure_carries_code_text_and_fix(tmp_path: Path) -> None:
+    director = Director()
+    director.failure = {"code": "drive", "text": "A2 does not answer", "fix": "look at the cable"}
+    with running(tmp_path, director) as (client, _):
+        assert wait_for(client, start(client), "failed")["error"] == director.failure
+
+
+def test_a_run_nobody_arms_is_cancelled_after_its_time(tmp_path: Path) -> None:
+    with running(tmp_path, arm_timeout_s=0.2) as (client, _):
+        cancelled = wait_for(client, start(client, arm=False), "cancelled")
+        assert cancelled["error"]["code"] == "timeout"
+
+
+def test_accepted_models_form_a_history_and_can_be_restored(tmp_path: Path) -> None:
+    director = Director()
+    with running(tmp_path, director) as (client, _):
+        problem(client.get("/api/v1/cells/cell/model"), 404, "model-not-found")
+        first = start(client)
+        wait_for(client, first, "awaiting_accept")
+        act(client, first, "accept")
+        director.model = lambda: model_document(scale_mass=1.2)
+        second = start(client)
+        wait_for(client, second, "awaiting_accept")
+        act(client, second, "accept")
+        assert act(client, second, "accept").status_code == 200
+        current = client.get("/api/v1/cells/cell/model").json()
+        assert current["branches"][1]["masses"][2]["value"] == pytest.approx(7.2)
+        old = first.rsplit("/", 1)[1]
+        restored = client.post(f"/api/v1/cells/cell/models/{old}/restore").json()
+        assert [h["how"] for h in restored["history"]] == ["restore", "accept", "accept"]
+        assert client.get("/api/v1/cells/cell/model").json()["id"] == old
+
+
+def test_a_rejected_model_never_comes_into_force(tmp_path: Path) -> None:
+    with running(tmp_path) as (client, _):
+        location = start(client)
+        wait_for(client, location, "awaiting_accept")
+        rejected = act(client, location, "reject").json()
+        assert rejected["state"] == "cancelled"
+        assert rejected["decision"]["type"] == "rejected"
+        problem(client.get("/api/v1/cells/cell/model"), 404, "model-not-found")
+        identity = location.rsplit("/", 1)[1]
+        problem(client.post(f"/api/v1/cells/cell/models/{identity}/restore"), 404, "model-not-found")
+
+
+def test_a_result_that_waits_for_accept_does_not_block_the_cell(tmp_path: Path) -> None:
+    with running(tmp_path) as (client, _):
+        first = start(client)
+        wait_for(client, first, "awaiting_accept")
+        wait_for(client, start(client), "awaiting_accept")
+        assert act(client, first, "accept").json()["state"] == "succeeded"
+
+
+@pytest.mark.parametrize(("scale", "state"), [(1.001, "succeeded"), (1.2, "awaiting_accept")])
+def test_results_within_the_stated_bounds_are_accepted_automatically(
+    tmp_path: Path, scale: float, state: str
+) -> None:
+    director = Director()
+    bounds = {"max_change_percent": 5.0}
+    with running(tmp_path, director, auto_accept=bounds) as (client, _):
+        first = start(client)
+        wait_for(client, first, "awaiting_accept")  # the first one is looked at by a person
+        act(client, first, "accept")
+        director.model = lambda: model_document(scale_mass=scale)
+        second = start(client)
+        wait_for(client, second, "awaiting_accept", "succeeded")
+        time.sleep(0.2)
+        assert client.get(second).json()["state"] == state
+
+
+def test_changes_name_the_tool_and_nothing_else(tmp_path: Path) -> None:
+    director = Director()
+    with running(tmp_path, director) as (client, _):
+        problem(client.get("/api/v1/cells/cell/changes"), 409, "no-comparison")
+        for scale in (1.0, 1.2):
+            director.model = lambda scale=scale: model_document(scale_mass=scale)  # type: ignore[misc]
+            location = start(client)
+            wait_for(client, location, "awaiting_accept")
+            act(client, location, "accept")
+        changes = client.get("/api/v1/cells/cell/changes").json()
+        assert changes["simulated"] is True
+        assert [p["parameter"] for p in changes["parameters"] if p["status"] == "changed"] == ["A2.mass.3"]
+        assert changes["sentence"].startswith("A2: final mass 6.00")
+        assert "consistent with a tool change. Nothing else changed." in changes["sentence"]
+        problem(client.get("/api/v1/cells/cell/changes?from=nothing"), 404, "model-not-found")
+
+
+def test_events_resume_after_the_last_one_seen(tmp_path: Path) -> None:
+    with running(tmp_path) as (client, _):
+        location = start(client)
+        wait_for(client, location, "awaiting_accept")
+        act(client, location, "accept")
+        text = client.get(f"{location}/events").text
+        ids = [int(line[4:]) for line in text.splitlines() if line.startswith("id: ")]
+        assert ids == sorted(set(ids))
+        rest = client.get(f"{location}/events", headers={"Last-Event-ID": str(ids[2])}).text
+        assert [int(x[4:]) for x in rest.splitlines() if x.startswith("id: ")] == ids[3:]
+        problem(client.get(f"{location}/events", headers={"Last-Event-ID": "x"}), 422, "invalid-request")
+
+
+def test_results_that_do_not_exist_yet_are_a_problem_that_says_the_state(tmp_path: Path) -> None:
+    director = Director()
+    director.go.clear()
+    with running(tmp_path, director) as (client, _):
+        location = start(client)
+        wait_for(client, location, "running")
+        for kind in ("recording", "model", "diagnosis", "report"):
+            document = problem(client.get(f"{location}/{kind}"), 404, "artefact-not-found")
+            assert document["state"] == "running"
+
+
+def test_every_request_that_can_move_the_robot_is_in_the_audit_log(tmp_path: Path) -> None:
+    with running(tmp_path) as (client, _):
+        location = start(client, arm=False)
+        wait_for(client, location, "awaiting_arm")
+        act(client, location, "arm")
+        wait_for(client, location, "awaiting_accept")
+        act(client, location, "accept")
+        client.post(STOP)
+        time.sleep(0.2)
+        lines = client.get("/api/v1/audit").json()
+    assert [line["action"] for line in lines] == ["start", "arm", "accept", "stop"]
+    assert {line["caller"] for line in lines} == {"local"}
+    assert lines[0]["mode"] == "full"
+
+
+def test_an_audit_log_that_cannot_be_written_lets_nothing_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with running(tmp_path) as (client, director):
+        service = client.app.state.service  # type: ignore[attr-defined]
+
+        def full(*_: Any, **__: Any) -> None:
+            raise OSError(28, "No space left on device")
+
+        monkeypatch.setattr(service.audit, "write", full)
+        problem(client.post(START, json={"mode": "full", "arm": True}), 507, "disk-full")
+        monkeypatch.undo()
+        assert director.workers == []
+        wait_for(client, start(client), "awaiting_accept")
+
+
+def test_a_simulated_cell_gets_another_tool_and_its_old_one_back(tmp_path: Path) -> None:
+    path = "/api/v1/cells/cell/simulation"
+    with running(tmp_path) as (client, director):
+        before = client.get(path).json()["truth"]["masses"]
+        changed = client.patch(path, json={"payload": {"axis": "A2", "mass": 1.31}}).json()["truth"]["masses"]
+        assert changed[1][2] == pytest.approx(6.0 + 1.31)
+        assert [changed[0], changed[1][:2], changed[2]] == [before[0], before[1][:2], before[2]]
+        wait_for(client, start(client), "awaiting_accept")
+        config = director.workers[0].job.config
+        assert config is not None
+        assert config["simulation"]["plant"]["branches"][1]["masses"][2] == pytest.approx(7.31)
+        problem(client.patch(path, json={"payload": {"axis": "A9", "mass": 1.0}}), 422, "invalid-request")
+        problem(client.patch(path, json={"payload": {"axis": "A2", "mass": -100.0}}), 422, "invalid-request")
+    with running(tmp_path) as (client, _):  # it outlives a restart
+        assert client.get(path).json()["truth"]["masses"][1][2] == pytest.approx(7.31)
+        assert client.patch(path, json={"reset": True}).json()["truth"]["masses"] == before
+
+
+def test_metrics_health_and_version_answer_for_the_supervision(tmp_path: Path) -> None:
+    with running(tmp_path) as (client, _):
+        location = start(client)
+        wait_for(client, location, "awaiting_accept")
+        act(client, location, "accept")
+        for prefix in ("", "/api/v1"):
+            assert client.get(f"{prefix}/health/live").json() == {"status": "live"}
+            assert client.get(f"{prefix}/health/ready").status_code == 200
+            assert client.get(f"{prefix}/version").json()["name"] == "invid"
+            metrics = client.get(f"{prefix}/metrics").text
+            assert 'invid_identifications_ended_total{mode="full",state="succeeded"} 1.0' in metrics
