@@ -14,6 +14,7 @@ from can import BusABC, Message
 from invid.config.schema import CellConfig
 from invid.errors import BusError
 from invid_drivers.simulated.cell import NEVER, SimulatedCell
+from invid_drivers.simulated.node import Nmt
 from invid_drivers.simulated.unix_bus import UnixHub
 
 _NS = 1_000_000_000
@@ -99,9 +100,7 @@ def run_simcell(
         loop.warm_up()
         if own:  # the process is the cell's own: no pauses for collection
             gc.disable()
-        if ready is not None:
-            ready.set()
-        loop.run(stop_event)
+        loop.run(stop_event, ready)
         return loop.statistics()
     finally:
         if collecting:
@@ -144,11 +143,14 @@ class _Loop:
         except can.CanError:  # a full queue or no listener: a drive does not care
             self._not_sent += 1
 
-    def run(self, stop_event: threading.Event) -> None:
-        """Until stopped."""
+    def run(self, stop_event: threading.Event, ready: threading.Event | None) -> None:
+        """Until stopped; ``ready`` is set once every drive has booted."""
         cell, bus = self._cell, self._bus
         failures = 0
         while not stop_event.is_set():
+            if ready is not None and all(d.node.state is not Nmt.INITIALISING for d in cell.drives):
+                ready.set()
+                ready = None
             now = self._now()
             if cell.due_ns <= now:
                 self._late_ns = max(self._late_ns, now - cell.due_ns)

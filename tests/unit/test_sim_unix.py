@@ -1,0 +1,119 @@
+"""CAN over AF_UNIX: several ports, order, loss of the other side."""
+
+from __future__ import annotations
+
+import os
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+
+import can
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from invid_drivers.simulated.unix_bus import UnixBus, UnixHub, pack_frame, unpack_frame
+
+
+@pytest.fixture
+def hub(tmp_path: Path) -> Iterator[UnixHub]:
+    made = UnixHub(str(tmp_path / "bus.sock"))
+    yield made
+    made.shutdown()
+
+
+def path_of(hub: UnixHub) -> str:
+    return hub.channel_info.removeprefix("invid-unix hub ")
+
+
+def message(can_id: int, data: bytes = b"") -> can.Message:
+    return can.Message(arbitration_id=can_id, data=data, is_extended_id=False)
+
+
+@given(
+    can_id=st.integers(0, 0x7FF),
+    data=st.binary(max_size=8),
+    extended=st.booleans(),
+)
+def test_a_frame_survives_packing(can_id: int, data: bytes, extended: bool) -> None:
+    sent = can.Message(arbitration_id=can_id, data=data, is_extended_id=extended)
+    got = unpack_frame(pack_frame(sent), 1.5)
+    assert got is not None
+    assert got.equals(sent, timestamp_delta=None, check_direction=False)
+
+
+@given(st.binary(max_size=40))
+def test_a_packet_that_is_no_frame_is_nothing(packet: bytes) -> None:
+    got = unpack_frame(packet, 0.0)
+    assert got is None or len(packet) == 16
+
+
+def test_frames_reach_all_other_ports_in_order(hub: UnixHub) -> None:
+    with UnixBus(path_of(hub)) as a, UnixBus(path_of(hub)) as b:
+        assert hub.recv(0.1) is None  # let it accept
+        for number in range(20):
+            a.send(message(0x100 + number, bytes([number])))
+        at_hub = [hub.recv(1.0) for _ in range(20)]
+        at_b = [b.recv(1.0) for _ in range(20)]
+        for got in (at_hub, at_b):
+            assert [m.arbitration_id for m in got if m] == list(range(0x100, 0x114))
+        assert a.recv(0.0) is None  # not its own
+        hub.send(message(0x700))
+        assert [m.arbitration_id for m in (a.recv(1.0), b.recv(1.0)) if m] == [0x700, 0x700]
+
+
+def test_recv_waits_as_long_as_told(hub: UnixHub) -> None:
+    with UnixBus(path_of(hub)) as port:
+        assert port.recv(0.05) is None
+        assert port.recv(0) is None
+
+
+def test_the_loss_of_the_hub_is_an_operation_error(hub: UnixHub) -> None:
+    with UnixBus(path_of(hub)) as port:
+        hub.recv(0.05)
+        hub.shutdown()
+        with pytest.raises(can.CanOperationError, match="gone"):
+            port.recv(1.0)
+        with pytest.raises(can.CanOperationError, match="gone"):
+            port.send(message(1))
+        with pytest.raises(can.CanOperationError, match="gone"):
+            port.recv(0.0)
+
+
+def test_a_port_that_leaves_or_stops_reading_does_not_disturb_the_others(hub: UnixHub) -> None:
+    gone, deaf, good = (UnixBus(path_of(hub)) for _ in range(3))
+    hub.recv(0.05)
+    assert hub.ports == 3
+    gone.shutdown()
+    received = 0
+    for _ in range(5000):
+        hub.send(message(0x80))
+        received += good.recv(0.5) is not None
+    assert received == 5000
+    hub.recv(0.05)
+    assert hub.ports == 1  # the deaf one's queue has overflowed
+    good.shutdown()
+    deaf.shutdown()
+
+
+def test_garbage_from_a_port_is_ignored(hub: UnixHub) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as raw, UnixBus(path_of(hub)) as port:
+        raw.connect(path_of(hub))
+        hub.recv(0.05)
+        for size in (1, 15, 17, 300):
+            raw.send(os.urandom(size))
+        port.send(message(0x123))
+        frame = hub.recv(1.0)
+        assert frame is not None
+        assert frame.arbitration_id == 0x123
+
+
+def test_nobody_there_says_how_to_go_on(tmp_path: Path) -> None:
+    with pytest.raises(can.CanInitializationError, match="invid simcell"):
+        can.Bus(interface="invid-unix", channel=str(tmp_path / "none.sock"))
+    with pytest.raises(can.CanInitializationError):
+        UnixBus("x" * 200)
+
+
+def test_the_socket_is_the_owners_alone(hub: UnixHub) -> None:
+    assert os.stat(path_of(hub)).st_mode & 0o077 == 0
