@@ -45,7 +45,7 @@ def render_report(recording: Recording, model: Model, diagnosis: Diagnosis | Non
     return environment.get_template("report.html.j2").render(
         recording=recording,
         diagnosis=diagnosis,
-        headline=_headline(diagnosis),
+        headline=_headline(model, diagnosis),
         sentences=_sentences(diagnosis),
         pictures=draw(data),
         captions=_captions(data),
@@ -62,8 +62,11 @@ def render_report(recording: Recording, model: Model, diagnosis: Diagnosis | Non
     )
 
 
-def _headline(diagnosis: Diagnosis | None) -> str:
+def _headline(model: Model, diagnosis: Diagnosis | None) -> str:
     if diagnosis is None:
+        spread = np.concatenate([*model.std.masses, *model.std.springs])
+        if not np.isfinite(spread).all():
+            return "An elastic model of this robot, but this measurement cannot tell all of it."
         return "The elastic model of this robot, identified from the measurement."
     return HEADLINE[diagnosis.verdict]
 
@@ -83,8 +86,9 @@ def _captions(data: Mapping[str, Any]) -> dict[str, str]:
     captions = {
         "residual": "Torque that each motor would still need for the measured motion, on data that no fit "
         "has seen: with the linear model, with the causes named, and what noise alone would leave.",
-        "missing-torque": "The same over frequency, under the linear model. Where the grey floor rises, "
-        "noise of the sensors is amplified by the plant (resonances with the motors held): no fault there.",
+        "missing-torque": "Torque that each motor would still need, over frequency, under the linear model. "
+        "Where the grey floor rises, the plant amplifies the sensors' noise (resonances with the motors "
+        "held): no fault there.",
     }
     for number, cause in enumerate(data["causes"], 1):
         what = cause["x_label"].split(" [")[0]
@@ -94,7 +98,8 @@ def _captions(data: Mapping[str, Any]) -> dict[str, str]:
     for number, axis in enumerate(data["frf"], 1):
         peaks = ", ".join(f"{peak:.4g}" for peak in axis["peaks_hz"])
         captions[f"frf-{number}"] = (
-            f"{axis['axis']}: motion per torque, measured and simulated, before and after on one scale."
+            f"{axis['axis']}: motion per torque, measured and simulated"
+            + (", before and after on one scale." if "after" in axis["simulated"] else ".")
             + (f" Peaks at {peaks} Hz." if peaks else "")
         )
     return captions
