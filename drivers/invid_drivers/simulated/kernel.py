@@ -186,8 +186,8 @@ def _friction(
                 continue
             v = free[n + a]
             for j in range(rows):
-                v += gamma[n + a, int(friction[j, DOF])] * level[j]
-            new = min(max(level[i] - v / gamma[n + a, a], lower), upper)
+                v += gamma[int(friction[j, DOF]), n + a] * level[j]
+            new = min(max(level[i] - v / gamma[a, n + a], lower), upper)
             change = abs(new - level[i]) / (upper - lower)
             worst = max(worst, change)
             level[i] = new
@@ -197,7 +197,7 @@ def _friction(
         if level[i] != 0.0:
             a = int(friction[i, DOF])
             for k in range(2 * n):
-                free[k] += gamma[k, a] * level[i]
+                free[k] += gamma[a, k] * level[i]
 
 
 @_compiled
@@ -220,7 +220,10 @@ def advance(
     level: Float64,
     work: Float64,
 ) -> int:  # pragma: no cover - compiled
-    """Advance ``q`` in place by ``steps`` sub-steps; returns the new slot of the delay ring."""
+    """Advance ``q`` in place by ``steps`` sub-steps; returns the new slot of the delay ring.
+
+    ``phi``, ``gamma`` and ``ramp`` are transposed: row c is what coordinate or force c adds.
+    """
     n = external.shape[0]
     count = motors.shape[0]
     free, force, later = work[0], work[1], work[2]
@@ -235,22 +238,25 @@ def advance(
             later[k] = force[k]
         if elements.shape[0]:
             _nonlinear(q, n, elements, memory, force, False)
+        # column by column: the inner loops are then vectorised without reordering any sum
         for k in range(2 * n):
-            total = 0.0
-            for c in range(2 * n):
-                total += phi[k, c] * q[c]
-            free[k] = total
+            free[k] = 0.0
+        for c in range(2 * n):
+            value = q[c]
+            for k in range(2 * n):
+                free[k] += phi[c, k] * value
         for c in range(n):
-            if force[c] != 0.0:
+            value = force[c]
+            if value != 0.0:
                 for k in range(2 * n):
-                    free[k] += gamma[k, c] * force[c]
+                    free[k] += gamma[c, k] * value
         if elements.shape[0]:
             _nonlinear(free, n, elements, memory, later, True)
             for c in range(n):
                 difference = later[c] - force[c]
                 if difference != 0.0:
                     for k in range(2 * n):
-                        free[k] += ramp[k, c] * difference
+                        free[k] += ramp[c, k] * difference
         _friction(q, free, n, gamma, friction, level, command)
         for i in range(count):
             state[i, ACCELERATION] = (free[n + motors[i]] - q[n + motors[i]]) / h

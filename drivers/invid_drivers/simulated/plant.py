@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.linalg import eigh, expm
+from scipy.linalg import expm
 
 from invid.arrays import Float64
 from invid_drivers.simulated import kernel
@@ -59,7 +59,8 @@ class Plant:
 
     def _set_matrices(self, time_s: float) -> None:
         mass, damping, stiffness = self.structure.matrices(time_s)
-        self._phi, self._gamma, self._ramp = discretise(mass, damping, stiffness, self.h)
+        step = discretise(mass, damping, stiffness, self.h)
+        self._phi, self._gamma, self._ramp = (np.ascontiguousarray(m.T) for m in step)
 
     def _change_due(self, now_ns: int) -> int:
         """When the matrices are next due for renewal [ns]."""
@@ -144,13 +145,6 @@ def discretise(
     augmented[n : 2 * n, 2 * n : 3 * n] = inverse
     augmented[2 * n : 3 * n, 3 * n :] = np.eye(n) / h
     step = expm(augmented * h)
-    return (
-        np.ascontiguousarray(step[: 2 * n, : 2 * n]),
-        np.ascontiguousarray(step[: 2 * n, 2 * n : 3 * n]),
-        np.ascontiguousarray(step[: 2 * n, 3 * n :]),
-    )
+    top = step[: 2 * n]
+    return top[:, : 2 * n], top[:, 2 * n : 3 * n], top[:, 3 * n :]
 
-
-def fastest_mode(mass: Float64, stiffness: Float64) -> float:
-    """Highest undamped angular frequency [rad/s]."""
-    return float(math.sqrt(max(eigh(stiffness, mass, eigvals_only=True)[-1], 0.0)))
