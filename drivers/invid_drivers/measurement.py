@@ -14,7 +14,7 @@ import yaml
 from invid.arrays import frozen_float
 from invid.chains import CoupledChains
 from invid.config import CellConfig
-from invid.errors import ConfigError, SafetyStop
+from invid.errors import BusError, ConfigError, DriveError, SafetyStop
 from invid.plan import Plan, make_plan
 from invid.recording import Outcome, Recording, RecordingWriter
 from invid.sweep import Progress, Sweep, SweepResult
@@ -112,9 +112,17 @@ def run_measurement(
         outcome = Outcome.COMPLETED
         complaints = cell.close()
         closed = True
+        if cell.not_off:
+            raise DriveError(_not_off(cell.not_off))
         return _result(config, cell, out, result, recorder, complaints)
-    except (SafetyStop, KeyboardInterrupt):
+    except (SafetyStop, KeyboardInterrupt) as error:
         outcome = Outcome.ABORTED
+        if cell.not_off and isinstance(error, SafetyStop):
+            raise SafetyStop(f"{error}. {_not_off(cell.not_off)}") from None
+        raise
+    except BusError as error:
+        if cell.not_off and not str(error).endswith(_not_off(cell.not_off)):
+            raise type(error)(f"{error}. {_not_off(cell.not_off)}") from None
         raise
     finally:
         # The drives first: a file that cannot be closed must not keep an axis energised.
@@ -122,6 +130,14 @@ def run_measurement(
             cell.close()
         if recorder is not None:
             recorder.close(outcome)
+
+
+def _not_off(axes: tuple[str, ...]) -> str:
+    return (
+        f"Axis {', '.join(axes)} was not seen to switch off (its heartbeat watch should stop it): make "
+        "sure of "
+        "it, with the emergency stop if need be"
+    )
 
 
 def _header(config: CellConfig, cell: Cia402Cell) -> Recording:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -25,6 +25,8 @@ TRIAL_FIRST_S, TRIAL_LAST_S = 0.02, 2.56
 """Lengths of the doublets, doubled until the axis has moved enough."""
 TRIAL_COUNTS, TRIAL_WINDOW = 50, 0.01
 """Enough is 50 encoder counts and 1 % of the position window: the slope is then good to a few per cent."""
+TRIAL_MOST = 0.1
+"""A trial ends when it has used a tenth of the position window."""
 LEAST_COUNTS = 5
 """Less than this after the longest doublet, and the axis did not move."""
 NEAR_LIMIT = 0.8
@@ -308,10 +310,12 @@ class Sweep:
         # The slope is of the sampled position, so the axis must move many counts.
         wanted = max(TRIAL_COUNTS * resolution, TRIAL_WINDOW * limits.position)
         length = TRIAL_FIRST_S
+        sign = 0.0
         while True:
             wave = amplitude * doublet(round(length / cycle))
-            rows = np.zeros((wave.size + 1, self._count))
-            rows[:-1, axis] = wave
+            quiet = max(8, round(trials.EDGE_S / cycle))
+            rows = np.zeros((wave.size + 2 * quiet, self._count))
+            rows[quiet:-quiet, axis] = wave
             kept = self._play(rows.tolist(), len(rows), log=True)
             demand = kept[0][:, axis] - self._bias[axis]
             position = kept[2][:, axis] - kept[2][0, axis]
@@ -322,7 +326,10 @@ class Sweep:
                 cycle,
                 self.cell.rated_torque[axis],
             )
-            if found.displacement >= wanted or (length * 2 > TRIAL_LAST_S):
+            sign = max(sign, found.sign, key=abs)
+            if sign < -trials.DECISIVE or (found.displacement >= wanted and sign > trials.DECISIVE):
+                break
+            if length * 2 > TRIAL_LAST_S or found.displacement > TRIAL_MOST * limits.position:
                 break
             length *= 2
         unit, torque_unit = ("m", "N") if self.config.linear else ("rad", "N·m")
@@ -333,7 +340,12 @@ class Sweep:
                 "stuck, or friction is "
                 "above the trial torque; free the axis, or raise limits.torque if the axis may take more"
             )
-        trials.judge(name, found, amplitude=amplitude, unit=unit, torque_unit=torque_unit)
+        if abs(sign) <= trials.DECISIVE:
+            self.warnings.append(
+                f"axis {name}: the trial could hardly tell the encoder's sign ({sign:+.1f} standard "
+                "deviations); the encoder is coarse or the torque small"
+            )
+        trials.judge(name, replace(found, sign=sign), amplitude=amplitude, unit=unit, torque_unit=torque_unit)
         self._inertia[axis] = settings.inertia if settings.inertia is not None else found.inertia
         # back to where it stood, gently
         self._centre({axis}, lowest=3.0)

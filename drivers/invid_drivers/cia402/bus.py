@@ -68,10 +68,13 @@ class Cia402Cell:
         self._late = True
         self._operational = False
         self._touched = False
-        self._mode_asked: int | None = None
+        self._mode_asked = 0
         self._next_mode_poll = 0.0
         self._stopped = True
         self.held_at_end: tuple[str, ...] = ()
+        """Gravity-loaded axes that their drives hold in quick stop active."""
+        self.not_off: tuple[str, ...] = ()
+        """Axes that were not seen to switch off."""
         self.skipped_slots = 0
         self.lateness: list[float] | None = None
 
@@ -194,7 +197,6 @@ class Cia402Cell:
                 drive.command(od.TARGET_TORQUE, report.scaling.permille(torque[i]))
             drive.set_mode(self._operation_mode(report, mode))
             self._modes[i] = mode
-        self._mode_asked = None
         self._restart_slots()
 
     def _restart_slots(self) -> None:
@@ -294,8 +296,6 @@ class Cia402Cell:
             return
         data = bytes(message.data)
         if len(data) == 8 and data[1:4] == _MODE_REQUEST[1:4] and data[0] & 0xE0 == 0x40:
-            if axis == self._mode_asked:
-                self._mode_asked = None
             shown = int.from_bytes(data[4:5], "little", signed=True)
             wanted = self._operation_mode(self._reports[axis], self._modes[axis])
             if shown != int(wanted):
@@ -330,9 +330,8 @@ class Cia402Cell:
                         drive.name,
                     )
                 )
-        following = 0 if self._mode_asked is None else (self._mode_asked + 1) % len(self._drives)
-        self._mode_asked = following
-        self._link.send(0x600 + self._drives[following].node_id, _MODE_REQUEST)
+        self._mode_asked = (self._mode_asked + 1) % len(self._drives)
+        self._link.send(0x600 + self._drives[self._mode_asked].node_id, _MODE_REQUEST)
 
     # --- the way out ---------------------------------------------------------------------------
     def stop(self) -> None:
@@ -350,12 +349,21 @@ class Cia402Cell:
         with contextlib.suppress(InvidError):
             self._drive_to(None, DISABLE_S, self._disabled)
         for i, drive in enumerate(self._drives):
-            if self._may_disable(i) and states.is_energised(state_of(self._sample.status[i])):
+            if self._may_disable(i) and self._energised(i):
                 drive.quiet_command(od.CONTROLWORD, states.DISABLE_VOLTAGE)
+                with contextlib.suppress(InvidError):
+                    self._drive_to(None, 0.05, self._disabled)
+        self.not_off = tuple(
+            d.name for i, d in enumerate(self._drives) if self._may_disable(i) and self._energised(i)
+        )
         for i, drive in enumerate(self._drives):
             if self._may_disable(i):
                 with contextlib.suppress(InvidError):
                     self._link.nmt(NMT_STOP, drive.node_id)
+
+    def _energised(self, axis: int) -> bool:
+        """As far as is known: a drive that fell silent may still be on."""
+        return not self._sample.fresh[axis] or states.is_energised(state_of(self._sample.status[axis]))
 
     def _may_disable(self, axis: int) -> bool:
         """A gravity-loaded axis without a brake stays in quick stop active, which holds it."""

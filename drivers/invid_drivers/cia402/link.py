@@ -235,6 +235,10 @@ class _PumpedSdo(SdoClient):
                     raise
         raise SdoCommunicationError("No SDO response received")
 
+    def abort(self, abort_code: int = 0x08000000) -> None:
+        """Tell the server that the transfer is over; quietly, the error that follows speaks."""
+        self.send_request(b"\x80\0\0\0" + abort_code.to_bytes(4, "little"))
+
     def send_request(self, request: bytes) -> None:
         """One SDO frame."""
         self._link.send(self.rx_cobid, bytes(request))
