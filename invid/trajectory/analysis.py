@@ -13,7 +13,7 @@ from invid.recording.model import Recording
 from invid.trajectory.kind import grounded_axes
 from invid.trajectory.motion import Band, Motion, find_band, prepare
 from invid.trajectory.regression import Design, Fit, fit
-from invid.trajectory.selection import Selection, fit_fast, select
+from invid.trajectory.selection import Selection, fit_fast, needed, select
 from invid.trajectory.terms import Extent, Term, base_terms, candidate_terms, extent
 
 
@@ -58,11 +58,28 @@ def analyse(recording: Recording) -> Analysis:
     candidates = candidate_terms(recording.axis_count, reach, springs)
     chosen = select(design, base, candidates)
     terms, spread = _refined(design, chosen.final)
+    terms = _delays(design, terms, max(m.step for m in motions))
     final = fit(design, terms)
     rigid = fit(design, [t for t in final.terms if t.base])
     return Analysis(
         recording, band, motions, design, reach, springs, candidates, chosen, rigid, final, spread
     )
+
+
+def _delays(design: Design, terms: list[Term], step: float) -> list[Term]:
+    """Time offsets beyond a sample are no convention: a cause where the data insist, else taken out."""
+    current = fit(design, terms)
+    for term in [t for t in terms if t.cause == "time_offset"]:
+        value, std = current.of(term)
+        if abs(value[0]) <= step + 2 * std[0]:
+            continue
+        without = fit(design, [t for t in terms if t is not term])
+        if needed(design, without, current):
+            terms = [replace(t, cause="torque_delay", base=False) if t is term else t for t in terms]
+        else:
+            terms = without.terms
+        current = fit(design, terms)
+    return terms
 
 
 def _refined(design: Design, result: Fit) -> tuple[list[Term], dict[Term, float]]:

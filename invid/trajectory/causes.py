@@ -49,6 +49,9 @@ def effect_of(analysis: Analysis, term: Term) -> EffectTerm:
             parameters["angle"] = Estimate(float(np.arctan2(cosine, sine)), angle, "rad")
         case "viscous_friction":
             parameters["coefficient"] = Estimate(*at["coefficient"], rate)
+        case "torque_delay":
+            element = None
+            parameters["delay"] = Estimate(*at["delay"], "s")
         case "cubic_stiffness" | "quadratic_stiffness":
             element = "spring 0"
             power = {"quadratic_stiffness": 2, "cubic_stiffness": 3}[term.cause]

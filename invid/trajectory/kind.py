@@ -83,6 +83,7 @@ def grounded_axes(recording: Recording) -> set[int]:
     found: set[int] = set()
     for i in range(count):
         plain = [Term("inertia", j, ("mass",), base=True) for j in range(count)]
+        plain += [Term("time_offset", j, ("delay",), base=True) for j in range(count)]
         plain += [Term("viscous_friction", i, ("coefficient",)), Term("coulomb_friction", i, ("torque",))]
         plain += [Term("torque_offset", i, ("torque",))]
         if not recording.linear and np.ptp(np.concatenate([m.position[:, i] for m in motions])) > 1.0:

@@ -95,6 +95,15 @@ def held_out_cost(design: Design, result: Fit) -> float:
     return float(np.mean((result.held_out * design.weight)[judged(design)] ** 2))
 
 
+def needed(design: Design, without: Fit, current: Fit) -> bool:
+    """True where ``current`` is better than ``without`` on both counts and by enough to matter."""
+    return (
+        training_p(without, current) < ALARM
+        and held_out_p(design, without, current) < 5 * ALARM
+        and held_out_cost(design, current) < (1 - LEAST_GAIN) * held_out_cost(design, without)
+    )
+
+
 def physical(result: Fit, term: Term) -> bool:
     """Coefficients that must not be negative are not."""
     value, _ = result.of(term)
@@ -253,12 +262,7 @@ def _prune(design: Design, current: Fit, terms: list[Term]) -> tuple[Fit, list[T
                 simple = fit(design, rest + replacement)
                 if not all(physical(simple, t) for t in replacement):
                     continue
-                needed = (
-                    training_p(simple, current) < ALARM
-                    and held_out_p(design, simple, current) < 5 * ALARM
-                    and held_out_cost(design, current) < (1 - LEAST_GAIN) * held_out_cost(design, simple)
-                )
-                if not needed:
+                if not needed(design, simple, current):
                     current, terms, changed = simple, rest + replacement, True
                     break
             if changed:

@@ -78,6 +78,8 @@ def columns(term: Term, motion: Motion) -> Float64:
             out[:, i, 0] = q
         case "torque_offset":
             out[:, i, 0] = 1.0
+        case "time_offset" | "torque_delay":
+            out[:, i, 0] = motion.torque_rate[:, i]
         case "viscous_friction":
             out[:, i, 0] = v
         case "coulomb_friction":
@@ -163,10 +165,15 @@ def extent(motions: list[Motion], rotary: bool) -> Extent:
 
 
 def base_terms(axes: int, steady: bool) -> list[Term]:
-    """Rigid inertia of every axis and its constant couplings; nothing where nothing accelerates."""
+    """Rigid inertia of every axis, its constant couplings, and the sampling instant of its torque.
+
+    The torque that acts may lag the record by part of a sample (it is held over the sample, and read at
+    some instant of it): τ(t − δ) ≈ τ − δ τ̇. That much is convention, not a fault.
+    """
     if steady:
         return []
     terms = [Term("inertia", i, ("mass",), base=True) for i in range(axes)]
+    terms += [Term("time_offset", i, ("delay",), base=True) for i in range(axes)]
     terms += [
         Term("coupling", i, ("coupling",), base=True, other=j)
         for i in range(axes)

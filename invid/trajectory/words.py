@@ -17,6 +17,7 @@ _NAMES = {
     "stribeck_friction": "Stribeck friction",
     "asymmetric_friction": "Coulomb and viscous friction, different in the two directions",
     "torque_offset": "a constant torque",
+    "torque_delay": "the torque that acts lags the record",
     "gravity": "gravity",
     "cubic_stiffness": "a spring force with the cube of the deflection",
     "quadratic_stiffness": "a spring force with the square of the deflection",

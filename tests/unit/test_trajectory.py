@@ -1,0 +1,265 @@
+"""Large motions: an axis integrated here, by other code than the one under test."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from invid.arrays import frozen_float
+from invid.diagnosis import Diagnosis, Verdict, diagnosis_to_json
+from invid.errors import InvidError
+from invid.model import dump_json
+from invid.recording import Experiment, Kind, Recording, Role
+from invid.trajectory import diagnose_trajectory, identify_trajectory, is_trajectory
+
+RATE, SUB = 500.0, 10
+Force = Callable[[float, float, float], float]
+
+
+def moves(seconds: float, rng: np.random.Generator, stroke: float = 1.0) -> np.ndarray:
+    """Point-to-point moves with quintic profiles of several speeds, dwells between them."""
+    step = 1 / (RATE * SUB)
+    pieces = [np.zeros(int(0.1 / step))]
+    while sum(p.size for p in pieces) * step < seconds:
+        start, goal = pieces[-1][-1], stroke * rng.uniform(-1, 1)
+        s = np.linspace(0, 1, int(rng.uniform(0.3, 1.2) / step))
+        pieces.append(start + (goal - start) * (10 * s**3 - 15 * s**4 + 6 * s**5))
+        pieces.append(np.full(int(0.05 / step), goal))
+    return np.concatenate(pieces)[: int(seconds / step)]
+
+
+def simulate(
+    rng: np.random.Generator,
+    *,
+    mass: float = 0.5,
+    dry: tuple[float, float] = (0.0, 0.0),
+    wet: tuple[float, float] = (0.0, 0.0),
+    extra: Force = lambda q, v, t: 0.0,
+    noise: float = 0.02,
+    seconds: float = 20.0,
+    stroke: float = 1.0,
+) -> Experiment:
+    """A mass under a PD loop; Coulomb friction sticks (Karnopp, semi-implicit), 2^17 counts a turn."""
+    dt = 1 / (RATE * SUB)
+    reference = moves(seconds, rng, stroke)
+    speed = np.gradient(reference, dt)
+    q = v = 0.0
+    rows = []
+    command = 0.0
+    for k in range(reference.size):
+        t = k * dt
+        if k % SUB == 0:
+            command = 400.0 * (reference[k] - q) + 20.0 * (speed[k] - v)
+            rows.append((t, q, command))
+        free = v + dt * (command - extra(q, v, t) - (wet[0] if v > 0 else wet[1]) * v) / mass
+        grip = dt * (dry[0] if free > 0 else dry[1]) / mass
+        v = 0.0 if abs(free) <= grip else free - np.sign(free) * grip
+        q += dt * v
+    time, position, torque = np.array(rows).T
+    count = 2 * np.pi / 2**17
+    position = np.round(position / count) * count
+    torque = torque + noise * rng.standard_normal(torque.size)
+    return experiment(time, position[:, None], torque[:, None])
+
+
+def experiment(time, position, torque, kind=Kind.OTHER, key="000", role=Role.IDENTIFY, attributes=None):
+    axes = position.shape[1]
+    return Experiment(
+        key=key,
+        kind=kind,
+        role=role,
+        excited_axis=0,
+        hold_gain=frozen_float(np.zeros(axes)),
+        period_samples=0,
+        frequencies_hz=frozen_float([]),
+        sample_rate_hz=1.0 / float(np.median(np.diff(time))),
+        time=frozen_float(time),
+        position=frozen_float(position),
+        torque=frozen_float(torque),
+        attributes=attributes or {},
+    )
+
+
+def recording(*experiments: Experiment) -> Recording:
+    axes = experiments[0].position.shape[1]
+    return Recording(
+        robot="test",
+        axes=tuple(f"A{i + 1}" for i in range(axes)),
+        position_unit="rad",
+        torque_unit="N·m",
+        created="2026-01-01T00:00:00Z",
+        experiments=experiments,
+    )
+
+
+def causes(diagnosis: Diagnosis) -> set[str]:
+    return {f.effect.cause for f in diagnosis.findings}
+
+
+def test_a_plain_mass_with_noise_is_consistent_and_nothing_is_named():
+    for seed in range(4):
+        diagnosis = diagnose_trajectory(recording(simulate(np.random.default_rng(seed))))
+        assert diagnosis.verdict is Verdict.CONSISTENT, (seed, diagnosis.sentences)
+        assert not diagnosis.findings
+        mass = diagnosis.model.chains.masses[0][0]
+        assert mass == pytest.approx(0.5, rel=0.01)
+        # The command is held over the sample: half of it is the mean lag.
+        offset = diagnosis.model.fit["time_offset_s"]["A1"]
+        assert offset["value"] == pytest.approx(0.5 / RATE, abs=0.1 / RATE)
+
+
+def test_coulomb_and_viscous_friction_are_named_with_their_sizes():
+    rng = np.random.default_rng(1)
+    diagnosis = diagnose_trajectory(recording(simulate(rng, dry=(1.0, 1.0), wet=(0.6, 0.6))))
+    found = {f.effect.cause: f.effect for f in diagnosis.findings}
+    assert set(found) == {"coulomb_friction", "viscous_friction"}
+    assert found["coulomb_friction"].value("torque") == pytest.approx(1.0, rel=0.03)
+    assert found["viscous_friction"].value("coefficient") == pytest.approx(0.6, rel=0.05)
+    assert diagnosis.model.chains.masses[0][0] == pytest.approx(0.5, rel=0.02)
+    assert diagnosis.explained_fraction is not None
+    assert diagnosis.explained_fraction > 0.95
+
+
+def test_friction_that_differs_by_direction_is_named_asymmetric():
+    rng = np.random.default_rng(2)
+    diagnosis = diagnose_trajectory(recording(simulate(rng, dry=(1.5, 0.8), wet=(0.3, 0.9))))
+    found = {f.effect.cause: f.effect for f in diagnosis.findings}
+    assert set(found) == {"asymmetric_friction"}
+    effect = found["asymmetric_friction"]
+    assert effect.value("coulomb_positive") == pytest.approx(1.5, rel=0.05)
+    assert effect.value("coulomb_negative") == pytest.approx(0.8, rel=0.08)
+    assert effect.value("viscous_positive") == pytest.approx(0.3, abs=0.08)
+    assert effect.value("viscous_negative") == pytest.approx(0.9, abs=0.08)
+
+
+def test_an_offset_with_symmetric_friction_is_not_called_asymmetric():
+    rng = np.random.default_rng(3)
+    diagnosis = diagnose_trajectory(
+        recording(simulate(rng, dry=(1.0, 1.0), wet=(0.5, 0.5), extra=lambda q, v, t: 0.4, stroke=0.09))
+    )
+    found = {f.effect.cause: f.effect for f in diagnosis.findings}
+    assert "asymmetric_friction" not in found
+    assert found["torque_offset"].value("torque") == pytest.approx(0.4, rel=0.1)
+
+
+def test_gravity_is_named_with_its_angle():
+    rng = np.random.default_rng(4)
+    diagnosis = diagnose_trajectory(
+        recording(simulate(rng, extra=lambda q, v, t: 3.0 * np.sin(q + 0.4), stroke=1.5))
+    )
+    found = {f.effect.cause: f.effect for f in diagnosis.findings}
+    assert set(found) == {"gravity"}
+    assert found["gravity"].value("torque") == pytest.approx(3.0, rel=0.03)
+    assert found["gravity"].value("angle") == pytest.approx(0.4, abs=0.03)
+
+
+@pytest.mark.parametrize(
+    "extra",
+    [
+        lambda q, v, t: 0.6 * np.sin(23.0 * q + 0.3),
+        lambda q, v, t: 0.8 * np.sin(2 * np.pi * 3.1 * t),
+        lambda q, v, t: 0.8 * (t > 11.3) * np.sin(2 * np.pi * 1.3 * t),
+    ],
+    ids=["ripple over position", "hum over time", "hum that starts late"],
+)
+def test_what_is_outside_the_catalogue_is_left_unnamed(extra: Force):
+    diagnosis = diagnose_trajectory(recording(simulate(np.random.default_rng(5), extra=extra)))
+    assert not causes(diagnosis), diagnosis.sentences
+    assert diagnosis.verdict is Verdict.UNEXPLAINED
+    assert diagnosis.unexplained is not None
+    assert diagnosis.unexplained.axis == "A1"
+
+
+def test_a_mass_on_a_spring_to_ground_that_hardens_is_told_from_gravity():
+    rng = np.random.default_rng(6)
+    dt = 1e-4
+    drive = np.zeros(int(40 / dt))
+    for f in np.arange(0.5, 12.0, 0.37):
+        drive += 1.5 * np.sin(2 * np.pi * f * np.arange(drive.size) * dt + rng.uniform(0, 6.28))
+    q = v = 0.0
+    rows = []
+    for k, force in enumerate(drive):
+        if k % 20 == 0:
+            rows.append((k * dt, q, force))
+        v += dt * (force - 900.0 * q - 1.2 * v - 9e4 * q**3) / 0.4
+        q += dt * v
+    time, position, torque = np.array(rows).T
+    position = position + 2e-6 * rng.standard_normal(position.size)
+    data = recording(experiment(time, position[:, None], torque[:, None]))
+    assert is_trajectory(data)
+    diagnosis = diagnose_trajectory(data)
+    found = {f.effect.cause: f.effect for f in diagnosis.findings}
+    assert "cubic_stiffness" in found
+    assert not {"gravity", "coulomb_friction", "quadratic_stiffness"} & set(found)
+    assert found["cubic_stiffness"].value("coefficient") == pytest.approx(9e4, rel=0.05)
+    assert diagnosis.model.chains.ground_springs[0] == pytest.approx(900.0, rel=0.02)
+
+
+def test_constant_speeds_show_stribeck_friction_and_say_that_the_inertia_is_unknown():
+    rng = np.random.default_rng(7)
+    experiments = []
+    for k, speed in enumerate([s * d for s in np.geomspace(0.3, 30, 14) for d in (1, -1)]):
+        time = np.arange(400) / 100.0
+        friction = np.sign(speed) * (2.0 + 1.2 * np.exp(-((speed / 3.0) ** 2))) + 0.05 * speed
+        velocity = speed + 0.1 * rng.standard_normal(time.size)
+        position = np.concatenate(([0.0], np.cumsum(velocity[:-1] * 0.01)))
+        torque = friction + 0.3 * rng.standard_normal(time.size)
+        experiments.append(
+            experiment(
+                time,
+                position[:, None],
+                torque[:, None],
+                Kind.CONSTANT_VELOCITY,
+                f"{k:03d}",
+                attributes={"position_source": "integrated_velocity"},
+            )
+        )
+    data = recording(*experiments)
+    assert is_trajectory(data)
+    diagnosis = diagnose_trajectory(data)
+    found = {f.effect.cause: f.effect for f in diagnosis.findings}
+    assert {"stribeck_friction", "viscous_friction"} == set(found)
+    effect = found["stribeck_friction"]
+    assert effect.value("static") == pytest.approx(3.2, rel=0.05)
+    assert effect.value("coulomb") == pytest.approx(2.0, rel=0.05)
+    assert effect.value("velocity") == pytest.approx(3.0, rel=0.2)
+    assert np.isnan(diagnosis.model.std.masses[0][0])
+    assert any("no inertia" in w for w in diagnosis.warnings)
+
+
+def test_a_chain_with_a_visible_resonance_is_left_to_the_chain_diagnosis():
+    rng = np.random.default_rng(8)
+    dt = 2e-4
+    state = np.zeros(4)
+    rows = []
+    held = 0.0
+    for k in range(int(20 / dt)):
+        if k % 10 == 0:
+            held = 5.0 * rng.standard_normal()
+            rows.append((k * dt, state[0], held))
+        spring = 2000.0 * (state[0] - state[1]) + 0.3 * (state[2] - state[3])
+        state[2] += dt * (held - spring) / 0.5
+        state[3] += dt * spring / 1.0
+        state[:2] += dt * state[2:]
+    time, position, torque = np.array(rows).T
+    data = recording(experiment(time, position[:, None], torque[:, None]))
+    assert not is_trajectory(data)
+
+
+def test_a_record_without_motion_is_refused_in_one_sentence():
+    time = np.arange(2000) / 500.0
+    flat = np.zeros((2000, 1))
+    rng = np.random.default_rng(9)
+    with pytest.raises(InvidError):
+        identify_trajectory(recording(experiment(time, flat, rng.standard_normal((2000, 1)))))
+
+
+def test_the_diagnosis_is_strict_json_with_the_ladder_of_friction_models():
+    rng = np.random.default_rng(10)
+    diagnosis = diagnose_trajectory(recording(simulate(rng, dry=(1.0, 1.0), seconds=10)))
+    document = diagnosis_to_json(diagnosis)
+    dump_json(document)
+    rungs = [r["friction"] for r in document["details"]["ladder"]]
+    assert rungs[:2] == ["no friction", "viscous"]
