@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2 as chi2_distribution
 
+from invid.chains import CoupledChains
 from invid.errors import InvidError
 from invid.refine.fit import Fit
 from invid.spectra import LineSpectra
@@ -40,16 +41,20 @@ def choose_order(spectra: Sequence[LineSpectra], axes: Sequence[str], *, most: i
     measured = measured_frf(spectra)
     costs: dict[tuple[int, ...], float] = {}
     dofs: dict[tuple[int, ...], int] = {}
+    chains: dict[tuple[int, ...], CoupledChains] = {}
     vanishing: dict[str, list[str]] = {}
 
-    def cost(sizes: tuple[int, ...]) -> float:
+    def cost(sizes: tuple[int, ...], parent: tuple[int, ...] = ()) -> float:
         if sizes not in costs:
             try:
-                fit = fit_sizes(spectra, sizes, axes, measured, thorough=False)
+                fit = fit_sizes(
+                    spectra, sizes, axes, measured, thorough=False, further=_split(chains.get(parent), sizes)
+                )
             except (InvidError, np.linalg.LinAlgError):
                 costs[sizes], dofs[sizes] = np.inf, 1
             else:
                 costs[sizes], dofs[sizes] = fit.noise_cost, max(fit.problem.dof, 1)
+                chains[sizes] = fit.chains
                 gone = _vanishing(fit)
                 if gone:
                     vanishing[_label(sizes)] = gone
@@ -57,7 +62,10 @@ def choose_order(spectra: Sequence[LineSpectra], axes: Sequence[str], *, most: i
 
     def needed(small: tuple[int, ...], large: tuple[int, ...]) -> bool:
         """Whether the larger structure is better by more than its parameters may."""
-        before, after = cost(small), cost(large)
+        before = cost(small)
+        if before < GAIN * dofs[small]:
+            return False  # already noise: nothing could be better by the factor asked for
+        after = cost(large, small)
         if not np.isfinite(after):
             return False
         if not np.isfinite(before):
@@ -110,6 +118,27 @@ def _trimmed(
         if not free:
             return best
         best = min(free, key=cost)
+
+
+def _split(chains: CoupledChains | None, sizes: tuple[int, ...]) -> list[CoupledChains]:
+    """The smaller model with its final masses split by stiff springs: a start that is no worse."""
+    if chains is None or any(n < m for n, m in zip(sizes, chains.masses_per_branch, strict=True)):
+        return []
+    masses, springs, dampers = [], [], []
+    for m, k, d, n in zip(chains.masses, chains.springs, chains.dampers, sizes, strict=True):
+        further = n - m.size
+        # The motor's own mass is halved: the final mass must stay beside its couplings.
+        head = np.full(further + 1, m[0] / (further + 1))
+        stiff = 30.0 * (k.max() if k.size else m.sum() * 1e4)
+        if m.size == 1 and further:
+            head = m[0] * np.append(np.full(further, 0.1 / further), 0.9)
+        masses.append(np.concatenate((head, m[1:])))
+        springs.append(np.concatenate((np.full(further, stiff), k)))
+        dampers.append(np.concatenate((np.full(further, d.max(initial=0.0)), d)))
+    try:
+        return [CoupledChains.build(masses, springs, dampers, chains.couplings, axes=chains.axes)]
+    except InvidError:
+        return []
 
 
 def _vanishing(fit: Fit) -> list[str]:

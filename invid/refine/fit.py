@@ -75,15 +75,16 @@ def fit_structure(
     ``thorough=False`` stops after the first pass (for comparing structures).
     """
     problem = _with_coulomb(problem_from_spectra(structure, spectra), spectra)
-    solution = _best(problem, starts)
+    solution = _best(problem, starts, 80 if thorough else 30)
     holds: dict[str, str] = {}
     if thorough:
         problem, solution = _boundary(problem, solution, spectra)
         problem, solution, holds = _holds(problem, solution, spectra)
     base = [b.covariance for b in problem.blocks]
     noise_chi2, noise_cost = solution.reduced, solution.chi2
-    problem, solution, excess = _weighted(problem, solution, base)
+    excess: list[Float64] = []
     if thorough:
+        problem, solution, excess = _weighted(problem, solution, base)
         problem, solution, excess = _drop_coulomb(problem, solution, base, excess)
     covariance = physical_covariance(problem, solution)
     explained = _explained(problem, solution)
@@ -147,7 +148,7 @@ def _with_coulomb(problem: MissingTorqueProblem, spectra: Sequence[LineSpectra])
     axes = [i for i in range(motors) if any(bool(moves[i]) for _, moves in found)]
     columns = []
     for (spectrum, moves), s, block in zip(found, spectra, problem.blocks, strict=True):
-        used = used_lines(s, everything=block.omega.size != int(s.excited.sum()))
+        used = used_lines(s, everything=block.transient)
         part = np.zeros((int(used.sum()), motors, len(axes)), dtype=complex)
         for at, i in enumerate(axes):
             if moves[i]:
@@ -156,11 +157,12 @@ def _with_coulomb(problem: MissingTorqueProblem, spectra: Sequence[LineSpectra])
     return with_columns(problem, columns, [f"{problem.structure.axes[i]}.coulomb" for i in axes])
 
 
-def _best(problem: MissingTorqueProblem, starts: Sequence[CoupledChains]) -> Solution:
+def _best(problem: MissingTorqueProblem, starts: Sequence[CoupledChains], iterations: int) -> Solution:
     """The lowest cost from all starts; stops at the first that cannot be told from noise."""
     best: Solution | None = None
     for start in starts:
-        found = gauss_newton(problem, problem.start(problem.structure.vector(start)))
+        p = problem.start(problem.structure.vector(start))
+        found = gauss_newton(problem, p, iterations=iterations)
         if best is None or found.chi2 < best.chi2:
             best = found
         if best.reduced < 1.5:
@@ -243,27 +245,24 @@ def _boundary(
     problem: MissingTorqueProblem, solution: Solution, spectra: Sequence[LineSpectra]
 ) -> tuple[MissingTorqueProblem, Solution]:
     """Boundary terms for periodic records whose transient has not died: where they pay for themselves."""
-    blocks = list(problem.blocks)
-    changed = False
+    flags = [b.transient for b in problem.blocks]
     count = 2 * problem.structure.dofs
-    for number, block in enumerate(blocks):
-        if block.transient or 2 * block.position.size < 3 * count:
+    for number, block in enumerate(problem.blocks):
+        rows = 2 * block.position.size
+        if block.transient or rows < 3 * count:
             continue
         alone = replace(problem, blocks=(block,))
         freed = replace(problem, blocks=(replace(block, transient=True),))
-        rows = 2 * block.position.size
         plain, _ = alone.evaluate(solution.p)
         with_terms, _ = freed.evaluate(solution.p)
         before, after = float(plain[:rows] @ plain[:rows]), float(with_terms[:rows] @ with_terms[:rows])
         # The scale is what is left with the terms in: friction that is left must not look like one.
         gain = (before - after) / max(after / (rows - count), 1.0)
-        if gain > chi2_distribution.isf(NEEDED, count):
-            blocks[number] = replace(block, transient=True)
-            changed = True
-    if not changed:
+        flags[number] = bool(gain > chi2_distribution.isf(NEEDED, count))
+    if flags == [b.transient for b in problem.blocks]:
         return problem, solution
-    freed = replace(problem, blocks=tuple(blocks))
-    return freed, gauss_newton(freed, solution.p)
+    freed = _with_coulomb(problem_from_spectra(problem.structure, spectra, boundary=flags), spectra)
+    return freed, gauss_newton(freed, carried(problem, solution.p, freed))
 
 
 def _weighted(
@@ -335,7 +334,7 @@ def _facts(problem: MissingTorqueProblem, solution: Solution, excess: list[Float
         "boundary_terms": [b.key for b in problem.blocks if b.transient],
         "excess_torque": {
             b.key: [float(np.sqrt(e[:, i].mean())) for i in range(motors)]
-            for b, e in zip(problem.blocks, excess, strict=True)
+            for b, e in zip(problem.blocks, excess, strict=False)
             if e.any()
         },
     }

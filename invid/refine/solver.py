@@ -62,8 +62,11 @@ def gauss_newton(
     for iteration in range(iterations):
         scale = np.linalg.norm(jacobian, axis=0)
         scale[scale == 0] = 1.0
-        left, size, right = np.linalg.svd(jacobian / scale, full_matrices=False)
-        projected = left.T @ residual
+        # One triangle holds all that a step needs: QR of [J, r], then the small SVD of R.
+        triangle = np.asarray(np.linalg.qr(np.column_stack((jacobian / scale, residual)), mode="r"))
+        count = jacobian.shape[1]
+        left, size, right = np.linalg.svd(triangle[:count, :count])
+        projected = left.T @ triangle[:count, count]
         keep = size > 1e-12 * size[0]
         predicted = float(projected[keep] @ projected[keep])
         if predicted < tolerance * max(cost / max(dof, 1), 1e-12):
