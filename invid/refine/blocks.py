@@ -150,6 +150,6 @@ def with_columns(
 
 def carried(old: MissingTorqueProblem, p: Float64, new: MissingTorqueProblem) -> Float64:
     """Parameters of ``new`` by name from those of ``old``; new names start at their neutral value."""
-    start = new.start(p[old.slices["structure"]][: new.structure.count])
+    start = new.start(np.zeros(new.structure.count))
     known = dict(zip(old.names, p, strict=True))
     return np.array([known.get(name, value) for name, value in zip(new.names, start, strict=True)])

@@ -80,6 +80,7 @@ def fit_structure(
     if thorough:
         problem, solution = _boundary(problem, solution, spectra)
         problem, solution, holds = _holds(problem, solution, spectra)
+        problem, solution = _inner_friction(problem, solution)
     base = [b.covariance for b in problem.blocks]
     noise_chi2, noise_cost = solution.reduced, solution.chi2
     excess: list[Float64] = []
@@ -91,8 +92,8 @@ def fit_structure(
     return Fit(
         problem,
         solution,
-        structure,
-        structure.chains(solution.p[: structure.count]),
+        problem.structure,
+        problem.structure.chains(solution.p[: problem.structure.count]),
         covariance,
         noise_chi2,
         noise_cost,
@@ -263,6 +264,27 @@ def _boundary(
         return problem, solution
     freed = _with_coulomb(problem_from_spectra(problem.structure, spectra, boundary=flags), spectra)
     return freed, gauss_newton(freed, carried(problem, solution.p, freed))
+
+
+def _inner_friction(
+    problem: MissingTorqueProblem, solution: Solution
+) -> tuple[MissingTorqueProblem, Solution]:
+    """Viscous friction of the masses beyond the motor, where the data ask for it.
+
+    A bearing at the load shifts the antiresonance that the load's mass is read from.
+    """
+    structure = problem.structure
+    if structure.inner_viscous or not structure.inner_dofs:
+        return problem, solution
+    larger = replace(problem, structure=replace(structure, inner_viscous=True))
+    found = gauss_newton(larger, carried(problem, solution.p, larger))
+    extra = len(structure.inner_dofs)
+    scale = max(found.reduced, 1.0)
+    part = slice(structure.slices["viscous"].stop, structure.slices["viscous"].stop + extra)
+    positive = found.p[part] > -3.0 * spread_of(found)[part]
+    if (solution.chi2 - found.chi2) / scale > chi2_distribution.isf(NEEDED, extra) and positive.all():
+        return larger, found
+    return problem, solution
 
 
 def _weighted(

@@ -21,14 +21,15 @@ class ChainStructure:
     """Shape of ``CoupledChains`` as a parameter vector.
 
     The vector holds, in this order: log masses (branch after branch), log springs, dampers,
-    couplings (i < j), viscous friction of each motor (where ``viscous``), log springs to ground of
-    the axes in ``grounded``.
+    couplings (i < j), viscous friction of each motor (where ``viscous``) and of every further mass
+    (where ``inner_viscous``), log springs to ground of the axes in ``grounded``.
     """
 
     sizes: tuple[int, ...]
     axes: tuple[str, ...]
     viscous: bool = True
     grounded: tuple[int, ...] = ()
+    inner_viscous: bool = False
 
     # --- layout --------------------------------------------------------------------------------
     @property
@@ -71,6 +72,11 @@ class ChainStructure:
         return tuple((i, j) for i in range(self.motors) for j in range(i + 1, self.motors))
 
     @cached_property
+    def viscous_dofs(self) -> tuple[int, ...]:
+        """Coordinates with viscous friction to ground."""
+        return (self.motor_dofs if self.viscous else ()) + (self.inner_dofs if self.inner_viscous else ())
+
+    @cached_property
     def slices(self) -> dict[str, slice]:
         """Where each kind of parameter stands in the vector."""
         springs = len(self.spring_pairs)
@@ -79,7 +85,7 @@ class ChainStructure:
             "spring": springs,
             "damper": springs,
             "coupling": len(self.coupling_pairs),
-            "viscous": self.motors if self.viscous else 0,
+            "viscous": len(self.viscous_dofs),
             "ground_spring": len(self.grounded),
         }
         out, at = {}, 0
@@ -109,8 +115,10 @@ class ChainStructure:
             for axis, n in zip(self.axes, self.sizes, strict=True):
                 names += [f"{axis}.{kind}.{q + 1}" for q in range(n - less)]
         names += [f"{self.axes[i]}-{self.axes[j]}.coupling" for i, j in self.coupling_pairs]
-        if self.viscous:
-            names += [f"{axis}.viscous" for axis in self.axes]
+        for dof in self.viscous_dofs:
+            branch = max(i for i, start in enumerate(self.motor_dofs) if start <= dof)
+            q = dof - self.motor_dofs[branch]
+            names.append(f"{self.axes[branch]}.viscous" + (f".{q + 1}" if q else ""))
         names += [f"{self.axes[i]}.ground_spring" for i in self.grounded]
         return tuple(names)
 
@@ -124,7 +132,7 @@ class ChainStructure:
         p[s["damper"]] = np.concatenate(chains.dampers)
         p[s["coupling"]] = [chains.couplings[i, j] for i, j in self.coupling_pairs]
         if self.viscous:
-            p[s["viscous"]] = chains.ground_dampers
+            p[s["viscous"]][: self.motors] = chains.ground_dampers
         p[s["ground_spring"]] = [np.log(max(chains.ground_springs[i], 1e-300)) for i in self.grounded]
         return p
 
@@ -167,8 +175,8 @@ class ChainStructure:
                 matrix[b, b] += value
                 matrix[a, b] -= value
                 matrix[b, a] -= value
-        if self.viscous:
-            damping[self.motor_dofs, self.motor_dofs] += values[s["viscous"]]
+        rubbing = list(self.viscous_dofs)
+        damping[rubbing, rubbing] += values[s["viscous"]]
         for i, value in zip(self.grounded, values[s["ground_spring"]], strict=True):
             stiffness[self.motor_dofs[i], self.motor_dofs[i]] += value
         return mass, damping, stiffness
@@ -211,8 +219,8 @@ class ChainStructure:
                 w[None, :, :, e] * q[:, :, None, f] + w[None, :, :, f] * q[:, :, None, e]
             )
         motors = list(self.motor_dofs)
-        if self.viscous:
-            out[..., s["viscous"]] = (jw * w[:, :, motors])[None] * q[:, :, None, motors]
+        rubbing = list(self.viscous_dofs)
+        out[..., s["viscous"]] = (jw * w[:, :, rubbing])[None] * q[:, :, None, rubbing]
         if self.grounded:
             at_ground = [motors[i] for i in self.grounded]
             out[..., s["ground_spring"]] = (w[:, :, at_ground] * values[s["ground_spring"]])[None] * q[
