@@ -20,6 +20,7 @@ from invid_service.cells.registry import Cell, load_cells
 from invid_service.jobs.launcher import Launcher
 from invid_service.jobs.live import LiveRun
 from invid_service.jobs.manager import JobManager, Limits
+from invid_service.jobs.orphans import settle
 from invid_service.jobs.results import Results
 from invid_service.jobs.states import State
 from invid_service.metrics import Metrics
@@ -34,6 +35,8 @@ log = logging.getLogger(__name__)
 Clock = Callable[[], datetime]
 _RETENTION_PERIOD_S = 3600.0
 _STORE_PROBE_S = 1.0
+_ORPHAN_S = 3.0
+"""Beyond the grace of a runner: what it takes to close its recording."""
 
 
 @dataclass
@@ -60,6 +63,7 @@ class Service:
     # --- life ----------------------------------------------------------------------------------
     async def start(self) -> None:
         """Settle what the last process left, then keep house."""
+        await asyncio.to_thread(settle, self.blobs.work, self.settings.stop_grace_s + _ORPHAN_S)
         now = self.clock()
         cut = await asyncio.to_thread(self.store.interrupt_unfinished, now)
         for record in cut:

@@ -26,9 +26,18 @@ format_version: 1
 robot: test robot
 bus: {interface: invid-virtual, channel: test, cycle_s: 0.001}
 axes:
-  - {name: A1, node_id: 1, rated_torque_Nm: 50, limits: {torque_Nm: 25, position_window_rad: 0.5, velocity_rad_per_s: 3}}
-  - {name: A2, node_id: 2, rated_torque_Nm: 100, limits: {torque_Nm: 50, position_window_rad: 0.5, velocity_rad_per_s: 3}}
-  - {name: A3, node_id: 3, rated_torque_Nm: 200, limits: {torque_Nm: 100, position_window_rad: 0.5, velocity_rad_per_s: 3}}
+  - name: A1
+    node_id: 1
+    rated_torque_Nm: 50
+    limits: {torque_Nm: 25, position_window_rad: 0.5, velocity_rad_per_s: 3}
+  - name: A2
+    node_id: 2
+    rated_torque_Nm: 100
+    limits: {torque_Nm: 50, position_window_rad: 0.5, velocity_rad_per_s: 3}
+  - name: A3
+    node_id: 3
+    rated_torque_Nm: 200
+    limits: {torque_Nm: 100, position_window_rad: 0.5, velocity_rad_per_s: 3}
 simulation:
   plant: {case_study: true, damping_ratio: 0.01}
 """

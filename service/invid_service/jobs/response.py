@@ -1,13 +1,20 @@
 """The response as it grows on the page while the robot is being measured.
 
-After each experiment its rows are read back from the growing file and |Θ|/|T| of every driven axis on
-the excited lines is told. It is a live picture, no result: with several axes moving at once it is not
-the FRF, which needs all experiments and comes with the result.
+A process of its own, at the lowest priority, looks at the growing file: the cycle that shakes the robot
+is not disturbed by it. After each experiment |Θ|/|T| of every driven axis on the excited lines is told.
+It is a live picture, no result: with several axes moving at once it is not the FRF, which needs all
+experiments and comes with the result.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+import json
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,37 +22,86 @@ import h5py
 import numpy as np
 
 _MOST_LINES = 300
+_LOOK_EVERY_S = 0.5
 
 
 class ResponseWatch:
-    """Looks at the file when the phase of the measurement changes."""
+    """Context manager: runs the looking process and hands on what it tells."""
 
     def __init__(self, path: Path, tell: Callable[[dict[str, Any]], None]) -> None:
         self._path, self._tell = path, tell
-        self._phase = ""
-        self._told = 0
+        self._process: subprocess.Popen[bytes] | None = None
+        self._thread = threading.Thread(target=self._hear, name="response", daemon=True)
 
-    def look(self, phase: str) -> None:
-        """Called with every progress; does something only between experiments."""
-        if phase == self._phase:
+    def __enter__(self) -> ResponseWatch:
+        # Without locking: libhdf5 would refuse to read what another process writes. The writer leaves a
+        # whole file between its bursts; a look that meets a burst fails and is repeated.
+        with contextlib.suppress(OSError):
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "invid_service.jobs.response", str(self._path)],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                env={**os.environ, "HDF5_USE_FILE_LOCKING": "FALSE"},
+            )
+            self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        process = self._process
+        if process is None:
             return
-        self._phase = phase
-        if not self._path.exists():
-            return
+        if process.stdin is not None:
+            process.stdin.close()
         try:
-            with h5py.File(self._path, "r") as file:
-                keys = sorted(file["experiments"])
-                # The newest may still be growing.
-                for key in keys[self._told : len(keys) - 1]:
-                    node = file["experiments"][key]
-                    if node["time"].shape[0] == 0:
-                        break
-                    response = response_of(node)
-                    self._told += 1
-                    if response is not None:
-                        self._tell({"experiment": key, **response})
-        except (OSError, KeyError, ValueError, RuntimeError):
-            return  # a picture is not worth a measurement
+            process.wait(3.0)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        self._thread.join(1.0)
+
+    def _hear(self) -> None:
+        if self._process is None or self._process.stdout is None:
+            return
+        for line in self._process.stdout:
+            with contextlib.suppress(ValueError):
+                self._tell(json.loads(line))
+
+
+def look(path: Path, told: set[str]) -> Iterator[dict[str, Any]]:
+    """Responses of the finished experiments that were not told yet."""
+    if not path.exists():
+        return
+    with h5py.File(path, "r") as file:
+        keys = sorted(file["experiments"])
+        # The newest may still be growing, unless the file is closed.
+        finished = keys if "outcome" in file.attrs else keys[:-1]
+        for key in finished:
+            if key in told:
+                continue
+            node = file["experiments"][key]
+            response = response_of(node) if node["time"].shape[0] else None
+            told.add(key)
+            if response is not None:
+                yield {"experiment": key, **response}
+
+
+def main() -> None:
+    """Look until stdin ends, then once more."""
+    os.nice(19)
+    path, told, ended = Path(sys.argv[1]), set[str](), threading.Event()
+
+    def listen() -> None:
+        sys.stdin.buffer.read()
+        ended.set()
+
+    threading.Thread(target=listen, daemon=True).start()
+    last = False
+    while not last:
+        last = ended.wait(_LOOK_EVERY_S)
+        with contextlib.suppress(OSError, KeyError, ValueError, RuntimeError):
+            for response in look(path, told):
+                sys.stdout.write(json.dumps(response) + "\n")
+                sys.stdout.flush()
 
 
 def response_of(node: h5py.Group) -> dict[str, Any] | None:
@@ -76,3 +132,7 @@ def response_of(node: h5py.Group) -> dict[str, Any] | None:
         db = 20 * np.log10(np.maximum(ratio, 1e-300))
         axes.append([round(float(v), 2) if ok else None for v, ok in zip(db, driven, strict=True)])
     return {"frequency_hz": [round(float(f), 4) for f in lines], "db": axes}
+
+
+if __name__ == "__main__":
+    main()

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from invid.errors import InvidError, SafetyStop
+from invid_service.jobs.orphans import hold
 from invid_service.jobs.protocol import ErrorInfo, Job
 
 _PROGRESS_PERIOD_S = 0.2
@@ -142,23 +143,22 @@ def measure(job: Job, line: Line) -> Path:
     line.check_stop()
     line.tell("running")
     target = job.folder / "recording.h5"
-    watch = ResponseWatch(target, lambda response: line.tell("response", response=response))
 
     def progress(p: Any) -> None:
         line.progress(
             float(p.fraction) * 0.8, str(p.phase), axis=p.axis, frequency=p.frequency, eta_s=float(p.eta_s)
         )
-        watch.look(str(p.phase))
 
-    measure_to_file(
-        config,
-        target,
-        axes=job.axes,
-        amplitude_scale=job.amplitude_scale,
-        progress=progress,
-        stop=line.stop,
-        model=model,
-    )
+    with ResponseWatch(target, lambda response: line.tell("response", response=response)):
+        measure_to_file(
+            config,
+            target,
+            axes=job.axes,
+            amplitude_scale=job.amplitude_scale,
+            progress=progress,
+            stop=line.stop,
+            model=model,
+        )
     line.check_stop()
     line.tell("measured")
     return target
@@ -166,10 +166,9 @@ def measure(job: Job, line: Line) -> Path:
 
 def analyse(job: Job, line: Line, path: Path) -> dict[str, Any]:
     """Identify, diagnose, report, and the numbers of the page's pictures; the summary."""
-    from invid.identify import identify
-
     from invid.diagnosis import diagnosis_to_json
     from invid.discrepancy import diagnose
+    from invid.identify import identify
     from invid.model import dump_json, model_to_json, save_text
     from invid.recording import read_recording
     from invid.report import render_report
@@ -177,13 +176,14 @@ def analyse(job: Job, line: Line, path: Path) -> dict[str, Any]:
 
     line.progress(0.8, "reading the recording")
     recording = read_recording(path)
+    flag = {"simulated": job.simulated}
     line.tell("recording", robot=recording.robot, axes=list(recording.axes))
     line.tell("progress", fraction=0.82, phase="identifying")
     model = identify(recording)
+    save_text(job.folder / "model.json", dump_json({**model_to_json(model), **flag}))
     line.tell("progress", fraction=0.88, phase="diagnosing")
     diagnosis = diagnose(recording, model=model)
     line.tell("progress", fraction=0.95, phase="writing the report")
-    flag = {"simulated": job.simulated}
     best = diagnosis.model if diagnosis.findings else model
     save_text(job.folder / "model.json", dump_json({**model_to_json(best), **flag}))
     save_text(job.folder / "diagnosis.json", dump_json({**diagnosis_to_json(diagnosis), **flag}))
@@ -218,6 +218,7 @@ def run(line: Line) -> int:
     job = line.read_job()
     resource.setrlimit(resource.RLIMIT_AS, (job.memory_bytes, job.memory_bytes))
     line.listen()
+    held = hold(job.folder)
     threading.Thread(target=_end_with_parent, args=(line, job.stop_grace_s), daemon=True).start()
     try:
         path = measure(job, line) if job.kind == "measure" else job.folder / "recording.h5"
@@ -235,6 +236,8 @@ def run(line: Line) -> int:
             traceback.print_exc()
         line.tell("failed", error=error_info(error))
         return getattr(error, "exit_code", 70)
+    finally:
+        held.close()
     line.tell("done", summary=_plain(summary))
     return 0
 

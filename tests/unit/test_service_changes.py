@@ -1,0 +1,185 @@
+"""What changed between two models: false alarms, power, and honesty about what cannot be told.
+
+The noise is drawn from a strongly correlated covariance that the test makes up; nothing of the
+product produces the data it judges.
+"""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from invid.chains import case_study
+from invid.model import ChainStd, Model, model_from_json, model_to_json, parameter_vector
+from invid_service.cells.changes import compare_models, repeatability
+
+TRUTH = case_study(damping_ratio=0.01)
+NAMES, VALUES = parameter_vector(TRUTH)
+SIZE = len(NAMES)
+
+
+def covariance(rng: np.random.Generator, relative: float = 2e-3, correlation: float = 0.9) -> np.ndarray:
+    """A random covariance with neighbours' correlation up to ``correlation`` and relative stds."""
+    loadings = rng.normal(size=(SIZE, 6))
+    common = loadings @ loadings.T
+    common /= np.sqrt(np.outer(np.diag(common), np.diag(common)))
+    matrix = correlation * common + (1 - correlation) * np.eye(SIZE)
+    std = relative * np.abs(VALUES)
+    return matrix * np.outer(std, std)
+
+
+def model_of(values: np.ndarray, matrix: np.ndarray, *, joint: bool = True) -> Model:
+    """A model with these values and this covariance."""
+    empty = Model("r", "refined", TRUTH, ChainStd.unknown(TRUTH))
+    document = model_to_json(empty)
+    stds = dict(zip(NAMES, np.sqrt(np.diag(matrix)), strict=True))
+    found = dict(zip(NAMES, values, strict=True))
+    for b in document["branches"]:
+        for kind, word in (("masses", "mass"), ("springs", "spring"), ("dampers", "damper")):
+            for q, e in enumerate(b[kind]):
+                name = f"{b['axis']}.{word}.{q + 1}"
+                e["value"], e["std"] = float(found[name]), float(stds[name])
+    for c in document["couplings"]:
+        name = f"{c['between'][0]}-{c['between'][1]}.coupling"
+        c["value"], c["std"] = float(found[name]), float(stds[name])
+    if joint:
+        document["covariance"] = {"names": list(NAMES), "matrix": matrix.tolist()}
+    return model_from_json(json.loads(json.dumps(document)))
+
+
+def drawn(
+    rng: np.random.Generator, matrix: np.ndarray, truth: np.ndarray = VALUES, scale: float = 1.0
+) -> Model:
+    return model_of(rng.multivariate_normal(truth, scale**2 * matrix), matrix)
+
+
+def changed(old: Model, new: Model, **given: object) -> list[str]:
+    result = compare_models(old, new, **given)  # type: ignore[arg-type]
+    return [p.name for p in result.parameters if p.verdict == "changed"]
+
+
+def test_an_unchanged_robot_is_called_changed_in_at_most_two_of_a_hundred_comparisons() -> None:
+    rng = np.random.default_rng(11)
+    alarms = 0
+    for _ in range(400):
+        matrix = covariance(rng)
+        alarms += bool(changed(drawn(rng, matrix), drawn(rng, matrix)))
+    # Expected 4 at 1 %; more than 8 (2 %) has probability 2 % under the promise's own bound.
+    assert alarms <= 8
+
+
+def test_a_cell_that_repeats_worse_than_its_fits_say_raises_no_more_false_alarms() -> None:
+    rng = np.random.default_rng(12)
+    alarms = 0
+    for _ in range(150):
+        matrix = covariance(rng)
+        history = [drawn(rng, matrix, scale=2.0) for _ in range(8)]
+        alarms += bool(changed(history[-2], history[-1], history=history))
+    assert alarms <= 5
+    # The history is what does it: without it the same comparisons are mostly false alarms.
+    naive = 0
+    for _ in range(50):
+        matrix = covariance(rng)
+        naive += bool(changed(drawn(rng, matrix, scale=2.0), drawn(rng, matrix, scale=2.0)))
+    assert naive > 20
+
+
+def test_one_parameter_changed_by_three_deviations_of_repetition_is_found_through_the_joint_covariance() -> (
+    None
+):
+    rng = np.random.default_rng(13)
+    found = wrong = 0
+    for _ in range(100):
+        matrix = covariance(rng, correlation=0.97)
+        j = int(rng.integers(SIZE))
+        truth = VALUES.copy()
+        truth[j] += 3.0 * np.sqrt(2.0 * matrix[j, j]) * rng.choice([-1.0, 1.0])
+        named = changed(drawn(rng, matrix), drawn(rng, matrix, truth))
+        found += NAMES[j] in named
+        wrong += any(n != NAMES[j] for n in named)
+    assert found >= 90
+    assert wrong <= 6
+
+
+def test_a_tool_change_reads_as_one() -> None:
+    rng = np.random.default_rng(14)
+    matrix = covariance(rng, relative=5e-3)
+    truth = VALUES.copy()
+    truth[NAMES.index("A2.mass.3")] += 1.31
+    result = compare_models(drawn(rng, matrix), drawn(rng, matrix, truth))
+    assert [p.name for p in result.parameters if p.verdict == "changed"] == ["A2.mass.3"]
+    change = next(p for p in result.parameters if p.verdict == "changed")
+    assert change.difference is not None
+    assert change.difference_std is not None
+    assert abs(change.difference - 1.31) < 4 * change.difference_std
+    assert result.sentence.startswith("A2: final mass 6.")
+    assert "consistent with a tool change. Nothing else changed" in result.sentence
+
+
+def test_twins_that_the_data_do_not_separate_are_both_cannot_tell() -> None:
+    rng = np.random.default_rng(15)
+    matrix = covariance(rng, correlation=0.5)
+    a, b = NAMES.index("A1.mass.1"), NAMES.index("A1.mass.2")
+    std = np.sqrt(np.diag(matrix))
+    # The fit knows the sum well and the difference of the two not at all.
+    matrix[a, :] = matrix[:, a] = matrix[b, :] = matrix[:, b] = 0.0
+    matrix[a, a], matrix[b, b] = (30 * std[a]) ** 2, (30 * std[a]) ** 2
+    matrix[a, b] = matrix[b, a] = -((30 * std[a]) ** 2) + (0.5 * std[a]) ** 2
+    truth = VALUES.copy()
+    truth[a] += 10 * std[a]
+    result = compare_models(drawn(rng, matrix), drawn(rng, matrix, truth))
+    verdicts = {p.name: p for p in result.parameters}
+    assert verdicts["A1.mass.1"].verdict == verdicts["A1.mass.2"].verdict == "cannot_tell"
+    assert "A1.mass.2" in (verdicts["A1.mass.1"].reason or "")
+    assert "do not tell which" in result.sentence
+
+
+def test_unchanged_says_within_what_and_a_loose_one_is_cannot_tell() -> None:
+    rng = np.random.default_rng(16)
+    matrix = covariance(rng, relative=1e-3)
+    j = NAMES.index("A3.damper.2")
+    matrix[j, :] = matrix[:, j] = 0.0
+    matrix[j, j] = VALUES[j] ** 2
+    result = compare_models(drawn(rng, matrix), model_of(VALUES, matrix))
+    by_name = {p.name: p for p in result.parameters}
+    assert by_name["A3.damper.2"].verdict == "cannot_tell"
+    spring = by_name["A1.spring.1"]
+    assert spring.verdict == "unchanged"
+    assert spring.within_percent is not None
+    # 1.96·√2·0.1 % plus the difference itself
+    assert 0.27 < spring.within_percent < 1.0
+
+
+def test_a_parameter_without_uncertainty_or_in_one_model_only_is_cannot_tell() -> None:
+    rng = np.random.default_rng(17)
+    matrix = covariance(rng)
+    document = model_to_json(drawn(rng, matrix))
+    del document["covariance"]
+    document["branches"][0]["masses"][0]["std"] = None
+    del document["branches"][2]["masses"][2], document["branches"][2]["springs"][1]
+    del document["branches"][2]["dampers"][1]
+    other = model_from_json(document)
+    by_name = {p.name: p for p in compare_models(drawn(rng, matrix), other).parameters}
+    assert by_name["A1.mass.1"].verdict == "cannot_tell"
+    assert by_name["A3.mass.3"].reason == "not in both models"
+
+
+def test_a_tool_change_in_the_history_is_not_taken_for_bad_repeatability() -> None:
+    rng = np.random.default_rng(18)
+    matrix = covariance(rng)
+    heavier = VALUES.copy()
+    heavier[NAMES.index("A2.mass.3")] *= 1.5
+    history = [drawn(rng, matrix) for _ in range(4)] + [drawn(rng, matrix, heavier) for _ in range(4)]
+    factor, pairs = repeatability(history)
+    assert pairs == 7
+    assert factor == pytest.approx(1.0, abs=0.4)
+
+
+def test_too_short_a_history_is_said() -> None:
+    rng = np.random.default_rng(19)
+    matrix = covariance(rng)
+    result = compare_models(drawn(rng, matrix), drawn(rng, matrix))
+    assert result.repeatability_pairs == 0
+    assert "repeatability of this cell is not known yet" in result.warnings[0]
