@@ -20,7 +20,7 @@ from invid.recording import Outcome, Recording, RecordingWriter
 from invid.sweep import Progress, Sweep, SweepResult
 from invid.sweep.recorder import Recorder
 from invid_drivers.cia402.bus import Cia402Cell
-from invid_drivers.connect import connect
+from invid_drivers.connect import connect, is_virtual
 
 __all__ = ["MeasurementResult", "Progress", "measure_to_file"]
 
@@ -40,6 +40,8 @@ class MeasurementResult:
     peaks: dict[str, dict[str, float]] = field(default_factory=dict)
     jitter_us: dict[str, float] | None = None
     """Lateness of SYNC against its slot, in real time: median, 99th and 99.9th percentile, worst."""
+    jitter_histogram: dict[str, int] | None = None
+    """How many SYNCs were at most so late."""
     drives: tuple[dict[str, Any], ...] = ()
     warnings: tuple[str, ...] = ()
 
@@ -55,6 +57,7 @@ class MeasurementResult:
             "missed_tpdos": self.missed_tpdos,
             "peaks": self.peaks,
             "jitter_us": self.jitter_us,
+            "jitter_histogram": self.jitter_histogram,
             "drives": list(self.drives),
             "warnings": list(self.warnings),
         }
@@ -82,9 +85,41 @@ def measure_to_file(
     SafetyStop, DriveError, BusError
         The measurement ended early; the recording so far is in ``out``.
     """
+    out = Path(out)
+    if is_virtual(config):
+        plan, cell = start_measurement(config, axes, amplitude_scale, model)
+        return run_measurement(config, plan, cell, out, progress=progress, stop=stop)
+    # refused here, before a process is started for it
+    make_plan(config, axes=axes, amplitude_scale=amplitude_scale, model=model)
+    _require_file(out)
+    from invid_drivers.realtime import measure_in_process
+
+    result: MeasurementResult = measure_in_process(
+        config,
+        out,
+        axes=axes,
+        amplitude_scale=amplitude_scale,
+        progress=progress,
+        stop=stop,
+        model=model,
+    )
+    return result
+
+
+def start_measurement(
+    config: CellConfig,
+    axes: Sequence[str] | None,
+    amplitude_scale: float,
+    model: CoupledChains | None,
+) -> tuple[Plan, Cia402Cell]:
+    """Plan and connected cell; nothing is written into a drive yet."""
     plan = make_plan(config, axes=axes, amplitude_scale=amplitude_scale, model=model)
-    cell = connect(config)
-    return run_measurement(config, plan, cell, Path(out), progress=progress, stop=stop)
+    return plan, connect(config)
+
+
+def _require_file(out: Path) -> None:
+    if out.is_dir():
+        raise ConfigError(f"{out}: is a folder; name a file for the recording")
 
 
 def run_measurement(
@@ -95,6 +130,8 @@ def run_measurement(
     *,
     progress: Callable[[Progress], None] | None = None,
     stop: threading.Event | None = None,
+    open_writer: Callable[[Recording], RecordingWriter] | None = None,
+    notes: Sequence[str] = (),
 ) -> MeasurementResult:
     """The measurement on a connected cell, which is closed at the end."""
     complaints: list[str] = []
@@ -102,11 +139,14 @@ def run_measurement(
     recorder: Recorder | None = None
     outcome = Outcome.FAILED
     try:
+        _require_file(out)
         cell.check()
-        if out.is_dir():
-            raise ConfigError(f"{out}: is a folder; name a file for the recording")
         header = _header(config, cell)
-        recorder = Recorder(lambda: RecordingWriter(out, header), plan.cycle_s, len(plan.axes))
+        recorder = Recorder(
+            lambda: RecordingWriter(out, header) if open_writer is None else open_writer(header),
+            plan.cycle_s,
+            len(plan.axes),
+        )
         sweep = Sweep(plan, config, cell, recorder, progress=progress, stop=stop)
         result = sweep.run()
         outcome = Outcome.COMPLETED
@@ -114,7 +154,7 @@ def run_measurement(
         closed = True
         if cell.not_off:
             raise DriveError(_not_off(cell.not_off))
-        return _result(config, cell, out, result, recorder, complaints)
+        return _result(config, cell, out, result, [*notes, *complaints])
     except (SafetyStop, KeyboardInterrupt) as error:
         outcome = Outcome.ABORTED
         if cell.not_off and isinstance(error, SafetyStop):
@@ -164,7 +204,6 @@ def _result(
     cell: Cia402Cell,
     out: Path,
     result: SweepResult,
-    recorder: Recorder,
     complaints: list[str],
 ) -> MeasurementResult:
     seen = result.statistics
@@ -199,6 +238,8 @@ def _result(
                 strict=False,
             )
         },
+        jitter_us=None if is_virtual(config) else cell.jitter.percentiles(),
+        jitter_histogram=None if is_virtual(config) else cell.jitter.to_json(),
         drives=tuple(r.to_json() for r in cell.reports),
         warnings=tuple(dict.fromkeys(warnings)),
     )

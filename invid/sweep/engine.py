@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -207,13 +207,14 @@ class Sweep:
         rows: tuple[int, int] = (0, 0),
         log: bool = False,
     ) -> list[Float64]:
-        """Run ``cycles`` cycles of excitation around the feedback; the log is demand, torque, position."""
+        """Run ``cycles`` cycles around the feedback; the log is demand, torque, position, time."""
         cell, watch, stop = self.cell, self._watching, self.stop
         cycle = self.plan.cycle_s
         feedback, origin, velocity = self._feedback, self._origin, self._velocity
         demand = self._demand
         first, last = rows
         kept: tuple[list[list[float]], list[list[float]], list[list[float]]] = ([], [], [])
+        instants: list[float] = []
         start: int | None = None
         fading = 0
         fade = max(1, round(FADE_S / cycle))
@@ -245,6 +246,7 @@ class Sweep:
                 kept[0].append(list(demand))
                 kept[1].append(list(sample.torque))
                 kept[2].append(list(sample.position))
+                instants.append(sample.time)
             k += 1
             if fading:
                 fading += 1
@@ -261,7 +263,7 @@ class Sweep:
                 self._next_report = sample.time + PROGRESS_S
                 self._report(k * cycle)
         self._done_s += cycles * cycle
-        return [np.asarray(part) for part in kept]
+        return [*(np.asarray(part) for part in kept), np.asarray(instants)]
 
     def _differentiate(self, sample: Sample) -> None:
         dt = sample.time - self._last_time
@@ -310,23 +312,25 @@ class Sweep:
         # The slope is of the sampled position, so the axis must move many counts.
         wanted = max(TRIAL_COUNTS * resolution, TRIAL_WINDOW * limits.position)
         length = TRIAL_FIRST_S
-        sign = 0.0
+        seen: list[trials.Response] = []
         while True:
             wave = amplitude * doublet(round(length / cycle))
-            quiet = max(8, round(trials.EDGE_S / cycle))
+            quiet = max(8, round(trials.EDGE_S / cycle) + max(trials.LAGS))
             rows = np.zeros((wave.size + 2 * quiet, self._count))
             rows[quiet:-quiet, axis] = wave
             kept = self._play(rows.tolist(), len(rows), log=True)
             demand = kept[0][:, axis] - self._bias[axis]
             position = kept[2][:, axis] - kept[2][0, axis]
             found = trials.response(
+                kept[3],
                 demand,
                 kept[1][:, axis] - self._bias[axis],
                 position,
-                cycle,
-                self.cell.rated_torque[axis],
+                count=resolution,
+                rated=self.cell.rated_torque[axis],
             )
-            sign = max(sign, found.sign, key=abs)
+            seen.append(found)
+            sign = trials.sign_score(seen)
             if sign < -trials.DECISIVE or (found.displacement >= wanted and sign > trials.DECISIVE):
                 break
             if length * 2 > TRIAL_LAST_S or found.displacement > TRIAL_MOST * limits.position:
@@ -345,7 +349,7 @@ class Sweep:
                 f"axis {name}: the trial could hardly tell the encoder's sign ({sign:+.1f} standard "
                 "deviations); the encoder is coarse or the torque small"
             )
-        trials.judge(name, replace(found, sign=sign), amplitude=amplitude, unit=unit, torque_unit=torque_unit)
+        trials.judge(name, found, sign, amplitude=amplitude, unit=unit, torque_unit=torque_unit)
         self._inertia[axis] = settings.inertia if settings.inertia is not None else found.inertia
         # back to where it stood, gently
         self._centre({axis}, lowest=3.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,9 +10,9 @@ import numpy as np
 from invid.arrays import Float64
 from invid.errors import SafetyStop
 
-EDGE_S = 0.02
+EDGE_S = 0.03
 """Window on each side of an edge of torque: short against the modes of a robot, long enough for the
-motor to move many encoder counts (0.5·(Δτ/m)·0.02²). Never below five cycles."""
+motor to move many encoder counts (0.5·(Δτ/m)·0.03²). Never below five cycles."""
 DECISIVE = 5.0
 """Standard deviations: a wrong verdict once in three million trials."""
 LAGS = (0, 1, 2, 3)
@@ -26,13 +27,27 @@ class Response:
     """Rigid inertia that would move as far, > 0 [kg·m² or kg]; rough where the axis is flexible."""
     displacement: float
     """Largest distance from the start [rad or m]."""
-    sign: float
-    """Acceleration jump per torque jump, in its standard deviations; negative: the signs disagree."""
+    mobility: float
+    """Acceleration jump per torque jump, 1/m₁; negative: the signs disagree."""
+    mobility_std: float
+    """Its standard deviation; infinite where the edges were too short to tell."""
     torque_slope: float
     """Measured torque per demanded torque; NaN where too small to tell."""
 
 
-def response(demand: Float64, torque: Float64, position: Float64, cycle_s: float, rated: float) -> Response:
+def sign_score(found: Sequence[Response]) -> float:
+    """The mobility of several trials together, in standard deviations."""
+    weights = [1.0 / r.mobility_std**2 for r in found]
+    total = sum(weights)
+    if total == 0:
+        return 0.0
+    score = sum(w * r.mobility for w, r in zip(weights, found, strict=True)) / np.sqrt(total)
+    return float(score)
+
+
+def response(
+    time: Float64, demand: Float64, torque: Float64, position: Float64, *, count: float, rated: float
+) -> Response:
     """Judge a doublet by what its edges did.
 
     A jump of torque makes the motor's acceleration jump by Δτ/m₁ at once, whatever is behind it; springs,
@@ -41,8 +56,12 @@ def response(demand: Float64, torque: Float64, position: Float64, cycle_s: float
 
     Parameters
     ----------
+    time
+        (n,) SYNC instants [s]; skipped slots may be missing.
     demand, torque, position
         (n,) demanded torque and measured torque around their values at rest, position from the start.
+    count
+        Position of one encoder count: the least that the path is uncertain by.
     """
     power = float(demand @ demand)
     # 0x6077 lags by a cycle or two, differently for each drive: the best of the first ones
@@ -53,49 +72,55 @@ def response(demand: Float64, torque: Float64, position: Float64, cycle_s: float
     if amplitude < 0.01 * rated:
         follow = float("nan")
     displacement = float(np.abs(position).max(initial=0.0))
-    length = np.count_nonzero(demand) * cycle_s
+    acting = time[demand != 0]
+    length = float(acting[-1] - acting[0]) if acting.size > 1 else 0.0
+    mobility, std = _edges(time, demand, position, count)
     return Response(
         inertia=amplitude * length**2 / (16 * displacement) if displacement > 0 else float("inf"),
         displacement=displacement,
-        sign=_edge_score(demand, position, cycle_s),
+        mobility=mobility,
+        mobility_std=std,
         torque_slope=follow,
     )
 
 
-def _edge_score(demand: Float64, position: Float64, cycle_s: float) -> float:
-    """Common Δacceleration/Δtorque over all edges, in standard deviations, for the likeliest lag."""
+def _edges(time: Float64, demand: Float64, position: Float64, count: float) -> tuple[float, float]:
+    """Common Δacceleration/Δtorque over all edges and its standard deviation, for the likeliest lag."""
     edges = np.flatnonzero(np.diff(demand) != 0) + 1
-    span = max(5, round(EDGE_S / cycle_s))
+    step = float(np.median(np.diff(time)))
+    span = max(5, round(EDGE_S / step))
     if edges.size > 1:
         span = min(span, int(np.diff(edges).min()))
-    best, best_rest = 0.0, np.inf
+    best, best_rest = (0.0, np.inf), np.inf
     for lag in LAGS:
-        jumps, curves = [], []
+        bends, curves = [], []
         for edge in edges:
             first, last = edge + lag - span, edge + lag + span + 1
             if first < 0 or last > position.size or span < 4:
                 continue
-            t = np.arange(-span, span + 1) / span
+            t = time[first:last] - time[edge + lag]
             # the torque from row ``edge`` on bends the path from there on
             bend = 0.5 * np.maximum(t, 0.0) ** 2 * (demand[edge] - demand[edge - 1])
-            smooth = np.vander(t, 4)
-            basis, _ = np.linalg.qr(smooth)
+            basis, _ = np.linalg.qr(np.vander(t / (span * step), 4))
             window = position[first:last]
-            jumps.append(bend - basis @ (basis.T @ bend))
+            bends.append(bend - basis @ (basis.T @ bend))
             curves.append(window - basis @ (basis.T @ window))
-        if not jumps:
+        if not bends:
             continue
-        x, y = np.concatenate(jumps), np.concatenate(curves)
-        slope = float(x @ y / (x @ x))
+        x, y = np.concatenate(bends), np.concatenate(curves)
+        power = float(x @ x)
+        slope = float(x @ y) / power
         rest = y - slope * x
-        freedom = max(1, y.size - 4 * len(jumps) - 1)
-        sigma = float(np.sqrt(rest @ rest / freedom / (x @ x)))
-        if float(rest @ rest) < best_rest:
-            best_rest, best = float(rest @ rest), slope / max(sigma, 1e-300)
+        squares = float(rest @ rest)
+        freedom = max(1, y.size - 4 * len(bends) - 1)
+        # a step of the encoder is uniform noise of a count over the root of twelve
+        variance = max(squares / freedom, count**2 / 12)
+        if squares < best_rest:
+            best_rest, best = squares, (slope, float(np.sqrt(variance / power)))
     return best
 
 
-def judge(axis: str, found: Response, *, amplitude: float, unit: str, torque_unit: str) -> None:
+def judge(axis: str, found: Response, score: float, *, amplitude: float, unit: str, torque_unit: str) -> None:
     """SafetyStop where a sign is wrong."""
     if found.torque_slope < -0.2:
         raise SafetyStop(
@@ -103,7 +128,7 @@ def judge(axis: str, found: Response, *, amplitude: float, unit: str, torque_uni
             f"in a trial at {amplitude:.3g} {torque_unit}; the drive's torque signs disagree: correct its "
             "configuration"
         )
-    if found.sign < 0:
+    if score < 0:
         raise SafetyStop(
             f"axis {axis}: positive torque moved the encoder backwards in a trial at {amplitude:.3g} "
             f"{torque_unit} ({found.displacement:.3g} {unit}); encoder and motor disagree in sign: swap two "

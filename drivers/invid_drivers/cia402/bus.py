@@ -18,6 +18,7 @@ from invid.sweep.ports import Clock, Event, Mode, Sample, Severity
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402 import states
 from invid_drivers.cia402.axis import Drive, DriveReport
+from invid_drivers.cia402.jitter import Jitter
 from invid_drivers.cia402.journal import Journal
 from invid_drivers.cia402.link import NMT_PRE_OPERATIONAL, NMT_START, NMT_STOP, Link
 from invid_drivers.cia402.states import DriveState, OperationMode, state_of
@@ -76,7 +77,7 @@ class Cia402Cell:
         self.not_off: tuple[str, ...] = ()
         """Axes that were not seen to switch off."""
         self.skipped_slots = 0
-        self.lateness: list[float] | None = None
+        self.jitter = Jitter()
 
     # --- facts ---------------------------------------------------------------------------------
     @property
@@ -238,8 +239,7 @@ class Cia402Cell:
         instant = clock.now()
         put(self._sync)
         self._slot = slot
-        if self.lateness is not None:
-            self.lateness.append(instant - deadline)
+        self.jitter.add(instant - deadline)
         sample.slot, sample.time = slot, instant
         fresh = sample.fresh
         for i in range(len(fresh)):

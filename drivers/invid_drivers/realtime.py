@@ -1,0 +1,259 @@
+"""The cycle in a process of its own: ``python -m invid_drivers.realtime FD``.
+
+Another busy thread in the same process makes the cycle milliseconds late, so whoever measures (a
+command, the service's runner) only relays: this process owns bus and drives, the parent owns the file.
+
+- The parent dies: its end of the socket closes (and the kernel sends SIGTERM), the sweep fades out and
+  stops the drives by itself.
+- This process dies: its heartbeat ends, and the drives stop by their heartbeat consumer (0x1016).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import gc
+import os
+import queue
+import resource
+import signal
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+from invid import errors
+from invid.chains import CoupledChains
+from invid.config import CellConfig
+from invid.errors import BusError, InvidError, SafetyStop
+from invid.recording import Outcome, Recording, RecordingWriter
+from invid.sweep import Progress
+
+PRIORITY = 50
+"""SCHED_FIFO priority: above everything ordinary, below the kernel's own threads."""
+_PR_SET_PDEATHSIG = 1
+_MCL_CURRENT_AND_FUTURE = 3
+RELAY_POLL_S = 0.05
+
+
+def make_realtime() -> tuple[str, ...]:
+    """SCHED_FIFO, locked memory, no garbage collection; what the system did not allow, in words."""
+    notes = []
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+    except (OSError, AttributeError):
+        notes.append(
+            "the system does not allow SCHED_FIFO (run as root or grant CAP_SYS_NICE): expect milliseconds "
+            "of jitter"
+        )
+    soft, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
+    if os.geteuid() == 0 or soft == resource.RLIM_INFINITY:
+        with contextlib.suppress(OSError, AttributeError):
+            ctypes.CDLL(None, use_errno=True).mlockall(_MCL_CURRENT_AND_FUTURE)
+    else:
+        notes.append("memory is not locked (RLIMIT_MEMLOCK is limited)")
+    return tuple(notes)
+
+
+def die_with_parent(parent: int) -> None:
+    """SIGTERM from the kernel when the parent dies, however it dies."""
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+    if os.getppid() != parent:  # it died before the line above
+        os.kill(os.getpid(), signal.SIGTERM)
+
+
+class RemoteWriter:
+    """Stands for the parent's ``RecordingWriter``; a thread sends, so that the cycle never waits."""
+
+    def __init__(self, send: Callable[[tuple[Any, ...]], None]) -> None:
+        self._send = send
+
+    def begin(self, **settings: Any) -> None:
+        """As ``RecordingWriter.begin``."""
+        self._send(("begin", settings))
+
+    def append(self, *arrays: Any) -> None:
+        """As ``RecordingWriter.append``."""
+        self._send(("append", arrays))
+
+    def end(self) -> None:
+        """As ``RecordingWriter.end``."""
+        self._send(("end",))
+
+    def close(self, outcome: Outcome) -> None:
+        """The parent closes, when it knows how the run ended."""
+
+
+def child_main(fd: int) -> None:
+    """Run one measurement; everything goes back over the socket ``fd``."""
+    from invid_drivers.measurement import run_measurement, start_measurement
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the parent relays it
+    stop = threading.Event()
+    signal.signal(signal.SIGTERM, lambda *_: stop.set())
+    connection = Connection(fd)
+    task: Mapping[str, Any] = connection.recv()
+    die_with_parent(task["parent"])
+    outbox: queue.SimpleQueue[tuple[Any, ...] | None] = queue.SimpleQueue()
+
+    def listen() -> None:
+        with contextlib.suppress(EOFError, OSError):
+            connection.recv()
+        stop.set()
+
+    def post() -> None:
+        while (message := outbox.get()) is not None:
+            with contextlib.suppress(OSError):  # the parent is gone; the drives are stopped all the same
+                connection.send(message)
+
+    threading.Thread(target=listen, daemon=True).start()
+    sender = threading.Thread(target=post, daemon=True)
+    sender.start()
+    config = CellConfig.model_validate(task["config"])
+    try:
+        plan, cell = start_measurement(config, task["axes"], task["amplitude_scale"], task["model"])
+        notes = make_realtime()
+
+        def open_writer(header: Recording) -> Any:
+            outbox.put(("open", header))
+            return RemoteWriter(outbox.put)
+
+        result = run_measurement(
+            config,
+            plan,
+            cell,
+            Path(task["out"]),
+            progress=lambda p: outbox.put(("progress", p)),
+            stop=stop,
+            open_writer=open_writer,
+            notes=notes,
+        )
+        outbox.put(("result", result))
+    except InvidError as error:
+        outbox.put(("error", type(error).__name__, str(error)))
+    except Exception as error:  # the parent must hear of it: its exit status depends on it
+        outbox.put(("error", "RuntimeError", f"{type(error).__name__}: {error}"))
+    outbox.put(None)
+    sender.join(timeout=10.0)
+
+
+def measure_in_process(
+    config: CellConfig,
+    out: Path,
+    *,
+    axes: Sequence[str] | None,
+    amplitude_scale: float,
+    progress: Callable[[Progress], None] | None,
+    stop: threading.Event | None,
+    model: CoupledChains | None,
+) -> Any:
+    """``MeasurementResult`` of a measurement whose cycle runs in its own process."""
+    ours, theirs = socket.socketpair()
+    with theirs:
+        child = subprocess.Popen(
+            [sys.executable, "-m", "invid_drivers.realtime", str(theirs.fileno())],
+            pass_fds=[theirs.fileno()],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+        )
+    connection = Connection(ours.detach())
+    relay = _Relay(out)
+    try:
+        connection.send(
+            {
+                "parent": os.getpid(),
+                "config": config.model_dump(mode="python"),
+                "out": str(out),
+                "axes": None if axes is None else list(axes),
+                "amplitude_scale": amplitude_scale,
+                "model": model,
+            }
+        )
+        return relay.run(connection, progress, stop)
+    except (EOFError, ConnectionError) as error:
+        if isinstance(error, InvidError):
+            raise
+        raise BusError(
+            f"the cycle process ended unexpectedly (exit {child.poll()}): the drives stop by their heartbeat "
+            "watch; make sure that they have, and look into the system's log"
+        ) from None
+    finally:
+        # Closing the socket stops the child if it still runs; then the file.
+        connection.close()
+        try:
+            child.wait(timeout=10.0)
+        except subprocess.TimeoutExpired:
+            child.kill()
+            child.wait()
+        relay.close()
+
+
+class _Relay:
+    """The parent's side: messages to file, progress and result."""
+
+    def __init__(self, out: Path) -> None:
+        self._out = out
+        self._writer: RecordingWriter | None = None
+        self._outcome = Outcome.FAILED
+
+    def run(
+        self,
+        connection: Connection,
+        progress: Callable[[Progress], None] | None,
+        stop: threading.Event | None,
+    ) -> Any:
+        """Relay until the result is there; raises what the child raised."""
+        asked = False
+        while True:
+            if stop is not None and stop.is_set() and not asked:
+                asked = True
+                connection.send("stop")
+            if not connection.poll(RELAY_POLL_S):
+                continue
+            message = connection.recv()
+            kind = message[0]
+            if kind == "progress":
+                if progress is not None:
+                    progress(message[1])
+            elif kind == "open":
+                self._writer = RecordingWriter(self._out, message[1])
+            elif kind == "result":
+                self._outcome = Outcome.COMPLETED
+                return message[1]
+            elif kind == "error":
+                known = getattr(errors, message[1], None)
+                if isinstance(known, type) and issubclass(known, InvidError):
+                    if issubclass(known, SafetyStop):
+                        self._outcome = Outcome.ABORTED
+                    raise known(message[2])
+                raise RuntimeError(message[2])
+            elif self._writer is not None:
+                self._write(kind, message)
+
+    def _write(self, kind: str, message: tuple[Any, ...]) -> None:
+        writer = self._writer
+        if writer is None:
+            return
+        if kind == "begin":
+            writer.begin(**message[1])
+        elif kind == "append":
+            writer.append(*message[1])
+        elif kind == "end":
+            writer.end()
+
+    def close(self) -> None:
+        """Mark and close the file, if one was opened."""
+        if self._writer is not None:
+            self._writer.close(self._outcome)
+
+
+if __name__ == "__main__":
+    child_main(int(sys.argv[1]))
