@@ -1,0 +1,138 @@
+"""What a generic approach gives on the same hidden effects: sparse regression on the residual.
+
+    pip install pysindy      # not among invid's own dependencies
+    python benchmarks/bench_peers.py [--trials 2] [--db 20 30]
+
+For every cause of the catalogue that one axis can show, the missing torque under the identified linear
+model is given, as a time signal, to PySINDy (STLSQ on a polynomial library of position, velocity and
+acceleration to degree 3, and the same with sign(velocity) added by hand). The sparsity threshold of STLSQ is chosen on the held-out record itself,
+in the peer's favour. Printed: share of the held-out excess power removed, and the number of terms that
+a reader would have to interpret.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import warnings
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
+CAUSES = (
+    "coulomb_friction", "viscous_friction", "stribeck_friction", "presliding_friction",
+    "asymmetric_friction", "cogging", "torque_lag", "torque_saturation", "cubic_stiffness", "backlash",
+    "spring_hysteresis", "transmission_error", "gravity", "extra_mode",
+)  # fmt: skip
+
+
+def signals(recording: Any, model: Any) -> dict[str, list[tuple[np.ndarray, np.ndarray, float]]]:
+    """Per role: (features (n, 3), missing torque (n,), noise power) of the one axis of each record."""
+    from invid.report.spectra_data import missing_torque
+    from invid.spectra import all_spectra
+
+    out: dict[str, list[tuple[np.ndarray, np.ndarray, float]]] = defaultdict(list)
+    for s in all_spectra(recording):
+        m = missing_torque(s, model.chains)
+        band = s.frequency_hz <= 1.1 * s.frequency_hz[s.excited].max()
+        count = s.time.size
+        at = np.round(s.frequency_hz * count / s.sample_rate_hz).astype(int)[band]
+
+        def wave(x: np.ndarray, at: np.ndarray = at, count: int = count) -> np.ndarray:
+            spectrum = np.zeros(count // 2 + 1, dtype=complex)
+            spectrum[at] = x * count / 2
+            return np.fft.irfft(spectrum, count)
+
+        jw, theta = 1j * s.omega[band], s.position[band, 0]
+        features = np.stack([wave(theta), wave(jw * theta), wave(jw**2 * theta)], axis=1)
+        noise = float((m.std[band, 0] ** 2).sum() / 2)
+        out[str(s.role)].append((features, wave(m.torque[band, 0]), noise))
+    return out
+
+
+def gain(y: np.ndarray, predicted: np.ndarray, noise: float) -> float:
+    """1 − (after² − noise²)/(before² − noise²), as in invid's own diagnosis."""
+    before, after = float(np.mean(y**2)), float(np.mean((y - predicted) ** 2))
+    return 1.0 - (after - noise) / max(before - noise, 1e-30)
+
+
+def sindy(train: tuple[np.ndarray, np.ndarray], test: Any, *, sign: bool) -> tuple[float, int]:
+    """Held-out gain and number of terms of the best threshold."""
+    import pysindy
+
+    library = pysindy.PolynomialLibrary(degree=3, include_bias=False)
+    scale = train[0].std(axis=0)
+
+    def columns(x: np.ndarray) -> np.ndarray:
+        terms = np.asarray(library.fit_transform(x / scale))
+        return np.column_stack([terms, np.sign(x[:, 1])]) if sign else terms
+
+    a, best = columns(train[0]), (-np.inf, 0)
+    width = a.std(axis=0)
+    for threshold in np.geomspace(1e-3, 0.5, 12):
+        optimizer = pysindy.STLSQ(threshold=float(threshold), alpha=1e-6)
+        optimizer.fit(a / width, (train[1] / train[1].std())[:, None])
+        weights = np.asarray(optimizer.coef_)[0] * train[1].std() / width
+        now = gain(test[1], columns(test[0]) @ weights, test[2])
+        best = max(best, (now, int((weights != 0).sum())))
+    return best
+
+
+def main() -> int:
+    """Print the table."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--trials", type=int, default=2)
+    parser.add_argument("--db", type=float, nargs=2, default=[20.0, 30.0])
+    parser.add_argument("--start", type=int, default=5000)
+    arguments, _ = parser.parse_known_args()
+    try:
+        import pysindy  # noqa: F401
+    except ImportError as error:
+        print(f"not run: {error}; pip install pysindy")
+        return 0
+    from hidden.generator import make
+    from hidden.scoring import score
+
+    from invid.discrepancy import diagnose
+    from invid.identify import identify
+
+    warnings.simplefilter("ignore")
+    print("held-out share of the excess explained (terms to read); invid: share, what it said\n")
+    print(f"{'hidden cause':<22} {'SINDy':>12} {'SINDy+sign':>12}   invid")
+    sums: dict[str, list[float]] = defaultdict(list)
+    for cause in CAUSES:
+        for trial in range(arguments.trials):
+            seed = arguments.start + trial
+            goal = float(np.random.default_rng(seed).uniform(*arguments.db))
+            recording, truth = make(cause, seed=seed, motors=1, masses=(2,), target_db=goal, moves=False)
+            data = signals(recording, identify(recording))
+            train = (
+                np.concatenate([x for x, _, _ in data["identify"]]),
+                np.concatenate([y for _, y, _ in data["identify"]]),
+            )
+            test = data["validate"][0]
+            if np.mean(test[1] ** 2) < 2 * test[2]:
+                print(f"{cause:<22} not visible in the held-out record (seed {seed})", flush=True)
+                continue
+            cells = [sindy(train, test, sign=False), sindy(train, test, sign=True)]
+            diagnosis = diagnose(recording)
+            said = score(truth, diagnosis)
+            own = diagnosis.explained_fraction
+            for name, (share, _) in zip(("SINDy", "SINDy+sign"), cells, strict=True):
+                sums[name].append(share)
+            sums["invid"].append(0.0 if own is None else own)
+            shown = " ".join(f"{100 * share:6.0f} % ({terms:2d})" for share, terms in cells)
+            share = "  –  " if own is None else f"{100 * own:5.1f} %"
+            print(f"{cause:<22} {shown}   {share} {said.named} ({said.outcome})", flush=True)
+    print("\nmedian  " + ", ".join(f"{name} {100 * np.median(v):.0f} %" for name, v in sums.items()))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
