@@ -1,0 +1,486 @@
+"""The simulator against scipy's integrator with the physics written again here."""
+
+from __future__ import annotations
+
+import dataclasses
+import warnings
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from invid.chains import CoupledChains, case_study
+from invid.errors import InputError, ModelError
+from invid.forward import dynamic_stiffness
+from invid.model import ChainStd, EffectTerm, Estimate, Model
+from invid.recording.model import Experiment, Kind, Recording, Role
+from invid.simulate import simulate
+
+RATE = 500.0
+PERIOD = 2.0
+LINES = np.array([1.0, 1.5, 2.5, 3.5, 4.5, 6.5, 8.5])
+
+
+def plant() -> CoupledChains:
+    return CoupledChains.build(
+        [[1.0, 1.5], [2.0, 3.0]],
+        [[800.0], [1500.0]],
+        [[1.0], [1.5]],
+        [[0, 0.6], [0.6, 0]],
+    )
+
+
+def torque_at(t: np.ndarray, amplitude: float = 3.0) -> np.ndarray:
+    phases = np.random.default_rng(3).uniform(0, 2 * np.pi, (2, LINES.size))
+    angle = 2 * np.pi * LINES * np.asarray(t)[..., None, None] + phases
+    return amplitude * np.sin(angle).sum(axis=-1)
+
+
+def model(chains: CoupledChains, *effects: EffectTerm, linear: bool = False) -> Model:
+    return Model("r", "test", chains, ChainStd.unknown(chains), linear=linear, effects=effects)
+
+
+def effect(
+    cause: str, axis: str = "A1", element: str | None = None, other: str | None = None, **values: float
+) -> EffectTerm:
+    return EffectTerm(cause, axis, {k: Estimate(v) for k, v in values.items()}, element, other)
+
+
+def recording(time: np.ndarray, position: np.ndarray, torque: np.ndarray, **changes: object) -> Recording:
+    experiment = Experiment(
+        key="000",
+        kind=Kind.MULTISINE,
+        role=Role.IDENTIFY,
+        excited_axis=-1,
+        hold_gain=np.zeros(position.shape[1]),
+        period_samples=0,
+        frequencies_hz=LINES,
+        sample_rate_hz=RATE,
+        time=time,
+        position=position,
+        torque=torque,
+    )
+    experiment = dataclasses.replace(experiment, **changes)  # type: ignore[arg-type]
+    axes = tuple(f"A{i + 1}" for i in range(position.shape[1]))
+    return Recording("r", axes, "rad", "N·m", "2026-01-01T00:00:00Z", (experiment,))
+
+
+Force = Callable[[float, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+
+
+def reference(
+    chains: CoupledChains,
+    extra: Force,
+    *,
+    duration: float = 3.0,
+    acting: Callable[[float], np.ndarray] = torque_at,
+    start: tuple[float, ...] = (),
+) -> tuple[np.ndarray, np.ndarray]:
+    """Times and motor positions by scipy; ``extra(t, q, v, z)`` is a force on all coordinates."""
+    n = chains.dofs
+    inverse = np.linalg.inv(chains.mass_matrix)
+    stiffness, damping = chains.stiffness_matrix, chains.damping_matrix
+
+    def slope(t: float, x: np.ndarray) -> np.ndarray:
+        q, v = x[:n], x[n : 2 * n]
+        force = extra(t, q, v, x)
+        force[chains.motor_dofs] += acting(t)
+        return np.concatenate((v, inverse @ (force - stiffness @ q - damping @ v)))
+
+    time = np.arange(round(duration * RATE)) / RATE
+    x0 = np.zeros(2 * n)
+    x0[: len(start)] = start
+    answer = solve_ivp(
+        slope, (0, time[-1]), x0, t_eval=time, method="LSODA", rtol=1e-8, atol=1e-10, max_step=2e-3
+    )
+    assert answer.success
+    return time, answer.y[chains.motor_dofs].T
+
+
+def nothing(t: float, q: np.ndarray, v: np.ndarray, x: np.ndarray) -> np.ndarray:
+    return np.zeros(q.size)
+
+
+def relative(found: np.ndarray, truth: np.ndarray) -> float:
+    return float(np.sqrt(np.mean((found - truth) ** 2) / np.mean((truth - truth.mean(axis=0)) ** 2)))
+
+
+def test_the_linear_answer_is_that_of_an_independent_integrator() -> None:
+    time, truth = reference(plant(), nothing)
+    answer = simulate(model(plant()), recording(time, truth, torque_at(time)))
+    assert relative(answer.experiments[0].position, truth) < 1e-4
+
+
+def test_a_record_in_steady_state_starts_without_a_transient() -> None:
+    time, truth = reference(plant(), nothing, duration=12.0)
+    late = time >= 8.0
+    answer = simulate(model(plant()), recording(time[late], truth[late], torque_at(time[late])))
+    assert relative(answer.experiments[0].position, truth[late]) < 1e-3
+
+
+def _on(q: int, value: float) -> np.ndarray:
+    force = np.zeros(4)
+    force[q] = value
+    return force
+
+
+def _pair(a: int, value: float) -> np.ndarray:
+    force = np.zeros(4)
+    force[a], force[a + 1] = value, -value
+    return force
+
+
+SHARP = 2e-4
+
+CASES: dict[str, tuple[EffectTerm, Force, float]] = {
+    "coulomb": (
+        effect("coulomb_friction", "A1", "mass 1", torque=2.0),
+        lambda t, q, v, x: _on(0, -2.0 * np.tanh(v[0] / SHARP)),
+        0.02,
+    ),
+    "coulomb on the load": (
+        effect("coulomb_friction", "A2", "mass 2", torque=2.0),
+        lambda t, q, v, x: _on(3, -2.0 * np.tanh(v[3] / SHARP)),
+        0.02,
+    ),
+    "viscous": (
+        effect("viscous_friction", "A2", "mass 1", coefficient=3.0),
+        lambda t, q, v, x: _on(2, -3.0 * v[2]),
+        1e-3,
+    ),
+    "stribeck": (
+        effect("stribeck_friction", "A1", "mass 1", static=3.0, coulomb=1.5, velocity=0.05),
+        lambda t, q, v, x: _on(0, -(1.5 + 1.5 * np.exp(-((v[0] / 0.05) ** 2))) * np.tanh(v[0] / SHARP)),
+        0.03,
+    ),
+    "asymmetric": (
+        effect(
+            "asymmetric_friction",
+            "A1",
+            "mass 1",
+            coulomb_positive=2.0,
+            coulomb_negative=0.5,
+            viscous_positive=1.0,
+            viscous_negative=3.0,
+        ),
+        lambda t, q, v, x: _on(
+            0,
+            -(2.0 if v[0] > 0 else 0.5) * np.tanh(v[0] / SHARP) - (1.0 if v[0] > 0 else 3.0) * v[0],
+        ),
+        0.02,
+    ),
+    "cogging": (
+        effect("cogging", "A2", torque=2.0, cycles_per_rev=40.0, phase=0.7),
+        lambda t, q, v, x: _on(2, -2.0 * np.sin(40 * q[2] + 0.7)),
+        5e-3,
+    ),
+    "gravity": (
+        effect("gravity", "A1", torque=5.0, angle=0.4),
+        lambda t, q, v, x: _on(1, -5.0 * np.sin(q[1] + 0.4)),
+        5e-3,
+    ),
+    "offset": (
+        effect("torque_offset", "A1", torque=0.8),
+        lambda t, q, v, x: _on(0, -0.8),
+        1e-3,
+    ),
+    "cubic": (
+        effect("cubic_stiffness", "A1", "spring 1", coefficient=2e6),
+        lambda t, q, v, x: _pair(0, -2e6 * (q[0] - q[1]) ** 3),
+        5e-3,
+    ),
+    "spring damping": (
+        effect("spring_damping", "A2", "spring 1", coefficient=4.0),
+        lambda t, q, v, x: _pair(2, -4.0 * (v[2] - v[3])),
+        1e-3,
+    ),
+    "backlash": (
+        effect("backlash", "A1", "spring 1", gap=0.004),
+        lambda t, q, v, x: _pair(
+            0,
+            800.0 * np.clip(q[0] - q[1], -0.002, 0.002)
+            + (1.0 * (v[0] - v[1]) if abs(q[0] - q[1]) < 0.002 else 0.0),
+        ),
+        0.02,
+    ),
+    "coupling stiffness": (
+        effect("coupling_stiffness", "A1", None, "A2", stiffness=300.0),
+        lambda t, q, v, x: np.array([0, -300.0 * (q[1] - q[3]), 0, 300.0 * (q[1] - q[3])]),
+        1e-3,
+    ),
+    "transmission error": (
+        effect("transmission_error", "A1", "spring 1", amplitude=0.002, cycles_per_rev=50.0, phase=0.3),
+        lambda t, q, v, x: _transmission(q),
+        5e-3,
+    ),
+}
+
+
+def _transmission(q: np.ndarray) -> np.ndarray:
+    """From the potential ½K(d − e(q_s))²: the force is minus its gradient, less the linear part."""
+    deflection = q[0] - q[1]
+    error, slope = 0.002 * np.sin(50 * q[0] + 0.3), 0.002 * 50 * np.cos(50 * q[0] + 0.3)
+    force = np.zeros(4)
+    force[0] = -800.0 * (deflection - error) * (1 - slope) + 800.0 * deflection
+    force[1] = 800.0 * (deflection - error) - 800.0 * deflection
+    return force
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_every_force_law_agrees_with_an_independent_integrator(name: str) -> None:
+    term, force, tolerance = CASES[name]
+    time, truth = reference(plant(), force)
+    record = recording(time, truth, torque_at(time))
+    with_effect = relative(simulate(model(plant(), term), record).experiments[0].position, truth)
+    without = relative(simulate(model(plant()), record).experiments[0].position, truth)
+    assert with_effect < tolerance
+    assert without > 10 * with_effect  # the effect matters in this record, so the test can fail
+
+
+@pytest.mark.parametrize("where", ["mass", "spring"])
+def test_sliding_springs_agree_with_an_independent_event_free_scheme(where: str) -> None:
+    """Elastoplastic element marched by tiny explicit steps: z is clipped, which no ODE solver likes."""
+    chains, stiffness, torque, fine = plant(), 400.0, 1.5, 20
+    inverse = np.linalg.inv(chains.mass_matrix)
+    q, v, z = np.zeros(4), np.zeros(4), 0.0
+    h = 1 / RATE / fine
+    samples = round(2.0 * RATE)
+    truth = np.zeros((samples, 2))
+    acting = torque_at(np.arange(samples * fine) * h + 0.5 * h)
+    place = (lambda x: x[0]) if where == "mass" else (lambda x: x[0] - x[1])
+    for k in range(samples * fine):
+        if k % fine == 0:
+            truth[k // fine] = q[[0, 2]]
+        before = place(q)
+        force = _on(0, -stiffness * z) if where == "mass" else _pair(0, -stiffness * z)
+        force[[0, 2]] += acting[k]
+        v = v + h * inverse @ (force - chains.stiffness_matrix @ q - chains.damping_matrix @ v)
+        q = q + h * v
+        z = float(np.clip(z + place(q) - before, -torque / stiffness, torque / stiffness))
+    cause = "presliding_friction" if where == "mass" else "spring_hysteresis"
+    term = effect(cause, "A1", f"{where} 1", stiffness=stiffness, torque=torque)
+    time = np.arange(samples) / RATE
+    record = recording(time, truth, torque_at(time))
+    found = relative(simulate(model(chains, term), record).experiments[0].position, truth)
+    assert found < 5e-3
+    assert relative(simulate(model(chains), record).experiments[0].position, truth) > 5 * found
+
+
+def test_an_extra_mode_is_the_plant_with_one_more_mass() -> None:
+    longer = CoupledChains.build(
+        [[1.0, 1.5, 0.3], [2.0, 3.0]],
+        [[800.0, 500.0], [1500.0]],
+        [[1.0, 2 * 0.01 * np.sqrt(500 * 0.3)], [1.5]],
+    )
+    short = CoupledChains.build([[1.0, 1.5], [2.0, 3.0]], [[800.0], [1500.0]], [[1.0], [1.5]])
+    time, truth = reference(longer, nothing)
+    term = effect("extra_mode", "A1", "mass 2", mass=0.3, stiffness=500.0)
+    answer = simulate(model(short, term), recording(time, truth, torque_at(time)))
+    assert relative(answer.experiments[0].position, truth) < 1e-3
+
+
+ACTUATORS: dict[str, tuple[EffectTerm, Callable[[float], np.ndarray]]] = {
+    "gain": (effect("torque_gain", "A1", gain=1.1), lambda t: torque_at(t) * [1.1, 1.0]),
+    "delay": (
+        effect("torque_delay", "A1", delay=0.006),
+        lambda t: np.array([torque_at(t - 0.006)[0], torque_at(t)[1]]),
+    ),
+    "lead": (
+        effect("torque_delay", "A1", delay=-0.006),
+        lambda t: np.array([torque_at(t + 0.006)[0], torque_at(t)[1]]),
+    ),
+    "saturation": (
+        effect("torque_saturation", "A1", limit=4.0),
+        lambda t: np.array([np.clip(torque_at(t)[0], -4, 4), torque_at(t)[1]]),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", ACTUATORS)
+def test_actuator_effects_change_the_torque_that_acts(name: str) -> None:
+    term, acting = ACTUATORS[name]
+    time, truth = reference(plant(), nothing, acting=acting)
+    record = recording(time, truth, torque_at(time))
+    assert relative(simulate(model(plant(), term), record).experiments[0].position, truth) < 1e-3
+    assert relative(simulate(model(plant()), record).experiments[0].position, truth) > 5e-3
+
+
+def test_a_torque_lag_is_a_first_order_filter() -> None:
+    constant = 0.01
+    phases = np.random.default_rng(3).uniform(0, 2 * np.pi, (2, LINES.size))
+    factor = 1 / (1 + 2j * np.pi * LINES * constant)
+
+    def lagged(t: float) -> np.ndarray:
+        wave = np.exp(1j * (2 * np.pi * LINES * t + phases))
+        wave[0] *= factor
+        return 3.0 * wave.imag.sum(axis=-1)
+
+    time, truth = reference(plant(), nothing, acting=lagged)
+    record = recording(time, truth, torque_at(time))
+    term = effect("torque_lag", "A1", time_constant=constant)
+    assert relative(simulate(model(plant(), term), record).experiments[0].position, truth) < 0.01
+
+
+def test_eccentricity_distorts_the_reading_only() -> None:
+    time, truth = reference(plant(), nothing)
+    reading = truth.copy()
+    reading[:, 0] += 0.003 * np.sin(truth[:, 0] + 0.5)
+    answer = simulate(
+        model(plant(), effect("encoder_eccentricity", "A1", amplitude=0.003, phase=0.5)),
+        recording(time, reading, torque_at(time)),
+    )
+    np.testing.assert_allclose(answer.experiments[0].position, reading, atol=2e-3 * np.ptp(truth))
+
+
+def test_a_payload_joins_at_its_time() -> None:
+    chains = plant()
+    heavy = dataclasses.replace(chains, masses=(np.array([1.0, 2.0]), chains.masses[1]))
+    time = np.arange(round(4.0 * RATE)) / RATE
+    truth = np.zeros((time.size, 2))
+    state = np.zeros(8)
+    for here, part in ((chains, time < 2.0), (heavy, time >= 2.0)):
+        inverse = np.linalg.inv(here.mass_matrix)
+
+        def slope(
+            t: float, x: np.ndarray, here: CoupledChains = here, inverse: np.ndarray = inverse
+        ) -> np.ndarray:
+            force = -here.stiffness_matrix @ x[:4] - here.damping_matrix @ x[4:]
+            force[[0, 2]] += torque_at(t)
+            return np.concatenate((x[4:], inverse @ force))
+
+        begin = time[part][0]
+        ends = (begin, begin + 2.0)
+        out = solve_ivp(slope, ends, state, t_eval=np.append(time[part], ends[1]), rtol=1e-9, atol=1e-11)
+        truth[part] = out.y[[0, 2], :-1].T
+        state = out.y[:, -1]
+    record = recording(time + 100.0, truth, torque_at(time))
+    term = effect("payload_change", "A1", mass=0.5, time=102.0)
+    assert relative(simulate(model(chains, term), record).experiments[0].position, truth) < 5e-3
+    assert relative(simulate(model(chains), record).experiments[0].position, truth) > 0.02
+
+
+def test_a_drifting_spring_follows_its_rate() -> None:
+    time, truth = reference(plant(), lambda t, q, v, x: _pair(0, 60.0 * t * (q[0] - q[1])))
+    record = recording(time, truth, torque_at(time))
+    term = effect("parameter_drift", "A1", "spring 1", rate=-60.0)
+    assert relative(simulate(model(plant(), term), record).experiments[0].position, truth) < 5e-3
+
+
+def test_dropped_samples_repeat_rows_at_the_rate_asked_for() -> None:
+    time, truth = reference(plant(), nothing)
+    term = effect("dropped_samples", "A1", fraction=0.1)
+    record = recording(time, truth, torque_at(time))
+    answer = simulate(model(plant(), term), record, rng=np.random.default_rng(1)).experiments[0]
+    repeated = np.mean(np.all(np.diff(answer.position, axis=0) == 0, axis=1))
+    assert 0.06 < repeated < 0.14
+
+
+def test_the_simulated_record_obeys_the_model_though_measured_motion_was_another() -> None:
+    """The measured motion is another plant's; ZΘ = T must hold for what the simulator writes."""
+    time = np.arange(round(30.0 * RATE)) / RATE
+    other = CoupledChains.build([[1.2, 1.2], [2.0, 4.0]], [[700.0], [1500.0]], [[3.0], [1.0]])
+    phases = np.random.default_rng(3).uniform(0, 2 * np.pi, (2, LINES.size))
+    motion = np.einsum(
+        "fij,jf->if", np.linalg.inv(dynamic_stiffness(other, 2 * np.pi * LINES)), np.exp(1j * phases)
+    )
+    wave = np.exp(2j * np.pi * LINES * time[:, None])
+    position = 3.0 * np.einsum("tf,if->ti", wave, motion).imag
+    answer = simulate(model(plant()), recording(time, position, torque_at(time))).experiments[0]
+    assert relative(answer.position, position) > 0.05
+    last = slice(-round(PERIOD * 2 * RATE), None)
+    spectrum = np.fft.rfft(np.stack((answer.position[last], answer.torque[last])), axis=1)
+    bins = np.round(LINES * PERIOD * 2).astype(int)
+    stiffness = dynamic_stiffness(plant(), 2 * np.pi * LINES)
+    wanted = np.einsum("fij,fj->fi", stiffness, spectrum[0][bins])
+    assert relative_complex(wanted, spectrum[1][bins]) < 2e-3
+
+
+def relative_complex(a: np.ndarray, b: np.ndarray) -> float:
+    return float(np.linalg.norm(a - b) / np.linalg.norm(b))
+
+
+def test_a_hold_gain_is_replayed_as_a_closed_loop() -> None:
+    held = plant().with_holds([0.0, 400.0], [2.0, 5.0])
+    time, truth = reference(held, nothing)
+    seen = torque_at(time)
+    rate = np.gradient(truth, time, axis=0)
+    seen = seen - truth * [0.0, 400.0] - rate * [2.0, 5.0]
+    record = recording(time, truth, seen, hold_gain=np.array([0.0, 400.0]))
+    answer = simulate(model(plant()), record)
+    assert relative(answer.experiments[0].position, truth) < 5e-3
+
+
+def test_uneven_instants_are_simulated_at_those_instants() -> None:
+    time, truth = reference(plant(), nothing)
+    rng = np.random.default_rng(0)
+    uneven = np.sort(time + rng.uniform(-0.2, 0.2, time.size) / RATE)
+    position = np.stack([np.interp(uneven, time, c) for c in truth.T], axis=1)
+    answer = simulate(model(plant()), recording(uneven, position, torque_at(uneven)))
+    assert answer.experiments[0].position.shape == truth.shape
+    assert relative(answer.experiments[0].position, position) < 0.01
+
+
+def test_axes_in_another_order_give_the_same_answer() -> None:
+    time, truth = reference(plant(), nothing)
+    record = recording(time, truth, torque_at(time))
+    swapped = dataclasses.replace(
+        record,
+        axes=("A2", "A1"),
+        experiments=(
+            dataclasses.replace(
+                record.experiments[0], position=truth[:, ::-1], torque=torque_at(time)[:, ::-1]
+            ),
+        ),
+    )
+    one = simulate(model(plant()), record).experiments[0].position
+    other = simulate(model(plant()), swapped).experiments[0].position
+    np.testing.assert_allclose(other[:, ::-1], one, rtol=0, atol=1e-12)
+
+
+def test_axes_of_another_robot_are_refused() -> None:
+    chains = case_study()
+    record = recording(np.arange(100) / RATE, np.zeros((100, 2)), np.zeros((100, 2)))
+    with pytest.raises(InputError, match="axes"):
+        simulate(model(chains), record)
+
+
+def test_metres_and_radians_do_not_mix() -> None:
+    record = recording(np.arange(100) / RATE, np.zeros((100, 2)), np.zeros((100, 2)))
+    with pytest.raises(InputError, match="linear"):
+        simulate(model(plant(), linear=True), record)
+
+
+@pytest.mark.parametrize(
+    ("term", "words"),
+    [
+        (effect("magic", "A1"), "cannot be simulated"),
+        (effect("coulomb_friction", "A9", torque=1.0), "no branch"),
+        (effect("coulomb_friction", "A1", "spring 1", torque=1.0), "mass n"),
+        (effect("backlash", "A1", "spring 2", gap=0.1), "spring 2 of 1"),
+        (effect("coulomb_friction", "A1"), "torque"),
+        (effect("coupling_stiffness", "A1", stiffness=1.0), "other_axis"),
+        (effect("torque_lag", "A1", time_constant=0.0), "time_constant"),
+    ],
+)
+def test_effects_that_cannot_be_simulated_are_named(term: EffectTerm, words: str) -> None:
+    record = recording(np.arange(100) / RATE, np.zeros((100, 2)), np.zeros((100, 2)))
+    with pytest.raises(ModelError, match=words):
+        simulate(model(plant(), term), record)
+
+
+def test_the_uncompiled_kernel_gives_the_same_bits_of_motion() -> None:
+    from invid.simulate import kernel, run
+
+    python = getattr(kernel.march, "py_func", None)
+    if python is None:
+        warnings.warn("numba is missing here: the compiled kernel was not compared", stacklevel=1)
+        return
+    time, truth = reference(plant(), nothing, duration=0.2)
+    record = recording(time, truth, torque_at(time))
+    term = CASES["backlash"][0]
+    fast = simulate(model(plant(), term), record).experiments[0].position
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(run, "march", python)
+        slow = simulate(model(plant(), term), record).experiments[0].position
+    np.testing.assert_allclose(slow, fast, rtol=1e-10, atol=1e-14)
