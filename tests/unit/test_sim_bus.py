@@ -229,3 +229,11 @@ def test_position_comes_with_encoder_steps_and_torque_with_its_noise() -> None:
         # 5 thousandths and the rounding to whole ones; four standard deviations of the estimate
         assert abs(mean) < 4 * 5 / 20
         assert std == pytest.approx((25 + 1 / 12) ** 0.5, rel=4 / 800**0.5)
+
+
+def test_waiting_for_ever_on_a_silent_bus_ends_with_an_error() -> None:
+    with open_virtual_bus(config()) as bus:
+        for _ in range(3):
+            assert bus.recv(None) is not None  # boot-up messages
+        with pytest.raises(can.CanOperationError, match="nothing was received"):
+            bus.recv(None)

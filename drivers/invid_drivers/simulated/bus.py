@@ -23,6 +23,8 @@ from invid.errors import InvidError
 from invid_drivers.simulated.cell import NEVER, SimulatedCell
 
 _NS = 1_000_000_000
+_SILENCE_NS = 60 * _NS
+"""How long ``recv(None)`` listens to a silent bus; a heartbeat or a TPDO is never so rare."""
 
 
 def frame_bits(data_bytes: int) -> int:
@@ -211,7 +213,7 @@ class VirtualTimeBus(BusABC):
         if not inbox:
             wire = self.wire
             if timeout is None:
-                limit = NEVER - 1
+                limit = wire.now_ns + _SILENCE_NS
             else:  # any timeout above zero passes some time: a loop on what is left must end
                 limit = wire.now_ns + (max(1, round(timeout * _NS)) if timeout > 0.0 else 0)
             wire.run(limit, inbox)
@@ -235,26 +237,29 @@ class VirtualTimeBus(BusABC):
     def recv(self, timeout: float | None = None) -> Message | None:
         """The next frame; virtual time passes until it arrives or ``timeout`` [virtual s] is over.
 
-        ``None`` waits for the next frame however far away; a bus on which nothing will ever happen
-        again raises instead of hanging.
+        ``None`` waits for the next frame, but raises after a minute of virtual silence instead of
+        hanging on a bus where nothing will ever happen again.
         """
-        if self.wire.cell.master_off and not self._error_shown:
-            self._error_shown = True
-            return Message(timestamp=self.clock.now(), is_error_frame=True, is_extended_id=False, dlc=8)
-        end = (
-            None if timeout is None else self.wire.now_ns + max(1 if timeout > 0 else 0, round(timeout * _NS))
-        )
+        if self.wire.cell.master_off is not self._error_shown:
+            self._error_shown = self.wire.cell.master_off
+            if self._error_shown:
+                return Message(timestamp=self.clock.now(), is_error_frame=True, is_extended_id=False, dlc=8)
+        inbox, wire = self._inbox, self.wire
+        if timeout is None:
+            end = wire.now_ns + _SILENCE_NS
+        else:  # any timeout above zero passes some time: a loop on what is left must end
+            end = wire.now_ns + (max(1, round(timeout * _NS)) if timeout > 0.0 else 0)
         while True:
-            left = None if end is None else max(end - self.wire.now_ns, 0) / _NS
-            frame = self.recv_raw(left)
-            if frame is None:
-                if timeout is None:
-                    raise can.CanOperationError(
-                        "nothing will ever be received: no drive has anything to send"
-                    )
-                return None
-            when, can_id, data = frame
-            message = Message(when, can_id & 0x1FFFFFFF, can_id > 0x1FFFFFFF, data=data, dlc=len(data))
+            if not inbox:
+                wire.run(end, inbox)
+                if not inbox:
+                    if timeout is None:
+                        raise can.CanOperationError(
+                            f"nothing was received in {_SILENCE_NS // _NS} virtual seconds and nothing will be"
+                        )
+                    return None
+            when, can_id, data = inbox.popleft()
+            message = Message(when / _NS, can_id & 0x1FFFFFFF, can_id > 0x1FFFFFFF, data=data, dlc=len(data))
             if self._filters is None or self._matches_filters(message):
                 return message
 

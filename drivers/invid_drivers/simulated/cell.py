@@ -231,7 +231,6 @@ class SimulatedCell:
 
     def _observe(self, now_ns: int) -> None:
         """Bring the plant up to date and let every drive measure."""
-        self.plant.advance_to(now_ns)
         if self._noise_row >= _NOISE_ROWS:
             if self._noisy:
                 self._noise_random.standard_normal(out=self._noise)
@@ -239,7 +238,7 @@ class SimulatedCell:
             self._noise_row = 0
         noise: Float64 = self._noise[self._noise_row]
         self._noise_row += 1
-        rows = self.plant.measure(now_ns, noise)
+        rows = self.plant.observe(now_ns, noise)
         if self._drops:
             kept = self._drop_random.random(len(rows)) >= self._drop_rate
         else:

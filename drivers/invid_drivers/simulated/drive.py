@@ -75,6 +75,7 @@ class Drive:
         self._e_max_torque = entry(od, 0x6072, "H", 3000)
         od.entry(0x6060).on_write = self._check_mode
         self.configured()
+        self._torque_unit = direction * rated_torque / 1000.0
         self._forget()
 
     @staticmethod
@@ -90,6 +91,9 @@ class Drive:
         self._shown_nmt = Nmt.INITIALISING
         self._stop_deadline_ns = 0
         self._demand = 0.0
+        self._limit = -1
+        self._sent: float | None = None
+        """Torque in the plant's table, in thousandths; None while it follows something else."""
         self._target_counts: int | None = None
         self._lost_ns: int | None = None
         self._last_ns = 0
@@ -116,6 +120,7 @@ class Drive:
         self._after_stop = None
         if not energised:
             self._command[kernel.MODE] = kernel.MODE_OFF
+            self._sent = None
             self._demand = 0.0
             for i in range(len(self._delay)):
                 self._delay[i] = 0.0
@@ -217,37 +222,38 @@ class Drive:
 
     # --- modes -----------------------------------------------------------------------------------
     def _operate(self, now_ns: int) -> None:
-        command = self._command
-        limit = int(self._e_max_torque.value)
-        command[kernel.LIMIT] = limit * self.rated_torque / 1000.0
-        if self.mode == CYCLIC_POSITION:
+        limit: int = self._e_max_torque.value  # type: ignore[assignment]
+        if limit != self._limit:
+            self._limit = limit
+            self._command[kernel.LIMIT] = limit * self.rated_torque / 1000.0
+        wanted: float
+        if self.mode == CYCLIC_TORQUE:
+            wanted = self._e_target_torque.value + self._e_offset.value  # type: ignore[operator,assignment]
+        elif self.mode == CYCLIC_POSITION:
             self._follow_position()
             return
-        if self.mode == CYCLIC_TORQUE:
-            wanted = float(int(self._e_target_torque.value) + int(self._e_offset.value))
-            wanted = max(-32768.0, min(32767.0, wanted))
         elif self.mode == PROFILE_TORQUE:
             target = 0.0 if self._controlword & 0x100 else float(int(self._e_target_torque.value))
             step = self.node.od.number(0x6087, missing=1000) * (now_ns - self._last_ns) * 1e-9
             wanted = self._demand + max(-step, min(step, target - self._demand))
         else:
             wanted = 0.0
-        clipped = wanted > limit or wanted < -limit
-        if clipped:
-            wanted = math.copysign(limit, wanted)
-        self._internal_limit = clipped
+        if -limit <= wanted <= limit:
+            self._internal_limit = False
+        else:
+            wanted = limit if wanted > 0 else -limit
+            self._internal_limit = True
         self._demand = wanted
-        self._e_demand.value = int(wanted)
-        if self._delay:
+        self._e_demand.value = max(-32768, min(32767, int(wanted)))
+        if self._delay and self.mode == CYCLIC_TORQUE:
             if not self.synchronous:
                 return
             self._delay.append(wanted)
             wanted = self._delay.popleft()
-        torque = self.direction * wanted * self.rated_torque / 1000.0
-        if command[kernel.TORQUE] != torque or command[kernel.MODE] != kernel.MODE_TORQUE:
-            command[kernel.TORQUE] = torque
-            command[kernel.MODE] = kernel.MODE_TORQUE
-            command[kernel.BLEND] = self._plant.blend_at(now_ns)
+        if wanted != self._sent:
+            self._sent = wanted
+            self._command[kernel.TORQUE] = self._torque_unit * wanted
+            self._command[kernel.MODE] = kernel.MODE_TORQUE
 
     def _here(self) -> float:
         """Position reference equal to what the encoder shows."""
@@ -261,6 +267,7 @@ class Drive:
         command[kernel.DECELERATION] = deceleration
         command[kernel.INTERPOLATE] = 0.0
         command[kernel.MODE] = kernel.MODE_POSITION
+        self._sent = None
 
     def _follow_position(self) -> None:
         command = self._command

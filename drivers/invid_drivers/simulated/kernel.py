@@ -36,8 +36,8 @@ TORQUE_GAIN, SATURATION, LAG, HIDDEN_LAG, DELAY = range(10, 15)
 ENCODER_SIGN, ENCODER_OFFSET, STUCK, STUCK_AT, COUNTS_PER_UNIT, ECCENTRICITY, ECCENTRICITY_PHASE = range(
     15, 22
 )
-BLEND, RATED, TORQUE_STEPS, DIRECTION = range(22, 26)
-COMMAND_COLUMNS = 26
+RATED, TORQUE_STEPS, DIRECTION = range(22, 25)
+COMMAND_COLUMNS = 25
 
 MODE_OFF, MODE_TORQUE, MODE_POSITION = 0.0, 1.0, 2.0
 
@@ -104,7 +104,15 @@ def _nonlinear(
 
 @_compiled
 def _motors(
-    q: Float64, n: int, motors: Int64, command: Float64, state: Float64, ring: Float64, slot: int, h: float
+    q: Float64,
+    n: int,
+    motors: Int64,
+    command: Float64,
+    state: Float64,
+    ring: Float64,
+    slot: int,
+    h: float,
+    blend: float,
 ) -> None:  # pragma: no cover - compiled
     """The drives' inner loops for one sub-step: from command to the torque that acts."""
     length = ring.shape[1]
@@ -113,10 +121,8 @@ def _motors(
         mode = row[MODE]
         wanted = 0.0
         if mode == MODE_TORQUE:
-            wanted = row[TORQUE]
-            if row[BLEND] > 0.0:  # the command changed inside this sub-step: keep its impulse
-                wanted = row[BLEND] * state[i, PREVIOUS] + (1.0 - row[BLEND]) * wanted
-                row[BLEND] = 0.0
+            # a command that changed inside this sub-step: keep its impulse
+            wanted = blend * state[i, PREVIOUS] + (1.0 - blend) * row[TORQUE]
             state[i, PREVIOUS] = row[TORQUE]
         elif mode == MODE_POSITION:
             seen, speed = row[STUCK_AT], 0.0
@@ -219,9 +225,11 @@ def advance(
     friction: Float64,
     level: Float64,
     work: Float64,
+    blend: float,
 ) -> int:  # pragma: no cover - compiled
     """Advance ``q`` in place by ``steps`` sub-steps; returns the new slot of the delay ring.
 
+    ``blend`` is the share of the first sub-step that had passed when the commands were last set.
     ``phi``, ``gamma`` and ``ramp`` are transposed: row c is what coordinate or force c adds.
     """
     n = external.shape[0]
@@ -229,7 +237,8 @@ def advance(
     free, force, later = work[0], work[1], work[2]
     for _ in range(steps):
         slot = (slot + 1) % ring.shape[1]
-        _motors(q, n, motors, command, state, ring, slot, h)
+        _motors(q, n, motors, command, state, ring, slot, h, blend)
+        blend = 0.0
         for k in range(n):
             force[k] = external[k]
         for i in range(count):
@@ -297,6 +306,55 @@ def sample(
         permille = sign * state[i, RECORDED] / row[RATED] * 1000.0 + noise[i, 1]
         permille = math.floor(permille / row[TORQUE_STEPS] + 0.5) * row[TORQUE_STEPS]
         out[i, 2] = int(min(max(permille, -32768.0), 32767.0))
+
+
+@_compiled
+def advance_and_sample(
+    q: Float64,
+    steps: int,
+    h: float,
+    phi: Float64,
+    gamma: Float64,
+    ramp: Float64,
+    motors: Int64,
+    command: Float64,
+    state: Float64,
+    ring: Float64,
+    slot: int,
+    external: Float64,
+    elements: Float64,
+    memory: Float64,
+    friction: Float64,
+    level: Float64,
+    work: Float64,
+    blend: float,
+    rest: float,
+    noise: Float64,
+    out: Int64,
+) -> int:  # pragma: no cover - compiled
+    """``advance`` and ``sample`` in one call: the crossing into compiled code costs as much as a step."""
+    slot = advance(
+        q,
+        steps,
+        h,
+        phi,
+        gamma,
+        ramp,
+        motors,
+        command,
+        state,
+        ring,
+        slot,
+        external,
+        elements,
+        memory,
+        friction,
+        level,
+        work,
+        blend,
+    )
+    sample(q, rest, motors, command, state, noise, out)
+    return slot
 
 
 def empty_tables(motors: int) -> tuple[Float64, Float64]:

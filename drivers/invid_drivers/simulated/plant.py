@@ -43,6 +43,7 @@ class Plant:
         self._work = np.zeros((3, 2 * n))
         self._slot = 0
         self._steps_done = 0
+        self._blend = 0.0
         self.measured = np.zeros((motors, 4), dtype=np.int64)
         self._ring = np.zeros((motors, 4))
         self._changes = list(structure.changes)
@@ -94,28 +95,52 @@ class Plant:
                 self.structure.friction,
                 self._level,
                 self._work,
+                self._blend,
             )
+            self._blend = 0.0
             self._steps_done = stop
             if stop * self._h_ns >= self._next_change_ns:
                 time_ns = self._steps_done * self._h_ns
                 self._set_matrices(time_ns / _NS)
                 self._next_change_ns = self._change_due(time_ns)
 
-    def measure(self, now_ns: int, noise: Float64) -> list[list[int]]:
-        """What ``kernel.sample`` gives for every drive at ``now_ns``.
+    def observe(self, now_ns: int, noise: Float64) -> list[list[int]]:
+        """Advance to ``now_ns`` and return what ``kernel.sample`` gives for every drive.
 
-        ``noise`` (M, 2): counts and thousandths.
+        ``noise`` (M, 2): counts and thousandths of rated torque.
         """
-        rest = (now_ns - self._steps_done * self._h_ns) / _NS
-        kernel.sample(
-            self.state, rest, self.structure.motors, self.command, self.motor_state, noise, self.measured
+        structure = self.structure
+        if self._next_change_ns <= now_ns:
+            self.advance_to(now_ns)
+        target = now_ns // self._h_ns
+        rest_ns = now_ns - target * self._h_ns
+        self._slot = kernel.advance_and_sample(
+            self.state,
+            max(target - self._steps_done, 0),
+            self.h,
+            self._phi,
+            self._gamma,
+            self._ramp,
+            structure.motors,
+            self.command,
+            self.motor_state,
+            self._ring,
+            self._slot,
+            self.external,
+            structure.elements,
+            self._memory,
+            structure.friction,
+            self._level,
+            self._work,
+            self._blend,
+            rest_ns / _NS,
+            noise,
+            self.measured,
         )
+        self._steps_done = target
+        self._blend = rest_ns / self._h_ns
         values: list[list[int]] = self.measured.tolist()
         return values
-
-    def blend_at(self, now_ns: int) -> float:
-        """Share of the current sub-step that has passed at ``now_ns``."""
-        return (now_ns - self._steps_done * self._h_ns) / self._h_ns
 
     @property
     def positions(self) -> Float64:
@@ -147,4 +172,3 @@ def discretise(
     step = expm(augmented * h)
     top = step[: 2 * n]
     return top[:, : 2 * n], top[:, 2 * n : 3 * n], top[:, 3 * n :]
-
