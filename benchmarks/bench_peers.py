@@ -5,9 +5,9 @@
 
 For every cause of the catalogue that one axis can show, the missing torque under the identified linear
 model is given, as a time signal, to PySINDy (STLSQ on a polynomial library of position, velocity and
-acceleration to degree 3, and the same with sign(velocity) added by hand). The sparsity threshold of STLSQ is chosen on the held-out record itself,
-in the peer's favour. Printed: share of the held-out excess power removed, and the number of terms that
-a reader would have to interpret.
+acceleration to degree 3, and the same with sign(velocity) added by hand). The sparsity threshold of
+STLSQ is chosen on the held-out record itself, in the peer's favour. Printed: share of the held-out
+excess power removed, and the number of terms that a reader would have to interpret.
 """
 
 from __future__ import annotations
