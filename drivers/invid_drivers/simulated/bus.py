@@ -255,7 +255,7 @@ class VirtualTimeBus(BusABC):
                 if not inbox:
                     if timeout is None:
                         raise can.CanOperationError(
-                            f"nothing was received in {_SILENCE_NS // _NS} virtual seconds and nothing will be"
+                            f"nothing was received in {_SILENCE_NS // _NS} virtual seconds"
                         )
                     return None
             when, can_id, data = inbox.popleft()
