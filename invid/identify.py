@@ -14,7 +14,7 @@ from invid.errors import InputError, InvidError, NotIdentifiableError
 from invid.frf import FrfMatrix, frf_matrix, local_frf_matrix
 from invid.identifiability import Blind, blind_directions
 from invid.inverse import PaperResult, identify_paper, starts
-from invid.model import ChainStd, Model, parameter_vector
+from invid.model import ChainStd, EffectTerm, Estimate, Model, parameter_vector, units
 from invid.recording.model import Recording, Role
 from invid.refine.fit import Fit, fit_structure
 from invid.refine.structure import ChainStructure
@@ -287,12 +287,41 @@ def _refined_model(
         chains=chains,
         std=_chain_std(chains, dict(zip(names, std, strict=True))),
         linear=recording.linear,
+        effects=_friction(fit, recording),
         warnings=tuple(dict.fromkeys(warnings)),
         covariance=frozen_float(covariance) if finite else None,
         parameter_names=names if finite else (),
         fit=_plain(facts),
         provenance=_provenance(recording),
     )
+
+
+def _friction(fit: Fit, recording: Recording) -> tuple[EffectTerm, ...]:
+    """Friction that the fit could not do without: part of the model, or its simulation would not damp."""
+    torque = "N" if recording.linear else "N·m"
+    damping = units(recording.linear)["damping"]
+    found = []
+    for name, estimate in fit.facts["friction"].items():
+        # Names read A1.coulomb, A1.viscous, A1.viscous.2; axis names may hold dots of their own.
+        value, std = estimate["value"], estimate["std"]
+        if not value > 3.0 * std:
+            continue
+        if name.endswith(".coulomb"):
+            axis = name.removesuffix(".coulomb")
+            found.append(
+                EffectTerm(
+                    "coulomb_friction", axis, {"torque": Estimate(value, std, torque)}, element="mass 1"
+                )
+            )
+            continue
+        axis, _, number = name.rpartition(".viscous")
+        element = f"mass {number.removeprefix('.') or 1}"
+        found.append(
+            EffectTerm(
+                "viscous_friction", axis, {"coefficient": Estimate(value, std, damping)}, element=element
+            )
+        )
+    return tuple(found)
 
 
 def _plain(value: Any) -> Any:

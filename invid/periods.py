@@ -44,8 +44,8 @@ def repeats(folded: Float64) -> Float64:
         return np.zeros(folded.shape[2])
     change = np.diff(folded, axis=0)
     change = change - change.mean(axis=1, keepdims=True)
-    total = folded - folded.mean(axis=(0, 1))
-    share: Float64 = (change**2).mean(axis=(0, 1)) / 2 / np.maximum((total**2).mean(axis=(0, 1)), 1e-300)
+    within = folded - folded.mean(axis=1, keepdims=True)
+    share: Float64 = (change**2).mean(axis=(0, 1)) / 2 / np.maximum((within**2).mean(axis=(0, 1)), 1e-300)
     return share
 
 

@@ -85,6 +85,12 @@ def model_text(model: Model) -> str:
         for j in range(i + 1, chains.branches):
             name = f"{chains.axes[i]}-{chains.axes[j]} coupling"
             lines.append(_row(name, float(chains.couplings[i, j]), float(std.couplings[i, j]), mass))
+    for effect in model.effects:
+        for p in effect.parameters.values():
+            label = (
+                f"{effect.axis} {effect.cause.split('_')[0]} {(effect.element or '').removeprefix('mass ')}"
+            )
+            lines.append(_row(label, p.value, float("nan") if p.std is None else p.std, p.unit or ""))
     if "chi2" in model.fit:
         lines.append(
             f"χ²/ν {model.fit['chi2'] / max(model.fit['dof'], 1):.2f} "

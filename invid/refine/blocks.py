@@ -64,6 +64,7 @@ def problem_from_spectra(
                 else s.covariance[used],
                 span=s.span_s,
                 transient=transient,
+                ends_in=s.periods == 1 and s.transient,
                 delay_index=tuple(range(motors)),
                 further_index=tuple(further),
                 hold=hold,

@@ -87,7 +87,12 @@ def fit_structure(
     if thorough:
         problem, solution, excess = _weighted(problem, solution, base)
         problem, solution, excess = _drop_coulomb(problem, solution, base, excess)
+    free = physical_covariance(problem, solution)
+    problem, solution = _physical(problem, solution)
     covariance = physical_covariance(problem, solution)
+    # A damper held at zero keeps the standard deviation it had when free.
+    pinned = np.flatnonzero(~solution.free[: problem.structure.count])
+    covariance[pinned, pinned] = np.diag(free)[pinned]
     explained = _explained(problem, solution)
     return Fit(
         problem,
@@ -217,7 +222,7 @@ def _holds(
     limit = float(chi2_distribution.isf(0.0027, motors.size))
     tight = float(chi2_distribution.isf(0.0027, motors.size - 1)) if motors.size > 1 else 0.0
     fixed = [hold_offset(structure.axes[i]) for i in open_axes]
-    if without < limit and without < within:
+    if without < limit:
         priors = {**problem.priors, **dict.fromkeys(fixed, (0.0, 1e-3 * step))}
         text = "as the command, held over the sample"
         freed = replace(problem, priors=priors)
@@ -320,6 +325,32 @@ def _drop_coulomb(
     reduced = with_columns(problem, [b.columns[:, :, keep] for b in problem.blocks], names)
     solution = gauss_newton(reduced, carried(problem, solution.p, reduced))
     return _weighted(reduced, solution, base)
+
+
+def _physical(problem: MissingTorqueProblem, solution: Solution) -> tuple[MissingTorqueProblem, Solution]:
+    """Dampers and viscous friction that came out negative are held at zero, and the rest fitted again.
+
+    A viscous friction that is negative by more than three standard deviations stays: something else
+    wears its mask, and hiding that would bias the rest.
+    """
+    structure = problem.structure
+    dampers, viscous = structure.slices["damper"], structure.slices["viscous"]
+    for _ in range(3):
+        spread = spread_of(solution)
+        pinned = [
+            k
+            for k in (*range(dampers.start, dampers.stop), *range(viscous.start, viscous.stop))
+            if solution.free[k]
+            and solution.p[k] < 0
+            and (k < dampers.stop or solution.p[k] > -3.0 * spread[k])
+        ]
+        if not pinned:
+            break
+        problem = replace(problem, fixed=(*problem.fixed, *(problem.names[k] for k in pinned)))
+        start = solution.p.copy()
+        start[pinned] = 0.0
+        solution = gauss_newton(problem, start)
+    return problem, solution
 
 
 def _explained(problem: MissingTorqueProblem, solution: Solution) -> float:

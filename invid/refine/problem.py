@@ -40,6 +40,8 @@ class Block:
         Duration [s] the boundary terms are spread over.
     transient
         Whether boundary terms are needed.
+    ends_in
+        Whether the spectra already hold the end-point correction h/2·(x_n − x_0).
     delay_index
         (M,) which delay parameter each axis' torque has; −1 none.
     further_index
@@ -64,6 +66,7 @@ class Block:
     covariance: Complex128
     span: float
     transient: bool
+    ends_in: bool
     delay_index: tuple[int, ...]
     further_index: tuple[int, ...]
     hold: Complex128
@@ -211,7 +214,7 @@ class MissingTorqueProblem:
             at_position = damping + 1j * block.omega[:, None, None] * mass
             forces = np.concatenate((at_position, np.broadcast_to(mass, at_position.shape)), axis=2)
             forces = forces * (2.0 / block.span)
-            boundary = motion.transpose(0, 2, 1) @ forces
+            boundary = motion.transpose(0, 2, 1) @ forces + self._quadrature(block, stiffness)
             root = _whitener(covariance)
             columns_w = _stack(root @ boundary)
             right = _stack(root @ residual[..., None])[:, 0]
@@ -219,9 +222,13 @@ class MissingTorqueProblem:
             scale[scale == 0] = 1.0
             ends = -np.linalg.lstsq(columns_w / scale, right, rcond=1e-12)[0] / scale
             residual = residual + boundary @ ends
+            position_ends = self._end_points(block)
+            shift = position_ends @ ends[self._end_places()].reshape(2, motors)
         gain = np.linalg.solve(covariance, residual[..., None])[..., 0]
         noise = np.einsum("fcm,fm->fc", cross, gain)
         position = block.position - noise[:, :motors]
+        if block.transient:
+            position = position + shift
         torque = block.torque - noise[:, motors:]
         q = np.einsum("fqm,fm->fq", motion, position)
         if block.transient:
@@ -236,6 +243,35 @@ class MissingTorqueProblem:
         jacobian[..., columns] = block.columns
         jacobian[..., s["extra"]] = extra_jac
         return State(block, motion, stiffness, inner, residual, jacobian, boundary, covariance, position, q)
+
+    def _end_places(self) -> npt.NDArray[np.intp]:
+        """Where the motors' Δx and Δv stand among the boundary terms of a record."""
+        motors = np.array(self.structure.motor_dofs)
+        return np.concatenate((motors, self.structure.dofs + motors))
+
+    @staticmethod
+    def _end_points(block: Block) -> Complex128:
+        """(F, 2) what a motor's Δx and Δv add to its sampled spectrum to make it the integral.
+
+        Euler–Maclaurin: ∫f = hΣf + h/2·[f] − h²/12·[f′] with f = x e^{−jωt}, [f] = Δx and
+        [f′] = Δv − jωΔx.
+        """
+        scale, h = 2.0 / block.span, block.step
+        at_position = scale * (1j * block.omega * h**2 / 12)
+        if not block.ends_in:
+            at_position = at_position + scale * h / 2
+        at_speed = np.full(block.omega.size, -scale * h**2 / 12, dtype=complex)
+        return np.stack((at_position, at_speed), axis=1)
+
+    def _quadrature(self, block: Block, stiffness: Complex128) -> Complex128:
+        """(F, M, 2ΣN) the same on the torque side, Z times the end points."""
+        motors = self.structure.motors
+        ends = self._end_points(block)
+        out = np.zeros((block.omega.size, motors, 2 * self.structure.dofs), dtype=complex)
+        places = self._end_places()
+        out[:, :, places[:motors]] = stiffness * ends[:, 0, None, None]
+        out[:, :, places[motors:]] = stiffness * ends[:, 1, None, None]
+        return out
 
     def _boundary_derivative(
         self, jacobian: Complex128, block: Block, sp: Float64, motion: Complex128, ends: Float64
