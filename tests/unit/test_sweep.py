@@ -1,0 +1,379 @@
+"""The sweep engine against a cell of rigid masses written for these tests: it stops, always."""
+
+import threading
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pytest
+
+from invid.config import AxisConfig, CellConfig, parse_config
+from invid.errors import BusError, ConfigError, DriveError, InvidError, SafetyStop
+from invid.plan import make_plan
+from invid.plan.model import PlannedExperiment
+from invid.sweep import Event, Mode, Progress, Sample, Severity, Sweep
+from invid.sweep.holds import least_damping, master_hold, require_stable_p
+from invid.sweep.recorder import fill_gaps
+
+CYCLE = 0.002
+EXPERIMENT = (
+    "{kind: multisine, period_s: 2.0, periods: 2, settle_periods: 1, band_Hz: [1, 12], experiments: 1}"
+)
+
+
+def config(experiments: str = EXPERIMENT, *, axis: str = "", limits: str = "", count: int = 2) -> CellConfig:
+    rows = "\n".join(
+        f"  - {{name: A{i + 1}, node_id: {i + 1}{axis}, "
+        f"limits: {{torque: 10, position: 0.5, velocity: 5{limits}}}}}"
+        for i in range(count)
+    )
+    return parse_config(
+        f"format: invid-config\nrobot: r\nbus: {{interface: x, channel: x, cycle_s: {CYCLE}}}\n"
+        f"axes:\n{rows}\n"
+        f"experiments: [{experiments}]\n"
+    )
+
+
+class VirtualClock:
+    def __init__(self) -> None:
+        self.time = 0.0
+
+    def now(self) -> float:
+        return self.time
+
+    def sleep_until(self, instant: float) -> None:
+        self.time = max(self.time, instant)
+
+
+class RigidCell:
+    """Independent masses, exact between cycles; ``disturb`` may change each sample before it is seen."""
+
+    def __init__(self, inertia: Sequence[float] = (1.0, 2.0)) -> None:
+        self.m = np.array(inertia)
+        self.x, self.v = np.zeros(self.m.size), np.zeros(self.m.size)
+        self.clock = VirtualClock()
+        self.axes = tuple(f"A{i + 1}" for i in range(self.m.size))
+        self.can_hold = (True,) * self.m.size
+        self.resolution = (1e-6,) * self.m.size
+        self.rated_torque = (10.0,) * self.m.size
+        self.modes: list[Mode] = []
+        self.energised = False
+        self.stops = 0
+        self.slot = -1
+        self.push = np.zeros(self.m.size)
+        self.sign = np.ones(self.m.size)
+        self.disturb: Callable[[RigidCell, Sample], None] = lambda cell, sample: None
+        self.demands: list[list[float]] = []
+
+    def energise(self, modes: Sequence[Mode]) -> None:
+        self.modes, self.energised = list(modes), True
+
+    def set_modes(self, modes: Sequence[Mode], torque: Sequence[float]) -> None:
+        self.modes = list(modes)
+
+    def exchange(self, torque: Sequence[float]) -> Sample:
+        held = np.array([m is Mode.HOLD for m in self.modes])
+        self.slot += 1
+        self.clock.time = self.slot * CYCLE
+        sample = Sample(
+            self.slot,
+            self.clock.time,
+            [float(q) for q in self.sign * np.round(self.x / 1e-6) * 1e-6],
+            [0.0 if h else float(t) for h, t in zip(held, torque, strict=True)],
+            [0x0227] * self.m.size,
+            [True] * self.m.size,
+            [],
+        )
+        acceleration = np.where(held, 0.0, (np.array(torque) + self.push) / self.m)
+        self.x = np.where(held, self.x, self.x + self.v * CYCLE + 0.5 * acceleration * CYCLE**2)
+        self.v = np.where(held, 0.0, self.v + acceleration * CYCLE)
+        self.demands.append(list(torque))
+        self.disturb(self, sample)
+        return sample
+
+    def stop(self) -> None:
+        self.stops += 1
+        self.energised = False
+
+
+class Rows:
+    """A sink that counts."""
+
+    def __init__(self) -> None:
+        self.kept: list[tuple[PlannedExperiment, list[float], list[int]]] = []
+        self.open = False
+
+    def begin(self, experiment: PlannedExperiment, hold_gain: Sequence[float], scale: float) -> None:
+        self.kept.append((experiment, list(hold_gain), []))
+        self.open = True
+
+    def row(self, sample: Sample, demand: Sequence[float]) -> None:
+        self.kept[-1][2].append(sample.slot)
+
+    def end(self) -> None:
+        self.open = False
+
+
+def run(
+    cell: RigidCell,
+    cfg: CellConfig | None = None,
+    *,
+    stop: threading.Event | None = None,
+    progress: Callable[[Progress], None] | None = None,
+    axes: list[str] | None = None,
+) -> tuple[Rows, InvidError | None, Sweep]:
+    cfg = cfg or config(count=cell.m.size)
+    rows = Rows()
+    sweep = Sweep(make_plan(cfg, axes=axes), cfg, cell, rows, progress=progress, stop=stop)
+    try:
+        sweep.run()
+    except InvidError as error:
+        return rows, error, sweep
+    return rows, None, sweep
+
+
+def after(seconds: float, what: Callable[[RigidCell, Sample], None]) -> Callable[[RigidCell, Sample], None]:
+    return lambda cell, sample: what(cell, sample) if sample.time > seconds else None
+
+
+def test_a_quiet_cell_is_measured_completely_and_stopped_once_at_the_end() -> None:
+    cell = RigidCell()
+    rows, error, _ = run(cell)
+    assert error is None
+    assert not cell.energised
+    assert cell.stops == 1
+    (experiment, gains, slots) = rows.kept[0]
+    assert len(slots) == experiment.record_to - experiment.record_from == 2000
+    assert np.all(np.diff(slots) == 1)
+    assert all(g > 0 for g in gains)
+
+
+def test_axes_that_are_not_excited_are_held_inside_the_drive() -> None:
+    cell = RigidCell()
+    rows, error, _ = run(cell, axes=["A2"])
+    assert error is None
+    assert np.isnan(rows.kept[0][1][0])
+    assert rows.kept[0][1][1] > 0
+    assert cell.x[0] == 0
+
+
+def test_no_demand_ever_exceeds_the_torque_limit() -> None:
+    cell = RigidCell((0.05, 0.05))
+    run(cell)
+    assert np.abs(cell.demands).max() <= 10.0
+
+
+def test_an_axis_whose_encoder_runs_backwards_is_found_at_a_tenth_of_the_amplitude() -> None:
+    cell = RigidCell()
+    cell.sign[1] = -1
+    rows, error, _ = run(cell)
+    assert isinstance(error, SafetyStop)
+    assert "A2" in str(error)
+    assert "backwards" in str(error)
+    assert np.abs(cell.demands).max() <= 0.1 * 0.7 * 10.0 * 1.6
+    assert rows.kept == []
+    assert not cell.energised
+
+
+def test_an_axis_that_does_not_move_is_found_before_the_full_amplitude() -> None:
+    cell = RigidCell((1e9, 1.0))
+    rows, error, _ = run(cell)
+    assert isinstance(error, SafetyStop)
+    assert "brake" in str(error)
+    assert rows.kept == []
+
+
+def test_a_light_axis_is_shaken_less_so_that_it_stays_in_its_window() -> None:
+    cell = RigidCell((0.03, 2.0))
+    furthest = [0.0]
+
+    def look(c: RigidCell, sample: Sample) -> None:
+        furthest[0] = max(furthest[0], abs(sample.position[0]))
+
+    cell.disturb = look
+    rows, error, sweep = run(cell)
+    assert error is None
+    assert len(rows.kept) == 1
+    assert any("scaled" in w for w in sweep.warnings)
+    assert furthest[0] < 0.5
+
+
+FAULTS: list[tuple[str, Callable[[RigidCell, Sample], None], type[InvidError], str]] = [
+    ("window", lambda c, s: s.position.__setitem__(0, 0.6), SafetyStop, "window"),
+    (
+        "velocity",
+        lambda c, s: s.position.__setitem__(0, s.position[0] + 0.2 * (s.slot % 2)),
+        SafetyStop,
+        "velocity",
+    ),
+    ("torque", lambda c, s: s.torque.__setitem__(1, 14.0), SafetyStop, "torque"),
+    ("state", lambda c, s: s.status.__setitem__(1, 0x0208), DriveError, "operation enabled"),
+    ("tpdo", lambda c, s: s.fresh.__setitem__(0, False), DriveError, "no position"),
+    (
+        "emcy",
+        lambda c, s: s.events.append(Event(Severity.DRIVE, "A1 reports 0x2310", "A1")),
+        DriveError,
+        "0x2310",
+    ),
+    ("bus", lambda c, s: s.events.append(Event(Severity.BUS, "bus-off")), BusError, "bus-off"),
+    ("overrun", lambda c, s: setattr(c, "slot", c.slot + 50), SafetyStop, "late"),
+]
+
+
+@pytest.mark.parametrize(("name", "fault", "kind", "word"), FAULTS, ids=[f[0] for f in FAULTS])
+@pytest.mark.parametrize("moment", [0.1, 1.0, 4.0, 12.0])
+def test_every_fault_at_any_phase_stops_every_axis_and_keeps_the_rows_so_far(
+    name: str, fault: Callable[[RigidCell, Sample], None], kind: type[InvidError], word: str, moment: float
+) -> None:
+    cell = RigidCell()
+    cell.disturb = after(moment, fault)
+    rows, error, _ = run(cell)
+    assert isinstance(error, kind)
+    assert word in str(error)
+    assert not cell.energised
+    assert not rows.open
+    # stopped within the missed TPDOs allowed, or within a few cycles
+    assert cell.clock.time < moment + 6 * CYCLE + (50 * CYCLE if name == "overrun" else 0) + 0.02
+
+
+def test_a_few_lost_tpdos_are_survived() -> None:
+    cell = RigidCell()
+    cell.disturb = lambda c, s: s.fresh.__setitem__(0, s.slot % 20 != 7)
+    _rows, error, sweep = run(cell)
+    assert error is None
+    assert sweep.statistics.missed_tpdos is not None
+    assert sweep.statistics.missed_tpdos[0] > 100
+    assert sweep.statistics.missed_tpdos[1] == 0
+
+
+def test_a_person_who_pushes_the_arm_is_noticed_by_the_window() -> None:
+    cell = RigidCell()
+    cell.disturb = after(16.0, lambda c, s: c.push.__setitem__(0, 30.0))
+    rows, error, _ = run(cell)
+    assert isinstance(error, SafetyStop)
+    assert len(rows.kept) == 1
+    assert 0 < len(rows.kept[0][2]) < 2000
+    # what the window allows, and two cycles at a speed below 6 rad/s
+    assert abs(cell.x[0]) < 0.5 + 2 * 6 * CYCLE
+
+
+def test_a_stuck_encoder_is_noticed_while_shaking() -> None:
+    cell = RigidCell()
+    held: dict[str, float] = {}
+
+    def stuck(c: RigidCell, s: Sample) -> None:
+        s.position[1] = held.setdefault("x", s.position[1])
+
+    cell.disturb = after(13.0, stuck)
+    _, error, _ = run(cell)
+    assert isinstance(error, SafetyStop)
+    assert "A2" in str(error)
+
+
+def test_growing_motion_of_held_axes_is_called_an_unstable_hold() -> None:
+    cell = RigidCell()
+
+    def grow(c: RigidCell, s: Sample) -> None:
+        t = s.time - 12.0
+        s.position[0] += 1e-4 * np.exp(2.0 * t) * np.sin(60 * t)
+
+    cell.disturb = after(12.0, grow)
+    _, error, _ = run(cell, axes=["A2"], cfg=config(count=2, limits=""))
+    assert isinstance(error, SafetyStop)
+    assert "unstable" in str(error) or "velocity" in str(error)
+
+
+def test_a_stop_on_request_fades_out_and_counts_as_a_safety_stop() -> None:
+    cell = RigidCell()
+    event = threading.Event()
+    cell.disturb = after(13.0, lambda c, s: event.set())
+    _rows, error, _ = run(cell, stop=event)
+    assert isinstance(error, SafetyStop)
+    assert "request" in str(error)
+    assert not cell.energised
+    assert cell.clock.time < 13.0 + 0.1 + 5 * CYCLE
+    jumps = np.abs(np.diff(np.array(cell.demands)[-50:], axis=0)).max()
+    assert jumps < 2.0
+
+
+def test_whatever_goes_wrong_inside_the_cell_is_stopped() -> None:
+    cell = RigidCell()
+
+    def explode(c: RigidCell, s: Sample) -> None:
+        raise ZeroDivisionError
+
+    cell.disturb = after(5.0, explode)
+    with pytest.raises(ZeroDivisionError):
+        run(cell)
+    assert cell.stops == 1
+
+
+def test_progress_rises_to_one_and_its_remaining_time_falls() -> None:
+    seen: list[Progress] = []
+    run(RigidCell(), progress=seen.append)
+    fractions = [p.fraction for p in seen]
+    assert fractions == sorted(fractions)
+    assert fractions[-1] == 1.0
+    assert seen[-1].eta_s == 0.0
+    assert any(p.phase.startswith("experiment") for p in seen)
+
+
+def axis(hold: str) -> AxisConfig:
+    return config(axis=f", hold: {{{hold}}}").axes[0]
+
+
+def test_a_p_hold_is_refused_exactly_where_the_rule_says() -> None:
+    # K·(d+½)·T with d = 1: 1000·1.5·0.001 = 1.5
+    require_stable_p("A1", 1000.0, 1.51, 0.001)
+    with pytest.raises(ConfigError, match=r"unstable.*1\.5"):
+        require_stable_p("A1", 1000.0, 1.5, 0.001)
+    with pytest.raises(ConfigError, match="unstable"):
+        master_hold(axis("mode: master_p, gain: 1000"), 0.001)
+
+
+def test_a_pd_hold_gets_at_least_the_damping_that_keeps_an_undamped_structure_stable() -> None:
+    gains = master_hold(axis("mode: master_pd, gain: 1000"), 0.001)
+    assert gains is not None
+    assert gains.damping == pytest.approx(least_damping(1000, 0.001)) == pytest.approx(3.0)
+
+
+def test_an_unstable_hold_is_refused_before_anything_is_enabled() -> None:
+    cell = RigidCell()
+    _, error, _ = run(cell, config(axis=", hold: {mode: master_p, gain: 100000}"))
+    assert isinstance(error, ConfigError)
+    assert cell.slot == -1
+
+
+@pytest.mark.parametrize(
+    "kinds", ["{kind: stepped_sine, frequencies_Hz: [4], cycles: 4}", "{kind: chirp, duration_s: 4}"]
+)
+def test_other_excitations_run_to_the_end(kinds: str) -> None:
+    rows, error, _ = run(RigidCell(), config(kinds))
+    assert error is None
+    assert len(rows.kept) == 2
+
+
+def test_a_constant_velocity_move_follows_its_path() -> None:
+    cell = RigidCell()
+    path: list[float] = []
+    cell.disturb = lambda c, s: path.append(s.position[0])
+    _rows, error, _ = run(
+        cell, config("{kind: constant_velocity, velocities: [0.2], travel: 0.4, axes: [A1]}")
+    )
+    assert error is None
+    assert max(path) == pytest.approx(0.2, abs=0.02)
+    assert min(path) == pytest.approx(-0.2, abs=0.02)
+
+
+def test_gaps_are_filled_from_their_neighbours() -> None:
+    t = np.arange(400) * 1e-3
+    truth = np.column_stack([np.sin(2 * np.pi * 12 * t), np.cos(2 * np.pi * 5 * t)])
+    holes = truth.copy()
+    rng = np.random.default_rng(0)
+    holes[rng.random(400) < 0.05, 0] = np.nan
+    holes[100:103, 1] = np.nan
+    filled = fill_gaps(t, holes, cubic=True)
+    inner = slice(5, -5)
+    assert np.abs(filled - truth)[inner].max() < 2e-4
+    assert np.isfinite(filled).all()
+    known = ~np.isnan(holes)
+    assert np.array_equal(filled[known], truth[known])
