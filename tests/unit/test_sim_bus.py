@@ -161,6 +161,14 @@ def test_the_truth_is_the_papers_case_study() -> None:
         ({"defaults": {"torque_noise": -1}}, "torque_noise"),
         ({"defaults": {"objects": {"profile": "acme"}}}, "unknown profile"),
         ({"defaults": {"objects": {"lacks": ["torque"]}}}, "is no object"),
+        (
+            {"effects": [{"cause": "torque_delay", "axis": "A1", "parameters": {"delay": -0.001}}]},
+            "before its command",
+        ),
+        (
+            {"effects": [{"cause": "payload_change", "axis": "A1", "parameters": {"mass": -2.9, "time": 1}}]},
+            "not positive definite",
+        ),
         ({"effects": [{"cause": "magic", "axis": "A1"}]}, "unknown cause"),
     ],
 )
@@ -237,3 +245,14 @@ def test_waiting_for_ever_on_a_silent_bus_ends_with_an_error() -> None:
             assert bus.recv(None) is not None  # boot-up messages
         with pytest.raises(can.CanOperationError, match="nothing was received"):
             bus.recv(None)
+
+
+def test_the_section_in_the_docs_is_a_cell_that_runs() -> None:
+    text = (Path(__file__).parents[2] / "docs/explanations/simulated-cell.md").read_text(encoding="utf-8")
+    section = yaml.safe_load(text.split("```yaml\n")[1].split("```")[0])
+    data = yaml.safe_load(CASE_STUDY.read_text(encoding="utf-8"))
+    data["axes"] = data["axes"][:2]
+    data.update(section)
+    with open_virtual_bus(CellConfig.model_validate(data)) as bus:
+        bus.clock.sleep_until(7.0)
+        assert bus.cell.drive("A2").node.od.find(0x6072) is None  # as the profile says

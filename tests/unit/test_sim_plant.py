@@ -97,14 +97,15 @@ def smooth(theta: float, x: float, v: float, kind: str) -> tuple[float, float]:
         f = 2e6 * x**3
         return -f, f
     if kind == "gravity":
-        return -8.0 * math.sin(theta + 0.5), 0.0
+        return 0.0, -8.0 * math.sin(theta - x + 0.5)  # at the final mass
     if kind == "cogging":
         return -3.0 * math.sin(30.0 * theta + 0.2), 0.0
     if kind == "offset":
         return -2.0, 0.0
     if kind == "transmission":
-        f = 1000.0 * 0.002 * math.sin(20.0 * theta + 0.3)
-        return -f, f
+        error = 0.002 * math.sin(20.0 * theta + 0.3)
+        slope = 0.04 * math.cos(20.0 * theta + 0.3)
+        return 1000.0 * (x - (x - error) * (1 - slope)), -1000.0 * error
     raise LookupError(kind)
 
 
@@ -258,7 +259,7 @@ def test_every_cause_of_the_contract_can_be_put_into_the_plant() -> None:
         "extra_mode": {"mass": 0.5, "stiffness": 4000.0},
         "coupling_stiffness": {"stiffness": 500.0},
         "payload_change": {"mass": 2.0, "time": 0.05},
-        "parameter_drift": {"rate": 0.5},
+        "parameter_drift": {"rate": 500.0},
     }
     chains = case_study(damping_ratio=0.01)
     bare = run(plant(chains), excitation, 0.4)

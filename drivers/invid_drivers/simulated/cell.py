@@ -14,6 +14,7 @@ import numpy as np
 
 from invid.arrays import Float64
 from invid.config.schema import AxisConfig, CellConfig
+from invid.errors import ConfigError
 from invid_drivers.simulated import kernel
 from invid_drivers.simulated.config import AxisSimulation, simulation_of, truth
 from invid_drivers.simulated.drive import Drive
@@ -147,6 +148,11 @@ class SimulatedCell:
             i, p = names.index(effect.axis), effect.parameters
             command = self.plant.command[i]
             if effect.cause == "torque_delay":
+                if p["delay"] < 0.0:
+                    raise ConfigError(
+                        f"simulation.effects: torque_delay on {effect.axis} is {p['delay']}; a torque cannot "
+                        "act before its command; let the record lag with actual_torque_lag_cycles"
+                    )
                 self.plant.set_delay(i, p["delay"])
             elif effect.cause == "torque_lag":
                 command[kernel.HIDDEN_LAG] = _lag(self.plant.h, p["time_constant"])

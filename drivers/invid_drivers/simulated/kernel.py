@@ -94,7 +94,11 @@ def _nonlinear(
                 if update:
                     memory[e] = x + p1 / p0
         elif kind == TRANSMISSION:  # stiffness, amplitude, cycles, phase of the angle at a
-            f = p0 * p1 * math.sin(p2 * q[a] + elements[e, P3])
+            # the spring stretches x − error; what the motor side feels makes no energy
+            error = p1 * math.sin(p2 * q[a] + elements[e, P3])
+            slope = p1 * p2 * math.cos(p2 * q[a] + elements[e, P3])
+            f = -p0 * error
+            force[a] += p0 * (x - error) * slope
         elif kind == ABSOLUTE:  # viscous friction that differs between the two directions
             f = p0 * abs(v)
         force[a] -= f

@@ -18,6 +18,12 @@ from invid.errors import ConfigError
 from invid_drivers.simulated import kernel
 from invid_drivers.simulated.config import AxisSimulation, EffectConfig
 
+_EXTRA_DAMPING = 0.01
+"""Damping ratio of an extra mode: what a screwed joint has; ``invid.simulate`` takes the same."""
+
+_MOST_DRIFT = 0.5
+"""A drift stops at half of the parameter, so that couplings keep the mass matrix positive in most plants."""
+
 Matrices = tuple[Float64, Float64, Float64]
 
 
@@ -75,7 +81,7 @@ class Structure:
         self.friction = np.vstack([self.friction, row])
 
     def add_mass(self, dof: int, mass: float, stiffness: float) -> None:
-        """A further mass on a spring."""
+        """A further mass on a spring, with 1 % damping."""
         n = self.dofs
         for name in ("mass", "damping", "stiffness"):
             grown = np.zeros((n + 1, n + 1))
@@ -83,6 +89,7 @@ class Structure:
             setattr(self, name, grown)
         self.mass[n, n] = mass
         self.add_link("stiffness", dof, n, stiffness)
+        self.add_link("damping", dof, n, 2.0 * _EXTRA_DAMPING * math.sqrt(stiffness * mass))
 
     def add_link(self, name: str, a: int, b: int, value: float) -> None:
         """A spring or damper between two coordinates."""
@@ -126,6 +133,12 @@ def build_structure(
         )
     for effect in effects:
         _apply(structure, effect)
+    for instant in (0.0, *structure.changes, 1e9):  # the last: wherever a drift ends
+        if np.linalg.eigvalsh(structure.matrices(instant)[0])[0] <= 0.0:
+            raise ConfigError(
+                "simulation.effects: a changed or drifting mass makes the mass matrix not positive definite; "
+                "take a smaller change or weaker couplings"
+            )
     return structure
 
 
@@ -206,7 +219,7 @@ _STRUCTURE_CAUSES: dict[str, tuple[str, ...]] = {
     "extra_mode": ("mass", "stiffness"),
     "coupling_stiffness": ("stiffness",),
     "payload_change": ("mass", "time"),
-    "parameter_drift": ("rate",),
+    "parameter_drift": ("rate", "parameter"),
 }
 
 CAUSES = tuple(_STRUCTURE_CAUSES) + tuple(MOTOR_CAUSES)
@@ -246,7 +259,9 @@ def _apply(structure: Structure, effect: EffectConfig) -> None:
             kernel.SINE, place.mass(), -1, place["torque"], place["cycles_per_rev"], place.get("phase", 0.0)
         )
     elif cause == "gravity":
-        structure.add_element(kernel.SINE, place.mass(), -1, place["torque"], 1.0, place.get("angle", 0.0))
+        structure.add_element(
+            kernel.SINE, place.mass(last=True), -1, place["torque"], 1.0, place.get("angle", 0.0)
+        )
     elif cause == "extra_mode":
         structure.add_mass(place.mass(last=True), place["mass"], place["stiffness"])
     elif cause == "coupling_stiffness":
@@ -317,15 +332,14 @@ def _apply_change(structure: Structure, place: _Place) -> None:
         structure.changes.append(instant)
         return
     rate = place["rate"]
-    # a quarter of a second of drift is a step of 0.25·rate: a thousandth of a parameter that
-    # changes by 0.4 % a second, far faster than anything in a cell warms up
+    # a quarter of a second: a drift that spoils a measurement of minutes moves by 1e-3 of itself in it
     structure.renew_s = 0.25
     if effect.element is not None and effect.element.startswith("mass"):
         a = place.mass()
         value = float(np.concatenate(structure.chains.masses)[a])
 
         def drift_mass(time_s: float, mass: Float64, damping: Float64, stiffness: Float64) -> None:
-            mass[a, a] += value * (math.exp(rate * time_s) - 1.0)
+            mass[a, a] += max(rate * time_s, -_MOST_DRIFT * value)
 
         structure.in_time.append(drift_mass)
         return
@@ -333,6 +347,6 @@ def _apply_change(structure: Structure, place: _Place) -> None:
     k = float(structure.chains.springs[place.branch][s])
 
     def drift_spring(time_s: float, mass: Float64, damping: Float64, stiffness: Float64) -> None:
-        _link(stiffness, left, right, k * (math.exp(rate * time_s) - 1.0))
+        _link(stiffness, left, right, max(rate * time_s, -_MOST_DRIFT * k))
 
     structure.in_time.append(drift_spring)
