@@ -219,7 +219,7 @@ def _draw_asymmetric(
 
 def _cycles(rng: Any, rms: float) -> float:
     """Whole cycles a revolution, such that the rms motion is 0.5 to 2.5 rad of phase."""
-    return float(max(1, round(rng.uniform(0.5, 2.5) / rms)))
+    return float(max(2, round(rng.uniform(0.5, 2.5) / rms)))
 
 
 def _draw_cogging(rng: Any, plant: Plant, s: Scales, axis: int, element: int, other: int) -> dict[str, float]:

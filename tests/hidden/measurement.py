@@ -40,7 +40,7 @@ def _with_matrices(plant: Plant, active: tuple[Active, ...]) -> tuple[Plant, lis
 def _start(setup: Setup, plant: Plant, run: Run) -> tuple[np.ndarray, np.ndarray]:
     """Linear steady state at the first instant, so that little has to settle."""
     dofs = plant.mass.shape[0]
-    if not run.period:
+    if not run.period or not run.settle:
         return np.zeros(dofs), np.zeros(dofs)
     spectrum = np.fft.rfft(run.excitation, axis=0) * 2 / run.excitation.shape[0]
     lines = np.flatnonzero(np.abs(spectrum).max(axis=1) > 1e-6 * np.abs(spectrum).max())
@@ -109,6 +109,7 @@ def excess_db(setup: Setup, active: tuple[Active, ...], *, quick: bool = False) 
     for run in setup.runs:
         if run.role is not Role.IDENTIFY or not run.period:
             continue
+        run = replace(run, settle=max(run.settle, 2))  # the size is that in steady state
         _, _, y, tau = simulate(setup, run, active, settle=1 if quick else None, periods=1 if quick else None)
         rows = y.shape[0]
         last = int(1.1 * run.lines_hz[-1] * run.period / setup.rate)

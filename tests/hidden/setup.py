@@ -108,6 +108,7 @@ def draw_setup(
     torque_quantised: bool | None = None,
     drive: str | None = None,
     periods: int | None = None,
+    from_rest: bool | None = None,
 ) -> Setup:
     count = plant.count
     rate = float(rng.choice([250.0, 500.0, 1000.0], p=[0.3, 0.5, 0.2]))
@@ -134,8 +135,12 @@ def draw_setup(
     if torque_quantised:  # a drive's thousandths, dithered by its own current noise
         torque_noise = np.maximum(torque_noise, 0.4e-3 * rated)
     orthogonal = bool(count > 1 and rng.uniform() < 0.5)
-    settle = 2
-    periods = int(rng.integers(2, 5)) if periods is None else periods
+    # One recording in ten starts from rest with the excitation: its first periods ring.
+    if from_rest is None:
+        from_rest = bool(rng.uniform() < 0.1)
+    settle = 0 if from_rest else 2
+    if periods is None:
+        periods = int(rng.integers(2, 5)) + 2 * from_rest
     fine = period * sub
     runs: list[Run] = []
     clock = 0.0
@@ -232,6 +237,7 @@ def draw_setup(
             "torque_quantised": torque_quantised,
             "moves": moves,
             "orthogonal": orthogonal,
+            "from_rest": from_rest,
             "masses": [len(m) for m in plant.chains.masses],
             "inside_drive": bool(rng.uniform() < 0.7),
             "duration_s": clock,
