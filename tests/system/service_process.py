@@ -31,7 +31,7 @@ axes:
     limits: {torque_Nm: 25, position_window_rad: 1.0, velocity_rad_per_s: 5}
 experiments:
   - {kind: multisine, band_Hz: [0.5, 12], period_s: 2.048, periods: 3}
-  - {kind: multisine, role: validate, band_Hz: [0.5, 12], period_s: 2.048, periods: 2, amplitude: 0.5, seed: 1}
+  - {kind: multisine, role: validate, band_Hz: [0.5, 12], period_s: 2.048, periods: 2, amplitude: 0.5}
 simulation:
   plant:
     branches: [{axis: A1, masses_kgm2: [1.0, 2.0], springs_Nm_per_rad: [1500], dampers_Nms_per_rad: [1.0]}]
@@ -66,6 +66,19 @@ class Serving:
             assert body["state"] not in ENDED, body
             time.sleep(0.05)
         raise AssertionError(f"no {states} within {timeout} s: {body}")
+
+    def wait_for_motion(self, location: str, timeout: float = 60.0) -> None:
+        """Until the first recorded experiment is under way (trials at low amplitude come before it)."""
+        deadline = time.monotonic() + timeout
+        body: dict[str, Any] = {}
+        while time.monotonic() < deadline:
+            body = self.client.get(location).json()
+            assert body["state"] not in ENDED, body
+            if body["state"] == "running" and body["phase"].startswith("experiment"):
+                time.sleep(0.3)
+                return
+            time.sleep(0.02)
+        raise AssertionError(f"no motion within {timeout} s: {body}")
 
     def run_to_result(self, **body: Any) -> str:
         """A whole run, up to the decision."""
@@ -104,7 +117,17 @@ def serving(
         config = folder / "small.yaml"
         config.write_text(cell)
         configs = [str(config)]
-    command = [sys.executable, "-c", "from invid.cli import main; main()", "serve", *configs, "--port", "0", "--data-dir", str(folder / "data")]
+    command = [
+        sys.executable,
+        "-c",
+        "from invid.cli import main; main()",
+        "serve",
+        *configs,
+        "--port",
+        "0",
+        "--data-dir",
+        str(folder / "data"),
+    ]
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "INVID_MIN_FREE_BYTES": "1000000", **(env or {})}
     process = subprocess.Popen(
         [*command, *arguments], stderr=subprocess.PIPE, text=True, cwd=folder, env=environment

@@ -76,6 +76,9 @@ class LiveRun:
             self.progress = Progress(1.0 if done else self.progress.fraction, str(state))
         else:
             self.progress = replace(self.progress, phase=str(state), eta_s=None)
+        if state in ENDED:
+            facts = {**self.record.facts, "progress": self.progress.fraction}
+            self.record = replace(self.record, facts=facts)
         data = {
             "state": str(state),
             "simulated": self.record.simulated,

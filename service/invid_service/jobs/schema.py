@@ -81,7 +81,7 @@ def view(record: RunRecord, live: LiveRun | None) -> Identification:
         record, progress = live.record, live.progress
     else:
         done = record.state in (State.SUCCEEDED, State.AWAITING_ACCEPT)
-        progress = Progress(1.0 if done else 0.0, str(record.state))
+        progress = Progress(1.0 if done else record.facts.get("progress", 0.0), str(record.state))
     base = f"{API}/identifications/{record.id}"
     names = ["events", "recording", "model", "diagnosis", "report", "plots"]
     return Identification(

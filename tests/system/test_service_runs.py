@@ -1,0 +1,237 @@
+"""Whole runs of a real ``invid serve`` with its real runner on a small simulated cell."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import time
+from pathlib import Path
+
+import h5py
+import httpx
+import pytest
+from service_process import ENDED, SMALL_CELL, serving
+
+from invid.diagnosis import Verdict
+from invid.model import model_from_json
+from invid.recording import read_recording
+
+# As many as all others together; every one needs a process with numba in it.
+pytestmark = pytest.mark.xdist_group("service")
+
+
+def test_a_run_measures_identifies_diagnoses_and_is_accepted(tmp_path: Path) -> None:
+    with serving(tmp_path) as service:
+        location = service.start(arm=False)
+        plan = service.wait(location, "awaiting_arm")["plan"]
+        assert plan["forecast"][0]["axis"] == "A1"
+        assert 0 < plan["forecast"][0]["peak_torque"] <= 25
+        assert plan["duration_s"] > 5
+        service.client.post(f"{location}/actions", json={"type": "arm"})
+        seen = service.wait(location, "running")
+        assert seen["simulated"] is True
+        body = service.wait(location, "awaiting_accept")
+        assert body["summary"]["verdict"] in set(Verdict)
+        model = model_from_json(service.client.get(f"{location}/model").json())
+        # The truth stands in the cell's config above the test, not in the service.
+        assert model.chains.masses[0].tolist() == pytest.approx([1.0, 2.0], rel=0.05)
+        assert model.chains.springs[0].tolist() == pytest.approx([1500.0], rel=0.05)
+        diagnosis = service.client.get(f"{location}/diagnosis").json()
+        assert diagnosis["format"] == "invid-diagnosis"
+        assert diagnosis["simulated"] is True
+        report = service.client.get(f"{location}/report")
+        assert report.headers["content-type"].startswith("text/html")
+        assert "Simulated cell" in report.text
+        assert "http://" not in report.text.replace("http://www.w3.org", "")
+        file = tmp_path / "fetched.h5"
+        file.write_bytes(service.client.get(f"{location}/recording").content)
+        assert str(read_recording(file).outcome) == "completed"
+        done = service.client.post(f"{location}/actions", json={"type": "accept"}).json()
+        assert done["state"] == "succeeded"
+        assert service.client.get("/api/v1/cells/small/model").json()["id"] == done["id"]
+        events = service.client.get(f"{location}/events").text
+        assert events.count("event: progress") >= 3
+        assert "event: response" in events
+
+        # The same recording from elsewhere, with no drive involved.
+        answer = service.client.post(
+            "/api/v1/recordings", content=file.read_bytes(), headers={"Content-Type": "application/x-hdf5"}
+        )
+        uploaded = service.wait(answer.headers["Location"], "succeeded")
+        assert uploaded["mode"] == "upload"
+        again = model_from_json(service.client.get(f"{answer.headers['Location']}/model").json())
+        assert again.chains.masses[0].tolist() == pytest.approx(model.chains.masses[0].tolist(), rel=1e-6)
+
+
+def test_a_stop_in_mid_motion_stops_the_drives_and_keeps_the_recording(tmp_path: Path) -> None:
+    with serving(tmp_path) as service:
+        location = service.start()
+        service.wait_for_motion(location)
+        began = time.monotonic()
+        answer = service.client.post("/api/v1/cells/small/stop")
+        assert time.monotonic() - began < 0.5
+        assert answer.json()["stopping"] is True
+        service.wait(location, "stopped", timeout=10)
+        file = tmp_path / "stopped.h5"
+        file.write_bytes(service.client.get(f"{location}/recording").content)
+        with h5py.File(file) as recording:
+            assert recording.attrs["outcome"] == "aborted"
+        deadline = time.monotonic() + 10
+        while service.runners() and time.monotonic() < deadline:
+            time.sleep(0.05)
+        assert service.runners() == []
+
+
+@pytest.mark.parametrize("state", ["running", "awaiting_arm"])
+def test_a_service_killed_in_mid_run_takes_its_motion_with_it_and_starts_again_clean(
+    tmp_path: Path, state: str
+) -> None:
+    with serving(tmp_path) as service:
+        location = service.start(arm=state == "running")
+        if state == "running":
+            service.wait_for_motion(location)
+        else:
+            service.wait(location, state)
+        service.kill()
+    with serving(tmp_path) as service:
+        body = service.client.get(location).json()
+        assert body["state"] == "interrupted"
+        assert body["error"]["fix"]
+        assert service.runners() == []
+        if state == "running":
+            file = tmp_path / "cut.h5"
+            file.write_bytes(service.client.get(f"{location}/recording").content)
+            with h5py.File(file) as recording:  # the runner itself stopped its drives and closed it
+                assert recording.attrs["outcome"] == "aborted"
+        fresh = service.start(arm=False)
+        service.wait(fresh, "awaiting_arm")
+        service.client.post(f"{fresh}/actions", json={"type": "cancel"})
+        assert service.client.get(location).json()["state"] == "interrupted"
+
+
+def test_a_killed_runner_makes_its_run_fail_and_the_next_one_starts(tmp_path: Path) -> None:
+    with serving(tmp_path) as service:
+        location = service.start()
+        service.wait(location, "running")
+        (runner,) = service.runners()
+        os.kill(runner, signal.SIGKILL)
+        body = service.wait(location, "failed")
+        assert body["error"]["code"] == "runner-died"
+        fresh = service.start(arm=False)
+        service.wait(fresh, "awaiting_arm")
+
+
+def test_a_signal_stops_the_motion_before_the_service_ends(tmp_path: Path) -> None:
+    with serving(tmp_path) as service:
+        location = service.start()
+        service.wait(location, "running")
+        follower = httpx.Client(base_url=service.url, trust_env=False)
+        with follower.stream("GET", f"{location}/events", timeout=30) as stream:
+            service.process.terminate()
+            list(stream.iter_lines())  # ends with the service, does not hold it up
+        assert service.process.wait(15) in (0, -signal.SIGTERM)
+        assert service.runners() == []
+    with serving(tmp_path) as service:
+        assert service.client.get(location).json()["state"] == "interrupted"
+
+
+def test_a_bomb_is_refused_and_the_service_lives_on(tmp_path: Path) -> None:
+    bomb = tmp_path / "bomb.h5"
+    with h5py.File(bomb, "w") as file:
+        file.attrs.update(
+            {
+                "format": "invid-recording",
+                "format_version": 1,
+                "created": "2026-11-01T00:00:00Z",
+                "robot": "bomb",
+                "axes": json.dumps(["A1"]),
+                "position_unit": "rad",
+                "torque_unit": "N·m",
+            }
+        )
+        node = file.create_group("experiments/000")
+        node.attrs.update(
+            {
+                "kind": "other",
+                "excited_axis": 0,
+                "role": "identify",
+                "hold_gain": [0.0],
+                "period_samples": 0,
+                "frequencies_hz": [1.0],
+                "sample_rate_hz": 1000.0,
+            }
+        )
+        rows = 2_000_000_000  # 48 GB of zeros in a few hundred kilobytes
+        for name, shape in (("time", (rows,)), ("position", (rows, 1)), ("torque", (rows, 1))):
+            data = node.create_dataset(
+                name, shape=shape, dtype="f8", chunks=(4_000_000, *shape[1:]), compression="gzip"
+            )
+            data[:1] = 0
+    assert bomb.stat().st_size < 10_000_000
+    with serving(tmp_path) as service:
+        answer = service.client.post(
+            "/api/v1/recordings", content=bomb.read_bytes(), headers={"Content-Type": "application/x-hdf5"}
+        )
+        body = service.wait(answer.headers["Location"], "failed")
+        assert body["error"]["code"] in ("recording", "out-of-memory")
+        assert service.client.get("/health/ready").status_code == 200
+
+
+def test_a_slow_upload_is_given_up_while_others_are_served(tmp_path: Path) -> None:
+    import socket
+
+    with serving(tmp_path, env={"INVID_UPLOAD_STALL_S": "1"}) as service:
+        host, port = service.url.removeprefix("http://").split(":")
+        with socket.create_connection((host, int(port)), timeout=10) as line:
+            line.sendall(
+                b"POST /api/v1/recordings HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: application/x-hdf5\r\n"
+                b"Content-Length: 100000\r\n\r\n\x89HDF\r\n\x1a\n"
+            )
+            assert service.client.get("/health/live").status_code == 200
+            assert b"408" in line.recv(4096).split(b"\r\n")[0]
+
+
+def test_the_service_refuses_a_port_beyond_loopback_without_a_key_in_one_sentence(tmp_path: Path) -> None:
+    import subprocess
+    import sys
+
+    (tmp_path / "small.yaml").write_text(SMALL_CELL)
+    command = [sys.executable, "-c", "from invid.cli import main; main()", "serve", "small.yaml"]
+    refused = subprocess.run(
+        [*command, "--host", "0.0.0.0", "--port", "0"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert refused.returncode == 2
+    assert "no key" in refused.stderr
+    assert "Traceback" not in refused.stderr
+
+
+def test_a_key_made_on_the_command_line_opens_a_service_on_every_address(tmp_path: Path) -> None:
+    import subprocess
+    import sys
+
+    command = [sys.executable, "-c", "from invid.cli import main; main()", "serve"]
+    made = subprocess.run(
+        [*command, "--key-file", "keys.json", "--add-key", "plc:read,run"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
+    )
+    token = made.stdout.strip()
+    assert token not in (tmp_path / "keys.json").read_text()
+    with serving(tmp_path, "--host", "0.0.0.0", "--key-file", "keys.json") as service:
+        assert service.client.get("/api/v1/cells").status_code == 401
+        answer = service.client.get("/api/v1/cells", headers={"Authorization": f"Bearer {token}"})
+        assert answer.status_code == 200
+
+
+def test_ended_states_in_the_tests_are_those_of_the_service() -> None:
+    from invid_service.jobs.states import ENDED as OURS
+
+    assert {str(s) for s in OURS} == ENDED
