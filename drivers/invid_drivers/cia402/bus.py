@@ -136,6 +136,7 @@ class Cia402Cell:
         self._stopped = False
         self._touched = True
         self._link.beating = True
+        self._pre_operational()
         for drive, report in zip(self._drives, self._reports, strict=True):
             drive.protect(report, self._config.safety.heartbeat_s)
             drive.map_pdos()

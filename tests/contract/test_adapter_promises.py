@@ -1,0 +1,318 @@
+"""One list of promises, kept by every adapter: our simulated drives, foreign `durand` nodes, a replayed
+recording, and real hardware where INVID_HARDWARE names a config."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from invid.arrays import frozen_float
+from invid.config import CellConfig, load_config
+from invid.errors import BusError, DriveError
+from invid.recording import Experiment, Kind, Recording, Role
+from invid.sweep import Cell, Mode
+from invid_drivers.cia402.bus import Cia402Cell
+from invid_drivers.cia402.journal import Journal
+from invid_drivers.connect import connect
+from invid_drivers.replay import ReplayCell
+from invid_drivers.simulated import open_virtual_bus
+
+from durand_cell import DurandBus
+
+CYCLE = 0.002
+OPERATION_ENABLED = 0x27
+
+
+def config(simulation: dict[str, Any] | None = None, **axis: Any) -> CellConfig:
+    limits = {"torque_Nm": 5, "position_window_rad": 1.0, "velocity_rad_per_s": 10}
+    return CellConfig.model_validate(
+        {
+            "format": "invid-config",
+            "robot": "promises",
+            "bus": {"interface": "invid-virtual", "channel": "promises", "cycle_s": CYCLE},
+            "axes": [{"name": f"A{n}", "node_id": n, "limits": limits, **axis} for n in (1, 2)],
+            "simulation": {
+                "plant": {"branches": [{"axis": "A1", "masses": [1.0]}, {"axis": "A2", "masses": [2.0]}]},
+                "defaults": {"rated_torque_Nm": 10, "encoder_counts_per_rev": 1 << 20},
+                **(simulation or {}),
+            },
+        }
+    )
+
+
+def simulated() -> Cia402Cell:
+    cfg = config()
+    return Cia402Cell(open_virtual_bus(cfg), cfg)
+
+
+def foreign() -> Cia402Cell:
+    return Cia402Cell(DurandBus({1: 1.0, 2: 2.0}), config())
+
+
+def replayed() -> ReplayCell:
+    n = 400
+    t = np.arange(n) * CYCLE
+    x = np.column_stack([np.sin(t), np.cos(t)])
+    experiment = Experiment(
+        "000", Kind.OTHER, Role.IDENTIFY, -1, frozen_float([0, 0]), 0, frozen_float([]), 1 / CYCLE,
+        frozen_float(t), frozen_float(x), frozen_float(x),
+    )  # fmt: skip
+    return ReplayCell(Recording("r", ("A1", "A2"), "rad", "N·m", "2026-01-01T00:00:00+00:00", (experiment,)))
+
+
+def hardware() -> Cia402Cell:
+    path = os.environ.get("INVID_HARDWARE")
+    if not path:
+        pytest.skip("no hardware: set INVID_HARDWARE to a cell's config, with the machine free to move")
+    return connect(load_config(path))
+
+
+ADAPTERS = [
+    pytest.param(simulated, id="simulated drives"),
+    pytest.param(foreign, id="durand nodes"),
+    pytest.param(replayed, id="replayed recording"),
+    pytest.param(hardware, id="hardware", marks=pytest.mark.hardware),
+]
+
+
+@pytest.fixture(params=ADAPTERS)
+def cell(request: pytest.FixtureRequest) -> Iterator[Any]:
+    made = request.param()
+    if isinstance(made, Cia402Cell):
+        made.check()
+    yield made
+    made.stop()
+    if isinstance(made, Cia402Cell):
+        made.close()
+
+
+def held(cell: Cell) -> list[Mode]:
+    return [Mode.HOLD] * len(cell.axes)
+
+
+def zero(cell: Cell) -> list[float]:
+    return [0.0] * len(cell.axes)
+
+
+class TestPromisesOfEveryAdapter:
+    def test_every_list_has_one_entry_per_axis(self, cell: Cell) -> None:
+        count = len(cell.axes)
+        assert len(cell.can_hold) == len(cell.resolution) == len(cell.rated_torque) == count
+
+    def test_energised_axes_are_fresh_and_enabled(self, cell: Cell) -> None:
+        cell.energise(held(cell))
+        sample = cell.exchange(zero(cell))
+        assert all(sample.fresh)
+        assert [s & 0x6F for s in sample.status] == [OPERATION_ENABLED] * len(cell.axes)
+
+    def test_slots_count_up_and_their_instants_are_a_cycle_apart(self, cell: Cell) -> None:
+        cell.energise(held(cell))
+        slots, times = [], []
+        for _ in range(100):
+            sample = cell.exchange(zero(cell))
+            slots.append(sample.slot)
+            times.append(sample.time)
+        assert np.all(np.diff(slots) == 1)
+        np.testing.assert_allclose(np.diff(times), CYCLE, atol=1e-6)
+
+    def test_stop_works_from_any_state_any_number_of_times(self, cell: Cell) -> None:
+        cell.stop()
+        cell.stop()
+        cell.energise(held(cell))
+        cell.stop()
+        cell.stop()
+
+    def test_a_cell_that_was_stopped_can_be_energised_again(self, cell: Cell) -> None:
+        for _ in range(2):
+            cell.energise(held(cell))
+            assert cell.exchange(zero(cell)).status[0] & 0x6F == OPERATION_ENABLED
+            cell.stop()
+
+
+@pytest.fixture(params=ADAPTERS[:2])
+def drives(request: pytest.FixtureRequest) -> Iterator[Cia402Cell]:
+    made: Cia402Cell = request.param()
+    made.check()
+    yield made
+    made.close()
+
+
+class TestPromisesOfEveryDrive:
+    def test_positive_torque_moves_an_axis_forward_and_a_held_axis_stays(self, drives: Cia402Cell) -> None:
+        drives.energise([Mode.HOLD, Mode.HOLD])
+        drives.set_modes([Mode.TORQUE, Mode.HOLD], [0.0, 0.0])
+        first = list(drives.exchange([0.0, 0.0]).position)
+        for _ in range(200):
+            sample = drives.exchange([1.0, 1.0])
+        # ½·a·t² with 1 N·m on 1 kg·m² for 0.4 s, a few cycles of delay
+        assert sample.position[0] - first[0] == pytest.approx(0.5 * 0.4**2, rel=0.05)
+        assert abs(sample.position[1] - first[1]) < 1e-4
+
+    def test_measured_torque_follows_the_demand(self, drives: Cia402Cell) -> None:
+        drives.energise([Mode.TORQUE, Mode.TORQUE])
+        for _ in range(20):
+            sample = drives.exchange([0.5, -0.25])
+        assert sample.torque == pytest.approx([0.5, -0.25], abs=0.02)
+
+    def test_after_stop_no_drive_is_energised(self, drives: Cia402Cell) -> None:
+        drives.energise([Mode.TORQUE, Mode.TORQUE])
+        for _ in range(50):
+            drives.exchange([1.0, 1.0])
+        drives.stop()
+        assert drives.not_off == ()
+
+    def test_every_object_written_is_as_before_after_close(self, drives: Cia402Cell) -> None:
+        addresses = [
+            (0x605A, 0),
+            (0x6072, 0),
+            (0x607D, 1),
+            (0x607D, 2),
+            (0x1016, 1),
+            (0x1017, 0),
+            (0x6065, 0),
+        ]
+        addresses += [(0x1400, 2), (0x1600, 0), (0x1A00, 0), (0x1800, 2)]
+        link = drives._link
+
+        def values() -> list[bytes]:
+            return [bytes(link.sdo(1).upload(i, s)) for i, s in addresses]
+
+        before = values()
+        drives.energise([Mode.HOLD, Mode.HOLD])
+        assert values() != before
+        drives.stop()
+        drives._restore([])
+        assert values() == before
+        assert drives.journal.entries == ()
+
+    def test_protection_stands_in_the_drive_before_it_is_enabled(self, drives: Cia402Cell) -> None:
+        drives.energise([Mode.HOLD, Mode.HOLD])
+        link = drives._link
+
+        def value(index: int, sub: int = 0) -> int:
+            return int.from_bytes(bytes(link.sdo(1).upload(index, sub)), "little", signed=True)
+
+        window = round(1.0 / (2 * np.pi) * (1 << 20))
+        assert value(0x6072) == 500
+        assert value(0x607D, 2) - value(0x607D, 1) == pytest.approx(2 * window, abs=2)
+        assert value(0x1016, 1) == 127 << 16 | 300
+        assert value(0x1017) == 100
+        assert value(0x605A) == 2
+        assert value(0x6007) == 3
+
+    def test_objects_left_by_a_power_cut_are_restored_before_anything_else(self, drives: Cia402Cell) -> None:
+        link = drives._link
+        before = bytes(link.sdo(1).upload(0x6072, 0))
+        drives.energise([Mode.HOLD, Mode.HOLD])
+        assert bytes(link.sdo(1).upload(0x6072, 0)) != before
+        left_behind = Journal(None)
+        for entry in drives.journal.entries:
+            left_behind.add(entry)
+        # power comes back: a new master on the same wire, with the old journal
+        for node in (1, 2):
+            link.nmt(0x80, node)
+        drives.stop()
+        again = Cia402Cell(link.bus, config(), journal=left_behind)
+        again.check()
+        assert bytes(link.sdo(1).upload(0x6072, 0)) == before
+        assert left_behind.entries == ()
+
+    def test_a_node_that_is_not_there_is_named_with_the_way_out(self, drives: Cia402Cell) -> None:
+        cfg = config()
+        wrong = cfg.model_copy(update={"axes": [cfg.axes[0], cfg.axes[1].model_copy(update={"node_id": 77})]})
+        with pytest.raises(DriveError, match=r"A2: node 77 does not answer.*cable"):
+            Cia402Cell(drives._link.bus, wrong).check()
+
+
+GAPS = [
+    ({0x6071}, {}, {}, "cannot be commanded"),
+    ({0x6077}, {}, {}, "cannot be measured"),
+    ({0x1016}, {}, {}, "allow_missing_heartbeat"),
+    ({0x608F}, {}, {}, "position_rad_per_count"),
+    ({0x6076}, {}, {}, "rated_torque_Nm"),
+    (set(), {0x6076: 0}, {}, "rated_torque_Nm"),
+    (set(), {0x6502: 0x41}, {}, "no torque mode"),
+    (set(), {0x6041: 0x0208}, {}, "in fault"),
+]
+
+
+@pytest.mark.parametrize(("lacks", "values", "axis", "word"), GAPS)
+def test_a_drive_that_cannot_do_the_job_is_refused_in_plain_words(
+    lacks: set[int], values: dict[int, int], axis: dict[str, Any], word: str
+) -> None:
+    bus = DurandBus({1: 1.0, 2: 2.0}, lacks=frozenset(lacks), values=values)
+    with pytest.raises(DriveError, match=word) as caught:
+        Cia402Cell(bus, config(**axis)).check()
+    assert caught.value.exit_code == 5
+    assert "A1" in str(caught.value)
+
+
+WAYS_OUT = [
+    ({0x1016}, {}, {"allow_missing_heartbeat": True}, "0x1016"),
+    ({0x608F}, {}, {"position_rad_per_count": 6e-6}, None),
+    ({0x6076}, {}, {"rated_torque_Nm": 10.0}, None),
+    ({0x6072}, {}, {}, "0x6072"),
+    ({0x605A, 0x6007, 0x607D, 0x6065, 0x607F}, {}, {}, "0x605A"),
+]
+
+
+@pytest.mark.parametrize(("lacks", "values", "axis", "listed"), WAYS_OUT)
+def test_a_gap_with_a_way_out_is_listed_and_the_drive_runs(
+    lacks: set[int], values: dict[int, int], axis: dict[str, Any], listed: str | None
+) -> None:
+    cell = Cia402Cell(DurandBus({1: 1.0, 2: 2.0}, lacks=frozenset(lacks), values=values), config(**axis))
+    report = cell.check()[0]
+    if listed is not None:
+        assert any(listed in line for line in report.lacks)
+    cell.energise([Mode.HOLD, Mode.HOLD])
+    assert all(cell.exchange([0.0, 0.0]).fresh)
+    assert cell.close() == []
+    assert cell.not_off == ()
+
+
+def test_a_cable_pulled_in_the_cycle_leaves_the_way_out_open() -> None:
+    bus = DurandBus({1: 1.0, 2: 2.0})
+    cell = Cia402Cell(bus, config())
+    cell.check()
+    cell.energise([Mode.HOLD, Mode.HOLD])
+    bus.drives[1].port.silent = True
+    sample = cell.exchange([0.0, 0.0])
+    assert sample.fresh == [True, False]
+    cell.stop()
+    assert cell.not_off == ("A2",)
+    assert bus.drives[0].state == "switch on disabled"
+    assert any("does not answer" in line for line in cell.close())
+
+
+def test_a_bus_that_dies_is_an_error_of_the_bus_and_stop_still_returns() -> None:
+    class Dying(DurandBus):
+        dead = False
+
+        def send(self, msg: Any, timeout: float | None = None) -> None:
+            if self.dead:
+                raise OSError(100, "Network is down")
+            super().send(msg, timeout)
+
+    bus = Dying({1: 1.0, 2: 2.0})
+    cell = Cia402Cell(bus, config())
+    cell.check()
+    cell.energise([Mode.HOLD, Mode.HOLD])
+    bus.dead = True
+    with pytest.raises(BusError, match="Network is down"):
+        cell.exchange([0.0, 0.0])
+    cell.stop()
+    cell.close()
+    assert set(cell.not_off) == {"A1", "A2"}
+
+
+def test_a_replayed_recording_gives_every_sample_once_and_then_says_that_it_ended() -> None:
+    cell = replayed()
+    cell.energise([Mode.HOLD, Mode.HOLD])
+    seen = [list(cell.exchange([0, 0]).position) for _ in range(400)]
+    np.testing.assert_array_equal(seen, cell.experiment.position)
+    with pytest.raises(BusError, match="ended"):
+        cell.exchange([0, 0])
