@@ -1,9 +1,98 @@
-"""The command of this name."""
+"""``invid diagnose``: what the simulation gets wrong, the cause, the extended model, the gain."""
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Annotated
+
 import typer
+
+from invid.cli.identify import parse_masses
+from invid.cli.output import EXIT_NOT_TRUSTWORTHY, EXIT_OK, emit, note
+from invid.diagnosis import Diagnosis, diagnosis_to_json
+from invid.errors import InputError
+from invid.model import dump_json
 
 
 def register(app: typer.Typer) -> None:
-    """Placeholder until the command lands."""
+    """Adds the command."""
+
+    @app.command("diagnose")
+    def diagnose_command(
+        recording: Annotated[Path, typer.Argument(metavar="REC.h5", help="The recording.")],
+        model: Annotated[
+            Path | None,
+            typer.Option("--model", metavar="MODEL.json", help="Start here instead of identifying first."),
+        ] = None,
+        masses: Annotated[
+            str | None,
+            typer.Option(help="Masses of each axis, as 3,3,3; or auto. Default: what the recording says."),
+        ] = None,
+        output: Annotated[
+            Path | None,
+            typer.Option("-o", "--output", metavar="DIAGNOSIS.json", help="Where the diagnosis goes."),
+        ] = None,
+        report: Annotated[
+            Path | None, typer.Option("--report", metavar="REPORT.html", help="Where the report goes.")
+        ] = None,
+        as_json: Annotated[bool, typer.Option("--json", help="Print the diagnosis as JSON.")] = False,
+    ) -> int:
+        """Name what the model gets wrong, with the extended model and the gain on held-out data."""
+        from invid.discrepancy import diagnose
+        from invid.model import load_model
+        from invid.recording import read_recording
+
+        wanted = parse_masses(masses)
+        if model is not None and masses is not None:
+            raise InputError("--masses and --model: the model says how many masses there are; give one of the two")
+        data = read_recording(recording)
+        given = None if model is None else load_model(model)
+        diagnosis = diagnose(data, model=given, masses=wanted)
+        document = diagnosis_to_json(diagnosis)
+        if output is not None:
+            _write(output, dump_json(document))
+            note(f"diagnosis written to {output}")
+        if report is not None:
+            from invid.report import render_report
+
+            _write(report, render_report(data, diagnosis.model, diagnosis))
+            note(f"report written to {report}")
+        if as_json:
+            for warning in diagnosis.warnings:
+                note(f"warning: {warning}")
+        emit(document, diagnosis_text(diagnosis), as_json=as_json)
+        trustworthy = bool(diagnosis.model.fit.get("trustworthy", True))
+        return EXIT_OK if trustworthy else EXIT_NOT_TRUSTWORTHY
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror}") from None
+
+
+def diagnosis_text(diagnosis: Diagnosis) -> str:
+    """Sentences first, then the residuals, the competing causes and the warnings."""
+    lines = list(diagnosis.sentences)
+    lines.append("")
+    lines.append(f"verdict: {diagnosis.verdict}")
+    if diagnosis.explained_fraction is not None:
+        lines[-1] += f", {100 * diagnosis.explained_fraction:.1f} % of what was missing is explained"
+    lines.append("missing torque, rms on held-out data")
+    lines.append(f"  {'axis':<12} {'before':>11} {'after':>11} {'noise':>11}")
+    for r in diagnosis.residual:
+        lines.append(f"  {r.axis:<12} {r.before:>11.4g} {r.after:>11.4g} {r.noise_floor:>11.4g} {r.unit}")
+    for f in diagnosis.findings:
+        place = " ".join(x for x in (f.effect.axis, f.effect.element, f.effect.other_axis) if x)
+        lines.append(f"{f.effect.cause} ({place}), confidence {f.confidence:.2f}")
+        for name, p in f.effect.parameters.items():
+            spread = "" if p.std is None else f" ± {p.std:.2g}"
+            lines.append(f"  {name:<20} {p.value:.5g}{spread} {p.unit or ''}".rstrip())
+        for a in f.alternatives:
+            other = " ".join(x for x in (a.axis, a.element, a.other_axis) if x)
+            lines.append(f"  not told apart from {a.cause} ({other}), after {a.after:.4g}")
+        if f.separating_experiment is not None:
+            lines.append(f"  to separate them: {f.separating_experiment.get('description', '')}")
+    lines += [f"warning: {w}" for w in diagnosis.warnings]
+    return "\n".join(lines)

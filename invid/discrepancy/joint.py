@@ -1,280 +1,171 @@
-"""Joint fits of the linear parameters and of effects on the missing torque.
-
-Columns depend on the inner motion, which depends on the parameters and on the forces themselves:
-they are made anew in every round, until the cost stands. The shape of a law (a gap, a velocity) moves
-with the rest through a column of its own derivative.
-"""
+"""Levenberg–Marquardt over the linear parameters and the effects together, bounds kept."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from invid.arrays import Complex128, Float64
-from invid.discrepancy.records import Part, Problems
-from invid.effects import Effect, Place, Shape
-from invid.effects.motion import Context, context_of
-from invid.refine.problem import MissingTorqueProblem
-from invid.refine.solver import Solution, gauss_newton
+from invid.arrays import Float64
+from invid.discrepancy.plant import Candidate, Evaluation, Layout, evaluate
+from invid.effects.base import Record
 
-SHAPE_STEP = 1e-3
-"""Relative step of the shape's numerical derivative."""
-SHAPE_STD = 0.3
-"""Prior of one round's step of a shape's logarithm: laws are not linear in their shape beyond that."""
+LARGEST_STEP = 0.7
+"""Largest step of a logarithm in one iteration: unguarded steps overflow."""
 
 
 @dataclass(frozen=True, eq=False)
-class Term:
-    """An effect at a place with a shape and coefficients."""
+class JointFit:
+    """A fit of the linear parameters and the effects of ``candidate``."""
 
-    effect: Effect
-    place: Place
-    shape: Shape
-    coefficients: Float64
-
-    @property
-    def key(self) -> tuple[str, int, str | None, int | None]:
-        """What and where, without how much."""
-        return self.effect.cause, self.place.axis, self.place.element, self.place.other
-
-    @property
-    def moving(self) -> tuple[int, ...]:
-        """Indices of the shape's continuous entries."""
-        return tuple(range(self.effect.variants, len(self.shape)))
-
-
-@dataclass(frozen=True, eq=False)
-class Hypothesis:
-    """Linear parameters and terms fitted jointly.
-
-    ``cost`` and ``dof`` are those of training; ``held_out`` and ``held_out_dof`` of the records kept
-    out, at the same parameters.
-    """
-
-    terms: tuple[Term, ...]
-    problem: MissingTorqueProblem
-    solution: Solution
-    cost: float
-    dof: int
-    held_out: float
-    held_out_dof: int
+    layout: Layout
+    p: Float64
+    candidate: Candidate
+    evaluation: Evaluation
+    covariance: Float64
     converged: bool
 
     @property
-    def known(self) -> dict[str, float]:
-        """Parameters by name."""
-        return dict(zip(self.problem.names, self.solution.p, strict=True))
+    def cost(self) -> float:
+        """χ² of the training records."""
+        return self.evaluation.cost
 
     @property
-    def parameters(self) -> int:
-        """Number of parameters that effects add: coefficients and shapes."""
-        return sum(
-            (0 if t.effect.unit_coefficient else t.coefficients.size) + len(t.moving) for t in self.terms
-        )
+    def dof(self) -> int:
+        """Degrees of freedom left."""
+        return max(self.evaluation.dof - self.layout.count - sum(t.size for t in self.candidate.terms), 1)
 
     @property
-    def physical(self) -> bool:
-        """Coefficients and shapes within their bounds."""
-        return all(
-            not t.effect.lower or bool(np.all(t.coefficients >= np.array(t.effect.lower))) for t in self.terms
-        )
+    def dispersion(self) -> float:
+        """χ²/ν, at least 1."""
+        return max(1.0, self.cost / self.dof)
 
 
-def bare(problem: MissingTorqueProblem) -> MissingTorqueProblem:
-    """The problem without columns."""
-    blocks = tuple(
-        replace(b, columns=np.zeros((b.omega.size, b.position.shape[1], 0), dtype=complex))
-        for b in problem.blocks
-    )
-    return replace(problem, blocks=blocks, column_names=())
+def _limits(
+    layout: Layout, candidate: Candidate, evaluation: Evaluation, strict: bool
+) -> tuple[Float64, Float64]:
+    low, high = np.full(layout.count, -np.inf), np.full(layout.count, np.inf)
+    damper = layout.structure.slices["damper"]
+    low[damper] = 0.0
+    at = layout.structure.count
+    if strict:  # up to one sample is sampling convention; more is a finding
+        low[at : at + len(layout.free_delays)] = -1.0 * layout.step
+        high[at : at + len(layout.free_delays)] = 1.0 * layout.step
+    stairs = len(layout.free_stairs)
+    if stairs:
+        low[layout.count - stairs :], high[layout.count - stairs :] = -0.5, 1.5
+    for term in candidate.terms:
+        shapes = term.effect.limits(evaluation.views, term.place)
+        low = np.concatenate((low, term.effect.lower, [s[0] for s in shapes]))
+        high = np.concatenate((high, term.effect.upper, [s[1] for s in shapes]))
+    return low, high
 
 
-def vector(problem: MissingTorqueProblem, known: dict[str, float]) -> Float64:
-    """Parameters of ``problem`` by name; those not known are neutral."""
-    start = problem.start(np.array([known[n] for n in problem.structure.names]))
-    return np.array([known.get(n, v) for n, v in zip(problem.names, start, strict=True)])
+def _pack(p: Float64, candidate: Candidate) -> Float64:
+    return np.concatenate((p, *candidate.x)) if candidate.x else p.copy()
 
 
-def forces_of(context: Context, terms: Sequence[Term]) -> list[Complex128]:
-    """Per record (F, ΣN): the terms' resisting forces on all coordinates."""
-    out = []
-    for record in context.records:
-        total = np.zeros((record.index.size, context.structure.dofs), dtype=complex)
-        for t in terms:
-            units = t.effect.forces(context, record, t.place, t.shape)
-            if units.shape[1]:
-                force = units @ t.coefficients
-                total[:, t.place.a] += force
-                if t.place.b is not None:
-                    total[:, t.place.b] -= force
-        out.append(total)
-    return out
-
-
-def motion(
-    problem: MissingTorqueProblem,
-    p: Float64,
-    part: Part,
-    terms: Sequence[Term],
-    *,
-    place: tuple[int, int | None] | None = None,
-    steps: int = 3,
-) -> Context:
-    """Motion of all coordinates under the terms' own forces (fixed point), or under what a place asks for."""
-    structure = problem.structure
-    states = problem.states(p)
-    context = context_of(structure, p, states, part.spectra, part.spans, place=place)
-    inner = [t for t in terms if t.place.inner]
-    if place is not None or not inner:
-        return context
-    for _ in range(steps):
-        forces = forces_of(context, terms)
-        context = context_of(structure, p, states, part.spectra, part.spans, forces)
-    return context
-
-
-def columns(context: Context, terms: Sequence[Term], *, shapes: bool) -> tuple[list[Complex128], list[str]]:
-    """Per record the columns (F, M, L) of all terms and their names; with derivatives by the shapes."""
-    names: list[str] = []
-    per_record: list[list[Complex128]] = [[] for _ in context.records]
-    for number, t in enumerate(terms):
-        width = 0
-        for at, record in enumerate(context.records):
-            own = t.effect.columns(context, record, t.place, t.shape)
-            width = own.shape[2]
-            per_record[at].append(own)
-            for m in t.moving if shapes else ():
-                shifted = list(t.shape)
-                shifted[m] *= 1.0 + SHAPE_STEP
-                other = t.effect.columns(context, record, t.place, tuple(shifted))
-                per_record[at].append(((other - own) @ t.coefficients / SHAPE_STEP)[:, :, None])
-        names += [f"{number}.{t.effect.cause}.{k}" for k in range(width)]
-        names += [f"{number}.{t.effect.cause}.shape{m}" for m in (t.moving if shapes else ())]
-    return [np.concatenate(c, axis=2) for c in per_record], names
-
-
-def loaded(
-    problem: MissingTorqueProblem, context: Context, terms: Sequence[Term], *, shapes: bool
-) -> MissingTorqueProblem:
-    """The bare problem with the terms' columns; coefficients that are 1 by definition are fixed there."""
-    plain = bare(problem)
-    if not terms:
-        return plain
-    values, names = columns(context, terms, shapes=shapes)
-    blocks = tuple(replace(b, columns=c) for b, c in zip(plain.blocks, values, strict=True))
-    priors = dict(plain.priors)
-    fixed = list(plain.fixed)
-    for number, t in enumerate(terms):
-        start = f"{number}.{t.effect.cause}."
-        if t.effect.unit_coefficient:
-            priors[start + "0"] = (1.0, 1e-9)
-            fixed.append(start + "0")
-        for m in t.moving if shapes else ():
-            priors[f"{start}shape{m}"] = (0.0, SHAPE_STD)
-    return replace(plain, blocks=blocks, column_names=tuple(names), priors=priors, fixed=tuple(fixed))
-
-
-def _stepped(terms: Sequence[Term], known: dict[str, float]) -> tuple[Term, ...]:
-    """Terms with the coefficients found and the shapes moved."""
-    out = []
-    for number, t in enumerate(terms):
-        start = f"{number}.{t.effect.cause}."
-        coefficients = np.array([known[f"{start}{k}"] for k in range(t.coefficients.size)])
-        shape = list(t.shape)
-        for m in t.moving:
-            step = known.get(f"{start}shape{m}", 0.0)
-            shape[m] *= float(np.exp(np.clip(step, -0.5, 0.5)))
-        out.append(replace(t, coefficients=coefficients, shape=tuple(shape)))
-    return tuple(out)
+def _unpack(layout: Layout, candidate: Candidate, v: Float64) -> tuple[Float64, Candidate]:
+    at, xs = layout.count, []
+    for term in candidate.terms:
+        xs.append(v[at : at + term.size].copy())
+        at += term.size
+    return v[: layout.count].copy(), Candidate(candidate.terms, tuple(xs))
 
 
 def fit(
-    problems: Problems,
-    terms: Sequence[Term],
-    known: dict[str, float],
+    layout: Layout,
+    records: Sequence[Record],
+    p: Float64,
+    candidate: Candidate,
     *,
-    rounds: int = 8,
-    give_up: float = np.inf,
-) -> Hypothesis:
-    """The terms and all linear parameters, fitted jointly from ``known``.
-
-    ``give_up``: stop after two rounds where the cost is still above it.
-    """
-    train, part = problems.train, problems.records.train
-    current = tuple(terms)
-    if not current:
-        plain = bare(train)
-        return _judged(problems, (), plain, gauss_newton(plain, vector(plain, known)), known, True)
-    best: Hypothesis | None = None
-    last, converged = np.inf, False
-    for turn in range(rounds):
-        plain = bare(train)
-        start = vector(plain, known)
-        # The first inner motion is the one the missing torque itself asks for at the newest place.
-        newest = current[-1].place
-        guess = (newest.a, newest.b) if turn == 0 and newest.inner and len(current) == 1 else None
-        context = motion(plain, start, part, current, place=guess)
-        problem = loaded(plain, context, current, shapes=True)
-        given = dict(known)
-        for number, t in enumerate(current):
-            prefix = f"{number}.{t.effect.cause}."
-            given |= {f"{prefix}{k}": float(v) for k, v in enumerate(t.coefficients)}
-        solution = gauss_newton(problem, vector(problem, given), iterations=12)
-        found = dict(zip(problem.names, solution.p, strict=True))
-        known = {n: v for n, v in found.items() if n in set(plain.names)}
-        current = _stepped(current, found)
-        scale = max(solution.reduced, 1.0)
-        if best is None or solution.chi2 < best.cost:
-            best = Hypothesis(current, problem, solution, solution.chi2, solution.dof, np.nan, 0, False)
-        if abs(last - solution.chi2) < 0.05 * scale:
+    iterations: int = 30,
+    tolerance: float = 1e-2,
+    strict: bool = True,
+) -> JointFit:
+    """Minimise the cost over everything; converged when the predicted decrease is below ``tolerance``·χ²/ν."""
+    structure = layout.structure
+    here = evaluate(layout, records, p, candidate)
+    low, high = _limits(layout, candidate, here, strict)
+    v = np.clip(_pack(p, candidate), low, high)
+    if not np.array_equal(v, _pack(p, candidate)):
+        p, candidate = _unpack(layout, candidate, v)
+        here = evaluate(layout, records, p, candidate)
+    limited = np.zeros(v.size, dtype=bool)
+    limited[: structure.count] = structure.logarithmic
+    at = layout.count
+    for term in candidate.terms:
+        count = len(term.effect.coefficients)
+        limited[at + count : at + term.size] = term.effect.logarithmic
+        at += term.size
+    damping, converged = 1e-4, False
+    for _ in range(iterations):
+        gradient = here.jacobian.T @ here.residual
+        stuck = ((v <= low) & (gradient > 0)) | ((v >= high) & (gradient < 0))
+        move = ~stuck
+        jacobian = here.jacobian[:, move]
+        scale = np.linalg.norm(jacobian, axis=0)
+        scale[scale == 0] = 1.0
+        triangle = np.linalg.qr(np.column_stack((jacobian / scale, here.residual)), mode="r")
+        n = int(move.sum())
+        left, size, right = np.linalg.svd(triangle[:n, :n])
+        projected = left.T @ triangle[:n, n]
+        keep = size > 1e-12 * size[0]
+        predicted = float(projected[keep] @ projected[keep])
+        if predicted < tolerance * max(here.cost / max(here.dof, 1), 1e-12):
             converged = True
             break
-        if turn >= 1 and solution.chi2 > give_up:
+        accepted = False
+        for _ in range(7):
+            step = np.zeros(v.size)
+            step[move] = -(right.T @ (size / (size**2 + damping) * projected)) / scale
+            largest = float(np.abs(step[limited]).max(initial=0.0))
+            if largest > LARGEST_STEP:
+                step = step * (LARGEST_STEP / largest)
+            trial = np.clip(v + step, low, high)
+            tp, tc = _unpack(layout, candidate, trial)
+            if structure.admissible(tp[: structure.count]):
+                with np.errstate(all="ignore"):
+                    try:
+                        there = evaluate(layout, records, tp, tc, jacobian=False)
+                    except np.linalg.LinAlgError:
+                        there = None
+                if there is not None and np.isfinite(there.cost) and there.cost < here.cost:
+                    accepted = True
+                    break
+            damping = max(damping, 1e-6) * 10.0
+        if not accepted:
+            converged = predicted < 0.3 * here.cost / max(here.dof, 1)
             break
-        last = solution.chi2
-    if best is None:
-        raise ValueError("fit needs at least one round")
-    known = {n: v for n, v in best.known.items() if n in set(plain.names)}
-    return _judged(problems, best.terms, best.problem, best.solution, known, converged)
+        gained = here.cost - there.cost
+        v, p, candidate = trial, tp, tc
+        here = evaluate(layout, records, p, candidate)
+        damping = max(damping / 8.0, 1e-12)
+        if gained < 0.1 * tolerance * here.cost / max(here.dof, 1):
+            converged = True
+            break
+    return JointFit(layout, p, candidate, here, _covariance(here, v, low, high), converged)
 
 
-def _judged(
-    problems: Problems,
-    terms: tuple[Term, ...],
-    problem: MissingTorqueProblem,
-    solution: Solution,
-    known: dict[str, float],
-    converged: bool,
-) -> Hypothesis:
-    cost, count = held_out_cost(problems, terms, dict(zip(problem.names, solution.p, strict=True)))
-    return Hypothesis(terms, problem, solution, solution.chi2, solution.dof, cost, count, converged)
+def _covariance(here: Evaluation, v: Float64, low: Float64, high: Float64) -> Float64:
+    """(n, n) of everything, inflated by χ²/ν > 1; infinite where the data do not see it, zero at a bound."""
+    jacobian = here.jacobian
+    scale = np.linalg.norm(jacobian, axis=0)
+    blind = scale == 0
+    scale[blind] = 1.0
+    _, size, right = np.linalg.svd(
+        np.linalg.qr(jacobian / scale, mode="r"), full_matrices=False
+    )
+    seen = size > 1e-9 * size[0]
+    out: Float64 = (right[seen].T / size[seen] ** 2) @ right[seen] / scale[:, None] / scale
+    lost = np.flatnonzero(blind | (np.abs(right[~seen]) > 1e-2).any(axis=0))
+    out[lost, lost] = np.inf
+    return out * max(1.0, here.cost / max(here.dof - v.size, 1))
 
 
-def held_out_problem(
-    problems: Problems, terms: Sequence[Term], known: dict[str, float]
-) -> tuple[MissingTorqueProblem, Float64]:
-    """The held-out problem with the terms' columns, and the parameters found in training."""
-    plain = bare(problems.held_out)
-    start = vector(plain, known)
-    if not terms:
-        return plain, start
-    context = motion(plain, start, problems.records.held_out, terms)
-    problem = replace(loaded(plain, context, terms, shapes=False), priors={}, fixed=())
-    given = dict(known)
-    for number, t in enumerate(terms):
-        prefix = f"{number}.{t.effect.cause}."
-        given |= {f"{prefix}{k}": float(v) for k, v in enumerate(t.coefficients)}
-    return problem, vector(problem, given)
-
-
-def held_out_cost(problems: Problems, terms: Sequence[Term], known: dict[str, float]) -> tuple[float, int]:
-    """χ² of the held-out records at the parameters found in training, and its degrees of freedom."""
-    if not problems.held_out.blocks:
-        return np.nan, 0
-    problem, p = held_out_problem(problems, terms, known)
-    residual, _ = problem.evaluate(p)
-    rows = sum(2 * b.position.size for b in problem.blocks)
-    rows -= sum(2 * problems.structure.dofs for b in problem.blocks if b.transient)
-    return float(residual @ residual), rows
+def held_out(fit_: JointFit, records: Sequence[Record], candidate: Candidate | None = None) -> Evaluation:
+    """The held-out records under a fit, nothing refitted."""
+    return evaluate(
+        fit_.layout, records, fit_.p, fit_.candidate if candidate is None else candidate, jacobian=False
+    )

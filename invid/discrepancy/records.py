@@ -1,190 +1,163 @@
-"""The records a diagnosis works on: spectra for training, spectra kept out, and the problems they pose."""
+"""From spectra to the records that a diagnosis works on: 0 Hz included, noise filtered out of motion."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from invid.arrays import frozen_float
-from invid.errors import NotIdentifiableError
-from invid.recording.model import Experiment, Kind, Recording, Role
-from invid.refine.blocks import problem_from_spectra
-from invid.refine.problem import Block, MissingTorqueProblem
-from invid.refine.structure import ChainStructure
-from invid.spectra import LineSpectra, spectra_of
+from invid.arrays import Float64
+from invid.effects.base import Record
+from invid.recording.model import Experiment, Recording, Role
+from invid.spectra import LineSpectra
 
-DELAY_STD = 3.0
-"""Samples: width of the prior of each axis' time offset. It only keeps an offset that the data do not see
-from running away; one that they see is moved by less than a thousandth of a sample."""
+BAND = 1.2
+"""Lines up to this times the highest excited one: distortion falls off above, noise does not."""
+MOST_LINES = 3000
 
 
-@dataclass(frozen=True, eq=False)
-class Part:
-    """Records of one role."""
-
-    spectra: tuple[LineSpectra, ...]
-    spans: tuple[tuple[float, float], ...]
-
-
-@dataclass(frozen=True, eq=False)
-class Records:
-    """Training and held-out records of one recording."""
-
-    train: Part
-    held_out: Part
-    warnings: tuple[str, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class Problems:
-    """The missing torque of the training and of the held-out records; both share one parameter vector."""
-
-    structure: ChainStructure
-    records: Records
-    train: MissingTorqueProblem
-    held_out: MissingTorqueProblem
-
-
-def split(recording: Recording) -> Records:
-    """Training and held-out spectra.
-
-    Held out are the experiments with role "validate"; without any, the last period of each record, or
-    the last records, or the second half of a single one, and a warning says so.
-    """
-    usable = [e for e in recording.experiments if e.kind is not Kind.CONSTANT_VELOCITY]
-    if not usable:
-        raise NotIdentifiableError(
-            f"{recording.source}: no experiment shakes an axis; a diagnosis needs a multisine, chirp or "
-            "stepped sine"
-        )
-    train = [e for e in usable if e.role is Role.IDENTIFY]
-    kept = [e for e in usable if e.role is Role.VALIDATE]
-    if not train:
-        train, kept = usable, []
-    pairs = [(spectra_of(e), _span(e)) for e in train]
-    warnings = [w for s, _ in pairs for w in s.warnings]
-    if kept:
-        val = [(spectra_of(e), _span(e)) for e in kept]
-        return Records(_part(pairs), _part(val), tuple(warnings))
-    periodic = [(s, span) for s, span in pairs if s.deviations.shape[0] >= 2]
-    if periodic:
-        warnings.append(
-            "no experiment has the role validate: the last period of each record was kept out of the fit "
-            "instead, which shares its excitation; a record at another amplitude would test the result harder"
-        )
-        first, last = [], []
-        for s, span in pairs:
-            if s.deviations.shape[0] >= 2:
-                a, b = _without_last(s)
-                first.append((a, span))
-                last.append((b, span))
-            else:
-                first.append((s, span))
-        return Records(_part(first), _part(last), tuple(warnings))
-    if len(pairs) > recording.axis_count:
-        warnings.append("no experiment has the role validate: the last record was kept out of the fit")
-        return Records(_part(pairs[:-1]), _part(pairs[-1:]), tuple(warnings))
-    warnings.append(
-        "no experiment has the role validate and none repeats: the second half of each record was kept out of "
-        "the fit; a second record at another amplitude would test the result harder"
-    )
-    halves = [_halves(e) for e in train]
-    return Records(
-        _part([(spectra_of(a), _span(a)) for a, _ in halves]),
-        _part([(spectra_of(b), _span(b)) for _, b in halves]),
-        tuple(warnings),
-    )
-
-
-def _part(pairs: Sequence[tuple[LineSpectra, tuple[float, float]]]) -> Part:
-    return Part(tuple(s for s, _ in pairs), tuple(span for _, span in pairs))
-
-
-def _span(e: Experiment) -> tuple[float, float]:
-    return float(e.time[0]), float(e.time[-1])
-
-
-def _without_last(s: LineSpectra) -> tuple[LineSpectra, LineSpectra]:
-    """The mean of all periods but the last, and the last alone, with the covariances of each."""
-    periods = s.deviations.shape[0]
+def record_of(s: LineSpectra, experiment: Experiment, rows: slice | None = None) -> Record:
+    """One record; ``rows`` picks periods (for keeping some out) where there are several."""
     motors = s.axis_count
-    mean = np.concatenate((s.position, s.torque), axis=1)
-    first = mean + s.deviations[:-1].mean(axis=0)
-    last = mean + s.deviations[-1]
-    single = s.covariance * periods
-
-    def with_mean(values: np.ndarray, covariance: np.ndarray, count: int) -> LineSpectra:
-        return replace(
-            s,
-            position=values[:, :motors],
-            torque=values[:, motors:],
-            covariance=covariance,
-            floor=s.floor * periods / count,
-            periods=count,
-            span_s=s.span_s * count / periods,
-        )
-
-    return with_mean(first, single / (periods - 1), periods - 1), with_mean(last, single, 1)
-
-
-def _halves(e: Experiment) -> tuple[Experiment, Experiment]:
-    middle = e.samples // 2
-
-    def part(rows: slice) -> Experiment:
-        return replace(
-            e,
-            time=frozen_float(e.time[rows]),
-            position=frozen_float(e.position[rows]),
-            torque=frozen_float(e.torque[rows]),
-            torque_demand=None if e.torque_demand is None else frozen_float(e.torque_demand[rows]),
-            status=None,
-            period_samples=0,
-        )
-
-    return part(slice(0, middle)), part(slice(middle, None))
-
-
-def problems(structure: ChainStructure, records: Records) -> Problems:
-    """The problems on all lines up to the highest excited one, line 0 of driven axes included."""
-    train, kept = records.train.spectra, records.held_out.spectra
-    both = problem_from_spectra(structure, [*train, *kept], lines="all", noise="spectra")
-    blocks = tuple(
-        _with_mean(b, s) if not b.transient else b for b, s in zip(both.blocks, [*train, *kept], strict=True)
-    )
-    step = max(b.step for b in blocks)
-    priors = {**both.priors, **dict.fromkeys(both.delay_names, (0.0, DELAY_STD * step))}
-    count = len(train)
-    whole = replace(both, priors=priors)
-    return Problems(
-        structure,
-        records,
-        replace(whole, blocks=blocks[:count]),
-        replace(whole, blocks=blocks[count:], priors={}),
-    )
-
-
-def _with_mean(block: Block, s: LineSpectra) -> Block:
-    """Line 0 added: over whole periods the mean torque of a driven axis is that of what resists it.
-
-    A held axis may stand on its static friction, so its mean says nothing and gets no weight.
-    """
-    motors = block.position.shape[1]
-    mean = np.asarray(s.torque_wave).mean(axis=0)
-    torque = np.sqrt(2.0) * mean[None].astype(complex)
-    covariance = block.covariance[:1].copy()
-    for i in range(motors):
-        if not s.driven[i]:
-            at = motors + i
-            covariance[0, at, at] += 1e8 * (mean[i] ** 2 + np.abs(block.torque[:, i]).max() ** 2)
+    count = s.position_wave.shape[0]
+    share = 1.0
+    theta, torque = s.position, s.torque
+    if rows is not None:
+        picked = s.deviations[rows]
+        share = s.periods / picked.shape[0]
+        both = picked.mean(axis=0)
+        theta, torque = theta + both[:, :motors], torque + both[:, motors:]
+    excited = np.flatnonzero(s.excited)
+    top = s.frequency_hz[excited[-1]] if excited.size else s.frequency_hz[-1]
+    used = s.frequency_hz <= BAND * top * (1 + 1e-9)
+    used &= np.arange(used.size) < MOST_LINES
+    step = 1.0 / s.sample_rate_hz
+    index = np.round(s.frequency_hz[used] * count * step).astype(int)
+    wave = np.asarray(s.position_wave)
+    ramp = np.zeros(motors)
+    if s.transient and s.periods <= 1:
+        ramp = (wave[-1] - wave[0]) / ((count - 1) * step)
+    time = (np.arange(count) - (count - 1) / 2) * step
+    closed = wave - time[:, None] * ramp
+    spectrum = np.fft.rfft(closed, axis=0)
+    omega_all = 2 * np.pi * np.fft.rfftfreq(count, step)
+    noise_all = s.floor[:motors] * (count / 2.0) ** 2
+    power = np.abs(spectrum) ** 2
+    # Lines within six times the noise power are taken for noise (1 line in 400 of pure noise passes).
+    keep = np.where(power > 6.0 * noise_all, 1.0 - noise_all / np.maximum(power, 1e-300), 0.0)
+    keep[0] = 1.0
+    clean = spectrum * keep
+    velocity = np.fft.irfft(1j * omega_all[:, None] * clean, count, axis=0) + ramp
+    motor_wave = np.fft.irfft(clean, count, axis=0) + time[:, None] * ramp
+    left = (omega_all[:, None] ** 2 * noise_all * (keep > 0)).sum(axis=0) * 2 / count**2
+    filtered = clean[index] * (2.0 / count)
+    floor = np.maximum(s.floor, 1e-300) * share
+    noise = np.tile(floor, (index.size + 1, 1))
+    # A mean's variance is a quarter of a line's power, and real: half of it as a complex line.
+    noise[0] = floor / 2.0
+    mean_torque = s.torque_wave.mean(axis=0)
     zero = np.zeros((1, motors), dtype=complex)
-    return replace(
-        block,
-        omega=np.concatenate(([0.0], block.omega)),
-        position=np.concatenate((zero, block.position)),
-        torque=np.concatenate((torque, block.torque)),
-        covariance=np.concatenate((covariance, block.covariance)),
-        hold=np.concatenate((block.hold[:1].real * 0j + 0, block.hold)),
-        columns=np.zeros((block.omega.size + 1, motors, 0), dtype=complex),
+    start, end = _span(s, experiment)
+    quiet = max((0.45 / step - 1.5 * top) * s.span_s / max(s.periods, 1), 1.0) * max(s.periods - 1, 1)
+    return Record(
+        key=s.key,
+        omega=np.concatenate(([0.0], s.omega[used])),
+        lines=np.concatenate(([0], index)),
+        position=np.concatenate((zero, theta[used])),
+        torque=np.concatenate((mean_torque[None].astype(complex), torque[used])),
+        filtered=np.concatenate((clean[:1] / count, filtered)),
+        noise=noise,
+        # The median of an exponential has 1/ln²2 times the variance of the mean.
+        noise_dof=float(2.0 * quiet * np.log(2.0) ** 2),
+        scatter=np.ones((index.size + 1, motors)),
+        span=s.span_s,
+        transient=s.transient,
+        step=step,
+        motor_wave=motor_wave,
+        motor_velocity=velocity,
+        velocity_noise=np.sqrt(left),
+        torque_wave=np.asarray(s.torque_wave),
+        ramp=ramp,
+        staircase=np.asarray(s.staircase),
+        start_time=start,
+        end_time=end,
+        period_time=s.span_s / max(s.periods, 1),
+        excited=np.concatenate(([False], s.excited[used])),
+        command=_command(s, experiment, index),
     )
+
+
+def _span(s: LineSpectra, experiment: Experiment) -> tuple[float, float]:
+    """Start and end of the part of the experiment that the spectra come from [s]."""
+    end = float(experiment.time[-1])
+    return max(end - s.span_s, float(experiment.time[0])), end
+
+
+def _command(s: LineSpectra, experiment: Experiment, index: np.ndarray) -> np.ndarray | None:
+    """Spectrum of the demand where it repeats with the record and is not all of the torque."""
+    demand = experiment.torque_demand
+    if demand is None or s.transient or s.periods < 1 or not np.isnan(s.staircase).any():
+        return None
+    count = s.position_wave.shape[0]
+    if demand.shape[0] < s.periods * count or demand.shape[0] != experiment.samples:
+        return None
+    wave = demand[demand.shape[0] - s.periods * count :].reshape(s.periods, count, -1).mean(axis=0)
+    spectrum = np.fft.rfft(wave, axis=0)[index] * (2.0 / count)
+    return np.concatenate((wave.mean(axis=0)[None].astype(complex), spectrum))
+
+
+def split(recording: Recording, spectra: Sequence[LineSpectra]) -> tuple[list[Record], list[Record], list[str]]:
+    """Training and held-out records, and what to warn about."""
+    experiments = {e.key: e for e in recording.experiments}
+    train = [s for s in spectra if s.role is Role.IDENTIFY]
+    held = [s for s in spectra if s.role is Role.VALIDATE]
+    if held:
+        return (
+            [record_of(s, experiments[s.key]) for s in train],
+            [record_of(s, experiments[s.key]) for s in held],
+            [],
+        )
+    motors = recording.axis_count
+    everything = [s for s in train if s.driven.all()]
+    # A record more than the linear model needs (each axis once, or M of all at once) can be kept out.
+    if len(train) > motors and (everything or motors == 1):
+        kept = (everything or train)[-1]
+        return (
+            [record_of(s, experiments[s.key]) for s in train if s is not kept],
+            [record_of(kept, experiments[kept.key])],
+            [
+                f"no validation experiment (role 'validate'): experiment {kept.key} is kept out of every fit "
+                "instead; record one with another realisation and amplitude"
+            ],
+        )
+    if all(s.periods >= 2 and s.deviations.shape[0] == s.periods for s in train):
+        return (
+            [record_of(s, experiments[s.key], slice(0, s.periods - 1)) for s in train],
+            [record_of(s, experiments[s.key], slice(s.periods - 1, None)) for s in train],
+            [
+                "no validation experiment (role 'validate'): the last period of each experiment is kept out of "
+                "every fit instead, which repeats the same motion; record one with another realisation"
+            ],
+        )
+    training, kept_out = [], []
+    for s in train:
+        record = record_of(s, experiments[s.key])
+        lines = np.arange(record.omega.size)
+        last = lines % 5 == 4
+        training.append(_lines(record, ~last))
+        kept_out.append(_lines(record, last))
+    return (
+        training,
+        kept_out,
+        [
+            "no validation experiment (role 'validate') and no whole period to spare: every fifth line is kept "
+            "out of every fit instead; record an experiment of its own for validation"
+        ],
+    )
+
+
+def _lines(record: Record, chosen: np.ndarray) -> Record:
+    """Weights that switch lines off: waves need all lines of the record."""
+    weight: Float64 = chosen.astype(float)
+    return replace(record, weight=weight)

@@ -1,146 +1,145 @@
-"""Score tests: how much of the missing torque each cause at each place would take away.
-
-Linear parameters and the causes already chosen are projected out; milliseconds a cause. Inner motions
-are those under the force that the missing torque itself asks for at the place.
-"""
+"""Score test of every cause at every place, linear parameters and chosen causes projected out."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import lsq_linear, minimize_scalar
+from scipy.optimize import nnls
 
 from invid.arrays import Complex128, Float64
-from invid.discrepancy.joint import Hypothesis, Term, bare, motion, vector
-from invid.discrepancy.records import Problems
-from invid.effects import CATALOGUE, Effect, Place, Shape
-from invid.effects.motion import Context, context_of
-from invid.refine.problem import State, _stack, _whitener
+from invid.discrepancy.joint import JointFit
+from invid.discrepancy.plant import Term, _stack
+from invid.effects import CATALOGUE
+from invid.effects.base import Effect, View
+from invid.refine.structure import ChainStructure
 
 
 @dataclass(frozen=True, eq=False)
 class Score:
-    """``gain``: training cost removed by ``term``, to first order; ``tried``: shapes looked at."""
+    """How much χ² a cause at a place takes away, at its best shape, before anything is refitted."""
 
     term: Term
+    x: Float64
     gain: float
-    tried: int
+
+    @property
+    def size(self) -> int:
+        """Parameters."""
+        return self.term.size
+
+
+def terms_for(structure: ChainStructure, *, linear_axes: bool, chosen: Sequence[Term] = ()) -> list[Term]:
+    """Every cause at every place that can be there and is not chosen yet."""
+    out = []
+    for effect in CATALOGUE:
+        if structure.motors < effect.least_axes or (linear_axes and effect.rotary):
+            continue
+        for place in effect.places(structure):
+            taken = any(
+                t.place == place
+                and (t.effect.cause == effect.cause or (effect.family and t.effect.family == effect.family == "friction"))
+                for t in chosen
+            )
+            if not taken:
+                out.append(Term(effect, place))
+    return out
 
 
 class Screen:
-    """Score tests around one hypothesis."""
+    """The projection of one fit, and scores against it."""
 
-    def __init__(self, problems: Problems, around: Hypothesis) -> None:
-        self._problems = problems
-        self._around = around
-        problem, p = around.problem, around.solution.p
-        self._residual, jacobian = problem.evaluate(p)
-        scale = np.linalg.norm(jacobian, axis=0)
-        self._basis = np.linalg.qr(jacobian[:, scale > 0] / scale[scale > 0])[0]
-        self._states = problem.states(p)
-        self._roots = [_whitener(s.covariance) for s in self._states]
-        self._boundary = [_basis_of(s, root) for s, root in zip(self._states, self._roots, strict=True)]
-        self._left = self._residual - self._basis @ (self._basis.T @ self._residual)
-        self.cost = float(self._left @ self._left)
-        self._contexts: dict[tuple[int, int | None] | None, Context] = {}
-
-    def all_scores(self, *, exclude: frozenset[tuple[str, int, str | None, int | None]]) -> list[Score]:
-        """Every cause at every place, the best shape of each, best first."""
-        scores = []
-        for effect in CATALOGUE:
-            for place in effect.places(self._problems.structure):
-                if (effect.cause, place.axis, place.element, place.other) not in exclude:
-                    scores.append(self._best(effect, place))
-        return sorted(scores, key=lambda s: -s.gain)
-
-    def _context(self, place: Place) -> Context:
-        key = (place.a, place.b) if place.inner else None
-        if key not in self._contexts:
-            part = self._problems.records.train
-            if key is None or not self._around.terms:
-                self._contexts[key] = context_of(
-                    self._problems.structure,
-                    self._around.solution.p,
-                    self._states,
-                    part.spectra,
-                    part.spans,
-                    place=key,
-                )
-            else:
-                # Beside chosen terms: their forces move the inner coordinates first.
-                plain = bare(self._problems.train)
-                p = vector(plain, self._around.known)
-                with_terms = motion(plain, p, part, self._around.terms)
-                self._contexts[key] = with_terms
-        return self._contexts[key]
-
-    def _white(self, columns: list[Complex128]) -> Float64:
-        rows = []
-        for c, root, basis in zip(columns, self._roots, self._boundary, strict=True):
-            x = _stack(root @ c)
-            rows.append(x if basis is None else x - basis @ (basis.T @ x))
-        x = np.concatenate(rows)
-        x = np.concatenate((x, np.zeros((self._residual.size - x.shape[0], x.shape[1]))))
-        left: Float64 = x - self._basis @ (self._basis.T @ x)
-        return left
-
-    def _gain(self, effect: Effect, place: Place, shape: Shape) -> tuple[float, Float64]:
-        context = self._context(place)
-        if not effect.within(context, place, shape):
-            return 0.0, np.zeros(1)
-        x = self._white([effect.columns(context, r, place, shape) for r in context.records])
-        if effect.unit_coefficient:
-            left = self._left + x[:, 0]
-            return self.cost - float(left @ left), np.ones(1)
-        scale = np.linalg.norm(x, axis=0)
-        if not np.isfinite(scale).all() or np.any(scale < 1e-9):
-            return 0.0, np.zeros(x.shape[1])
-        x = x / scale
-        c = -np.linalg.lstsq(x, self._left, rcond=1e-8)[0]
-        if effect.lower and np.any(c / scale < np.array(effect.lower)):
-            low = np.array(effect.lower) * scale
-            c = lsq_linear(x, -self._left, bounds=(low, np.inf)).x
-        left = self._left + x @ c
-        return self.cost - float(left @ left), c / scale
-
-    def _best(self, effect: Effect, place: Place) -> Score:
-        context = self._context(place)
-        found = [(*self._gain(effect, place, s), s) for s in effect.grid(context, place)]
-        tried = len(found)
-        found.sort(key=lambda f: -f[0])
-        if len(found) > 1 and found[0][0] > 4.0:
-            for _, _, shape in found[:2]:
-                found.append(self._polished(effect, place, shape, sorted({f[2][-1] for f in found})))
-        gain, coefficients, shape = max(found, key=lambda f: f[0])
-        return Score(Term(effect, place, shape, coefficients), gain, tried)
-
-    def _polished(
-        self, effect: Effect, place: Place, shape: Shape, grid: list[float]
-    ) -> tuple[float, Float64, Shape]:
-        """The best value of the last shape entry between its neighbours on the grid."""
-        at = grid.index(shape[-1])
-        low = grid[at - 1] if at > 0 else shape[-1] / 3
-        high = grid[at + 1] if at + 1 < len(grid) else shape[-1] * 3
-        head = shape[:-1]
-        if low <= 0:
-            return (*self._gain(effect, place, shape), shape)
-        search = minimize_scalar(
-            lambda u: -self._gain(effect, place, (*head, float(np.exp(u))))[0],
-            bounds=(np.log(low), np.log(high)),
-            method="bounded",
-            options={"maxiter": 12, "xatol": 1e-3},
+    def __init__(self, fit: JointFit) -> None:
+        self.fit = fit
+        evaluation = fit.evaluation
+        scale = np.linalg.norm(evaluation.jacobian, axis=0)
+        scale[scale == 0] = 1.0
+        left, size, _ = np.linalg.svd(evaluation.jacobian / scale, full_matrices=False)
+        self.basis = left[:, size > 1e-10 * size[0]]
+        self.residual = evaluation.residual - self.basis @ (self.basis.T @ evaluation.residual)
+        self.tail = evaluation.residual.size - sum(
+            2 * v.record.omega.size * v.record.torque.shape[1] for v in evaluation.views
         )
-        best = (*head, float(np.exp(search.x)))
-        return (*self._gain(effect, place, best), best)
+
+    @property
+    def views(self) -> tuple[View, ...]:
+        """The records."""
+        return self.fit.evaluation.views
+
+    def project(self, columns: Sequence[Complex128]) -> Float64:
+        """(rows, L) whitened columns without what the fit already explains."""
+        parts = []
+        evaluation = self.fit.evaluation
+        for column, root, basis in zip(columns, evaluation.roots, evaluation.bases, strict=True):
+            part = _stack(root @ column)
+            if basis.size:
+                part = part - basis @ (basis.T @ part)
+            parts.append(part)
+        white = np.concatenate([*parts, np.zeros((self.tail, parts[0].shape[1]))])
+        out: Float64 = white - self.basis @ (self.basis.T @ white)
+        return out
+
+    def at(self, term: Term, shape: Sequence[float]) -> tuple[float, Float64]:
+        """Gain and parameter vector at one shape."""
+        effect, place = term.effect, term.place
+        if not effect.coefficients:
+            columns = self.project(
+                [effect.contribution(v, place, shape)[0][..., None] for v in self.views]
+            )[:, 0]
+            gain = float(-2.0 * columns @ self.residual - columns @ columns)
+            return gain, np.asarray(shape, dtype=float)
+        columns = self.project([effect.basis(v, place, shape) for v in self.views])
+        gain, coefficients = _regress(effect, columns, self.residual)
+        return gain, np.concatenate((coefficients, np.asarray(shape, dtype=float)))
+
+    def best(self, term: Term, *, polish: bool = False) -> Score:
+        """The best shape of the grid, polished between its neighbours where asked."""
+        grid = term.effect.grid(self.views, term.place)
+        if not grid:
+            return Score(term, np.zeros(0), -np.inf)
+        results = [(*self.at(term, shape), shape) for shape in grid]
+        gain, x, shape = max(results, key=lambda r: r[0])
+        if polish and shape:
+            gain, x = self._polish(term, gain, x, list(shape), grid)
+        return Score(term, x, gain)
+
+    def _polish(
+        self, term: Term, gain: float, x: Float64, shape: list[float], grid: list[tuple[float, ...]]
+    ) -> tuple[float, Float64]:
+        """Bisection of the grid's spacing, one shape after the other."""
+        limits = term.effect.limits(self.views, term.place)
+        for k in range(len(shape)):
+            values = sorted({g[k] for g in grid})
+            at = values.index(shape[k])
+            around = [values[j] for j in (at - 1, at + 1) if 0 <= j < len(values)]
+            width = max((abs(v - shape[k]) for v in around), default=0.7)
+            for _ in range(6):
+                width *= 0.5
+                for sign in (-1.0, 1.0):
+                    trial = list(shape)
+                    trial[k] = float(np.clip(shape[k] + sign * width, *limits[k]))
+                    g, tx = self.at(term, trial)
+                    if g > gain:
+                        gain, x, shape = g, tx, trial
+                        break
+        return gain, x
 
 
-def _basis_of(state: State, root: Complex128) -> Float64 | None:
-    """Orthonormal basis of the whitened boundary terms of a record, or None."""
-    if not state.boundary.shape[2]:
-        return None
-    b = _stack(root @ state.boundary)
-    scale = np.linalg.norm(b, axis=0)
-    left, size, _ = np.linalg.svd(b[:, scale > 0] / scale[scale > 0], full_matrices=False)
-    basis: Float64 = left[:, size > 1e-9 * size[0]]
-    return basis
+def _regress(effect: Effect, columns: Float64, residual: Float64) -> tuple[float, Float64]:
+    """Best coefficients within their signs, and the χ² they take away."""
+    scale = np.linalg.norm(columns, axis=0)
+    good = scale > 1e-12 * max(float(scale.max(initial=0.0)), 1e-300)
+    coefficients = np.zeros(columns.shape[1])
+    if not good.any() or float(scale.max()) < 1e-9:
+        return 0.0, coefficients
+    q, r = np.linalg.qr(columns[:, good] / scale[good])
+    target = -(q.T @ residual)
+    positive = np.array([low == 0.0 for low in effect.lower])[good]
+    if positive.all():
+        found, _ = nnls(r, target)
+    else:
+        found = np.linalg.lstsq(r, target, rcond=1e-9)[0]
+    coefficients[good] = found / scale[good]
+    reached = r @ found
+    return float(2.0 * target @ reached - reached @ reached), coefficients

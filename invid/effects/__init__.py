@@ -1,52 +1,55 @@
 """The catalogue of causes, one a module."""
 
-from invid.effects import (
-    asymmetric_friction,
-    backlash,
-    cogging,
-    coulomb_friction,
-    coupling_stiffness,
-    cubic_stiffness,
-    encoder_eccentricity,
-    extra_mode,
-    gravity,
-    parameter_drift,
-    payload_change,
-    presliding_friction,
-    spring_hysteresis,
-    stribeck_friction,
-    torque_gain,
-    torque_lag,
-    torque_offset,
-    torque_saturation,
-    transmission_error,
-    viscous_friction,
-)
-from invid.effects.base import Effect, Family, Place, Shape
+from invid.effects.asymmetric_friction import AsymmetricFriction
+from invid.effects.backlash import Backlash
+from invid.effects.base import Effect, Place, Record, View
+from invid.effects.cogging import Cogging
+from invid.effects.coulomb_friction import CoulombFriction
+from invid.effects.coupling_stiffness import CouplingStiffness
+from invid.effects.cubic_stiffness import CubicStiffness
+from invid.effects.dropped_samples import DroppedSamples
+from invid.effects.encoder_eccentricity import EncoderEccentricity
+from invid.effects.extra_mode import ExtraMode
+from invid.effects.gravity import Gravity
+from invid.effects.parameter_drift import ParameterDrift
+from invid.effects.payload_change import PayloadChange
+from invid.effects.presliding_friction import PreslidingFriction
+from invid.effects.spring_damping import SpringDamping
+from invid.effects.spring_hysteresis import SpringHysteresis
+from invid.effects.stribeck_friction import StribeckFriction
+from invid.effects.torque_delay import TorqueDelay
+from invid.effects.torque_gain import TorqueGain
+from invid.effects.torque_lag import TorqueLag
+from invid.effects.torque_offset import TorqueOffset
+from invid.effects.torque_saturation import TorqueSaturation
+from invid.effects.transmission_error import TransmissionError
+from invid.effects.viscous_friction import ViscousFriction
 
 CATALOGUE: tuple[Effect, ...] = (
-    viscous_friction.EFFECT,
-    coulomb_friction.EFFECT,
-    stribeck_friction.EFFECT,
-    presliding_friction.EFFECT,
-    asymmetric_friction.EFFECT,
-    torque_offset.EFFECT,
-    cogging.EFFECT,
-    gravity.EFFECT,
-    torque_lag.EFFECT,
-    torque_gain.EFFECT,
-    torque_saturation.EFFECT,
-    encoder_eccentricity.EFFECT,
-    cubic_stiffness.EFFECT,
-    backlash.EFFECT,
-    spring_hysteresis.EFFECT,
-    transmission_error.EFFECT,
-    extra_mode.EFFECT,
-    coupling_stiffness.EFFECT,
-    payload_change.EFFECT,
-    parameter_drift.EFFECT,
+    CoulombFriction(),
+    ViscousFriction(),
+    StribeckFriction(),
+    PreslidingFriction(),
+    AsymmetricFriction(),
+    TorqueOffset(),
+    Cogging(),
+    TorqueDelay(),
+    TorqueLag(),
+    TorqueGain(),
+    TorqueSaturation(),
+    EncoderEccentricity(),
+    DroppedSamples(),
+    SpringDamping(),
+    CubicStiffness(),
+    Backlash(),
+    SpringHysteresis(),
+    TransmissionError(),
+    Gravity(),
+    ExtraMode(),
+    CouplingStiffness(),
+    PayloadChange(),
+    ParameterDrift(),
 )
-"""Causes that compete as columns of the missing torque. ``torque_delay`` and ``dropped_samples`` are decided
-from the fit's time offset and from the raw samples (``invid.discrepancy``)."""
+"""Every cause of the contract."""
 
-__all__ = ["CATALOGUE", "Effect", "Family", "Place", "Shape"]
+__all__ = ["CATALOGUE", "Effect", "Place", "Record", "View"]

@@ -1,49 +1,45 @@
-"""Friction that differs by direction: F = c₊ + b₊v for v > 0 and −c₋ + b₋v for v < 0."""
+"""Friction that differs between the directions."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from invid.arrays import Complex128, Float64
-from invid.effects.base import (
-    Context,
-    Effect,
-    Family,
-    Place,
-    RecordMotion,
-    Shape,
-    direction,
-    every_motor,
-)
-
-_NAMES = ("coulomb_positive", "coulomb_negative", "viscous_positive", "viscous_negative")
+from invid.arrays import Float64
+from invid.effects.base import ForceEffect, Place, View, mass_places
+from invid.effects.coulomb_friction import sign_law, softness
+from invid.refine.structure import ChainStructure
 
 
-def _force(_context: Context, record: RecordMotion, place: Place, _shape: Shape) -> Complex128:
-    sign, v = direction(record, place), record.velocity[:, place.a]
-    waves = (0.5 * (1.0 + sign), -0.5 * (1.0 - sign), np.maximum(v, 0.0), np.minimum(v, 0.0))
-    return np.stack([record.lines(w) for w in waves], axis=1)
+class AsymmetricFriction(ForceEffect):
+    """Coulomb and viscous friction of their own for each direction."""
 
-
-def _static(c: Float64, _shape: Shape, v: float) -> float:
-    return float(c[0] + c[2] * v) if v > 0 else float(-c[1] + c[3] * v)
-
-
-EFFECT = Effect(
-    "asymmetric_friction",
-    Family.FRICTION,
-    every_motor,
-    lambda c, _s: dict(zip(_NAMES, map(float, c), strict=True)),
-    {
+    cause = "asymmetric_friction"
+    title = "friction that differs between the directions"
+    check = "Check wear, preload and seals that act in one direction, and a load that pulls."
+    separate = "slow constant-velocity moves in both directions at several speeds"
+    family = "friction"
+    parameters = {
         "coulomb_positive": "torque",
         "coulomb_negative": "torque",
         "viscous_positive": "damping",
         "viscous_negative": "damping",
-    },
-    "Check for wear on one flank of screw or gear.",
-    force=_force,
-    lower=(0.0, 0.0, 0.0, 0.0),
-    nested=("coulomb_friction", "viscous_friction", "torque_offset"),
-    words="friction that differs by direction ({coulomb_positive} forward, {coulomb_negative} back)",
-    static=_static,
-)
+    }
+    coefficients = ("coulomb_positive", "coulomb_negative", "viscous_positive", "viscous_negative")
+    lower, upper = (0.0,) * 4, (np.inf,) * 4
+    main = "coulomb_positive"
+    smeared = True
+
+    def places(self, structure: ChainStructure) -> list[Place]:
+        return mass_places(structure)
+
+    def law(self, view: View, place: Place, shape: Sequence[float]) -> Float64:
+        v = view.velocity(place.pattern(view.structure))
+        sign = sign_law(v, softness(view, place))
+        return np.stack(
+            [0.5 * (1 + sign), -0.5 * (1 - sign), np.maximum(v, 0.0), np.minimum(v, 0.0)], axis=1
+        )
+
+    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
+        return {name: float(value) for name, value in zip(self.coefficients, x, strict=True)}

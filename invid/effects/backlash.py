@@ -1,34 +1,59 @@
-"""Backlash: free play of ``gap`` in all; the spring carries K·(δ − clip(δ, ±gap/2))."""
+"""Free play in series with a spring."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from invid.arrays import Complex128
-from invid.effects.base import Context, Effect, Family, Place, RecordMotion, Shape, every_spring
+from invid.arrays import Complex128, Float64
+from invid.effects.base import Effect, Place, View, rms, spring_places
+from invid.refine.structure import ChainStructure
 
 
-def _force(context: Context, record: RecordMotion, place: Place, shape: Shape) -> Complex128:
-    d = record.deflection(place.a, place.b if place.b is not None else place.a)
-    half = 0.5 * shape[0]
-    return record.lines(-context.springs[place.spring] * np.clip(d, -half, half))[:, None]
+def spring_index(structure: ChainStructure, place: Place) -> int:
+    """Number of a spring among all springs."""
+    return sum(n - 1 for n in structure.sizes[: place.axis]) + place.number - 1
 
 
-def _grid(context: Context, place: Place) -> list[Shape]:
-    s = context.span(place.a, place.b)
-    return [(s * f,) for f in (0.01, 0.03, 0.08, 0.2, 0.4, 0.6, 0.8)]
+class Backlash(Effect):
+    """Spring and damper act on the part of the deflection beyond ±gap/2."""
 
+    cause = "backlash"
+    title = "free play in the transmission (backlash)"
+    check = "Check the gear's wear, keys and couplings; measure the free play with the motor locked."
+    separate = "a second amplitude: free play matters most when the motion is small"
+    family = "spring"
+    parameters = {"gap": "position"}
+    shapes, logarithmic = ("gap",), (True,)
+    main = "gap"
 
-EFFECT = Effect(
-    "backlash",
-    Family.SPRING,
-    every_spring,
-    lambda _c, s: {"gap": s[0]},
-    {"gap": "position"},
-    "Check gear, keyway and coupling for play.",
-    force=_force,
-    grid=_grid,
-    unit_coefficient=True,
-    words="free play of {gap}",
-    within=lambda c, p, s: s[0] < c.span(p.a, p.b),
-)
+    def places(self, structure: ChainStructure) -> list[Place]:
+        return spring_places(structure)
+
+    def grid(self, views: Sequence[View], place: Place) -> list[tuple[float, ...]]:
+        size = max(rms([v.wave(place.pattern(v.structure)) for v in views]), 1e-300)
+        return [(float(np.log(size * f)),) for f in (0.01, 0.03, 0.1, 0.2, 0.4, 0.8, 1.5)]
+
+    def limits(self, views: Sequence[View], place: Place) -> list[tuple[float, float]]:
+        size = max(rms([v.wave(place.pattern(v.structure)) for v in views]), 1e-300)
+        return [(float(np.log(1e-4 * size)), float(np.log(10 * size)))]
+
+    def law(self, view: View, place: Place, gap: float) -> Float64:
+        """(n,) resistance beside the linear spring and damper."""
+        pattern = place.pattern(view.structure)
+        at = spring_index(view.structure, place)
+        d, rate = view.wave(pattern), view.velocity(pattern)
+        half = 0.5 * gap
+        out: Float64 = -view.springs[at] * np.clip(d, -half, half)
+        return out - view.dampers[at] * rate * (np.abs(d) < half)
+
+    def contribution(
+        self, view: View, place: Place, x: Sequence[float]
+    ) -> tuple[Complex128, Complex128 | None]:
+        pattern = place.pattern(view.structure)
+        force = view.to_lines(self.law(view, place, float(np.exp(x[0])))[:, None])[:, 0]
+        return view.push(pattern) * force[:, None], -view.yields(pattern) * force[:, None]
+
+    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
+        return {"gap": float(np.exp(x[0]))}

@@ -1,205 +1,396 @@
-"""What every cause of the catalogue declares, and the places it can sit at.
+"""What every effect declares, and the view of one record that it works on.
 
-A cause adds a *resisting* force at a coordinate (or between two), seen by the motors as
-ZΘ − T + Wᵀ b f = 0; or it changes the torque or position that is recorded (``direct``). Its force is
-linear in ``coefficients`` for a given ``shape`` (a velocity, a reach, a gap, a frequency).
+An effect adds to the missing torque r = Z Θ − A T of the linear model a *contribution*: r plus the
+contributions of all effects is zero for a perfect model. A resistance f (a force −f on the pattern b of
+coordinates) contributes Wᵀ b f; what it does to the inner coordinates is q = W Θ − Z_ii⁻¹ b f.
+
+The parameters of an effect inside a fit are a vector ``x``: first the linear coefficients, then the
+shape parameters (logarithms where they must be positive).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from enum import StrEnum
 
 import numpy as np
 
 from invid.arrays import Complex128, Float64
-from invid.effects.motion import Context as Context
-from invid.effects.motion import RecordMotion as RecordMotion
 from invid.refine.structure import ChainStructure
 
-Shape = tuple[float, ...]
+Spectrum = Complex128
+Pattern = tuple[tuple[int, float], ...]
+"""Coordinates with their signs: ((a, 1),) on one mass, ((a, 1), (b, −1)) between two."""
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where a cause sits: ``a`` a coordinate, ``b`` the other end of a spring or coupling."""
+    """Where an effect may sit. ``number`` counts masses and springs from 1; ``axis``, ``other`` from 0."""
 
+    kind: str  # "mass", "spring", "axis", "pair"
     axis: int
-    element: str | None
-    a: int
-    b: int | None = None
-    spring: int = -1
-    other: int | None = None
+    number: int = 0
+    other: int = -1
 
     @property
-    def inner(self) -> bool:
-        """Whether a force here moves coordinates that are not measured."""
-        return self.b is not None or (self.element is not None and self.element not in ("mass 1",))
+    def element(self) -> str | None:
+        """As the contract writes it."""
+        return f"{self.kind} {self.number}" if self.kind in ("mass", "spring") else None
 
-
-class Family(StrEnum):
-    """Causes that look alike in some records, and stay alternatives where they do."""
-
-    FRICTION = "friction"
-    STATIC = "static"
-    POSITION = "position"
-    ACTUATOR = "actuator"
-    SENSOR = "sensor"
-    SPRING = "spring"
-    STRUCTURE = "structure"
-    TIME = "time"
-
-
-Force = Callable[[Context, RecordMotion, Place, Shape], Complex128]
-"""(F, L) resisting force per unit of each coefficient, or (F, M, L) for ``direct``."""
-
-
-def no_shape(_context: Context, _place: Place) -> list[Shape]:
-    """The grid of a cause without shape parameters."""
-    return [()]
-
-
-def not_static(_c: Float64, _shape: Shape, _v: float) -> float:
-    """A cause without a steady torque at constant velocity."""
-    return 0.0
+    def pattern(self, structure: ChainStructure) -> Pattern:
+        """The coordinates a force of the effect acts on."""
+        first = int(structure.motor_dofs[self.axis])
+        if self.kind == "mass":
+            return ((first + self.number - 1, 1.0),)
+        if self.kind == "spring":
+            return ((first + self.number - 1, 1.0), (first + self.number, -1.0))
+        if self.kind == "pair":
+            return (
+                (int(structure.end_dofs[self.axis]), 1.0),
+                (int(structure.end_dofs[self.other]), -1.0),
+            )
+        return ((first, 1.0),)
 
 
 @dataclass(frozen=True, eq=False)
-class Effect:
-    """One cause.
+class Record:
+    """One record, prepared: lines (0 Hz first), noise, and what the motors did over time.
 
     Attributes
     ----------
-    places
-        All places of a structure it can sit at.
-    force, direct
-        One of the two: its columns on the lines.
-    parameters
-        (coefficients, shape) -> contract parameters.
-    units
-        Unit kind of each parameter: torque, damping, stiffness, inertia, position, velocity, time,
-        angle, cubic, one.
-    grid
-        Start values of the shape; the first ``variants`` entries are discrete.
-    lower
-        Physical lower bounds of the coefficients (empty: none).
-    unit_coefficient
-        The coefficient is 1 by definition; the size is in the shape.
-    nested
-        Simpler causes that are special cases: preferred when they do as well.
-    static
-        Steady resisting torque at constant velocity v, (coefficients, shape, v).
+    omega, lines
+        (F,) [rad/s] and their index in the transform of the wave; the first is 0.
+    position, torque
+        (F, M) complex amplitudes; means at 0.
+    filtered
+        (F, M) positions with lines that are noise taken out: what effects are evaluated on.
+    noise
+        (F, 2M) noise power of [position; torque].
+    scatter
+        (F, M) what the scatter between periods has the variance of r multiplied with, ≥ 1.
+    motor_wave, motor_velocity, velocity_noise
+        (n, M), (n, M), (M,): one period (or the whole record) of the motors, noise filtered out.
+    ramp
+        (M,) speed of the line between the record's ends; zero for periodic records.
+    command
+        (F, M) spectrum of the logged demand where the torque is more than it (a hold beside it).
     """
 
-    cause: str
-    family: Family
-    places: Callable[[ChainStructure], tuple[Place, ...]]
-    parameters: Callable[[Float64, Shape], dict[str, float]]
-    units: Mapping[str, str]
-    check: str
-    force: Force | None = None
-    direct: Force | None = None
-    grid: Callable[[Context, Place], list[Shape]] = no_shape
-    variants: int = 0
+    key: str
+    omega: Float64
+    lines: np.ndarray
+    position: Complex128
+    torque: Complex128
+    filtered: Complex128
+    noise: Float64
+    noise_dof: float
+    scatter: Float64
+    span: float
+    transient: bool
+    step: float
+    motor_wave: Float64
+    motor_velocity: Float64
+    velocity_noise: Float64
+    torque_wave: Float64
+    ramp: Float64
+    staircase: Float64
+    start_time: float
+    end_time: float
+    period_time: float
+    excited: np.ndarray
+    command: Complex128 | None = None
+    weight: Float64 = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def samples(self) -> int:
+        """n."""
+        return int(self.motor_wave.shape[0])
+
+    def after(self, time: float) -> float:
+        """Share of the record that lies after ``time``."""
+        return float(np.clip((self.end_time - time) / (self.end_time - self.start_time), 0.0, 1.0))
+
+
+class View:
+    """One record seen through one linear plant; time-domain waves are made once."""
+
+    def __init__(
+        self,
+        record: Record,
+        structure: ChainStructure,
+        motion: Complex128,
+        stiffness: Complex128,
+        inner: Complex128,
+        acting: Complex128,
+        springs: Float64,
+        dampers: Float64,
+        masses: Float64,
+        origin: float,
+    ) -> None:
+        self.record, self.structure = record, structure
+        self.motion, self.stiffness, self.inner = motion, stiffness, inner
+        self.acting = acting
+        self.springs, self.dampers, self.masses = springs, dampers, masses
+        self.origin = origin
+        self.base = np.einsum("fqm,fm->fq", motion, record.filtered)
+        self.feedback: Complex128 = np.zeros_like(self.base)
+        self._waves: dict[tuple[Pattern, bool], Float64] = {}
+
+    @property
+    def omega(self) -> Float64:
+        """(F,) [rad/s]."""
+        return self.record.omega
+
+    def respond(self, feedback: Complex128) -> None:
+        """Sets what all effects do to the inner coordinates, (F, ΣN)."""
+        self.feedback = feedback
+        self._waves = {k: v for k, v in self._waves.items() if self._at_motor(k[0])}
+
+    def _at_motor(self, pattern: Pattern) -> bool:
+        return len(pattern) == 1 and pattern[0][0] in self.structure.motor_dofs
+
+    def spectrum(self, pattern: Pattern) -> Spectrum:
+        """(F,) motion along the pattern."""
+        total: Complex128 = np.zeros(self.omega.size, dtype=complex)
+        for at, sign in pattern:
+            total = total + sign * (self.base[:, at] + self.feedback[:, at])
+        return total
+
+    def wave(self, pattern: Pattern) -> Float64:
+        """(n,) motion along the pattern over time."""
+        return self._wave(pattern, False)
+
+    def velocity(self, pattern: Pattern) -> Float64:
+        """(n,) its derivative."""
+        return self._wave(pattern, True)
+
+    def _wave(self, pattern: Pattern, rate: bool) -> Float64:
+        key = (pattern, rate)
+        if key in self._waves:
+            return self._waves[key]
+        record = self.record
+        if self._at_motor(pattern):
+            i = self.structure.motor_dofs.index(pattern[0][0])
+            out: Float64 = (record.motor_velocity if rate else record.motor_wave)[:, i] * pattern[0][1]
+        else:
+            half = np.zeros(record.samples // 2 + 1, dtype=complex)
+            x = self.spectrum(pattern)
+            half[record.lines] = (1j * self.omega * x if rate else x) * (record.samples / 2)
+            half[0] *= 2.0
+            out = np.fft.irfft(half, record.samples)
+            ramp = sum(sign * record.ramp[self._axis(at)] for at, sign in pattern)
+            if ramp:
+                time = (np.arange(record.samples) - (record.samples - 1) / 2) * record.step
+                out = out + (ramp if rate else ramp * time)
+        self._waves[key] = out
+        return out
+
+    def _axis(self, coordinate: int) -> int:
+        return int(np.searchsorted(np.asarray(self.structure.motor_dofs), coordinate, side="right") - 1)
+
+    def to_lines(self, basis: Float64, *, smeared: bool = False) -> Complex128:
+        """(F, L) amplitudes of (n, L) waves; ``smeared``: they are means over a triangle of two samples."""
+        record = self.record
+        out: Complex128 = np.fft.rfft(basis, axis=0)[record.lines] * (2.0 / record.samples)
+        if record.transient:
+            out = out + (basis[-1] - basis[0]) / record.samples
+        out[0] *= 0.5
+        if smeared:
+            out = out / np.sinc(self.omega * record.step / 2 / np.pi)[:, None] ** 2
+        return out
+
+    def push(self, pattern: Pattern) -> Complex128:
+        """(F, M) Wᵀ b: how a force along the pattern reaches the motors."""
+        total: Complex128 = np.zeros((self.omega.size, self.structure.motors), dtype=complex)
+        for at, sign in pattern:
+            total = total + sign * self.motion[:, at]
+        return total
+
+    def yields(self, pattern: Pattern) -> Complex128:
+        """(F, ΣN) Z_ii⁻¹ b: how the inner coordinates give way."""
+        total: Complex128 = np.zeros(self.base.shape, dtype=complex)
+        for at, sign in pattern:
+            total = total + sign * self.inner[:, :, at]
+        return total
+
+    def compliance(self, pattern: Pattern) -> Complex128:
+        """(F,) bᵀ Z_ii⁻¹ b."""
+        y = self.yields(pattern)
+        total: Complex128 = np.zeros(self.omega.size, dtype=complex)
+        for at, sign in pattern:
+            total = total + sign * y[:, at]
+        return total
+
+
+def unit_of(kind: str, linear: bool) -> str:
+    """Unit of a parameter of a kind, on a rotary or a linear axis."""
+    rotary = {
+        "torque": "N·m",
+        "damping": "N·m·s/rad",
+        "stiffness": "N·m/rad",
+        "cubic": "N·m/rad³",
+        "velocity": "rad/s",
+        "position": "rad",
+        "mass": "kg·m²",
+        "stiffness_rate": "N·m/(rad·s)",
+    }
+    straight = {
+        "torque": "N",
+        "damping": "N·s/m",
+        "stiffness": "N/m",
+        "cubic": "N/m³",
+        "velocity": "m/s",
+        "position": "m",
+        "mass": "kg",
+        "stiffness_rate": "N/(m·s)",
+    }
+    other = {"time": "s", "angle": "rad", "count": "1", "ratio": "1"}
+    return (straight if linear else rotary).get(kind) or other[kind]
+
+
+class Effect:
+    """One cause of the catalogue. Subclasses are stateless; the catalogue holds one of each.
+
+    ``parameters`` maps the contract's names to kinds of unit. ``coefficients`` are linear (bounds in
+    ``lower``/``upper``), ``shapes`` are not; ``logarithmic`` says which of them move as logarithms.
+    """
+
+    cause: str = ""
+    title: str = ""
+    check: str = ""
+    """What a technician looks at."""
+    separate: str = ""
+    """The experiment that tells it from its look-alikes."""
+    family: str = ""
+    parameters: dict[str, str] = {}
+    coefficients: tuple[str, ...] = ()
     lower: tuple[float, ...] = ()
-    unit_coefficient: bool = False
-    nested: tuple[str, ...] = ()
-    words: str = ""
-    within: Callable[[Context, Place, Shape], bool] = field(default=lambda _c, _p, _s: True)
-    static: Callable[[Float64, Shape, float], float] = not_static
+    upper: tuple[float, ...] = ()
+    shapes: tuple[str, ...] = ()
+    logarithmic: tuple[bool, ...] = ()
+    rotary: bool = False
+    least_axes: int = 1
+    main: str = ""
 
-    def columns(self, context: Context, record: RecordMotion, place: Place, shape: Shape) -> Complex128:
-        """(F, M, L) contribution to the missing torque per unit of each coefficient."""
-        if self.direct is not None:
-            return self.direct(context, record, place, shape)
-        forces = self.forces(context, record, place, shape)
-        return np.stack([record.seen(forces[:, k], place.a, place.b) for k in range(forces.shape[1])], axis=2)
+    def places(self, structure: ChainStructure) -> list[Place]:
+        """Everywhere it may sit."""
+        raise NotImplementedError
 
-    def forces(self, context: Context, record: RecordMotion, place: Place, shape: Shape) -> Complex128:
-        """(F, L) resisting force per unit; (F, 0) for causes that are no force."""
-        if self.force is None:
-            return np.zeros((record.index.size, 0), dtype=complex)
-        return self.force(context, record, place, shape)
+    def grid(self, views: Sequence[View], place: Place) -> list[tuple[float, ...]]:
+        """Shapes to start from, out of the data; [()] where it has none."""
+        return [()]
 
+    def limits(self, views: Sequence[View], place: Place) -> list[tuple[float, float]]:
+        """Bounds of the shapes, as they move; not bounded by default."""
+        return [(-np.inf, np.inf)] * len(self.shapes)
 
-# --- places ----------------------------------------------------------------------------------------
-def every_mass(s: ChainStructure) -> tuple[Place, ...]:
-    """All masses of all branches."""
-    return tuple(
-        Place(i, f"mass {q + 1}", s.motor_dofs[i] + q) for i in range(s.motors) for q in range(s.sizes[i])
-    )
+    def basis(self, view: View, place: Place, shape: Sequence[float]) -> Complex128:
+        """(F, M, L) contribution for each coefficient at one."""
+        raise NotImplementedError
 
+    def contribution(
+        self, view: View, place: Place, x: Sequence[float]
+    ) -> tuple[Complex128, Complex128 | None]:
+        """(F, M) contribution to r at ``x`` and (F, ΣN) what it does to inner coordinates."""
+        count = len(self.coefficients)
+        columns = self.basis(view, place, x[count:])
+        out: Complex128 = columns @ np.asarray(x[:count])
+        return out, None
 
-def every_motor(s: ChainStructure) -> tuple[Place, ...]:
-    """The first mass of each branch."""
-    return tuple(Place(i, "mass 1", s.motor_dofs[i]) for i in range(s.motors))
+    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
+        """The contract's parameters."""
+        raise NotImplementedError
 
-
-def every_axis(s: ChainStructure) -> tuple[Place, ...]:
-    """Each axis, no element: actuator and sensor."""
-    return tuple(Place(i, None, s.motor_dofs[i]) for i in range(s.motors))
-
-
-def every_end(s: ChainStructure) -> tuple[Place, ...]:
-    """The last mass of each branch."""
-    return tuple(Place(i, f"mass {s.sizes[i]}", s.end_dofs[i]) for i in range(s.motors))
-
-
-def every_spring(s: ChainStructure) -> tuple[Place, ...]:
-    """All springs of all branches."""
-    out = []
-    for number, (a, b) in enumerate(s.spring_pairs):
-        axis = max(i for i in range(s.motors) if s.motor_dofs[i] <= a)
-        out.append(Place(axis, f"spring {a - s.motor_dofs[axis] + 1}", a, b, number))
-    return tuple(out)
+    def is_null(self, x: Sequence[float]) -> bool:
+        """At a bound where nothing is left of the effect."""
+        count = len(self.coefficients)
+        return bool(count) and all(abs(c) < 1e-300 for c in x[:count])
 
 
-def every_pair(s: ChainStructure) -> tuple[Place, ...]:
-    """The last masses of every pair of branches."""
-    return tuple(
-        Place(i, f"mass {s.sizes[i]}", s.end_dofs[i], s.end_dofs[j], other=j) for i, j in s.coupling_pairs
-    )
+class ForceEffect(Effect):
+    """A resistance that is a law of motion over time: basis forces on the pattern."""
+
+    smeared = False
+
+    def law(self, view: View, place: Place, shape: Sequence[float]) -> Float64:
+        """(n, L) resistance for each coefficient at one."""
+        raise NotImplementedError
+
+    def force(self, view: View, place: Place, shape: Sequence[float]) -> Complex128:
+        """(F, L) the same on the lines."""
+        return view.to_lines(self.law(view, place, shape), smeared=self.smeared)
+
+    def basis(self, view: View, place: Place, shape: Sequence[float]) -> Complex128:
+        push = view.push(place.pattern(view.structure))
+        out: Complex128 = push[:, :, None] * self.force(view, place, shape)[:, None, :]
+        return out
+
+    def contribution(
+        self, view: View, place: Place, x: Sequence[float]
+    ) -> tuple[Complex128, Complex128 | None]:
+        count = len(self.coefficients)
+        pattern = place.pattern(view.structure)
+        total = self.force(view, place, x[count:]) @ np.asarray(x[:count])
+        return view.push(pattern) * total[:, None], -view.yields(pattern) * total[:, None]
 
 
-# --- pieces that several laws use ------------------------------------------------------------------
-def direction(record: RecordMotion, place: Place) -> Float64:
-    """(n,) sign of the velocity, smooth where the velocity is within its noise."""
-    v = record.velocity[:, place.a]
-    # Two standard deviations of velocity noise: below them the sign is not known.
-    width = max(2.0 * record.velocity_noise(place.axis), 2e-3 * float(np.sqrt(np.mean(v**2))), 1e-12)
-    result: Float64 = np.tanh(v / width)
-    return result
+class ImpedanceEffect(Effect):
+    """A resistance linear in the motion along its pattern: exact, whatever its size."""
+
+    def impedance(self, view: View, place: Place, x: Sequence[float]) -> Complex128:
+        """(F,) force per motion."""
+        raise NotImplementedError
+
+    def basis(self, view: View, place: Place, shape: Sequence[float]) -> Complex128:
+        pattern = place.pattern(view.structure)
+        z = self.impedance(view, place, (1.0, *shape))
+        out: Complex128 = view.push(pattern)[:, :, None] * (z * view.spectrum(pattern))[:, None, None]
+        return out
+
+    def contribution(
+        self, view: View, place: Place, x: Sequence[float]
+    ) -> tuple[Complex128, Complex128 | None]:
+        pattern = place.pattern(view.structure)
+        z = self.impedance(view, place, x)
+        own = z * view.compliance(pattern)
+        free: Complex128 = np.zeros(view.omega.size, dtype=complex)
+        raw = np.einsum("fqm,fm->fq", view.motion, view.record.position)
+        for at, sign in pattern:
+            free = free + sign * raw[:, at]
+        force = z * free / (1.0 + own)
+        return view.push(pattern) * force[:, None], -view.yields(pattern) * force[:, None]
 
 
-def on_torque(record: RecordMotion, axis: int, spectrum: Complex128) -> Complex128:
-    """(F, M, 1) a column on one axis' torque."""
-    out = np.zeros((record.index.size, record.torque.shape[1], 1), dtype=complex)
-    out[:, axis, 0] = spectrum
-    return out
+def mass_places(structure: ChainStructure) -> list[Place]:
+    """Every mass of every axis."""
+    return [Place("mass", i, q + 1) for i, n in enumerate(structure.sizes) for q in range(n)]
 
 
-def velocity_grid(context: Context, place: Place) -> list[Shape]:
-    """Stribeck velocities from a twentieth of the rms velocity to all of it; both laws."""
-    v = context.velocity_rms(place.a)
-    return [(kind, v * f) for kind in (0.0, 1.0) for f in (0.05, 0.15, 0.4, 1.0)]
+def motor_places(structure: ChainStructure) -> list[Place]:
+    """The motors."""
+    return [Place("mass", i, 1) for i in range(structure.motors)]
 
 
-def reach_grid(context: Context, place: Place) -> list[Shape]:
-    """Presliding lengths from a hundredth to a quarter of the motion; both laws."""
-    s = context.span(place.a, place.b)
-    return [(kind, s * f) for kind in (0.0, 1.0) for f in (0.01, 0.03, 0.1, 0.25)]
+def end_places(structure: ChainStructure) -> list[Place]:
+    """The final masses."""
+    return [Place("mass", i, n) for i, n in enumerate(structure.sizes)]
 
 
-def cycles_grid(context: Context, place: Place) -> list[Shape]:
-    """Cycles a revolution that the motion can tell apart: 1.5 to 60 rad of phase over its span.
-
-    Below, a ripple is a constant and a spring; the step is half the width of a peak.
-    """
-    s = context.span(place.a)
-    return [(float(n),) for n in np.arange(1.5, 60.0, 1.25) / s]
+def spring_places(structure: ChainStructure) -> list[Place]:
+    """Every spring of every axis."""
+    return [Place("spring", i, s + 1) for i, n in enumerate(structure.sizes) for s in range(n - 1)]
 
 
-def polar(c: Float64, amplitude: str, phase: str) -> dict[str, float]:
-    """Amplitude and phase of c₀ sin x + c₁ cos x = A sin(x + φ)."""
-    return {amplitude: float(np.hypot(c[0], c[1])), phase: float(np.arctan2(c[1], c[0]))}
+def axis_places(structure: ChainStructure) -> list[Place]:
+    """The axes as such."""
+    return [Place("axis", i) for i in range(structure.motors)]
+
+
+def pair_places(structure: ChainStructure) -> list[Place]:
+    """Pairs of axes."""
+    return [Place("pair", i, other=j) for i, j in structure.coupling_pairs]
+
+
+def rms(values: Sequence[Float64]) -> float:
+    """Largest rms of several waves, their means taken out."""
+    return max((float(np.std(v)) for v in values), default=0.0)

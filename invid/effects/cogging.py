@@ -1,36 +1,55 @@
-"""Cogging: F = torque · sin(cycles_per_rev·θ + phase) at the motor, θ in rad."""
+"""Cogging: a torque that is a sinusoid of the motor's position."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from invid.arrays import Complex128
-from invid.effects.base import (
-    Context,
-    Effect,
-    Family,
-    Place,
-    RecordMotion,
-    Shape,
-    cycles_grid,
-    every_motor,
-    polar,
-)
+from invid.arrays import Float64
+from invid.effects.base import ForceEffect, Place, View, motor_places, rms
+from invid.refine.structure import ChainStructure
 
 
-def _force(_context: Context, record: RecordMotion, place: Place, shape: Shape) -> Complex128:
-    x = shape[0] * record.position[:, place.a]
-    return np.stack((record.lines(np.sin(x)), record.lines(np.cos(x))), axis=1)
+def cycle_grid(size: float, most: int = 12) -> list[float]:
+    """Cycles a revolution worth trying for a motion of rms ``size`` [rad]: 0.4 to 4 rad of phase."""
+    low, high = max(1.5, 0.4 / max(size, 1e-9)), max(3.0, 4.0 / max(size, 1e-9))
+    values = np.geomspace(low, max(high, 1.2 * low), most)
+    return sorted({float(v) for v in values})
 
 
-EFFECT = Effect(
-    "cogging",
-    Family.POSITION,
-    every_motor,
-    lambda c, s: {**polar(c, "torque", "phase"), "cycles_per_rev": s[0]},
-    {"torque": "torque", "phase": "angle", "cycles_per_rev": "one"},
-    "Normal for the motor type when small; a large value points at a damaged magnet or commutation.",
-    force=_force,
-    grid=cycles_grid,
-    words="torque ripple of {torque}, {cycles_per_rev} times a revolution",
-)
+class Cogging(ForceEffect):
+    """Resistance torque·sin(cycles_per_rev·θ + phase) at the motor."""
+
+    cause = "cogging"
+    title = "a torque ripple over the motor's position (cogging)"
+    check = "Check the motor's commutation offset; compensate the ripple in the drive where it can."
+    separate = "a slow move over a whole revolution: cogging repeats with its number of cycles"
+    family = "position"
+    parameters = {"torque": "torque", "cycles_per_rev": "count", "phase": "angle"}
+    coefficients = ("sine", "cosine")
+    lower, upper = (-np.inf,) * 2, (np.inf,) * 2
+    shapes, logarithmic = ("cycles_per_rev",), (True,)
+    rotary = True
+    main = "torque"
+
+    def places(self, structure: ChainStructure) -> list[Place]:
+        return motor_places(structure)
+
+    def grid(self, views: Sequence[View], place: Place) -> list[tuple[float, ...]]:
+        size = rms([v.wave(place.pattern(v.structure)) for v in views])
+        return [(float(np.log(n)),) for n in cycle_grid(size)]
+
+    def limits(self, views: Sequence[View], place: Place) -> list[tuple[float, float]]:
+        return [(float(np.log(1.5)), float(np.log(2000.0)))]
+
+    def law(self, view: View, place: Place, shape: Sequence[float]) -> Float64:
+        angle = float(np.exp(shape[0])) * view.wave(place.pattern(view.structure))
+        return np.stack([np.sin(angle), np.cos(angle)], axis=1)
+
+    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
+        return {
+            "torque": float(np.hypot(x[0], x[1])),
+            "cycles_per_rev": float(np.exp(x[2])),
+            "phase": float(np.arctan2(x[1], x[0])),
+        }

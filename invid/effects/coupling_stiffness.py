@@ -1,25 +1,38 @@
-"""Coupling stiffness: a spring between the last masses of two branches."""
+"""A spring between the loads of two axes: they are coupled by more than inertia."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+import numpy as np
+
 from invid.arrays import Complex128
-from invid.effects.base import Context, Effect, Family, Place, RecordMotion, Shape, every_pair
+from invid.effects.base import ImpedanceEffect, Place, View, pair_places
+from invid.refine.structure import ChainStructure
 
 
-def _force(_context: Context, record: RecordMotion, place: Place, _shape: Shape) -> Complex128:
-    b = place.b if place.b is not None else place.a
-    force: Complex128 = (record.q[:, place.a] - record.q[:, b])[:, None]
-    return force
+class CouplingStiffness(ImpedanceEffect):
+    """A spring between the final masses of two axes."""
 
+    cause = "coupling_stiffness"
+    title = "an elastic coupling between two axes"
+    check = "Look for a cable, hose, belt or common base that ties the two axes together."
+    separate = "a slow move of one axis while the other is held"
+    family = "structure"
+    parameters = {"stiffness": "stiffness"}
+    coefficients = ("stiffness",)
+    lower, upper = (0.0,), (np.inf,)
+    least_axes = 2
+    main = "stiffness"
 
-EFFECT = Effect(
-    "coupling_stiffness",
-    Family.STRUCTURE,
-    every_pair,
-    lambda c, _s: {"stiffness": float(c[0])},
-    {"stiffness": "stiffness"},
-    "Check what joins the two axes: a cable harness, a hose, a shared frame.",
-    force=_force,
-    lower=(0.0,),
-    words="a spring of {stiffness} between the two axes",
-)
+    def places(self, structure: ChainStructure) -> list[Place]:
+        return pair_places(structure)
+
+    def impedance(self, view: View, place: Place, x: Sequence[float]) -> Complex128:
+        out: Complex128 = np.full(view.omega.size, x[0], dtype=complex)
+        # Where the axes stand in the record's mean is no deflection: the spring is slack there.
+        out[0] = 0.0
+        return out
+
+    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
+        return {"stiffness": float(x[0])}

@@ -1,23 +1,34 @@
-"""Cubic stiffness: the spring adds coefficient · deflection³."""
+"""A spring that stiffens (or softens) with the cube of its deflection."""
 
 from __future__ import annotations
 
-from invid.arrays import Complex128
-from invid.effects.base import Context, Effect, Family, Place, RecordMotion, Shape, every_spring
+from collections.abc import Sequence
+
+import numpy as np
+
+from invid.arrays import Float64
+from invid.effects.base import ForceEffect, Place, View, spring_places
+from invid.refine.structure import ChainStructure
 
 
-def _force(_context: Context, record: RecordMotion, place: Place, _shape: Shape) -> Complex128:
-    d = record.deflection(place.a, place.b if place.b is not None else place.a)
-    return record.lines((d - d.mean()) ** 3)[:, None]
+class CubicStiffness(ForceEffect):
+    """Spring torque coefficient·d³ beside the linear one."""
 
+    cause = "cubic_stiffness"
+    title = "a transmission that stiffens with its deflection"
+    check = "Check the gear's preload and wear; identify at the amplitude the axis works at."
+    separate = "a second amplitude of the same excitation"
+    family = "spring"
+    parameters = {"coefficient": "cubic"}
+    coefficients = ("coefficient",)
+    lower, upper = (-np.inf,), (np.inf,)
+    main = "coefficient"
 
-EFFECT = Effect(
-    "cubic_stiffness",
-    Family.SPRING,
-    every_spring,
-    lambda c, _s: {"coefficient": float(c[0])},
-    {"coefficient": "cubic"},
-    "Normal for harmonic drives and elastomer couplings; use the extended model.",
-    force=_force,
-    words="a spring that changes with load, {coefficient}",
-)
+    def places(self, structure: ChainStructure) -> list[Place]:
+        return spring_places(structure)
+
+    def law(self, view: View, place: Place, shape: Sequence[float]) -> Float64:
+        return view.wave(place.pattern(view.structure))[:, None] ** 3
+
+    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
+        return {"coefficient": float(x[0])}

@@ -1,39 +1,49 @@
-"""Extra mode: a mass on a spring, attached to a mass of the chain."""
+"""A mass on a spring that the model does not have."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 
 from invid.arrays import Complex128
-from invid.effects.base import Context, Effect, Family, Place, RecordMotion, Shape, every_mass
-
-LOSS = 0.01
-"""Loss factor 2ζ given to the attached mode, so that its column is finite on a line at its frequency;
-empirical: half a per cent of critical damping, the low end of what drives show."""
+from invid.effects.base import ImpedanceEffect, Place, View, mass_places
+from invid.refine.structure import ChainStructure
 
 
-def _force(_context: Context, record: RecordMotion, place: Place, shape: Shape) -> Complex128:
-    w = record.block.omega
-    ratio = w / shape[0]
-    dynamic = -(w**2) * (1.0 + 1j * LOSS * ratio) / (1.0 - ratio**2 + 1j * LOSS * ratio)
-    force: Complex128 = (dynamic * record.q[:, place.a])[:, None]
-    return force
+class ExtraMode(ImpedanceEffect):
+    """A mass m on a spring k (and a light damper) at one of the masses; shapes: frequency and damping."""
 
+    cause = "extra_mode"
+    title = "a resonance that the model does not have"
+    check = "Look for a flexible attachment: a tool, a cable carrier, a loose foot or cover."
+    separate = "a finer and wider grid of frequencies around the resonance"
+    family = "structure"
+    parameters = {"mass": "mass", "stiffness": "stiffness"}
+    coefficients = ("mass",)
+    lower, upper = (0.0,), (np.inf,)
+    shapes, logarithmic = ("frequency", "damping"), (True, True)
+    main = "mass"
 
-def _grid(context: Context, _place: Place) -> list[Shape]:
-    low = min(float(r.block.omega[r.block.omega > 0][0]) for r in context.records)
-    return [(float(w),) for w in np.geomspace(max(4 * low, context.top / 40), 1.05 * context.top, 60)]
+    def places(self, structure: ChainStructure) -> list[Place]:
+        return mass_places(structure)
 
+    def grid(self, views: Sequence[View], place: Place) -> list[tuple[float, ...]]:
+        low = min(float(v.omega[1:].min()) for v in views)
+        high = max(float(v.omega.max()) for v in views)
+        return [(float(np.log(w)), float(np.log(0.02))) for w in np.geomspace(3 * low, 1.2 * high, 14)]
 
-EFFECT = Effect(
-    "extra_mode",
-    Family.STRUCTURE,
-    every_mass,
-    lambda c, s: {"mass": float(c[0]), "stiffness": float(c[0] * s[0] ** 2)},
-    {"mass": "inertia", "stiffness": "stiffness"},
-    "Something attached swings: check cables, covers, tool and base; or declare one mass more.",
-    force=_force,
-    grid=_grid,
-    lower=(0.0,),
-    words="a further mass of {mass} on a spring of {stiffness}",
-)
+    def limits(self, views: Sequence[View], place: Place) -> list[tuple[float, float]]:
+        low = min(float(v.omega[1:].min()) for v in views)
+        high = max(float(v.omega.max()) for v in views)
+        return [(float(np.log(low)), float(np.log(1.5 * high))), (float(np.log(1e-3)), float(np.log(0.2)))]
+
+    def impedance(self, view: View, place: Place, x: Sequence[float]) -> Complex128:
+        own, zeta = float(np.exp(x[1])), float(np.exp(x[2]))
+        w = view.omega
+        spring = own**2 + 2j * zeta * own * w
+        out: Complex128 = -(w**2) * x[0] * spring / (spring - w**2)
+        return out
+
+    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
+        return {"mass": float(x[0]), "stiffness": float(x[0] * np.exp(2 * x[1]))}

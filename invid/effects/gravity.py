@@ -1,25 +1,36 @@
-"""Gravity: F = torque · sin(q + angle) on the last mass of a branch."""
+"""Gravity on the load: a sinusoid of its angle, one cycle a revolution."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from invid.arrays import Complex128
-from invid.effects.base import Context, Effect, Family, Place, RecordMotion, Shape, every_end, polar
+from invid.arrays import Float64
+from invid.effects.base import ForceEffect, Place, View, end_places
+from invid.refine.structure import ChainStructure
 
 
-def _force(_context: Context, record: RecordMotion, place: Place, _shape: Shape) -> Complex128:
-    x = record.position[:, place.a]
-    return np.stack((record.lines(np.sin(x)), record.lines(np.cos(x))), axis=1)
+class Gravity(ForceEffect):
+    """Resistance torque·sin(θ_load + angle)."""
 
+    cause = "gravity"
+    title = "gravity on the load"
+    check = "Give the controller the load's weight and centre of gravity; check the balancer."
+    separate = "the same motion around positions far apart: gravity changes with position, an offset does not"
+    family = "position"
+    parameters = {"torque": "torque", "angle": "angle"}
+    coefficients = ("sine", "cosine")
+    lower, upper = (-np.inf,) * 2, (np.inf,) * 2
+    rotary = True
+    main = "torque"
 
-EFFECT = Effect(
-    "gravity",
-    Family.POSITION,
-    every_end,
-    lambda c, _s: polar(c, "torque", "angle"),
-    {"torque": "torque", "angle": "angle"},
-    "Check the payload and the axis' orientation; add gravity compensation.",
-    force=_force,
-    words="gravity of {torque}",
-)
+    def places(self, structure: ChainStructure) -> list[Place]:
+        return end_places(structure)
+
+    def law(self, view: View, place: Place, shape: Sequence[float]) -> Float64:
+        q = view.wave(place.pattern(view.structure))
+        return np.stack([np.sin(q), np.cos(q)], axis=1)
+
+    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
+        return {"torque": float(np.hypot(x[0], x[1])), "angle": float(np.arctan2(x[1], x[0]))}

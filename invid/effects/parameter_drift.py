@@ -1,27 +1,37 @@
-"""Parameter drift: a spring changes at ``rate`` (share of its value a second) during the measurement."""
+"""A stiffness that drifts with time: warming up, fatigue, a loosening joint."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+import numpy as np
+
 from invid.arrays import Complex128
-from invid.effects.base import Context, Effect, Family, Place, RecordMotion, Shape, every_spring
+from invid.effects.base import ImpedanceEffect, Place, View, spring_places
+from invid.refine.structure import ChainStructure
 
 
-def _force(context: Context, record: RecordMotion, place: Place, _shape: Shape) -> Complex128:
-    b = place.b if place.b is not None else place.a
-    first = min(r.start_s for r in context.records)
-    middle = 0.5 * (record.start_s + record.end_s) - first
-    pull = middle * context.springs[place.spring] * (record.q[:, place.a] - record.q[:, b])
-    force: Complex128 = pull[:, None]
-    return force
+class ParameterDrift(ImpedanceEffect):
+    """Stiffness of a spring changes by ``rate`` a second, from the start of the recording."""
 
+    cause = "parameter_drift"
+    title = "a stiffness that drifts with time"
+    check = "Check warming up, loosening joints and wear; repeat when the machine is warm."
+    separate = "repeat the first experiment at the end, and once more when the machine is warm"
+    family = "time"
+    parameters = {"parameter": "count", "rate": "stiffness_rate"}
+    coefficients = ("rate",)
+    lower, upper = (-np.inf,), (np.inf,)
+    main = "rate"
 
-EFFECT = Effect(
-    "parameter_drift",
-    Family.TIME,
-    every_spring,
-    lambda c, _s: {"rate": float(c[0])},
-    {"rate": "rate"},
-    "Check temperature: let the robot warm up, then measure again.",
-    force=_force,
-    words="a spring that drifts by {rate}",
-)
+    def places(self, structure: ChainStructure) -> list[Place]:
+        return spring_places(structure)
+
+    def impedance(self, view: View, place: Place, x: Sequence[float]) -> Complex128:
+        record = view.record
+        middle = 0.5 * (record.start_time + record.end_time) - view.origin
+        out: Complex128 = np.full(view.omega.size, x[0] * middle, dtype=complex)
+        return out
+
+    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
+        return {"parameter": float(place.number), "rate": float(x[0])}

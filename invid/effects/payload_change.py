@@ -1,36 +1,45 @@
-"""Payload change: the last mass grows by ``mass`` at ``time`` (on the recording's clock)."""
+"""The load's mass changes during the recording."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 
 from invid.arrays import Complex128
-from invid.effects.base import Context, Effect, Family, Place, RecordMotion, Shape, every_end
+from invid.effects.base import ImpedanceEffect, Place, View, end_places
+from invid.refine.structure import ChainStructure
 
 
-def _force(_context: Context, record: RecordMotion, place: Place, shape: Shape) -> Complex128:
-    length = max(record.end_s - record.start_s, 1e-9)
-    share = float(np.clip((record.end_s - shape[0]) / length, 0.0, 1.0))
-    force: Complex128 = (-share * record.block.omega**2 * record.q[:, place.a])[:, None]
-    return force
+class PayloadChange(ImpedanceEffect):
+    """``mass`` added to the final mass from ``time`` on."""
 
+    cause = "payload_change"
+    title = "a load that changed during the measurement"
+    check = "Check what was picked up, put down or came loose during the measurement."
+    separate = "repeat the first experiment at the end"
+    family = "time"
+    parameters = {"mass": "mass", "time": "time"}
+    coefficients = ("mass",)
+    lower, upper = (-np.inf,), (np.inf,)
+    shapes, logarithmic = ("time",), (False,)
+    main = "mass"
 
-def _grid(context: Context, _place: Place) -> list[Shape]:
-    """Between any two records, and at thirds of each."""
-    edges = sorted((r.start_s, r.end_s) for r in context.records)
-    times = [0.5 * (a[1] + b[0]) for a, b in zip(edges[:-1], edges[1:], strict=True)]
-    times += [a + f * (b - a) for a, b in edges for f in (1 / 3, 2 / 3)]
-    return [(t,) for t in sorted(times)]
+    def places(self, structure: ChainStructure) -> list[Place]:
+        return end_places(structure)
 
+    def grid(self, views: Sequence[View], place: Place) -> list[tuple[float, ...]]:
+        spans = sorted({(v.record.start_time, v.record.end_time) for v in views})
+        times = [0.5 * (a[1] + b[0]) for a, b in zip(spans[:-1], spans[1:], strict=True)]
+        times += [0.5 * (a[0] + a[1]) for a in spans] if len(spans) > 1 else []
+        return [(float(t),) for t in sorted(times)]
 
-EFFECT = Effect(
-    "payload_change",
-    Family.TIME,
-    every_end,
-    lambda c, s: {"mass": float(c[0]), "time": s[0]},
-    {"mass": "inertia", "time": "time"},
-    "Check whether the tool lost or gained a part during the measurement.",
-    force=_force,
-    grid=_grid,
-    words="a payload that changed by {mass} at {time}",
-)
+    def limits(self, views: Sequence[View], place: Place) -> list[tuple[float, float]]:
+        return [(min(v.record.start_time for v in views), max(v.record.end_time for v in views))]
+
+    def impedance(self, view: View, place: Place, x: Sequence[float]) -> Complex128:
+        out: Complex128 = (-(view.omega**2) * x[0] * view.record.after(float(x[1]))).astype(complex)
+        return out
+
+    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
+        return {"mass": float(x[0]), "time": float(x[1])}

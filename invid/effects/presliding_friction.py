@@ -1,46 +1,46 @@
-"""Presliding friction: a spring of ``stiffness`` that slips at ``torque`` (elastoplastic, or Dahl's law)."""
+"""Presliding: the contact gives elastically before it slides."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from invid.arrays import Complex128, Float64
-from invid.effects.base import (
-    Context,
-    Effect,
-    Family,
-    Place,
-    RecordMotion,
-    Shape,
-    every_mass,
-    reach_grid,
-)
-from invid.effects.waveforms import dahl, elastoplastic
+from invid.arrays import Float64
+from invid.effects.base import ForceEffect, Place, View, mass_places, rms
+from invid.effects.slider import slide
+from invid.refine.structure import ChainStructure
 
 
-def _force(_context: Context, record: RecordMotion, place: Place, shape: Shape) -> Complex128:
-    kind, reach = shape
-    x = np.ascontiguousarray(record.position[:, place.a])
-    law = elastoplastic if kind == 0 else dahl
-    return record.lines(law(x, reach, 2 if record.periodic else 1))[:, None]
+class PreslidingFriction(ForceEffect):
+    """Resistance stiffness·z with z the slider's displacement, |stiffness·z| ≤ torque."""
 
+    cause = "presliding_friction"
+    title = "dry friction with elastic presliding"
+    check = "Check seals, bearings' preload and the brake's lining: the contact springs before it slides."
+    separate = "small motions around many positions, and slow moves that reverse"
+    family = "friction"
+    parameters = {"stiffness": "stiffness", "torque": "torque"}
+    coefficients = ("torque",)
+    lower, upper = (0.0,), (np.inf,)
+    shapes, logarithmic = ("most",), (True,)
+    main = "torque"
 
-def _static(c: Float64, _shape: Shape, v: float) -> float:
-    return float(c[0]) * (1.0 if v > 0 else -1.0)
+    def places(self, structure: ChainStructure) -> list[Place]:
+        return mass_places(structure)
 
+    def grid(self, views: Sequence[View], place: Place) -> list[tuple[float, ...]]:
+        size = rms([v.wave(place.pattern(v.structure)) for v in views])
+        return [(float(np.log(max(size, 1e-300) * f)),) for f in (0.05, 0.15, 0.35, 0.8)]
 
-EFFECT = Effect(
-    "presliding_friction",
-    Family.FRICTION,
-    every_mass,
-    lambda c, s: {"stiffness": float(c[0] / s[1]), "torque": float(c[0])},
-    {"stiffness": "stiffness", "torque": "torque"},
-    "Check bearing preload and seals: the contact yields before it slides.",
-    force=_force,
-    grid=reach_grid,
-    variants=1,
-    lower=(0.0,),
-    nested=("coulomb_friction",),
-    words="friction of {torque} that yields with {stiffness} before it slides",
-    static=_static,
-)
+    def limits(self, views: Sequence[View], place: Place) -> list[tuple[float, float]]:
+        size = max(rms([v.wave(place.pattern(v.structure)) for v in views]), 1e-300)
+        return [(float(np.log(1e-3 * size)), float(np.log(2.0 * size)))]
+
+    def law(self, view: View, place: Place, shape: Sequence[float]) -> Float64:
+        most = float(np.exp(shape[0]))
+        x = view.wave(place.pattern(view.structure))
+        return slide(x, most, periodic=not view.record.transient)[:, None] / most
+
+    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
+        return {"stiffness": float(x[0] / np.exp(x[1])), "torque": float(x[0])}

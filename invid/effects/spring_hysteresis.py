@@ -1,40 +1,46 @@
-"""Spring hysteresis: an elastoplastic element (stiffness, slipping at torque) parallel to the spring."""
+"""Friction inside the transmission: a slider beside the spring."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from invid.arrays import Complex128
-from invid.effects.base import (
-    Context,
-    Effect,
-    Family,
-    Place,
-    RecordMotion,
-    Shape,
-    every_spring,
-    reach_grid,
-)
-from invid.effects.waveforms import dahl, elastoplastic
+from invid.arrays import Float64
+from invid.effects.base import ForceEffect, Place, View, rms, spring_places
+from invid.effects.slider import slide
+from invid.refine.structure import ChainStructure
 
 
-def _force(_context: Context, record: RecordMotion, place: Place, shape: Shape) -> Complex128:
-    kind, reach = shape
-    x = np.ascontiguousarray(record.deflection(place.a, place.b if place.b is not None else place.a))
-    law = elastoplastic if kind == 0 else dahl
-    return record.lines(law(x, reach, 2 if record.periodic else 1))[:, None]
+class SpringHysteresis(ForceEffect):
+    """Torque stiffness·z beside the spring, |stiffness·z| ≤ torque."""
 
+    cause = "spring_hysteresis"
+    title = "friction inside the transmission (hysteresis of the spring)"
+    check = "Check the gear's preload and lubrication; harmonic drives show it by nature."
+    separate = "a second amplitude with the motor held: the loop's width does not grow with amplitude"
+    family = "spring"
+    parameters = {"stiffness": "stiffness", "torque": "torque"}
+    coefficients = ("torque",)
+    lower, upper = (0.0,), (np.inf,)
+    shapes, logarithmic = ("most",), (True,)
+    main = "torque"
 
-EFFECT = Effect(
-    "spring_hysteresis",
-    Family.SPRING,
-    every_spring,
-    lambda c, s: {"stiffness": float(c[0] / s[1]), "torque": float(c[0])},
-    {"stiffness": "stiffness", "torque": "torque"},
-    "Check clamped joints, belts and flexsplines for slip.",
-    force=_force,
-    grid=reach_grid,
-    variants=1,
-    lower=(0.0,),
-    words="hysteresis of {torque}",
-)
+    def places(self, structure: ChainStructure) -> list[Place]:
+        return spring_places(structure)
+
+    def grid(self, views: Sequence[View], place: Place) -> list[tuple[float, ...]]:
+        size = max(rms([v.wave(place.pattern(v.structure)) for v in views]), 1e-300)
+        return [(float(np.log(size * f)),) for f in (0.1, 0.25, 0.5, 1.0)]
+
+    def limits(self, views: Sequence[View], place: Place) -> list[tuple[float, float]]:
+        size = max(rms([v.wave(place.pattern(v.structure)) for v in views]), 1e-300)
+        return [(float(np.log(1e-3 * size)), float(np.log(3.0 * size)))]
+
+    def law(self, view: View, place: Place, shape: Sequence[float]) -> Float64:
+        most = float(np.exp(shape[0]))
+        d = view.wave(place.pattern(view.structure))
+        return slide(d, most, periodic=not view.record.transient)[:, None] / most
+
+    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
+        return {"stiffness": float(x[0] / np.exp(x[1])), "torque": float(x[0])}

@@ -1,54 +1,51 @@
-"""Stribeck friction: F = (coulomb + (static − coulomb)·exp(−(v/velocity)²)) · sgn(v).
-
-The fall from static to sliding friction is a Gaussian in v, or an exponential in |v|; the data choose.
-"""
+"""Stribeck friction: static friction that falls to the Coulomb level as the velocity grows."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
+from scipy.special import erf
 
-from invid.arrays import Complex128, Float64
-from invid.effects.base import (
-    Context,
-    Effect,
-    Family,
-    Place,
-    RecordMotion,
-    Shape,
-    direction,
-    every_mass,
-    velocity_grid,
-)
+from invid.arrays import Float64
+from invid.effects.base import ForceEffect, Place, View, mass_places, rms
+from invid.effects.coulomb_friction import averaged, sign_law, softness
+from invid.refine.structure import ChainStructure
 
 
-def _fall(v: Float64, shape: Shape) -> Float64:
-    kind, speed = shape
-    result: Float64 = np.exp(-((v / speed) ** 2)) if kind == 0 else np.exp(-np.abs(v) / speed)
-    return result
+class StribeckFriction(ForceEffect):
+    """Resistance (coulomb + (static − coulomb)·exp(−(θ̇/velocity)²))·sgn(θ̇)."""
 
+    cause = "stribeck_friction"
+    title = "dry friction that sticks before it slides (Stribeck)"
+    check = "Check the lubrication: the film builds too late."
+    separate = "slow constant-velocity moves in both directions at several speeds"
+    family = "friction"
+    parameters = {"static": "torque", "coulomb": "torque", "velocity": "velocity"}
+    coefficients = ("coulomb", "excess")
+    lower, upper = (0.0, 0.0), (np.inf, np.inf)
+    shapes, logarithmic = ("velocity",), (True,)
+    main = "coulomb"
+    smeared = True
 
-def _force(_context: Context, record: RecordMotion, place: Place, shape: Shape) -> Complex128:
-    sign = direction(record, place)
-    fall = _fall(record.velocity[:, place.a], shape)
-    return np.stack((record.lines(sign), record.lines(sign * fall)), axis=1)
+    def places(self, structure: ChainStructure) -> list[Place]:
+        return mass_places(structure)
 
+    def grid(self, views: Sequence[View], place: Place) -> list[tuple[float, ...]]:
+        size = rms([v.velocity(place.pattern(v.structure)) for v in views])
+        return [(float(np.log(max(size, 1e-300) * f)),) for f in (0.08, 0.16, 0.3, 0.6)]
 
-def _static(c: Float64, shape: Shape, v: float) -> float:
-    return float(np.sign(v) * (c[0] + c[1] * _fall(np.array([v]), shape)[0]))
+    def limits(self, views: Sequence[View], place: Place) -> list[tuple[float, float]]:
+        size = max(rms([v.velocity(place.pattern(v.structure)) for v in views]), 1e-300)
+        return [(float(np.log(0.02 * size)), float(np.log(1.5 * size)))]
 
+    def law(self, view: View, place: Place, shape: Sequence[float]) -> Float64:
+        v = view.velocity(place.pattern(view.structure))
+        soft = softness(view, place)
+        vs = float(np.exp(shape[0]))
+        phi = vs * np.sqrt(np.pi) / 2 * erf(np.abs(v) / vs)
+        excess = averaged(v, phi, np.tanh(v / soft) * np.exp(-((v / vs) ** 2)))
+        return np.stack([sign_law(v, soft), excess], axis=1)
 
-EFFECT = Effect(
-    "stribeck_friction",
-    Family.FRICTION,
-    every_mass,
-    lambda c, s: {"static": float(c[0] + c[1]), "coulomb": float(c[0]), "velocity": s[1]},
-    {"static": "torque", "coulomb": "torque", "velocity": "velocity"},
-    "Check lubrication: friction that falls with speed is boundary lubrication; expect stick-slip.",
-    force=_force,
-    grid=velocity_grid,
-    variants=1,
-    lower=(0.0, 0.0),
-    nested=("coulomb_friction",),
-    words="friction that falls from {static} at standstill to {coulomb} beyond {velocity}",
-    static=_static,
-)
+    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
+        return {"static": float(x[0] + x[1]), "coulomb": float(x[0]), "velocity": float(np.exp(x[2]))}

@@ -1,37 +1,37 @@
-"""Torque gain of one axis relative to the others: reciprocity, G_ij = G_ji, gives it away."""
+"""The torque channel of one axis is scaled wrongly, relative to the other axes."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+import numpy as np
+
 from invid.arrays import Complex128
-from invid.effects.base import (
-    Context,
-    Effect,
-    Family,
-    Place,
-    RecordMotion,
-    Shape,
-    every_axis,
-    on_torque,
-)
+from invid.effects.base import Effect, Place, View, axis_places
 from invid.refine.structure import ChainStructure
 
 
-def _places(s: ChainStructure) -> tuple[Place, ...]:
-    return every_axis(s) if s.motors > 1 else ()
+class TorqueGain(Effect):
+    """Acting torque = gain·recorded torque."""
 
+    cause = "torque_gain"
+    title = "a torque channel that is scaled wrongly"
+    check = "Check the rated torque and torque constant in the drive's parameters."
+    separate = "a known torque (a weight on a lever) on each axis"
+    family = "scale"
+    parameters = {"gain": "ratio"}
+    coefficients = ("gain",)
+    lower, upper = (-0.95,), (20.0,)
+    least_axes = 2
+    main = "gain"
 
-def _direct(_context: Context, record: RecordMotion, place: Place, _shape: Shape) -> Complex128:
-    return on_torque(record, place.axis, -record.block.torque[:, place.axis])
+    def places(self, structure: ChainStructure) -> list[Place]:
+        return axis_places(structure) if structure.motors > 1 else []
 
+    def basis(self, view: View, place: Place, shape: Sequence[float]) -> Complex128:
+        out: Complex128 = np.zeros((*view.acting.shape, 1), dtype=complex)
+        out[:, place.axis, 0] = -view.acting[:, place.axis]
+        return out
 
-EFFECT = Effect(
-    "torque_gain",
-    Family.ACTUATOR,
-    _places,
-    lambda c, _s: {"gain": 1.0 + float(c[0])},
-    {"gain": "one"},
-    "Check the rated torque (0x6076) and torque constant set in this drive.",
-    direct=_direct,
-    lower=(-0.95,),
-    words="a torque {gain} times what the drive reports",
-)
+    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
+        return {"gain": 1.0 + float(x[0])}

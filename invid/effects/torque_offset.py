@@ -1,38 +1,34 @@
-"""Torque offset: a constant resisting torque. Only the mean torque of a free axis shows it."""
+"""A constant torque: a sensor's offset, a preload, a cable that pulls."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from invid.arrays import Complex128, Float64
-from invid.effects.base import (
-    Context,
-    Effect,
-    Family,
-    Place,
-    RecordMotion,
-    Shape,
-    every_axis,
-    on_torque,
-)
+from invid.arrays import Float64
+from invid.effects.base import ForceEffect, Place, View, motor_places
+from invid.refine.structure import ChainStructure
 
 
-def _direct(_context: Context, record: RecordMotion, place: Place, _shape: Shape) -> Complex128:
-    return on_torque(record, place.axis, record.lines(np.ones(record.torque.shape[0])))
+class TorqueOffset(ForceEffect):
+    """Resistance that does not change."""
 
+    cause = "torque_offset"
+    title = "a constant torque"
+    check = "Check the current sensor's offset, cables and hoses that pull, and a balancer."
+    separate = "the same motion around positions far apart: gravity changes with position, an offset does not"
+    family = "constant"
+    parameters = {"torque": "torque"}
+    coefficients = ("torque",)
+    lower, upper = (-np.inf,), (np.inf,)
+    main = "torque"
 
-def _static(c: Float64, _shape: Shape, _v: float) -> float:
-    return float(c[0])
+    def places(self, structure: ChainStructure) -> list[Place]:
+        return motor_places(structure)
 
+    def law(self, view: View, place: Place, shape: Sequence[float]) -> Float64:
+        return np.ones((view.record.samples, 1))
 
-EFFECT = Effect(
-    "torque_offset",
-    Family.STATIC,
-    every_axis,
-    lambda c, _s: {"torque": float(c[0])},
-    {"torque": "torque"},
-    "Check the drive's current offset, and whether a load pulls on the axis.",
-    direct=_direct,
-    words="a constant torque of {torque}",
-    static=_static,
-)
+    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
+        return {"torque": float(x[0])}

@@ -1,45 +1,55 @@
-"""Torque saturation: the acting torque is clipped at ±limit while the record shows more."""
+"""The torque that acts is cut off at a limit that the record does not show."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 
 from invid.arrays import Complex128
-from invid.effects.base import (
-    Context,
-    Effect,
-    Family,
-    Place,
-    RecordMotion,
-    Shape,
-    every_axis,
-    on_torque,
-)
+from invid.effects.base import Effect, Place, View, axis_places
+from invid.refine.structure import ChainStructure
 
 
-def _peak(context: Context, place: Place) -> float:
-    return max(float(np.abs(r.torque[:, place.axis]).max()) for r in context.records)
+class TorqueSaturation(Effect):
+    """Acting torque = recorded torque within ±limit."""
 
+    cause = "torque_saturation"
+    title = "torque that is cut off at a limit"
+    check = "Check the drive's current and torque limits and its bus voltage."
+    separate = "a second amplitude: below the limit nothing is missing"
+    family = "saturation"
+    parameters = {"limit": "torque"}
+    shapes, logarithmic = ("limit",), (True,)
+    main = "limit"
 
-def _direct(_context: Context, record: RecordMotion, place: Place, shape: Shape) -> Complex128:
-    t = record.torque[:, place.axis]
-    return on_torque(record, place.axis, -record.lines(np.clip(t, -shape[0], shape[0]) - t))
+    def places(self, structure: ChainStructure) -> list[Place]:
+        return axis_places(structure)
 
+    def _peak(self, views: Sequence[View], place: Place) -> float:
+        return max(float(np.abs(v.record.torque_wave[:, place.axis]).max()) for v in views)
 
-def _grid(context: Context, place: Place) -> list[Shape]:
-    return [(_peak(context, place) * f,) for f in (0.97, 0.92, 0.85, 0.75, 0.6, 0.45)]
+    def grid(self, views: Sequence[View], place: Place) -> list[tuple[float, ...]]:
+        peak = max(self._peak(views, place), 1e-300)
+        return [(float(np.log(peak * f)),) for f in (0.25, 0.4, 0.55, 0.7, 0.8, 0.9)]
 
+    def limits(self, views: Sequence[View], place: Place) -> list[tuple[float, float]]:
+        peak = max(self._peak(views, place), 1e-300)
+        return [(float(np.log(0.02 * peak)), float(np.log(0.995 * peak)))]
 
-EFFECT = Effect(
-    "torque_saturation",
-    Family.ACTUATOR,
-    every_axis,
-    lambda _c, s: {"limit": s[0]},
-    {"limit": "torque"},
-    "Check the drive's torque or current limit (0x6072) against the excitation.",
-    direct=_direct,
-    grid=_grid,
-    unit_coefficient=True,
-    words="torque clipped at {limit}",
-    within=lambda c, p, s: s[0] < _peak(c, p),
-)
+    def contribution(
+        self, view: View, place: Place, x: Sequence[float]
+    ) -> tuple[Complex128, Complex128 | None]:
+        limit = float(np.exp(x[0]))
+        t = view.record.torque_wave[:, place.axis]
+        cut = view.to_lines((t - np.clip(t, -limit, limit))[:, None])[:, 0]
+        out: Complex128 = np.zeros_like(view.acting)
+        ratio = view.acting[:, place.axis] / np.where(
+            np.abs(view.record.torque[:, place.axis]) > 0, view.record.torque[:, place.axis], 1.0
+        )
+        ratio = np.where(np.abs(view.record.torque[:, place.axis]) > 0, ratio, 1.0)
+        out[:, place.axis] = cut * ratio
+        return out, None
+
+    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
+        return {"limit": float(np.exp(x[0]))}

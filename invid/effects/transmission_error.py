@@ -1,37 +1,78 @@
-"""Transmission error: the spring's rest position runs with amplitude · sin(cycles_per_rev·θ + phase)."""
+"""Teeth that are not where they should be: the gear adds a sinusoid of position to the deflection."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from invid.arrays import Complex128
-from invid.effects.base import (
-    Context,
-    Effect,
-    Family,
-    Place,
-    RecordMotion,
-    Shape,
-    cycles_grid,
-    every_spring,
-    polar,
-)
+from invid.arrays import Complex128, Float64
+from invid.effects.backlash import spring_index
+from invid.effects.base import Effect, Place, View, rms, spring_places
+from invid.effects.cogging import cycle_grid
+from invid.refine.structure import ChainStructure
 
 
-def _force(context: Context, record: RecordMotion, place: Place, shape: Shape) -> Complex128:
-    x = shape[0] * record.position[:, place.a]
-    k = -context.springs[place.spring]
-    return np.stack((record.lines(k * np.sin(x)), record.lines(k * np.cos(x))), axis=1)
+class TransmissionError(Effect):
+    """The spring acts on d − e, e = amplitude·sin(cycles_per_rev·q + phase), q on its motor side.
 
+    Without loss of energy the motor side feels it times 1 − ∂e/∂q.
+    """
 
-EFFECT = Effect(
-    "transmission_error",
-    Family.SPRING,
-    every_spring,
-    lambda c, s: {**polar(c, "amplitude", "phase"), "cycles_per_rev": s[0]},
-    {"amplitude": "position", "phase": "angle", "cycles_per_rev": "one"},
-    "Check gear teeth and bearings of this stage.",
-    force=_force,
-    grid=cycles_grid,
-    words="a transmission error of {amplitude}, {cycles_per_rev} times a revolution",
-)
+    cause = "transmission_error"
+    title = "a position error of the gear (transmission error)"
+    check = "Check the gear's teeth and its alignment; compensate over position."
+    separate = "a slow move over a whole revolution, and a second amplitude"
+    family = "position"
+    parameters = {"amplitude": "position", "cycles_per_rev": "count", "phase": "angle"}
+    coefficients = ("sine", "cosine")
+    lower, upper = (-np.inf,) * 2, (np.inf,) * 2
+    shapes, logarithmic = ("cycles_per_rev",), (True,)
+    rotary = True
+    main = "amplitude"
+
+    def places(self, structure: ChainStructure) -> list[Place]:
+        return spring_places(structure)
+
+    def _motor_side(self, view: View, place: Place) -> Float64:
+        return view.wave((place.pattern(view.structure)[0],))
+
+    def grid(self, views: Sequence[View], place: Place) -> list[tuple[float, ...]]:
+        size = rms([self._motor_side(v, place) for v in views])
+        return [(float(np.log(n)),) for n in cycle_grid(size, 8)]
+
+    def limits(self, views: Sequence[View], place: Place) -> list[tuple[float, float]]:
+        return [(0.0, float(np.log(2000.0)))]
+
+    def contribution(
+        self, view: View, place: Place, x: Sequence[float]
+    ) -> tuple[Complex128, Complex128 | None]:
+        (a, _), (b, _) = place.pattern(view.structure)
+        stiff = view.springs[spring_index(view.structure, place)]
+        cycles = float(np.exp(x[2]))
+        angle = cycles * self._motor_side(view, place)
+        sine, cosine = np.sin(angle), np.cos(angle)
+        error = x[0] * sine + x[1] * cosine
+        slope = cycles * (x[0] * cosine - x[1] * sine)
+        d = view.wave(place.pattern(view.structure))
+        near = stiff * ((d - error) * (1.0 - slope) - d)  # resistance on the motor side
+        far = stiff * error  # and on the load side
+        lines = view.to_lines(np.stack([near, far], axis=1))
+        out: Complex128 = np.zeros_like(view.acting)
+        back: Complex128 = np.zeros_like(view.base)
+        for at, force in ((a, lines[:, 0]), (b, lines[:, 1])):
+            out = out + view.push(((at, 1.0),)) * force[:, None]
+            back = back - view.yields(((at, 1.0),)) * force[:, None]
+        return out, back
+
+    def basis(self, view: View, place: Place, shape: Sequence[float]) -> Complex128:
+        small = 1e-6 * max(rms([view.wave(place.pattern(view.structure))]), 1e-12)
+        columns = [self.contribution(view, place, (*c, *shape))[0] / small for c in ((small, 0.0), (0.0, small))]
+        return np.stack(columns, axis=-1)
+
+    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
+        return {
+            "amplitude": float(np.hypot(x[0], x[1])),
+            "cycles_per_rev": float(np.exp(x[2])),
+            "phase": float(np.arctan2(x[1], x[0])),
+        }

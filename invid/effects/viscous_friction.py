@@ -1,29 +1,35 @@
-"""Viscous friction: F = coefficient · v."""
+"""Viscous friction to ground: coefficient·velocity."""
 
 from __future__ import annotations
 
-from invid.arrays import Complex128, Float64
-from invid.effects.base import Context, Effect, Family, Place, RecordMotion, Shape, every_mass
+from collections.abc import Sequence
+
+import numpy as np
+
+from invid.arrays import Complex128
+from invid.effects.base import ImpedanceEffect, Place, View, mass_places
+from invid.refine.structure import ChainStructure
 
 
-def _force(_context: Context, record: RecordMotion, place: Place, _shape: Shape) -> Complex128:
-    force: Complex128 = (1j * record.block.omega * record.q[:, place.a])[:, None]
-    return force
+class ViscousFriction(ImpedanceEffect):
+    """Resistance coefficient·θ̇."""
 
+    cause = "viscous_friction"
+    title = "viscous friction"
+    check = "Check the grease (too much, too stiff, cold) and the seals."
+    separate = "slow constant-velocity moves in both directions at several speeds"
+    family = "friction"
+    parameters = {"coefficient": "damping"}
+    coefficients = ("coefficient",)
+    lower, upper = (0.0,), (np.inf,)
+    main = "coefficient"
 
-def _static(c: Float64, _shape: Shape, v: float) -> float:
-    return float(c[0]) * v
+    def places(self, structure: ChainStructure) -> list[Place]:
+        return mass_places(structure)
 
+    def impedance(self, view: View, place: Place, x: Sequence[float]) -> Complex128:
+        out: Complex128 = 1j * view.omega * x[0]
+        return out
 
-EFFECT = Effect(
-    "viscous_friction",
-    Family.FRICTION,
-    every_mass,
-    lambda c, _s: {"coefficient": float(c[0])},
-    {"coefficient": "damping"},
-    "Check the lubricant (grade, temperature, fill level).",
-    force=_force,
-    lower=(0.0,),
-    words="viscous friction of {coefficient}",
-    static=_static,
-)
+    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
+        return {"coefficient": float(x[0])}

@@ -1,0 +1,270 @@
+"""The diagnosis of a recording: fit, test, select, judge, say."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, Literal
+
+import numpy as np
+
+from invid.arrays import Float64, frozen_float
+from invid.diagnosis import AxisResidual, Diagnosis, Finding, Unexplained, Verdict
+from invid.discrepancy.character import unexplained_of
+from invid.discrepancy.confidence import judge
+from invid.discrepancy.joint import JointFit, fit, held_out
+from invid.discrepancy.missing_torque import NullTest, null_test, rms_torque, with_scatter
+from invid.discrepancy.plant import Candidate, Layout
+from invid.discrepancy.records import split
+from invid.discrepancy.select import Selection, select
+from invid.effects.base import Record, unit_of
+from invid.errors import InputError
+from invid.model import ChainStd, EffectTerm, Estimate, Model
+from invid.recording.model import Recording
+from invid.refine.structure import ChainStructure
+from invid.spectra import LineSpectra, all_spectra
+
+EXPLAINED = 0.9
+"""Share of the excess that must go before a cause is named (prototype: separates named from outside)."""
+
+
+def diagnose(
+    recording: Recording,
+    *,
+    model: Model | None = None,
+    masses: Sequence[int] | Literal["auto"] | None = None,
+) -> Diagnosis:
+    """What the simulation gets wrong, the cause, the extended model and the gain.
+
+    Parameters
+    ----------
+    model
+        Start of the linear parameters; identified from the recording where not given.
+    masses
+        Masses of each axis for that identification; see ``invid.identify.identify``.
+
+    Raises
+    ------
+    InputError, NotIdentifiableError
+        Data from which no model can be drawn, or a model that does not fit the recording's axes.
+    """
+    from invid.trajectory import diagnose_trajectory, is_trajectory
+
+    if model is None and masses is None and is_trajectory(recording):
+        return diagnose_trajectory(recording, model=model)
+    if model is None:
+        from invid.identify import identify
+
+        model = identify(recording, masses=masses)
+    if model.axes != recording.axes:
+        raise InputError(
+            f"the model has the axes {list(model.axes)}, the recording {list(recording.axes)}; diagnose with the "
+            "model of this robot, or without one"
+        )
+    spectra = all_spectra(recording)
+    if not spectra:
+        raise InputError(f"{recording.source}: no experiment shakes an axis; nothing to compare with a model")
+    train, held, warnings = split(recording, spectra)
+    warnings = [*(w for s in spectra for w in s.warnings), *warnings]
+    base, train, held = linear_fit(model, recording, spectra, train, held)
+    selection = select(base, train, held, linear_axes=recording.linear)
+    return _document(recording, model, selection, train, held, warnings)
+
+
+def layout_of(structure: ChainStructure, records: Sequence[Record], origin: float) -> Layout:
+    """Delay and hold-over-the-sample parameters that the records leave open."""
+    motors = structure.motors
+    stairs = np.array([r.staircase for r in records])
+    unknown = tuple(i for i in range(motors) if np.isnan(stairs[:, i]).any())
+    known = np.nan_to_num(stairs[0], nan=0.5)
+    return Layout(structure, records[0].step, unknown, known, tuple(range(motors)), origin)
+
+
+def linear_fit(
+    model: Model,
+    recording: Recording,
+    spectra: Sequence[LineSpectra],
+    train: Sequence[Record],
+    held: Sequence[Record],
+) -> tuple[JointFit, list[Record], list[Record]]:
+    """The model without effects, fitted to the training records, and the records with their scatter."""
+    chains = model.chains
+    grounded = tuple(int(i) for i in np.flatnonzero(chains.ground_springs > 0))
+    structure = ChainStructure(chains.masses_per_branch, chains.axes, viscous=False, grounded=grounded)
+    origin = min(float(e.time[0]) for e in recording.experiments)
+    layout = layout_of(structure, train, origin)
+    start = np.zeros(layout.count)
+    start[: structure.count] = structure.vector(chains)
+    offsets = model.fit.get("time_offset_s", {}) if isinstance(model.fit, dict) else {}
+    for k, i in enumerate(layout.free_delays):
+        found = offsets.get(f"{structure.axes[i]}.time_offset", {})
+        value = found.get("value") if isinstance(found, dict) else None
+        start[structure.count + k] = 0.5 * layout.step if value is None else float(value)
+    if layout.free_stairs:
+        start[-len(layout.free_stairs) :] = 0.5
+    first = fit(layout, train, start, Candidate(), iterations=25)
+    train = with_scatter(train, spectra, layout, first.p)
+    held = with_scatter(held, spectra, layout, first.p)
+    return fit(layout, train, first.p, Candidate(), iterations=25), train, held
+
+
+def _document(
+    recording: Recording,
+    model: Model,
+    selection: Selection,
+    train: Sequence[Record],
+    held: Sequence[Record],
+    warnings: list[str],
+) -> Diagnosis:
+    base, final = selection.base, selection.final
+    before_test = null_test(
+        base.fit.cost + base.held.cost, base.fit.dof + base.held.dof, [*train, *held]
+    )
+    after_test = null_test(
+        final.fit.cost + final.held.cost, final.fit.dof + final.held.dof, [*train, *held]
+    )
+    anything = bool(selection.steps) or before_test.rejects
+    unit = unit_of("torque", recording.linear)
+    judged = judge(selection, recording, after_test)
+    named = judged.findings if judged.named else ()
+    shown = final if named else base
+    residual = []
+    for i, axis in enumerate(recording.axes):
+        before, floor_b = rms_torque(base.held, i)
+        after, floor = rms_torque(shown.held, i)
+        residual.append(AxisResidual(axis, unit, before, after, floor))
+    b2 = sum(r.before**2 for r in residual)
+    a2 = sum(r.after**2 for r in residual)
+    n2 = sum(r.noise_floor**2 for r in residual)
+    explained = None
+    if named:
+        explained = float(np.clip(1.0 - (a2 - n2) / max(b2 - n2, 1e-300), 0.0, 1.0))
+    unexplained: Unexplained | None = None
+    if not anything:
+        verdict = Verdict.CONSISTENT
+    elif not named:
+        verdict = Verdict.UNEXPLAINED
+        unexplained = unexplained_of(base, recording)
+    elif judged.complete:
+        verdict = Verdict.EXPLAINED
+    else:
+        verdict = Verdict.PARTLY_EXPLAINED
+        unexplained = unexplained_of(final, recording)
+    findings = tuple(named)
+    sentences = [f.sentence for f in findings]
+    if verdict is Verdict.CONSISTENT:
+        sentences.append("The model explains the measurement to within its noise: nothing is missing.")
+    if unexplained is not None:
+        sentences.append(unexplained.sentence)
+    extended = extended_model(model, shown.fit, tuple(f.effect for f in findings), recording, train)
+    return Diagnosis(
+        verdict=verdict,
+        residual=tuple(residual),
+        explained_fraction=explained,
+        findings=findings,
+        unexplained=unexplained,
+        model=extended,
+        warnings=tuple(dict.fromkeys([*model.warnings, *warnings, *judged.warnings])),
+        sentences=tuple(sentences),
+        details=_details(before_test, after_test, selection, judged.explained),
+    )
+
+
+def _details(
+    before: NullTest, after: NullTest, selection: Selection, explained: float
+) -> dict[str, Any]:
+    def test(t: NullTest) -> dict[str, float]:
+        return {"chi2": t.chi2, "dof": t.dof, "noise_dof": t.noise_dof, "p": t.p}
+
+    return {
+        "null_test": test(before),
+        "null_test_after": test(after),
+        "weighted_explained_fraction": explained,
+        "candidates": [
+            [
+                {
+                    "cause": trial.term.effect.cause,
+                    "axis": trial.fit.layout.structure.axes[trial.term.place.axis],
+                    "element": trial.term.place.element,
+                    "chi2": trial.fit.cost,
+                    "chi2_held_out": trial.held.cost,
+                    "score": score,
+                }
+                for trial, score in step.ranked
+            ]
+            for step in selection.steps
+        ],
+    }
+
+
+def extended_model(
+    model: Model,
+    fitted: JointFit,
+    effects: tuple[EffectTerm, ...],
+    recording: Recording,
+    train: Sequence[Record],
+) -> Model:
+    """The linear parameters refitted jointly, with the effects."""
+    structure = fitted.layout.structure
+    chains = structure.chains(fitted.p[: structure.count])
+    values = structure.physical(fitted.p[: structure.count])
+    factor = np.where(structure.logarithmic, values, 1.0)
+    n = structure.count
+    with np.errstate(invalid="ignore"):
+        covariance = fitted.covariance[:n, :n] * factor[:, None] * factor
+    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    std = np.where(np.isfinite(std), std, np.nan)
+    at = structure.slices
+
+    def split_(part: Float64, counts: Sequence[int]) -> tuple[Float64, ...]:
+        return tuple(frozen_float(x) for x in np.split(part, np.cumsum(counts)[:-1]))
+
+    links = [k - 1 for k in structure.sizes]
+    couplings = np.full((structure.motors, structure.motors), np.nan)
+    for (i, j), s in zip(structure.coupling_pairs, std[at["coupling"]], strict=True):
+        couplings[i, j] = couplings[j, i] = s
+    ground = np.full(structure.motors, np.nan)
+    ground[list(structure.grounded)] = std[at["ground_spring"]]
+    from invid.model import parameter_vector
+
+    names = parameter_vector(chains)[0]
+    place = {name: k for k, name in enumerate(structure.names)}
+    index = [place[name] for name in names]
+    finite = bool(np.isfinite(covariance).all())
+    layout = fitted.layout
+    offsets = layout.delays(fitted.p)
+    facts = {
+        **dict(model.fit),
+        "chi2": fitted.cost,
+        "dof": fitted.dof,
+        "time_offset_s": {
+            f"{structure.axes[i]}.time_offset": {
+                "value": float(offsets[i]),
+                "std": _finite(float(np.sqrt(max(fitted.covariance[n + k, n + k], 0.0)))),
+            }
+            for k, i in enumerate(layout.free_delays)
+        },
+        "joint_with_effects": bool(effects),
+    }
+    return replace(
+        model,
+        chains=chains,
+        std=ChainStd(
+            masses=split_(std[at["mass"]], structure.sizes),
+            springs=split_(std[at["spring"]], links),
+            dampers=split_(std[at["damper"]], links),
+            couplings=frozen_float(couplings),
+            ground_springs=frozen_float(ground),
+        ),
+        effects=effects,
+        covariance=frozen_float(covariance[np.ix_(index, index)]) if finite else None,
+        parameter_names=names if finite else (),
+        fit=facts,
+    )
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
+__all__ = ["Estimate", "Finding", "diagnose", "extended_model", "held_out", "linear_fit"]

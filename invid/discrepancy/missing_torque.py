@@ -1,0 +1,132 @@
+"""The missing torque against the noise: is there anything at all, where, and of what kind."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import f as f_distribution
+
+from invid.arrays import Bool, Complex128, Float64
+from invid.discrepancy.plant import Evaluation, Layout, noise_of, views_of
+from invid.effects.base import Record
+from invid.spectra import LineSpectra
+
+FALSE_ALARM = 0.01
+"""Share of null recordings that may be called anything but consistent."""
+LINES = 40
+"""Lines over which the scatter between periods is pooled: 80 real degrees of freedom a period."""
+
+
+@dataclass(frozen=True)
+class NullTest:
+    """χ² of the missing torque against the noise, F distributed: the noise is itself estimated."""
+
+    chi2: float
+    dof: int
+    noise_dof: float
+    p: float
+
+    @property
+    def rejects(self) -> bool:
+        """Whether noise alone would give this less often than the false-alarm rate."""
+        return self.p < FALSE_ALARM
+
+
+def null_test(cost: float, dof: int, records: Sequence[Record]) -> NullTest:
+    """Sensors' noise enters through few numbers estimated from many quiet lines: χ²/ν is F(ν, ν_noise)."""
+    noise_dof = float(sum(r.noise_dof for r in records))
+    p = float(f_distribution.sf(cost / max(dof, 1), max(dof, 1), max(noise_dof, 2.0)))
+    return NullTest(cost, dof, noise_dof, p)
+
+
+def with_scatter(
+    records: Sequence[Record], spectra: Sequence[LineSpectra], layout: Layout, p: Float64
+) -> list[Record]:
+    """Records with the scatter between periods in their noise, where it exceeds the sensors' floor.
+
+    The scatter of Z Θ − T over periods, in units of what the floor predicts; pooled over neighbouring
+    lines and taken only where three standard errors above one: coloured noise, a process that does
+    not repeat. Motion that does not repeat cancels in Z Θ − T and raises nothing.
+    """
+    known = {s.key: s for s in spectra}
+    out = []
+    for record, view in zip(records, views_of(layout, records, p), strict=True):
+        s = known[record.key]
+        periods = s.deviations.shape[0]
+        if periods < 2:
+            out.append(record)
+            continue
+        motors = record.torque.shape[1]
+        lines = record.omega.size - 1
+        factor = np.where(np.abs(record.torque) > 0, view.acting / np.where(
+            np.abs(record.torque) > 0, record.torque, 1.0), 1.0)
+        own = s.deviations[:, :lines]
+        z = view.stiffness[1:]
+        e = np.einsum("fij,pfj->pfi", z, own[..., :motors]) - factor[1:] * own[..., motors:]
+        plain = replace(record, scatter=np.ones_like(record.scatter))
+        plain_view = views_of(layout, [plain], p)[0]
+        expected = np.einsum("fii->fi", noise_of(plain_view, factor)).real[1:]
+        # ``noise`` is of the mean over the periods used in this record.
+        share = float(record.noise[1, 0] / max(s.floor[0], 1e-300))
+        used = max(round(periods / share), 1)
+        single = expected * used
+        ratio = (np.abs(e) ** 2).sum(axis=0) / (periods - 1) / single
+        scatter = np.ones_like(record.scatter)
+        window = min(LINES, lines)
+        kernel = np.ones(window) / window
+        error = 1.0 / np.sqrt(window * (periods - 1))
+        for i in range(motors):
+            total = np.convolve(np.pad(ratio[:, i], window, mode="reflect"), kernel, mode="same")[window:-window]
+            overall = float(ratio[:, i].mean())
+            spread = 1.0 / np.sqrt(lines * (periods - 1))
+            level = overall if overall > 1.0 + 3.0 * spread else 1.0
+            scatter[1:, i] = np.where(total > level + 3.0 * error * level, total, level)
+        mean = _mean_scatter(s, record, used)
+        scatter[0] = np.maximum(scatter[1], mean)
+        out.append(replace(record, scatter=scatter))
+    return out
+
+
+def _mean_scatter(s: LineSpectra, record: Record, used: int) -> Float64:
+    """(M,) how much slow wander the mean torque carries beside white noise: unknown from lines alone.
+
+    Neighbours of 0 Hz: the scatter of the first lines stands for that of the mean.
+    """
+    motors = record.torque.shape[1]
+    first = s.deviations[:, :3, motors:]
+    if first.shape[0] < 2:
+        return np.ones(motors)
+    power = (np.abs(first) ** 2).sum(axis=(0, 1)) / max(first.shape[0] - 1, 1) / 3
+    out: Float64 = np.maximum(power / np.maximum(record.noise[1, motors:] * used, 1e-300), 1.0)
+    return out
+
+
+def informative(covariance: Complex128, record: Record) -> Bool:
+    """(F, M) lines that say something: not those where a clamped resonance multiplies position noise."""
+    level = np.einsum("fii->fi", covariance).real
+    good: Bool = level <= 10.0 * np.median(level, axis=0)
+    good[0] = True
+    if record.weight.size:
+        good &= record.weight[:, None] > 0
+    return good
+
+
+def rms_torque(evaluation: Evaluation, axis: int, bands: Sequence[Bool] | None = None) -> tuple[float, float]:
+    """Rms over time of an axis' missing torque and of what noise leaves, mean over the records."""
+    powers, floors = [], []
+    for number, view in enumerate(evaluation.views):
+        r = evaluation.missing[number][:, axis]
+        c = np.einsum("fii->fi", evaluation.covariance[number]).real[:, axis]
+        good = (informative(evaluation.covariance[number], view.record) if bands is None else bands[number])[:, axis]
+        weight = np.full(r.size, 0.5)
+        weight[0] = 1.0
+        powers.append(float((np.abs(r) ** 2 * weight)[good].sum()))
+        c = c.copy()
+        c[0] *= 0.5  # real
+        floors.append(float((c * weight)[good].sum()))
+    return float(np.sqrt(np.mean(powers))), float(np.sqrt(np.mean(floors)))
+
+
+__all__ = ["NullTest", "informative", "null_test", "rms_torque", "with_scatter"]

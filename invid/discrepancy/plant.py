@@ -1,0 +1,370 @@
+"""The linear plant with effects, fitted jointly to the missing torque of all records.
+
+r = Z Θ − A T + Σ contributions, whitened with C_r = [Z, −A] C_n [Z, −A]ᴴ times what the scatter between
+periods adds. The Jacobian of the linear parameters is taken at the projected measurement (the cost's
+gradient is then exact for errors in variables); that of effects by differences, which costs one
+evaluation of the effect and no new plant.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from invid.arrays import Bool, Complex128, Float64
+from invid.effects.base import Effect, Place, Record, View
+from invid.refine.problem import condense_dense
+from invid.refine.structure import ChainStructure
+
+PASSES = 4
+"""Fixed-point steps of inner motion and the forces that depend on it."""
+
+
+@dataclass(frozen=True)
+class Term:
+    """An effect at a place."""
+
+    effect: Effect
+    place: Place
+
+    @property
+    def size(self) -> int:
+        """Length of its parameter vector."""
+        return len(self.effect.coefficients) + len(self.effect.shapes)
+
+    @property
+    def inner(self) -> bool:
+        """Whether it depends on inner motion, which forces change."""
+        return self.place.kind in ("spring", "pair") or (self.place.kind == "mass" and self.place.number > 1)
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """Effects with their parameter vectors."""
+
+    terms: tuple[Term, ...] = ()
+    x: tuple[Float64, ...] = ()
+
+    def plus(self, term: Term, x: Float64) -> Candidate:
+        """One effect more."""
+        return Candidate((*self.terms, term), (*self.x, np.asarray(x, dtype=float)))
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """The parameter vector: structure, delay of each axis, share held over the sample of each axis."""
+
+    structure: ChainStructure
+    step: float
+    free_stairs: tuple[int, ...]
+    known_stairs: Float64
+    free_delays: tuple[int, ...]
+    origin: float
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all parameters."""
+        axes = self.structure.axes
+        return (
+            *self.structure.names,
+            *(f"{axes[i]}.time_offset" for i in self.free_delays),
+            *(f"{axes[i]}.held_over_sample" for i in self.free_stairs),
+        )
+
+    @property
+    def count(self) -> int:
+        """n."""
+        return self.structure.count + len(self.free_delays) + len(self.free_stairs)
+
+    def delays(self, p: Float64) -> Float64:
+        """(M,) [s]."""
+        out = np.zeros(self.structure.motors)
+        at = self.structure.count
+        out[list(self.free_delays)] = p[at : at + len(self.free_delays)]
+        return out
+
+    def stairs(self, p: Float64) -> Float64:
+        """(M,) share of the torque that is held over each sample."""
+        out = self.known_stairs.copy()
+        out[list(self.free_stairs)] = p[self.structure.count + len(self.free_delays) :]
+        return out
+
+    def without_delay(self, axes: Sequence[int]) -> tuple[Layout, Bool]:
+        """The layout with some axes' delays fixed at zero, and which parameters stay."""
+        kept = tuple(i for i in self.free_delays if i not in axes)
+        stay = np.ones(self.count, dtype=bool)
+        for k, i in enumerate(self.free_delays):
+            if i in axes:
+                stay[self.structure.count + k] = False
+        return replace(self, free_delays=kept), stay
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """Whitened residual and what it is made of, per record."""
+
+    residual: Float64
+    jacobian: Float64
+    cost: float
+    missing: tuple[Complex128, ...]
+    """(F, M) missing torque r of every record, boundary terms taken out."""
+    covariance: tuple[Complex128, ...]
+    views: tuple[View, ...]
+    bases: tuple[Float64, ...] = field(default=())
+    roots: tuple[Complex128, ...] = field(default=())
+    dof: int = 0
+
+
+def views_of(layout: Layout, records: Sequence[Record], p: Float64) -> list[View]:
+    """Every record through the plant at ``p``."""
+    structure = layout.structure
+    sp = p[: structure.count]
+    values = structure.physical(sp)
+    plants: dict[bytes, tuple[Complex128, Complex128, Complex128]] = {}
+    out = []
+    delays, stairs = layout.delays(p), layout.stairs(p)
+    for record in records:
+        key = record.omega.tobytes()
+        if key not in plants:
+            plants[key] = condense_dense(structure, sp, record.omega)
+        motion, stiffness, inner = plants[key]
+        out.append(
+            View(
+                record,
+                structure,
+                motion,
+                stiffness,
+                inner,
+                _acting(record, delays, stairs)[0],
+                values[structure.slices["spring"]],
+                values[structure.slices["damper"]],
+                values[structure.slices["mass"]],
+                layout.origin,
+            )
+        )
+    return out
+
+
+def _acting(record: Record, delays: Float64, stairs: Float64) -> tuple[Complex128, Complex128, Complex128]:
+    """Torque that acts (F, M), factor A, and its derivative by the stairs.
+
+    Where the demand is logged beside a hold, the demand is held over the sample (the contract says
+    so) and ``stairs`` is the share of the rest that is.
+    """
+    w = record.omega
+    smear = (1.0 - np.sinc(w * record.step / 2 / np.pi))[:, None]
+    z = np.exp(-1j * w[:, None] * delays)
+    factor = z * (1.0 - stairs * smear)
+    if record.command is None:
+        return factor * record.torque, factor, -z * smear * record.torque
+    rest = record.torque - record.command
+    acting = z * (record.command * (1.0 - smear) + rest * (1.0 - stairs * smear))
+    return acting, factor, -z * smear * rest
+
+
+def contributions(view: View, candidate: Candidate) -> Complex128:
+    """(F, M) of all effects, inner motion brought into agreement with the forces."""
+    total: Complex128 = np.zeros_like(view.acting)
+    if not candidate.terms:
+        return total
+    passes = PASSES if any(t.inner for t in candidate.terms) else 1
+    for number in range(passes):
+        total = np.zeros_like(view.acting)
+        back: Complex128 = np.zeros_like(view.base)
+        for term, x in zip(candidate.terms, candidate.x, strict=True):
+            own, yields = term.effect.contribution(view, term.place, x)
+            total = total + own
+            if yields is not None:
+                back = back + yields
+        if number == passes - 1:
+            break
+        scale = float(np.abs(view.base).max())
+        if float(np.abs(back - view.feedback).max()) < 1e-7 * scale:
+            break
+        view.respond(back if number == 0 else 0.5 * (back + view.feedback) if number > 1 else back)
+    return total
+
+
+def evaluate(
+    layout: Layout,
+    records: Sequence[Record],
+    p: Float64,
+    candidate: Candidate,
+    *,
+    jacobian: bool = True,
+    boundary: Sequence[Float64] | None = None,
+) -> Evaluation:
+    """Whitened residual (rows,) and Jacobian (rows, parameters of layout, then of the effects)."""
+    structure = layout.structure
+    views = views_of(layout, records, p)
+    effects = sum(t.size for t in candidate.terms)
+    residuals, jacobians, missing, covariances, bases, roots = [], [], [], [], [], []
+    dof = 0
+    for view in views:
+        record = view.record
+        _, factor, by_stair = _acting(record, layout.delays(p), layout.stairs(p))
+        extra = contributions(view, candidate)
+        r = np.einsum("fij,fj->fi", view.stiffness, record.position) - view.acting + extra
+        covariance = noise_of(view, factor)
+        root = _whitener(covariance)
+        if record.weight.size:
+            root = root * record.weight[:, None, None]
+        columns: Complex128 | None = None
+        if jacobian:
+            columns = np.zeros((*r.shape, layout.count + effects), dtype=complex)
+            gain = np.linalg.solve(covariance, r[..., None])[..., 0]
+            motors = structure.motors
+            noise = record.noise
+            # Only the sensors' noise moves the measurement: the scatter's share is in ``covariance``.
+            position = record.position - noise[:, :motors] * np.einsum(
+                "fij,fi->fj", view.stiffness.conj(), gain
+            )
+            q = np.einsum("fqm,fm->fq", view.motion, position) + view.feedback
+            sp = p[: structure.count]
+            columns[..., : structure.count] = structure.torque_derivative(
+                sp, record.omega, view.motion, q[None]
+            )[0]
+            at = structure.count
+            for k, i in enumerate(layout.free_delays):
+                columns[:, i, at + k] = 1j * record.omega * view.acting[:, i]
+            at += len(layout.free_delays)
+            for k, i in enumerate(layout.free_stairs):
+                columns[:, i, at + k] = -by_stair[:, i]
+            at += len(layout.free_stairs)
+            _effect_columns(view, candidate, extra, columns, at)
+        basis = np.zeros((0, 0))
+        white = _stack(root @ r[..., None])[:, 0]
+        if record.transient:
+            edges = _boundary(view, layout, p)
+            basis = _basis(_stack(root @ edges))
+            ends = basis.T @ white
+            white = white - basis @ ends
+            r = r - _unstack(np.linalg.inv(_safe(root)), basis @ ends, r.shape)
+        residuals.append(white)
+        bases.append(basis)
+        roots.append(root)
+        if columns is not None:
+            part = _stack(root @ columns)
+            if record.transient:
+                part = part - basis @ (basis.T @ part)
+            jacobians.append(part)
+        missing.append(r)
+        covariances.append(covariance)
+        lines = int(record.weight.sum()) if record.weight.size else record.omega.size
+        dof += 2 * lines * structure.motors - structure.motors - basis.shape[1]
+    priors, prior_rows = _priors(layout, p, effects)
+    residuals.append(priors)
+    if jacobian:
+        jacobians.append(prior_rows)
+    residual = np.concatenate(residuals)
+    return Evaluation(
+        residual,
+        np.concatenate(jacobians) if jacobian else np.zeros((0, 0)),
+        float(residual @ residual),
+        tuple(missing),
+        tuple(covariances),
+        tuple(views),
+        tuple(bases),
+        tuple(roots),
+        dof,
+    )
+
+
+def _safe(root: Complex128) -> Complex128:
+    """Whiteners that can be inverted where lines are switched off."""
+    off = np.abs(root).sum(axis=(1, 2)) == 0
+    out = root.copy()
+    out[off] = np.eye(root.shape[1])
+    return out
+
+
+def _priors(layout: Layout, p: Float64, effects: int) -> tuple[Float64, Float64]:
+    """Torque is held over the sample (1), continuous (0), or smoothed in between; dampers are weakly ≥ 0."""
+    stairs = len(layout.free_stairs)
+    rows = np.zeros((stairs, layout.count + effects))
+    at = layout.count - stairs
+    for k in range(stairs):
+        rows[k, at + k] = 2.0
+    return 2.0 * (p[at:] - 0.5), rows
+
+
+def _effect_columns(
+    view: View, candidate: Candidate, extra: Complex128, columns: Complex128, at: int
+) -> None:
+    """Derivatives of the contributions by differences."""
+    feedback = view.feedback
+    for number, (term, x) in enumerate(zip(candidate.terms, candidate.x, strict=True)):
+        count = len(term.effect.coefficients)
+        for k in range(x.size):
+            if k < count:
+                size = float(np.abs(x[:count]).max())
+                h = 1e-4 * size if size > 0 else 1e-9
+            else:
+                h = 1e-4 * (1.0 if term.effect.logarithmic[k - count] else max(abs(float(x[k])), 1e-6))
+            moved = x.copy()
+            moved[k] += h
+            changed = Candidate(
+                candidate.terms, (*candidate.x[:number], moved, *candidate.x[number + 1 :])
+            )
+            columns[..., at] = (contributions(view, changed) - extra) / h
+            if any(t.inner for t in candidate.terms):
+                view.respond(feedback)
+            at += 1
+
+
+def noise_of(view: View, factor: Complex128) -> Complex128:
+    """(F, M, M) covariance of r."""
+    record = view.record
+    motors = record.torque.shape[1]
+    z = view.stiffness
+    covariance = np.einsum("fij,fj,fkj->fik", z, record.noise[:, :motors], z.conj())
+    index = np.arange(motors)
+    covariance[:, index, index] += np.abs(factor) ** 2 * record.noise[:, motors:]
+    s = np.sqrt(record.scatter)
+    out: Complex128 = covariance * s[:, :, None] * s[:, None, :]
+    return out
+
+
+def _boundary(view: View, layout: Layout, p: Float64) -> Complex128:
+    """(F, M, 2ΣN) missing torque for a unit jump of each coordinate's position and velocity."""
+    mass, damping, _ = layout.structure.matrices(p[: layout.structure.count])
+    omega = view.omega
+    at_position = damping + 1j * omega[:, None, None] * mass
+    forces = np.concatenate((at_position, np.broadcast_to(mass, at_position.shape)), axis=2)
+    forces = forces * (2.0 / view.record.span)
+    forces[0] *= 0.5
+    out: Complex128 = view.motion.transpose(0, 2, 1) @ forces
+    return out
+
+
+def _basis(columns: Float64) -> Float64:
+    scale = np.linalg.norm(columns, axis=0)
+    left, size, _ = np.linalg.svd(columns[:, scale > 0] / scale[scale > 0], full_matrices=False)
+    out: Float64 = left[:, size > 1e-9 * size[0]]
+    return out
+
+
+def _whitener(covariance: Complex128) -> Complex128:
+    """√2·L⁻¹: real and imaginary part of the whitened residual have unit variance."""
+    diagonal = np.sqrt(np.maximum(np.einsum("fii->fi", covariance).real, 1e-300))
+    scaled = covariance / diagonal[:, :, None] / diagonal[:, None, :]
+    lower = np.linalg.cholesky(scaled + 1e-12 * np.eye(covariance.shape[1]))
+    root: Complex128 = np.sqrt(2.0) * np.linalg.inv(lower) / diagonal[:, None, :]
+    return root
+
+
+def _stack(values: Complex128) -> Float64:
+    flat = values.reshape(-1, values.shape[-1])
+    return np.concatenate((flat.real, flat.imag))
+
+
+def _unstack(inverse_root: Complex128, rows: Float64, shape: tuple[int, ...]) -> Complex128:
+    half = rows.size // 2
+    white = (rows[:half] + 1j * rows[half:]).reshape(shape)
+    out: Complex128 = (inverse_root @ white[..., None])[..., 0]
+    return out
+
+
+__all__ = ["Candidate", "Evaluation", "Layout", "Term", "contributions", "evaluate", "noise_of", "views_of"]

@@ -1,0 +1,65 @@
+"""Sentences for the person who has to do something about it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from invid.diagnosis import Alternative
+from invid.effects import CATALOGUE
+from invid.effects.base import Effect
+from invid.model import EffectTerm, Estimate
+
+BY_CAUSE: dict[str, Effect] = {e.cause: e for e in CATALOGUE}
+
+
+def number(estimate: Estimate) -> str:
+    """Value ± one standard deviation with as many digits as it deserves."""
+    unit = f" {estimate.unit}" if estimate.unit and estimate.unit != "1" else ""
+    if estimate.std is None or not estimate.std > 0:
+        return f"{estimate.value:.4g}{unit}"
+    from math import floor, log10
+
+    digits = max(0, min(8, 1 - floor(log10(estimate.std))))
+    if abs(estimate.value) >= 1e5 or abs(estimate.value) < 1e-3:
+        return f"{estimate.value:.3g} ± {estimate.std:.1g}{unit}"
+    return f"{estimate.value:.{digits}f} ± {estimate.std:.{digits}f}{unit}"
+
+
+def place_of(term: EffectTerm, sizes: Sequence[int], axes: Sequence[str]) -> str:
+    """"at the motor", "at the load", "in spring 2"."""
+    if term.other_axis is not None:
+        return f" to axis {term.other_axis}"
+    if term.element is None:
+        return ""
+    kind, _, q = term.element.partition(" ")
+    if kind == "spring":
+        return f" in {term.element}, counted from the motor"
+    if q == "1":
+        return " at the motor"
+    return " at the load" if int(q) == sizes[list(axes).index(term.axis)] else f" at {term.element}"
+
+
+def finding_sentence(
+    term: EffectTerm,
+    fraction: float,
+    confidence: float,
+    rivals: Sequence[Alternative],
+    sizes: Sequence[int],
+    axes: Sequence[str],
+) -> str:
+    """Cause, place, size, gain, what to check; or what it cannot be told from."""
+    effect = BY_CAUSE[term.cause]
+    main = term.parameters.get(effect.main)
+    size = f" of {number(main)}" if main is not None else ""
+    if term.cause == "torque_gain" and main is not None:
+        size = f" (true torque is {number(main)} times the record)"
+    text = (
+        f"Axis {term.axis}: {effect.title}{size}{place_of(term, sizes, axes)} explains {100 * fraction:.0f} % of "
+        "what the model missed."
+    )
+    if rivals:
+        others = sorted({BY_CAUSE[r.cause].title + (f" on {r.axis}" if r.axis != term.axis else "") for r in rivals})
+        text += f" The data cannot tell it from {', '.join(others)}: {effect.separate}."
+    elif confidence < 0.8:
+        text += f" This is likely, not certain; to be sure: {effect.separate}."
+    return f"{text} {effect.check}"

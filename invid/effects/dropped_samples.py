@@ -1,0 +1,26 @@
+"""Rows of an axis that repeat the one before: found in the samples themselves, not by regression."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from invid.effects.base import Effect, Place
+from invid.refine.structure import ChainStructure
+
+
+class DroppedSamples(Effect):
+    """Each row repeats the one before with probability ``fraction``."""
+
+    cause = "dropped_samples"
+    title = "samples that were lost and repeated"
+    check = "Check the bus load, the SYNC period and the PDO mapping of the axis."
+    separate = "record the timestamps of every frame"
+    family = "sampling"
+    parameters = {"fraction": "ratio"}
+    main = "fraction"
+
+    def places(self, structure: ChainStructure) -> list[Place]:
+        return []
+
+    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
+        return {"fraction": float(x[0])}

@@ -1,0 +1,36 @@
+"""A damper parallel to a spring. The linear model has one beside every spring already."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from invid.arrays import Complex128
+from invid.effects.base import ImpedanceEffect, Place, View
+from invid.refine.structure import ChainStructure
+
+
+class SpringDamping(ImpedanceEffect):
+    """Resistance coefficient·ḋ between the masses a spring joins."""
+
+    cause = "spring_damping"
+    title = "damping in the transmission"
+    check = "Check the gear's grease and its elastomer parts."
+    separate = "none needed: the linear fit contains it"
+    family = "linear"
+    parameters = {"coefficient": "damping"}
+    coefficients = ("coefficient",)
+    lower, upper = (0.0,), (np.inf,)
+    main = "coefficient"
+
+    def places(self, structure: ChainStructure) -> list[Place]:
+        # The damper beside every spring is fitted with the linear parameters: nothing is left to name.
+        return []
+
+    def impedance(self, view: View, place: Place, x: Sequence[float]) -> Complex128:
+        out: Complex128 = 1j * view.omega * x[0]
+        return out
+
+    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
+        return {"coefficient": float(x[0])}
