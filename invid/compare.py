@@ -521,7 +521,7 @@ def _sentences(c: Comparison) -> tuple[str, ...]:
     changed = [x for x in everything if x.status is Status.CHANGED]
     unchanged = [x for x in everything if x.status is Status.UNCHANGED]
     open_ones = [x for x in everything if x.status is Status.CANNOT_TELL]
-    said = interpret(changed, c.parameters)
+    said = interpret(changed, c.parameters, c.tolerance)
     said += list(c.structure)
     spread_out = c.joint_p is not None and c.joint_p < c.alpha and not changed
     if spread_out:

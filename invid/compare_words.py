@@ -23,8 +23,11 @@ def differing_number(value: float, std: float) -> str:
     return f"{value:.{decimals}f}"
 
 
-def interpret(changed: Sequence[Change], every: Sequence[Change]) -> list[str]:
-    """One sentence a change, or one for changes that have one reason."""
+def interpret(changed: Sequence[Change], every: Sequence[Change], tolerance: float) -> list[str]:
+    """One sentence a change, or one for changes that have one reason.
+
+    A change that is significant but certainly below the tolerance gets no interpretation.
+    """
     said: list[str] = []
     left = list(changed)
     for axis in dict.fromkeys(c.axis for c in changed):
@@ -40,9 +43,11 @@ def interpret(changed: Sequence[Change], every: Sequence[Change]) -> list[str]:
             "change."
         )
         left = [c for c in left if c not in own]
-    final_masses = [c for c in left if c.final]
-    for c in left:
-        said.append(f"{_numbers(c)}{_meaning(c, len(final_masses))}")
+    small = [c for c in left if c.bound is not None and c.bound <= tolerance]
+    large = [c for c in left if c not in small]
+    final_masses = [c for c in large if c.final]
+    said += [f"{_numbers(c)}{_meaning(c, len(final_masses))}" for c in large]
+    said += [f"{_numbers(c)}: beyond its uncertainty, but below {100 * tolerance:.3g} %." for c in small]
     return said
 
 

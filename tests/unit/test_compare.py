@@ -136,6 +136,12 @@ def test_a_wide_uncertainty_is_no_proof_of_no_change() -> None:
     assert "would not be seen" in result.sentences[-1]
 
 
+def test_a_change_that_is_significant_but_tiny_is_said_without_a_story() -> None:
+    result = compare(model(relative=1e-5), model([[0.7, 2.0, 3.003], MASSES[1]], relative=1e-5))
+    assert result.sentences[0].endswith(": beyond its uncertainty, but below 2 %.")
+    assert "tool" not in result.sentences[0]
+
+
 def test_repeatability_of_the_robot_silences_small_changes() -> None:
     slightly = model([[0.7, 2.0, 3.0], [4.0, 5.0, 6.2]])
     assert by_name(compare(model(), slightly), "A2.mass.3") is Status.CHANGED
