@@ -154,8 +154,7 @@ def covariance_of(modes: Modes, chains: CoupledChains) -> Float64:
     n, count = modes.shapes.shape
     base = _vector(chains)
     jacobian = np.zeros((base.size, std.size))
-    friction = pairs(count)[0].size
-    for p in range(std.size - friction):
+    for p in range(2 * n + n * count + int(high_gain_pairs(modes.masses).sum())):
         step = 0.1 * std[p]
         if step <= 0 or n <= p < 2 * n:  # damping ratios do not enter
             continue

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from invid.arrays import Bool, Complex128, Float64
 from invid.errors import InputError, NotIdentifiableError
-from invid.modes.model import Modes, high_gain_pairs, mode_shape_functions, pairs
+from invid.modes.model import Modes, high_gain_pairs, lag_functions, mode_shape_functions, pairs
 from invid.modes.vector_fit import relocate_poles
 
 _MOST_VALUES = 12_000  # for the pole search alone; beyond that lines add time, not poles
@@ -77,12 +77,16 @@ def fit_modes(
         weight = data.weight(model_error)
         for poles in _pole_candidates(data, weight, order):
             fit = _levenberg(data, weight, _residue_start(data, weight, poles), 20)
+            if data.modes and _reduced(data, data.weight(0.0), fit) > _GOOD:
+                fit = _levenberg(data, weight, replace(fit, lag=np.zeros(fit.shapes.shape)), 20)
             # candidates are compared under one weight that no candidate was favoured by
             cost = _robust_cost(data, fit)
             if best is None or cost < best[0]:
                 best = (cost, fit)
         if best is not None and _reduced(data, data.weight(0.0), best[1]) < _GOOD:
             break
+    if best is not None and data.modes and _reduced(data, data.weight(0.0), best[1]) > _GOOD:
+        best = _moved_to_the_misfit(data, best)
     if best is None:
         raise NotIdentifiableError("modal fit: no start converged; measure longer or raise the amplitude")
     return _finish(data, best[1])
@@ -188,6 +192,36 @@ def _starting_frequencies(data: _Data, pick: npt.NDArray[np.intp], n: int) -> li
     return [np.sort(peaks), linear, geometric]
 
 
+def _moved_to_the_misfit(data: _Data, best: tuple[float, _Fit]) -> tuple[float, _Fit]:
+    """The weakest mode tried where the misfit is largest: a missed peak is found there."""
+    weight = data.weight(0.01)
+    rows, columns = pairs(data.count)
+    tried: list[float] = []
+    for _ in range(4):
+        fit = best[1]
+        misfit = np.sum((weight * _misfit(data, fit)) ** 2, axis=1)
+        misfit = np.convolve(misfit, np.ones(3) / 3, mode="same")
+        for known in tried:
+            misfit[np.abs(np.log(data.w / known)) < 0.02] = 0.0
+        target = float(data.w[int(np.argmax(misfit))])
+        tried.append(target)
+        functions = mode_shape_functions(data.w, fit.omega, fit.damping)
+        energy = np.einsum("fp,fr->rp", weight**2, np.abs(functions) ** 2)
+        strength = np.sum(energy * (fit.shapes[:, rows] * fit.shapes[:, columns]) ** 2, axis=1)
+        poles = (fit.omega * (-np.minimum(fit.damping, 0.5) + 1j)).astype(np.complex128)
+        for weakest in np.argsort(strength)[:2]:
+            moved = poles.copy()
+            moved[weakest] = target * (-_STARTING_DAMPING + 1j)
+            fresh = _residue_start(data, weight, moved)
+            fresh = _levenberg(data, weight, replace(fresh, lag=np.zeros(fresh.shapes.shape)), 30)
+            cost = _robust_cost(data, fresh)
+            if cost < best[0]:
+                best = (cost, fresh)
+        if _reduced(data, data.weight(0.0), best[1]) < _GOOD:
+            break
+    return best
+
+
 # --- all modes -------------------------------------------------------------------------------------
 @dataclass(frozen=True, eq=False)
 class _Fit:
@@ -196,6 +230,7 @@ class _Fit:
     shapes: Float64  # (n, M)
     high: Float64  # (allowed,)
     friction: Float64  # (P,)
+    lag: Float64 | None = None  # (n, M) where complex modes are fitted
 
 
 def _model(data: _Data, fit: _Fit, allowed: Bool) -> Complex128:
@@ -203,6 +238,9 @@ def _model(data: _Data, fit: _Fit, allowed: Bool) -> Complex128:
     g = mode_shape_functions(data.w, fit.omega, fit.damping) @ (fit.shapes[:, rows] * fit.shapes[:, columns])
     g = g - 1j * fit.friction / data.w[:, None] ** 3
     g[:, allowed] -= fit.high / data.w[:, None] ** 2
+    if fit.lag is not None:
+        turned = fit.shapes[:, rows] * fit.lag[:, columns] + fit.lag[:, rows] * fit.shapes[:, columns]
+        g = g + lag_functions(data.w, fit.omega, fit.damping) @ turned
     out: Complex128 = g
     return out
 
@@ -260,15 +298,20 @@ def _residue_start(data: _Data, weight: Float64, poles: Complex128) -> _Fit:
 
 
 def _pack(fit: _Fit) -> Float64:
+    lag = np.zeros(0) if fit.lag is None else fit.lag.ravel()
     packed: Float64 = np.concatenate(
-        (np.log(fit.omega), np.log(fit.damping), fit.shapes.ravel(), fit.high, fit.friction)
+        (np.log(fit.omega), np.log(fit.damping), fit.shapes.ravel(), fit.high, fit.friction, lag)
     )
     return packed
 
 
-def _unpack(x: Float64, n: int, count: int, high: int) -> _Fit:
-    a, b, c = 2 * n, 2 * n + n * count, 2 * n + n * count + high
-    return _Fit(np.exp(x[:n]), np.exp(x[n:a]), x[a:b].reshape(n, count), x[b:c], x[c:])
+def _unpack(x: Float64, like: _Fit) -> _Fit:
+    n, count = like.shapes.shape
+    a, b = 2 * n, 2 * n + n * count
+    c = b + like.high.size
+    d = c + like.friction.size
+    lag = None if like.lag is None else x[d:].reshape(n, count)
+    return _Fit(np.exp(x[:n]), np.exp(x[n:a]), x[a:b].reshape(n, count), x[b:c], x[c:d], lag)
 
 
 def _normal_equations(
@@ -284,7 +327,11 @@ def _normal_equations(
     by_omega = -squared * (2 * fit.omega**2 + 2j * fit.damping * fit.omega * w[:, None])
     by_damping = -squared * (2j * fit.damping * fit.omega * w[:, None])
     residual = weight * (_model(data, fit, allowed) - data.g)
-    size = 2 * n + n * count + int(allowed.sum()) + rows.size
+    after_shapes = 2 * n + n * count
+    after_high = after_shapes + int(allowed.sum())
+    after_friction = after_high + rows.size
+    size = after_friction + (0 if fit.lag is None else n * count)
+    quarter = lag_functions(w, fit.omega, fit.damping)
     gradient, hessian = np.zeros(size), np.zeros((size, size))
     place = np.cumsum(allowed) - 1
     for p, (i, j) in enumerate(zip(rows, columns, strict=True)):
@@ -298,19 +345,49 @@ def _normal_equations(
             index.append(2 * n + np.arange(n) * count + j)
         if allowed[p]:
             blocks.append(-1.0 / w[:, None] ** 2 + 0j)
-            index.append(np.array([2 * n + n * count + place[p]]))
+            index.append(np.array([after_shapes + place[p]]))
         blocks.append(-1j / w[:, None] ** 3)
-        index.append(np.array([size - rows.size + p]))
+        index.append(np.array([after_high + p]))
+        if fit.lag is not None:
+            # d/dφ and d/dχ of φ_iχ_j + χ_iφ_j; its dependence on ω_r and ζ_r is of second order
+            blocks[2] = blocks[2] + quarter * fit.lag[:, j] * (2 if i == j else 1)
+            blocks.append(quarter * fit.shapes[:, j] * (2 if i == j else 1))
+            index.append(after_friction + np.arange(n) * count + i)
+            if i != j:
+                blocks[3] = blocks[3] + quarter * fit.lag[:, i]
+                blocks.append(quarter * fit.shapes[:, i])
+                index.append(after_friction + np.arange(n) * count + j)
         jacobian = weight[:, p : p + 1] * np.concatenate(blocks, axis=1)
         at = np.concatenate(index)
         gradient[at] += (jacobian.conj().T @ residual[:, p]).real
         hessian[np.ix_(at, at)] += (jacobian.conj().T @ jacobian).real
-    return float(np.sum(np.abs(residual) ** 2)), gradient, hessian
+    if fit.lag is not None:
+        prior = _lag_prior(fit)
+        at = after_friction + np.arange(n * count)
+        gradient[at] += prior * fit.lag.ravel()
+        hessian[at, at] += prior
+    return _cost(data, weight, fit, allowed), gradient, hessian
+
+
+def _lag_prior(fit: _Fit) -> Float64:
+    """Inverse variance of χ before any data: half the size of its mode's shape. Dampers that turn a
+    mode further than that make it no mode; only what no motor sees is decided by it."""
+    size = np.sqrt(np.mean(fit.shapes**2, axis=1))
+    prior: Float64 = np.repeat(1.0 / (0.5 * np.maximum(size, 1e-12)) ** 2, fit.shapes.shape[1])
+    return prior
+
+
+def _cost(data: _Data, weight: Float64, fit: _Fit, allowed: Bool) -> float:
+    with np.errstate(over="ignore", invalid="ignore"):
+        cost = float(np.sum(np.abs(weight * (_model(data, fit, allowed) - data.g)) ** 2))
+    if fit.lag is not None:
+        cost += float(np.sum(_lag_prior(fit) * fit.lag.ravel() ** 2))
+    return cost
 
 
 def _levenberg(data: _Data, weight: Float64, start: _Fit, iterations: int = 60) -> _Fit:
     allowed = high_gain_pairs(data.masses)
-    n, count, high = start.omega.size, data.count, int(allowed.sum())
+    n = start.omega.size
     x, trust = _pack(start), 1e-3
     cost, gradient, hessian = _normal_equations(data, weight, start, allowed)
     for _ in range(iterations):
@@ -322,9 +399,8 @@ def _levenberg(data: _Data, weight: Float64, start: _Fit, iterations: int = 60) 
             step[: 2 * n] = np.clip(step[: 2 * n], -1.0, 1.0)  # log steps: at most a factor e
             trial = x + step
             trial[n : 2 * n] = np.clip(trial[n : 2 * n], np.log(1e-7), np.log(2.0))
-            fit = _unpack(trial, n, count, high)
-            with np.errstate(over="ignore", invalid="ignore"):
-                fresh = float(np.sum(np.abs(weight * (_model(data, fit, allowed) - data.g)) ** 2))
+            fit = _unpack(trial, start)
+            fresh = _cost(data, weight, fit, allowed)
             if np.isfinite(fresh) and fresh < cost:
                 improved = True
                 break
@@ -335,7 +411,7 @@ def _levenberg(data: _Data, weight: Float64, start: _Fit, iterations: int = 60) 
         cost, gradient, hessian = _normal_equations(data, weight, fit, allowed)
         if gain < 1e-6 * cost:
             break
-    return _unpack(x, n, count, high)
+    return _unpack(x, start)
 
 
 def _misfit(data: _Data, fit: _Fit) -> Float64:
@@ -352,10 +428,30 @@ def _reduced(data: _Data, weight: Float64, fit: _Fit) -> float:
     return float(2 * np.sum((weight * _misfit(data, fit)) ** 2) / dof)
 
 
+def _with_complex_modes(data: _Data, fit: _Fit) -> _Fit:
+    """The fit with complex modes where the data ask for them: χ² falls by more than twice what as many
+    parameters of pure noise would take."""
+    if fit.omega.size == 0:
+        return fit
+    weight = data.weight(0.0)
+    if fit.lag is None:
+        start, plain = replace(fit, lag=np.zeros(fit.shapes.shape)), fit
+    else:
+        start, plain = fit, _levenberg(data, weight, replace(fit, lag=None))
+    before = _reduced(data, weight, plain)
+    turned = _levenberg(data, data.weight(0.01), start) if before > 4.0 else start
+    turned = _levenberg(data, weight, turned)
+    dof = 2 * data.g.size
+    fall = dof * (before - _reduced(data, weight, turned))
+    scale = max(_reduced(data, weight, turned), 1.0)
+    return turned if fall > 4.0 * scale * fit.shapes.size else plain
+
+
 def _finish(data: _Data, fit: _Fit) -> Modes:
     """Last iterations under the noise, or under the model error that makes χ²/dof = 1."""
     model_error = 0.0
     fit = _levenberg(data, data.weight(0.0), fit) if _reduced(data, data.weight(0.0), fit) < 4.0 else fit
+    fit = _with_complex_modes(data, fit)
     if _reduced(data, data.weight(0.0), fit) > 1.5:
         for _ in range(3):
             low, high = 1e-6, 1.0
@@ -375,12 +471,14 @@ def _finish(data: _Data, fit: _Fit) -> Modes:
     )
     order = np.argsort(fit.omega)
     n, count = fit.shapes.shape
+    tail = 2 * n + n * count + fit.high.size + fit.friction.size
     index = np.concatenate(
         (
             order,
             n + order,
             (2 * n + order[:, None] * count + np.arange(count)).ravel(),
-            np.arange(2 * n + n * count, covariance.shape[0]),
+            np.arange(2 * n + n * count, tail),
+            [] if fit.lag is None else (tail + order[:, None] * count + np.arange(count)).ravel(),
         )
     ).astype(int)
     rows, columns = pairs(count)
@@ -398,4 +496,5 @@ def _finish(data: _Data, fit: _Fit) -> Modes:
         chi2=float(2 * np.sum((data.weight(0.0) * _misfit(data, fit)) ** 2)),
         dof=2 * data.g.size - covariance.shape[0],
         model_error=model_error,
+        lag=np.zeros((n, count)) if fit.lag is None else fit.lag[order],
     )

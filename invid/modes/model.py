@@ -1,15 +1,18 @@
 """The modal model of coupled chains with free motors, and what follows from it.
 
-G(ω) = Σ_r φ_r φ_rᵀ [1/(ω_r² − ω² + 2jζ_rω_rω) + 1/ω²] − A_H/ω² − jB/ω³
+G(ω) = Σ_r {φ_r φ_rᵀ [1/D_r + 1/ω²] + j(ω/ω_r)(φ_r χ_rᵀ + χ_r φ_rᵀ)/D_r} − A_H/ω² − jB/ω³,
+D_r = ω_r² − ω² + 2jζ_rω_rω,
 
 with one pair of poles for each spring. The bracket carries the sum rule S⁻¹ = A_H − Σ φ_r φ_rᵀ, which
 ties the low-frequency gains to the modes; A_H is diagonal but for motors that are final masses
-themselves (N_i = 1). B takes the motors' viscous friction to first order.
+themselves (N_i = 1). χ takes dampers that are not proportional to the springs (complex modes), B the
+motors' viscous friction, both to first order: what is left in ω_r and φ_r is the undamped plant to
+second order in damping.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -48,7 +51,9 @@ class Modes:
     masses
         (M,) masses per branch the fit was made for.
     covariance
-        Joint covariance of [log ω, log ζ, φ row by row, A_H entries, B entries].
+        Joint covariance of [log ω, log ζ, φ row by row, A_H entries, B entries, χ row by row].
+    lag
+        (n, M) χ; zero where the data do not ask for complex modes.
     chi2, dof
         Weighted squared residual (with the FRF's own variance) and its degrees of freedom.
     model_error
@@ -65,6 +70,7 @@ class Modes:
     chi2: float
     dof: int
     model_error: float
+    lag: Float64 = field(default_factory=lambda: np.zeros((0, 0)))
 
     @property
     def rigid_inverse(self) -> Float64:
@@ -123,10 +129,14 @@ class Modes:
         shape = mode_shape_functions(w, self.omega, self.damping)
         product = np.einsum("ri,rj->rij", self.shapes, self.shapes)
         response: Complex128 = (
-            np.einsum("fr,rij->fij", shape, product)
+            np.einsum("fr,rij->fij", shape, product).astype(np.complex128)
             - self.high_gain / w[:, None, None] ** 2
             - 1j * self.friction / w[:, None, None] ** 3
         )
+        if self.lag.size:
+            turned = np.einsum("ri,rj->rij", self.shapes, self.lag)
+            quarter = lag_functions(w, self.omega, self.damping)
+            response += np.einsum("fr,rij->fij", quarter, turned + turned.transpose(0, 2, 1))
         return response
 
 
@@ -134,4 +144,12 @@ def mode_shape_functions(w: Float64, omega: Float64, damping: Float64) -> Comple
     """(F, n) b_r(ω) = 1/(ω_r² − ω² + 2jζ_rω_rω) + 1/ω²."""
     w2 = (w * w)[:, None]
     values = 1.0 / (omega**2 - w2 + 2j * damping * omega * w[:, None]) + 1.0 / w2
+    return values.astype(np.complex128)
+
+
+def lag_functions(w: Float64, omega: Float64, damping: Float64) -> Complex128:
+    """(F, n) j(ω/ω_r)/D_r(ω), the shape of χ."""
+    w2 = (w * w)[:, None]
+    ratio = 1j * w[:, None] / omega
+    values = ratio / (omega**2 - w2 + 2j * damping * omega * w[:, None])
     return values.astype(np.complex128)

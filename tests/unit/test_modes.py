@@ -1,0 +1,196 @@
+"""Poles and zeros from noisy FRF matrices, and the paper's inverse on them, truth unseen."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from invid.chains import CoupledChains, case_study
+from invid.errors import InputError, NotIdentifiableError
+from invid.forward import antiresonances, resonances
+from invid.inverse import identify_paper, low_frequency_mass, starts
+from invid.modes import fit_modes
+
+
+def measured(
+    chains: CoupledChains,
+    *,
+    noise: float = 0.005,
+    seed: int = 0,
+    lines: int = 300,
+    top: float = 10.0,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Frequencies, receptance with torque and encoder noise, its variance; dense algebra, no recursion."""
+    rng = np.random.default_rng(seed)
+    frequency = np.linspace(0.5, top, lines)
+    motor, count = chains.motor_dofs, chains.branches
+    g = np.empty((lines, count, count), dtype=complex)
+    for k, w in enumerate(2 * np.pi * frequency):
+        full = chains.stiffness_matrix + 1j * w * chains.damping_matrix - w**2 * chains.mass_matrix
+        g[k] = np.linalg.inv(full)[np.ix_(motor, motor)]
+
+    def random() -> np.ndarray:
+        return (rng.standard_normal(g.shape) + 1j * rng.standard_normal(g.shape)) / np.sqrt(2)
+
+    encoder = 0.3 * noise * np.median(np.abs(g))
+    variance = noise**2 * np.sum(np.abs(g) ** 2, axis=2, keepdims=True) + encoder**2
+    noisy = g + noise * (g @ random()) + encoder * random()
+    return frequency, noisy, np.broadcast_to(variance, g.shape).copy()
+
+
+def largest_error(found: CoupledChains, truth: CoupledChains) -> float:
+    errors = [
+        np.max(np.abs(a / b - 1))
+        for a, b in zip(found.masses + found.springs, truth.masses + truth.springs, strict=True)
+        if b.size
+    ]
+    scale = max(float(np.abs(truth.couplings).max()), 0.5)
+    return float(max([*errors, np.abs(found.couplings - truth.couplings).max() / scale]))
+
+
+def test_resonances_come_out_between_the_lines_and_within_their_deviations() -> None:
+    truth = case_study(damping_ratio=0.01)
+    modes = fit_modes(*measured(truth), (3, 3, 3))
+    wanted = resonances(truth)[3:]
+    spacing = 2 * np.pi * 9.5 / 299
+    assert np.max(np.abs(modes.omega - wanted)) < spacing / 20
+    # |p| differs from the undamped resonance by ζ² at most, beside noise
+    assert np.all(np.abs(modes.omega - wanted) < 4 * modes.omega_std + 2e-4 * wanted)
+    assert modes.chi2 / modes.dof == pytest.approx(1.0, abs=0.15)
+
+
+def test_antiresonances_come_with_deviations_that_hold() -> None:
+    truth = case_study(damping_ratio=0.002)
+    misses, total = 0, 0
+    for seed in range(3):
+        modes = fit_modes(*measured(truth, seed=seed), (3, 3, 3))
+        for axis in range(3):
+            found, std = modes.zeros(axis)
+            misses += int(np.sum(np.abs(found - antiresonances(truth, axis)) > 3 * std))
+            total += found.size
+    assert total == 54
+    assert misses <= 3
+
+
+def test_a_pole_zero_pair_a_ten_thousandth_apart_is_found_in_its_branch() -> None:
+    truth = case_study(damping_ratio=0.005)  # branch 2: 51.27 and 51.28 rad/s
+    modes = fit_modes(*measured(truth, noise=0.002), (3, 3, 3))
+    found, _ = modes.zeros(1)
+    gap = (modes.omega[-1] - found[-1]) / found[-1]
+    assert gap == pytest.approx((51.2801 - antiresonances(truth, 1)[-1]) / 51.28, rel=0.3)
+
+
+def test_the_case_study_is_identified_within_one_per_cent_at_half_a_per_cent_noise() -> None:
+    truth = case_study(damping_ratio=0.01)
+    result = identify_paper(*measured(truth), (3, 3, 3))
+    assert largest_error(result.chains, truth) < 0.01
+    assert result.warnings == ()
+    dampers = np.concatenate(result.chains.dampers) / np.concatenate(truth.dampers)
+    assert np.all((dampers > 0.7) & (dampers < 1.4))
+
+
+def test_deviations_of_the_paper_method_hold() -> None:
+    truth = case_study(damping_ratio=0.002)
+    upper = np.triu_indices(3, 1)
+    wanted = np.concatenate(
+        [np.concatenate((m, k)) for m, k in zip(truth.masses, truth.springs, strict=True)]
+        + [truth.couplings[upper]]
+    )
+    scores = []
+    for seed in range(4):
+        result = identify_paper(*measured(truth, seed=seed), (3, 3, 3))
+        chains = result.chains
+        found = np.concatenate(
+            [np.concatenate((m, k)) for m, k in zip(chains.masses, chains.springs, strict=True)]
+            + [chains.couplings[upper]]
+        )
+        scores.append((found - wanted) / np.sqrt(np.diag(result.covariance)))
+    assert 0.6 < float(np.sqrt(np.mean(np.square(scores)))) < 1.6
+
+
+@pytest.mark.parametrize("sign", [-1.0, 0.0])
+def test_couplings_are_found_with_their_sign_and_when_there_are_none(sign: float) -> None:
+    plain = case_study(damping_ratio=0.01)
+    truth = dataclasses.replace(plain, couplings=sign * plain.couplings)
+    result = identify_paper(*measured(truth), (3, 3, 3))
+    assert largest_error(result.chains, truth) < 0.05
+
+
+@pytest.mark.parametrize("coupling", [0.5, 0.0])
+def test_equal_branches_share_modes_and_are_identified_all_the_same(coupling: float) -> None:
+    off = coupling * (np.ones((3, 3)) - np.eye(3))
+    truth = CoupledChains.build([[1, 2, 3.0]] * 3, [[1000.0, 2000.0]] * 3, [[0.5, 0.5]] * 3, off)
+    result = identify_paper(*measured(truth, top=9.0, lines=250), (3, 3, 3))
+    assert largest_error(result.chains, truth) < 0.02
+
+
+def test_branches_of_one_two_and_three_masses_are_identified_together() -> None:
+    truth = CoupledChains.build(
+        [[2.0], [1.0, 2.0], [1.0, 1.5, 3.0]],
+        [[], [900.0], [1200.0, 2000.0]],
+        [[], [0.6], [0.5, 0.7]],
+        [[0, 0.5, 0.4], [0.5, 0, 0.6], [0.4, 0.6, 0]],
+    )
+    result = identify_paper(*measured(truth, top=12.0), (1, 2, 3))
+    assert largest_error(result.chains, truth) < 0.02
+
+
+def test_viscous_friction_at_the_motors_does_not_lead_the_inverse_astray() -> None:
+    truth = case_study(damping_ratio=0.01)
+    result = identify_paper(*measured(truth.with_holds(np.zeros(3), [1.0, 2.0, 2.0])), (3, 3, 3))
+    assert largest_error(result.chains, truth) < 0.03
+
+
+def test_a_single_free_mass_needs_no_mode() -> None:
+    truth = CoupledChains.build([[2.0]], [[]])
+    result = identify_paper(*measured(truth), (1,))
+    assert result.chains.masses[0][0] == pytest.approx(2.0, rel=0.01)
+
+
+def test_starts_are_physical_even_on_pure_noise() -> None:
+    rng = np.random.default_rng(0)
+    g = rng.standard_normal((80, 2, 2)) + 1j * rng.standard_normal((80, 2, 2))
+    found = starts(np.linspace(0.5, 10, 80), g, np.ones(g.shape), (2, 2))
+    assert found
+    for chains in found:
+        assert chains.masses_per_branch == (2, 2)
+
+
+def test_low_frequency_lines_alone_give_branch_sums_and_couplings() -> None:
+    truth = case_study()
+    frequency, g, _ = measured(truth, noise=1e-6, lines=100, top=3.0)
+    first = min(antiresonances(truth, i)[0] for i in range(3))
+    rigid = low_frequency_mass(frequency, g, first)
+    assert rigid is not None
+    # eight lines between 72 and 100 % of the bound: what a parabola misses of the clamped poles there
+    np.testing.assert_allclose(rigid, truth.rigid_mass_matrix, rtol=6e-3)
+
+
+def test_too_few_lines_are_refused_with_the_number_needed() -> None:
+    frequency, g, variance = measured(case_study(damping_ratio=0.01), lines=8)
+    with pytest.raises(NotIdentifiableError, match="8 usable lines for 6 modes"):
+        fit_modes(frequency, g, variance, (3, 3, 3))
+
+
+def test_lines_with_nan_are_left_out() -> None:
+    frequency, g, variance = measured(case_study(damping_ratio=0.01))
+    g[10], variance[20] = np.nan, np.nan
+    modes = fit_modes(frequency, g, variance, (3, 3, 3))
+    np.testing.assert_allclose(modes.omega, resonances(case_study())[3:], rtol=2e-3)
+
+
+def test_shapes_that_do_not_fit_are_named() -> None:
+    frequency, g, variance = measured(case_study(damping_ratio=0.01), lines=20)
+    with pytest.raises(InputError, match="FRF of shape"):
+        fit_modes(frequency, g[:, :2, :2], variance, (3, 3, 3))
+    with pytest.raises(InputError, match="variance"):
+        fit_modes(frequency, g, variance[:, :2], (3, 3, 3))
+
+
+def test_resonances_above_the_band_are_warned_of() -> None:
+    truth = case_study(damping_ratio=0.01)
+    result = identify_paper(*measured(truth, lines=200, top=7.8), (3, 3, 3))
+    assert any("1 of 6 resonances lie above the measured band" in w for w in result.warnings)
+    assert largest_error(result.chains, truth) < 0.02
