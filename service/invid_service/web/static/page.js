@@ -80,6 +80,7 @@ async function refresh() {
     fill($("reasons"), ready.reasons.map((r) => el("li", {}, [el("b", {}, r.text), `What to do: ${r.fix}.`])));
     const busy = state.run && !ENDED.includes(state.run.state);
     $("start-card").hidden = Boolean(state.run);
+    $("ready-card").hidden = Boolean(state.run);
     $("prepare").disabled = !ready.can_start;
     if (!busy && !state.run && ready.reasons.some((r) => r.code === "run_in_progress")) {
       const last = (await get(`/cells/${state.cell.id}`)).last_identification;
@@ -122,6 +123,7 @@ function show(run) {
   state.run = run;
   $("run-card").hidden = !run;
   $("start-card").hidden = Boolean(run);
+  $("ready-card").hidden = Boolean(run);
   if (!run) { state.watch++; $("result-card").hidden = true; refresh(); return; }
   $("run-title").textContent = WORDS[run.state] + (run.simulated ? " (simulated)" : "");
   const box = $("run-error");
@@ -178,6 +180,8 @@ for (const type of ["arm", "cancel", "accept", "reject"]) $(type).addEventListen
 $("again").addEventListener("click", () => { state.dismissed = state.run?.id; show(null); });
 
 // --- history -----------------------------------------------------------------------------------------
+const LISTED = new Intl.DateTimeFormat([], { dateStyle: "short", timeStyle: "short" });
+const when = (text) => LISTED.format(new Date(text));
 const loadHistory = guarded(async () => {
   const { history } = await get(`/cells/${state.cell.id}/models`);
   const changes = $("history-changes");
@@ -188,11 +192,11 @@ const loadHistory = guarded(async () => {
   });
   const button = (text, work) => { const b = el("button", { type: "button" }, text); b.addEventListener("click", work); return b; };
   clear(changes);
-  fill($("accepted"), [row("th", ["Accepted", "Model", "By", ""]), ...history.map((m, i) => row("td", [time(m.accepted), m.id, `${m.by} (${m.how})`,
+  fill($("accepted"), [row("th", ["Accepted", "Model", "By", ""]), ...history.map((m, i) => row("td", [when(m.accepted), `…${m.id.slice(-8)}`, `${m.by} (${m.how})`,
     i ? el("span", { class: "actions" }, [button("Compare with now", compare(m)), button("Restore", restore(m))]) : el("b", {}, "in force")]))]);
   const { identifications } = await get(`/identifications?cell=${state.cell.id}`);
   const open = (r) => () => { setView("work"); state.dismissed = null; watchRun(r); };
-  fill($("runs"), [row("th", ["Started", "Mode", "State", "Result", ""]), ...identifications.map((r) => row("td", [time(r.created), r.mode, WORDS[r.state].split(":")[0],
+  fill($("runs"), [row("th", ["Started", "Mode", "State", "Result", ""]), ...identifications.map((r) => row("td", [when(r.created), r.mode, WORDS[r.state].split(":")[0],
     r.summary?.sentences?.[0] ?? r.error?.text ?? "", button("Show", open(r))], { 3: "wrap" }))]);
 });
 

@@ -1,11 +1,19 @@
 // Pictures: curves with uPlot, clouds on a canvas. Colours differ in lightness, lines also in dash and marker.
 
 const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+// A turned tablet or a resized window draws everything anew.
+const drawn = new Map();
+let pending = 0;
+window.addEventListener("resize", () => {
+  clearTimeout(pending);
+  pending = setTimeout(() => { for (const [target, draw] of drawn) target.isConnected ? draw() : drawn.delete(target); }, 150);
+});
 const DASHES = [[], [10, 5], [3, 4]];
 
 function axes(x, y) {
   const base = { stroke: colour("--ink"), grid: { stroke: colour("--grid"), width: 1 }, ticks: { stroke: colour("--grid") }, font: "14px system-ui", labelFont: "14px system-ui", labelSize: 28 };
-  return [{ ...base, label: x }, { ...base, label: y, size: 78 }];
+  const plain = (u, ticks) => ticks.map((v) => (v == null ? "" : short(v)));
+  return [{ ...base, label: x, values: plain }, { ...base, label: y, size: 78, values: plain }];
 }
 
 // One x for all series: values of each looked up at its own points, null elsewhere.
@@ -20,14 +28,19 @@ function joined(series) {
   return [all, ...columns];
 }
 
-export function curves(target, { x, y, series, peaks = [], logX = true, logY = true }) {
+export function curves(target, picture) {
+  drawn.set(target, () => drawCurves(target, picture));
+  return drawCurves(target, picture);
+}
+
+function drawCurves(target, { x, y, series, peaks = [], logX = true, logY = true }) {
   target.replaceChildren();
   const shown = series.filter((s) => s.x.length);
   if (!shown.length) return null;
   const data = joined(shown.map((s) => ({ ...s, positive: logY })));
   const options = {
     width: Math.max(280, target.clientWidth), height: Math.min(420, Math.max(300, Math.round(target.clientWidth * 0.5))),
-    scales: { x: { time: false, distr: logX ? 3 : 1 }, y: { distr: logY ? 3 : 1 } },
+    scales: { x: { time: false, distr: logX ? 3 : 1, range: (u, low, high) => [low * 0.97, high * 1.03] }, y: { distr: logY ? 3 : 1 } },
     axes: axes(x, y), legend: { live: false }, cursor: { drag: { x: true, y: false } },
     series: [{}, ...shown.map((s, k) => ({
       label: s.label, stroke: colour(s.colour), width: s.points ? 0 : 2.5, dash: s.points ? undefined : DASHES[s.dash ?? k % 3], spanGaps: true,
@@ -58,7 +71,12 @@ function labelPeaks(u, peaks) {
 }
 
 // Missing torque over what it depends on, with the fitted cause drawn over the cloud.
-export function cloud(target, { x, y, fit, xLabel, yLabel }) {
+export function cloud(target, picture) {
+  drawn.set(target, () => drawCloud(target, picture));
+  drawCloud(target, picture);
+}
+
+function drawCloud(target, { x, y, fit, xLabel, yLabel }) {
   target.replaceChildren();
   const canvas = document.createElement("canvas"), ratio = window.devicePixelRatio || 1;
   const width = Math.max(280, target.clientWidth), height = Math.min(380, Math.max(260, width * 0.45));
