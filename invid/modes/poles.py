@@ -1,0 +1,112 @@
+"""Starts of the modal fit: poles by vector fitting from several places, residues cut to modes."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from invid.arrays import Complex128, Float64
+from invid.modes.data import FrfData
+from invid.modes.least_squares import ModalFit
+from invid.modes.model import high_gain_pairs, mode_shape_functions, pairs
+from invid.modes.vector_fit import relocate_poles
+
+_MOST_VALUES = 12_000  # for the pole search alone; beyond that lines add time, not poles
+STARTING_DAMPING = 0.01
+
+
+def pole_candidates(data: FrfData, weight: Float64, n: int) -> list[Complex128]:
+    """Sets of ``n`` upper poles [rad/s] that vector fitting finds from peaks, linear and geometric starts."""
+    if n == 0:
+        return [np.zeros(0, dtype=complex)]
+    pick = _search_lines(data, max(_MOST_VALUES // data.g.shape[1], 12 * n))
+    scale = float(np.sqrt(data.w[0] * data.w[-1]))  # near 1: conditioning
+    w = data.w[pick] / scale
+    acceleration = -(data.w[pick, None] ** 2) * data.g[pick]
+    inverse = weight[pick] / data.w[pick, None] ** 2
+    found = []
+    starting = _starting_frequencies(data, pick, n)
+    for start in starting if n == data.modes else starting[:1]:
+        poles = ((start / scale) * (-STARTING_DAMPING + 1j)).astype(np.complex128)
+        found.append(relocate_poles(w, acceleration, inverse, poles, 25) * scale)
+    return found
+
+
+def _peakedness(data: FrfData, pick: npt.NDArray[np.intp]) -> Float64:
+    """(…,) summed acceleration gain of lines, each entry relative to its own median."""
+    size = np.abs(data.g[pick]) * data.w[pick, None] ** 2
+    total: Float64 = np.sum((size / np.maximum(np.median(size, axis=0), np.finfo(float).tiny)) ** 2, axis=1)
+    return total
+
+
+def _search_lines(data: FrfData, most: int) -> npt.NDArray[np.intp]:
+    """At most about ``most`` lines: half spread evenly, half where the response is largest."""
+    every = np.arange(data.w.size)
+    if every.size <= most:
+        return every
+    even = np.linspace(0, data.w.size - 1, most // 2).astype(np.intp)
+    return np.union1d(even, np.argsort(_peakedness(data, every))[::-1][: most // 2])
+
+
+def _starting_frequencies(data: FrfData, pick: npt.NDArray[np.intp], n: int) -> list[Float64]:
+    w = data.w[pick]
+    linear = np.linspace(w[0], w[-1], n + 2)[1:-1] if n > 1 else np.array([np.sqrt(w[0] * w[-1])])
+    geometric = np.geomspace(w[0], w[-1], n + 2)[1:-1]
+    total = _peakedness(data, pick)
+    inside = np.flatnonzero((total[1:-1] > total[:-2]) & (total[1:-1] >= total[2:])) + 1
+    peaks = w[inside[np.argsort(total[inside])[::-1][:n]]]
+    if peaks.size < n:
+        peaks = np.concatenate((peaks, linear[: n - peaks.size] * 1.01))
+    return [np.sort(peaks), linear, geometric]
+
+
+def residue_start(data: FrfData, weight: Float64, poles: Complex128) -> ModalFit:
+    """Symmetric real residues by linear least squares for fixed poles, cut to n terms of rank one.
+
+    A pole that several modes share has a residue of higher rank: the n strongest eigenvectors of all
+    residues, by what they add to the weighted response, become the modes.
+    """
+    n, count = poles.size, data.count
+    rows, columns = pairs(count)
+    allowed = high_gain_pairs(data.masses)
+    omega = np.abs(poles)
+    damping = np.clip(-poles.real / np.maximum(omega, np.finfo(float).tiny), 1e-5, 0.7)
+    functions = mode_shape_functions(data.w, omega, damping)
+    residue = np.zeros((n, count, count))
+    high, friction = np.zeros(rows.size), np.zeros(rows.size)
+    for p in range(rows.size):
+        columns_p = [functions, (-1j / data.w**3)[:, None]]
+        if allowed[p]:
+            columns_p.append((-1.0 / data.w**2 + 0j)[:, None])
+        left = weight[:, p : p + 1] * np.concatenate(columns_p, axis=1)
+        stacked = np.concatenate((left.real, left.imag))
+        target = weight[:, p] * data.g[:, p]
+        norm = np.linalg.norm(stacked, axis=0)
+        norm[norm == 0] = 1.0
+        solution = (
+            np.linalg.lstsq(stacked / norm, np.concatenate((target.real, target.imag)), rcond=1e-10)[0] / norm
+        )
+        residue[:, rows[p], columns[p]] = residue[:, columns[p], rows[p]] = solution[:n]
+        friction[p] = solution[n]
+        if allowed[p]:
+            high[p] = solution[n + 1]
+    strength, pole, shapes = [], [], []
+    energy = np.einsum("fp,fr->rp", weight**2, np.abs(functions) ** 2)
+    for r in range(n):
+        values, vectors = np.linalg.eigh(residue[r])
+        for value, vector in zip(values, vectors.T, strict=True):
+            shape = np.sqrt(max(value, 1e-6 * max(np.abs(values).max(), 1e-30))) * vector
+            strength.append(float(energy[r] @ (shape[rows] * shape[columns]) ** 2))
+            pole.append(r)
+            shapes.append(shape)
+    strongest = np.argsort(strength)[::-1][: data.modes]
+    chosen = np.array(pole, dtype=int)[strongest]
+    # modes that share a pole must not start at exactly one point
+    split = 1.0 + 1e-4 * np.arange(chosen.size)
+    return ModalFit(
+        omega[chosen] * split,
+        damping[chosen],
+        np.array(shapes).reshape(-1, count)[strongest],
+        high[allowed],
+        friction,
+    )
