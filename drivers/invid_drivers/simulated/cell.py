@@ -315,9 +315,10 @@ class SimulatedCell:
         drive = self.drive(fault.axis)
         node = drive.node
         if kind in ("node_silent", "bus_off"):
+            undo = self._set(node, "silent", True, then=self.rewire)
             if kind == "bus_off":  # a node knows that it is bus-off; one with a pulled cable does not
                 drive.connection_lost(now_ns)
-            return self._set(node, "silent", True, then=self.rewire)
+            return undo
         if kind == "node_reset":
             node.power_on(now_ns)
         elif kind == "emcy":

@@ -44,11 +44,11 @@ PROFILES: dict[str, Profile] = {
     ),
     "pilz": Profile(
         lacks=frozenset({0x6071, 0x6072, 0x6076, 0x605A, 0x6007, 0x6087}) | _NO_GEAR,
-        values={(0x6502, 0): 0x00000041, (0x1008, 0): "PRBT (simulated)"},
+        values={(0x6502, 0): 0x00000080, (0x1008, 0): "PRBT (simulated)"},
         rpdos=2,
     ),
     "faulhaber_3150": Profile(
         lacks=frozenset({0x6071, 0x6072, 0x6076, 0x6077, 0x605A, 0x6007, 0x6087}),
-        values={(0x6502, 0): 0x00000065, (0x1008, 0): "3150 (simulated)"},
+        values={(0x6502, 0): 0x00000080, (0x1008, 0): "3150 (simulated)"},
     ),
 }

@@ -1,0 +1,193 @@
+"""What a cell's settings do to the simulated drives: vendors, delays, direction, linear axes, modes."""
+
+from __future__ import annotations
+
+import struct
+from itertools import pairwise
+from typing import Any
+
+import pytest
+from node_master import Master, cell
+
+from invid.config import CellConfig
+
+REV = 6.283185307179586
+
+
+def with_axis(**keys: Any) -> Master:
+    return Master(cell({"axes": {"A1": keys}}))
+
+
+@pytest.mark.parametrize(
+    ("profile", "missing", "values"),
+    [
+        ("generic", [], {0x605A: 2, 0x6007: 1}),
+        ("epos4", [0x6072, 0x608F, 0x6091], {0x6076: 0, 0x605A: 6, 0x6007: 3}),
+        ("elmo_gold", [], {0x6076: 0, 0x605A: 2, 0x6007: 1}),
+        ("nanotec_c5e", [0x6076, 0x6007, 0x1016], {0x6072: 0, 0x605A: 1}),
+        ("zeroerr_erob", [0x6072, 0x605A, 0x6007, 0x608F], {}),
+        ("pilz", [0x6071, 0x6072, 0x6076, 0x605A, 0x6007], {}),
+        ("faulhaber_3150", [0x6071, 0x6072, 0x6076, 0x6077, 0x605A, 0x6007], {}),
+    ],
+)
+def test_a_profile_lacks_what_the_vendor_lacks(
+    profile: str, missing: list[int], values: dict[int, int]
+) -> None:
+    master = with_axis(objects={"profile": profile})
+    for index in missing:
+        request = struct.pack("<BHB4x", 0x40, index, 0)
+        assert master.abort_code(1, request) == 0x06020000, hex(index)
+    for index, value in values.items():
+        assert master.read(1, index, 0, "I" if index == 0x6076 else "H") == value, hex(index)
+    assert master.read(1, 0x6064, 0, "i") == 0
+    master.close()
+
+
+@pytest.mark.parametrize(
+    ("profile", "rpdos", "tpdos"), [("pilz", 2, 4), ("nanotec_c5e", 8, 8), ("generic", 4, 4)]
+)
+def test_the_number_of_pdos_is_the_vendors(profile: str, rpdos: int, tpdos: int) -> None:
+    master = with_axis(objects={"profile": profile})
+    for base, count in ((0x1400, rpdos), (0x1800, tpdos)):
+        exists = [
+            master.abort_code(1, struct.pack("<BHB4x", 0x40, base + i, 1)) != 0x06020000 for i in range(10)
+        ]
+        assert exists == [i < count for i in range(10)]
+    master.close()
+
+
+def test_a_drive_without_torque_mode_refuses_it() -> None:
+    master = with_axis(objects={"profile": "pilz"})
+    assert not master.read(1, 0x6502) & (1 << 9)
+    assert master.write(1, 0x6060, 0, "b", 10) == 0x06090030
+    assert master.write(1, 0x6060, 0, "b", 8) == 0
+    master.close()
+
+
+def test_objects_can_be_taken_away_made_unmappable_and_given_values() -> None:
+    objects = {
+        "lacks": ["0x1016"],
+        "not_mappable": ["0x6077"],
+        "values": {"0x6076": 0, "0x608F:1": 4096, "0x1008": "acme"},
+        "dummy_mapping": False,
+    }
+    master = with_axis(objects=objects)
+    assert master.abort_code(1, struct.pack("<BHB4x", 0x40, 0x1016, 1)) == 0x06020000
+    assert master.abort_code(1, struct.pack("<BHB4x", 0x40, 0x0006, 0)) == 0x06020000
+    assert master.read(1, 0x6076) == 0
+    assert master.read(1, 0x608F, 1) == 4096
+    assert master.answer(1, struct.pack("<BHB4x", 0x40, 0x1008, 0))[4:] == b"acme"
+    assert master.write(1, 0x1800, 1, "I", 0x80000181) == 0
+    assert master.write(1, 0x1A00, 0, "B", 0) == 0
+    assert master.write(1, 0x1A00, 1, "I", 0x60770010) == 0x06040041
+    master.close()
+
+
+@pytest.mark.parametrize(("delay", "lag"), [(0, 0), (1, 0), (2, 0), (0, 1), (1, 2)])
+def test_a_step_of_torque_acts_and_shows_after_the_cycles_set(delay: int, lag: int) -> None:
+    master = with_axis(command_delay_cycles=delay, actual_torque_lag_cycles=lag)
+    master.prepare()
+    master.enable()
+    log = [master.cycle([0], 0x0F)[1] for _ in range(5)]
+    log = [master.cycle([300], 0x0F)[1] for _ in range(12)]
+    # the target goes out behind SYNC 0: valid with SYNC 1, acting from SYNC 1 + delay, seen one later
+    assert [entry[1] for entry in log].index(300) == 2 + delay + lag
+    moved = [abs(entry[0]) > 0 for entry in log].index(True)
+    assert moved == 2 + delay  # 30 N·m on 1 kg·m² for a millisecond: 1.25 counts
+    master.close()
+
+
+def test_a_reversed_motor_turns_the_signs_of_the_drive_and_not_of_the_plant() -> None:
+    config = cell()
+    reversed_axis = config.axes[0].model_copy(update={"direction": -1})
+    master = Master(config.model_copy(update={"axes": [reversed_axis]}))
+    master.prepare()
+    master.enable()
+    for _ in range(100):
+        answers = master.cycle([100], 0x0F)
+    counts, torque, _ = answers[1]
+    assert torque == 100
+    assert counts > 0  # in the drive's own sign torque and position agree
+    assert float(master.bus.cell.plant.positions[0]) == pytest.approx(-counts * REV / 524288, rel=0.05)
+    master.close()
+
+
+def test_a_linear_axis_counts_metres_and_newtons() -> None:
+    config = CellConfig.model_validate(
+        {
+            "format": "invid-config",
+            "robot": "gantry",
+            "motion": "linear",
+            "bus": {"interface": "invid-virtual", "channel": "gantry"},
+            "axes": [
+                {
+                    "name": "X",
+                    "node_id": 1,
+                    "limits": {"force_N": 500, "position_window_m": 0.1, "velocity_m_per_s": 1},
+                }
+            ],
+            "simulation": {
+                "plant": {"branches": [{"axis": "X", "masses_kg": [10.0]}]},
+                "axes": {"X": {"rated_force_N": 500, "encoder_counts_per_m": 1e6}},
+            },
+        }
+    )
+    master = Master(config)
+    assert master.read(1, 0x6076) == 500_000
+    master.prepare()
+    master.enable()
+    for _ in range(2):
+        master.cycle([200], 0x0F)
+    start = master.cycle([200], 0x0F)[1][0]
+    for _ in range(100):
+        answers = master.cycle([200], 0x0F)
+    # 100 N on 10 kg for 0.1 s and the millisecond before: ½·10·t²
+    assert (answers[1][0] - start) / 1e6 == pytest.approx(0.5 * 10 * (0.101**2 - 0.001**2), rel=0.03)
+    master.close()
+
+
+def test_profile_torque_ramps_with_its_slope_and_halt_ramps_it_down() -> None:
+    master = Master(cell())
+    assert master.write(1, 0x6087, 0, "I", 2000) == 0  # thousandths a second: 2 a cycle
+    master.prepare(mode=4)
+    master.enable()
+    log = [master.cycle([100], 0x0F)[1] for _ in range(70)]
+    torque = [entry[1] for entry in log]
+    rising = [b - a for a, b in pairwise(torque) if b != a]
+    assert set(rising) == {2}
+    assert torque[-1] == 100
+    assert log[-1][2] & 0x400  # target reached
+    for _ in range(60):
+        last = master.cycle([100], 0x10F)[1]
+    assert last[1] == 0
+    master.close()
+
+
+def test_position_mode_interpolates_between_targets_and_follows_a_ramp() -> None:
+    master = Master(cell())
+    master.prepare(mode=8)
+    master.enable()
+    log = []
+    for k in range(400):
+        target = max(0, k - 100) * 20  # 20 counts a millisecond
+        log.append((target, master.cycle([target], 0x0F)[1][0]))
+    behind = [target - position for target, position in log[250:]]
+    # two cycles from target to motion's end; velocity feed-forward leaves no more than that and ripple
+    assert max(behind) <= 3 * 20
+    assert min(behind) >= 1 * 20
+    speed = (log[-1][1] - log[250][1]) / (len(log) - 251)
+    assert speed == pytest.approx(20, rel=0.01)
+    master.close()
+
+
+def test_a_cycle_slower_than_the_drives_own_tick_works_alike() -> None:
+    master = Master(cell(cycle_s=0.004))
+    master.prepare()
+    for word in (6, 6, 7, 7, 15, 15, 15):
+        master.cycle([0], word, period=0.004)
+    for _ in range(50):
+        answers = master.cycle([100], 0x0F, period=0.004)
+    assert answers[1][2] & 0x6F == 0x27
+    # 10 N·m on 1 kg·m² for 49 cycles and a half
+    assert answers[1][0] * REV / 524288 == pytest.approx(0.5 * 10 * (0.004 * 49) ** 2, rel=0.05)
+    master.close()
