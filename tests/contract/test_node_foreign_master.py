@@ -19,7 +19,7 @@ import yaml
 from node_master import case_study_cell
 
 from invid.config import CellConfig
-from invid.errors import BusError
+from invid.errors import InvidError
 from invid_drivers.simulated import CASE_STUDY
 from invid_drivers.simulated.simcell import run_simcell
 
@@ -163,21 +163,23 @@ def test_the_command_runs_in_its_own_process_and_ends_cleanly(tmp_path: Path) ->
 def test_a_second_cell_on_the_same_socket_is_refused_and_a_stale_one_replaced(tmp_path: Path) -> None:
     channel = str(tmp_path / "cell.sock")
     running = Running(on("invid-unix", channel))
-    with pytest.raises(BusError, match="listens there already"):
+    with pytest.raises(InvidError, match="listens there already"):
         run_simcell(on("invid-unix", channel), threading.Event())
     running.end()
     Path(channel).write_text("a file", encoding="utf-8")
-    with pytest.raises(BusError, match="no socket is in the way"):
+    with pytest.raises(InvidError, match="no socket is in the way"):
         run_simcell(on("invid-unix", channel), threading.Event())
     assert Path(channel).read_text(encoding="utf-8") == "a file"
 
 
 @pytest.mark.parametrize(
-    ("interface", "words"), [("invid-virtual", "has no real time"), ("socketcan", "cannot be opened")]
+    ("interface", "words", "status"),
+    [("invid-virtual", "has no real time", 2), ("socketcan", "cannot be opened", 5)],
 )
-def test_a_bus_that_cannot_carry_the_cell_is_refused(interface: str, words: str) -> None:
-    with pytest.raises(BusError, match=words):
+def test_a_bus_that_cannot_carry_the_cell_is_refused(interface: str, words: str, status: int) -> None:
+    with pytest.raises(InvidError, match=words) as refused:
         run_simcell(on(interface, "no-such-can"), threading.Event())
+    assert refused.value.exit_code == status
 
 
 @pytest.mark.skipif(not Path("/sys/class/net/vcan0").exists(), reason="this kernel has no vcan0")

@@ -117,3 +117,18 @@ def test_nobody_there_says_how_to_go_on(tmp_path: Path) -> None:
 
 def test_the_socket_is_the_owners_alone(hub: UnixHub) -> None:
     assert os.stat(path_of(hub)).st_mode & 0o077 == 0
+
+
+def test_the_socket_of_a_hub_that_was_killed_is_replaced(tmp_path: Path) -> None:
+    path = str(tmp_path / "bus.sock")
+    dead = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    dead.bind(path)
+    dead.close()  # as kill -9 leaves it: the file stays
+    assert os.path.exists(path)
+    hub = UnixHub(path)
+    with UnixBus(path) as port:
+        hub.recv(0.05)
+        port.send(message(0x80))
+        assert hub.recv(1.0) is not None
+    hub.shutdown()
+    assert not os.path.exists(path)

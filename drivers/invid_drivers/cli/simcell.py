@@ -40,7 +40,7 @@ def register(app: typer.Typer) -> None:
             for timer in timers:
                 timer.daemon = True
                 timer.start()
-            statistics = run_simcell(cell, stop, ready=ready)
+            statistics = run_simcell(cell, stop, ready=ready, realtime=True)
         finally:
             stop.set()
             for timer in timers:

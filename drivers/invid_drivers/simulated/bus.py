@@ -104,6 +104,9 @@ class VirtualWire:
                     busy = heappop(nodes)
                 elif host:
                     busy = host.popleft()
+                    if cell.master_off:  # a controller that goes bus-off sends nothing any more
+                        host.clear()
+                        busy = None
                 if busy is not None:
                     length = frame_ns[len(busy[2])]
                     busy_until = self.now_ns + length

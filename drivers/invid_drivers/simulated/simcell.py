@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 import threading
 import time
 from dataclasses import dataclass, field
@@ -12,7 +13,7 @@ import can
 from can import BusABC, Message
 
 from invid.config.schema import CellConfig
-from invid.errors import BusError
+from invid.errors import BusError, ConfigError
 from invid_drivers.simulated.cell import NEVER, SimulatedCell
 from invid_drivers.simulated.node import Nmt
 from invid_drivers.simulated.unix_bus import UnixHub
@@ -33,6 +34,8 @@ class SimcellStatistics:
     syncs: int = 0
     late_max_s: float = 0.0
     """Worst lateness of a timer."""
+    realtime: bool = False
+    """Whether the kernel granted SCHED_FIFO."""
     drives: list[dict[str, Any]] = field(default_factory=list)
 
     def to_json(self) -> dict[str, Any]:
@@ -47,6 +50,7 @@ class SimcellStatistics:
             "frames_not_sent": self.frames_not_sent,
             "syncs": self.syncs,
             "late_max_s": self.late_max_s,
+            "realtime": self.realtime,
             "drives": self.drives,
         }
 
@@ -56,13 +60,15 @@ def open_cell_bus(config: CellConfig) -> BusABC:
 
     Raises
     ------
+    ConfigError
+        Where the bus exists in virtual time only.
     BusError
-        Where the bus cannot be opened, or exists in virtual time only.
+        Where the bus cannot be opened.
     """
     bus = config.bus
     if bus.interface == "invid-virtual":
-        raise BusError(
-            "bus: invid-virtual lives inside the master's process and has no real time; "
+        raise ConfigError(
+            "bus.interface: invid-virtual lives inside the master's process and has no real time; "
             "give the simulated cell invid-unix, socketcan or another python-can interface"
         )
     try:
@@ -81,32 +87,49 @@ def run_simcell(
     *,
     bus: BusABC | None = None,
     ready: threading.Event | None = None,
+    realtime: bool = False,
 ) -> SimcellStatistics:
     """Run the drives until ``stop_event`` is set; ``bus`` as opened, else as the config names it.
 
+    ``realtime`` asks the kernel for SCHED_FIFO and says in the statistics whether it was granted.
+
     Raises
     ------
+    ConfigError
+        Where there is nothing to simulate, or the bus exists in virtual time only.
     BusError
         Where the bus cannot be opened or fails for good.
     """
     own = bus is None
+    cell = SimulatedCell(config)
     wire = open_cell_bus(config) if bus is None else bus
     collecting = gc.isenabled()
     try:
-        cell = SimulatedCell(config)
         # compile or load the kernel before the first frame is due
         cell.plant.advance_to(0)
         loop = _Loop(cell, wire)
         loop.warm_up()
         if own:  # the process is the cell's own: no pauses for collection
             gc.disable()
+        granted = realtime and _take_priority()
         loop.run(stop_event, ready)
-        return loop.statistics()
+        statistics = loop.statistics()
+        statistics.realtime = granted
+        return statistics
     finally:
         if collecting:
             gc.enable()
         if own:
             wire.shutdown()
+
+
+def _take_priority() -> bool:
+    """SCHED_FIFO below any master's priority: the loop sleeps in ``recv``, so it cannot starve others."""
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(5))
+    except (OSError, AttributeError):
+        return False
+    return True
 
 
 class _Loop:
