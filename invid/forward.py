@@ -51,13 +51,15 @@ def condense(chains: CoupledChains, omega: npt.ArrayLike) -> Condensed:
         (F,) angular frequencies [rad/s], ≥ 0 and finite. An undamped plant has poles of Z at the
         resonances of the plant with all motors clamped; exactly there the result is not finite.
     """
-    w = _checked(omega)
+    return _condense(chains, _checked(omega), with_motion=True)
+
+
+def _condense(chains: CoupledChains, w: Float64, *, with_motion: bool) -> Condensed:
     lines, count = w.size, chains.branches
     w2 = w * w
     motor, ends = chains.motor_dofs, chains.end_dofs
     single = np.array([n == 1 for n in chains.masses_per_branch])
 
-    motion = np.zeros((lines, chains.dofs, count), dtype=complex)
     near = np.zeros((lines, count), dtype=complex)  # A: condensed stiffness at the motor
     cross = np.zeros((lines, count), dtype=complex)  # B: motor to final mass
     end_system = (-w2[:, None, None] * chains.end_mass_matrix).astype(np.complex128)
@@ -85,21 +87,30 @@ def condense(chains: CoupledChains, omega: npt.ArrayLike) -> Condensed:
     end_motion = np.zeros((lines, count, count), dtype=complex)
     outer, inner = np.flatnonzero(single), np.flatnonzero(~single)
     end_motion[:, outer, outer] = 1.0
-    if inner.size:
+    every = np.arange(count)
+    if inner.size == count:
+        end_motion[:, every, every] = -cross
+        end_motion = _solve(end_system, end_motion, healthy)
+    elif inner.size:
         drive = np.zeros((lines, inner.size, count), dtype=complex)
         drive[:, :, outer] = end_system[:, inner[:, None], outer]
         drive[:, np.arange(inner.size), inner] = cross[:, inner]
         end_motion[:, inner] = -_solve(end_system[:, inner[:, None], inner], drive, healthy)
     stiffness = cross[:, :, None] * end_motion
-    stiffness[:, outer] = end_system[:, outer] @ end_motion
-    stiffness[:, np.arange(count), np.arange(count)] += near
+    if outer.size:
+        stiffness[:, outer] = end_system[:, outer] @ end_motion
+    stiffness[:, every, every] += near
 
-    motion[:, ends] = end_motion
-    motion[:, motor] = np.eye(count)
-    _inner_motion(chains, motion, pivots)
+    motion = np.zeros((lines, chains.dofs if with_motion else 0, count), dtype=complex)
+    if with_motion:
+        motion[:, ends] = end_motion
+        motion[:, motor, every] = 1.0
+        _inner_motion(chains, motion, pivots)
     sick = np.flatnonzero(~healthy)
     if sick.size:
-        stiffness[sick], motion[sick] = _condense_densely(chains, w[sick])
+        dense_stiffness, dense_motion = _condense_densely(chains, w[sick])
+        stiffness[sick] = dense_stiffness
+        motion[sick] = dense_motion[:, : motion.shape[1]]
     return Condensed(w, 0.5 * (stiffness + stiffness.transpose(0, 2, 1)), motion)
 
 
@@ -120,6 +131,11 @@ def _inner_motion(
 
 def _solve(matrix: Complex128, right: Complex128, healthy: npt.NDArray[np.bool_]) -> Complex128:
     """Batched solve; lines that are singular or not finite are marked, not raised."""
+    if matrix.shape[1] > 1 and healthy.all():
+        try:
+            return np.linalg.solve(matrix, right).astype(np.complex128, copy=False)
+        except np.linalg.LinAlgError:
+            pass  # one line is singular: line by line below
     sound = np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(right).all(axis=(1, 2))
     healthy &= sound
     result = np.zeros_like(right)
@@ -164,7 +180,7 @@ def _condense_densely(chains: CoupledChains, omega: Float64) -> tuple[Complex128
 
 def dynamic_stiffness(chains: CoupledChains, omega: npt.ArrayLike) -> Complex128:
     """(F, M, M) dynamic stiffness Z(jω) of the motors [N·m/rad or N/m]: T = Z Θ."""
-    return condense(chains, omega).stiffness
+    return _condense(chains, _checked(omega), with_motion=False).stiffness
 
 
 def frf(chains: CoupledChains, omega: npt.ArrayLike) -> Complex128:
@@ -176,7 +192,7 @@ def frf(chains: CoupledChains, omega: npt.ArrayLike) -> Complex128:
         At an undamped resonance or at ω = 0 of a free plant, where G is not finite.
     """
     w = _checked(omega)
-    stiffness = condense(chains, w).stiffness
+    stiffness = _condense(chains, w, with_motion=False).stiffness
     result = np.zeros_like(stiffness)
     # The inverse of Z is good wherever Z is finite and not near one of its own poles.
     sound = np.isfinite(stiffness).all(axis=(1, 2)) & (w > 0)

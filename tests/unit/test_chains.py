@@ -1,0 +1,104 @@
+"""``CoupledChains``: matrices by hand, and every refusal in plain words; the JSON contract."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from invid.chains import CoupledChains, case_study
+from invid.errors import ModelError
+from invid.model import ChainStd, Model, dump_json, model_from_json, model_to_json
+
+
+def test_the_case_study_has_the_papers_matrices() -> None:
+    chains = case_study()
+    mass = np.diag([0.7, 2, 3, 4, 5, 6, 7, 8, 9.0])
+    mass[2, 5] = mass[5, 2] = 1
+    mass[2, 8] = mass[8, 2] = 2
+    mass[5, 8] = mass[8, 5] = 3
+    np.testing.assert_array_equal(chains.mass_matrix, mass)
+    stiffness = chains.stiffness_matrix
+    np.testing.assert_array_equal(
+        stiffness[:3, :3], [[1000, -1000, 0], [-1000, 3000, -2000], [0, -2000, 2000]]
+    )
+    np.testing.assert_array_equal(
+        stiffness[6:, 6:], [[5000, -5000, 0], [-5000, 11000, -6000], [0, -6000, 6000]]
+    )
+    np.testing.assert_array_equal(stiffness[:3, 3:], 0)
+    np.testing.assert_array_equal(chains.rigid_mass_matrix, [[5.7, 1, 2], [1, 15, 3], [2, 3, 24]])
+
+
+def test_branches_may_have_different_numbers_of_masses() -> None:
+    chains = CoupledChains.build([[1.0], [2.0, 3.0], [1.0, 2.0, 3.0, 4.0]], [[], [10.0], [1.0, 2.0, 3.0]])
+    assert chains.dofs == 7
+    assert chains.motor_dofs.tolist() == [0, 1, 3]
+    assert chains.end_dofs.tolist() == [0, 2, 6]
+
+
+def test_a_rigid_motion_of_a_free_branch_meets_no_force() -> None:
+    chains = case_study(damping_ratio=0.02)
+    rigid = np.zeros(9)
+    rigid[3:6] = 1.0
+    np.testing.assert_allclose(chains.stiffness_matrix @ rigid, 0, atol=1e-12)
+    np.testing.assert_allclose(chains.damping_matrix @ rigid, 0, atol=1e-12)
+
+
+def test_holds_add_to_the_motors_alone() -> None:
+    chains = case_study()
+    held = chains.with_holds([0.0, 10.0, 20.0], [0.0, 1.0, 2.0])
+    difference = held.stiffness_matrix - chains.stiffness_matrix
+    wanted = np.zeros((9, 9))
+    wanted[3, 3], wanted[6, 6] = 10, 20
+    np.testing.assert_array_equal(difference, wanted)
+    assert held.damping_matrix[6, 6] - chains.damping_matrix[6, 6] == 2.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (([], []), "no branch"),
+        (([[1.0, -2.0]], [[10.0]]), r"branch A1: mass 2 is .*-2\.0.*> 0"),
+        (([[1.0, 2.0]], [[0.0]]), "branch A1: spring 1"),
+        (([[1.0, 2.0]], [[10.0]], [[-1.0]]), "branch A1: damper 1.*≥ 0"),
+        (([[1.0, 2.0]], [[10.0, 20.0]]), "2 masses need 1 springs, found 2"),
+        (([[1.0, np.nan]], [[10.0]]), "mass 2"),
+        (([[1.0], [1.0]], [[], []], None, [[0, 2.0], [2.0, 0]]), "between A1 and A2 is too large"),
+        (([[1.0], [1.0]], [[], []], None, [[0, 0.2], [0.1, 0]]), "symmetric"),
+        (([[1.0], [1.0]], [[], []], None, [[0.0]]), r"shape \(1, 1\), need \(2, 2\)"),
+        (([[1.0], [1.0]], [[]]), "2 branches of masses but 1 of springs"),
+    ],
+)
+def test_what_is_no_model_is_refused_in_plain_words(arguments: tuple[object, ...], words: str) -> None:
+    with pytest.raises(ModelError, match=words):
+        CoupledChains.build(*arguments)  # type: ignore[arg-type]
+
+
+def test_axis_names_must_differ() -> None:
+    with pytest.raises(ModelError, match="differ"):
+        CoupledChains.build([[1.0], [1.0]], [[], []], axes=("A1", "A1"))
+
+
+def test_json_goes_out_and_comes_back_unchanged() -> None:
+    chains = case_study(damping_ratio=0.01)
+    model = Model("robot", "refined", chains, ChainStd.unknown(chains))
+    document = json.loads(dump_json(model_to_json(model)))
+    assert document["format"] == "invid-model"
+    assert document["branches"][0]["masses"][0] == {"value": 0.7, "std": None}
+    back = model_from_json(document).chains
+    for mine, theirs in zip(
+        back.masses + back.springs + back.dampers,
+        chains.masses + chains.springs + chains.dampers,
+        strict=True,
+    ):
+        np.testing.assert_array_equal(mine, theirs)
+    np.testing.assert_array_equal(back.couplings, chains.couplings)
+
+
+def test_a_coupling_to_a_branch_that_is_not_there_is_named() -> None:
+    chains = case_study()
+    document = model_to_json(Model("r", "m", chains, ChainStd.unknown(chains)))
+    document["couplings"][0]["between"] = ["A1", "A7"]
+    with pytest.raises(ModelError, match="A7"):
+        model_from_json(document)
