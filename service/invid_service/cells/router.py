@@ -252,7 +252,8 @@ async def changes(
 @router.get("/cells/{cell}/simulation", response_model=SimulationView, responses=problem_responses(409))
 async def simulation(cell: str, service: Context, _caller: Reader) -> SimulationView:
     """A simulated cell as it is now, with the truth to compare with."""
-    return _simulation(_simulated(service, cell))
+    # In a thread: the first use loads the simulated drives, and a stop must not wait for that.
+    return await asyncio.to_thread(_simulation, _simulated(service, cell))
 
 
 def _simulated(service: Service, cell: str) -> Cell:
@@ -278,14 +279,19 @@ async def change_simulation(
     caller = await Require(Scope.RUN)(request)
     found = _simulated(service, cell)
     try:
-        if body.reset:
-            found.set_simulation(None)
-        if body.payload is not None:
-            found.set_simulation(found.with_payload(body.payload.axis, body.payload.mass))
-        if body.patch is not None:
-            found.set_simulation(merged(found.simulation, body.patch))
+        answer = await asyncio.to_thread(_change, found, body)
     except InputError as error:
         raise Problem("invalid-request", str(error), simulated=True) from None
     facts = {"cell": found.id, **body.model_dump(exclude_none=True)}
     await asyncio.to_thread(service.audit.try_write, "simulation", caller=caller.name, **facts)
-    return _simulation(found)
+    return answer
+
+
+def _change(cell: Cell, body: SimulationPatch) -> SimulationView:
+    if body.reset:
+        cell.set_simulation(None)
+    if body.payload is not None:
+        cell.set_simulation(cell.with_payload(body.payload.axis, body.payload.mass))
+    if body.patch is not None:
+        cell.set_simulation(merged(cell.simulation, body.patch))
+    return _simulation(cell)

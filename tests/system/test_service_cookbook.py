@@ -1,0 +1,41 @@
+"""The cookbook, executed: every ``sh`` block of docs/how-to/rest.md, in order, against ``invid serve``."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+from service_process import serving
+
+COOKBOOK = Path(__file__).parents[2] / "docs" / "how-to" / "rest.md"
+pytestmark = pytest.mark.xdist_group("service")
+
+
+@pytest.mark.slow
+def test_the_cookbook_runs_as_it_stands_and_finds_the_changed_tool(tmp_path: Path) -> None:
+    assert shutil.which("curl"), "curl is needed to run the cookbook"
+    blocks = re.findall(r"^```sh\n(.*?)^```", COOKBOOK.read_text(encoding="utf-8"), re.M | re.S)
+    assert len(blocks) >= 7
+    script = "set -eu\n" + "\n".join(blocks)
+    with serving(tmp_path, cell=None) as service:
+        done = subprocess.run(
+            ["bash", "-c", script],
+            cwd=tmp_path,
+            env={"INVID": service.url, "PATH": "/usr/bin:/bin", "NO_PROXY": "*"},
+            capture_output=True,
+            text=True,
+            timeout=550,
+        )
+        assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
+    changes = json.loads((tmp_path / "changes.json").read_text())
+    changed = {p["parameter"]: p for p in changes["parameters"] if p["status"] == "changed"}
+    # 1.31 kg·m² was added to the end of A2 and nothing else was touched.
+    assert set(changed) == {"A2.mass.3"}, changes["sentence"]
+    assert changed["A2.mass.3"]["difference"] == pytest.approx(1.31, abs=0.05)
+    assert "consistent with a tool change" in changes["sentence"]
+    assert "<html" in (tmp_path / "report.html").read_text().lower()
+    assert (tmp_path / "recording.h5").read_bytes().startswith(b"\x89HDF")

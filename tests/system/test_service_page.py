@@ -1,0 +1,195 @@
+"""The page in headless Chromium: a person who never saw it re-identifies the small simulated cell."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from service_process import serving
+
+pytestmark = [pytest.mark.browser, pytest.mark.xdist_group("service")]
+BROWSER, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
+needs_browser = pytest.mark.skipif(
+    not (BROWSER and DRIVER),
+    reason="CHROMIUM IS MISSING: the page is not tested; apt-get install chromium-driver",
+)
+FLAGS = [
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+]
+
+
+@contextmanager
+def browser(profile: Path, width: int = 1280, height: int = 900) -> Iterator[Any]:
+    """A fresh Chromium."""
+    from selenium import webdriver
+    from selenium.webdriver.chrome.service import Service
+
+    options = webdriver.ChromeOptions()
+    for flag in [*FLAGS, f"--user-data-dir={profile}", f"--window-size={width},{height}"]:
+        options.add_argument(flag)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    options.binary_location = str(BROWSER)
+    driver = webdriver.Chrome(options=options, service=Service(str(DRIVER)))
+    try:
+        yield driver
+    finally:
+        driver.quit()
+
+
+class Page:
+    """What a person does with it."""
+
+    def __init__(self, driver: Any) -> None:
+        self.driver = driver
+
+    def shown(self, identity: str, timeout: float = 90.0) -> Any:
+        deadline = time.monotonic() + timeout
+        while time.monotonic() < deadline:
+            found = self.driver.find_element("id", identity)
+            if found.is_displayed():
+                return found
+            time.sleep(0.1)
+        raise AssertionError(
+            f"#{identity} never showed: " + self.driver.find_element("id", "main").text[:2000]
+        )
+
+    def text(self, identity: str) -> str:
+        return str(self.driver.find_element("id", identity).text)
+
+    def wait_text(self, identity: str, text: str, timeout: float = 60.0) -> None:
+        deadline = time.monotonic() + timeout
+        while text not in self.text(identity):
+            assert time.monotonic() < deadline, f"#{identity}: {self.text(identity)!r}, not {text!r}"
+            time.sleep(0.1)
+
+    def small_targets(self) -> list[str]:
+        """Visible buttons, choices and links that a glove would miss."""
+        script = """const names = 'button, select, .choices label, summary, .links a';
+          const size = (e) => Math.min(e.getBoundingClientRect().height, e.getBoundingClientRect().width);
+          return [...document.querySelectorAll(names)].filter(e => e.offsetParent && size(e) < 48)
+            .map(e => e.textContent.trim())"""
+        return list(self.driver.execute_script(script))
+
+    def stop_covered(self) -> bool:
+        """True where something lies over the middle of the stop button, or it is not on the screen."""
+        script = """const b = document.getElementById('stop').getBoundingClientRect();
+          const e = document.elementFromPoint(b.x + b.width / 2, b.y + b.height / 2);
+          return !e || e.id !== 'stop'"""
+        return bool(self.driver.execute_script(script))
+
+    def overflow(self) -> int:
+        """Pixels by which the page is wider than its window."""
+        script = "return document.documentElement.scrollWidth - document.documentElement.clientWidth"
+        return int(self.driver.execute_script(script))
+
+    def mistakes(self) -> list[str]:
+        """Errors in the browser's log (a 404 on purpose is none)."""
+        return [e["message"] for e in self.driver.get_log("browser") if e["level"] == "SEVERE"]
+
+
+@needs_browser
+def test_a_person_sees_readiness_and_the_plan_arms_watches_and_accepts_on_the_page(tmp_path: Path) -> None:
+    with serving(tmp_path) as service, browser(tmp_path / "profile") as driver:
+        page = Page(driver)
+        driver.get(service.url + "/")
+        page.wait_text("ready-title", "Ready to measure")
+        assert page.shown("simulated").text == "SIMULATED: no hardware"
+        assert page.small_targets() == []
+        page.shown("prepare").click()
+        page.shown("arm")
+        assert "A1" in page.text("plan-table")
+        assert "N·m" in page.text("plan-table")
+        assert "s of robot time" in page.text("plan-facts")
+        assert page.small_targets() == []
+        driver.find_element("id", "arm").click()
+        page.wait_text("run-title", "Measuring")
+        assert not page.stop_covered()
+        assert page.shown("live").find_elements("tag name", "canvas")
+        accept = page.shown("accept", 120)
+        assert page.text("sentence")
+        page.shown("frf")
+        assert driver.find_element("id", "frf-plot").find_elements("tag name", "canvas")
+        parameters = page.text("parameters")
+        for name in ("A1 mass 1", "A1 mass 2 (final)", "A1 spring 1", "±"):
+            assert name in parameters
+        for width in (1280, 800, 390):
+            driver.set_window_size(width, 900)
+            time.sleep(0.5)
+            assert page.overflow() <= 0, width
+            assert not page.stop_covered(), width
+            assert page.small_targets() == [], width
+            driver.save_screenshot(str(tmp_path / f"result-{width}.png"))
+        driver.set_window_size(1280, 900)
+        driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", accept)
+        accept.click()
+        page.wait_text("decision", "accepted")
+        driver.execute_script("window.scrollTo(0, 0)")
+        driver.find_element("css selector", "[data-view=history]").click()
+        page.wait_text("accepted", "in force")
+        assert page.mistakes() == []
+    assert (tmp_path / "result-800.png").stat().st_size > 10_000
+
+
+@needs_browser
+def test_the_stop_button_and_the_escape_key_stop_the_robot_at_once(tmp_path: Path) -> None:
+    from selenium.webdriver.common.keys import Keys
+
+    with serving(tmp_path) as service, browser(tmp_path / "profile", 800, 1100) as driver:
+        page = Page(driver)
+        driver.get(service.url + "/")
+        page.shown("stop").click()
+        page.wait_text("stop-note", "Nothing was moving")
+        location = service.start()
+        page.wait_text("run-title", "Measuring")
+        began = time.monotonic()
+        driver.find_element("tag name", "body").send_keys(Keys.ESCAPE)
+        page.wait_text("stop-note", "STOP sent.")
+        service.wait(location, "stopped", timeout=10)
+        assert time.monotonic() - began < 5
+        page.wait_text("run-title", "Stopped")
+        assert "What to do" in page.text("run-error")
+
+
+@needs_browser
+def test_the_page_says_so_when_the_service_is_gone(tmp_path: Path) -> None:
+    with serving(tmp_path) as service, browser(tmp_path / "profile", 390, 800) as driver:
+        page = Page(driver)
+        driver.get(service.url + "/")
+        page.wait_text("ready-title", "Ready")
+        service.kill()
+        assert "emergency stop" in page.shown("offline", 20).text
+        driver.find_element("id", "stop").click()
+        page.wait_text("stop-note", "USE THE EMERGENCY STOP")
+
+
+@needs_browser
+def test_everything_can_be_reached_by_keyboard_with_a_visible_focus(tmp_path: Path) -> None:
+    from selenium.webdriver.common.action_chains import ActionChains
+    from selenium.webdriver.common.keys import Keys
+
+    with serving(tmp_path) as service, browser(tmp_path / "profile") as driver:
+        page = Page(driver)
+        driver.get(service.url + "/")
+        page.wait_text("ready-title", "Ready")
+        reached = set()
+        for _ in range(25):
+            ActionChains(driver).send_keys(Keys.TAB).perform()
+            seen = driver.execute_script(
+                "const e = document.activeElement; return [e.id || e.name || e.dataset.view || e.tagName,"
+                " getComputedStyle(e).outlineStyle]"
+            )
+            reached.add(seen[0])
+            assert seen[1] != "none" or seen[0] in ("BODY", "main"), seen
+        assert {"cell", "work", "history", "upload", "mode", "axis", "prepare", "stop"} <= reached
