@@ -16,6 +16,8 @@ from invid_drivers.simulated import kernel
 from invid_drivers.simulated.structure import Structure
 
 _NS = 1_000_000_000
+_PARTS_KEPT = 64
+"""Parts of a sub-step whose matrices are kept: the bus repeats a handful of instants a cycle."""
 
 
 class Plant:
@@ -31,22 +33,25 @@ class Plant:
 
     def __init__(self, structure: Structure, substep_s: float) -> None:
         self.structure = structure
-        self.h = substep_s
         self._h_ns = max(1, round(substep_s * _NS))
         self.h = self._h_ns / _NS
         n, motors = structure.dofs, structure.motors.size
         self.state = np.zeros(2 * n)
         self.external = np.zeros(n)
         self.command, self.motor_state = kernel.empty_tables(motors)
+        self.measured = np.zeros((motors, 4), dtype=np.int64)
+        self.exact_instants = True
+        """Step to every instant asked for. In real time, where instants never repeat and each new part
+        of a sub-step would cost a matrix exponential, False: whole sub-steps only, what is measured
+        is extrapolated and a command's impulse is kept."""
         self._level = np.zeros(structure.friction.shape[0])
         self._memory = np.zeros(structure.elements.shape[0])
         self._work = np.zeros((3, 2 * n))
-        self._slot = 0
-        self._steps_done = 0
-        self._blend = 0.0
-        self.measured = np.zeros((motors, 4), dtype=np.int64)
         self._ring = np.zeros((motors, 4))
-        self._changes = list(structure.changes)
+        self._slot = 0
+        self._blend = 0.0
+        self._time_ns = 0
+        self._parts: dict[int, tuple[Float64, Float64, Float64]] = {}
         self._set_matrices(0.0)
         self._next_change_ns = self._change_due(0)
 
@@ -59,9 +64,19 @@ class Plant:
         self.command[axis, kernel.DELAY] = substeps
 
     def _set_matrices(self, time_s: float) -> None:
-        mass, damping, stiffness = self.structure.matrices(time_s)
-        step = discretise(mass, damping, stiffness, self.h)
-        self._phi, self._gamma, self._ramp = (np.ascontiguousarray(m.T) for m in step)
+        self._matrices = self.structure.matrices(time_s)
+        self._parts.clear()
+        self._whole = self._part(self._h_ns)
+
+    def _part(self, length_ns: int) -> tuple[Float64, Float64, Float64]:
+        """Step matrices for one sub-step or a part of it, kept because bus timing repeats."""
+        found = self._parts.get(length_ns)
+        if found is None:
+            if len(self._parts) >= _PARTS_KEPT:
+                self._parts.clear()
+            step = discretise(*self._matrices, length_ns / _NS)
+            found = self._parts[length_ns] = tuple(np.ascontiguousarray(m.T) for m in step)  # type: ignore[assignment]
+        return found  # type: ignore[return-value]
 
     def _change_due(self, now_ns: int) -> int:
         """When the matrices are next due for renewal [ns]."""
@@ -71,38 +86,43 @@ class Plant:
         return min(due, default=1 << 62)
 
     def advance_to(self, now_ns: int) -> None:
-        """Integrate all whole sub-steps up to ``now_ns``."""
-        target = now_ns // self._h_ns
-        while self._steps_done < target:
-            stop = target
-            if self._next_change_ns <= now_ns:
-                stop = min(target, max(self._next_change_ns // self._h_ns, self._steps_done + 1))
-            self._slot = kernel.advance(
-                self.state,
-                stop - self._steps_done,
-                self.h,
-                self._phi,
-                self._gamma,
-                self._ramp,
-                self.structure.motors,
-                self.command,
-                self.motor_state,
-                self._ring,
-                self._slot,
-                self.external,
-                self.structure.elements,
-                self._memory,
-                self.structure.friction,
-                self._level,
-                self._work,
-                self._blend,
-            )
-            self._blend = 0.0
-            self._steps_done = stop
-            if stop * self._h_ns >= self._next_change_ns:
-                time_ns = self._steps_done * self._h_ns
-                self._set_matrices(time_ns / _NS)
-                self._next_change_ns = self._change_due(time_ns)
+        """Integrate up to ``now_ns``."""
+        while self._next_change_ns <= now_ns:
+            change_ns = self._next_change_ns
+            self._step_to(change_ns)
+            self._set_matrices(change_ns / _NS)
+            self._next_change_ns = self._change_due(change_ns)
+        self._step_to(now_ns)
+
+    def _step_to(self, now_ns: int) -> None:
+        whole, rest_ns = divmod(now_ns - self._time_ns, self._h_ns)
+        if whole > 0:
+            self._run(whole, self.h, self._whole)
+            self._time_ns += whole * self._h_ns
+        if rest_ns and whole >= 0 and self.exact_instants:
+            self._run(1, rest_ns / _NS, self._part(rest_ns))
+            self._time_ns = now_ns
+
+    def _run(self, steps: int, h: float, matrices: tuple[Float64, Float64, Float64]) -> None:
+        self._slot = kernel.advance(
+            self.state,
+            steps,
+            h,
+            *matrices,
+            self.structure.motors,
+            self.command,
+            self.motor_state,
+            self._ring,
+            self._slot,
+            self.external,
+            self.structure.elements,
+            self._memory,
+            self.structure.friction,
+            self._level,
+            self._work,
+            self._blend,
+        )
+        self._blend = 0.0
 
     def observe(self, now_ns: int, noise: Float64) -> list[list[int]]:
         """Advance to ``now_ns`` and return what ``kernel.sample`` gives for every drive.
@@ -110,17 +130,18 @@ class Plant:
         ``noise`` (M, 2): counts and thousandths of rated torque.
         """
         structure = self.structure
-        if self._next_change_ns <= now_ns:
+        whole, rest_ns = divmod(now_ns - self._time_ns, self._h_ns)
+        if self._next_change_ns <= now_ns or (rest_ns and self.exact_instants):
             self.advance_to(now_ns)
-        target = now_ns // self._h_ns
-        rest_ns = now_ns - target * self._h_ns
+            whole, rest_ns = divmod(now_ns - self._time_ns, self._h_ns)
+        phi, gamma, ramp = self._whole
         self._slot = kernel.advance_and_sample(
             self.state,
-            max(target - self._steps_done, 0),
+            max(whole, 0),
             self.h,
-            self._phi,
-            self._gamma,
-            self._ramp,
+            phi,
+            gamma,
+            ramp,
             structure.motors,
             self.command,
             self.motor_state,
@@ -133,12 +154,13 @@ class Plant:
             self._level,
             self._work,
             self._blend,
-            rest_ns / _NS,
+            rest_ns / _NS if whole >= 0 else 0.0,
             noise,
             self.measured,
         )
-        self._steps_done = target
-        self._blend = rest_ns / self._h_ns
+        if whole >= 0:
+            self._time_ns += whole * self._h_ns
+            self._blend = rest_ns / self._h_ns
         values: list[list[int]] = self.measured.tolist()
         return values
 

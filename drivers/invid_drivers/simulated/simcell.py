@@ -142,6 +142,7 @@ class _Loop:
         self._late_ns = 0
         self._start_ns = time.monotonic_ns()
         cell.transmit = self._transmit
+        cell.plant.exact_instants = False
 
     def warm_up(self) -> None:
         """Touch the compiled code once, without moving anything."""
