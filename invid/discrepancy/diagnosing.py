@@ -13,9 +13,9 @@ from invid.diagnosis import AxisResidual, Diagnosis, Finding, Unexplained, Verdi
 from invid.discrepancy.character import unexplained_of
 from invid.discrepancy.confidence import judge
 from invid.discrepancy.joint import JointFit, fit, held_out
-from invid.discrepancy.missing_torque import NullTest, null_test, rms_torque, with_scatter
+from invid.discrepancy.missing_torque import NullTest, changing, null_test, rms_torque, with_scatter
 from invid.discrepancy.plant import Candidate, Layout
-from invid.discrepancy.records import split
+from invid.discrepancy.records import by_period, split
 from invid.discrepancy.select import Selection, select
 from invid.effects.base import Record, unit_of
 from invid.errors import InputError
@@ -105,6 +105,9 @@ def linear_fit(
     first = fit(layout, train, start, Candidate(), iterations=25)
     train = with_scatter(train, spectra, layout, first.p)
     held = with_scatter(held, spectra, layout, first.p)
+    apart = changing([*train, *held])
+    if apart:
+        train, held = by_period(recording, train, apart), by_period(recording, held, apart)
     return fit(layout, train, first.p, Candidate(), iterations=25), train, held
 
 

@@ -55,7 +55,7 @@ def with_scatter(
     for record, view in zip(records, views_of(layout, records, p), strict=True):
         s = known[record.key]
         periods = s.deviations.shape[0]
-        if periods < 2:
+        if periods < 2 or record.period_time * 1.5 > record.span and s.periods > 1 and record.transient:
             out.append(record)
             continue
         motors = record.torque.shape[1]
@@ -87,6 +87,11 @@ def with_scatter(
         scatter[0] = np.maximum(scatter[1], mean)
         out.append(replace(record, scatter=scatter))
     return out
+
+
+def changing(records: Sequence[Record]) -> list[str]:
+    """Experiments whose periods differ by more than half again the noise: the machine changes."""
+    return [r.key for r in records if float(np.median(r.scatter[1:])) > 1.5 or float(r.scatter[1:].max()) > 4.0]
 
 
 def _mean_scatter(s: LineSpectra, record: Record, used: int) -> Float64:

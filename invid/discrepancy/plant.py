@@ -150,8 +150,9 @@ def views_of(layout: Layout, records: Sequence[Record], p: Float64) -> list[View
 def _acting(record: Record, delays: Float64, stairs: Float64) -> tuple[Complex128, Complex128, Complex128]:
     """Torque that acts (F, M), factor A, and its derivative by the stairs.
 
-    Where the demand is logged beside a hold, the demand is held over the sample (the contract says
-    so) and ``stairs`` is the share of the rest that is.
+    Holding a sample takes amplitude away and acts half a sample late. The time offset takes up the
+    latter where all torque is alike. Where the demand is logged beside a hold, the demand is held over
+    the sample (the contract says so) and ``stairs`` is the share of the rest that is.
     """
     w = record.omega
     smear = (1.0 - np.sinc(w * record.step / 2 / np.pi))[:, None]
@@ -160,8 +161,9 @@ def _acting(record: Record, delays: Float64, stairs: Float64) -> tuple[Complex12
     if record.command is None:
         return factor * record.torque, factor, -z * smear * record.torque
     rest = record.torque - record.command
-    acting = z * (record.command * (1.0 - smear) + rest * (1.0 - stairs * smear))
-    return acting, factor, -z * smear * rest
+    held = ((1.0 - smear) * np.exp(-0.5j * w * record.step)[:, None]).astype(complex)
+    acting = z * (record.command * held + rest * (1.0 - stairs + stairs * held))
+    return acting, factor, z * (held - 1.0) * rest
 
 
 def contributions(view: View, candidate: Candidate) -> Complex128:

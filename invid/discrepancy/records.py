@@ -10,15 +10,20 @@ import numpy as np
 from invid.arrays import Float64
 from invid.effects.base import Record
 from invid.recording.model import Experiment, Recording, Role
-from invid.spectra import LineSpectra
+from invid.spectra import LineSpectra, spectra_of
 
 BAND = 1.2
 """Lines up to this times the highest excited one: distortion falls off above, noise does not."""
 MOST_LINES = 3000
 
 
-def record_of(s: LineSpectra, experiment: Experiment, rows: slice | None = None) -> Record:
-    """One record; ``rows`` picks periods (for keeping some out) where there are several."""
+def record_of(
+    s: LineSpectra, experiment: Experiment, rows: slice | None = None, *, alone: bool = False
+) -> Record:
+    """One record; ``rows`` picks periods (for keeping some out) where there are several.
+
+    ``alone``: a single period of a machine that changes; it stands at its own time and does not close.
+    """
     motors = s.axis_count
     count = s.position_wave.shape[0]
     share = 1.0
@@ -59,6 +64,12 @@ def record_of(s: LineSpectra, experiment: Experiment, rows: slice | None = None)
     mean_torque = s.torque_wave.mean(axis=0)
     zero = np.zeros((1, motors), dtype=complex)
     start, end = _span(s, experiment)
+    span, transient = s.span_s, s.transient
+    if alone and rows is not None:
+        span = s.span_s / s.periods
+        start = start + rows.start * span
+        end = start + span
+        transient = True
     quiet = max((0.45 / step - 1.5 * top) * s.span_s / max(s.periods, 1), 1.0) * max(s.periods - 1, 1)
     return Record(
         key=s.key,
@@ -71,8 +82,8 @@ def record_of(s: LineSpectra, experiment: Experiment, rows: slice | None = None)
         # The median of an exponential has 1/ln²2 times the variance of the mean.
         noise_dof=float(2.0 * quiet * np.log(2.0) ** 2),
         scatter=np.ones((index.size + 1, motors)),
-        span=s.span_s,
-        transient=s.transient,
+        span=span,
+        transient=transient,
         step=step,
         motor_wave=motor_wave,
         motor_velocity=velocity,
@@ -155,6 +166,27 @@ def split(recording: Recording, spectra: Sequence[LineSpectra]) -> tuple[list[Re
             "out of every fit instead; record an experiment of its own for validation"
         ],
     )
+
+
+def by_period(recording: Recording, records: Sequence[Record], changing: Sequence[str]) -> list[Record]:
+    """Records of the experiments ``changing`` taken apart into their periods, each at its own time."""
+    experiments = {e.key: e for e in recording.experiments}
+    out: list[Record] = []
+    done: set[str] = set()
+    for record in records:
+        if record.key not in changing or record.weight.size:
+            out.append(record)
+            continue
+        if record.key in done:
+            continue
+        done.add(record.key)
+        s = spectra_of(experiments[record.key], drop_transient=False)
+        if s.periods < 2 or s.deviations.shape[0] != s.periods:
+            out.append(record)
+            continue
+        experiment = experiments[record.key]
+        out += [record_of(s, experiment, slice(k, k + 1), alone=True) for k in range(s.periods)]
+    return out
 
 
 def _lines(record: Record, chosen: np.ndarray) -> Record:

@@ -10,7 +10,7 @@ from scipy.stats import chi2 as chi2_distribution
 
 from invid.arrays import Float64
 from invid.discrepancy.joint import JointFit, fit, held_out
-from invid.discrepancy.plant import Candidate, Evaluation, Layout, Term
+from invid.discrepancy.plant import Evaluation, Layout, Term, evaluate
 from invid.discrepancy.screen import Score, Screen, terms_for
 from invid.effects.base import Record
 
@@ -78,7 +78,29 @@ def refit(
     if term.effect.cause == "torque_delay":
         layout, stay = layout.without_delay([term.place.axis])
         p = p[stay]
+    x = _start(layout, records, p, current, term, x)
     return fit(layout, records, p, current.candidate.plus(term, x), iterations=iterations)
+
+
+def _start(
+    layout: Layout, records: Sequence[Record], p: Float64, current: JointFit, term: Term, x: Float64
+) -> Float64:
+    """The screen's coefficients, or a share of them: linearised sizes overshoot where effects are strong."""
+    count = len(term.effect.coefficients)
+    best, chosen = np.inf, x
+    for share in (1.0, 0.4, 0.1, 0.01):
+        trial = x.copy()
+        trial[:count] *= share
+        with np.errstate(all="ignore"):
+            try:
+                cost = evaluate(layout, records, p, current.candidate.plus(term, trial), jacobian=False).cost
+            except np.linalg.LinAlgError:
+                continue
+        if np.isfinite(cost) and cost < best:
+            best, chosen = cost, trial
+        if not count or cost < current.cost:
+            break
+    return chosen
 
 
 def select(
@@ -142,14 +164,23 @@ def _step(
         # Far from what the best could reach, and not significant on its own: no refit.
         if s.gain < 0.05 * scores[0].gain or s.gain < 8.0:
             break
-        refitted = refit(here, train, s.term, s.x, 8)
-        trials.append(Trial(refitted, held_out(refitted, held)))
+        with np.errstate(all="ignore"):
+            try:
+                refitted = refit(here, train, s.term, s.x, 12)
+                trial = Trial(refitted, held_out(refitted, held))
+            except np.linalg.LinAlgError:  # a start from which nothing finite follows
+                continue
+        if np.isfinite(trial.cost):
+            trials.append(trial)
     if not trials:
         return None, tuple(scores[:5])
     trials.sort(key=lambda t: t.cost + penalty(t, rows))
     best = [trials[0], *(t for t in trials[1:] if t.cost - trials[0].cost < 0.3 * (current.cost - trials[0].cost))]
     polished = []
     for t in best[:4]:
+        if t.fit.converged:
+            polished.append(t)
+            continue
         more = fit(t.fit.layout, train, t.fit.p, t.fit.candidate, iterations=20)
         polished.append(Trial(more, held_out(more, held)))
     trials = polished + [t for t in trials if t not in best[:4]]

@@ -31,7 +31,6 @@ class PayloadChange(ImpedanceEffect):
     def grid(self, views: Sequence[View], place: Place) -> list[tuple[float, ...]]:
         spans = sorted({(v.record.start_time, v.record.end_time) for v in views})
         times = [0.5 * (a[1] + b[0]) for a, b in zip(spans[:-1], spans[1:], strict=True)]
-        times += [0.5 * (a[0] + a[1]) for a in spans] if len(spans) > 1 else []
         return [(float(t),) for t in sorted(times)]
 
     def limits(self, views: Sequence[View], place: Place) -> list[tuple[float, float]]:

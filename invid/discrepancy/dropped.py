@@ -1,0 +1,97 @@
+"""Dropped samples: rows that repeat the one before more often than noise lets them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import binom
+
+from invid.arrays import Bool, Float64
+from invid.recording.model import Experiment, Recording
+
+FALSE_ALARM = 1e-4
+"""Chance, over all axes, that repeated rows of a sound recording are called dropped."""
+
+
+@dataclass(frozen=True)
+class Dropped:
+    """Share of the rows of one axis that were dropped, with its standard deviation."""
+
+    axis: int
+    fraction: float
+    std: float
+
+
+def _repeats(e: Experiment, axis: int) -> tuple[Bool, Float64]:
+    """(n − 1,) rows whose position and torque both repeat exactly, and how likely that is by chance.
+
+    Chance: the product of how often each channel alone repeats nearby (quantised channels do), over
+    a second either side, which leaves out that both were lost together.
+    """
+    same_p = np.diff(e.position[:, axis]) == 0
+    same_t = np.diff(e.torque[:, axis]) == 0
+    both: Bool = same_p & same_t
+    window = max(min(int(e.sample_rate_hz), both.size // 4), 8)
+    kernel = np.ones(window) / window
+
+    def near(flags: Bool) -> Float64:
+        # Of the rows that are not repeated as a whole: what a channel does by itself.
+        alone = np.convolve((flags & ~both).astype(float), kernel, mode="same")
+        rest = np.convolve((~both).astype(float), kernel, mode="same")
+        out: Float64 = alone / np.maximum(rest, 1.0 / window)
+        return out
+
+    p, t = near(same_p), near(same_t)
+    # P(both) = P(p)·P(t) for independent channels, from P(p and not t) = P(p)(1 − P(t)) and so on.
+    chance: Float64 = np.clip(p * t / np.maximum(1.0 - p - t + p * t, 1e-6) * (1 + p + t), 0.0, 1.0)
+    return both, chance
+
+
+def find_dropped(recording: Recording) -> list[Dropped]:
+    """Axes whose rows repeat more often than by chance."""
+    out = []
+    for axis in range(recording.axis_count):
+        repeated, expected, rows = 0, 0.0, 0
+        for e in recording.experiments:
+            moving = float(np.std(e.position[:, axis])) > 0 and float(np.std(e.torque[:, axis])) > 0
+            if not moving:
+                continue
+            both, chance = _repeats(e, axis)
+            repeated += int(both.sum())
+            expected += float(chance.sum())
+            rows += both.size
+        if rows == 0 or repeated < 5:
+            continue
+        p0 = min(max(1.5 * expected / rows, 1e-9), 1.0)
+        if binom.sf(repeated - 1, rows, p0) > FALSE_ALARM / recording.axis_count:
+            continue
+        fraction = (repeated - expected) / (rows - expected)
+        out.append(Dropped(axis, float(fraction), float(np.sqrt(max(repeated, 1)) / rows)))
+    return out
+
+
+def repaired(recording: Recording, dropped: Sequence[Dropped]) -> Recording:
+    """The recording with the repeated rows of those axes interpolated from their neighbours."""
+    experiments = []
+    for e in recording.experiments:
+        position, torque = e.position.copy(), e.torque.copy()
+        for d in dropped:
+            both, _ = _repeats(e, d.axis)
+            lost = np.concatenate(([False], both))
+            kept = np.flatnonzero(~lost)
+            if kept.size < 8:
+                continue
+            at = np.flatnonzero(lost)
+            for channel in (position, torque):
+                channel[at, d.axis] = _interpolated(e.time, channel[:, d.axis], kept, at)
+        experiments.append(replace(e, position=position, torque=torque))
+    return replace(recording, experiments=tuple(experiments))
+
+
+def _interpolated(time: Float64, values: Float64, kept: np.ndarray, at: np.ndarray) -> Float64:
+    from scipy.interpolate import CubicSpline
+
+    out: Float64 = CubicSpline(time[kept], values[kept])(time[at])
+    return out
