@@ -17,7 +17,7 @@ from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
-from scipy import stats
+from scipy.special import ndtr, ndtri  # scipy.stats takes seconds to load, and this is all it would do
 
 from invid.arrays import Float64
 from invid.model import Model, parameter_vector, units
@@ -25,8 +25,9 @@ from invid.model import Model, parameter_vector, units
 FALSE_ALARMS = 0.01
 """Family-wise rate over all parameters of one comparison (half of the 2 % asked of the service: the
 covariances are estimates themselves)."""
-_RIVAL = float(stats.chi2.ppf(0.99, 1))
+_RIVAL = float(ndtri(0.995)) ** 2
 """A rival whose χ² is no worse than this below the best is not ruled out: 6.6, a likelihood ratio of 28."""
+_TWO_SIDED_95 = float(ndtri(0.975))
 _RIDGE = 1e-9
 """On the correlation matrix: below it a direction is rounding of the fit, not information."""
 MINIMUM_PAIRS = 2
@@ -236,7 +237,7 @@ def _select(white: _Whitened, false_alarms: float) -> tuple[list[int], dict[int,
     while len(chosen) < count:
         z = white.scores(chosen)
         best = int(np.argmax(np.abs(z)))
-        if 2 * stats.norm.sf(abs(z[best])) * (count - len(chosen)) > false_alarms:
+        if 2 * ndtr(-abs(z[best])) * (count - len(chosen)) > false_alarms:
             break
         rivals[best] = [
             k for k in range(count) if k != best and k not in chosen and z[k] ** 2 > z[best] ** 2 - _RIVAL
@@ -297,7 +298,7 @@ def _judge(
             result.append(ParameterChange(name, unit, "changed", *base, *size[k]))
         else:
             reference = max(abs(a or 0.0), 1e-300)
-            within = 100.0 * (abs(delta) + float(stats.norm.ppf(0.975)) * spread) / reference
+            within = 100.0 * (abs(delta) + _TWO_SIDED_95 * spread) / reference
             if within <= unchanged_percent:
                 result.append(ParameterChange(name, unit, "unchanged", *base, delta, spread, within))
             else:
