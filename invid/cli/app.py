@@ -38,11 +38,8 @@ def create_app(command: str | None = None) -> typer.Typer:
     @app.callback(invoke_without_command=True)
     def _root(
         context: typer.Context,
-        version: bool = typer.Option(False, "--version", help="Print the version and exit."),
+        _version: bool = typer.Option(False, "--version", help="Print the version and exit."),
     ) -> None:
-        if version:
-            typer.echo(__version__)
-            raise typer.Exit
         if context.invoked_subcommand is None:
             typer.echo(context.get_help())
             raise typer.Exit(2)
@@ -61,6 +58,9 @@ def main(arguments: list[str] | None = None) -> None:
 
 def run(arguments: list[str]) -> int:
     """Exit status of one command line."""
+    if arguments == ["--version"]:
+        print(__version__)
+        return 0
     try:
         named = next((a for a in arguments if not a.startswith("-")), None)
         result = create_app(named)(args=arguments, standalone_mode=False, prog_name="invid")
