@@ -6,6 +6,7 @@ import struct
 from pathlib import Path
 
 import can
+import numpy as np
 import pytest
 import yaml
 
@@ -160,6 +161,18 @@ def test_the_truth_is_the_papers_case_study() -> None:
         ({"axes": {"A9": {}}}, "no axis 'A9'"),
         ({"plant": {"branches": [{"axis": "A1", "masses": [1.0]}]}}, "one branch per axis"),
         ({"plant": {}}, "either case_study"),
+        (
+            {
+                "plant": {
+                    "branches": [
+                        {"axis": "A1", "masses": [1.0, 1e-6], "springs": [1e9]},
+                        {"axis": "A2", "masses": [1.0]},
+                        {"axis": "A3", "masses": [1.0]},
+                    ]
+                }
+            },
+            "softer springs",
+        ),
         ({"faults": [{"kind": "drop"}]}, "at_s or at_state"),
         ({"faults": [{"kind": "push", "at_s": 1}]}, "give the axis"),
         ({"defaults": {"torque_noise": -1}}, "torque_noise"),
@@ -260,3 +273,25 @@ def test_the_section_in_the_docs_is_a_cell_that_runs() -> None:
     with open_virtual_bus(CellConfig.model_validate(data)) as bus:
         bus.clock.sleep_until(7.0)
         assert bus.cell.drive("A2").node.od.find(0x6072) is None  # as the profile says
+
+
+def test_friction_on_a_stiff_light_mass_takes_energy_and_never_gives_any() -> None:
+    branches = [
+        {"axis": "A1", "masses": [1e-3, 1.0], "springs": [1e4]},  # 3165 rad/s: 0.8 rad in 0.25 ms
+        {"axis": "A2", "masses": [1e-4, 1.0], "springs": [3e4]},  # 17321 rad/s: 4.3 rad in 0.25 ms
+        {"axis": "A3", "masses": [1.0]},
+    ]
+    friction = {"coulomb_Nm": 0.5}
+    axes = {"A1": {"friction": friction, "brake": False}, "A2": {"friction": friction, "brake": False}}
+    with open_virtual_bus(config(plant={"branches": branches}, axes=axes)) as bus:
+        plant = bus.cell.plant
+        plant.state[:5] = [0.01, 0.0, 0.01, 0.0, 0.0]
+        mass, _, stiffness = plant.structure.matrices(0.0)
+        energies = []
+        for k in range(200):
+            bus.clock.sleep_until(0.01 + 0.002 * k)
+            q, v = plant.positions, plant.velocities
+            energies.append(0.5 * q @ stiffness @ q + 0.5 * v @ mass @ v)
+        lowest = np.minimum.accumulate(energies)
+        assert np.all(np.array(energies) - lowest <= 1e-6 * energies[0])
+        assert energies[-1] < 0.5 * energies[0]

@@ -30,6 +30,8 @@ NEVER = 1 << 62
 _NS = 1_000_000_000
 _TICK_NS = 1_000_000  # the drives' own control period where no SYNC drives them
 _NOISE_ROWS = 4096
+_MOST_SUBSTEPS = 500
+"""Sub-steps a cycle; at about a microsecond each, more would be slower than real time."""
 
 Emit = Callable[[int, bytes, int], None]
 
@@ -62,7 +64,16 @@ class SimulatedCell:
         axes = [self.simulation.axis(a.name) for a in config.axes]
         structure = build_structure(chains, axes, self.simulation.effects)
         cycle = config.bus.cycle_s
-        substeps = math.ceil(cycle / self.simulation.plant.substep_s - 1e-9)
+        # friction and brakes are solved within a sub-step: it must not span more than a radian of the
+        # fastest mode, or a push could leave a mass moving the other way
+        longest = min(self.simulation.plant.substep_s, 1.0 / max(structure.fastest_mode(), 1e-9))
+        substeps = math.ceil(cycle / longest - 1e-9)
+        if substeps > _MOST_SUBSTEPS:
+            raise ConfigError(
+                f"config of {config.robot!r}: simulation.plant has a mode at "
+                f"{structure.fastest_mode() / (2.0 * math.pi):.3g} Hz, which needs {substeps} sub-steps "
+                f"a cycle; at most {_MOST_SUBSTEPS} are allowed: take softer springs or heavier masses"
+            )
         self.plant = Plant(structure, cycle / substeps)
         streams = np.random.SeedSequence(self.simulation.seed).spawn(3)
         self._noise_random, self._fault_random, self._drop_random = map(np.random.default_rng, streams)

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.linalg import eigh
 
 from invid.arrays import Float64, Int64
 from invid.chains import CoupledChains
@@ -59,6 +60,10 @@ class Structure:
         for change in self.in_time:
             change(time_s, mass, damping, stiffness)
         return mass, damping, stiffness
+
+    def fastest_mode(self) -> float:
+        """Highest undamped angular frequency [rad/s]."""
+        return float(np.sqrt(max(eigh(self.stiffness, self.mass, eigvals_only=True)[-1], 0.0)))
 
     def add_element(self, kind: int, a: int, b: int, *parameters: float) -> None:
         """One nonlinear element."""
