@@ -26,6 +26,12 @@ class FrfMatrix:
     frf: Complex128
     variance: Float64
 
+    @classmethod
+    def empty(cls, motors: int) -> FrfMatrix:
+        """No line at all."""
+        nothing = np.zeros((0, motors, motors))
+        return cls(np.zeros(0), nothing.astype(np.complex128), nothing)
+
 
 def frf_matrix(spectra: Sequence[LineSpectra], *, delay_s: float = 0.0) -> FrfMatrix:
     """Least-squares G over all experiments, on the lines that span every axis.
@@ -66,12 +72,11 @@ def frf_matrix(spectra: Sequence[LineSpectra], *, delay_s: float = 0.0) -> FrfMa
         values.append(g * np.exp(2j * np.pi * frequency * delay_s))
         variances.append(noise @ (np.abs(inverse) ** 2))
     if not hz:
-        empty = np.zeros((0, motors, motors))
-        return FrfMatrix(np.zeros(0), empty.astype(complex), empty)
+        return FrfMatrix.empty(motors)
     return FrfMatrix(np.array(hz), np.array(values), np.array(variances))
 
 
-def local_frf_matrix(spectra: Sequence[LineSpectra], *, lines: int = 250) -> FrfMatrix:
+def local_frf_matrix(spectra: Sequence[LineSpectra], *, lines: int = 160) -> FrfMatrix:
     """G by local regression over neighbouring lines, transients of each record beside it.
 
     Around each frequency Θ = (G₀ + G₁x + G₂x²)·T + t₀ + t₁x per record that is not settled: what
@@ -93,8 +98,7 @@ def local_frf_matrix(spectra: Sequence[LineSpectra], *, lines: int = 250) -> Frf
     unknowns = 3 * motors + 2 * len(loose)
     window = int(1.7 * unknowns) + 2
     if hz.size < window:
-        empty = np.zeros((0, motors, motors))
-        return FrfMatrix(np.zeros(0), empty.astype(complex), empty)
+        return FrfMatrix.empty(motors)
     scale = np.sqrt(np.mean(np.abs(torque) ** 2, axis=0))
     scale[scale == 0] = 1.0
     grid = np.unique(np.linspace(0, hz.size - 1, min(lines, hz.size)).astype(int))
@@ -126,7 +130,6 @@ def local_frf_matrix(spectra: Sequence[LineSpectra], *, lines: int = 250) -> Frf
         values.append(gain)
         variances.append(power[:, None] * spread)
     if not keep:
-        empty = np.zeros((0, motors, motors))
-        return FrfMatrix(np.zeros(0), empty.astype(complex), empty)
+        return FrfMatrix.empty(motors)
     at, first = np.unique(np.array(keep), return_index=True)
     return FrfMatrix(at, np.array(values)[first], np.maximum(np.array(variances)[first], 1e-300))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -15,6 +16,7 @@ from invid.frf import FrfMatrix, frf_matrix, local_frf_matrix
 from invid.identifiability import Blind, blind_directions
 from invid.inverse import PaperResult, identify_paper, starts
 from invid.model import ChainStd, EffectTerm, Estimate, Model, parameter_vector, units
+from invid.rational import FINE, TRUSTED, rational_modes
 from invid.recording.model import Recording, Role
 from invid.refine.fit import Fit, fit_structure
 from invid.refine.structure import ChainStructure
@@ -23,6 +25,14 @@ from invid.spectra import LineSpectra, all_spectra
 Masses = Sequence[int] | Literal["auto"] | None
 Method = Literal["paper", "refined"]
 
+MISFIT = 0.01
+"""Relative FRF error granted to the modal fit that only gives a start: friction of a few per cent of the
+peak torque leaves about that, and a modal fit that chases it is slow and no better a start."""
+LOCAL_MISFIT = 0.03
+"""The same for the local regression, which blunts resonances narrower than its window."""
+SECOND_ROUTE = 100
+"""Modes times motors squared up to which the paper's method runs beside the fit as a cross-check: its
+modal fit then takes a second or two."""
 EXPLAINED = 0.9
 """Share of the torque a trustworthy model explains. Empirical: real drives with friction stand above
 0.99, a wrong order or a torque that is none below 0.7 (flexible bench, case study)."""
@@ -64,8 +74,14 @@ def identify(recording: Recording, *, masses: Masses = None, method: Method = "r
         warnings += choice.warnings
     else:
         sizes = _sizes(recording, wanted)
-    measured = measured_frf(spectra)
-    paper = _paper(measured, sizes, recording.axes, warnings)
+    measured = measured_frf(spectra, misfit=0.0 if method == "paper" else MISFIT)
+    paper: PaperResult | InvidError
+    if method == "refined" and (sum(sizes) - len(sizes)) * len(sizes) ** 2 > SECOND_ROUTE:
+        paper = NotIdentifiableError("the plant is large: the second route takes minutes (--method paper)")
+    elif method == "refined" and any(s.transient for s in spectra):
+        paper = NotIdentifiableError("records that are not settled: the paper's method needs settled ones")
+    else:
+        paper = _paper(measured, sizes, recording.axes)
     if method == "paper":
         if isinstance(paper, InvidError):
             raise paper
@@ -74,12 +90,14 @@ def identify(recording: Recording, *, masses: Masses = None, method: Method = "r
     return _refined_model(recording, spectra, fit, paper, warnings, order)
 
 
-def measured_frf(spectra: Sequence[LineSpectra]) -> FrfMatrix:
-    """The FRF matrix the starts are drawn from."""
-    if any(s.transient for s in spectra):
-        return local_frf_matrix(spectra)
-    found = frf_matrix(spectra)
-    return found if found.frequency_hz.size >= 8 else local_frf_matrix(spectra)
+def measured_frf(spectra: Sequence[LineSpectra], *, misfit: float = MISFIT) -> FrfMatrix:
+    """The FRF matrix the starts are drawn from; ``misfit`` is added to its relative errors."""
+    found = FrfMatrix.empty(spectra[0].axis_count)
+    if not any(s.transient for s in spectra):
+        found = frf_matrix(spectra)
+    if found.frequency_hz.size < 8:
+        found, misfit = local_frf_matrix(spectra), max(misfit, LOCAL_MISFIT)
+    return replace(found, variance=found.variance + (misfit * np.abs(found.frf)) ** 2)
 
 
 def fit_sizes(
@@ -95,9 +113,16 @@ def fit_sizes(
     """The fit of one order, from the paper's inverse and its fallbacks."""
     structure = ChainStructure(tuple(sizes), tuple(axes))
     found: list[CoupledChains] = list(further)
-    if measured.frequency_hz.size:
-        modes = paper.modes if isinstance(paper, PaperResult) else None
-        found += starts(measured.frequency_hz, measured.frf, measured.variance, sizes, axes=axes, modes=modes)
+    for trusted in (TRUSTED, FINE) if thorough else (TRUSTED,):
+        rational = rational_modes(spectra, sizes, trusted=trusted)
+        if rational is not None:
+            modes, frf = rational
+            found += starts(frf.frequency_hz, frf.frf, frf.variance, sizes, axes=axes, modes=modes)
+    # The last start of each set is the crude one of equal shares: once, and last.
+    if isinstance(paper, PaperResult):
+        found.insert(len(further), paper.chains)
+    if not found and measured.frequency_hz.size:
+        found += starts(measured.frequency_hz, measured.frf, measured.variance, sizes, axes=axes)
     if not found:
         raise NotIdentifiableError(
             "no start for the fit: no frequency at which all axes are excited; excite every axis, one an "
@@ -149,9 +174,7 @@ def _sizes(recording: Recording, wanted: Sequence[int]) -> tuple[int, ...]:
     return sizes
 
 
-def _paper(
-    measured: FrfMatrix, sizes: Sequence[int], axes: Sequence[str], warnings: list[str]
-) -> PaperResult | InvidError:
+def _paper(measured: FrfMatrix, sizes: Sequence[int], axes: Sequence[str]) -> PaperResult | InvidError:
     if measured.frequency_hz.size == 0:
         return NotIdentifiableError(
             "no frequency at which all axes are excited: the FRF matrix is incomplete"

@@ -196,8 +196,7 @@ def _periodic(
     hz = np.arange(1, nyquist + 1) / (period * data.step)
     top = _highest_excited(experiment, hz, spectra)
     quiet = (hz > 1.5 * hz[top]) & (hz < 0.45 / data.step)
-    change = np.diff(spectra, axis=0).reshape(-1, 2 * motors) / np.sqrt(2.0)
-    floor, floor_dof = quiet_power(change, np.tile(quiet, spectra.shape[0] - 1))
+    floor, floor_dof = _floor(data, quiet, hz, period)
     band = _band(hz, top, band_hz)
     settling = settle(spectra[:, : top + 1], floor, floor_dof)
     first = settling.first if drop_transient else 0
@@ -208,7 +207,7 @@ def _periodic(
     mean = spectra.mean(axis=0)
     # Quantisation error of a motion that repeats exactly repeats too: averaging does not remove it,
     # the spread between periods does not show it, the quiet lines of the mean do.
-    repeating, _ = quiet_power(mean, quiet)
+    repeating = quiet_power(mean, quiet)[0] if settling.settled else floor / used
     lattice = quantum(np.concatenate((data.position, data.torque), axis=1)) ** 2 / 12 * 4 / period
     floor = np.maximum(floor, lattice)
     averaged = np.maximum(np.maximum(repeating, floor / used), 1e-300)
@@ -274,6 +273,19 @@ def _whole(
         floor=floor,
         warnings=warnings,
     )
+
+
+def _floor(data: Uniform, quiet: Bool, hz: Float64, period: int) -> tuple[Float64, float]:
+    """(2M,) noise power of one line of one period, from the quiet band of the whole record, windowed:
+    what is left of a transient leaks there otherwise."""
+    wave = np.concatenate((data.position, data.torque), axis=1)
+    count = wave.shape[0]
+    lines = (count - 1) // 2
+    fine = np.arange(1, lines + 1) / (count * data.step)
+    band = hz[quiet]
+    inside = (fine >= band[0]) & (fine <= band[-1]) if band.size else fine > 0.9 * fine[-1]
+    power, dof = quiet_power(_windowed(wave, lines), inside)
+    return power * (count / period), dof
 
 
 def _windowed(wave: Float64, lines: int) -> Complex128:
