@@ -25,8 +25,14 @@ _Function = TypeVar("_Function", bound=Callable[..., object])
 
 
 def _compiled(function: _Function) -> _Function:
-    """numba's decorator with the type of what it decorates."""
-    return cast(_Function, numba.njit(cache=True)(function))
+    """numba's decorator with the type of what it decorates.
+
+    Where no folder can be written for the cache (a read-only container), it compiles in every process.
+    """
+    try:
+        return cast(_Function, numba.njit(cache=True)(function))
+    except RuntimeError:
+        return cast(_Function, numba.njit(function))
 
 
 # columns of the command table, one row per motor
