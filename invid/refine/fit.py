@@ -11,6 +11,7 @@ from scipy.stats import chi2 as chi2_distribution
 
 from invid.arrays import Complex128, Float64
 from invid.chains import CoupledChains
+from invid.errors import NotIdentifiableError
 from invid.refine.blocks import (
     carried,
     driven_and_held,
@@ -75,6 +76,12 @@ def fit_structure(
     ``thorough=False`` stops after the first pass (for comparing structures).
     """
     problem = _with_coulomb(problem_from_spectra(structure, spectra), spectra)
+    if problem.dof <= 0:
+        rows = sum(2 * b.position.size for b in problem.blocks)
+        raise NotIdentifiableError(
+            f"{sum(b.omega.size for b in problem.blocks)} lines give {rows} equations for "
+            f"{rows - problem.dof} unknowns: lengthen the period, widen the band, or use fewer masses"
+        )
     solution = _best(problem, starts, 80 if thorough else 30)
     holds: dict[str, str] = {}
     if thorough:
