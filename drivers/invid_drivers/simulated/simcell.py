@@ -104,6 +104,7 @@ def run_simcell(
     cell = SimulatedCell(config)
     wire = open_cell_bus(config) if bus is None else bus
     collecting = gc.isenabled()
+    granted = False
     try:
         # compile or load the kernel before the first frame is due
         cell.plant.advance_to(0)
@@ -117,6 +118,8 @@ def run_simcell(
         statistics.realtime = granted
         return statistics
     finally:
+        if granted:
+            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
         if collecting:
             gc.enable()
         if own:
