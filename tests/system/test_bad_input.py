@@ -1,0 +1,205 @@
+"""Bad input: one message, the right exit status, no traceback, and files already there left alone."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import yaml
+
+sys.path.insert(0, str(Path(__file__).parent))
+import foreign_cell
+
+CONFIG = Path(__file__).parents[2] / "configs" / "case-study.yaml"
+
+
+def invid(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", "from invid.cli import main; main()", *arguments],
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+
+
+def assert_one_message(done: subprocess.CompletedProcess[str], status: int, *words: str) -> None:
+    assert done.returncode == status, done.stderr
+    assert done.stdout == ""
+    assert "Traceback" not in done.stderr
+    assert "internal error" not in done.stderr
+    lines = [line for line in done.stderr.splitlines() if line.startswith("invid: ")]
+    assert len(lines) == 1, done.stderr
+    for word in words:
+        assert word in lines[0], lines[0]
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("bad") / "good.h5"
+    rng = np.random.default_rng(5)
+    plant = foreign_cell.plant([[1.0, 2.0], [1.5, 1.0]], [[3000.0], [2500.0]], {(0, 1): 0.3})
+    experiments = foreign_cell.measure(plant, rng, peak=[5.0, 5.0], period=4000, band=(0.5, 25.0))
+    foreign_cell.write_recording(path, experiments, ["A1", "A2"])
+    return path
+
+
+def edit(action: Callable[[h5py.File], None]) -> Callable[[Path], None]:
+    def apply(path: Path) -> None:
+        with h5py.File(path, "r+") as f:
+            action(f)
+
+    return apply
+
+
+def empty(path: Path) -> None:
+    path.write_bytes(b"")
+
+
+def truncated(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def text(path: Path) -> None:
+    path.write_text("time,pos\n0,1\n")
+
+
+def wrong_shape(f: h5py.File) -> None:
+    data = f["experiments/000/torque"][:]
+    del f["experiments/000/torque"]
+    f["experiments/000/torque"] = data[:, :1]
+
+
+def short_torque(f: h5py.File) -> None:
+    data = f["experiments/001/torque"][:]
+    del f["experiments/001/torque"]
+    f["experiments/001/torque"] = data[:-7]
+
+
+def nan_position(f: h5py.File) -> None:
+    f["experiments/000/position"][123, 1] = np.nan
+
+
+def time_backwards(f: h5py.File) -> None:
+    f["experiments/000/time"][200] = 0.0
+
+
+def no_position(f: h5py.File) -> None:
+    del f["experiments/000/position"]
+
+
+def no_experiments(f: h5py.File) -> None:
+    del f["experiments"]
+
+
+def never_excited(f: h5py.File) -> None:
+    for key in list(f["experiments"]):
+        if f["experiments"][key].attrs["excited_axis"] == 1:
+            del f["experiments"][key]
+
+
+BAD_RECORDINGS: dict[str, tuple[Callable[[Path], None], tuple[str, ...]]] = {
+    "empty file": (empty, ("bad.h5",)),
+    "truncated HDF5": (truncated, ("bad.h5",)),
+    "not HDF5": (text, ("bad.h5",)),
+    "wrong shape": (edit(wrong_shape), ("bad.h5", "000", "torque")),
+    "lengths that differ": (edit(short_torque), ("bad.h5", "001", "torque")),
+    "NaN": (edit(nan_position), ("bad.h5", "000", "position", "123")),
+    "time running backwards": (edit(time_backwards), ("bad.h5", "000", "time")),
+    "no position": (edit(no_position), ("bad.h5", "000", "position")),
+    "no experiments": (edit(no_experiments), ("bad.h5", "experiments")),
+    "an axis never excited": (edit(never_excited), ("A2",)),
+}
+
+
+@pytest.mark.parametrize("name", BAD_RECORDINGS)
+def test_a_bad_recording_is_refused_in_one_message(name: str, good: Path, tmp_path: Path) -> None:
+    damage, words = BAD_RECORDINGS[name]
+    bad = tmp_path / "bad.h5"
+    shutil.copy(good, bad)
+    damage(bad)
+    kept = tmp_path / "model.json"
+    kept.write_text("kept")
+    assert_one_message(invid("identify", str(bad), "--masses", "2,2", "-o", str(kept)), 2, *words)
+    assert kept.read_text() == "kept"
+
+
+def test_a_recording_that_is_not_there_is_said_so(tmp_path: Path) -> None:
+    for command in ("identify", "diagnose"):
+        assert_one_message(invid(command, str(tmp_path / "none.h5")), 2, "none.h5")
+
+
+@pytest.mark.parametrize("masses", ["0,2", "2", "2,2,2", "two", "-1,2", "1.5,2"])
+def test_a_wrong_number_of_masses_is_refused(masses: str, good: Path) -> None:
+    done = invid("identify", str(good), "--masses", masses, "--json")
+    assert done.returncode == 2, done.stderr
+    assert done.stdout == ""
+    assert "Traceback" not in done.stderr
+
+
+def changed_config(tmp_path: Path, change: Callable[[dict], None]) -> Path:
+    document = yaml.safe_load(CONFIG.read_text())
+    change(document)
+    path = tmp_path / "cell.yaml"
+    path.write_text(yaml.safe_dump(document, allow_unicode=True))
+    return path
+
+
+def unknown_key(document: dict) -> None:
+    document["axes"][0]["torgue_limit"] = 3
+
+
+def negative_limit(document: dict) -> None:
+    limits = document["axes"][1]["limits"]
+    limits[next(iter(limits))] = -1.0
+
+
+def twice_the_node(document: dict) -> None:
+    document["axes"][1]["node_id"] = document["axes"][0]["node_id"]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (unknown_key, ("cell.yaml", "torgue_limit")),
+        (negative_limit, ("cell.yaml", "-1")),
+        (twice_the_node, ("cell.yaml", "node")),
+    ],
+)
+def test_a_bad_config_is_refused_before_anything_is_touched(
+    change: Callable[[dict], None], words: tuple[str, ...], tmp_path: Path
+) -> None:
+    path = changed_config(tmp_path, change)
+    kept = tmp_path / "rec.h5"
+    kept.write_text("kept")
+    assert_one_message(invid("measure", str(path), "-o", str(kept)), 2, *words)
+    assert_one_message(invid("check", str(path)), 2, *words)
+    assert kept.read_text() == "kept"
+
+
+def test_a_node_that_does_not_answer_is_a_drive_error(tmp_path: Path) -> None:
+    def pull_the_cable(document: dict) -> None:
+        document["simulation"]["faults"] = [{"kind": "node_silent", "at_s": 0.0, "axis": "A3"}]
+
+    cell = changed_config(tmp_path, pull_the_cable)
+    kept = tmp_path / "rec.h5"
+    kept.write_text("kept")
+    assert_one_message(invid("measure", str(cell), "-o", str(kept)), 5, "A3")
+    assert kept.read_text() == "kept"
+
+
+def test_a_drive_without_torque_mode_is_refused_in_plain_words(tmp_path: Path) -> None:
+    def only_positions(document: dict) -> None:
+        axes = document["simulation"].setdefault("axes", {})
+        axes.setdefault("A2", {})["objects"] = {"lacks": ["0x6071"]}
+
+    cell = changed_config(tmp_path, only_positions)
+    kept = tmp_path / "rec.h5"
+    kept.write_text("kept")
+    assert_one_message(invid("measure", str(cell), "-o", str(kept)), 5, "A2", "torque")
+    assert kept.read_text() == "kept"

@@ -1,0 +1,55 @@
+"""`invid demo`: the promise of the README, checked as a user would see it."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import h5py
+import pytest
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, Path]:
+    out = tmp_path_factory.mktemp("demo")
+    done = subprocess.run(
+        [sys.executable, "-c", "from invid.cli import main; main()", "demo", "--out", str(out), "--json"],
+        capture_output=True,
+        text=True,
+        timeout=600,
+    )
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout), out
+
+
+def test_all_eighteen_parameters_are_within_two_percent_of_the_truth(demo: tuple[dict, Path]) -> None:
+    rows = demo[0]["parameters"]
+    kinds = [row["parameter"].split()[1] for row in rows]
+    assert (kinds.count("mass"), kinds.count("spring"), kinds.count("coupling")) == (9, 6, 3)
+    for row in rows:
+        assert abs(row["estimate"] - row["truth"]) <= 0.02 * abs(row["truth"]), row
+
+
+def test_the_truth_lies_within_three_standard_deviations(demo: tuple[dict, Path]) -> None:
+    rows = demo[0]["parameters"]
+    assert sum(abs(r["estimate"] - r["truth"]) <= 3 * r["std"] for r in rows) >= 16
+
+
+def test_the_standard_deviations_are_not_inflated_to_pass(demo: tuple[dict, Path]) -> None:
+    for row in demo[0]["parameters"]:
+        assert row["std"] <= 0.02 * abs(row["truth"]), row
+
+
+def test_the_files_of_the_contract_are_written(demo: tuple[dict, Path]) -> None:
+    document, out = demo
+    assert document["simulated"] is True
+    with h5py.File(out / "recording.h5") as f:
+        assert f.attrs["format"] == "invid-recording"
+        assert f.attrs["outcome"] == "completed"
+    assert json.loads((out / "model.json").read_text())["format"] == "invid-model"
+    assert json.loads((out / "diagnosis.json").read_text())["format"] == "invid-diagnosis"
+    report = (out / "report.html").read_text()
+    assert "<svg" in report
+    assert "http://" not in report.replace("http://www.w3.org", "")
