@@ -16,6 +16,7 @@ from invid.frf import FrfMatrix, frf_matrix, local_frf_matrix
 from invid.identifiability import Blind, blind_directions
 from invid.inverse import PaperResult, identify_paper, starts
 from invid.model import ChainStd, EffectTerm, Estimate, Model, parameter_vector, units
+from invid.modes.settle import settled_frf
 from invid.rational import FINE, TRUSTED, rational_modes
 from invid.recording.model import Recording, Role
 from invid.refine.fit import Fit, fit_structure
@@ -75,6 +76,8 @@ def identify(recording: Recording, *, masses: Masses = None, method: Method = "r
     else:
         sizes = _sizes(recording, wanted)
     measured = measured_frf(spectra, misfit=0.0 if method == "paper" else MISFIT)
+    if method == "paper":
+        measured = settled_frf(spectra, sizes, measured)
     paper: PaperResult | InvidError
     if method == "refined" and (sum(sizes) - len(sizes)) * len(sizes) ** 2 > SECOND_ROUTE:
         paper = NotIdentifiableError("the plant is large: the second route takes minutes (--method paper)")
