@@ -21,7 +21,7 @@ from invid.sweep.watch import AxisLimits, Statistics, Watch
 
 SETTLE_S = 0.3
 """Held by the drives before anything else, to measure the torque that the holds need (gravity)."""
-TRIAL_FIRST_S, TRIAL_LAST_S = 0.02, 2.56
+TRIAL_FIRST_S, TRIAL_LAST_S = 0.02, 1.28
 """Lengths of the doublets, doubled until the axis has moved enough."""
 TRIAL_COUNTS, TRIAL_WINDOW = 50, 0.01
 """Enough is 50 encoder counts and 1 % of the position window: the slope is then good to a few per cent."""
@@ -106,6 +106,7 @@ class Sweep:
         self._phase = "enabling"
         self._now: PlannedExperiment | None = None
         self._watch: Watch | None = None
+        self._must_move: set[int] = set()
 
     def _trial_s(self) -> float:
         return 2.0 * len(self.plan.excited) + TRIAL_PERIOD_S
@@ -213,6 +214,8 @@ class Sweep:
         feedback, origin, velocity = self._feedback, self._origin, self._velocity
         demand = self._demand
         first, last = rows
+        edge = round(0.5 / cycle)
+        shaken = (edge, cycles - edge)
         kept: tuple[list[list[float]], list[list[float]], list[list[float]]] = ([], [], [])
         instants: list[float] = []
         start: int | None = None
@@ -238,6 +241,9 @@ class Sweep:
             if start is None:
                 start = sample.slot
             k = sample.slot - start
+            if sink is not None:
+                # an encoder that stands still is stuck, but not while the excitation fades in or out
+                watch.excited = self._must_move if shaken[0] <= k < shaken[1] and not fading else set()
             watch.check(sample)
             self._differentiate(sample)
             if sink is not None and first <= k < last:
@@ -407,7 +413,15 @@ class Sweep:
         cycle = self.plan.cycle_s
         cycles = min(experiment.cycles, round(TRIAL_PERIOD_S / cycle))
         rows = experiment.torque[:cycles] * share
-        kept = self._play(rows.tolist(), cycles, log=True)
+        # the fades at the ends of the excitation stand still by themselves
+        fade = min(round(0.5 / cycle), cycles // 4)
+        opening = self._play(rows[:fade].tolist(), fade, log=True)
+        self._watching.excited = excited
+        body = self._play(rows[fade:-fade].tolist(), cycles - 2 * fade, log=True)
+        self._watching.excited = set()
+        self._watching.learn_standing(excited)
+        kept = [np.concatenate(parts) for parts in zip(opening, body, strict=True)]
+        self._play(rows[-fade:].tolist(), fade)
         self._play(None, round(self.plan.rest_s / cycle))
         for i in sorted(excited):
             limits = self.config.axes[i].limits
@@ -436,11 +450,11 @@ class Sweep:
         self._centre(excited, lowest=self._lowest([experiment]), path=path)
         cycle = self.plan.cycle_s
         self._play(None, round(self.plan.rest_s / cycle))
-        self._watching.excited = set() if path else excited
         gains = [float("nan")] * self._count
         for f in self._feedback:
             gains[f.axis] = f.gains.stiffness
         self.sink.begin(experiment, gains, self._scale)
+        self._must_move = set() if path else excited
         try:
             self._play(
                 experiment.torque.tolist(),
@@ -451,6 +465,7 @@ class Sweep:
                 rows=(experiment.record_from, experiment.record_to),
             )
         finally:
+            self._must_move = set()
             self._watching.excited = set()
             self.sink.end()
 

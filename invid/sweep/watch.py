@@ -27,7 +27,10 @@ amplitude stops growing; 1.25⁴ = 2.4 in a second is faster than any mode in a 
 than the growth of the unstable P holds measured on the case study (0.78 /s at K_R = 1000 is 4.8 in
 energy). Empirical."""
 STUCK_S = 1.5
-"""An excited axis whose encoder repeats one value this long, while it should move many counts."""
+"""An excited axis whose encoder repeats one value this long, before it is known how long it may."""
+STUCK_FACTOR, STUCK_LEAST_S = 3.0, 0.05
+"""Afterwards: three times the longest stand seen at a tenth of the amplitude, where friction and coarse
+counts hold an axis longest, and never below 50 ms."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +77,8 @@ class Watch:
         self._energy_cycles = 0
         self._energies: list[float] = []
         self._still = [0] * count
-        self._stuck_cycles = max(1, round(STUCK_S / cycle_s))
+        self._longest = [0] * count
+        self._stuck_cycles = [max(1, round(STUCK_S / cycle_s))] * count
         self.held: set[int] = set()
         """Axes whose energy is watched for growth."""
         self.excited: set[int] = set()
@@ -98,6 +102,12 @@ class Watch:
         """The cycle was interrupted on purpose (change of mode): no velocity or slot across the gap."""
         self._last_slot = None
         self._history.clear()
+
+    def learn_standing(self, axes: set[int]) -> None:
+        """From here on, these axes may stand three times as long as they have stood so far."""
+        for i in axes:
+            allowed = max(STUCK_FACTOR * self._longest[i] * self._cycle, STUCK_LEAST_S)
+            self._stuck_cycles[i] = max(5, round(min(allowed, STUCK_S) / self._cycle))
 
     def settle(self) -> None:
         """Excitation changed: growth of energy is judged afresh."""
@@ -225,7 +235,7 @@ class Watch:
                 self._still[i] = 0
                 continue
             self._still[i] += 1
-            if self._still[i] > self._stuck_cycles:
+            if self._still[i] > self._stuck_cycles[i]:
                 raise SafetyStop(
                     f"axis {self._limits[i].name}: the encoder has shown one value for {STUCK_S:g} s of "
                     "shaking; "

@@ -24,6 +24,9 @@ from invid_drivers.cia402.vendors import VENDORS, vendor
 
 INVALID = 1 << 31
 """Bit of a COB-ID that switches a PDO off."""
+DRIVE_MARGIN = 1.25
+"""The drive's own windows are a quarter wider than the master's: the master, who sees all axes and can
+tell a runaway, acts first, and the drive where the master does not."""
 SYNCHRONOUS = 1
 """Transmission type: with every SYNC."""
 
@@ -320,12 +323,12 @@ class Drive:
         if not self._try(od.MAX_TORQUE, permille):
             self._limit_current(permille)
         here = self.read(od.POSITION)
-        window = max(1, int(limits.position / scaling.position_per_count))
+        window = max(1, math.ceil(DRIVE_MARGIN * limits.position / scaling.position_per_count))
         self._try(od.POSITION_LIMIT_LOW, here - window)
         self._try(od.POSITION_LIMIT_HIGH, here + window)
-        speed = limits.velocity / scaling.position_per_count
+        speed = DRIVE_MARGIN * limits.velocity / scaling.position_per_count
         if self._vendor.velocity_in_rpm:
-            speed = limits.velocity * 60 / (1.0 if self._linear else 2 * math.pi)
+            speed = DRIVE_MARGIN * limits.velocity * 60 / (1.0 if self._linear else 2 * math.pi)
         self._try(od.MAX_VELOCITY, max(1, math.ceil(speed)))
         self._try(od.FOLLOWING_WINDOW, window)
         self._try(od.FOLLOWING_TIME, 10)

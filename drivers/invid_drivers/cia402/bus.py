@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import can
 
@@ -29,6 +29,9 @@ ENABLE_S = 3.0
 QUICK_STOP_S = 1.0
 """Longest quick stop before the voltage is taken away regardless."""
 DISABLE_S = 0.2
+RUNAWAY_GROWTH, RUNAWAY_SHARE = 1.2, 0.02
+"""A quick stop only slows down. Above 1.2 times the speed at its start, and 2 % of the limit for the
+noise of single counts, it does the opposite (empirical)."""
 MODE_POLL_S = 0.1
 """0x6061 of one axis after another is asked for at this interval during the cycle."""
 HEARTBEAT_PERIODS = 3.5
@@ -341,19 +344,21 @@ class Cia402Cell:
             return
         self._stopped = True
         with contextlib.suppress(InvidError):
-            self._drive_to(states.QUICK_STOP, QUICK_STOP_S, self._at_rest)
+            self._control = [states.QUICK_STOP] * len(self._drives)
+            guard = _RunawayGuard(self._config)
+            self._drive_to(QUICK_STOP_S, lambda s: self._cut_runaways(guard, s) or self._at_rest(s))
         for i, drive in enumerate(self._drives):
             if self._may_disable(i):
                 self._control[i] = states.DISABLE_VOLTAGE
             else:
                 self.held_at_end = (*self.held_at_end, drive.name)
         with contextlib.suppress(InvidError):
-            self._drive_to(None, DISABLE_S, self._disabled)
+            self._drive_to(DISABLE_S, self._disabled)
         for i, drive in enumerate(self._drives):
             if self._may_disable(i) and self._energised(i):
                 drive.quiet_command(od.CONTROLWORD, states.DISABLE_VOLTAGE)
                 with contextlib.suppress(InvidError):
-                    self._drive_to(None, 0.05, self._disabled)
+                    self._drive_to(0.05, self._disabled)
         self.not_off = tuple(
             d.name for i, d in enumerate(self._drives) if self._may_disable(i) and self._energised(i)
         )
@@ -371,9 +376,13 @@ class Cia402Cell:
         config = self._drives[axis].config
         return not config.gravity_loaded or config.brake == "drive"
 
-    def _drive_to(self, controlword: int | None, seconds: float, reached: object) -> None:
-        if controlword is not None:
-            self._control = [controlword] * len(self._drives)
+    def _cut_runaways(self, guard: _RunawayGuard, sample: Sample) -> bool:
+        """An axis that a quick stop makes faster has a wrong sign somewhere: only cutting it off helps."""
+        for i in guard.faster(sample):
+            self._control[i] = states.DISABLE_VOLTAGE
+        return False
+
+    def _drive_to(self, seconds: float, reached: Callable[[Sample], bool]) -> None:
         zero = [0.0] * len(self._drives)
         end = self.clock.now() + seconds
         missing = 0
@@ -386,7 +395,7 @@ class Cia402Cell:
                     raise
                 self._link.wait(self._cycle)
                 continue
-            if callable(reached) and reached(sample):
+            if reached(sample):
                 return
 
     def _at_rest(self, sample: Sample) -> bool:
@@ -446,3 +455,31 @@ class Cia402Cell:
                 drive.restore()
             except InvidError as error:
                 complaints.append(str(error))
+
+
+class _RunawayGuard:
+    """Compares the speed during a quick stop with the speed at its start."""
+
+    def __init__(self, config: CellConfig) -> None:
+        self._least = [RUNAWAY_SHARE * a.limits.velocity for a in config.axes]
+        self._before: tuple[float, list[float]] | None = None
+        self._entry = [-1.0] * len(config.axes)
+        self._seen = [0] * len(config.axes)
+
+    def faster(self, sample: Sample) -> list[int]:
+        """Axes that are faster than a quick stop could make them."""
+        found: list[int] = []
+        before, self._before = self._before, (sample.time, list(sample.position))
+        if before is None or sample.time <= before[0]:
+            return found
+        for i, fresh in enumerate(sample.fresh):
+            if not fresh:
+                continue
+            speed = abs(sample.position[i] - before[1][i]) / (sample.time - before[0])
+            if self._entry[i] < 0:
+                self._entry[i] = speed
+            fast = speed > RUNAWAY_GROWTH * self._entry[i] + self._least[i]
+            self._seen[i] = self._seen[i] + 1 if fast else 0
+            if self._seen[i] >= 1:
+                found.append(i)
+        return found
