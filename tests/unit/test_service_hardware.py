@@ -1,0 +1,70 @@
+"""A cell with hardware behind it: readiness of its bus, no simulation to change, simulated on request."""
+
+from __future__ import annotations
+
+import json
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+from service_doubles import CELL, model_document, running, wait_for
+
+from invid.config import CellConfig
+from invid_drivers.simulated import truth
+from invid_service.store.store import RunRecord, State, StoredModel
+
+START = "/api/v1/cells/cell/identifications"
+HARDWARE = CELL.split("simulation:")[0].replace(
+    "{interface: invid-virtual, channel: test, cycle_s: 0.001}",
+    "{interface: socketcan, channel: can-none, cycle_s: 0.001}",
+)
+
+
+@pytest.fixture
+def cell(tmp_path: Path) -> Path:
+    (tmp_path / "cell.yaml").write_text(HARDWARE)
+    return tmp_path
+
+
+def test_a_missing_can_interface_is_a_reason_with_a_fix(cell: Path) -> None:
+    with running(cell) as (client, director):
+        ready = client.get("/api/v1/cells/cell/readiness").json()
+        assert ready["simulated"] is False
+        assert [r["code"] for r in ready["reasons"]] == ["bus_missing"]
+        assert "ip link set can-none up" in ready["reasons"][0]["fix"]
+        refused = client.post(START, json={"mode": "full", "arm": True})
+        assert refused.status_code == 409
+        assert refused.json()["reasons"] == ready["reasons"]
+        assert director.workers == []
+
+
+def test_a_real_cell_has_no_simulation_to_change(cell: Path) -> None:
+    with running(cell) as (client, _):
+        for answer in (
+            client.get("/api/v1/cells/cell/simulation"),
+            client.patch("/api/v1/cells/cell/simulation", json={"reset": True}),
+        ):
+            assert answer.status_code == 409
+            assert answer.json()["type"] == "urn:invid:problem:not-simulated"
+
+
+def test_mode_simulate_moves_no_hardware_and_uses_the_accepted_model(cell: Path) -> None:
+    with running(cell) as (client, director):
+        refused = client.post(START, json={"mode": "simulate", "arm": True})
+        assert [r["code"] for r in refused.json()["reasons"]] == ["no_model"]
+        store = client.app.state.service.store  # type: ignore[attr-defined]
+        now = datetime.now(UTC)
+        run = RunRecord("m1", "cell", "test robot", "full", ("A1",), False, State.SUCCEEDED, now, "local")
+        store.add_run(run)
+        document = model_document(scale_mass=1.5)
+        store.add_model(StoredModel("m1", "cell", now, "full", json.dumps(document)))
+        store.approve("cell", "m1", by="local", how="accept", now=now)
+        started = client.post(START, json={"mode": "simulate", "arm": True})
+        assert started.status_code == 202
+        done = wait_for(client, started.headers["Location"], "succeeded")
+        assert done["simulated"] is True
+        config = CellConfig.model_validate(director.workers[0].job.config)
+        assert config.bus.interface == "invid-virtual"
+        assert truth(config).masses[1].tolist() == [4.0, 5.0, 9.0]
+        assert client.get("/api/v1/cells/cell/model").json()["id"] == "m1"
+        assert client.get("/").text.count("SIMULATED") == 1  # in the page, hidden
