@@ -175,6 +175,7 @@ def test_the_truth_is_the_papers_case_study() -> None:
         ),
         ({"faults": [{"kind": "drop"}]}, "at_s or at_state"),
         ({"faults": [{"kind": "push", "at_s": 1}]}, "give the axis"),
+        ({"faults": [{"kind": "mode_display", "at_s": 1, "axis": "A1", "value": 988}]}, "no mode"),
         ({"defaults": {"torque_noise": -1}}, "torque_noise"),
         ({"defaults": {"objects": {"profile": "acme"}}}, "unknown profile"),
         ({"defaults": {"objects": {"lacks": ["torque"]}}}, "is no object"),

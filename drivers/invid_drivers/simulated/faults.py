@@ -90,6 +90,8 @@ class FaultConfig(Strict):
         needs_axis = self.kind in DRIVE_FAULTS and self.kind != "bus_off"
         if (needs_axis or self.at_state is not None) and self.axis is None:
             raise ValueError(f"fault {self.kind}: give the axis")
+        if self.kind == "mode_display" and self.value > 127:
+            raise ValueError(f"fault mode_display: value {self.value} is no mode; it must be -128 to 127")
         return self
 
 
