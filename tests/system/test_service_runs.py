@@ -33,6 +33,15 @@ def test_a_run_measures_identifies_diagnoses_and_is_accepted(tmp_path: Path) -> 
         assert seen["simulated"] is True
         body = service.wait(location, "awaiting_accept")
         assert body["summary"]["verdict"] in set(Verdict)
+        with service.client.stream("GET", f"{location}/events") as stream:
+            kinds = []
+            for line in stream.iter_lines():
+                if line.startswith("event: "):
+                    kinds.append(line[7:])
+                if '"state":"awaiting_accept"' in line:
+                    break
+        assert kinds.count("progress") >= 3
+        assert "response" in kinds
         model = model_from_json(service.client.get(f"{location}/model").json())
         # The truth stands in the cell's config above the test, not in the service.
         assert model.chains.masses[0].tolist() == pytest.approx([1.0, 2.0], rel=0.05)
@@ -50,10 +59,6 @@ def test_a_run_measures_identifies_diagnoses_and_is_accepted(tmp_path: Path) -> 
         done = service.client.post(f"{location}/actions", json={"type": "accept"}).json()
         assert done["state"] == "succeeded"
         assert service.client.get("/api/v1/cells/small/model").json()["id"] == done["id"]
-        events = service.client.get(f"{location}/events").text
-        assert events.count("event: progress") >= 3
-        assert "event: response" in events
-
         # The same recording from elsewhere, with no drive involved.
         answer = service.client.post(
             "/api/v1/recordings", content=file.read_bytes(), headers={"Content-Type": "application/x-hdf5"}
