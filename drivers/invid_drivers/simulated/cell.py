@@ -18,11 +18,11 @@ from invid.errors import ConfigError
 from invid_drivers.simulated import kernel
 from invid_drivers.simulated.config import AxisSimulation, simulation_of, truth
 from invid_drivers.simulated.drive import Drive
-from invid_drivers.simulated.faults import FRAME_FAULTS, FaultConfig, FrameFault, disturb
+from invid_drivers.simulated.faults import FaultConfig, disturb
+from invid_drivers.simulated.injection import FaultInjector
 from invid_drivers.simulated.node import Handler, Node
 from invid_drivers.simulated.object_dictionary import drive_dictionary
 from invid_drivers.simulated.plant import Plant
-from invid_drivers.simulated.state_machine import State
 from invid_drivers.simulated.structure import build_structure
 from invid_drivers.simulated.vendors import PROFILES, Profile
 
@@ -58,7 +58,8 @@ class SimulatedCell:
         self._count = 0
         self._dispatch: dict[int, list[Handler]] | None = None
         self._tick_ns = 0
-        self.frame_faults: list[FrameFault] = []
+        self._injector = FaultInjector(self)
+        self.frame_faults = self._injector.frames
         self.frames_in = self.frames_out = self.syncs = 0
         chains = truth(config)
         axes = [self.simulation.axis(a.name) for a in config.axes]
@@ -90,7 +91,7 @@ class SimulatedCell:
         self._noise_row = _NOISE_ROWS
         self._noisy = bool(self._noise_scale.any())
         for fault in self.simulation.faults:
-            self._plan_fault(fault)
+            self._injector.plan(fault)
         for drive in self.drives:
             drive.node.power_on(0)
         self.schedule(_TICK_NS, self._watchdog)
@@ -284,128 +285,13 @@ class SimulatedCell:
                 drive.node.events(now_ns)
         self.schedule(self._tick_ns + _TICK_NS + _TICK_NS // 2, self._watchdog)
 
-    # --- faults --------------------------------------------------------------------------------
-    def _plan_fault(self, fault: FaultConfig) -> None:
-        if fault.at_s is not None:
-            self.schedule(round(fault.at_s * _NS), lambda now_ns: self.begin_fault(fault, now_ns))
-            return
-        wanted = State[(fault.at_state or "").upper()]
-        drive = self.drive(fault.axis)
-
-        def wait(now_ns: int) -> None:
-            if drive.state is wanted:
-                self.schedule(
-                    now_ns + round(fault.after_s * _NS), lambda at_ns: self.begin_fault(fault, at_ns)
-                )
-            else:
-                self.schedule(now_ns + _TICK_NS, wait)
-
-        self.schedule(0, wait)
-
     def drive(self, axis: str | None) -> Drive:
         """The drive of an axis."""
         return self.drives[[a.name for a in self.config.axes].index(str(axis))]
 
-    def begin_fault(self, fault: FaultConfig, now_ns: int) -> None:
-        """Let a fault happen now; tests and campaigns call it directly as well."""
-        undo = self._start_fault(fault, now_ns)
-        for drive in self.drives:
-            drive.unsettle()
-        if fault.duration_s is not None and undo is not None:
-            self.schedule(now_ns + round(fault.duration_s * _NS), undo)
-
-    def _start_fault(self, fault: FaultConfig, now_ns: int) -> Callable[[int], None] | None:
-        kind = fault.kind
-        if kind in FRAME_FAULTS:
-            active = FrameFault(fault, self._fault_ids(fault), fault.count)
-            self.frame_faults.append(active)
-            return lambda _now: self.frame_faults.remove(active)
-        if kind == "bus_off" and fault.axis is None:
-            self.master_off = True
-            return lambda _now: setattr(self, "master_off", False)
-        drive = self.drive(fault.axis)
-        node = drive.node
-        if kind in ("node_silent", "bus_off"):
-            undo = self._set(node, "silent", True, then=self.rewire)
-            if kind == "bus_off":  # a node knows that it is bus-off; one with a pulled cable does not
-                drive.connection_lost(now_ns)
-            return undo
-        if kind == "node_reset":
-            node.power_on(now_ns)
-        elif kind == "emcy":
-            node.emergency(fault.code, 0x01, length=fault.length)
-        elif kind == "drive_fault":
-            drive.fail(fault.code, 0x01, now_ns)
-        elif kind in ("ignore_quick_stop", "ignore_controlword"):
-            return self._set(drive, kind, True)
-        elif kind == "brake_stuck":
-            return self._set(drive, "brake_stuck", True, then=drive.refresh_brake)
-        elif kind == "statusword":
-            return self._set(drive, "statusword_lie", fault.value & 0xFFFF)
-        elif kind == "mode_display":
-            return self._set(drive, "mode_lie", fault.value)
-        else:
-            return self._disturb_motor(fault, drive, now_ns)
-        return None
-
-    @staticmethod
-    def _set(
-        target: object, name: str, value: object, then: Callable[[], None] = lambda: None
-    ) -> Callable[[int], None]:
-        before = getattr(target, name)
-        setattr(target, name, value)
-        then()
-
-        def undo(_now: int) -> None:
-            setattr(target, name, before)
-            if isinstance(target, Drive):
-                target.unsettle()
-            then()
-
-        return undo
-
-    def _disturb_motor(self, fault: FaultConfig, drive: Drive, now_ns: int) -> Callable[[int], None] | None:
-        self.plant.advance_to(now_ns)
-        command = self.plant.command[drive.row]
-        kind = fault.kind
-        if kind == "push":
-            motor = int(self.plant.structure.motors[drive.row])
-            self.plant.external[motor] += fault.torque
-
-            def let_go(at_ns: int) -> None:
-                self.plant.advance_to(at_ns)
-                self.plant.external[motor] -= fault.torque
-
-            return let_go
-        if kind == "encoder_jump":
-            column, value = kernel.ENCODER_OFFSET, command[kernel.ENCODER_OFFSET]
-            value += drive.direction * fault.counts / drive.counts_per_unit
-        elif kind == "encoder_stuck":
-            command[kernel.STUCK_AT] = (
-                drive.measured[3] / drive.counts_per_unit - command[kernel.ENCODER_OFFSET]
-            )
-            column, value = kernel.STUCK, 1.0
-        elif kind == "sign_flip":
-            column = kernel.TORQUE_GAIN if fault.signal == "torque" else kernel.ENCODER_SIGN
-            value = -command[column]
-        else:
-            column, value = kernel.SATURATION, fault.limit
-        before = float(command[column])
-        command[column] = value
-
-        def undo(at_ns: int) -> None:
-            self.plant.advance_to(at_ns)
-            command[column] = before
-
-        return undo
-
-    def _fault_ids(self, fault: FaultConfig) -> frozenset[int] | None:
-        if fault.can_ids is not None:
-            return frozenset(fault.can_ids)
-        if fault.axis is None:
-            return None
-        node = self.drive(fault.axis).node.node_id
-        return frozenset(base + node for base in range(0x80, 0x780, 0x80))
+    def begin_fault(self, fault: FaultConfig) -> None:
+        """Let a fault happen now, for tests and campaigns."""
+        self._injector.begin(fault, self.now_ns)
 
 
 def _lag(h: float, time_constant: float) -> float:

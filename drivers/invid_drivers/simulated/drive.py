@@ -10,6 +10,7 @@ from collections import deque
 
 from invid.errors import ConfigError
 from invid_drivers.simulated import kernel
+from invid_drivers.simulated.limits import Limits
 from invid_drivers.simulated.node import Nmt, Node
 from invid_drivers.simulated.object_dictionary import Entry, ObjectDictionary, SdoAbort
 from invid_drivers.simulated.plant import Plant
@@ -17,7 +18,6 @@ from invid_drivers.simulated.state_machine import Command, State, command_of, tr
 
 PROFILE_TORQUE, CYCLIC_POSITION, CYCLIC_TORQUE = 4, 8, 10
 _MODE_BITS = {PROFILE_TORQUE: 1 << 3, CYCLIC_POSITION: 1 << 7, CYCLIC_TORQUE: 1 << 9}
-_UNLIMITED = 0xFFFFFFFF
 _ENERGISED = (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE)
 
 # EMCY codes of CiA 402
@@ -48,7 +48,7 @@ class Drive:
         self.node, self._plant, self.row = node, plant, row
         self.rated_torque, self.counts_per_unit, self.direction = rated_torque, counts_per_unit, direction
         self._gains, self._brake_torque, self._cycle_s = gains, brake_torque, cycle_s
-        self._radians_per_rev = 0.0 if linear else 2.0 * math.pi
+        self._counts_per_rev = 0.0 if linear else 2.0 * math.pi * counts_per_unit
         self._delay: deque[float] = deque([0.0] * delay_cycles)
         self._lag: deque[int] = deque([0] * lag_cycles)
         self._command = plant.command[row]
@@ -272,7 +272,7 @@ class Drive:
     def _follow_position(self) -> None:
         command = self._command
         target = int(self._e_target_position.value)
-        low, high = self._range
+        low, high = self._limits.low, self._limits.high
         self._internal_limit = False
         if not low <= target <= high:
             target = max(low, min(high, target))
@@ -358,35 +358,26 @@ class Drive:
     # --- supervision -----------------------------------------------------------------------------
     def configured(self) -> None:
         """Take over limits that may have been written."""
-        od = self.node.od
-        fastest = float(od.number(0x607F, missing=_UNLIMITED))
-        self._fastest = math.inf if fastest == _UNLIMITED else fastest
-        rpm = od.number(0x6080, missing=_UNLIMITED)
-        if rpm != _UNLIMITED and self._radians_per_rev:
-            self._fastest = min(self._fastest, rpm * self.counts_per_unit * self._radians_per_rev / 60.0)
-        low, high = od.number(0x607D, 1, -(1 << 31)), od.number(0x607D, 2, (1 << 31) - 1)
-        self._range = (low, high) if low < high else (-(1 << 31), (1 << 31) - 1)
-        window = od.number(0x6065, missing=_UNLIMITED)
-        self._window = math.inf if window == _UNLIMITED else float(window)
+        self._limits = Limits.of(self.node.od, self._counts_per_rev)
 
     def _supervise(self, now_ns: int) -> None:
         position, speed, _, _ = self.measured
-        if not -self._fastest <= speed <= self._fastest:
+        limits = self._limits
+        if not -limits.fastest <= speed <= limits.fastest:
             self.fail(OVERSPEED, 0x20, now_ns)
             return
-        low, high = self._range
-        if (position > high and speed > 0) or (position < low and speed < 0):
+        if (position > limits.high and speed > 0) or (position < limits.low and speed < 0):
             self.fail(REFERENCE_LIMIT, 0x20, now_ns)
             return
         self._following = False
-        window = self._window
+        window = limits.window
         if self.mode == CYCLIC_POSITION and window != math.inf and self._target_counts is not None:
             demand = self._command[kernel.POSITION] * self.counts_per_unit
             if abs(demand - self.measured[3]) > window:
                 self._following = True
                 if self._lost_ns is None:
                     self._lost_ns = now_ns
-                if now_ns - self._lost_ns >= self.node.od.number(0x6066, missing=0) * 1_000_000:
+                if now_ns - self._lost_ns >= limits.window_ns:
                     self.fail(FOLLOWING_ERROR, 0x20, now_ns)
             else:
                 self._lost_ns = None

@@ -1,0 +1,143 @@
+"""Makes a cell's configured faults happen: plans them, begins them, takes them back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from invid_drivers.simulated import kernel
+from invid_drivers.simulated.drive import Drive
+from invid_drivers.simulated.faults import FRAME_FAULTS, FaultConfig, FrameFault
+from invid_drivers.simulated.state_machine import State
+
+if TYPE_CHECKING:
+    from invid_drivers.simulated.cell import SimulatedCell
+
+_NS = 1_000_000_000
+_LOOK_NS = 1_000_000  # how often an awaited state is looked for: the drives' own control period
+
+
+class FaultInjector:
+    """Faults of one cell."""
+
+    def __init__(self, cell: SimulatedCell) -> None:
+        self._cell = cell
+        self.frames: list[FrameFault] = []
+        """Active faults on frames."""
+
+    def plan(self, fault: FaultConfig) -> None:
+        """Let a fault happen when its time or state comes."""
+        cell = self._cell
+        if fault.at_s is not None:
+            cell.schedule(round(fault.at_s * _NS), lambda now_ns: self.begin(fault, now_ns))
+            return
+        wanted = State[(fault.at_state or "").upper()]
+        drive = cell.drive(fault.axis)
+
+        def wait(now_ns: int) -> None:
+            if drive.state is wanted:
+                cell.schedule(now_ns + round(fault.after_s * _NS), lambda at_ns: self.begin(fault, at_ns))
+            else:
+                cell.schedule(now_ns + _LOOK_NS, wait)
+
+        cell.schedule(0, wait)
+
+    def begin(self, fault: FaultConfig, now_ns: int) -> None:
+        """Let a fault happen now; tests and campaigns call it directly as well."""
+        undo = self._start(fault, now_ns)
+        for drive in self._cell.drives:
+            drive.unsettle()
+        if fault.duration_s is not None and undo is not None:
+            self._cell.schedule(now_ns + round(fault.duration_s * _NS), undo)
+
+    def _start(self, fault: FaultConfig, now_ns: int) -> Callable[[int], None] | None:
+        kind = fault.kind
+        if kind in FRAME_FAULTS:
+            active = FrameFault(fault, self._fault_ids(fault), fault.count)
+            self.frames.append(active)
+            return lambda _now: self.frames.remove(active)
+        if kind == "bus_off" and fault.axis is None:
+            return self._set(self._cell, "master_off", True)
+        drive = self._cell.drive(fault.axis)
+        node = drive.node
+        if kind in ("node_silent", "bus_off"):
+            undo = self._set(node, "silent", True, then=self._cell.rewire)
+            if kind == "bus_off":  # a node knows that it is bus-off; one with a pulled cable does not
+                drive.connection_lost(now_ns)
+            return undo
+        if kind == "node_reset":
+            node.power_on(now_ns)
+        elif kind == "emcy":
+            node.emergency(fault.code, 0x01, length=fault.length)
+        elif kind == "drive_fault":
+            drive.fail(fault.code, 0x01, now_ns)
+        elif kind in ("ignore_quick_stop", "ignore_controlword"):
+            return self._set(drive, kind, True)
+        elif kind == "brake_stuck":
+            return self._set(drive, "brake_stuck", True, then=drive.refresh_brake)
+        elif kind == "statusword":
+            return self._set(drive, "statusword_lie", fault.value & 0xFFFF)
+        elif kind == "mode_display":
+            return self._set(drive, "mode_lie", fault.value)
+        else:
+            return self._disturb_motor(fault, drive, now_ns)
+        return None
+
+    @staticmethod
+    def _set(
+        target: object, name: str, value: object, then: Callable[[], None] = lambda: None
+    ) -> Callable[[int], None]:
+        before = getattr(target, name)
+        setattr(target, name, value)
+        then()
+
+        def undo(_now: int) -> None:
+            setattr(target, name, before)
+            if isinstance(target, Drive):
+                target.unsettle()
+            then()
+
+        return undo
+
+    def _disturb_motor(self, fault: FaultConfig, drive: Drive, now_ns: int) -> Callable[[int], None] | None:
+        self._cell.plant.advance_to(now_ns)
+        command = self._cell.plant.command[drive.row]
+        kind = fault.kind
+        if kind == "push":
+            motor = int(self._cell.plant.structure.motors[drive.row])
+            self._cell.plant.external[motor] += fault.torque
+
+            def let_go(at_ns: int) -> None:
+                self._cell.plant.advance_to(at_ns)
+                self._cell.plant.external[motor] -= fault.torque
+
+            return let_go
+        if kind == "encoder_jump":
+            column, value = kernel.ENCODER_OFFSET, command[kernel.ENCODER_OFFSET]
+            value += drive.direction * fault.counts / drive.counts_per_unit
+        elif kind == "encoder_stuck":
+            command[kernel.STUCK_AT] = (
+                drive.measured[3] / drive.counts_per_unit - command[kernel.ENCODER_OFFSET]
+            )
+            column, value = kernel.STUCK, 1.0
+        elif kind == "sign_flip":
+            column = kernel.TORQUE_GAIN if fault.signal == "torque" else kernel.ENCODER_SIGN
+            value = -command[column]
+        else:
+            column, value = kernel.SATURATION, fault.limit
+        before = float(command[column])
+        command[column] = value
+
+        def undo(at_ns: int) -> None:
+            self._cell.plant.advance_to(at_ns)
+            command[column] = before
+
+        return undo
+
+    def _fault_ids(self, fault: FaultConfig) -> frozenset[int] | None:
+        if fault.can_ids is not None:
+            return frozenset(fault.can_ids)
+        if fault.axis is None:
+            return None
+        node = self._cell.drive(fault.axis).node.node_id
+        return frozenset(base + node for base in range(0x80, 0x780, 0x80))
