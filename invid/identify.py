@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any, Literal
 
@@ -115,23 +115,33 @@ def fit_sizes(
 ) -> Fit:
     """The fit of one order, from the paper's inverse and its fallbacks."""
     structure = ChainStructure(tuple(sizes), tuple(axes))
-    found: list[CoupledChains] = list(further)
+    attempts = _starts(spectra, sizes, axes, measured, paper, further, thorough)
+    return fit_structure(spectra, structure, attempts, thorough=thorough)
+
+
+def _starts(
+    spectra: Sequence[LineSpectra],
+    sizes: Sequence[int],
+    axes: Sequence[str],
+    measured: FrfMatrix,
+    paper: PaperResult | InvidError | None,
+    further: Sequence[CoupledChains],
+    thorough: bool,
+) -> Iterator[CoupledChains]:
+    """Starts, most trusted first; each is made only when those before it did not do."""
+    yield from further
+    if isinstance(paper, PaperResult):
+        yield paper.chains
+    count = 0
     for trusted in (TRUSTED, FINE) if thorough else (TRUSTED,):
         rational = rational_modes(spectra, sizes, trusted=trusted)
         if rational is not None:
             modes, frf = rational
-            found += starts(frf.frequency_hz, frf.frf, frf.variance, sizes, axes=axes, modes=modes)
-    # The last start of each set is the crude one of equal shares: once, and last.
-    if isinstance(paper, PaperResult):
-        found.insert(len(further), paper.chains)
-    if not found and measured.frequency_hz.size:
-        found += starts(measured.frequency_hz, measured.frf, measured.variance, sizes, axes=axes)
-    if not found:
-        raise NotIdentifiableError(
-            "no start for the fit: no frequency at which all axes are excited; excite every axis, one an "
-            "experiment or all at once"
-        )
-    return fit_structure(spectra, structure, found, thorough=thorough)
+            for chains in starts(frf.frequency_hz, frf.frf, frf.variance, sizes, axes=axes, modes=modes):
+                count += 1
+                yield chains
+    if count == 0 and not isinstance(paper, PaperResult) and measured.frequency_hz.size:
+        yield from starts(measured.frequency_hz, measured.frf, measured.variance, sizes, axes=axes)
 
 
 # --- checks ------------------------------------------------------------------------------------

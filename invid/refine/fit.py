@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -23,7 +23,7 @@ from invid.refine.blocks import (
 )
 from invid.refine.friction import coulomb_columns
 from invid.refine.problem import MissingTorqueProblem
-from invid.refine.solver import Solution, gauss_newton
+from invid.refine.solver import Solution, gauss_newton, spectrum_of
 from invid.refine.structure import ChainStructure
 from invid.refine.weights import excess_variance
 from invid.spectra import LineSpectra
@@ -67,7 +67,7 @@ class Fit:
 def fit_structure(
     spectra: Sequence[LineSpectra],
     structure: ChainStructure,
-    starts: Sequence[CoupledChains],
+    starts: Iterable[CoupledChains],
     *,
     thorough: bool = True,
 ) -> Fit:
@@ -122,10 +122,7 @@ def physical_covariance(problem: MissingTorqueProblem, solution: Solution) -> Fl
     """
     full = np.zeros((solution.p.size, solution.p.size))
     free = np.flatnonzero(solution.free)
-    scale = np.linalg.norm(solution.jacobian, axis=0)
-    blind = scale == 0
-    scale[blind] = 1.0
-    _, size, right = np.linalg.svd(solution.jacobian / scale, full_matrices=False)
+    scale, size, right, blind = spectrum_of(solution.jacobian)
     seen = size > 1e-9 * size[0]
     inverse = (right[seen].T / size[seen] ** 2) @ right[seen] / scale[:, None] / scale
     lost = np.flatnonzero(blind | (np.abs(right[~seen]) > 1e-2).any(axis=0))
@@ -142,10 +139,7 @@ def physical_covariance(problem: MissingTorqueProblem, solution: Solution) -> Fl
 def spread_of(solution: Solution) -> Float64:
     """(n,) standard deviation of every parameter as it moves (logarithms relative), inflated; NaN where
     fixed, infinite where the data do not see it."""
-    scale = np.linalg.norm(solution.jacobian, axis=0)
-    blind = scale == 0
-    scale[blind] = 1.0
-    _, size, right = np.linalg.svd(solution.jacobian / scale, full_matrices=False)
+    scale, size, right, blind = spectrum_of(solution.jacobian)
     size = np.maximum(size, 1e-9 * size[0])
     own = np.sqrt(((right / size[:, None]) ** 2).sum(axis=0)) / scale
     own[blind] = np.inf
@@ -170,7 +164,7 @@ def _with_coulomb(problem: MissingTorqueProblem, spectra: Sequence[LineSpectra])
     return with_columns(problem, columns, [f"{problem.structure.axes[i]}.coulomb" for i in axes])
 
 
-def _best(problem: MissingTorqueProblem, starts: Sequence[CoupledChains], iterations: int) -> Solution:
+def _best(problem: MissingTorqueProblem, starts: Iterable[CoupledChains], iterations: int) -> Solution:
     """The lowest cost from all starts; stops at the first that cannot be told from noise."""
     best: Solution | None = None
     for start in starts:
@@ -181,7 +175,10 @@ def _best(problem: MissingTorqueProblem, starts: Sequence[CoupledChains], iterat
         if best.reduced < 1.5:
             break
     if best is None:
-        raise ValueError("fit_structure needs at least one start")
+        raise NotIdentifiableError(
+            "no start for the fit: no frequency at which all axes are excited; excite every axis, one an "
+            "experiment or all at once"
+        )
     return best
 
 

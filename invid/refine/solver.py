@@ -97,3 +97,13 @@ def gauss_newton(
         p, residual, jacobian, cost = trial, trial_residual, trial_jacobian, trial_cost
         damping = max(damping / 5.0, 1e-12)
     return Solution(p, result, used, cost, dof, jacobian, residual, free)
+
+
+def spectrum_of(jacobian: Float64) -> tuple[Float64, Float64, Float64, Bool]:
+    """Column norms, singular values and right vectors of the scaled Jacobian, and columns that are zero."""
+    scale = np.linalg.norm(jacobian, axis=0)
+    blind: Bool = scale == 0
+    scale = np.where(blind, 1.0, scale)
+    triangle = np.asarray(np.linalg.qr(jacobian / scale, mode="r"))
+    _, size, right = np.linalg.svd(triangle)
+    return scale, size, right[: size.size], blind

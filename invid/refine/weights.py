@@ -11,7 +11,7 @@ import numpy as np
 
 from invid.arrays import Complex128, Float64
 from invid.refine.problem import MissingTorqueProblem, State
-from invid.refine.solver import Solution
+from invid.refine.solver import Solution, spectrum_of
 
 WINDOW = 24
 """Neighbouring lines that share one excess variance: its own standard error is then 20 %."""
@@ -44,8 +44,9 @@ def excess_variance(
 
 def _leverage(problem: MissingTorqueProblem, solution: Solution) -> list[Float64]:
     """Per block (M,) the mean share of a row's variance that the fit has taken up."""
-    left, size, _ = np.linalg.svd(_scaled(solution.jacobian), full_matrices=False)
-    hat = (left[:, size > 1e-10 * size[0]] ** 2).sum(axis=1)
+    scale, size, right, _ = spectrum_of(solution.jacobian)
+    seen = size > 1e-10 * size[0]
+    hat = ((solution.jacobian @ (right[seen] / size[seen, None] / scale).T) ** 2).sum(axis=1)
     out, at = [], 0
     for block in problem.blocks:
         lines, motors = block.position.shape
@@ -55,13 +56,6 @@ def _leverage(problem: MissingTorqueProblem, solution: Solution) -> list[Float64
         out.append(np.minimum(own, 0.8))
         at += 2 * lines * motors
     return out
-
-
-def _scaled(jacobian: Float64) -> Float64:
-    scale = np.linalg.norm(jacobian, axis=0)
-    scale[scale == 0] = 1.0
-    result: Float64 = jacobian / scale
-    return result
 
 
 def _excess(state: State, base: State, leverage: Float64) -> Float64:
