@@ -1,7 +1,7 @@
 """Hidden effects: draws plants, causes, places, sizes, excitation and noise; prints what was found.
 
     python benchmarks/bench_hidden.py [--trials N] [--start SEED] [--jobs 2] [--kind null] [--cause backlash]
-                                      [--db 0 20] [--motors 3] [--json FILE]
+                                      [--db 0 20] [--motors 3] [--json ROWS.jsonl]
 
 Every row of the result can be made again from its seed: `make_case(seed)` in tests/hidden, or
 `make(cause, seed=seed, target_db=…)` where --cause or --db is given.
@@ -167,12 +167,17 @@ def report(rows: list[dict[str, Any]]) -> None:
     failed = [r for r in rows if r["outcome"] != "right"]
     print(f"\nNot right ({len(failed)}):")
     for r in sorted(failed, key=lambda r: (r["outcome"], -r["db"])):
-        what = "+".join(r["causes"]) or r["kind"]
-        said = "; ".join(r.get("found", [])) or r["named"]
-        print(
-            f"  seed {r['seed']:6d} {r['outcome']:<16} {r['db']:6.1f} dB {what:<24} "
-            f"at {', '.join(r['places'])} → {said}"
-        )
+        print("  " + _line(r))
+
+
+def _line(r: dict[str, Any]) -> str:
+    """Seed, outcome, what was hidden, what was said."""
+    what = "+".join(r["causes"]) or r["kind"]
+    said = "; ".join(r.get("found", [])) or r["named"]
+    return (
+        f"seed {r['seed']:6d} {r['outcome']:<16} {r['db']:6.1f} dB {what:<24} "
+        f"at {', '.join(r['places'])} → {said}"
+    )
 
 
 def main() -> int:
@@ -187,8 +192,12 @@ def main() -> int:
     parser.add_argument("--cause")
     parser.add_argument("--db", type=float, nargs=2)
     parser.add_argument("--motors", type=int)
-    parser.add_argument("--json", type=Path)
+    parser.add_argument("--json", type=Path, help="rows as JSON lines, written as they come")
+    parser.add_argument("--report", type=Path, nargs="+", help="print the tables of rows written before")
     arguments = parser.parse_args()
+    if arguments.report:
+        report([json.loads(line) for path in arguments.report for line in path.read_text().splitlines()])
+        return 0
     options = {
         "kind": arguments.kind,
         "cause": arguments.cause,
@@ -198,19 +207,24 @@ def main() -> int:
     jobs = [(seed, options) for seed in range(arguments.start, arguments.start + arguments.trials)]
     started = time.perf_counter()
     rows: list[dict[str, Any]] = []
+    if arguments.json:
+        arguments.json.unlink(missing_ok=True)
+
+    def keep(row: dict[str, Any]) -> None:
+        rows.append(row)
+        print(f"{len(rows)}/{len(jobs)} {_line(row)} {row['seconds']:.1f} s", file=sys.stderr, flush=True)
+        if arguments.json:
+            with arguments.json.open("a") as file:
+                file.write(json.dumps(row, ensure_ascii=False, default=float) + "\n")
+
     if arguments.jobs > 1:
         with multiprocessing.get_context("spawn").Pool(arguments.jobs) as pool:
             for row in pool.imap_unordered(trial, jobs):
-                rows.append(row)
-                print(f"\r{len(rows)}/{len(jobs)}", end="", file=sys.stderr, flush=True)
+                keep(row)
     else:
         for job in jobs:
-            rows.append(trial(job))
-            print(f"\r{len(rows)}/{len(jobs)}", end="", file=sys.stderr, flush=True)
-    print(file=sys.stderr)
+            keep(trial(job))
     rows.sort(key=lambda r: r["seed"])
-    if arguments.json:
-        arguments.json.write_text(json.dumps(rows, ensure_ascii=False, default=float, indent=1))
     report(rows)
     print(f"\n{len(rows)} trials in {time.perf_counter() - started:.0f} s")
     return int(any(r["outcome"] == "crash" for r in rows))

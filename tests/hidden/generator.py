@@ -32,6 +32,8 @@ class TrueEffect:
     other_axis: str | None
     parameters: dict[str, float]
     in_catalogue: bool
+    either_axis: bool = False
+    """With two axes: nothing in the data says which of them it is (a torque scale)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,6 +152,7 @@ def make(
             axes[a.other] if a.other >= 0 else None,
             a.parameters,
             a.cause.name in CATALOGUE,
+            a.cause.name == "torque_gain" and plant.count == 2,
         )
         for a in active
     )

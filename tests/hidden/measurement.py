@@ -279,5 +279,9 @@ def scales(setup: Setup) -> Scales:
         setup.rate,
         setup.settings["duration_s"],
         setup.settings["period_s"],
-        tuple((r.start_time, r.start_time + r.length / setup.rate) for r in setup.runs),
+        tuple(
+            (r.start_time, r.start_time + r.length / setup.rate)
+            for r in setup.runs
+            if r.period and r.role is Role.IDENTIFY
+        ),
     )

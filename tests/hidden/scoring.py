@@ -62,7 +62,8 @@ def at_place(e: TrueEffect, axis: str, element: str | None, other_axis: str | No
     if e.other_axis is not None:
         return {axis, other_axis} == {e.axis, e.other_axis}
     if axis != e.axis:
-        return False
+        # Of two axes, one scaled by g and the other by 1/g are the same data: the common scale is invisible.
+        return e.cause == "torque_gain" and e.either_axis
     return e.element is None or element is None or element == e.element
 
 
@@ -79,7 +80,12 @@ def score(truth: Truth, d: Diagnosis) -> Score:
     """Compare a diagnosis with what was hidden."""
     named = "+".join(f.effect.cause for f in d.findings) or str(d.verdict)
     true = [e for e in truth.effects if e.in_catalogue]
-    flags = tuple((f.confidence, any(names(e, f) for e in true)) for f in d.findings)
+    # A mass too few declared is a mode too few: that is what an extra mode says.
+    spare = truth.kind == "wrong_order"
+    flags = tuple(
+        (f.confidence, any(names(e, f) for e in true) or (spare and f.effect.cause == "extra_mode"))
+        for f in d.findings
+    )
     floors = [r.after / r.noise_floor for r in d.residual if r.noise_floor > 0]
     common: dict[str, Any] = {
         "named": named,
@@ -156,6 +162,8 @@ def _size(e: TrueEffect, d: Diagnosis) -> tuple[float | None, float | None]:
                 return None, None
             value, true = found.value, e.parameters[key]
             if e.cause == "torque_gain":
+                if f.effect.axis != e.axis:
+                    true = 1.0 / true
                 value, true = value - 1.0, true - 1.0
             elif e.cause not in ("torque_offset", "parameter_drift", "torque_delay"):
                 value, true = abs(value), abs(true)

@@ -1,0 +1,62 @@
+"""The product's promise on a quick sample: find what is hidden, be silent where nothing is.
+
+Seeds are fixed; `python benchmarks/bench_hidden.py` draws as many as one likes.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from invid.diagnosis import Verdict
+from invid.discrepancy import diagnose
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from hidden.generator import make
+from hidden.scoring import score
+
+# One cause of each family: at the motor, in a spring, in the actuator, over position, over time.
+FOUND = [
+    ("coulomb_friction", 1, 101),
+    ("viscous_friction", 1, 103),
+    ("cogging", 1, 104),
+    ("torque_lag", 1, 105),
+    ("cubic_stiffness", 1, 107),
+    ("backlash", 1, 108),
+    ("payload_change", 1, 113),
+]
+
+
+@pytest.mark.parametrize(("cause", "motors", "seed"), FOUND)
+def test_a_hidden_effect_well_above_the_noise_is_named_at_its_place(
+    cause: str, motors: int, seed: int
+) -> None:
+    recording, truth = make(
+        cause, seed=seed, masses=(2,) * motors, target_db=25.0, noise=0.003, drive="smooth"
+    )
+    result = score(truth, diagnose(recording))
+    # A second cause named beside the true one is tolerated only where it is said to be doubtful.
+    assert result.outcome in ("right", "right_and_wrong"), (truth.effects, result.named, truth.db)
+    assert result.named.split("+")[0] == cause
+    assert not result.wrong_confident, (result.named, result.confidences)
+    assert result.size_error is not None
+    assert abs(result.size_error) < 0.1
+
+
+@pytest.mark.parametrize("seed", [201, 202, 203, 204])
+def test_nothing_hidden_nothing_named(seed: int) -> None:
+    recording, truth = make(None, seed=seed, motors=1)
+    diagnosis = diagnose(recording)
+    assert diagnosis.findings == (), truth.settings
+    assert diagnosis.verdict is Verdict.CONSISTENT
+
+
+@pytest.mark.parametrize(("cause", "seed"), [("power_drag", 301), ("end_stop", 303), ("square_spring", 304)])
+def test_what_the_catalogue_does_not_hold_is_called_unexplained(cause: str, seed: int) -> None:
+    recording, truth = make(cause, seed=seed, masses=(2,), target_db=25.0, noise=0.003, drive="smooth")
+    diagnosis = diagnose(recording)
+    result = score(truth, diagnosis)
+    assert diagnosis.verdict in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED), result.named
+    assert not result.wrong_confident
