@@ -65,6 +65,7 @@ def test_a_run_measures_identifies_diagnoses_and_is_accepted(tmp_path: Path) -> 
         )
         uploaded = service.wait(answer.headers["Location"], "succeeded")
         assert uploaded["mode"] == "upload"
+        assert uploaded["simulated"] is True  # the recording says so itself
         again = model_from_json(service.client.get(f"{answer.headers['Location']}/model").json())
         assert again.chains.masses[0].tolist() == pytest.approx(model.chains.masses[0].tolist(), rel=1e-6)
 

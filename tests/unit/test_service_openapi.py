@@ -106,6 +106,11 @@ def test_problem_types_are_stable() -> None:
     } <= CATALOGUE.keys()
 
 
+def test_the_cookbook_names_every_problem_type() -> None:
+    text = (COMMITTED.parents[1] / "how-to" / "rest.md").read_text(encoding="utf-8")
+    assert [kind for kind in CATALOGUE if f"`{kind}`" not in text] == []
+
+
 if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as folder:
         COMMITTED.parent.mkdir(parents=True, exist_ok=True)

@@ -247,7 +247,12 @@ class JobManager:
                 if run.wish is None:
                     await self._move(run, State.ANALYSING)
             case "recording":
-                run.record = replace(run.record, robot=str(message["robot"]), axes=tuple(message["axes"]))
+                run.record = replace(
+                    run.record,
+                    robot=str(message["robot"]),
+                    axes=tuple(message["axes"]),
+                    simulated=bool(message["simulated"]),
+                )
             case other:
                 log.warning("run %s: the runner said %r", run.record.id, other)
 

@@ -176,8 +176,10 @@ def analyse(job: Job, line: Line, path: Path) -> dict[str, Any]:
 
     line.progress(0.8, "reading the recording")
     recording = read_recording(path)
-    flag = {"simulated": job.simulated}
-    line.tell("recording", robot=recording.robot, axes=list(recording.axes))
+    # An uploaded recording may come from a simulated cell too; the drives then wrote it down.
+    simulated = job.simulated or bool(recording.attributes.get("simulated", False))
+    flag = {"simulated": simulated}
+    line.tell("recording", robot=recording.robot, axes=list(recording.axes), simulated=simulated)
     line.tell("progress", fraction=0.82, phase="identifying")
     model = identify(recording)
     save_text(job.folder / "model.json", dump_json({**model_to_json(model), **flag}))
@@ -188,7 +190,7 @@ def analyse(job: Job, line: Line, path: Path) -> dict[str, Any]:
     save_text(job.folder / "model.json", dump_json({**model_to_json(best), **flag}))
     save_text(job.folder / "diagnosis.json", dump_json({**diagnosis_to_json(diagnosis), **flag}))
     report = render_report(recording, model, diagnosis)
-    save_text(job.folder / "report.html", _marked(report, job.simulated))
+    save_text(job.folder / "report.html", _marked(report, simulated))
     save_text(job.folder / "plots.json", dump_json({**plot_data(recording, model, diagnosis), **flag}))
     return {
         "verdict": str(diagnosis.verdict),

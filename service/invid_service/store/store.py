@@ -203,6 +203,7 @@ class Store:
                     facts=dict(run.facts),
                     robot=run.robot,
                     axes=list(run.axes),
+                    simulated=run.simulated,
                 )
             )
             if event is not None and session.get(EventRow, (run.id, event.id)) is None:
