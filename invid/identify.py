@@ -20,6 +20,7 @@ from invid.modes.settle import settled_frf
 from invid.rational import FINE, TRUSTED, rational_modes
 from invid.recording.model import Recording, Role
 from invid.refine.fit import Fit, fit_structure
+from invid.refine.problem import condense_dense
 from invid.refine.structure import ChainStructure
 from invid.spectra import LineSpectra, all_spectra
 
@@ -34,6 +35,11 @@ LOCAL_MISFIT = 0.03
 SECOND_ROUTE = 100
 """Modes times motors squared up to which the paper's method runs beside the fit as a cross-check: its
 modal fit then takes a second or two."""
+SUSPECT = 5.0
+"""χ²/ν against sensor noise above which the fit is compared with a rational FRF of no structure."""
+DISAGREE = 0.05
+"""Median relative difference of the two that is too much: friction of 3 % of the peak torque leaves one
+or two per cent, a wrong minimum tens (empirical, on the plants of the benchmarks)."""
 EXPLAINED = 0.9
 """Share of the torque a trustworthy model explains. Empirical: real drives with friction stand above
 0.99, a wrong order or a torque that is none below 0.7 (flexible bench, case study)."""
@@ -84,6 +90,9 @@ def identify(recording: Recording, *, masses: Masses = None, method: Method = "r
     elif method == "refined" and any(s.transient for s in spectra):
         paper = NotIdentifiableError("records that are not settled: the paper's method needs settled ones")
     else:
+        if any(s.transient for s in spectra):
+            rational = rational_modes(spectra, sizes)
+            measured = measured if rational is None else rational[1]
         paper = _paper(measured, sizes, recording.axes)
     if method == "paper":
         if isinstance(paper, InvidError):
@@ -297,6 +306,13 @@ def _refined_model(
             f"the model explains {fit.explained:.0%} of the torque only: another number of masses, a torque "
             "channel that is not the motor torque, or axes that do not move freely"
         )
+    apart = _apart(spectra, fit) if fit.noise_chi2 > SUSPECT else 0.0
+    if apart > DISAGREE:
+        trustworthy = False
+        warnings.append(
+            f"the fitted plant differs by {apart:.0%} from the FRF that the records show: the fit stands in "
+            "a wrong minimum, or the machine has another structure (number of masses, springs to ground)"
+        )
     if fit.noise_chi2 > 2.0:
         warnings.append(
             f"the torque is missed by {np.sqrt(fit.noise_chi2):.2g} times its noise: something acts that the "
@@ -330,6 +346,23 @@ def _refined_model(
         fit=_plain(facts),
         provenance=_provenance(recording),
     )
+
+
+def _apart(spectra: Sequence[LineSpectra], fit: Fit) -> float:
+    """Median relative difference of the fitted FRF and a rational one, over lines and motors."""
+    rational = rational_modes(spectra, fit.structure.sizes)
+    if rational is None:
+        return 0.0
+    measured = rational[1]
+    omega = 2 * np.pi * measured.frequency_hz
+    _, stiffness, _ = condense_dense(
+        fit.problem.structure, fit.solution.p[: fit.problem.structure.count], omega
+    )
+    ours = np.linalg.inv(stiffness)
+    # The rational fit took the torque a quarter of a sample late; magnitudes do not care.
+    index = np.arange(ours.shape[1])
+    ratio = np.abs(ours[:, index, index]) / np.maximum(np.abs(measured.frf[:, index, index]), 1e-300)
+    return float(np.median(np.abs(np.log(np.maximum(ratio, 1e-300)))))
 
 
 def _friction(fit: Fit, recording: Recording) -> tuple[EffectTerm, ...]:
