@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -15,10 +16,11 @@ from invid.recording.model import Experiment, Recording
 from invid.simulate.kernel import march
 from invid.simulate.laws import Laws, law_table, laws_of
 from invid.simulate.plant import Matrices, Step, add_link, discretise, matrices
-from invid.simulate.replay import Drive, drive
+from invid.simulate.replay import Drive, drift_torque, drive
 
 _DRIFT_PIECES = 200  # a drifting parameter is constant within 1/200 of the record
 _START_ROUNDS = 3
+_DRIFT_ROUNDS = 3
 _START_SAMPLES = 2000
 _START_PRIOR = 1e-3
 """Weight of the guessed initial state against the measured motion: only decides what no motor sees."""
@@ -30,6 +32,7 @@ def simulate(model: Model, recording: Recording, *, rng: np.random.Generator | N
     The linear part is exact; force laws act once per sub-step (see ``laws``). How the loop is closed
     and the rigid drift kept out is in ``replay``. The initial state is fitted to the measured motion,
     so that records from rest and in steady state both start without a transient of the simulation's own.
+    ``model.fit["time_offset_s"]``, the sampling offset of the torque found by identification, is applied.
 
     Parameters
     ----------
@@ -50,6 +53,8 @@ def simulate(model: Model, recording: Recording, *, rng: np.random.Generator | N
     """
     order = _axis_order(model, recording)
     laws = laws_of(model.chains, model.effects)
+    for i, offset in _time_offsets(model).items():
+        laws.delay[i] = laws.delay.get(i, 0.0) + offset
     plant = matrices(model.chains, laws)
     chance = np.random.default_rng(0) if rng is None else rng
     origin = min(float(e.time[0]) for e in recording.experiments) if recording.experiments else 0.0
@@ -60,6 +65,20 @@ def simulate(model: Model, recording: Recording, *, rng: np.random.Generator | N
         done.append(_reordered(answer, np.argsort(order)))
     attributes = {**recording.attributes, "simulated_by": "invid simulate", "model_robot": model.robot}
     return replace(recording, experiments=tuple(done), attributes=attributes)
+
+
+def _time_offsets(model: Model) -> dict[int, float]:
+    """Sampling offsets of the torque that the identification reports [s]: acts later where positive."""
+    reported = model.fit.get("time_offset_s")
+    if not isinstance(reported, Mapping):
+        return {}
+    found = {}
+    for i, axis in enumerate(model.axes):
+        entry = reported.get(f"{axis}.time_offset")
+        value = entry.get("value") if isinstance(entry, Mapping) else entry
+        if isinstance(value, int | float) and np.isfinite(value):
+            found[i] = float(value)
+    return found
 
 
 def _axis_order(model: Model, recording: Recording) -> np.ndarray:
@@ -107,8 +126,9 @@ def _simulate_one(
     pieces = _pieces(plant, laws, given, motors, origin)
     kinds, parameters = law_table(laws.forces)
 
-    def answer(initial: Float64) -> Float64:
-        return _march(initial, pieces, given, kinds, parameters, motors, every=given.substeps)
+    def answer(start: Float64, added: Float64 | None = None) -> Float64:
+        drive_ = given if added is None else replace(given, applied=given.applied + given.refined(added))
+        return _march(start, pieces, drive_, kinds, parameters, motors, every=given.substeps)
 
     state = _rigid_start(given, plant.mass.shape[0], chains.masses_per_branch, motors)
     motion = answer(state)
@@ -121,16 +141,25 @@ def _simulate_one(
         if not fresh_error < 0.999 * error:
             break
         state, motion, error = trial, fresh, fresh_error
+    drift = np.zeros_like(given.measured)
+    for _ in range(_DRIFT_ROUNDS if experiment.frequencies_hz.size else 0):
+        added = drift + drift_torque(given.measured - motion[:, :, 0], given, chains, experiment)
+        fresh = answer(state, added)
+        fresh_error = _error(fresh, given)
+        if not fresh_error < 0.99 * error:
+            break
+        drift, motion, error = added, fresh, fresh_error
     if not np.isfinite(motion).all():
         raise InputError(
             f"experiment {experiment.key}: the simulated motion diverges; the model's effects feed energy in "
             "(check signs and sizes of its effects)"
         )
-    return _as_experiment(experiment, motion, given, laws)
+    extra = drift + state[2 * plant.mass.shape[0] :]
+    return _as_experiment(experiment, motion, given, laws, extra)
 
 
 def _march(
-    initial: Float64,
+    start: Float64,
     pieces: list[_Piece],
     given: Drive,
     kinds: Float64,
@@ -138,7 +167,8 @@ def _march(
     motors: np.ndarray,
     every: int,
 ) -> Float64:
-    state = initial.copy()
+    states = start.size - motors.size
+    state, applied = start[:states].copy(), given.applied + start[states:]
     memory = np.zeros((kinds.shape[0], 2))
     for e, (_, a, b) in enumerate(kinds.astype(int)):
         memory[e, 1] = state[a] - (state[b] if b >= 0 else 0.0)
@@ -152,7 +182,7 @@ def _march(
             s.now,
             s.next,
             s.force,
-            np.ascontiguousarray(given.applied[piece.begin : piece.end + 1]),
+            np.ascontiguousarray(applied[piece.begin : piece.end + 1]),
             kinds,
             parameters,
             memory,
@@ -201,8 +231,8 @@ def _fastest(plant: Matrices, laws: Laws) -> float:
 
 
 def _rigid_start(given: Drive, size: int, masses: tuple[int, ...], motors: np.ndarray) -> Float64:
-    """All masses of a branch where its motor is, moving as it does."""
-    state = np.zeros(2 * size)
+    """All masses of a branch where its motor is, moving as it does; behind them constant torques, 0."""
+    state = np.zeros(2 * size + motors.size)
     for i, count in enumerate(masses):
         at = slice(int(motors[i]), int(motors[i]) + count)
         state[at] = given.measured[0, i]
@@ -211,21 +241,26 @@ def _rigid_start(given: Drive, size: int, masses: tuple[int, ...], motors: np.nd
 
 
 def _free_response(step: Step, given: Drive, motors: np.ndarray) -> tuple[np.ndarray, Float64]:
-    """Samples and motor motion (K, M, 2n) there for a unit of each initial state."""
+    """Samples and motor motion (K, M, 2n + M) there for a unit of each initial state and constant torque."""
     samples = given.time.size
     stride = max(1, samples // _START_SAMPLES)
-    jump = np.linalg.matrix_power(step.transition, given.substeps * stride)
-    count = (samples - 1) // stride + 1
-    response = np.zeros((count, motors.size, jump.shape[0]))
+    states, count = step.transition.shape[0], motors.size
+    whole = np.eye(states + count)
+    whole[:states, :states] = step.transition
+    whole[:states, states:] = step.now + step.next
+    jump = np.linalg.matrix_power(whole, given.substeps * stride)
+    points = (samples - 1) // stride + 1
+    response = np.zeros((points, count, jump.shape[0]))
     power = np.eye(jump.shape[0])
-    for k in range(count):
+    for k in range(points):
         response[k] = power[motors]
         power = jump @ power
-    return np.arange(count) * stride, response
+    return np.arange(points) * stride, response
 
 
 def _start_correction(free: tuple[np.ndarray, Float64], motion: Float64, given: Drive) -> Float64:
-    """Change of the initial state that brings the simulated motion closest to the measured one."""
+    """Change of initial state and constant torques that brings the simulated motion closest to the
+    measured one."""
     at, response = free
     missing = (given.measured - motion[:, :, 0])[at].ravel()
     basis = response.reshape(missing.size, -1)
@@ -242,9 +277,11 @@ def _error(motion: Float64, given: Drive) -> float:
     return value if np.isfinite(value) else np.inf
 
 
-def _as_experiment(experiment: Experiment, motion: Float64, given: Drive, laws: Laws) -> Experiment:
+def _as_experiment(
+    experiment: Experiment, motion: Float64, given: Drive, laws: Laws, extra: Float64
+) -> Experiment:
     theta, rate = motion[:, :, 0], motion[:, :, 1]
-    tie = -given.stiffness * (theta - given.measured) - given.damping * (rate - given.rate)
+    tie = extra - given.stiffness * (theta - given.measured) - given.damping * (rate - given.rate)
     for i, gain in laws.gain.items():
         tie[:, i] /= gain if gain != 0 else 1.0
     if experiment.samples == given.time.size and np.allclose(

@@ -180,11 +180,6 @@ CASES: dict[str, tuple[EffectTerm, Force, float]] = {
         lambda t, q, v, x: _on(1, -5.0 * np.sin(q[1] + 0.4)),
         5e-3,
     ),
-    "offset": (
-        effect("torque_offset", "A1", torque=0.8),
-        lambda t, q, v, x: _on(0, -0.8),
-        1e-3,
-    ),
     "cubic": (
         effect("cubic_stiffness", "A1", "spring 1", coefficient=2e6),
         lambda t, q, v, x: _pair(0, -2e6 * (q[0] - q[1]) ** 3),
@@ -236,6 +231,16 @@ def test_every_force_law_agrees_with_an_independent_integrator(name: str) -> Non
     without = relative(simulate(model(plant()), record).experiments[0].position, truth)
     assert with_effect < tolerance
     assert without > 10 * with_effect  # the effect matters in this record, so the test can fail
+
+
+def test_a_constant_torque_moves_no_lines_and_is_found_in_the_torque_where_the_model_has_none() -> None:
+    time, truth = reference(plant(), lambda t, q, v, x: _on(0, -0.8))
+    record = recording(time, truth, torque_at(time))
+    for effects, wanted in (((effect("torque_offset", "A1", torque=0.8),), 0.0), ((), -0.8)):
+        answer = simulate(model(plant(), *effects), record).experiments[0]
+        added = (answer.torque - torque_at(time)).mean(axis=0)
+        np.testing.assert_allclose(added, [wanted, 0.0], atol=0.01)
+        assert relative(answer.position, truth) < 1e-3
 
 
 @pytest.mark.parametrize("where", ["mass", "spring"])
