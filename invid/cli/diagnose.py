@@ -44,7 +44,9 @@ def register(app: typer.Typer) -> None:
 
         wanted = parse_masses(masses)
         if model is not None and masses is not None:
-            raise InputError("--masses and --model: the model says how many masses there are; give one of the two")
+            raise InputError(
+                "--masses and --model: the model says how many masses there are; give one of the two"
+            )
         data = read_recording(recording)
         given = None if model is None else load_model(model)
         diagnosis = diagnose(data, model=given, masses=wanted)

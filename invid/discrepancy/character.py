@@ -34,7 +34,9 @@ def unexplained_of(trial: Trial, recording: Recording) -> Unexplained:
                 driven[i] += excess[view.record.excited, i].sum()
                 lines[i] += list(zip((view.omega / 2 / np.pi).tolist(), excess[:, i].tolist(), strict=True))
             size = float(np.std(view.record.motor_wave))
-            levels.append((size, float((np.abs(r) ** 2 * good).sum() / max((np.abs(view.acting) ** 2).sum(), 1e-300))))
+            levels.append(
+                (size, float((np.abs(r) ** 2 * good).sum() / max((np.abs(view.acting) ** 2).sum(), 1e-300)))
+            )
     axis = int(np.argmax(power))
     found: dict[float, float] = {}
     for hz, e in lines[axis]:
@@ -57,8 +59,8 @@ def unexplained_of(trial: Trial, recording: Recording) -> Unexplained:
         frequencies_hz=tuple(sorted(strongest)),
         character=tuple(dict.fromkeys(character)),
         sentence=(
-            f"Axis {name}: torque is missing, most at {where} Hz ({', '.join(dict.fromkeys(character))}), that no "
-            "cause of the catalogue explains."
+            f"Axis {name}: torque is missing, most at {where} Hz ({', '.join(dict.fromkeys(character))}), "
+            "that no cause of the catalogue explains."
         ),
     )
 
@@ -83,4 +85,10 @@ def _follows(trial: Trial, axis: int) -> str:
             bins = np.array_split(r[order], 24)
             best[name] += float(sum(b.size * b.mean() ** 2 for b in bins))
     name = max(best, key=lambda k: best[k])
-    return name if best[name] > 0.2 * max(total, 1e-300) else "time-dependent" if not total else "amplitude-dependent"
+    return (
+        name
+        if best[name] > 0.2 * max(total, 1e-300)
+        else "time-dependent"
+        if not total
+        else "amplitude-dependent"
+    )

@@ -58,13 +58,13 @@ def estimates(trial: Trial, number: int, linear: bool) -> dict[str, Estimate]:
     term, x = trial.fit.candidate.terms[number], trial.fit.candidate.x[number]
     at = trial.fit.layout.count + sum(t.size for t in trial.fit.candidate.terms[:number])
     covariance = trial.fit.covariance[at : at + term.size, at : at + term.size]
-    values = term.effect.values(x, term.place)
+    values = term.effect.values(x.tolist(), term.place)
     jacobian = np.zeros((len(values), x.size))
     for k in range(x.size):
         h = 1e-5 * max(abs(float(x[k])), 1e-9)
         moved = x.copy()
         moved[k] += h
-        changed = term.effect.values(moved, term.place)
+        changed = term.effect.values(moved.tolist(), term.place)
         jacobian[:, k] = [(changed[n] - values[n]) / h for n in values]
     with np.errstate(invalid="ignore"):
         variance = np.einsum("ik,kl,il->i", jacobian, covariance, jacobian)
@@ -144,7 +144,9 @@ def _rivals(step: Step) -> tuple[list[Trial], float]:
     chosen = scores[0]
     weights = np.exp(-0.25 * np.clip(scores - chosen, -20.0, 200.0))
     share = float(weights[0] / weights.sum())
-    rivals = [t for (t, s) in step.ranked[1:] if s - chosen < COMPETES and not t.term.effect.is_null(t.x)]
+    rivals = [
+        t for (t, s) in step.ranked[1:] if s - chosen < COMPETES and not t.term.effect.is_null(t.x.tolist())
+    ]
     return rivals, share
 
 

@@ -12,6 +12,7 @@ from invid.arrays import Float64, frozen_float
 from invid.diagnosis import AxisResidual, Diagnosis, Finding, Unexplained, Verdict
 from invid.discrepancy.character import unexplained_of
 from invid.discrepancy.confidence import judge
+from invid.discrepancy.dropped import before_repair, find_dropped, repaired, with_dropped
 from invid.discrepancy.joint import JointFit, fit, held_out
 from invid.discrepancy.missing_torque import NullTest, changing, null_test, rms_torque, with_scatter
 from invid.discrepancy.plant import Candidate, Layout
@@ -52,23 +53,26 @@ def diagnose(
 
     if model is None and masses is None and is_trajectory(recording):
         return diagnose_trajectory(recording, model=model)
+    dropped = find_dropped(recording)
+    sound = repaired(recording, dropped) if dropped else recording
     if model is None:
         from invid.identify import identify
 
-        model = identify(recording, masses=masses)
+        model = identify(sound, masses=masses)
     if model.axes != recording.axes:
         raise InputError(
             f"the model has the axes {list(model.axes)}, the recording {list(recording.axes)}; diagnose with the "
             "model of this robot, or without one"
         )
-    spectra = all_spectra(recording)
+    spectra = all_spectra(sound)
     if not spectra:
         raise InputError(f"{recording.source}: no experiment shakes an axis; nothing to compare with a model")
-    train, held, warnings = split(recording, spectra)
+    train, held, warnings = split(sound, spectra)
     warnings = [*(w for s in spectra for w in s.warnings), *warnings]
-    base, train, held = linear_fit(model, recording, spectra, train, held)
-    selection = select(base, train, held, linear_axes=recording.linear)
-    return _document(recording, model, selection, train, held, warnings)
+    base, free, train, held = linear_fit(model, sound, spectra, train, held)
+    selection = select(base, train, held, linear_axes=recording.linear, free=free)
+    result = _document(sound, model, selection, train, held, warnings)
+    return with_dropped(result, recording, dropped, before_repair(recording, base, result) if dropped else {})
 
 
 def layout_of(structure: ChainStructure, records: Sequence[Record], origin: float) -> Layout:
@@ -86,8 +90,9 @@ def linear_fit(
     spectra: Sequence[LineSpectra],
     train: Sequence[Record],
     held: Sequence[Record],
-) -> tuple[JointFit, list[Record], list[Record]]:
-    """The model without effects, fitted to the training records, and the records with their scatter."""
+) -> tuple[JointFit, Float64, list[Record], list[Record]]:
+    """The model without effects fitted to the training records, its parameters with unbounded time offsets,
+    and the records with their scatter."""
     chains = model.chains
     grounded = tuple(int(i) for i in np.flatnonzero(chains.ground_springs > 0))
     structure = ChainStructure(chains.masses_per_branch, chains.axes, viscous=False, grounded=grounded)
@@ -102,13 +107,50 @@ def linear_fit(
         start[structure.count + k] = 0.5 * layout.step if value is None else float(value)
     if layout.free_stairs:
         start[-len(layout.free_stairs) :] = 0.5
-    first = fit(layout, train, start, Candidate(), iterations=25)
+    first = fit(
+        layout, with_scatter(train, spectra, layout, start), start, Candidate(), iterations=25, strict=False
+    )
+    if _vanishing(first):
+        first = _restarted(first, train)
     train = with_scatter(train, spectra, layout, first.p)
     held = with_scatter(held, spectra, layout, first.p)
     apart = changing([*train, *held])
     if apart:
         train, held = by_period(recording, train, apart), by_period(recording, held, apart)
-    return fit(layout, train, first.p, Candidate(), iterations=25), train, held
+    return fit(layout, train, first.p, Candidate(), iterations=25), first.p, train, held
+
+
+def _vanishing(fitted: JointFit) -> bool:
+    """A mass below a ten-thousandth of its branch in a fit that does not reach the noise: a wrong minimum."""
+    chains = fitted.layout.structure.chains(fitted.p[: fitted.layout.structure.count])
+    gone = any(bool((m < 1e-4 * m.sum()).any()) for m in chains.masses)
+    return gone and fitted.cost > 3.0 * fitted.dof
+
+
+def _restarted(fitted: JointFit, train: Sequence[Record]) -> JointFit:
+    """The best of fits from evenly shared masses with springs that spread their modes over the band."""
+    layout, structure = fitted.layout, fitted.layout.structure
+    best = fitted
+    masses = structure.slices["mass"]
+    totals = np.exp(fitted.p[masses])
+    top = max(float(r.omega[r.excited].max()) for r in train if r.excited.any())
+    for part in (0.6, 0.35, 0.2, 0.85):
+        p = fitted.p.copy()
+        at = 0
+        springs: list[float] = []
+        for n in structure.sizes:
+            share = float(totals[at : at + n].sum()) / n
+            p[masses.start + at : masses.start + at + n] = np.log(share)
+            springs += [float(np.log(share * (part * top) ** 2 / 2))] * (n - 1)
+            at += n
+        p[structure.slices["spring"]] = springs
+        p[structure.slices["damper"]] = 0.02 * np.exp(springs) / top
+        trial = fit(layout, train, p, Candidate(), iterations=60, strict=False)
+        if trial.cost < best.cost:
+            best = trial
+        if best.cost < 2.0 * best.dof:
+            break
+    return best
 
 
 def _document(
@@ -120,12 +162,8 @@ def _document(
     warnings: list[str],
 ) -> Diagnosis:
     base, final = selection.base, selection.final
-    before_test = null_test(
-        base.fit.cost + base.held.cost, base.fit.dof + base.held.dof, [*train, *held]
-    )
-    after_test = null_test(
-        final.fit.cost + final.held.cost, final.fit.dof + final.held.dof, [*train, *held]
-    )
+    before_test = null_test(base.fit.cost + base.held.cost, base.fit.dof + base.held.dof, [*train, *held])
+    after_test = null_test(final.fit.cost + final.held.cost, final.fit.dof + final.held.dof, [*train, *held])
     anything = bool(selection.steps) or before_test.rejects
     unit = unit_of("torque", recording.linear)
     judged = judge(selection, recording, after_test)
@@ -173,9 +211,7 @@ def _document(
     )
 
 
-def _details(
-    before: NullTest, after: NullTest, selection: Selection, explained: float
-) -> dict[str, Any]:
+def _details(before: NullTest, after: NullTest, selection: Selection, explained: float) -> dict[str, Any]:
     def test(t: NullTest) -> dict[str, float]:
         return {"chi2": t.chi2, "dof": t.dof, "noise_dof": t.noise_dof, "p": t.p}
 

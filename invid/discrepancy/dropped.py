@@ -9,7 +9,15 @@ import numpy as np
 from scipy.stats import binom
 
 from invid.arrays import Bool, Float64
+from invid.diagnosis import Diagnosis, Finding, Verdict
+from invid.discrepancy.joint import JointFit, held_out
+from invid.discrepancy.missing_torque import rms_torque
+from invid.discrepancy.records import split
+from invid.discrepancy.words import BY_CAUSE
+from invid.effects.base import unit_of
+from invid.model import EffectTerm, Estimate
 from invid.recording.model import Experiment, Recording
+from invid.spectra import all_spectra
 
 FALSE_ALARM = 1e-4
 """Chance, over all axes, that repeated rows of a sound recording are called dropped."""
@@ -95,3 +103,55 @@ def _interpolated(time: Float64, values: Float64, kept: np.ndarray, at: np.ndarr
 
     out: Float64 = CubicSpline(time[kept], values[kept])(time[at])
     return out
+
+
+def before_repair(recording: Recording, base: JointFit, result: Diagnosis) -> dict[str, float]:
+    """Rms missing torque of every axis on the held-out records as they were recorded."""
+    spectra = all_spectra(recording)
+    _, held, _ = split(recording, spectra)
+    evaluation = held_out(base, held)
+    return {axis: rms_torque(evaluation, i)[0] for i, axis in enumerate(recording.axes)}
+
+
+def with_dropped(
+    result: Diagnosis, recording: Recording, dropped: Sequence[Dropped], before: dict[str, float]
+) -> Diagnosis:
+    """The diagnosis of the repaired recording, with the dropped samples as a finding of their own."""
+    if not dropped:
+        return result
+    residual = tuple(replace(r, before=max(before[r.axis], r.after)) for r in result.residual)
+    b2, a2 = sum(r.before**2 for r in residual), sum(r.after**2 for r in residual)
+    n2 = sum(r.noise_floor**2 for r in residual)
+    explained = float(np.clip(1.0 - (a2 - n2) / max(b2 - n2, 1e-300), 0.0, 1.0))
+    findings = []
+    for d in dropped:
+        own = next(r for r in residual if r.axis == recording.axes[d.axis])
+        term = EffectTerm(
+            "dropped_samples", own.axis, {"fraction": Estimate(d.fraction, d.std, unit_of("ratio", False))}
+        )
+        findings.append(
+            Finding(
+                effect=term,
+                confidence=0.99,
+                before=own.before,
+                after=own.after,
+                fraction=explained,
+                sentence=(
+                    f"Axis {own.axis}: {100 * d.fraction:.2g} % of the samples were lost and the one before was "
+                    f"repeated. {BY_CAUSE['dropped_samples'].check}"
+                ),
+            )
+        )
+    verdict = Verdict.EXPLAINED if result.verdict is Verdict.CONSISTENT else result.verdict
+    if verdict is Verdict.UNEXPLAINED:
+        verdict = Verdict.PARTLY_EXPLAINED
+    kept = [s for s in result.sentences if result.verdict is not Verdict.CONSISTENT]
+    return replace(
+        result,
+        verdict=verdict,
+        residual=residual,
+        explained_fraction=explained,
+        findings=(*findings, *result.findings),
+        model=result.model.extended(*(f.effect for f in findings)),
+        sentences=(*(f.sentence for f in findings), *kept),
+    )

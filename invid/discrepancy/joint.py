@@ -107,7 +107,9 @@ def fit(
         jacobian = here.jacobian[:, move]
         scale = np.linalg.norm(jacobian, axis=0)
         scale[scale == 0] = 1.0
-        triangle = np.linalg.qr(np.column_stack((jacobian / scale, here.residual)), mode="r")
+        triangle: Float64 = np.asarray(
+            np.linalg.qr(np.column_stack((jacobian / scale, here.residual)), mode="r")
+        )
         n = int(move.sum())
         left, size, right = np.linalg.svd(triangle[:n, :n])
         projected = left.T @ triangle[:n, n]
@@ -116,7 +118,7 @@ def fit(
         if predicted < tolerance * max(here.cost / max(here.dof, 1), 1e-12):
             converged = True
             break
-        accepted = False
+        accepted: Evaluation | None = None
         for _ in range(7):
             step = np.zeros(v.size)
             step[move] = -(right.T @ (size / (size**2 + damping) * projected)) / scale
@@ -132,13 +134,13 @@ def fit(
                     except np.linalg.LinAlgError:
                         there = None
                 if there is not None and np.isfinite(there.cost) and there.cost < here.cost:
-                    accepted = True
+                    accepted = there
                     break
             damping = max(damping, 1e-6) * 10.0
-        if not accepted:
+        if accepted is None:
             converged = predicted < 0.3 * here.cost / max(here.dof, 1)
             break
-        gained = here.cost - there.cost
+        gained = here.cost - accepted.cost
         v, p, candidate = trial, tp, tc
         here = evaluate(layout, records, p, candidate)
         damping = max(damping / 8.0, 1e-12)
@@ -154,9 +156,7 @@ def _covariance(here: Evaluation, v: Float64, low: Float64, high: Float64) -> Fl
     scale = np.linalg.norm(jacobian, axis=0)
     blind = scale == 0
     scale[blind] = 1.0
-    _, size, right = np.linalg.svd(
-        np.linalg.qr(jacobian / scale, mode="r"), full_matrices=False
-    )
+    _, size, right = np.linalg.svd(np.linalg.qr(jacobian / scale, mode="r"), full_matrices=False)
     seen = size > 1e-9 * size[0]
     out: Float64 = (right[seen].T / size[seen] ** 2) @ right[seen] / scale[:, None] / scale
     lost = np.flatnonzero(blind | (np.abs(right[~seen]) > 1e-2).any(axis=0))

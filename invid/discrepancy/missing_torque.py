@@ -55,17 +55,20 @@ def with_scatter(
     for record, view in zip(records, views_of(layout, records, p), strict=True):
         s = known[record.key]
         periods = s.deviations.shape[0]
-        if periods < 2 or record.period_time * 1.5 > record.span and s.periods > 1 and record.transient:
+        if periods < 2 or (record.period_time * 1.5 > record.span and s.periods > 1 and record.transient):
             out.append(record)
             continue
         motors = record.torque.shape[1]
         lines = record.omega.size - 1
-        factor = np.where(np.abs(record.torque) > 0, view.acting / np.where(
-            np.abs(record.torque) > 0, record.torque, 1.0), 1.0)
+        factor = np.where(
+            np.abs(record.torque) > 0,
+            view.acting / np.where(np.abs(record.torque) > 0, record.torque, 1.0),
+            1.0,
+        )
         own = s.deviations[:, :lines]
         z = view.stiffness[1:]
         e = np.einsum("fij,pfj->pfi", z, own[..., :motors]) - factor[1:] * own[..., motors:]
-        plain = replace(record, scatter=np.ones_like(record.scatter))
+        plain = replace(record, scatter=np.zeros_like(record.scatter))
         plain_view = views_of(layout, [plain], p)[0]
         expected = np.einsum("fii->fi", noise_of(plain_view, factor)).real[1:]
         # ``noise`` is of the mean over the periods used in this record.
@@ -73,25 +76,47 @@ def with_scatter(
         used = max(round(periods / share), 1)
         single = expected * used
         ratio = (np.abs(e) ** 2).sum(axis=0) / (periods - 1) / single
+        trend = _trending(e, single)
         scatter = np.ones_like(record.scatter)
         window = min(LINES, lines)
         kernel = np.ones(window) / window
         error = 1.0 / np.sqrt(window * (periods - 1))
         for i in range(motors):
-            total = np.convolve(np.pad(ratio[:, i], window, mode="reflect"), kernel, mode="same")[window:-window]
+            total = np.convolve(np.pad(ratio[:, i], window, mode="reflect"), kernel, mode="same")[
+                window:-window
+            ]
             overall = float(ratio[:, i].mean())
             spread = 1.0 / np.sqrt(lines * (periods - 1))
             level = overall if overall > 1.0 + 3.0 * spread else 1.0
             scatter[1:, i] = np.where(total > level + 3.0 * error * level, total, level)
-        mean = _mean_scatter(s, record, used)
-        scatter[0] = np.maximum(scatter[1], mean)
-        out.append(replace(record, scatter=scatter))
+        added = np.zeros_like(record.scatter)
+        added[1:] = (scatter[1:] - 1.0) * expected
+        # The mean's slow wander is that of the first lines; half of it as a complex line.
+        floor = 0.5 * record.noise[1, motors:]
+        added[0] = np.maximum((_mean_scatter(s, record, used) - 1.0) * floor, 0.5 * added[1])
+        out.append(replace(record, scatter=added, trend=trend))
     return out
 
 
 def changing(records: Sequence[Record]) -> list[str]:
-    """Experiments whose periods differ by more than half again the noise: the machine changes."""
-    return [r.key for r in records if float(np.median(r.scatter[1:])) > 1.5 or float(r.scatter[1:].max()) > 4.0]
+    """Experiments whose missing torque changes from period to period in one direction or at one time."""
+    return [r.key for r in records if r.trend]
+
+
+def _trending(e: Complex128, single: Float64) -> bool:
+    """Whether the (P, F, M) scatter follows time: neighbours alike, the first and the last far apart.
+
+    Von Neumann's ratio of successive differences to the variance is 1 for scatter without memory and
+    P-dependent but below a half for a drift or a step. Needs four periods' worth of lines to say so.
+    """
+    periods = e.shape[0]
+    if periods < 3:
+        return False
+    white = e / np.sqrt(single)
+    variance = float((np.abs(white) ** 2).sum() / (periods - 1))
+    successive = float((np.abs(np.diff(white, axis=0)) ** 2).sum() / (2 * (periods - 1)))
+    lines = white[0].size
+    return variance / lines > 1.0 + 6.0 / np.sqrt(lines * (periods - 1)) and successive < 0.65 * variance
 
 
 def _mean_scatter(s: LineSpectra, record: Record, used: int) -> Float64:
@@ -124,7 +149,9 @@ def rms_torque(evaluation: Evaluation, axis: int, bands: Sequence[Bool] | None =
     for number, view in enumerate(evaluation.views):
         r = evaluation.missing[number][:, axis]
         c = np.einsum("fii->fi", evaluation.covariance[number]).real[:, axis]
-        good = (informative(evaluation.covariance[number], view.record) if bands is None else bands[number])[:, axis]
+        good = (informative(evaluation.covariance[number], view.record) if bands is None else bands[number])[
+            :, axis
+        ]
         weight = np.full(r.size, 0.5)
         weight[0] = 1.0
         powers.append(float((np.abs(r) ** 2 * weight)[good].sum()))

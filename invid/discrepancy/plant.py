@@ -176,7 +176,7 @@ def contributions(view: View, candidate: Candidate) -> Complex128:
         total = np.zeros_like(view.acting)
         back: Complex128 = np.zeros_like(view.base)
         for term, x in zip(candidate.terms, candidate.x, strict=True):
-            own, yields = term.effect.contribution(view, term.place, x)
+            own, yields = term.effect.contribution(view, term.place, x.tolist())
             total = total + own
             if yields is not None:
                 back = back + yields
@@ -307,9 +307,7 @@ def _effect_columns(
                 h = 1e-4 * (1.0 if term.effect.logarithmic[k - count] else max(abs(float(x[k])), 1e-6))
             moved = x.copy()
             moved[k] += h
-            changed = Candidate(
-                candidate.terms, (*candidate.x[:number], moved, *candidate.x[number + 1 :])
-            )
+            changed = Candidate(candidate.terms, (*candidate.x[:number], moved, *candidate.x[number + 1 :]))
             columns[..., at] = (contributions(view, changed) - extra) / h
             if any(t.inner for t in candidate.terms):
                 view.respond(feedback)
@@ -321,12 +319,11 @@ def noise_of(view: View, factor: Complex128) -> Complex128:
     record = view.record
     motors = record.torque.shape[1]
     z = view.stiffness
-    covariance = np.einsum("fij,fj,fkj->fik", z, record.noise[:, :motors], z.conj())
+    covariance: Complex128 = np.einsum("fij,fj,fkj->fik", z, record.noise[:, :motors], z.conj())
     index = np.arange(motors)
     covariance[:, index, index] += np.abs(factor) ** 2 * record.noise[:, motors:]
-    s = np.sqrt(record.scatter)
-    out: Complex128 = covariance * s[:, :, None] * s[:, None, :]
-    return out
+    covariance[:, index, index] += record.scatter
+    return covariance
 
 
 def _boundary(view: View, layout: Layout, p: Float64) -> Complex128:
@@ -362,7 +359,7 @@ def _stack(values: Complex128) -> Float64:
     return np.concatenate((flat.real, flat.imag))
 
 
-def _unstack(inverse_root: Complex128, rows: Float64, shape: tuple[int, ...]) -> Complex128:
+def _unstack(inverse_root: np.ndarray, rows: Float64, shape: tuple[int, ...]) -> Complex128:
     half = rows.size // 2
     white = (rows[:half] + 1j * rows[half:]).reshape(shape)
     out: Complex128 = (inverse_root @ white[..., None])[..., 0]

@@ -58,6 +58,11 @@ def record_of(
     left = (omega_all[:, None] ** 2 * noise_all * (keep > 0)).sum(axis=0) * 2 / count**2
     filtered = clean[index] * (2.0 / count)
     floor = np.maximum(s.floor, 1e-300) * share
+    # A torque without noise is a command: with none at all every error of the model would count as
+    # position noise, without end. A ten-thousandth of its lines' rms is below any drive's current noise.
+    power = np.abs(torque[used][np.asarray(s.excited)[used]]) ** 2
+    if power.size:
+        floor[motors:] = np.maximum(floor[motors:], 1e-8 * power.mean(axis=0))
     noise = np.tile(floor, (index.size + 1, 1))
     # A mean's variance is a quarter of a line's power, and real: half of it as a complex line.
     noise[0] = floor / 2.0
@@ -81,7 +86,7 @@ def record_of(
         noise=noise,
         # The median of an exponential has 1/ln²2 times the variance of the mean.
         noise_dof=float(2.0 * quiet * np.log(2.0) ** 2),
-        scatter=np.ones((index.size + 1, motors)),
+        scatter=np.zeros((index.size + 1, motors)),
         span=span,
         transient=transient,
         step=step,
@@ -118,7 +123,9 @@ def _command(s: LineSpectra, experiment: Experiment, index: np.ndarray) -> np.nd
     return np.concatenate((wave.mean(axis=0)[None].astype(complex), spectrum))
 
 
-def split(recording: Recording, spectra: Sequence[LineSpectra]) -> tuple[list[Record], list[Record], list[str]]:
+def split(
+    recording: Recording, spectra: Sequence[LineSpectra]
+) -> tuple[list[Record], list[Record], list[str]]:
     """Training and held-out records, and what to warn about."""
     experiments = {e.key: e for e in recording.experiments}
     train = [s for s in spectra if s.role is Role.IDENTIFY]

@@ -39,7 +39,10 @@ def terms_for(structure: ChainStructure, *, linear_axes: bool, chosen: Sequence[
         for place in effect.places(structure):
             taken = any(
                 t.place == place
-                and (t.effect.cause == effect.cause or (effect.family and t.effect.family == effect.family == "friction"))
+                and (
+                    t.effect.cause == effect.cause
+                    or (effect.family and t.effect.family == effect.family == "friction")
+                )
                 for t in chosen
             )
             if not taken:
@@ -84,14 +87,28 @@ class Screen:
         """Gain and parameter vector at one shape."""
         effect, place = term.effect, term.place
         if not effect.coefficients:
-            columns = self.project(
-                [effect.contribution(v, place, shape)[0][..., None] for v in self.views]
-            )[:, 0]
+            columns = self.project([self._nonlinear(v, term, shape)[..., None] for v in self.views])[:, 0]
+            if not np.isfinite(columns).all():
+                return -np.inf, np.asarray(shape, dtype=float)
             gain = float(-2.0 * columns @ self.residual - columns @ columns)
             return gain, np.asarray(shape, dtype=float)
         columns = self.project([effect.basis(v, place, shape) for v in self.views])
         gain, coefficients = _regress(effect, columns, self.residual)
         return gain, np.concatenate((coefficients, np.asarray(shape, dtype=float)))
+
+    def _nonlinear(self, view: View, term: Term, shape: Sequence[float]) -> Complex128:
+        """Contribution on top of the causes chosen, inner motion in agreement with it."""
+        if not term.inner:
+            return term.effect.contribution(view, term.place, shape)[0]
+        before = view.feedback
+        total: Complex128 = np.zeros_like(view.acting)
+        for _ in range(6):
+            total, yields = term.effect.contribution(view, term.place, shape)
+            if yields is None:
+                break
+            view.respond(before + yields)
+        view.respond(before)
+        return total
 
     def best(self, term: Term, *, polish: bool = False) -> Score:
         """The best shape of the grid, polished between its neighbours where asked."""

@@ -70,9 +70,7 @@ class Selection:
     rejected: tuple[Score, ...] = field(default=())
 
 
-def refit(
-    current: JointFit, records: Sequence[Record], term: Term, x: Float64, iterations: int
-) -> JointFit:
+def refit(current: JointFit, records: Sequence[Record], term: Term, x: Float64, iterations: int) -> JointFit:
     """Joint fit with one effect more."""
     layout, p = current.layout, current.p
     if term.effect.cause == "torque_delay":
@@ -109,13 +107,18 @@ def select(
     held: Sequence[Record],
     *,
     linear_axes: bool,
+    free: Float64 | None = None,
 ) -> Selection:
-    """Adds causes while both the training and the held-out gain are significant."""
+    """Adds causes while both the training and the held-out gain are significant.
+
+    ``free``: linear parameters of the fit whose time offsets were not bounded; where delays start.
+    """
     start = Trial(base, held_out(base, held))
-    current, steps = start, []
+    current = start
+    steps: list[Step] = []
     rejected: tuple[Score, ...] = ()
     while len(steps) < MOST:
-        step, rejected = _step(current, train, held, linear_axes, first=not steps)
+        step, rejected = _step(current, train, held, linear_axes, free, first=not steps)
         if step is None:
             break
         steps.append(step)
@@ -144,6 +147,7 @@ def _step(
     train: Sequence[Record],
     held: Sequence[Record],
     linear_axes: bool,
+    free: Float64 | None,
     *,
     first: bool,
 ) -> tuple[Step | None, tuple[Score, ...]]:
@@ -157,7 +161,10 @@ def _step(
     scores = _screened(screen, terms)
     count = max(len(terms), 1)
     rows = here.dof
-    trials: list[Trial] = []
+    trials: list[Trial] = _delays(
+        here, train, held, [t for t in terms if t.effect.cause == "torque_delay"], free
+    )
+    scores = [s for s in scores if s.term.effect.cause != "torque_delay"]
     for number, s in enumerate(scores):
         if number >= REFITTED:
             break
@@ -175,7 +182,10 @@ def _step(
     if not trials:
         return None, tuple(scores[:5])
     trials.sort(key=lambda t: t.cost + penalty(t, rows))
-    best = [trials[0], *(t for t in trials[1:] if t.cost - trials[0].cost < 0.3 * (current.cost - trials[0].cost))]
+    best = [
+        trials[0],
+        *(t for t in trials[1:] if t.cost - trials[0].cost < 0.3 * (current.cost - trials[0].cost)),
+    ]
     polished = []
     for t in best[:4]:
         if t.fit.converged:
@@ -185,15 +195,42 @@ def _step(
         polished.append(Trial(more, held_out(more, held)))
     trials = polished + [t for t in trials if t not in best[:4]]
     dispersion = max(1.0, min(t.cost / (t.fit.dof + t.held.dof) for t in trials))
-    ranked = sorted(
-        ((t, (t.cost / dispersion) + penalty(t, rows)) for t in trials), key=lambda pair: pair[1]
-    )
+    ranked = sorted(((t, (t.cost / dispersion) + penalty(t, rows)) for t in trials), key=lambda pair: pair[1])
     for trial, _ in ranked:
         if _accepted(current, trial, dispersion, count, first=first):
             order = sorted(ranked, key=lambda pair: (pair[0] is not trial, pair[1]))
             return Step(current, trial, tuple(order)), tuple(scores[:5])
         break
     return None, tuple(scores[:5])
+
+
+def _delays(
+    here: JointFit,
+    train: Sequence[Record],
+    held: Sequence[Record],
+    terms: Sequence[Term],
+    free: Float64 | None,
+) -> list[Trial]:
+    """Delays of the axes whose time offset stands at its bound, from the fit without that bound."""
+    out = []
+    for term in terms:
+        p = here.p.copy()
+        if free is not None and free.size == p.size and not here.candidate.terms:
+            p = free.copy()
+        known = free if free is not None and free.size == here.p.size else p
+        late = float(here.layout.delays(known)[term.place.axis])
+        layout, stay = here.layout.without_delay([term.place.axis])
+        with np.errstate(all="ignore"):
+            try:
+                found = fit(
+                    layout, train, p[stay], here.candidate.plus(term, np.array([late])), iterations=20
+                )
+                trial = Trial(found, held_out(found, held))
+            except np.linalg.LinAlgError:
+                continue
+        if np.isfinite(trial.cost):
+            out.append(trial)
+    return out
 
 
 def penalty(trial: Trial, rows: int) -> float:
@@ -212,7 +249,7 @@ def _accepted(current: Trial, trial: Trial, dispersion: float, count: int, *, fi
     needed = float(chi2_distribution.isf(SIGNIFICANCE / count, max(trial.term.size, 1)))
     if gain < needed or held_gain < HELD_OUT:
         return False
-    if trial.term.effect.is_null(trial.x):
+    if trial.term.effect.is_null(trial.x.tolist()):
         return False
     if first:
         return True

@@ -26,7 +26,7 @@ def number(estimate: Estimate) -> str:
 
 
 def place_of(term: EffectTerm, sizes: Sequence[int], axes: Sequence[str]) -> str:
-    """"at the motor", "at the load", "in spring 2"."""
+    """ "at the motor", "at the load", "in spring 2"."""
     if term.other_axis is not None:
         return f" to axis {term.other_axis}"
     if term.element is None:
@@ -58,7 +58,9 @@ def finding_sentence(
         "what the model missed."
     )
     if rivals:
-        others = sorted({BY_CAUSE[r.cause].title + (f" on {r.axis}" if r.axis != term.axis else "") for r in rivals})
+        others = sorted(
+            {BY_CAUSE[r.cause].title + (f" on {r.axis}" if r.axis != term.axis else "") for r in rivals}
+        )
         text += f" The data cannot tell it from {', '.join(others)}: {effect.separate}."
     elif confidence < 0.8:
         text += f" This is likely, not certain; to be sure: {effect.separate}."

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import numpy as np
 
@@ -20,7 +21,7 @@ class AsymmetricFriction(ForceEffect):
     check = "Check wear, preload and seals that act in one direction, and a load that pulls."
     separate = "slow constant-velocity moves in both directions at several speeds"
     family = "friction"
-    parameters = {
+    parameters: ClassVar[Mapping[str, str]] = {
         "coulomb_positive": "torque",
         "coulomb_negative": "torque",
         "viscous_positive": "damping",
@@ -37,9 +38,7 @@ class AsymmetricFriction(ForceEffect):
     def law(self, view: View, place: Place, shape: Sequence[float]) -> Float64:
         v = view.velocity(place.pattern(view.structure))
         sign = sign_law(v, softness(view, place))
-        return np.stack(
-            [0.5 * (1 + sign), -0.5 * (1 - sign), np.maximum(v, 0.0), np.minimum(v, 0.0)], axis=1
-        )
+        return np.stack([0.5 * (1 + sign), -0.5 * (1 - sign), np.maximum(v, 0.0), np.minimum(v, 0.0)], axis=1)
 
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
         return {name: float(value) for name, value in zip(self.coefficients, x, strict=True)}

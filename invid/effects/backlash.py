@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import numpy as np
 
@@ -24,7 +25,7 @@ class Backlash(Effect):
     check = "Check the gear's wear, keys and couplings; measure the free play with the motor locked."
     separate = "a second amplitude: free play matters most when the motion is small"
     family = "spring"
-    parameters = {"gap": "position"}
+    parameters: ClassVar[Mapping[str, str]] = {"gap": "position"}
     shapes, logarithmic = ("gap",), (True,)
     main = "gap"
 
@@ -33,11 +34,11 @@ class Backlash(Effect):
 
     def grid(self, views: Sequence[View], place: Place) -> list[tuple[float, ...]]:
         size = max(rms([v.wave(place.pattern(v.structure)) for v in views]), 1e-300)
-        return [(float(np.log(size * f)),) for f in (0.01, 0.03, 0.1, 0.2, 0.4, 0.8, 1.5)]
+        return [(float(np.log(size * f)),) for f in np.geomspace(3e-4, 2.0, 16)]
 
     def limits(self, views: Sequence[View], place: Place) -> list[tuple[float, float]]:
         size = max(rms([v.wave(place.pattern(v.structure)) for v in views]), 1e-300)
-        return [(float(np.log(1e-4 * size)), float(np.log(10 * size)))]
+        return [(float(np.log(1e-5 * size)), float(np.log(10 * size)))]
 
     def law(self, view: View, place: Place, gap: float) -> Float64:
         """(n,) resistance beside the linear spring and damper."""
@@ -46,7 +47,8 @@ class Backlash(Effect):
         d, rate = view.wave(pattern), view.velocity(pattern)
         half = 0.5 * gap
         out: Float64 = -view.springs[at] * np.clip(d, -half, half)
-        return out - view.dampers[at] * rate * (np.abs(d) < half)
+        out = out - view.dampers[at] * rate * (np.abs(d) < half)
+        return out
 
     def contribution(
         self, view: View, place: Place, x: Sequence[float]

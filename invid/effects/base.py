@@ -10,8 +10,10 @@ shape parameters (logarithms where they must be positive).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import ClassVar
 
 import numpy as np
 
@@ -67,7 +69,7 @@ class Record:
     noise
         (F, 2M) noise power of [position; torque].
     scatter
-        (F, M) what the scatter between periods has the variance of r multiplied with, ≥ 1.
+        (F, M) variance of r [(N·m)² or N²] that the scatter between periods adds to the sensors' noise.
     motor_wave, motor_velocity, velocity_noise
         (n, M), (n, M), (M,): one period (or the whole record) of the motors, noise filtered out.
     ramp
@@ -100,6 +102,9 @@ class Record:
     excited: np.ndarray
     command: Complex128 | None = None
     weight: Float64 = field(default_factory=lambda: np.zeros(0))
+    """(F,) 0 for lines that are left out; empty where all count."""
+    trend: bool = False
+    """Whether the missing torque changes over the record's periods."""
 
     @property
     def samples(self) -> int:
@@ -262,7 +267,7 @@ class Effect:
     separate: str = ""
     """The experiment that tells it from its look-alikes."""
     family: str = ""
-    parameters: dict[str, str] = {}
+    parameters: ClassVar[Mapping[str, str]] = MappingProxyType({})
     coefficients: tuple[str, ...] = ()
     lower: tuple[float, ...] = ()
     upper: tuple[float, ...] = ()

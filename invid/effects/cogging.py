@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import numpy as np
 
@@ -26,7 +27,11 @@ class Cogging(ForceEffect):
     check = "Check the motor's commutation offset; compensate the ripple in the drive where it can."
     separate = "a slow move over a whole revolution: cogging repeats with its number of cycles"
     family = "position"
-    parameters = {"torque": "torque", "cycles_per_rev": "count", "phase": "angle"}
+    parameters: ClassVar[Mapping[str, str]] = {
+        "torque": "torque",
+        "cycles_per_rev": "count",
+        "phase": "angle",
+    }
     coefficients = ("sine", "cosine")
     lower, upper = (-np.inf,) * 2, (np.inf,) * 2
     shapes, logarithmic = ("cycles_per_rev",), (True,)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import numpy as np
 
@@ -47,7 +48,7 @@ class CoulombFriction(ForceEffect):
     check = "Check brake release and lubrication."
     separate = "slow constant-velocity moves in both directions at several speeds"
     family = "friction"
-    parameters = {"torque": "torque"}
+    parameters: ClassVar[Mapping[str, str]] = {"torque": "torque"}
     coefficients = ("torque",)
     lower, upper = (0.0,), (np.inf,)
     main = "torque"

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import numpy as np
 
@@ -19,7 +20,7 @@ class CouplingStiffness(ImpedanceEffect):
     check = "Look for a cable, hose, belt or common base that ties the two axes together."
     separate = "a slow move of one axis while the other is held"
     family = "structure"
-    parameters = {"stiffness": "stiffness"}
+    parameters: ClassVar[Mapping[str, str]] = {"stiffness": "stiffness"}
     coefficients = ("stiffness",)
     lower, upper = (0.0,), (np.inf,)
     least_axes = 2

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import numpy as np
 
@@ -19,7 +20,7 @@ class CubicStiffness(ForceEffect):
     check = "Check the gear's preload and wear; identify at the amplitude the axis works at."
     separate = "a second amplitude of the same excitation"
     family = "spring"
-    parameters = {"coefficient": "cubic"}
+    parameters: ClassVar[Mapping[str, str]] = {"coefficient": "cubic"}
     coefficients = ("coefficient",)
     lower, upper = (-np.inf,), (np.inf,)
     main = "coefficient"

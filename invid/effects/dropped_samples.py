@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 from invid.effects.base import Effect, Place
 from invid.refine.structure import ChainStructure
@@ -16,7 +17,7 @@ class DroppedSamples(Effect):
     check = "Check the bus load, the SYNC period and the PDO mapping of the axis."
     separate = "record the timestamps of every frame"
     family = "sampling"
-    parameters = {"fraction": "ratio"}
+    parameters: ClassVar[Mapping[str, str]] = {"fraction": "ratio"}
     main = "fraction"
 
     def places(self, structure: ChainStructure) -> list[Place]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import numpy as np
 
@@ -19,7 +20,7 @@ class EncoderEccentricity(Effect):
     check = "Check the encoder's mounting and its coupling."
     separate = "a move over a whole revolution at constant speed"
     family = "sensor"
-    parameters = {"amplitude": "position", "phase": "angle"}
+    parameters: ClassVar[Mapping[str, str]] = {"amplitude": "position", "phase": "angle"}
     coefficients = ("sine", "cosine")
     lower, upper = (-0.5,) * 2, (0.5,) * 2
     rotary = True

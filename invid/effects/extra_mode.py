@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import numpy as np
 
@@ -19,7 +20,7 @@ class ExtraMode(ImpedanceEffect):
     check = "Look for a flexible attachment: a tool, a cable carrier, a loose foot or cover."
     separate = "a finer and wider grid of frequencies around the resonance"
     family = "structure"
-    parameters = {"mass": "mass", "stiffness": "stiffness"}
+    parameters: ClassVar[Mapping[str, str]] = {"mass": "mass", "stiffness": "stiffness"}
     coefficients = ("mass",)
     lower, upper = (0.0,), (np.inf,)
     shapes, logarithmic = ("frequency", "damping"), (True, True)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import numpy as np
 
@@ -19,7 +20,7 @@ class Gravity(ForceEffect):
     check = "Give the controller the load's weight and centre of gravity; check the balancer."
     separate = "the same motion around positions far apart: gravity changes with position, an offset does not"
     family = "position"
-    parameters = {"torque": "torque", "angle": "angle"}
+    parameters: ClassVar[Mapping[str, str]] = {"torque": "torque", "angle": "angle"}
     coefficients = ("sine", "cosine")
     lower, upper = (-np.inf,) * 2, (np.inf,) * 2
     rotary = True

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import numpy as np
 
@@ -19,7 +20,7 @@ class ParameterDrift(ImpedanceEffect):
     check = "Check warming up, loosening joints and wear; repeat when the machine is warm."
     separate = "repeat the first experiment at the end, and once more when the machine is warm"
     family = "time"
-    parameters = {"parameter": "count", "rate": "stiffness_rate"}
+    parameters: ClassVar[Mapping[str, str]] = {"parameter": "count", "rate": "stiffness_rate"}
     coefficients = ("rate",)
     lower, upper = (-np.inf,), (np.inf,)
     main = "rate"

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import numpy as np
 
@@ -19,7 +20,7 @@ class PayloadChange(ImpedanceEffect):
     check = "Check what was picked up, put down or came loose during the measurement."
     separate = "repeat the first experiment at the end"
     family = "time"
-    parameters = {"mass": "mass", "time": "time"}
+    parameters: ClassVar[Mapping[str, str]] = {"mass": "mass", "time": "time"}
     coefficients = ("mass",)
     lower, upper = (-np.inf,), (np.inf,)
     shapes, logarithmic = ("time",), (False,)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import numpy as np
 
@@ -20,7 +21,7 @@ class PreslidingFriction(ForceEffect):
     check = "Check seals, bearings' preload and the brake's lining: the contact springs before it slides."
     separate = "small motions around many positions, and slow moves that reverse"
     family = "friction"
-    parameters = {"stiffness": "stiffness", "torque": "torque"}
+    parameters: ClassVar[Mapping[str, str]] = {"stiffness": "stiffness", "torque": "torque"}
     coefficients = ("torque",)
     lower, upper = (0.0,), (np.inf,)
     shapes, logarithmic = ("most",), (True,)

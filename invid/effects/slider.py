@@ -8,7 +8,7 @@ from numba import njit
 from invid.arrays import Float64
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _march(x: np.ndarray, most: float, passes: int) -> np.ndarray:
     out = np.empty(x.size)
     z, last = 0.0, x[0]

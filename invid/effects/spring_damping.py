@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import numpy as np
 
@@ -19,7 +20,7 @@ class SpringDamping(ImpedanceEffect):
     check = "Check the gear's grease and its elastomer parts."
     separate = "none needed: the linear fit contains it"
     family = "linear"
-    parameters = {"coefficient": "damping"}
+    parameters: ClassVar[Mapping[str, str]] = {"coefficient": "damping"}
     coefficients = ("coefficient",)
     lower, upper = (0.0,), (np.inf,)
     main = "coefficient"
@@ -29,7 +30,7 @@ class SpringDamping(ImpedanceEffect):
         return []
 
     def impedance(self, view: View, place: Place, x: Sequence[float]) -> Complex128:
-        out: Complex128 = 1j * view.omega * x[0]
+        out: Complex128 = (1j * view.omega * x[0]).astype(np.complex128)
         return out
 
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import numpy as np
 
@@ -20,7 +21,7 @@ class SpringHysteresis(ForceEffect):
     check = "Check the gear's preload and lubrication; harmonic drives show it by nature."
     separate = "a second amplitude with the motor held: the loop's width does not grow with amplitude"
     family = "spring"
-    parameters = {"stiffness": "stiffness", "torque": "torque"}
+    parameters: ClassVar[Mapping[str, str]] = {"stiffness": "stiffness", "torque": "torque"}
     coefficients = ("torque",)
     lower, upper = (0.0,), (np.inf,)
     shapes, logarithmic = ("most",), (True,)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import numpy as np
 from scipy.special import erf
@@ -21,7 +22,11 @@ class StribeckFriction(ForceEffect):
     check = "Check the lubrication: the film builds too late."
     separate = "slow constant-velocity moves in both directions at several speeds"
     family = "friction"
-    parameters = {"static": "torque", "coulomb": "torque", "velocity": "velocity"}
+    parameters: ClassVar[Mapping[str, str]] = {
+        "static": "torque",
+        "coulomb": "torque",
+        "velocity": "velocity",
+    }
     coefficients = ("coulomb", "excess")
     lower, upper = (0.0, 0.0), (np.inf, np.inf)
     shapes, logarithmic = ("velocity",), (True,)

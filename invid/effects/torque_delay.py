@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import numpy as np
 
@@ -37,7 +38,7 @@ class TorqueDelay(ActuatorEffect):
     check = "Check the drive's current loop, its filters and the timestamps of the torque it reports."
     separate = "a wider band: a delay's phase grows with frequency and its gain stays one"
     family = "actuator_dynamics"
-    parameters = {"delay": "time"}
+    parameters: ClassVar[Mapping[str, str]] = {"delay": "time"}
     shapes, logarithmic = ("delay",), (False,)
     main = "delay"
 
@@ -66,7 +67,7 @@ class TorqueLag(ActuatorEffect):
     check = "Check the bandwidth of the drive's current loop and its torque filters."
     separate = "a wider band: a lag loses amplitude with frequency, a delay does not"
     family = "actuator_dynamics"
-    parameters = {"time_constant": "time"}
+    parameters: ClassVar[Mapping[str, str]] = {"time_constant": "time"}
     shapes, logarithmic = ("time_constant",), (True,)
     main = "time_constant"
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import numpy as np
 
@@ -19,7 +20,7 @@ class TorqueGain(Effect):
     check = "Check the rated torque and torque constant in the drive's parameters."
     separate = "a known torque (a weight on a lever) on each axis"
     family = "scale"
-    parameters = {"gain": "ratio"}
+    parameters: ClassVar[Mapping[str, str]] = {"gain": "ratio"}
     coefficients = ("gain",)
     lower, upper = (-0.95,), (20.0,)
     least_axes = 2

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import numpy as np
 
@@ -19,7 +20,7 @@ class TorqueOffset(ForceEffect):
     check = "Check the current sensor's offset, cables and hoses that pull, and a balancer."
     separate = "the same motion around positions far apart: gravity changes with position, an offset does not"
     family = "constant"
-    parameters = {"torque": "torque"}
+    parameters: ClassVar[Mapping[str, str]] = {"torque": "torque"}
     coefficients = ("torque",)
     lower, upper = (-np.inf,), (np.inf,)
     main = "torque"

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import numpy as np
 
@@ -19,7 +20,7 @@ class TorqueSaturation(Effect):
     check = "Check the drive's current and torque limits and its bus voltage."
     separate = "a second amplitude: below the limit nothing is missing"
     family = "saturation"
-    parameters = {"limit": "torque"}
+    parameters: ClassVar[Mapping[str, str]] = {"limit": "torque"}
     shapes, logarithmic = ("limit",), (True,)
     main = "limit"
 
@@ -31,11 +32,13 @@ class TorqueSaturation(Effect):
 
     def grid(self, views: Sequence[View], place: Place) -> list[tuple[float, ...]]:
         peak = max(self._peak(views, place), 1e-300)
-        return [(float(np.log(peak * f)),) for f in (0.25, 0.4, 0.55, 0.7, 0.8, 0.9)]
+        return [(float(np.log(peak * f)),) for f in (0.3, 0.4, 0.55, 0.7, 0.8, 0.9)]
 
     def limits(self, views: Sequence[View], place: Place) -> list[tuple[float, float]]:
         peak = max(self._peak(views, place), 1e-300)
-        return [(float(np.log(0.02 * peak)), float(np.log(0.995 * peak)))]
+        # Cut below a quarter of its peak a torque is no measurement of itself any more, and the fit could
+        # shrink plant and torque together until noise covers both.
+        return [(float(np.log(0.25 * peak)), float(np.log(0.995 * peak)))]
 
     def contribution(
         self, view: View, place: Place, x: Sequence[float]

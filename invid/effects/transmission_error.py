@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import numpy as np
 
@@ -24,7 +25,11 @@ class TransmissionError(Effect):
     check = "Check the gear's teeth and its alignment; compensate over position."
     separate = "a slow move over a whole revolution, and a second amplitude"
     family = "position"
-    parameters = {"amplitude": "position", "cycles_per_rev": "count", "phase": "angle"}
+    parameters: ClassVar[Mapping[str, str]] = {
+        "amplitude": "position",
+        "cycles_per_rev": "count",
+        "phase": "angle",
+    }
     coefficients = ("sine", "cosine")
     lower, upper = (-np.inf,) * 2, (np.inf,) * 2
     shapes, logarithmic = ("cycles_per_rev",), (True,)
@@ -67,7 +72,9 @@ class TransmissionError(Effect):
 
     def basis(self, view: View, place: Place, shape: Sequence[float]) -> Complex128:
         small = 1e-6 * max(rms([view.wave(place.pattern(view.structure))]), 1e-12)
-        columns = [self.contribution(view, place, (*c, *shape))[0] / small for c in ((small, 0.0), (0.0, small))]
+        columns = [
+            self.contribution(view, place, (*c, *shape))[0] / small for c in ((small, 0.0), (0.0, small))
+        ]
         return np.stack(columns, axis=-1)
 
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import numpy as np
 
@@ -19,7 +20,7 @@ class ViscousFriction(ImpedanceEffect):
     check = "Check the grease (too much, too stiff, cold) and the seals."
     separate = "slow constant-velocity moves in both directions at several speeds"
     family = "friction"
-    parameters = {"coefficient": "damping"}
+    parameters: ClassVar[Mapping[str, str]] = {"coefficient": "damping"}
     coefficients = ("coefficient",)
     lower, upper = (0.0,), (np.inf,)
     main = "coefficient"
@@ -28,7 +29,7 @@ class ViscousFriction(ImpedanceEffect):
         return mass_places(structure)
 
     def impedance(self, view: View, place: Place, x: Sequence[float]) -> Complex128:
-        out: Complex128 = 1j * view.omega * x[0]
+        out: Complex128 = (1j * view.omega * x[0]).astype(np.complex128)
         return out
 
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
