@@ -10,7 +10,7 @@ STAMP  := $(VENV)/.stamp-installed
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo test check bench serve system-packages lock clean
+.PHONY: demo test check bench pictures serve system-packages lock clean
 
 demo: $(STAMP)
 	$(BIN)/invid demo --out invid-demo
@@ -26,6 +26,9 @@ check: $(STAMP)
 
 bench: $(STAMP)
 	$(BIN)/python benchmarks/run_all.py
+
+pictures: demo
+	$(BIN)/python docs/pictures.py invid-demo docs/images
 
 serve: $(STAMP)
 	$(BIN)/invid serve
