@@ -25,7 +25,7 @@ FOUND = [
     ("torque_lag", 1, 105),
     ("cubic_stiffness", 1, 107),
     ("backlash", 1, 108),
-    ("payload_change", 1, 113),
+    ("payload_change", 1, 117),  # between two records
 ]
 
 
