@@ -113,7 +113,6 @@ def _finding(selection: Selection, number: int, recording: Recording, explained:
     )
     axis = term.place.axis
     before, after = _axis_rms(step.before, axis), _axis_rms(step.chosen, axis)
-    _, floor = rms_torque(step.chosen.held, axis)
     total = selection.base.cost - final.cost
     fraction = float(np.clip((step.before.cost - step.chosen.cost) / max(total, 1e-300), 0, 1)) * explained
     confidence = float(np.clip(share * (0.55 + 0.45 * _ramp(explained)), 0.01, 0.999))
@@ -144,10 +143,25 @@ def _rivals(step: Step) -> tuple[list[Trial], float]:
     chosen = scores[0]
     weights = np.exp(-0.25 * np.clip(scores - chosen, -20.0, 200.0))
     share = float(weights[0] / weights.sum())
-    rivals = [
-        t for (t, s) in step.ranked[1:] if s - chosen < COMPETES and not t.term.effect.is_null(t.x.tolist())
-    ]
+    rivals = [t for (t, s) in step.ranked[1:] if s - chosen < COMPETES and _competes(step, t)]
     return rivals, share
+
+
+def _competes(step: Step, rival: Trial) -> bool:
+    """Not a larger friction model at the same place that gains nothing by being larger.
+
+    Nested models always fit as well; the smaller is the answer unless the larger gains what its
+    parameters may by chance once in a hundred.
+    """
+    if rival.term.effect.is_null(rival.x.tolist()):
+        return False
+    chosen = step.chosen
+    nested = (
+        rival.term.place == chosen.term.place
+        and rival.term.effect.family == chosen.term.effect.family == "friction"
+        and rival.term.size > chosen.term.size
+    )
+    return not (nested and chosen.cost - rival.cost < 9.2)
 
 
 def _separating(term: Term, rivals: list[Trial]) -> dict[str, object] | None:

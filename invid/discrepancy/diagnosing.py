@@ -61,8 +61,8 @@ def diagnose(
         model = identify(sound, masses=masses)
     if model.axes != recording.axes:
         raise InputError(
-            f"the model has the axes {list(model.axes)}, the recording {list(recording.axes)}; diagnose with the "
-            "model of this robot, or without one"
+            f"the model has the axes {list(model.axes)}, the recording {list(recording.axes)}; diagnose with "
+            "the model of this robot, or without one"
         )
     spectra = all_spectra(sound)
     if not spectra:
@@ -171,7 +171,7 @@ def _document(
     shown = final if named else base
     residual = []
     for i, axis in enumerate(recording.axes):
-        before, floor_b = rms_torque(base.held, i)
+        before, _ = rms_torque(base.held, i)
         after, floor = rms_torque(shown.held, i)
         residual.append(AxisResidual(axis, unit, before, after, floor))
     b2 = sum(r.before**2 for r in residual)

@@ -137,8 +137,8 @@ def with_dropped(
                 after=own.after,
                 fraction=explained,
                 sentence=(
-                    f"Axis {own.axis}: {100 * d.fraction:.2g} % of the samples were lost and the one before was "
-                    f"repeated. {BY_CAUSE['dropped_samples'].check}"
+                    f"Axis {own.axis}: {100 * d.fraction:.2g} % of the samples were lost and the one before "
+                    f"was repeated. {BY_CAUSE['dropped_samples'].check}"
                 ),
             )
         )

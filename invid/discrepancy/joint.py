@@ -84,7 +84,7 @@ def fit(
     tolerance: float = 1e-2,
     strict: bool = True,
 ) -> JointFit:
-    """Minimise the cost over everything; converged when the predicted decrease is below ``tolerance``·χ²/ν."""
+    """Minimise the cost; converged when the predicted decrease is below ``tolerance``·χ²/ν."""
     structure = layout.structure
     here = evaluate(layout, records, p, candidate)
     low, high = _limits(layout, candidate, here, strict)

@@ -154,8 +154,8 @@ def split(
             [record_of(s, experiments[s.key], slice(0, s.periods - 1)) for s in train],
             [record_of(s, experiments[s.key], slice(s.periods - 1, None)) for s in train],
             [
-                "no validation experiment (role 'validate'): the last period of each experiment is kept out of "
-                "every fit instead, which repeats the same motion; record one with another realisation"
+                "no validation experiment (role 'validate'): the last period of each experiment is kept out "
+                "of every fit instead, which repeats the same motion; record one with another realisation"
             ],
         )
     training, kept_out = [], []
@@ -169,8 +169,8 @@ def split(
         training,
         kept_out,
         [
-            "no validation experiment (role 'validate') and no whole period to spare: every fifth line is kept "
-            "out of every fit instead; record an experiment of its own for validation"
+            "no validation experiment (role 'validate') and no whole period to spare: every fifth line is "
+            "kept out of every fit instead; record an experiment of its own for validation"
         ],
     )
 

@@ -177,7 +177,7 @@ def _step(
                 trial = Trial(refitted, held_out(refitted, held))
             except np.linalg.LinAlgError:  # a start from which nothing finite follows
                 continue
-        if np.isfinite(trial.cost):
+        if np.isfinite(trial.cost) and not _at_bound(trial):
             trials.append(trial)
     if not trials:
         return None, tuple(scores[:5])
@@ -202,6 +202,16 @@ def _step(
             return Step(current, trial, tuple(order)), tuple(scores[:5])
         break
     return None, tuple(scores[:5])
+
+
+def _at_bound(trial: Trial) -> bool:
+    """A shape at the edge of what it may be: the fit wants something else than this cause."""
+    term, x = trial.term, trial.x
+    if term.effect.cause in ("extra_mode", "payload_change"):  # damping and time are no part of the size
+        return False
+    shapes = x[len(term.effect.coefficients) :]
+    limits = term.effect.limits(trial.fit.evaluation.views, term.place)
+    return any(v <= low + 1e-9 or v >= high - 1e-9 for v, (low, high) in zip(shapes, limits, strict=True))
 
 
 def _delays(

@@ -54,8 +54,8 @@ def finding_sentence(
     if term.cause == "torque_gain" and main is not None:
         size = f" (true torque is {number(main)} times the record)"
     text = (
-        f"Axis {term.axis}: {effect.title}{size}{place_of(term, sizes, axes)} explains {100 * fraction:.0f} % of "
-        "what the model missed."
+        f"Axis {term.axis}: {effect.title}{size}{place_of(term, sizes, axes)} explains "
+        f"{100 * fraction:.0f} % of what the model missed."
     )
     if rivals:
         others = sorted(

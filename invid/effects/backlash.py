@@ -47,7 +47,7 @@ class Backlash(Effect):
         d, rate = view.wave(pattern), view.velocity(pattern)
         half = 0.5 * gap
         out: Float64 = -view.springs[at] * np.clip(d, -half, half)
-        out = out - view.dampers[at] * rate * (np.abs(d) < half)
+        out -= view.dampers[at] * rate * (np.abs(d) < half)
         return out
 
     def contribution(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from typing import ClassVar
 
 import numpy as np
@@ -31,7 +32,7 @@ class PayloadChange(ImpedanceEffect):
 
     def grid(self, views: Sequence[View], place: Place) -> list[tuple[float, ...]]:
         spans = sorted({(v.record.start_time, v.record.end_time) for v in views})
-        times = [0.5 * (a[1] + b[0]) for a, b in zip(spans[:-1], spans[1:], strict=True)]
+        times = [0.5 * (a[1] + b[0]) for a, b in pairwise(spans)]
         return [(float(t),) for t in sorted(times)]
 
     def limits(self, views: Sequence[View], place: Place) -> list[tuple[float, float]]:

@@ -36,9 +36,9 @@ class TorqueSaturation(Effect):
 
     def limits(self, views: Sequence[View], place: Place) -> list[tuple[float, float]]:
         peak = max(self._peak(views, place), 1e-300)
-        # Cut below a quarter of its peak a torque is no measurement of itself any more, and the fit could
+        # Cut below a tenth of its peak a torque is no measurement of itself any more, and the fit could
         # shrink plant and torque together until noise covers both.
-        return [(float(np.log(0.25 * peak)), float(np.log(0.995 * peak)))]
+        return [(float(np.log(0.1 * peak)), float(np.log(0.995 * peak)))]
 
     def contribution(
         self, view: View, place: Place, x: Sequence[float]
