@@ -165,14 +165,16 @@ def _with_coulomb(problem: MissingTorqueProblem, spectra: Sequence[LineSpectra])
 
 
 def _best(problem: MissingTorqueProblem, starts: Iterable[CoupledChains], iterations: int) -> Solution:
-    """The lowest cost from all starts; stops at the first that cannot be told from noise."""
+    """The lowest cost from all starts; stops at the first that cannot be told from noise, or where a
+    second start leads to the same minimum as the best before it."""
     best: Solution | None = None
     for start in starts:
         p = problem.start(problem.structure.vector(start))
         found = gauss_newton(problem, p, iterations=iterations)
+        again = best is not None and abs(found.chi2 - best.chi2) < 1e-3 * best.chi2
         if best is None or found.chi2 < best.chi2:
             best = found
-        if best.reduced < 1.5:
+        if again or best.reduced < 1.5:
             break
     if best is None:
         raise NotIdentifiableError(
