@@ -26,11 +26,12 @@ _NAN = float("nan")
 
 
 class Recorder:
-    """A ``Sink`` that writes; the file is opened with the first experiment, not before motion."""
+    """A ``Sink`` that writes; the file is opened with the first row, not before."""
 
     def __init__(self, open_writer: Callable[[], RecordingWriter], cycle_s: float, axes: int) -> None:
         self._open, self._cycle, self._count = open_writer, cycle_s, axes
         self._writer: RecordingWriter | None = None
+        self._header: tuple[PlannedExperiment, list[float], float] | None = None
         self._last_slot: int | None = None
         self.filled = 0
         self.skipped = 0
@@ -52,15 +53,23 @@ class Recorder:
 
     def begin(self, experiment: PlannedExperiment, hold_gain: Sequence[float], scale: float) -> None:
         """A new experiment."""
-        if self._writer is None:
-            self._writer = self._open()
         self._reset()
         self._last_slot = None
+        self._header = (experiment, list(hold_gain), scale)
+
+    def _open_experiment(self) -> None:
+        """With its first row: an experiment that was stopped while it settled leaves no empty shell."""
+        if self._header is None:
+            return
+        experiment, hold_gain, scale = self._header
+        self._header = None
+        if self._writer is None:
+            self._writer = self._open()
         self._writer.begin(
             kind=experiment.kind,
             role=experiment.role,
             excited_axis=experiment.excited_axis,
-            hold_gain=list(hold_gain),
+            hold_gain=hold_gain,
             period_samples=experiment.period_samples,
             frequencies_hz=experiment.frequencies_hz,
             sample_rate_hz=1.0 / self._cycle,
@@ -69,6 +78,8 @@ class Recorder:
 
     def row(self, sample: Sample, demand: Sequence[float]) -> None:
         """One cycle."""
+        if self._header is not None:
+            self._open_experiment()
         last = self._last_slot
         if last is not None and sample.slot > last + 1:
             self._skip(sample, last)
@@ -129,8 +140,9 @@ class Recorder:
     def end(self) -> None:
         """The experiment is over."""
         self._flush(len(self._time))
-        if self._writer is not None:
+        if self._writer is not None and self._header is None:
             self._writer.end()
+        self._header = None
         self._reset()
 
     def close(self, outcome: Outcome) -> None:

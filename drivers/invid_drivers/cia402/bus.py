@@ -75,6 +75,7 @@ class Cia402Cell:
         self._mode_asked = 0
         self._next_mode_poll = 0.0
         self._stopped = True
+        self._given_up: set[int] = set()
         self.held_at_end: tuple[str, ...] = ()
         """Gravity-loaded axes that their drives hold in quick stop active."""
         self.not_off: tuple[str, ...] = ()
@@ -137,6 +138,7 @@ class Cia402Cell:
         if not self._reports:
             self.check()
         self._stopped = False
+        self._given_up.clear()
         self._touched = True
         self._link.beating = True
         self._pre_operational()
@@ -380,6 +382,11 @@ class Cia402Cell:
         """An axis that a quick stop makes faster has a wrong sign somewhere: only cutting it off helps."""
         for i in guard.faster(sample):
             self._control[i] = states.DISABLE_VOLTAGE
+        for i in guard.silent(sample):
+            # It may hear NMT though its PDOs are lost; its abort option (0x6007) is a quick stop.
+            if i not in self._given_up:
+                self._given_up.add(i)
+                self._link.nmt(NMT_STOP, self._drives[i].node_id)
         return False
 
     def _drive_to(self, seconds: float, reached: Callable[[Sample], bool]) -> None:
@@ -401,6 +408,8 @@ class Cia402Cell:
     def _at_rest(self, sample: Sample) -> bool:
         """Every drive that talks has left operation enabled and, where it stays energised, stands."""
         for i, status in enumerate(sample.status):
+            if i in self._given_up:
+                continue
             if not sample.fresh[i]:
                 return False
             match state_of(status):
@@ -465,6 +474,13 @@ class _RunawayGuard:
         self._before: tuple[float, list[float]] | None = None
         self._entry = [-1.0] * len(config.axes)
         self._seen = [0] * len(config.axes)
+        self._quiet = [0] * len(config.axes)
+
+    def silent(self, sample: Sample) -> list[int]:
+        """Axes that have said nothing for three samples."""
+        for i, fresh in enumerate(sample.fresh):
+            self._quiet[i] = 0 if fresh else self._quiet[i] + 1
+        return [i for i, n in enumerate(self._quiet) if n >= 3]
 
     def faster(self, sample: Sample) -> list[int]:
         """Axes that are faster than a quick stop could make them."""

@@ -205,7 +205,8 @@ class Link:
 class _PumpedSdo(SdoClient):
     """``canopen``'s SDO client that takes its answers from the link instead of a second thread."""
 
-    RESPONSE_TIMEOUT = 0.3
+    RESPONSE_TIMEOUT = 1.0
+    """[s]; a drive answers in milliseconds, a simulated one on a busy computer may need longer."""
 
     def __init__(self, link: Link, node_id: int) -> None:
         super().__init__(  # type: ignore[no-untyped-call]

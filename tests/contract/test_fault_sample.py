@@ -1,0 +1,48 @@
+"""One run of every kind of fault of the campaign (`benchmarks/bench_faults.py` runs hundreds)."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+
+def _campaign() -> ModuleType:
+    path = Path(__file__).parents[2] / "benchmarks" / "bench_faults.py"
+    spec = importlib.util.spec_from_file_location("bench_faults", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["bench_faults"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+campaign = _campaign()
+
+
+@pytest.mark.parametrize("kind", list(campaign.EXPECTED))
+def test_a_fault_at_a_random_moment_leaves_no_axis_energised_and_the_recording_whole(
+    kind: str, tmp_path: Path
+) -> None:
+    seed = sum(kind.encode())
+    outcome = campaign.run_one(kind, np.random.default_rng([2026, seed]), tmp_path)
+    assert outcome.complaints == ()
+
+
+def test_the_campaign_notices_a_drive_that_is_left_energised(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The judge must be able to say no: without the way out, it does."""
+    from invid_drivers.cia402.bus import Cia402Cell
+
+    monkeypatch.setattr(Cia402Cell, "stop", lambda self: None)
+    monkeypatch.setattr(Cia402Cell, "close", lambda self: [])
+    # a drive that hears SYNC no longer stops by its own heartbeat watch; take that away as well
+    monkeypatch.setattr("invid_drivers.cia402.axis.Drive.protect", lambda self, report, heartbeat_s: None)
+    outcome = campaign.run_one("emcy", np.random.default_rng(1), tmp_path)
+    assert any("OPERATION_ENABLED" in c for c in outcome.complaints)

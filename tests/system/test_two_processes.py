@@ -1,0 +1,203 @@
+"""`invid simcell` in one process, `invid measure` in another: over AF_UNIX, over vcan where there is one;
+and what is left when either of them is killed."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from invid.recording import Outcome, read_recording
+
+ROOT = Path(__file__).parents[2]
+INVID = [sys.executable, "-c", "from invid.cli import main; main()"]
+STOPPED = {"SWITCH_ON_DISABLED", "READY_TO_SWITCH_ON", "SWITCHED_ON", "FAULT"}
+
+
+def config(folder: Path, *, interface: str = "invid-unix", channel: str | None = None) -> Path:
+    data = yaml.safe_load((ROOT / "configs" / "case-study-unix.yaml").read_text(encoding="utf-8"))
+    data["bus"] |= {
+        "interface": interface,
+        "channel": channel or str(folder / "bus.sock"),
+        # four milliseconds: the machine that runs the tests is busy with other tests
+        "cycle_s": 0.004,
+    }
+    data["experiments"] = [
+        {
+            "kind": "multisine",
+            "band_Hz": [1, 12],
+            "period_s": 2.048,
+            "periods": 2,
+            "settle_periods": 0,
+            "experiments": 1,
+        }
+    ]
+    data["safety"] = {"missed_tpdos": 500, "overrun_cycles": 500, "heartbeat_s": 1.0}
+    path = folder / "cell.yaml"
+    path.write_text(yaml.safe_dump(data), encoding="utf-8")
+    return path
+
+
+def start(*arguments: str, folder: Path) -> subprocess.Popen[str]:
+    environment = {**os.environ, "XDG_STATE_HOME": str(folder / "state")}
+    return subprocess.Popen(
+        [*INVID, *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment,
+        cwd=folder,
+    )
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return tmp_path
+
+
+@pytest.fixture
+def simcell(folder: Path) -> Iterator[subprocess.Popen[str]]:
+    process = start("simcell", str(config(folder)), "--duration", "120", "--json", folder=folder)
+    wait_for(process)
+    yield process
+    if process.poll() is None:
+        process.kill()
+    process.communicate()
+
+
+def wait_for(process: subprocess.Popen[str]) -> None:
+    assert process.stderr is not None
+    line = process.stderr.readline()
+    assert "ready" in line, line
+
+
+def end(process: subprocess.Popen[str]) -> list[dict[str, Any]]:
+    """The drives' states when the simulated cell is ended politely."""
+    process.send_signal(signal.SIGINT)
+    out, _ = process.communicate(timeout=20)
+    drives: list[dict[str, Any]] = json.loads(out)["drives"]
+    return drives
+
+
+def until_phase(process: subprocess.Popen[str], word: str) -> None:
+    assert process.stderr is not None
+    for line in process.stderr:
+        if word in line:
+            return
+    pytest.fail(f"{word!r} was not reached")
+
+
+@pytest.mark.slow
+def test_a_measurement_over_a_unix_socket_completes_and_leaves_every_drive_off(
+    simcell: subprocess.Popen[str], folder: Path
+) -> None:
+    measure = start("measure", "cell.yaml", "-o", "run.h5", "--json", folder=folder)
+    out, said = measure.communicate(timeout=100)
+    assert measure.returncode == 0, said
+    result = json.loads(out)
+    recording = read_recording(folder / "run.h5")
+    assert result["outcome"] == "completed"
+    assert recording.outcome is Outcome.COMPLETED
+    (experiment,) = recording.experiments
+    assert experiment.samples == 2 * experiment.period_samples
+    assert np.all(np.diff(experiment.time) > 0)
+    assert sum(result["jitter_histogram"].values()) > 1000
+    assert all(d["state"].upper().replace(" ", "_") in STOPPED for d in end(simcell))
+    assert not list((folder / "state").rglob("*.journal"))
+
+
+def kill_and_look(simcell: subprocess.Popen[str], folder: Path, victim: str) -> subprocess.Popen[str]:
+    measure = start("measure", "cell.yaml", "-o", "run.h5", folder=folder)
+    until_phase(measure, "experiment 1")
+    time.sleep(3.0)  # a second of rest and half a second of fading in come before the first row
+    if victim == "parent":
+        measure.kill()
+    elif victim == "simcell":
+        simcell.kill()
+    else:
+        children = Path(f"/proc/{measure.pid}/task/{measure.pid}/children").read_text().split()
+        for child in children:
+            os.kill(int(child), signal.SIGKILL)
+    return measure
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("victim", ["parent", "cycle process"])
+def test_kill_9_of_either_process_of_the_master_stops_the_drives(
+    simcell: subprocess.Popen[str], folder: Path, victim: str
+) -> None:
+    measure = kill_and_look(simcell, folder, victim)
+    _, said = measure.communicate(timeout=60)
+    if victim == "cycle process":
+        assert measure.returncode == 5, said
+        assert "heartbeat" in said
+        assert read_recording(folder / "run.h5").outcome is Outcome.FAILED
+    time.sleep(5.0)  # three heartbeats of a second, and the quick stop
+    drives = end(simcell)
+    assert all(d["state"].upper().replace(" ", "_") in STOPPED for d in drives), drives
+    assert read_recording(folder / "run.h5").experiments[0].samples > 0
+
+
+@pytest.mark.slow
+def test_a_cell_that_dies_ends_the_measurement_with_exit_5_and_keeps_the_samples(
+    simcell: subprocess.Popen[str], folder: Path
+) -> None:
+    measure = kill_and_look(simcell, folder, "simcell")
+    _, said = measure.communicate(timeout=60)
+    assert measure.returncode == 5, said
+    recording = read_recording(folder / "run.h5")
+    assert recording.outcome is Outcome.FAILED
+    assert recording.experiments[0].samples > 100
+
+
+@pytest.mark.slow
+def test_ctrl_c_stops_in_order_and_exits_4(simcell: subprocess.Popen[str], folder: Path) -> None:
+    measure = start("measure", "cell.yaml", "-o", "run.h5", folder=folder)
+    until_phase(measure, "experiment 1")
+    measure.send_signal(signal.SIGINT)
+    _, said = measure.communicate(timeout=60)
+    assert measure.returncode == 4, said
+    assert all(d["state"].upper().replace(" ", "_") in STOPPED for d in end(simcell))
+    assert not list((folder / "state").rglob("*.journal"))
+
+
+@pytest.mark.slow
+def test_the_same_over_the_kernels_virtual_can(folder: Path) -> None:
+    if not Path("/sys/class/net/vcan0").exists():
+        pytest.skip(
+            "the kernel has no vcan0 (modprobe vcan; ip link add vcan0 type vcan; ip link set vcan0 up)"
+        )
+    path = str(config(folder, interface="socketcan", channel="vcan0"))
+    cell = start("simcell", path, "--duration", "120", "--json", folder=folder)
+    try:
+        wait_for(cell)
+        measure = start("measure", path, "-o", "run.h5", folder=folder)
+        _, said = measure.communicate(timeout=100)
+        assert measure.returncode == 0, said
+        assert all(d["state"].upper().replace(" ", "_") in STOPPED for d in end(cell))
+    finally:
+        if cell.poll() is None:
+            cell.kill()
+        cell.communicate()
+
+
+def test_nobody_on_the_bus_is_exit_5_and_writes_nothing(folder: Path) -> None:
+    config(folder)
+    before = folder / "run.h5"
+    before.write_bytes(b"an earlier file")
+    measure = start("measure", "cell.yaml", "-o", "run.h5", folder=folder)
+    _, said = measure.communicate(timeout=60)
+    assert measure.returncode == 5, said
+    assert "simcell" in said
+    assert "Traceback" not in said
+    assert before.read_bytes() == b"an earlier file"
