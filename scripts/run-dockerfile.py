@@ -14,6 +14,7 @@ import os
 import re
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -115,7 +116,9 @@ def serve(entry: list[str], health: list[str], environment: dict[str, str], data
             print("never healthy", file=sys.stderr)
             return 1
         process.terminate()
-        return process.wait(20)
+        # uvicorn ends by the signal it was stopped with, once everything is shut down.
+        status = process.wait(20)
+        return 0 if status in (0, -signal.SIGTERM) else 1
     finally:
         if process.poll() is None:
             process.kill()
