@@ -21,6 +21,7 @@ from invid.simulate.replay import Drive, drift_torque, drive
 _DRIFT_PIECES = 200  # a drifting parameter is constant within 1/200 of the record
 _START_ROUNDS = 3
 _DRIFT_ROUNDS = 3
+_DIVERGED = 1e6  # times the measured motion: no wrong parameter does that, only a growing oscillation
 _START_SAMPLES = 2000
 _START_PRIOR = 1e-3
 """Weight of the guessed initial state against the measured motion: only decides what no motor sees."""
@@ -132,7 +133,8 @@ def _simulate_one(
 
     state = _rigid_start(given, plant.mass.shape[0], chains.masses_per_branch, motors)
     motion = answer(state)
-    free = _free_response(pieces[0].step, given, motors)
+    with np.errstate(over="ignore", invalid="ignore"):
+        free = _free_response(pieces[0].step, given, motors)
     error = _error(motion, given)
     for _ in range(_START_ROUNDS):
         trial = state + _start_correction(free, motion, given)
@@ -149,10 +151,12 @@ def _simulate_one(
         if not fresh_error < 0.99 * error:
             break
         drift, motion, error = added, fresh, fresh_error
-    if not np.isfinite(motion).all():
+    size = float(np.sum(given.measured**2))
+    if not np.isfinite(error) or 0 < _DIVERGED**2 * size < error:
         raise InputError(
-            f"experiment {experiment.key}: the simulated motion diverges; the model's effects feed energy in "
-            "(check signs and sizes of its effects)"
+            f"experiment {experiment.key}: the simulated motion leaves the measured one a million times "
+            "behind; a mass is far too small or an effect feeds energy in (check the model's values and "
+            "signs)"
         )
     extra = drift + state[2 * plant.mass.shape[0] :]
     return _as_experiment(experiment, motion, given, laws, extra)
@@ -264,6 +268,8 @@ def _start_correction(free: tuple[np.ndarray, Float64], motion: Float64, given: 
     at, response = free
     missing = (given.measured - motion[:, :, 0])[at].ravel()
     basis = response.reshape(missing.size, -1)
+    if not (np.isfinite(basis).all() and np.abs(basis).max() < 1e100):
+        return np.zeros(basis.shape[1])  # an unstable plant: no start is better than another
     scale = np.linalg.norm(basis, axis=0)
     scale[scale == 0] = 1.0
     normal = (basis / scale).T @ (basis / scale) + _START_PRIOR**2 * np.eye(scale.size)

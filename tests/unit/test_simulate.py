@@ -489,3 +489,10 @@ def test_the_uncompiled_kernel_gives_the_same_bits_of_motion() -> None:
         patch.setattr(run, "march", python)
         slow = simulate(model(plant(), term), record).experiments[0].position
     np.testing.assert_allclose(slow, fast, rtol=1e-10, atol=1e-14)
+
+
+def test_a_model_whose_motion_explodes_is_refused_and_writes_nothing() -> None:
+    time, truth = reference(plant(), nothing, duration=1.0)
+    term = effect("viscous_friction", "A1", "mass 1", coefficient=-500.0)
+    with pytest.raises(InputError, match="feeds energy in"):
+        simulate(model(plant(), term), recording(time, truth, torque_at(time)))
