@@ -18,7 +18,8 @@ from invid.plan.model import PlannedExperiment
 from invid.recording import Outcome, RecordingWriter
 from invid.sweep.ports import Sample
 
-BLOCK_ROWS = 500
+BLOCK_S = 0.25
+"""Handed to the writer at once; the writer flushes every second, so a kill loses little more than that."""
 CONTEXT_ROWS = 8
 """Rows of the block before, and rows kept back for the next, that a cubic may lean on."""
 
@@ -30,6 +31,7 @@ class Recorder:
 
     def __init__(self, open_writer: Callable[[], RecordingWriter], cycle_s: float, axes: int) -> None:
         self._open, self._cycle, self._count = open_writer, cycle_s, axes
+        self._block = max(CONTEXT_ROWS, round(BLOCK_S / cycle_s)) + CONTEXT_ROWS
         self._writer: RecordingWriter | None = None
         self._header: tuple[PlannedExperiment, list[float], float] | None = None
         self._last_slot: int | None = None
@@ -97,7 +99,7 @@ class Recorder:
             self._torque.append([t for _, t in rows])
         self._demand.append(list(demand))
         self._status.append(list(sample.status))
-        if len(self._time) - self._written >= BLOCK_ROWS + CONTEXT_ROWS:
+        if len(self._time) - self._written >= self._block:
             self._flush(len(self._time) - CONTEXT_ROWS)
 
     def _skip(self, sample: Sample, last: int) -> None:

@@ -119,7 +119,7 @@ def test_a_measurement_over_a_unix_socket_completes_and_leaves_every_drive_off(
 def kill_and_look(simcell: subprocess.Popen[str], folder: Path, victim: str) -> subprocess.Popen[str]:
     measure = start("measure", "cell.yaml", "-o", "run.h5", folder=folder)
     until_phase(measure, "experiment 1")
-    time.sleep(3.0)  # a second of rest and half a second of fading in come before the first row
+    time.sleep(4.0)  # a second of rest and half a second of fading in come before the first row
     if victim == "parent":
         measure.kill()
     elif victim == "simcell":
