@@ -16,10 +16,10 @@ from enum import StrEnum
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2, norm
 
 from invid.arrays import Float64
 from invid.compare_words import differing_number, interpret
+from invid.distributions import chi2_sf, normal_isf, normal_sf
 from invid.errors import InputError
 from invid.model import EffectTerm, Estimate, Model, units
 
@@ -425,11 +425,11 @@ def _size(term: EffectTerm) -> str:
 def _judge(changes: Sequence[Change], tolerance: float, alpha: float) -> list[Change]:
     """Holm's step-down for *changed*, an interval inside ±tolerance for *unchanged*."""
     tested = [i for i, c in enumerate(changes) if c.std is not None]
-    p = {i: float(2 * norm.sf(abs((changes[i].difference or 0.0) / (changes[i].std or 1.0)))) for i in tested}
+    p = {i: 2 * normal_sf(abs((changes[i].difference or 0.0) / (changes[i].std or 1.0))) for i in tested}
     out = list(changes)
     running = 0.0
     # One-sided on either side: the larger of both ends decides (two one-sided tests).
-    reach = float(norm.isf(alpha))
+    reach = normal_isf(alpha)
     for rank, i in enumerate(sorted(tested, key=lambda k: p[k])):
         running = max(running, min(1.0, (len(tested) - rank) * p[i]))
         c = out[i]
@@ -512,7 +512,7 @@ def _joint(
     keep = values > len(names) * np.finfo(float).eps * 1e3 * values[-1]
     along = vectors[:, keep].T @ (np.array([c.difference for c in used], dtype=float) / spread)
     statistic = float((along**2 / values[keep]).sum())
-    return float(chi2.sf(statistic, int(keep.sum()))), int(keep.sum())
+    return chi2_sf(statistic, int(keep.sum())), int(keep.sum())
 
 
 # --- words -----------------------------------------------------------------------------------------

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2 as chi2_distribution
 
 from invid.chains import CoupledChains
+from invid.distributions import chi2_isf
 from invid.errors import InvidError
 from invid.refine.fit import Fit
 from invid.spectra import LineSpectra
@@ -72,7 +72,7 @@ def choose_order(spectra: Sequence[LineSpectra], axes: Sequence[str], *, most: i
             return True
         extra = 3 * (sum(large) - sum(small))
         scale = max(after / dofs[large], 1.0)
-        significant = (before - after) / scale > chi2_distribution.isf(1e-6, extra)
+        significant = (before - after) / scale > chi2_isf(1e-6, extra)
         return bool(significant and before > GAIN * after)
 
     count = len(axes)

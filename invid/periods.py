@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import f as f_distribution
 
 from invid.arrays import Complex128, Float64
+from invid.distributions import f_isf
 
 FALSE_DROP = 1e-4
 """Chance of dropping a settled period. Small because a dropped period costs information and a test
@@ -128,4 +128,4 @@ def _limit(lines: int, dof: float) -> float:
     few periods uneven over lines, and a transient below twice the noise in power moves a mean over
     the periods by less than its own standard deviation.
     """
-    return 2.0 * float(f_distribution.isf(FALSE_DROP, 2 * lines, max(dof, 2.0)))
+    return 2.0 * f_isf(FALSE_DROP, 2 * lines, max(dof, 2.0))

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2 as chi2_distribution
 
 from invid.arrays import Complex128, Float64
 from invid.chains import CoupledChains
+from invid.distributions import chi2_isf
 from invid.errors import NotIdentifiableError
 from invid.refine.blocks import (
     carried,
@@ -225,8 +225,8 @@ def _holds(
     common_error = float(1.0 / np.sqrt(np.sum((early / error) ** 2)))
     within = float(np.sum(((viscous - early * common) / error) ** 2))
     # 3 standard deviations' worth of false rejection; one degree of freedom goes into the common time.
-    limit = float(chi2_distribution.isf(0.0027, motors.size))
-    tight = float(chi2_distribution.isf(0.0027, motors.size - 1)) if motors.size > 1 else 0.0
+    limit = chi2_isf(0.0027, motors.size)
+    tight = chi2_isf(0.0027, motors.size - 1) if motors.size > 1 else 0.0
     fixed = [hold_offset(structure.axes[i]) for i in open_axes]
     if without < limit:
         priors = {**problem.priors, **dict.fromkeys(fixed, (0.0, 1e-3 * step))}
@@ -270,7 +270,7 @@ def _boundary(
         before, after = float(plain[:rows] @ plain[:rows]), float(with_terms[:rows] @ with_terms[:rows])
         # The scale is what is left with the terms in: friction that is left must not look like one.
         gain = (before - after) / max(after / (rows - count), 1.0)
-        flags[number] = bool(gain > chi2_distribution.isf(NEEDED, count))
+        flags[number] = bool(gain > chi2_isf(NEEDED, count))
     if flags == [b.transient for b in problem.blocks]:
         return problem, solution
     freed = _with_coulomb(problem_from_spectra(problem.structure, spectra, boundary=flags), spectra)
@@ -293,7 +293,7 @@ def _inner_friction(
     scale = max(found.reduced, 1.0)
     part = slice(structure.slices["viscous"].stop, structure.slices["viscous"].stop + extra)
     positive = found.p[part] > -3.0 * spread_of(found)[part]
-    if (solution.chi2 - found.chi2) / scale > chi2_distribution.isf(NEEDED, extra) and positive.all():
+    if (solution.chi2 - found.chi2) / scale > chi2_isf(NEEDED, extra) and positive.all():
         return larger, found
     return problem, solution
 
