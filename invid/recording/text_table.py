@@ -129,11 +129,18 @@ def _first_data_row(rows: list[tuple[int, list[str]]], width: int, decimal: str,
             and all(_is_number(c, decimal) or c.lower() in _NOT_A_NUMBER for c in cells)
             and any(_is_number(c, decimal) for c in cells)
         ):
+            # Rows above it that are half numbers are broken rows of data, not header.
+            while i > 0 and len(rows[i - 1][1]) == width and _half_numbers(rows[i - 1][1], decimal):
+                i -= 1
             return i
     raise InputError(
         f"{path}: no row of numbers found; give 'delimiter', 'decimal' and 'header_lines' in the map's "
         f"'source'"
     )
+
+
+def _half_numbers(cells: list[str], decimal: str) -> bool:
+    return 2 * sum(_is_number(c, decimal) for c in cells) >= len(cells)
 
 
 def _names(
