@@ -1,0 +1,222 @@
+"""CAN logs (candump .log, .asc, .blf) as tables: PDOs from a map or an EDS, one row per SYNC.
+
+A row is one cycle: values that drives send in answer to SYNC k (TPDOs) stand in row k; a value the
+master sends (RPDO) acts from the next SYNC on and stands in that row, held until the next one.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import can
+import numpy as np
+
+from invid.arrays import Float64
+from invid.errors import InputError
+from invid.recording.import_map import Pdo, Signal, Source
+from invid.recording.tables import BrokenRow, Table
+
+MAX_FRAMES = 50_000_000
+_FORMATS = {
+    "int8": ("b", 1), "uint8": ("B", 1), "int16": ("h", 2), "uint16": ("H", 2), "int32": ("i", 4),
+    "uint32": ("I", 4), "int64": ("q", 8), "uint64": ("Q", 8), "float32": ("f", 4),
+}  # fmt: skip
+_EDS_TYPES = {
+    1: "uint8",
+    2: "int8",
+    3: "int16",
+    4: "int32",
+    5: "uint8",
+    6: "uint16",
+    7: "uint32",
+    8: "float32",
+}
+
+
+def read_can_log(path: Path, source: Source, *, beside: Path | None = None) -> Table:
+    """Columns of a log, named as in the map's PDOs; ``time`` is the SYNC instants [s] from the first one."""
+    pdos = list(source.pdos)
+    if source.eds is not None:
+        pdos += _pdos_of_eds((beside or Path()) / source.eds, source.nodes)
+    if not pdos:
+        raise InputError(
+            f"{path}: a CAN log needs 'pdos' (or 'eds' and 'nodes') in the map's 'source': which identifier "
+            f"carries which objects; the log has identifiers {_identifiers(path)}"
+        )
+    layouts = {pdo.id: (pdo, _layout(pdo)) for pdo in pdos}
+    names = [s.name for pdo in pdos for s in pdo.signals if s.type != "skip"]
+    if len(set(names)) != len(names):
+        raise InputError(f"{path}: signal names in 'pdos' must differ, found {names}")
+    if "time" in names:
+        raise InputError(f"{path}: 'time' is the column of SYNC instants; give the signal another name")
+    return _rows(path, source, layouts, names)
+
+
+def _rows(
+    path: Path, source: Source, layouts: dict[int, tuple[Pdo, list[tuple[str, str, int]]]], names: list[str]
+) -> Table:
+    clock = source.sync_id if source.sync_id is not None else next(iter(layouts))
+    column = {name: i for i, name in enumerate(names)}
+    held = np.full(len(names), math.nan)
+    row: Float64 | None = None
+    instants: list[float] = []
+    rows: list[Float64] = []
+    short: list[BrokenRow] = []
+    for number, frame in enumerate(_frames(path)):
+        identifier = frame.arbitration_id
+        if identifier == clock:
+            row = np.full(len(names), math.nan)
+            row[~np.isnan(held)] = held[~np.isnan(held)]
+            instants.append(frame.timestamp)
+            rows.append(row)
+        if identifier not in layouts:
+            continue
+        pdo, layout = layouts[identifier]
+        for name, code, offset in layout:
+            if offset + struct.calcsize(code) > len(frame.data):
+                short.append(
+                    BrokenRow(path.name, number, f"frame 0x{identifier:X} has {len(frame.data)} bytes only")
+                )
+                break
+            value = float(struct.unpack_from("<" + code, frame.data, offset)[0])
+            if pdo.direction == "to_drive":
+                held[column[name]] = value
+            elif row is not None:
+                row[column[name]] = value
+    if len(instants) < 3:
+        what = f"SYNC (0x{clock:X})" if source.sync_id is not None else f"frame 0x{clock:X}"
+        raise InputError(
+            f"{path}: {what} comes {len(instants)} times in the log; the map's 'sync_id' may be wrong (the "
+            f"log has identifiers {_identifiers(path)}; null takes a sample at each frame of the first PDO)"
+        )
+    data = np.array(rows)
+    # The log starts and stops in the middle of things: cycles that no drive has answered yet are no fault.
+    whole = np.flatnonzero(np.isfinite(data).all(axis=1))
+    if whole.size == 0:
+        empty = [n for n in names if not np.isfinite(data[:, column[n]]).any()]
+        raise InputError(
+            f"{path}: no cycle carries every signal of the map; never seen: {empty or 'all at once'}; the "
+            f"log has identifiers {_identifiers(path)}"
+        )
+    first, last = int(whole[0]), int(whole[-1]) + 1
+    # Epoch stamps keep 0.2 µs in a float64: counted from the first SYNC they keep all the log has.
+    time = (np.array(instants) - instants[first])[first:last]
+    columns = {"time": time, **{n: data[first:last, i].copy() for n, i in column.items()}}
+    return Table(
+        name=str(path),
+        columns=columns,
+        line_word="cycle",
+        notes={"sync_id": clock},
+        broken=tuple(short),
+        rows_seen=last - first,
+        units={"time": "s"},
+    )
+
+
+def _frames(path: Path) -> Iterator[Any]:
+    try:
+        # A log truncated while it was written still has all frames before the cut.
+        with can.LogReader(path) as reader:
+            for count, frame in enumerate(reader):
+                if count >= MAX_FRAMES:
+                    raise InputError(f"{path}: more than {MAX_FRAMES} frames; cut the log")
+                if not (frame.is_error_frame or frame.is_remote_frame):
+                    yield frame
+    except InputError:
+        raise
+    except Exception as error:  # readers raise ValueError, IndexError, struct.error, BLFParseError by kind
+        text = (str(error).splitlines() or [type(error).__name__])[0][:160]
+        raise InputError(f"{path}: cannot be read as a CAN log: {text}") from None
+
+
+def _identifiers(path: Path) -> str:
+    seen: dict[int, int] = {}
+    for count, frame in enumerate(_frames(path)):
+        if count > 20_000:
+            break
+        seen[frame.arbitration_id] = seen.get(frame.arbitration_id, 0) + 1
+    most = sorted(seen, key=lambda i: -seen[i])[:12]
+    return ", ".join(f"0x{i:X}" for i in sorted(most)) or "none"
+
+
+def _layout(pdo: Pdo) -> list[tuple[str, str, int]]:
+    """Name, struct code and byte offset of each signal; whole bytes only."""
+    bits = 0
+    layout = []
+    for signal in pdo.signals:
+        if signal.type == "skip":
+            bits += signal.bits or 8
+            continue
+        code, size = _FORMATS[signal.type]
+        if bits % 8:
+            raise InputError(f"map: PDO 0x{pdo.id:X}: {signal.name!r} starts at bit {bits}, not at a byte")
+        layout.append((signal.name, code, bits // 8))
+        bits += 8 * size
+    if bits > 64:
+        raise InputError(f"map: PDO 0x{pdo.id:X}: its signals take {bits} bits; a frame has 64")
+    return layout
+
+
+def _pdos_of_eds(path: Path, nodes: list[int]) -> list[Pdo]:
+    """Default PDO mappings of an EDS, for each node; columns ``n<node>_<object in hex>``."""
+    from canopen.objectdictionary import import_od
+
+    if not nodes:
+        raise InputError("map: 'eds' needs 'nodes': the node numbers of the drives in the log")
+    if not path.is_file():
+        raise InputError(f"{path}: no such EDS file")
+    found: list[Pdo] = []
+    for node in nodes:
+        try:
+            dictionary = import_od(str(path), node_id=node)
+        except Exception as error:  # configparser and canopen raise by kind of damage
+            raise InputError(f"{path}: cannot be read as an EDS: {error}") from None
+        for mapping, communication, direction, base in (
+            (0x1A00, 0x1800, "from_drive", 0x180),
+            (0x1600, 0x1400, "to_drive", 0x200),
+        ):
+            for k in range(4):
+                signals = _mapped(dictionary, mapping + k, node)
+                identifier = _default(dictionary, communication + k, 1)
+                if signals and not (identifier or 0) & 0x80000000:
+                    number = (identifier & 0x7FF) if identifier else base + 0x100 * k + node
+                    found.append(
+                        Pdo.model_validate({"id": number, "direction": direction, "signals": signals})
+                    )
+    if not found:
+        raise InputError(f"{path}: maps no object into a PDO by default; give 'pdos' in the map instead")
+    return found
+
+
+def _default(dictionary: Any, index: int, sub: int) -> int | None:
+    try:
+        value = dictionary[index][sub].default
+    except (KeyError, TypeError):
+        return None
+    return int(value) if isinstance(value, int) else None
+
+
+def _mapped(dictionary: Any, index: int, node: int) -> list[Signal]:
+    signals: list[Signal] = []
+    for sub in range(1, (_default(dictionary, index, 0) or 0) + 1):
+        entry = _default(dictionary, index, sub)
+        if not entry:
+            continue
+        target, part, bits = entry >> 16, (entry >> 8) & 0xFF, entry & 0xFF
+        kind = None
+        try:
+            variable = dictionary[target]
+            variable = variable[part] if part and hasattr(variable, "subindices") else variable
+            kind = _EDS_TYPES.get(variable.data_type)
+        except (KeyError, AttributeError):
+            pass
+        name = f"n{node}_{target:04X}" + (f"_{part}" if part else "")
+        if kind is None:
+            signals.append(Signal(name=name, type="skip", bits=bits))
+        else:
+            signals.append(Signal.model_validate({"name": name, "type": kind}))
+    return signals
