@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from invid.identify import identify
 
 from invid.chains import CoupledChains
 from invid.cli.output import EXIT_NOT_TRUSTWORTHY, EXIT_OK, note
 from invid.config import load_config
 from invid.diagnosis import diagnosis_to_json
 from invid.discrepancy import diagnose
+from invid.identify import identify
 from invid.model import ChainStd, Model, dump_json, save_model, save_text, units
 from invid.recording import read_recording
 from invid.report import render_report

@@ -16,12 +16,13 @@ from invid.discrepancy.dropped import before_repair, find_dropped, repaired, wit
 from invid.discrepancy.joint import JointFit, fit, held_out
 from invid.discrepancy.missing_torque import NullTest, changing, null_test, rms_torque, with_scatter
 from invid.discrepancy.plant import Candidate, Layout
-from invid.discrepancy.records import by_period, split
+from invid.discrepancy.records import by_period, split, with_holds
 from invid.discrepancy.select import Selection, select
 from invid.effects.base import Record, unit_of
-from invid.errors import InputError
+from invid.errors import InputError, InvidError
 from invid.model import ChainStd, EffectTerm, Estimate, Model
 from invid.recording.model import Recording
+from invid.refine.blocks import HOLD_OFFSET, driven_and_held
 from invid.refine.structure import ChainStructure
 from invid.spectra import LineSpectra, all_spectra
 
@@ -67,12 +68,30 @@ def diagnose(
     spectra = all_spectra(sound)
     if not spectra:
         raise InputError(f"{recording.source}: no experiment shakes an axis; nothing to compare with a model")
+    model = _with_timing(model, sound, spectra)
     train, held, warnings = split(sound, spectra)
+    train, held = (with_holds(part, spectra, model, sound) for part in (train, held))
     warnings = [*(w for s in spectra for w in s.warnings), *warnings]
     base, free, train, held = linear_fit(model, sound, spectra, train, held)
     selection = select(base, train, held, linear_axes=recording.linear, free=free)
     result = _document(sound, model, selection, train, held, warnings)
     return with_dropped(result, recording, dropped, before_repair(recording, base, result) if dropped else {})
+
+
+def _with_timing(model: Model, recording: Recording, spectra: Sequence[LineSpectra]) -> Model:
+    """The model with the timing of this recording's holds, where it was identified from another one."""
+    if not driven_and_held(spectra) or not any((e.hold_gain > 0).any() for e in recording.experiments):
+        return model
+    offsets = model.fit.get("time_offset_s", {})
+    if isinstance(offsets, dict) and any(name.endswith(HOLD_OFFSET) for name in offsets):
+        return model
+    from invid.identify import identify
+
+    try:
+        own = identify(recording, masses=model.chains.masses_per_branch)
+    except InvidError:
+        return model
+    return replace(model, fit={**model.fit, "time_offset_s": own.fit.get("time_offset_s", {})})
 
 
 def layout_of(structure: ChainStructure, records: Sequence[Record], origin: float) -> Layout:
@@ -117,6 +136,7 @@ def linear_fit(
     apart = changing([*train, *held])
     if apart:
         train, held = by_period(recording, train, apart), by_period(recording, held, apart)
+        train, held = (with_holds(part, spectra, model, recording) for part in (train, held))
     return fit(layout, train, first.p, Candidate(), iterations=25), first.p, train, held
 
 

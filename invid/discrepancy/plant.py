@@ -159,7 +159,12 @@ def _acting(record: Record, delays: Float64, stairs: Float64) -> tuple[Complex12
     z = np.exp(-1j * w[:, None] * delays)
     factor = z * (1.0 - stairs * smear)
     if record.command is None:
-        return factor * record.torque, factor, -z * smear * record.torque
+        acting = factor * record.torque
+        if record.hold is not None:
+            # Command E = T + HΘ and hold −HΘ act at different times: z₁T + (z₁ − z₂)·H·Θ.
+            late = np.exp(-1j * w[:, None] * (delays + record.hold_offset))
+            acting = acting + (z - late) * record.hold * record.position
+        return acting, factor, -z * smear * record.torque
     rest = record.torque - record.command
     held = ((1.0 - smear) * np.exp(-0.5j * w * record.step)[:, None]).astype(complex)
     acting = z * (record.command * held + rest * (1.0 - stairs + stairs * held))

@@ -9,7 +9,9 @@ import numpy as np
 
 from invid.arrays import Float64
 from invid.effects.base import Record
+from invid.model import Model
 from invid.recording.model import Experiment, Recording, Role
+from invid.refine.blocks import hold_laws, hold_offset
 from invid.spectra import LineSpectra, spectra_of
 
 BAND = 1.2
@@ -194,6 +196,35 @@ def by_period(recording: Recording, records: Sequence[Record], changing: Sequenc
         experiment = experiments[record.key]
         out += [record_of(s, experiment, slice(k, k + 1), alone=True) for k in range(s.periods)]
     return out
+
+
+def with_holds(
+    records: Sequence[Record], spectra: Sequence[LineSpectra], model: Model, recording: Recording
+) -> list[Record]:
+    """Records with the law and the timing of holds inside the drives, as the identification found them.
+
+    A hold that acts half a sample before the command looks like a viscous friction of gain·step/2 on every
+    axis (``invid.refine.fit``): a sampling convention, which must not be named as a cause.
+    """
+    offsets = model.fit.get("time_offset_s", {})
+    found = {}
+    for i, axis in enumerate(recording.axes):
+        entry = offsets.get(hold_offset(axis)) if isinstance(offsets, dict) else None
+        if isinstance(entry, dict) and entry.get("value") is not None:
+            found[i] = float(entry["value"])
+    laws = hold_laws(spectra, sorted(found)) if found else {}
+    if not laws:
+        return list(records)
+    late = np.array([found.get(i, 0.0) if i in laws else 0.0 for i in range(recording.axis_count)])
+    gains = np.array([laws.get(i, (0.0, 0.0)) for i in range(recording.axis_count)])
+    return [
+        replace(
+            r,
+            hold=(gains[:, 0] + 1j * r.omega[:, None] * gains[:, 1]).astype(complex),
+            hold_offset=late,
+        )
+        for r in records
+    ]
 
 
 def _lines(record: Record, chosen: np.ndarray) -> Record:

@@ -76,6 +76,9 @@ class Record:
         (M,) speed of the line between the record's ends; zero for periodic records.
     command
         (F, M) spectrum of the logged demand where the torque is more than it (a hold beside it).
+    hold, hold_offset
+        (F, M) law H of holds inside the drives, torque −H·position, and (M,) how much later than the
+        command they act [s] (negative: earlier); a sampling convention, known from the identification.
     """
 
     key: str
@@ -101,6 +104,8 @@ class Record:
     period_time: float
     excited: np.ndarray
     command: Complex128 | None = None
+    hold: Complex128 | None = None
+    hold_offset: Float64 = field(default_factory=lambda: np.zeros(0))
     weight: Float64 = field(default_factory=lambda: np.zeros(0))
     """(F,) 0 for lines that are left out; empty where all count."""
     trend: bool = False

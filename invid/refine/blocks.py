@@ -13,6 +13,9 @@ from invid.refine.problem import Block, MissingTorqueProblem
 from invid.refine.structure import ChainStructure
 from invid.spectra import LineSpectra
 
+HOLD_OFFSET = ".hold_time_offset"
+"""Ending of the names of the further delays of holding torques."""
+
 
 def problem_from_spectra(
     structure: ChainStructure,
@@ -90,7 +93,7 @@ def problem_from_spectra(
 
 def hold_offset(axis: str) -> str:
     """Name of the further delay of an axis' holding torque."""
-    return f"{axis}.hold_time_offset"
+    return f"{axis}{HOLD_OFFSET}"
 
 
 def driven_and_held(spectra: Sequence[LineSpectra]) -> list[int]:
