@@ -206,13 +206,18 @@ def _periodic(
     used = spectra.shape[0]
     mean = spectra.mean(axis=0)
     # Quantisation error of a motion that repeats exactly repeats too: averaging does not remove it,
-    # the spread between periods does not show it, the quiet lines of the mean do.
-    repeating = quiet_power(mean, quiet)[0] if settling.settled else floor / used
+    # the spread between periods does not show it, the quiet lines of the mean do. A motion of odd lines
+    # alone is half-wave symmetric, and then so is that error: all of it on odd lines, none on even ones.
+    odd = np.arange(1, nyquist + 1) % 2 == 1
+    repeating = floor / used
+    if settling.settled:
+        parities = [quiet & odd, quiet & ~odd]
+        repeating = np.max([quiet_power(mean, p)[0] for p in parities if p.any()], axis=0)
     lattice = quantum(np.concatenate((data.position, data.torque), axis=1)) ** 2 / 12 * 4 / period
     floor = np.maximum(floor, lattice)
     averaged = np.maximum(np.maximum(repeating, floor / used), 1e-300)
     deviations = (spectra - mean)[:, band]
-    covariance, dof = pooled_covariance(deviations, floor)
+    covariance, dof = pooled_covariance(deviations, np.maximum(floor, averaged * used))
     excited = _excited(experiment, hz[band], mean[band], covariance, motors, period * data.step)
     return _assemble(
         experiment,
