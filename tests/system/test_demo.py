@@ -10,6 +10,9 @@ from pathlib import Path
 import h5py
 import pytest
 
+# One worker makes the recording once for all tests of this file.
+pytestmark = pytest.mark.xdist_group("demo")
+
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict, Path]:

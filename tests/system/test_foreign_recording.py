@@ -13,6 +13,10 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 import foreign_cell
 
+
+# One worker makes the recording once for all tests of this file.
+pytestmark = pytest.mark.xdist_group("foreign")
+
 TRUTH = {
     "masses": [[0.7, 2, 3], [4, 5, 6], [7, 8, 9]],
     "springs": [[1000, 2000], [3000, 4000], [5000, 6000]],
