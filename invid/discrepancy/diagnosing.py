@@ -16,7 +16,7 @@ from invid.discrepancy.dropped import before_repair, find_dropped, repaired, wit
 from invid.discrepancy.joint import JointFit, fit, held_out
 from invid.discrepancy.missing_torque import NullTest, changing, null_test, rms_torque, with_scatter
 from invid.discrepancy.plant import Candidate, Layout
-from invid.discrepancy.records import by_period, split, with_holds
+from invid.discrepancy.records import by_period, split, with_holds, with_sticking
 from invid.discrepancy.select import Selection, select
 from invid.effects.base import Record, unit_of
 from invid.errors import InputError, InvidError
@@ -71,6 +71,9 @@ def diagnose(
     model = _with_timing(model, sound, spectra)
     train, held, warnings = split(sound, spectra)
     train, held = (with_holds(part, spectra, model, sound) for part in (train, held))
+    train, standing = with_sticking(train, spectra, model, sound)
+    held, _ = with_sticking(held, spectra, model, sound)
+    warnings = [*warnings, *standing]
     warnings = [*(w for s in spectra for w in s.warnings), *warnings]
     base, free, train, held = linear_fit(model, sound, spectra, train, held)
     selection = select(base, train, held, linear_axes=recording.linear, free=free)

@@ -146,7 +146,10 @@ def informative(covariance: Complex128, record: Record) -> Bool:
 def rms_torque(evaluation: Evaluation, axis: int, bands: Sequence[Bool] | None = None) -> tuple[float, float]:
     """Rms over time of an axis' missing torque and of what noise leaves, mean over the records."""
     powers, floors = [], []
+    aside = [bool(v.record.set_aside.size and v.record.set_aside[axis]) for v in evaluation.views]
     for number, view in enumerate(evaluation.views):
+        if aside[number] and not all(aside):
+            continue
         r = evaluation.missing[number][:, axis]
         c = np.einsum("fii->fi", evaluation.covariance[number]).real[:, axis]
         good = (informative(evaluation.covariance[number], view.record) if bands is None else bands[number])[

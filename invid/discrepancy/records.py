@@ -227,6 +227,43 @@ def with_holds(
     ]
 
 
+STICKING = 3.0
+"""Peak torque of a held axis over its Coulomb friction below which it stands still for much of the time: a
+sinusoid of that size is below the friction for a fifth of each period, and what is left of it barely moves."""
+
+
+def with_sticking(
+    records: Sequence[Record], spectra: Sequence[LineSpectra], model: Model, recording: Recording
+) -> tuple[list[Record], list[str]]:
+    """Records in which held axes that stand on their own friction have no say, and what to warn about.
+
+    Static friction takes any value up to its limit, so no law of the motion gives it.
+    """
+    friction = model.fit.get("friction", {})
+    driven = {s.key: s.driven for s in spectra}
+    out, axes = [], set()
+    for record in records:
+        aside = np.zeros(recording.axis_count, dtype=bool)
+        noise = record.noise.copy()
+        for i, axis in enumerate(recording.axes):
+            entry = friction.get(f"{axis}.coulomb") if isinstance(friction, dict) else None
+            if not isinstance(entry, dict) or driven[record.key][i]:
+                continue
+            level, std = float(entry.get("value") or 0.0), float(entry.get("std") or np.inf)
+            wave = record.torque_wave[:, i]
+            if level > 4.0 * std and np.abs(wave - wave.mean()).max() < STICKING * level:
+                aside[i] = True
+                axes.add(axis)
+                noise[:, recording.axis_count + i] += (1e3 * level) ** 2
+        out.append(replace(record, noise=noise, set_aside=aside) if aside.any() else record)
+    warnings = [
+        f"axis {axis} stands on its friction while it is held: its torque there says nothing and is left out; "
+        "excite all axes at once, or hold it with a slow creep"
+        for axis in sorted(axes)
+    ]
+    return out, warnings
+
+
 def _lines(record: Record, chosen: np.ndarray) -> Record:
     """Weights that switch lines off: waves need all lines of the record."""
     weight: Float64 = chosen.astype(float)

@@ -79,6 +79,8 @@ class Record:
     hold, hold_offset
         (F, M) law H of holds inside the drives, torque −H·position, and (M,) how much later than the
         command they act [s] (negative: earlier); a sampling convention, known from the identification.
+    set_aside
+        (M,) True for axes whose torque in this record no law tells: held, they stand on their friction.
     """
 
     key: str
@@ -106,6 +108,7 @@ class Record:
     command: Complex128 | None = None
     hold: Complex128 | None = None
     hold_offset: Float64 = field(default_factory=lambda: np.zeros(0))
+    set_aside: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
     weight: Float64 = field(default_factory=lambda: np.zeros(0))
     """(F,) 0 for lines that are left out; empty where all count."""
     trend: bool = False
