@@ -54,7 +54,7 @@ def _limits(
         high[at : at + len(layout.free_delays)] = 1.0 * layout.step
     stairs = len(layout.free_stairs)
     if stairs:
-        low[layout.count - stairs :], high[layout.count - stairs :] = -0.5, 2.5
+        low[layout.count - stairs :], high[layout.count - stairs :] = -0.5, 1.5
     for term in candidate.terms:
         shapes = term.effect.limits(evaluation.views, term.place)
         low = np.concatenate((low, term.effect.lower, [s[0] for s in shapes]))

@@ -288,16 +288,13 @@ def _safe(root: Complex128) -> Complex128:
 
 
 def _priors(layout: Layout, p: Float64, effects: int) -> tuple[Float64, Float64]:
-    """Torque is continuous (0), held over the sample (1) or drawn straight from sample to sample (2).
-
-    The data decide; the prior only keeps a share that they do not see near held torque.
-    """
+    """Torque is held over the sample (1), continuous (0), or smoothed in between; dampers are weakly ≥ 0."""
     stairs = len(layout.free_stairs)
     rows = np.zeros((stairs, layout.count + effects))
     at = layout.count - stairs
     for k in range(stairs):
-        rows[k, at + k] = 1.0
-    return p[at:] - 1.0, rows
+        rows[k, at + k] = 2.0
+    return 2.0 * (p[at:] - 0.5), rows
 
 
 def _effect_columns(

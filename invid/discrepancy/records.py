@@ -228,8 +228,8 @@ def with_holds(
 
 
 STICKING = 3.0
-"""Peak torque of a held axis over its Coulomb friction below which it stands still for much of the time: a
-sinusoid of that size is below the friction for a fifth of each period, and what is left of it barely moves."""
+"""Peak torque of a held axis over its Coulomb friction below which it stands still for much of the time:
+a sinusoid of that size is below the friction for a fifth of each period, and then barely moves."""
 
 
 def with_sticking(
@@ -257,8 +257,8 @@ def with_sticking(
                 noise[:, recording.axis_count + i] += (1e3 * level) ** 2
         out.append(replace(record, noise=noise, set_aside=aside) if aside.any() else record)
     warnings = [
-        f"axis {axis} stands on its friction while it is held: its torque there says nothing and is left out; "
-        "excite all axes at once, or hold it with a slow creep"
+        f"axis {axis} stands on its friction while it is held: its torque there says nothing and is left "
+        "out; excite all axes at once, or hold it with a slow creep"
         for axis in sorted(axes)
     ]
     return out, warnings
