@@ -66,7 +66,7 @@ def identify(recording: Recording, *, masses: Masses = None, method: Method = "r
     InputError
         An axis that is never excited; masses that do not match the axes.
     NotIdentifiableError
-        Data from which no such model can be drawn at all.
+        Data from which no such model can be drawn at all; an excitation that drowns in the noise.
     """
     spectra = all_spectra(recording, Role.IDENTIFY)
     _check(recording, spectra)
@@ -169,9 +169,11 @@ def _check(recording: Recording, spectra: Sequence[LineSpectra]) -> None:
                 "or excites several); measure it too, or leave the axis out of the recording"
             )
         if not any(_carries(s, i) or _carries(s, motors + i) for s in driving):
-            raise InputError(
-                f"{recording.source}: axis {axis} is never excited: neither its torque nor its position "
-                f"rises above the noise in experiments {[s.key for s in driving]}"
+            # Named as excited, so the recording is no bad input: the excitation drowned in the noise.
+            raise NotIdentifiableError(
+                f"{recording.source}: the excitation of axis {axis} is too weak: neither its torque nor its "
+                f"position rises above the noise in experiments {[s.key for s in driving]}; "
+                "raise the amplitude or measure longer"
             )
     if not any(s.excited.any() for s in spectra):
         raise NotIdentifiableError(f"{recording.source}: no excited line found in any experiment")

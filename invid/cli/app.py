@@ -9,7 +9,7 @@ from importlib.metadata import entry_points
 import typer
 
 from invid import __version__
-from invid.cli.output import note
+from invid.cli.output import EXIT_NOT_TRUSTWORTHY, emit, note
 from invid.errors import InvidError
 
 GROUP = "invid.commands"
@@ -69,6 +69,9 @@ def run(arguments: list[str]) -> int:
         return 0
     except InvidError as error:
         note(f"invid: {error}")
+        if error.exit_code == EXIT_NOT_TRUSTWORTHY and "--json" in arguments:
+            # Done, with no result to speak of: the reason still is a document's warnings.
+            emit({"result": None, "warnings": [str(error)]}, "", as_json=True)
         return error.exit_code
     except UsageError as error:
         error.show(file=sys.stderr)  # type: ignore[attr-defined]

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from invid.cli.output import EXIT_NOT_TRUSTWORTHY, EXIT_OK, emit, note
-from invid.errors import InputError
-from invid.model import Model, model_to_json, save_model
+from invid.errors import InputError, NotIdentifiableError
+from invid.model import FORMAT, FORMAT_VERSION, Model, model_to_json, save_model, units
 
 if TYPE_CHECKING:
     from invid.identify import Masses
+    from invid.recording import Recording
 
 
 def register(app: typer.Typer) -> None:
@@ -39,7 +40,14 @@ def register(app: typer.Typer) -> None:
             raise InputError(f"--method {method}: there are refined and paper")
         wanted = parse_masses(masses)
         data = read_recording(recording)
-        model = identify(data, masses=wanted, method="paper" if method == "paper" else "refined")
+        try:
+            model = identify(data, masses=wanted, method="paper" if method == "paper" else "refined")
+        except NotIdentifiableError as error:
+            if not as_json:
+                raise
+            note(f"invid: {error}")
+            emit(no_model_to_json(data, method, str(error)), "", as_json=True)
+            return error.exit_code
         if output is not None:
             save_model(model, output)
             note(f"model written to {output}")
@@ -48,6 +56,27 @@ def register(app: typer.Typer) -> None:
                 note(f"warning: {warning}")
         emit(model_to_json(model), model_text(model), as_json=as_json)
         return EXIT_OK if model.fit.get("trustworthy", True) else EXIT_NOT_TRUSTWORTHY
+
+
+def no_model_to_json(recording: Recording, method: str, reason: str) -> dict[str, Any]:
+    """What --json prints where the data carry no model: the model's keys, no branches, the reason.
+
+    Such a document goes to stdout only, never to the file of ``-o``: no command could read it, and it
+    would replace a model that may be there.
+    """
+    return {
+        "format": FORMAT,
+        "format_version": FORMAT_VERSION,
+        "robot": recording.robot,
+        "method": method,
+        "units": units(recording.position_unit == "m"),
+        "branches": [],
+        "couplings": [],
+        "effects": [],
+        "warnings": [reason],
+        "fit": {"trustworthy": False},
+        "provenance": {},
+    }
 
 
 def parse_masses(text: str | None) -> Masses:
