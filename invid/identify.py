@@ -20,6 +20,7 @@ from invid.modes.settle import settled_frf
 from invid.rational import FINE, TRUSTED, rational_modes
 from invid.recording.model import Recording, Role
 from invid.refine.fit import Fit, fit_structure
+from invid.refine.mixed_drive import with_acting_torque
 from invid.refine.problem import condense_dense
 from invid.refine.structure import ChainStructure
 from invid.spectra import LineSpectra, all_spectra
@@ -70,6 +71,7 @@ def identify(recording: Recording, *, masses: Masses = None, method: Method = "r
     """
     spectra = all_spectra(recording, Role.IDENTIFY)
     _check(recording, spectra)
+    spectra = with_acting_torque(spectra, recording.experiments)
     wanted = recording.masses_per_axis if masses is None else masses
     warnings = [w for s in spectra for w in s.warnings]
     order: dict[str, Any] = {}

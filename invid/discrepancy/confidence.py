@@ -21,6 +21,10 @@ NAMED = 0.9
 COMPETES = 9.0
 """Difference of −2 ln(likelihood) within which two causes are called indistinguishable (about 3 σ)."""
 
+CONTESTED = 0.89
+"""Most that is claimed where alternatives remain. exp(−COMPETES/4) leaves a rival at the edge a tenth of the
+likelihood, so a cause with one has at most nine tenths."""
+
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
@@ -116,6 +120,8 @@ def _finding(selection: Selection, number: int, recording: Recording, explained:
     total = selection.base.cost - final.cost
     fraction = float(np.clip((step.before.cost - step.chosen.cost) / max(total, 1e-300), 0, 1)) * explained
     confidence = float(np.clip(share * (0.55 + 0.45 * _ramp(explained)), 0.01, 0.999))
+    if alternatives:
+        confidence = min(confidence, CONTESTED)
     sizes = final.fit.layout.structure.sizes
     return Finding(
         effect=effect,

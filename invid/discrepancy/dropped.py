@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import binom
 
 from invid.arrays import Bool, Float64
 from invid.diagnosis import Diagnosis, Finding, Verdict
@@ -14,6 +13,7 @@ from invid.discrepancy.joint import JointFit, held_out
 from invid.discrepancy.missing_torque import rms_torque
 from invid.discrepancy.records import split
 from invid.discrepancy.words import BY_CAUSE
+from invid.distributions import binomial_sf
 from invid.effects.base import unit_of
 from invid.model import EffectTerm, Estimate
 from invid.recording.model import Experiment, Recording
@@ -73,7 +73,7 @@ def find_dropped(recording: Recording) -> list[Dropped]:
         if rows == 0 or repeated < 5:
             continue
         p0 = min(max(1.5 * expected / rows, 1e-9), 1.0)
-        if binom.sf(repeated - 1, rows, p0) > FALSE_ALARM / recording.axis_count:
+        if binomial_sf(repeated - 1, rows, p0) > FALSE_ALARM / recording.axis_count:
             continue
         fraction = (repeated - expected) / (rows - expected)
         out.append(Dropped(axis, float(fraction), float(np.sqrt(max(repeated, 1)) / rows)))

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import f as f_distribution
 
 from invid.arrays import Bool, Complex128, Float64
 from invid.discrepancy.plant import Evaluation, Layout, noise_of, views_of
+from invid.distributions import f_sf
 from invid.effects.base import Record
 from invid.spectra import LineSpectra
 
@@ -37,7 +37,7 @@ class NullTest:
 def null_test(cost: float, dof: int, records: Sequence[Record]) -> NullTest:
     """Sensors' noise enters through few numbers estimated from many quiet lines: χ²/ν is F(ν, ν_noise)."""
     noise_dof = float(sum(r.noise_dof for r in records))
-    p = float(f_distribution.sf(cost / max(dof, 1), max(dof, 1), max(noise_dof, 2.0)))
+    p = f_sf(cost / max(dof, 1), max(dof, 1), max(noise_dof, 2.0))
     return NullTest(cost, dof, noise_dof, p)
 
 

@@ -45,6 +45,9 @@ def terms_for(structure: ChainStructure, *, linear_axes: bool, chosen: Sequence[
                 )
                 for t in chosen
             )
+            # A scale common to all axes cannot be seen: only motors − 1 gains are there to be found.
+            if effect.cause == "torque_gain":
+                taken |= sum(t.effect.cause == effect.cause for t in chosen) >= structure.motors - 1
             if not taken:
                 out.append(Term(effect, place))
     return out

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.stats import chi2 as chi2_distribution
 
 from invid.arrays import Float64
 from invid.discrepancy.joint import JointFit, fit, held_out
 from invid.discrepancy.plant import Evaluation, Layout, Term, evaluate
 from invid.discrepancy.screen import Score, Screen, terms_for
+from invid.distributions import chi2_isf
 from invid.effects.base import Record, rms
 
 POLISHED, REFITTED, PLACES = 12, 6, 2
@@ -282,7 +282,7 @@ def _accepted(
 ) -> bool:
     gain = (current.fit.cost - trial.fit.cost) / dispersion
     held_gain = (current.held.cost - trial.held.cost) / dispersion
-    needed = float(chi2_distribution.isf(SIGNIFICANCE / count, max(trial.term.size, 1)))
+    needed = chi2_isf(SIGNIFICANCE / count, max(trial.term.size, 1))
     if gain < needed or held_gain < HELD_OUT:
         return False
     if trial.term.effect.is_null(trial.x.tolist()):

@@ -23,6 +23,8 @@ def _campaign() -> ModuleType:
 
 
 campaign = _campaign()
+# One worker: what numba compiles for the plant is compiled once.
+pytestmark = pytest.mark.xdist_group("faults")
 
 
 @pytest.mark.parametrize("kind", list(campaign.EXPECTED))

@@ -13,7 +13,6 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 import foreign_cell
 
-
 # One worker makes the recording once for all tests of this file.
 pytestmark = pytest.mark.xdist_group("foreign")
 

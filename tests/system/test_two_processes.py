@@ -21,6 +21,8 @@ from invid.recording import Outcome, read_recording
 
 ROOT = Path(__file__).parents[2]
 INVID = [sys.executable, "-c", "from invid.cli import main; main()"]
+# One worker runs all of them: two real-time measurements at once on a small machine would disturb each other.
+pytestmark = pytest.mark.xdist_group("realtime")
 STOPPED = {"SWITCH_ON_DISABLED", "READY_TO_SWITCH_ON", "SWITCHED_ON", "FAULT"}
 
 
@@ -91,10 +93,22 @@ def end(process: subprocess.Popen[str]) -> list[dict[str, Any]]:
 
 def until_phase(process: subprocess.Popen[str], word: str) -> None:
     assert process.stderr is not None
+    said = []
     for line in process.stderr:
         if word in line:
             return
-    pytest.fail(f"{word!r} was not reached")
+        said.append(line)
+    pytest.fail(f"{word!r} was not reached: {''.join(said)}")
+
+
+def until_file(process: subprocess.Popen[str], path: Path) -> None:
+    """Until the recording is there: it is opened with its first row, however slow the machine is."""
+    deadline = time.monotonic() + 90.0
+    while not path.exists():
+        if process.poll() is not None or time.monotonic() > deadline:
+            process.kill()
+            pytest.fail(f"no recording was begun: {process.communicate()[1]}")
+        time.sleep(0.02)
 
 
 @pytest.mark.slow
@@ -118,8 +132,8 @@ def test_a_measurement_over_a_unix_socket_completes_and_leaves_every_drive_off(
 
 def kill_and_look(simcell: subprocess.Popen[str], folder: Path, victim: str) -> subprocess.Popen[str]:
     measure = start("measure", "cell.yaml", "-o", "run.h5", folder=folder)
-    until_phase(measure, "experiment 1")
-    time.sleep(4.0)  # a second of rest and half a second of fading in come before the first row
+    until_file(measure, folder / "run.h5")
+    time.sleep(0.6)  # rows reach the file every quarter second
     if victim == "parent":
         measure.kill()
     elif victim == "simcell":

@@ -132,8 +132,8 @@ def register(app: typer.Typer) -> None:
         probe = parse_config(
             "format: invid-config\nrobot: scan\n"
             f"bus: {{interface: '{interface}', channel: '{channel}', bitrate_bit_per_s: {bitrate}}}\n"
-            "axes: "
-            "[{name: A1, node_id: 1, limits: {torque_Nm: 1, position_window_rad: 1, velocity_rad_per_s: 1}}]\n",
+            "axes: [{name: A1, node_id: 1, "
+            "limits: {torque_Nm: 1, position_window_rad: 1, velocity_rad_per_s: 1}}]\n",
             source="scan",
         )
         bus = open_bus(probe)
