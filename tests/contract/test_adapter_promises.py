@@ -18,6 +18,7 @@ from invid.recording import Experiment, Kind, Recording, Role
 from invid.sweep import Cell, Mode
 from invid_drivers.cia402.bus import Cia402Cell
 from invid_drivers.cia402.journal import Journal
+from invid_drivers.cia402.link import SdoAbortedError
 from invid_drivers.connect import connect
 from invid_drivers.replay import ReplayCell
 from invid_drivers.simulated import open_virtual_bus
@@ -315,3 +316,29 @@ def test_a_replayed_recording_gives_every_sample_once_and_then_says_that_it_ende
     np.testing.assert_array_equal(seen, cell.experiment.position)
     with pytest.raises(BusError, match="ended"):
         cell.exchange([0, 0])
+
+
+def test_a_late_answer_to_the_cycles_question_is_not_taken_for_another_objects() -> None:
+    cell = simulated()
+    link = cell._link
+    try:
+        cell.check()
+        # As the cycle does: ask for 0x6061 and do not wait. Its answer is under way at the next request.
+        link.send(0x601, bytes.fromhex("4061600000000000"))
+        position = link.sdo(1).upload(0x6064, 0)
+        assert len(position) == 4
+        link.send(0x601, bytes.fromhex("4061600000000000"))
+        link.sdo(1).download(0x6071, 0, b"\0\0")
+    finally:
+        cell.close()
+
+
+def test_an_abort_that_names_no_object_is_still_an_abort() -> None:
+    cell = simulated()
+    client: Any = cell._link.sdo(1)
+    try:
+        client._answers.append(bytes.fromhex("8000000000000206"))
+        with pytest.raises(SdoAbortedError):
+            client._answer_for(bytes.fromhex("646000"))
+    finally:
+        cell.close()

@@ -226,11 +226,14 @@ class _PumpedSdo(SdoClient):
 
     def request_response(self, sdo_request: bytes) -> bytes:
         """Send a request and pump until its answer is there; one retry, because a frame may be lost."""
+        # Initiate download and upload (command 1, 2) name an object, and so does their answer. The cycle asks
+        # for 0x6061 without waiting: its answer may come late and is not the answer to this request.
+        named = bytes(sdo_request[1:4]) if sdo_request[0] >> 5 in (1, 2) else None
         for attempt in (1, 2):
             self._answers.clear()
             self.send_request(sdo_request)
             try:
-                return self.read_response()
+                return self._answer_for(named)
             except SdoCommunicationError:
                 if attempt == 2:
                     raise
@@ -246,14 +249,21 @@ class _PumpedSdo(SdoClient):
 
     def read_response(self) -> bytes:
         """Pump until an answer is there."""
+        return self._answer_for(None)
+
+    def _answer_for(self, named: bytes | None) -> bytes:
+        """The next answer, or the next about the object ``named`` (index and subindex as sent)."""
         clock = self._link.clock
         end = clock.now() + self.RESPONSE_TIMEOUT
-        while not self._answers:
-            rest = end - clock.now()
-            if rest <= 0:
-                raise SdoCommunicationError("No SDO response received")
-            self._link.pump(rest)
-        answer = self._answers.pop(0)
+        while True:
+            while not self._answers:
+                rest = end - clock.now()
+                if rest <= 0:
+                    raise SdoCommunicationError("No SDO response received")
+                self._link.pump(rest)
+            answer = self._answers.pop(0)
+            if named is None or answer[1:4] == named or (answer[0] == 0x80 and not any(answer[1:4])):
+                break  # some drives abort without naming the object
         if answer[0] == 0x80:
             raise SdoAbortedError(int.from_bytes(answer[4:8], "little"))
         return answer
