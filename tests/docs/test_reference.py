@@ -1,0 +1,45 @@
+"""The reference of recordings and maps keeps step with the code."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pydantic import BaseModel
+
+from invid.recording import import_map, read_recording
+from invid.recording.hdf5 import EXPERIMENT_ATTRIBUTES, ROOT_ATTRIBUTES
+
+PAGE = (Path(__file__).parents[2] / "docs" / "reference" / "recording.md").read_text(encoding="utf-8")
+WORDS = set(re.findall(r"\w+", PAGE))
+
+
+def fields_of_the_map() -> list[tuple[str, str]]:
+    models = [m for m in vars(import_map).values() if isinstance(m, type) and issubclass(m, BaseModel)]
+    return [(m.__name__, f) for m in models for f in m.model_fields]
+
+
+@pytest.mark.parametrize(("model", "name"), fields_of_the_map())
+def test_every_key_of_the_import_map_is_in_the_reference(model: str, name: str) -> None:
+    assert name in WORDS, f"{model}.{name}"
+
+
+@pytest.mark.parametrize("name", sorted(ROOT_ATTRIBUTES | EXPERIMENT_ATTRIBUTES))
+def test_every_attribute_of_a_recording_is_in_the_reference(name: str) -> None:
+    assert f"`{name}`" in PAGE
+
+
+def test_the_example_with_h5py_writes_a_recording_that_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    rng = np.random.default_rng(0)
+    for name in ("position", "torque"):
+        np.save(f"{name}.npy", rng.normal(size=(20480, 2)))
+    (code,) = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
+    exec(compile(code, "recording.md", "exec"), {})
+    recording = read_recording(tmp_path / "cell.h5")
+    assert recording.axes == ("A1", "A2")
+    assert recording.experiments[0].periods == 5
