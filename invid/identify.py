@@ -69,6 +69,10 @@ def identify(recording: Recording, *, masses: Masses = None, method: Method = "r
     NotIdentifiableError
         Data from which no such model can be drawn at all; an excitation that drowns in the noise.
     """
+    from invid.trajectory import identify_trajectory, is_rigid_case
+
+    if method == "refined" and is_rigid_case(recording, masses):
+        return identify_trajectory(recording)
     spectra = all_spectra(recording, Role.IDENTIFY)
     _check(recording, spectra)
     spectra = with_acting_torque(spectra, recording.experiments)

@@ -50,9 +50,9 @@ def diagnose(
     InputError, NotIdentifiableError
         Data from which no model can be drawn, or a model that does not fit the recording's axes.
     """
-    from invid.trajectory import diagnose_trajectory, is_trajectory
+    from invid.trajectory import diagnose_trajectory, is_rigid_case
 
-    if model is None and masses is None and is_trajectory(recording):
+    if is_rigid_case(recording, masses if model is None else model.chains.masses_per_branch):
         return diagnose_trajectory(recording, model=model)
     dropped = find_dropped(recording)
     sound = repaired(recording, dropped) if dropped else recording

@@ -5,6 +5,6 @@ ground); causes come from the same catalogue as everywhere, each with its gain o
 """
 
 from invid.trajectory.diagnosis import diagnose_trajectory, identify_trajectory
-from invid.trajectory.kind import is_trajectory
+from invid.trajectory.kind import is_rigid_case, is_trajectory
 
-__all__ = ["diagnose_trajectory", "identify_trajectory", "is_trajectory"]
+__all__ = ["diagnose_trajectory", "identify_trajectory", "is_rigid_case", "is_trajectory"]

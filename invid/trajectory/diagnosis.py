@@ -9,7 +9,7 @@ import numpy as np
 from invid.arrays import Float64, frozen_float
 from invid.chains import CoupledChains
 from invid.diagnosis import Alternative, AxisResidual, Diagnosis, Finding, Unexplained, Verdict
-from invid.errors import ModelError, NotIdentifiableError
+from invid.errors import InputError, ModelError, NotIdentifiableError
 from invid.model import ChainStd, Model
 from invid.recording.model import Recording
 from invid.trajectory.analysis import Analysis, analyse, row_floor
@@ -45,6 +45,11 @@ def diagnose_trajectory(recording: Recording, *, model: Model | None = None) -> 
 
     ``model`` only lends what such a record cannot show (the inertia at constant velocity).
     """
+    if model is not None and model.axes != recording.axes:
+        raise InputError(
+            f"the model has the axes {list(model.axes)}, the recording {list(recording.axes)}; diagnose with "
+            "the model of this robot, or without one"
+        )
     a = analyse(recording)
     extended = _model(a, model)
     rows = judged(a.design)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.signal import csd, find_peaks, welch
 
@@ -17,6 +19,12 @@ COHERENT = 0.8
 """Coherence above which a response is believed; of 15 averages, noise reaches 0.3 once in a hundred."""
 PROMINENCE = 1.1
 """ln of the factor by which a resonance stands out of the response (3); empirical: friction makes none."""
+
+
+def is_rigid_case(recording: Recording, masses: Sequence[int] | str | None) -> bool:
+    """True where the rigid model is the one to fit: a large motion, and nobody asks for more masses."""
+    rigid = masses is None or isinstance(masses, str) or all(n == 1 for n in masses)
+    return rigid and is_trajectory(recording)
 
 
 def is_trajectory(recording: Recording) -> bool:

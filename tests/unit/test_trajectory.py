@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from invid.arrays import frozen_float
+from invid.cli.app import run
 from invid.diagnosis import Diagnosis, Verdict, diagnosis_to_json
-from invid.errors import InvidError
-from invid.model import dump_json
-from invid.recording import Experiment, Kind, Recording, Role
+from invid.discrepancy import diagnose
+from invid.errors import InputError, InvidError
+from invid.identify import identify
+from invid.model import dump_json, load_model
+from invid.recording import Experiment, Kind, Recording, Role, write_recording
 from invid.trajectory import diagnose_trajectory, identify_trajectory, is_trajectory
 
 RATE, SUB = 500.0, 10
@@ -263,3 +267,28 @@ def test_the_diagnosis_is_strict_json_with_the_ladder_of_friction_models():
     dump_json(document)
     rungs = [r["friction"] for r in document["details"]["ladder"]]
     assert rungs[:2] == ["no friction", "viscous"]
+
+
+def test_the_commands_take_a_large_motion_to_a_rigid_model_and_back(tmp_path):
+    rng = np.random.default_rng(11)
+    data = recording(simulate(rng, dry=(1.0, 1.0), wet=(0.6, 0.6), seconds=10))
+    write_recording(data, tmp_path / "rec.h5")
+    model, diagnosis = tmp_path / "model.json", tmp_path / "diagnosis.json"
+    assert run(["identify", str(tmp_path / "rec.h5"), "-o", str(model)]) == 0
+    assert load_model(model).method == "trajectory"
+    # A model given by the caller does not send the record to the diagnosis of resonances.
+    assert run(["diagnose", str(tmp_path / "rec.h5"), "--model", str(model), "-o", str(diagnosis)]) == 0
+    assert '"coulomb_friction"' in diagnosis.read_text(encoding="utf-8")
+
+
+def test_more_masses_than_one_are_a_wish_for_the_chain():
+    data = recording(simulate(np.random.default_rng(12), seconds=10))
+    assert identify(data, masses=[2]).chains.masses_per_branch == (2,)
+    assert identify(data).chains.masses_per_branch == (1,)
+
+
+def test_a_model_of_other_axes_is_refused():
+    data = recording(simulate(np.random.default_rng(13), seconds=5))
+    other = replace(data, axes=("elsewhere",))
+    with pytest.raises(InputError, match="elsewhere"):
+        diagnose(data, model=identify_trajectory(other))
