@@ -299,28 +299,26 @@ def _refined_model(
     bottom = min(float(s.frequency_hz[s.excited].min()) for s in spectra if s.excited.any())
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     blind = blind_directions(chains, names, values, covariance, (bottom, top), recording.linear)
-    trustworthy = fit.solution.result == "converged"
-    if not trustworthy:
-        warnings.append(
+    doubts: list[str] = []
+    if fit.solution.result != "converged":
+        doubts.append(
             f"the fit did not converge ({fit.solution.result} after {fit.solution.iterations} iterations)"
         )
     if blind.unseen:
-        trustworthy = False
         std = np.where([n in blind.unseen for n in names], np.nan, std)
-    warnings += blind.sentences
+        doubts += blind.sentences or [f"{', '.join(sorted(blind.unseen))}: not known from these data"]
     if fit.explained < EXPLAINED:
-        trustworthy = False
-        warnings.append(
+        doubts.append(
             f"the model explains {fit.explained:.0%} of the torque only: another number of masses, a torque "
             "channel that is not the motor torque, or axes that do not move freely"
         )
     apart = _apart(spectra, fit) if fit.noise_chi2 > SUSPECT else 0.0
     if apart > DISAGREE:
-        trustworthy = False
-        warnings.append(
+        doubts.append(
             f"the fitted plant differs by {apart:.0%} from the FRF that the records show: the fit stands in "
             "a wrong minimum, or the machine has another structure (number of masses, springs to ground)"
         )
+    warnings += doubts
     if fit.noise_chi2 > 2.0:
         warnings.append(
             f"the torque is missed by {np.sqrt(fit.noise_chi2):.2g} times its noise: something acts that the "
@@ -329,7 +327,8 @@ def _refined_model(
     routes = _routes(paper, names, values, covariance, warnings)
     finite = np.isfinite(covariance).all()
     facts = {
-        "trustworthy": trustworthy,
+        "trustworthy": not doubts,
+        "doubts": doubts,
         "chi2": fit.solution.chi2,
         "dof": fit.solution.dof,
         "noise_chi2_per_dof": fit.noise_chi2,
