@@ -75,7 +75,7 @@ def fit_structure(
 
     ``thorough=False`` stops after the first pass (for comparing structures).
     """
-    problem = _with_coulomb(problem_from_spectra(structure, spectra), spectra)
+    problem = with_coulomb(problem_from_spectra(structure, spectra), spectra)
     if problem.dof <= 0:
         rows = sum(2 * b.position.size for b in problem.blocks)
         raise NotIdentifiableError(
@@ -148,7 +148,7 @@ def spread_of(solution: Solution) -> Float64:
     return out
 
 
-def _with_coulomb(problem: MissingTorqueProblem, spectra: Sequence[LineSpectra]) -> MissingTorqueProblem:
+def with_coulomb(problem: MissingTorqueProblem, spectra: Sequence[LineSpectra]) -> MissingTorqueProblem:
     """One Coulomb coefficient for each axis that moves clearly in some record."""
     motors = problem.structure.motors
     found = [coulomb_columns(s) for s in spectra]
@@ -273,7 +273,7 @@ def _boundary(
         flags[number] = bool(gain > chi2_isf(NEEDED, count))
     if flags == [b.transient for b in problem.blocks]:
         return problem, solution
-    freed = _with_coulomb(problem_from_spectra(problem.structure, spectra, boundary=flags), spectra)
+    freed = with_coulomb(problem_from_spectra(problem.structure, spectra, boundary=flags), spectra)
     return freed, gauss_newton(freed, carried(problem, solution.p, freed))
 
 
