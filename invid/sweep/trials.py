@@ -16,7 +16,7 @@ motor to move many encoder counts (0.5·(Δτ/m)·0.03²). Never below five cycl
 DECISIVE = 5.0
 """Standard deviations: a wrong verdict once in three million trials."""
 LAGS = (0, 1, 2, 3)
-"""Cycles by which the drive may delay the torque."""
+"""Cycles by which the drive may delay the torque; a later one is looked for in the measured torque."""
 
 
 @dataclass(frozen=True)
@@ -64,17 +64,15 @@ def response(
         Position of one encoder count: the least that the path is uncertain by.
     """
     power = float(demand @ demand)
-    # 0x6077 lags by a cycle or two, differently for each drive: the best of the first ones
-    lags = [float(demand[: demand.size - k] @ torque[k:]) / power for k in LAGS if demand.size > k + 1]
-    follow = max(lags, key=abs) if power > 0 and lags else float("nan")
+    late, follow = _lateness(demand, torque) if power > 0 else (0, float("nan"))
     amplitude = float(np.abs(demand).max(initial=0.0))
     # 0x6077 steps in thousandths and carries noise of several: below 1 % of rated the slope says nothing
     if amplitude < 0.01 * rated:
-        follow = float("nan")
+        late, follow = 0, float("nan")
     displacement = float(np.abs(position).max(initial=0.0))
     acting = time[demand != 0]
     length = float(acting[-1] - acting[0]) if acting.size > 1 else 0.0
-    mobility, std = _edges(time, demand, position, count)
+    mobility, std = _edges(time, demand, position, count, late)
     return Response(
         inertia=amplitude * length**2 / (16 * displacement) if displacement > 0 else float("inf"),
         displacement=displacement,
@@ -84,7 +82,19 @@ def response(
     )
 
 
-def _edges(time: Float64, demand: Float64, position: Float64, count: float) -> tuple[float, float]:
+def _lateness(demand: Float64, torque: Float64) -> tuple[int, float]:
+    """Cycles by which 0x6077 follows the demand, and its slope there.
+
+    All lags compete: the side lobes of a doublet have the other sign and half the height, so among the first
+    few lags alone an answer that comes late would look like a wrong sign.
+    """
+    power = float(demand @ demand)
+    slopes = [float(demand[: demand.size - k] @ torque[k:]) / power for k in range(max(1, demand.size // 2))]
+    late = int(np.argmax(np.abs(slopes)))
+    return late, slopes[late]
+
+
+def _edges(time: Float64, demand: Float64, position: Float64, count: float, late: int) -> tuple[float, float]:
     """Common Δacceleration/Δtorque over all edges and its standard deviation, for the likeliest lag."""
     edges = np.flatnonzero(np.diff(demand) != 0) + 1
     step = float(np.median(np.diff(time)))
@@ -92,7 +102,7 @@ def _edges(time: Float64, demand: Float64, position: Float64, count: float) -> t
     if edges.size > 1:
         span = min(span, int(np.diff(edges).min()))
     best, best_rest = (0.0, np.inf), np.inf
-    for lag in LAGS:
+    for lag in (*LAGS, *(late + k for k in (-2, -1, 0, 1) if late + k > max(LAGS))):
         bends, curves = [], []
         for edge in edges:
             first, last = edge + lag - span, edge + lag + span + 1

@@ -188,7 +188,7 @@ class Watch:
                     )
         self._watch_energy(energy)
         if self.excited:
-            self._watch_stuck(positions, history[-2][1] if len(history) > 1 else None)
+            self._watch_stuck(sample, history[-2][1] if len(history) > 1 else None)
 
     def _missing(self, i: int) -> None:
         self._lost[i] += 1
@@ -227,11 +227,14 @@ class Watch:
                 "'drive', or master_pd with a lower gain"
             )
 
-    def _watch_stuck(self, positions: list[float], before: list[float] | None) -> None:
+    def _watch_stuck(self, sample: Sample, before: list[float] | None) -> None:
         if before is None:
             return
         for i in self.excited:
-            if positions[i] != before[i]:
+            # A sample that did not come repeats the last one: silence is not a still encoder.
+            if not sample.fresh[i]:
+                continue
+            if sample.position[i] != before[i]:
                 self._still[i] = 0
                 continue
             self._still[i] += 1

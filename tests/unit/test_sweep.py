@@ -8,11 +8,14 @@ import pytest
 
 from invid.config import AxisConfig, CellConfig, parse_config
 from invid.errors import BusError, ConfigError, DriveError, InvidError, SafetyStop
+from invid.excitation import doublet
 from invid.plan import make_plan
 from invid.plan.model import PlannedExperiment
 from invid.sweep import Event, Mode, Progress, Sample, Severity, Sweep
 from invid.sweep.holds import least_damping, master_hold, require_stable_p
 from invid.sweep.recorder import fill_gaps
+from invid.sweep.trials import response
+from invid.sweep.watch import AxisLimits, Watch
 
 CYCLE = 0.002
 EXPERIMENT = (
@@ -377,3 +380,34 @@ def test_gaps_are_filled_from_their_neighbours() -> None:
     assert np.isfinite(filled).all()
     known = ~np.isnan(holes)
     assert np.array_equal(filled[known], truth[known])
+
+
+@pytest.mark.parametrize("late", [0, 2, 9, 24])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_torque_that_follows_late_is_not_taken_for_one_of_the_wrong_sign(late: int, sign: float) -> None:
+    wave = np.concatenate([np.zeros(40), doublet(48), np.zeros(40)])
+    answer = sign * np.concatenate([np.zeros(late), wave[: wave.size - late]])
+    position = np.cumsum(np.cumsum(answer)) * 1e-6
+    found = response(
+        np.arange(wave.size) * 1e-3, wave, answer, np.round(position / 1e-7) * 1e-7, count=1e-7, rated=10.0
+    )
+    assert found.torque_slope == pytest.approx(sign, rel=0.05)
+    assert found.mobility * sign > 5 * found.mobility_std
+
+
+def test_samples_that_do_not_come_are_not_a_still_encoder() -> None:
+    limits = AxisLimits("A1", 10.0, 1.0, 1.0, 1e-6, 10.0, "rad", "N·m")
+    watch = Watch([limits], cycle_s=0.01, missed_tpdos=1000, overrun_cycles=10)
+    watch.excited = {0}
+    watch.start([0.0])
+    sample = Sample(0, 0.0, [0.0], [0.0], [0x27], [True], [])
+
+    def play(slots: range, fresh: bool) -> None:
+        for slot in slots:
+            sample.slot, sample.time, sample.fresh[0] = slot, 0.01 * slot, fresh
+            watch.check(sample)
+
+    play(range(5), True)
+    play(range(5, 500), False)
+    with pytest.raises(SafetyStop, match="encoder has shown one value"):
+        play(range(500, 1000), True)
