@@ -1,6 +1,8 @@
 """Fault campaign: seeded random faults (kind, moment, axis, phase of the run) in virtual time.
 
-    python benchmarks/bench_faults.py [--runs 500] [--seed 0] [--markdown]
+    python benchmarks/bench_faults.py [--runs 500] [--seed 0] [--markdown] [--results runs.jsonl]
+
+``--results`` keeps every run in a file and goes on where an interrupted campaign stopped.
 
 Every run is a whole measurement on the simulated cell with one fault. Afterwards, on the true state of
 the plant and the drives, not on what the master believes:
@@ -14,11 +16,12 @@ the plant and the drives, not on what the master believes:
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 import tempfile
 import time
 from collections import defaultdict
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -244,18 +247,36 @@ def _recording(out: Path, given: int, status: int, complaints: list[str]) -> int
     return rows
 
 
-def campaign(runs: int, seed: int, *, seconds: float = float("inf")) -> list[RunOutcome]:
-    """``runs`` measurements, kinds in turn, everything else drawn; fewer when ``seconds`` are over."""
+def campaign(
+    runs: int, seed: int, *, seconds: float = float("inf"), results: Path | None = None
+) -> list[RunOutcome]:
+    """``runs`` measurements, kinds in turn, everything else drawn; fewer when ``seconds`` are over.
+
+    Each run draws from its own seed, so that what stands in ``results`` already need not be run again.
+    """
     kinds = list(EXPECTED)
-    outcomes: list[RunOutcome] = []
+    outcomes = _done(results, seed)[:runs]
     started = time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
-        for n in range(runs):
+        for n in range(len(outcomes), runs):
             if time.monotonic() - started > seconds:
                 break
             rng = np.random.default_rng([seed, n])
-            outcomes.append(run_one(kinds[n % len(kinds)], rng, Path(folder)))
+            outcome = run_one(kinds[n % len(kinds)], rng, Path(folder))
+            outcomes.append(outcome)
+            if results is not None:
+                with results.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps({"seed": seed, **asdict(outcome)}) + "\n")
     return outcomes
+
+
+def _done(results: Path | None, seed: int) -> list[RunOutcome]:
+    if results is None or not results.exists():
+        return []
+    rows = [json.loads(line) for line in results.read_text(encoding="utf-8").splitlines()]
+    if any(row.pop("seed") != seed for row in rows):
+        raise SystemExit(f"{results}: holds runs of another seed than {seed}; name another file")
+    return [RunOutcome(**{**row, "complaints": tuple(row["complaints"])}) for row in rows]
 
 
 def table(outcomes: list[RunOutcome], *, markdown: bool = False) -> str:
@@ -288,9 +309,10 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--seconds", type=float, default=float("inf"), help="stop after so long")
     parser.add_argument("--markdown", action="store_true")
+    parser.add_argument("--results", type=Path, help="keep each run in this file and resume from it")
     arguments, _ = parser.parse_known_args()
     started = time.monotonic()
-    outcomes = campaign(arguments.runs, arguments.seed, seconds=arguments.seconds)
+    outcomes = campaign(arguments.runs, arguments.seed, seconds=arguments.seconds, results=arguments.results)
     print(table(outcomes, markdown=arguments.markdown))
     bad = [(n, o) for n, o in enumerate(outcomes) if o.complaints]
     for n, o in bad[:20]:

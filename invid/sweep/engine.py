@@ -199,16 +199,20 @@ class Sweep:
     # --- one cycle and many --------------------------------------------------------------------
     def _play(
         self,
-        torque: Sequence[Sequence[float]] | None,
+        torque: Float64 | None,
         cycles: int,
         *,
-        reference: Sequence[Sequence[float]] | None = None,
+        reference: Float64 | None = None,
         scale: float = 1.0,
         sink: Sink | None = None,
         rows: tuple[int, int] = (0, 0),
         log: bool = False,
     ) -> list[Float64]:
-        """Run ``cycles`` cycles around the feedback; the log is demand, torque, position, time."""
+        """Run ``cycles`` cycles around the feedback; the log is demand, torque, position, time.
+
+        ``torque`` and ``reference`` are (n, M); their last row stands for every later one. Rows become
+        lists one at a time: half an hour at once would stall the cycle and take gigabytes.
+        """
         cell, watch, stop = self.cell, self._watching, self.stop
         cycle = self.plan.cycle_s
         feedback, origin, velocity = self._feedback, self._origin, self._velocity
@@ -223,9 +227,11 @@ class Sweep:
         fade = max(1, round(FADE_S / cycle))
         k = 0
         while k < cycles:
-            excitation = torque[k] if torque is not None else self._zero
-            path = reference[k] if reference is not None else None
-            before = reference[k - 1] if reference is not None and k else path
+            excitation = self._zero if torque is None else torque[min(k, len(torque) - 1)].tolist()
+            path = before = None
+            if reference is not None:
+                path = reference[min(k, len(reference) - 1)].tolist()
+                before = reference[min(max(k - 1, 0), len(reference) - 1)].tolist()
             gain = scale
             if fading:
                 gain *= 1.0 - fading / fade
@@ -261,10 +267,6 @@ class Sweep:
             elif stop is not None and stop.is_set():
                 fading = 1
                 cycles = max(cycles, k + fade + 1)
-                if torque is not None:
-                    torque = [*torque, *([torque[-1]] * (fade + 2))]
-                if reference is not None:
-                    reference = [*reference, *([reference[-1]] * (fade + 2))]
             if sample.time >= self._next_report:
                 self._next_report = sample.time + PROGRESS_S
                 self._report(k * cycle)
@@ -324,7 +326,7 @@ class Sweep:
             quiet = max(8, round(trials.EDGE_S / cycle) + max(trials.LAGS))
             rows = np.zeros((wave.size + 2 * quiet, self._count))
             rows[quiet:-quiet, axis] = wave
-            kept = self._play(rows.tolist(), len(rows), log=True)
+            kept = self._play(rows, len(rows), log=True)
             demand = kept[0][:, axis] - self._bias[axis]
             position = kept[2][:, axis] - kept[2][0, axis]
             found = trials.response(
@@ -415,13 +417,13 @@ class Sweep:
         rows = experiment.torque[:cycles] * share
         # the fades at the ends of the excitation stand still by themselves
         fade = min(round(0.5 / cycle), cycles // 4)
-        opening = self._play(rows[:fade].tolist(), fade, log=True)
+        opening = self._play(rows[:fade], fade, log=True)
         self._watching.excited = excited
-        body = self._play(rows[fade:-fade].tolist(), cycles - 2 * fade, log=True)
+        body = self._play(rows[fade:-fade], cycles - 2 * fade, log=True)
         self._watching.excited = set()
         self._watching.learn_standing(excited)
         kept = [np.concatenate(parts) for parts in zip(opening, body, strict=True)]
-        self._play(rows[-fade:].tolist(), fade)
+        self._play(rows[-fade:], fade)
         self._play(None, round(self.plan.rest_s / cycle))
         for i in sorted(excited):
             limits = self.config.axes[i].limits
@@ -457,9 +459,9 @@ class Sweep:
         self._must_move = set() if path else excited
         try:
             self._play(
-                experiment.torque.tolist(),
+                experiment.torque,
                 experiment.cycles,
-                reference=None if experiment.reference is None else experiment.reference.tolist(),
+                reference=experiment.reference,
                 scale=self._scale,
                 sink=self.sink,
                 rows=(experiment.record_from, experiment.record_to),

@@ -342,3 +342,41 @@ def test_an_abort_that_names_no_object_is_still_an_abort() -> None:
             client._answer_for(bytes.fromhex("646000"))
     finally:
         cell.close()
+
+
+@pytest.mark.parametrize("late", [0.3, 0.7, 1.2, 1.9, 7.95])
+def test_a_computer_that_wakes_late_skips_slots_and_never_sends_two_syncs_close_together(late: float) -> None:
+    cell = simulated()
+    link = cell._link
+    sent: list[float] = []
+    put, sleep_until = link.put, link.clock.sleep_until
+    waits = 0
+
+    def noted(message: Any) -> None:
+        if message.arbitration_id == 0x80:
+            sent.append(link.clock.now())
+        put(message)
+
+    def oversleep(instant: float) -> None:
+        nonlocal waits
+        waits += 1
+        sleep_until(instant + (late * CYCLE if waits % 7 == 0 else 0.0))
+
+    try:
+        cell.check()
+        cell.energise(held(cell))
+        link.put, link.clock.sleep_until = noted, oversleep  # type: ignore[method-assign]
+        slots = [cell.exchange(zero(cell)).slot for _ in range(200)]
+        link.put, link.clock.sleep_until = put, sleep_until  # type: ignore[method-assign]
+    finally:
+        cell.close()
+    assert len(sent) == 200
+    assert np.diff(sent).min() > 0.49 * CYCLE
+    # each SYNC belongs to the slot whose number its sample bears
+    np.testing.assert_allclose(
+        np.array(sent) - sent[0], (np.array(slots) - slots[0]) * CYCLE, atol=0.51 * CYCLE
+    )
+    assert np.all(np.diff(slots) >= 1)
+    skipped = int((np.diff(slots) - 1).sum())
+    assert skipped == (0 if late < 0.5 else cell.skipped_slots)
+    assert (skipped > 0) == (late > 0.5)

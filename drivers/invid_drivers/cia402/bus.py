@@ -232,17 +232,8 @@ class Cia402Cell:
                     arbitration_id=cob, data=_RPDO.pack(self._control[i], value), is_extended_id=False
                 )
             )
-        slot = self._slot + 1
+        slot, instant = self._wait_for_slot()
         deadline = self._started + slot * self._cycle
-        now = clock.now()
-        if now > deadline + 0.5 * self._cycle:
-            # Overrun: skip to the next slot that is still ahead; never catch up with a burst of SYNCs.
-            ahead = int((now - self._started) / self._cycle) + 1
-            self.skipped_slots += ahead - slot
-            slot = ahead
-            deadline = self._started + slot * self._cycle
-        clock.sleep_until(deadline)
-        instant = clock.now()
         put(self._sync)
         self._slot = slot
         self.jitter.add(instant - deadline)
@@ -276,6 +267,28 @@ class Cia402Cell:
         elif sample.events:
             sample.events = []
         return sample
+
+    def _wait_for_slot(self) -> tuple[int, float]:
+        """Number and instant of the next SYNC, at its slot or at most half a cycle late.
+
+        Whoever is later, because the targets took long or because the system woke this process late, goes
+        on to the next slot still ahead: two SYNCs are never closer than half a cycle, and a pause is never
+        made up for by a burst.
+        """
+        clock, cycle = self.clock, self._cycle
+        slot = self._slot + 1
+        instant = clock.now()
+        while True:
+            deadline = self._started + slot * cycle
+            if instant <= deadline:
+                clock.sleep_until(deadline)
+                instant = clock.now()
+            if instant <= deadline + 0.5 * cycle:
+                return slot, instant
+            self.jitter.add(instant - deadline)
+            ahead = int((instant - self._started) / cycle) + 1
+            self.skipped_slots += ahead - slot
+            slot = ahead
 
     def _take(self, axis: int, message: can.Message) -> bool:
         data = message.data

@@ -14,13 +14,15 @@ from can import BusABC, Message
 
 from invid.config.schema import CellConfig
 from invid.errors import BusError, ConfigError
-from invid_drivers.simulated.cell import NEVER, SimulatedCell
+from invid_drivers.simulated.cell import SimulatedCell
 from invid_drivers.simulated.node import Nmt
 from invid_drivers.simulated.unix_bus import UnixHub
 
 _NS = 1_000_000_000
 _LONGEST_WAIT_NS = 20_000_000
 """How long the loop may sleep before it looks at the stop event: 20 ms is not felt at a Ctrl-C."""
+_OLDEST_S = 1.0
+"""A frame's stamp further back is of another clock (some interfaces count from their start)."""
 
 
 @dataclass
@@ -171,7 +173,12 @@ class _Loop:
             self._not_sent += 1
 
     def run(self, stop_event: threading.Event, ready: threading.Event | None) -> None:
-        """Until stopped; ``ready`` is set once every drive has booted."""
+        """Until stopped; ``ready`` is set once every drive has booted.
+
+        Frames and timers take effect in the order and at the instants at which they were sent and due,
+        even where this process woke late: a real drive samples when SYNC is on the wire. Only its answers
+        are then late.
+        """
         cell, bus = self._cell, self._bus
         failures = 0
         while not stop_event.is_set():
@@ -179,13 +186,7 @@ class _Loop:
                 ready.set()
                 ready = None
             now = self._now()
-            if cell.due_ns <= now:
-                self._late_ns = max(self._late_ns, now - cell.due_ns)
-                cell.run_timers(now)
-                now = self._now()
-            wait = (
-                min(max(cell.due_ns - now, 0), _LONGEST_WAIT_NS) if cell.due_ns < NEVER else _LONGEST_WAIT_NS
-            )
+            wait = min(max(cell.due_ns - now, 0), _LONGEST_WAIT_NS)
             try:
                 message = bus.recv(wait / _NS)
                 failures = 0
@@ -195,11 +196,31 @@ class _Loop:
                     raise BusError(f"bus: receiving failed {failures} times in a row: {error}") from None
                 time.sleep(0.001)
                 continue
-            if message is None or cell.master_off:
+            if message is None:
+                # Every frame sent before ``now`` has been seen.
+                self._timers_until(now)
+                continue
+            if cell.master_off:
                 continue
             if message.is_extended_id or message.is_remote_frame or message.is_error_frame or message.is_fd:
                 continue
-            cell.receive(message.arbitration_id, bytes(message.data), self._now())
+            sent = self._sent(message)
+            self._timers_until(sent)
+            cell.receive(message.arbitration_id, bytes(message.data), max(sent, cell.now_ns))
+
+    def _timers_until(self, instant_ns: int) -> None:
+        cell = self._cell
+        if cell.due_ns > instant_ns:
+            return
+        self._late_ns = max(self._late_ns, self._now() - cell.due_ns)
+        while cell.due_ns <= instant_ns:
+            cell.run_timers(cell.due_ns)
+
+    def _sent(self, message: Message) -> int:
+        """When a frame was on the wire, by the kernel's stamp where there is a plausible one."""
+        now = self._now()
+        ago = time.time() - message.timestamp
+        return now - round(ago * _NS) if 0.0 <= ago < _OLDEST_S else now
 
     def statistics(self) -> SimcellStatistics:
         """What was done so far."""

@@ -2,7 +2,9 @@
 
 Each packet is the kernel's ``struct can_frame``. Packets keep their order and are not lost; the
 socket cannot leave the host. ``UnixHub`` is the wire (the simulated cell holds it), ``UnixBus`` a port.
-No bit rate, no arbitration: use ``socketcan`` and vcan where the kernel has them.
+No bit rate, no arbitration: use ``socketcan`` and vcan where the kernel has them. The hub's messages bear
+the kernel's time of sending, as a CAN controller stamps a frame when it is on the wire: how late the hub's
+process woke does not show in them.
 """
 
 from __future__ import annotations
@@ -25,6 +27,9 @@ _FRAME = struct.Struct("=IBxxx8s")
 _EXTENDED, _REMOTE, _ERROR = 0x80000000, 0x40000000, 0x20000000
 _SEND_TIMEOUT_S = 0.1
 """A peer that does not read for so long is as good as lost; a cycle is a hundred times shorter."""
+_SO_TIMESTAMPNS = 35  # Linux; `socket` has no name for it
+_TIMESPEC = struct.Struct("@ll")
+_ANCILLARY = socket.CMSG_SPACE(_TIMESPEC.size)
 
 
 def pack_frame(msg: Message) -> bytes:
@@ -56,6 +61,16 @@ def unpack_frame(packet: bytes, timestamp: float) -> Message | None:
         dlc=length,
         data=None if remote else data[:length],
     )
+
+
+def _stamped(port: socket.socket) -> tuple[bytes, float]:
+    """A packet and when it was sent [s since the epoch]; now, where the kernel does not say."""
+    packet, ancillary, _, _ = port.recvmsg(_FRAME.size + 1, _ANCILLARY)
+    for level, kind, data in ancillary:
+        if level == socket.SOL_SOCKET and kind == _SO_TIMESTAMPNS and len(data) == _TIMESPEC.size:
+            seconds, nanoseconds = _TIMESPEC.unpack(data)
+            return packet, seconds + nanoseconds * 1e-9
+    return packet, time.time()
 
 
 def _send_packet(port: socket.socket, packet: bytes, timeout: float) -> None:
@@ -227,12 +242,15 @@ class UnixHub(BusABC):
                 with contextlib.suppress(OSError):
                     port, _address = self._listener.accept()
                     port.setblocking(False)
+                    with contextlib.suppress(OSError):  # another system than Linux
+                        port.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
                     self._ports[port.fileno()] = port
                     self._poll.register(port, select.POLLIN)
                 continue
             while number in self._ports:
+                sent = 0.0
                 try:
-                    packet = self._ports[number].recv(_FRAME.size + 1)
+                    packet, sent = _stamped(self._ports[number])
                 except BlockingIOError:
                     break
                 except OSError:
@@ -240,7 +258,7 @@ class UnixHub(BusABC):
                 if not packet:
                     self._drop(number)
                     break
-                message = unpack_frame(packet, time.time())
+                message = unpack_frame(packet, sent)
                 if message is not None:
                     self._inbox.append(message)
                     self._pass_on(packet, number)
