@@ -18,6 +18,7 @@ from invid.discrepancy.missing_torque import NullTest, changing, null_test, rms_
 from invid.discrepancy.plant import Candidate, Layout
 from invid.discrepancy.records import by_period, split, with_holds, with_sticking
 from invid.discrepancy.select import Selection, select
+from invid.discrepancy.trust import cautious, distrust_sentences, in_the_way, trust
 from invid.effects.base import Record, unit_of
 from invid.errors import InputError, InvidError
 from invid.model import ChainStd, EffectTerm, Estimate, Model
@@ -190,7 +191,9 @@ def _document(
     anything = bool(selection.steps) or before_test.rejects
     unit = unit_of("torque", recording.linear)
     judged = judge(selection, recording, after_test)
-    named = judged.findings if judged.named else ()
+    full = extended_model(model, final.fit, (), recording, train)
+    linear = trust(model, full, base, final, (before_test, after_test), recording)
+    named = judged.findings if judged.named and not linear.broken else ()
     shown = final if named else base
     residual = []
     for i, axis in enumerate(recording.axes):
@@ -208,19 +211,28 @@ def _document(
         verdict = Verdict.CONSISTENT
     elif not named:
         verdict = Verdict.UNEXPLAINED
-        unexplained = unexplained_of(base, recording)
+        unexplained = in_the_way(linear, unexplained_of(base, recording))
     elif judged.complete:
         verdict = Verdict.EXPLAINED
     else:
         verdict = Verdict.PARTLY_EXPLAINED
         unexplained = unexplained_of(final, recording)
-    findings = tuple(named)
-    sentences = [f.sentence for f in findings]
+    findings = cautious(tuple(named), linear)
+    said = distrust_sentences(linear, model.chains.masses_per_branch)
+    sentences = [*said, *(f.sentence for f in findings)]
     if verdict is Verdict.CONSISTENT:
         sentences.append("The model explains the measurement to within its noise: nothing is missing.")
     if unexplained is not None:
         sentences.append(unexplained.sentence)
     extended = extended_model(model, shown.fit, tuple(f.effect for f in findings), recording, train)
+    extended = replace(
+        extended,
+        fit={
+            **extended.fit,
+            "trustworthy": linear.trustworthy,
+            "doubts": [*linear.reasons, *linear.unseen],
+        },
+    )
     return Diagnosis(
         verdict=verdict,
         residual=tuple(residual),
@@ -228,7 +240,7 @@ def _document(
         findings=findings,
         unexplained=unexplained,
         model=extended,
-        warnings=tuple(dict.fromkeys([*model.warnings, *warnings, *judged.warnings])),
+        warnings=tuple(dict.fromkeys([*said, *model.warnings, *warnings, *judged.warnings])),
         sentences=tuple(sentences),
         details=_details(before_test, after_test, selection, judged.explained),
     )

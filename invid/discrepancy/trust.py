@@ -1,0 +1,155 @@
+"""Whether the linear model can carry a diagnosis: a cause named on a wrong model is a wrong name."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from invid.diagnosis import Finding, Unexplained
+from invid.discrepancy.confidence import CONTESTED
+from invid.discrepancy.missing_torque import NullTest
+from invid.discrepancy.plant import Evaluation
+from invid.discrepancy.select import Trial
+from invid.identifiability import blind_directions
+from invid.model import Model, parameter_vector
+from invid.recording.model import Recording
+
+REACHED = 2.0
+"""χ²/ν below which the extended model is taken for right, whatever the linear fit looked like."""
+LEFT = 0.01
+"""Share of the excess below which the same holds. Empirical, on hidden plants: with the wrong number of
+masses the best cause leaves 5 % and more (χ²/ν 300 to 9000), with the right one less than 1 % is left."""
+LEAST = 0.9
+"""Share of the torque that a linear model of the right machine explains; as in ``invid.identify``."""
+
+
+@dataclass(frozen=True)
+class Trust:
+    """What is wrong with the linear fit, most important first; empty where nothing is."""
+
+    reasons: tuple[str, ...] = ()
+    unseen: tuple[str, ...] = ()
+    """Sentences about parameters that the data cannot tell."""
+    broken: bool = False
+    """The linear model itself is wrong: no cause may be named on it."""
+
+    @property
+    def trustworthy(self) -> bool:
+        """Whether the exit status may be 0."""
+        return not self.broken and not self.unseen
+
+
+def trust(
+    model: Model,
+    extended: Model,
+    base: Trial,
+    final: Trial,
+    tests: tuple[NullTest, NullTest],
+    recording: Recording,
+) -> Trust:
+    """Judges the linear fit with what the causes made of it.
+
+    A strong cause makes a linear fit look wrong that is right once the cause is in: where the extended
+    model comes down to the noise, only parameters that the data cannot tell are left to complain of.
+    """
+    unseen = _unseen(extended, final, recording.linear)
+    too_short = _too_short(recording)
+    before, after = (t.chi2 / max(t.dof, 1) for t in tests)
+    if after < REACHED or after - 1.0 < LEFT * (before - 1.0):
+        return Trust(unseen=unseen)
+    reasons = [str(r) for r in model.fit.get("doubts", ()) if isinstance(r, str)]
+    if not reasons and model.fit.get("trustworthy", True) is False:
+        reasons = list(model.warnings[:1]) or ["the identification does not trust its own fit"]
+    reasons += too_short
+    if not base.fit.converged and not reasons:
+        reasons.append("the linear fit did not converge")
+    share = min(_explained(base.fit.evaluation), _explained(final.fit.evaluation))
+    if share < LEAST and not any("of the torque only" in r for r in reasons):
+        reasons.append(
+            f"the linear model accounts for {share:.0%} of the torque only: another number of masses, a "
+            "torque channel that is not the motor torque, or axes that do not move freely"
+        )
+    return Trust(tuple(dict.fromkeys(reasons)), unseen, broken=bool(reasons))
+
+
+def _too_short(recording: Recording) -> list[str]:
+    """Experiments cut off before the end of their first period: their lines cannot be told apart."""
+    return [
+        f"experiment {e.key} holds {e.samples / e.period_samples:.0%} of one period of its excitation"
+        for e in recording.experiments
+        if 0 < e.samples < e.period_samples
+    ][:1]
+
+
+def _explained(evaluation: Evaluation) -> float:
+    """Share of the noise-weighted torque power of the training records that is accounted for."""
+    left = total = 0.0
+    for number, view in enumerate(evaluation.views):
+        weight = 1.0 / np.maximum(np.einsum("fii->fi", evaluation.covariance[number]).real, 1e-300)
+        if view.record.weight.size:
+            weight = weight * view.record.weight[:, None]
+        left += float((np.abs(evaluation.missing[number][1:]) ** 2 * weight[1:]).sum())
+        total += float((np.abs(view.acting[1:]) ** 2 * weight[1:]).sum())
+    return max(0.0, 1.0 - left / max(total, 1e-300))
+
+
+def _unseen(extended: Model, final: Trial, linear: bool) -> tuple[str, ...]:
+    """Parameters that the joint fit leaves open, in words."""
+    if extended.covariance is None:
+        lost = [n for n, s in _spreads(extended) if not np.isfinite(s) and ".damper." not in n]
+        return (f"{', '.join(lost)}: not seen by these data",) if lost else ()
+    bands = [v.omega[v.record.excited] for v in final.fit.evaluation.views if v.record.excited.any()]
+    if not bands:
+        return ()
+    band = (min(float(b[0]) for b in bands) / 2 / np.pi, max(float(b[-1]) for b in bands) / 2 / np.pi)
+    names, values = parameter_vector(extended.chains)
+    blind = blind_directions(extended.chains, names, values, extended.covariance, band, linear)
+    return blind.sentences if any(".damper." not in n for n in blind.unseen) else ()
+
+
+def _spreads(model: Model) -> list[tuple[str, float]]:
+    names, _ = parameter_vector(model.chains)
+    std = model.std
+    out: list[float] = []
+    for i in range(model.chains.branches):
+        out += [*std.masses[i], *std.springs[i], *std.dampers[i]]
+        if model.chains.ground_springs[i] != 0:
+            out.append(float(std.ground_springs[i]))
+    for i in range(model.chains.branches):
+        out += [float(std.couplings[i, j]) for j in range(i + 1, model.chains.branches)]
+    return list(zip(names, out, strict=True))
+
+
+def cautious(findings: tuple[Finding, ...], found: Trust) -> tuple[Finding, ...]:
+    """Findings with no more confidence than a model allows that the data cannot tell in full."""
+    if not found.unseen:
+        return findings
+    return tuple(replace(f, confidence=min(f.confidence, CONTESTED)) for f in findings)
+
+
+def distrust_sentences(found: Trust, masses: tuple[int, ...]) -> list[str]:
+    """What is wrong and the way out, before anything else is said."""
+    if found.broken:
+        sizes = ", ".join(str(n) for n in masses)
+        return [
+            f"The linear model itself cannot be trusted, so no cause is named: {found.reasons[0]}.",
+            f"Put that right first: try another number of masses than {sizes} (--masses auto lets the data "
+            "choose), see that every axis is excited and that the torque channel is the motor's, and record "
+            "more periods or a wider band.",
+        ]
+    if found.unseen:
+        return [
+            f"Not everything in the model is known from these data: {'; '.join(found.unseen)}. "
+            "What follows holds for what the model predicts, not for those parameters."
+        ]
+    return []
+
+
+def in_the_way(found: Trust, left: Unexplained | None) -> Unexplained | None:
+    """The description of what is missing, with the reason why it is not named."""
+    if left is None or not found.broken:
+        return left
+    return replace(
+        left, sentence=left.sentence.replace("that no cause of the catalogue explains", "under that model")
+    )
