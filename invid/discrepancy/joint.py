@@ -42,9 +42,10 @@ class JointFit:
         return max(1.0, self.cost / self.dof)
 
 
-def _limits(
+def limits_of(
     layout: Layout, candidate: Candidate, evaluation: Evaluation, strict: bool
 ) -> tuple[Float64, Float64]:
+    """Bounds of all parameters; ``strict``: time offsets within a sample."""
     low, high = np.full(layout.count, -np.inf), np.full(layout.count, np.inf)
     damper = layout.structure.slices["damper"]
     low[damper] = 0.0
@@ -87,7 +88,7 @@ def fit(
     """Minimise the cost; converged when the predicted decrease is below ``tolerance``·χ²/ν."""
     structure = layout.structure
     here = evaluate(layout, records, p, candidate)
-    low, high = _limits(layout, candidate, here, strict)
+    low, high = limits_of(layout, candidate, here, strict)
     v = np.clip(_pack(p, candidate), low, high)
     if not np.array_equal(v, _pack(p, candidate)):
         p, candidate = _unpack(layout, candidate, v)
@@ -130,7 +131,7 @@ def fit(
             if structure.admissible(tp[: structure.count]):
                 with np.errstate(all="ignore"):
                     try:
-                        there = evaluate(layout, records, tp, tc, jacobian=False)
+                        there = evaluate(layout, records, tp, tc, jacobian=False, near=here.views)
                     except np.linalg.LinAlgError:
                         there = None
                 if there is not None and np.isfinite(there.cost) and there.cost < here.cost:
@@ -142,7 +143,7 @@ def fit(
             break
         gained = here.cost - accepted.cost
         v, p, candidate = trial, tp, tc
-        here = evaluate(layout, records, p, candidate)
+        here = evaluate(layout, records, p, candidate, near=accepted.views)
         damping = max(damping / 8.0, 1e-12)
         if gained < 0.1 * tolerance * here.cost / max(here.dof, 1):
             converged = True

@@ -171,12 +171,19 @@ def _acting(record: Record, delays: Float64, stairs: Float64) -> tuple[Complex12
     return acting, factor, z * (held - 1.0) * rest
 
 
-def contributions(view: View, candidate: Candidate) -> Complex128:
-    """(F, M) of all effects, inner motion brought into agreement with the forces."""
+def contributions(
+    view: View, candidate: Candidate, *, passes: int = PASSES, early: bool = True
+) -> Complex128:
+    """(F, M) of all effects, inner motion brought into agreement with the forces.
+
+    ``early``: stop as soon as it is.
+    """
     total: Complex128 = np.zeros_like(view.acting)
     if not candidate.terms:
         return total
-    passes = PASSES if any(t.inner for t in candidate.terms) else 1
+    inner = any(t.inner for t in candidate.terms)
+    patterns = tuple(t.place.pattern(view.structure) for t in candidate.terms if t.place.kind != "axis")
+    passes = passes if inner else 1
     for number in range(passes):
         total = np.zeros_like(view.acting)
         back: Complex128 = np.zeros_like(view.base)
@@ -187,8 +194,10 @@ def contributions(view: View, candidate: Candidate) -> Complex128:
                 back = back + yields
         if number == passes - 1:
             break
+        if view.missing is not None:
+            back = back + view.correction(patterns, view.missing + total)
         scale = float(np.abs(view.base).max())
-        if float(np.abs(back - view.feedback).max()) < 1e-7 * scale:
+        if early and float(np.abs(back - view.feedback).max()) < 1e-7 * scale:
             break
         view.respond(back if number == 0 else 0.5 * (back + view.feedback) if number > 1 else back)
     return total
@@ -201,20 +210,31 @@ def evaluate(
     candidate: Candidate,
     *,
     jacobian: bool = True,
-    boundary: Sequence[Float64] | None = None,
+    near: Sequence[View] = (),
 ) -> Evaluation:
-    """Whitened residual (rows,) and Jacobian (rows, parameters of layout, then of the effects)."""
+    """Whitened residual (rows,) and Jacobian (rows, parameters of layout, then of the effects).
+
+    ``near``: the views of an evaluation close by, whose inner motion is where this one's starts.
+    """
     structure = layout.structure
     views = views_of(layout, records, p)
     effects = sum(t.size for t in candidate.terms)
-    residuals, jacobians, missing, covariances, bases, roots = [], [], [], [], [], []
+    residuals: list[Float64] = []
+    missing: list[Complex128] = []
+    jacobians, covariances, bases, roots = [], [], [], []
     dof = 0
     for view in views:
         record = view.record
         _, factor, by_stair = _acting(record, layout.delays(p), layout.stairs(p))
-        extra = contributions(view, candidate)
-        r = np.einsum("fij,fj->fi", view.stiffness, record.position) - view.acting + extra
+        r: Complex128 = np.einsum("fij,fj->fi", view.stiffness, record.position) - view.acting
         covariance = noise_of(view, factor)
+        if near and candidate.terms:
+            view.respond(near[len(missing)].feedback)
+        if not record.transient:
+            inverse: Complex128 = np.linalg.inv(covariance)
+            view.missing, view.certainty = r, inverse
+        extra = contributions(view, candidate)
+        r = r + extra
         root = _whitener(covariance)
         if record.weight.size:
             root = root * record.weight[:, None, None]
@@ -300,8 +320,21 @@ def _priors(layout: Layout, p: Float64, effects: int) -> tuple[Float64, Float64]
 def _effect_columns(
     view: View, candidate: Candidate, extra: Complex128, columns: Complex128, at: int
 ) -> None:
-    """Derivatives of the contributions by differences."""
+    """Derivatives of the contributions by differences.
+
+    Both sides take the same steps from the same inner motion: what the steps have not brought into agreement
+    yet would be divided by the difference.
+    """
     feedback = view.feedback
+    inner = any(t.inner for t in candidate.terms)
+
+    def at_(trial: Candidate) -> Complex128:
+        out = contributions(view, trial, passes=3, early=False)
+        if inner:
+            view.respond(feedback)
+        return out
+
+    reference = at_(candidate) if inner else extra
     for number, (term, x) in enumerate(zip(candidate.terms, candidate.x, strict=True)):
         count = len(term.effect.coefficients)
         for k in range(x.size):
@@ -313,9 +346,7 @@ def _effect_columns(
             moved = x.copy()
             moved[k] += h
             changed = Candidate(candidate.terms, (*candidate.x[:number], moved, *candidate.x[number + 1 :]))
-            columns[..., at] = (contributions(view, changed) - extra) / h
-            if any(t.inner for t in candidate.terms):
-                view.respond(feedback)
+            columns[..., at] = (at_(changed) - reference) / h
             at += 1
 
 

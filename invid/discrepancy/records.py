@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.fft import next_fast_len
 
 from invid.arrays import Float64
 from invid.effects.base import Record
@@ -17,6 +18,9 @@ from invid.spectra import LineSpectra, spectra_of
 BAND = 1.2
 """Lines up to this times the highest excited one: distortion falls off above, noise does not."""
 MOST_LINES = 3000
+GRID = 16
+"""Samples of a law of motion for each period of the highest line in use: what a law puts above an eighth of
+its grid's rate does not fold back onto the lines (jumps are averaged over their sample)."""
 
 
 def record_of(
@@ -55,9 +59,16 @@ def record_of(
     keep = np.where(power > 6.0 * noise_all, 1.0 - noise_all / np.maximum(power, 1e-300), 0.0)
     keep[0] = 1.0
     clean = spectrum * keep
-    velocity = np.fft.irfft(1j * omega_all[:, None] * clean, count, axis=0) + ramp
-    motor_wave = np.fft.irfft(clean, count, axis=0) + time[:, None] * ramp
-    left = (omega_all[:, None] ** 2 * noise_all * (keep > 0)).sum(axis=0) * 2 / count**2
+    grid = min(count, next_fast_len(max(GRID * int(index[-1]), 256), real=True))
+    kept = grid // 2 + 1
+    coarse = clean[:kept] * (grid / count)
+    if grid < count and grid % 2 == 0:
+        coarse[-1] = 0.0
+    wave_step = count * step / grid
+    wave_time = np.arange(grid) * wave_step - (count - 1) / 2 * step
+    velocity = np.fft.irfft(1j * omega_all[:kept, None] * coarse, grid, axis=0) + ramp
+    motor_wave = np.fft.irfft(coarse, grid, axis=0) + wave_time[:, None] * ramp
+    left = (omega_all[:, None] ** 2 * noise_all * (keep > 0))[:kept].sum(axis=0) * 2 / count**2
     filtered = clean[index] * (2.0 / count)
     floor = np.maximum(s.floor, 1e-300) * share
     # A torque without noise is a command: with none at all every error of the model would count as
@@ -96,6 +107,7 @@ def record_of(
         motor_velocity=velocity,
         velocity_noise=np.sqrt(left),
         torque_wave=np.asarray(s.torque_wave),
+        wave_step=wave_step,
         ramp=ramp,
         staircase=np.asarray(s.staircase),
         start_time=start,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.optimize import nnls
@@ -12,7 +12,7 @@ from invid.arrays import Complex128, Float64
 from invid.discrepancy.joint import JointFit
 from invid.discrepancy.plant import Term, _stack
 from invid.effects import CATALOGUE
-from invid.effects.base import Effect, View
+from invid.effects.base import Effect, Pattern, View
 from invid.refine.structure import ChainStructure
 
 
@@ -23,6 +23,8 @@ class Score:
     term: Term
     x: Float64
     gain: float
+    shift: Float64 = field(default_factory=lambda: np.zeros(0))
+    """Change of all parameters fitted so far that goes with it, to first order; empty where not known."""
 
     @property
     def size(self) -> int:
@@ -37,20 +39,23 @@ def terms_for(structure: ChainStructure, *, linear_axes: bool, chosen: Sequence[
         if structure.motors < effect.least_axes or (linear_axes and effect.rotary):
             continue
         for place in effect.places(structure):
-            taken = any(
-                t.place == place
-                and (
-                    t.effect.cause == effect.cause
-                    or (effect.family and t.effect.family == effect.family == "friction")
-                )
-                for t in chosen
-            )
+            taken = any(t.place == place and not _together(t.effect, effect) for t in chosen)
             # A scale common to all axes cannot be seen: only motors − 1 gains are there to be found.
             if effect.cause == "torque_gain":
                 taken |= sum(t.effect.cause == effect.cause for t in chosen) >= structure.motors - 1
             if not taken:
                 out.append(Term(effect, place))
     return out
+
+
+def _together(one: Effect, other: Effect) -> bool:
+    """Whether two causes may sit at one place: viscous friction beside one law of dry friction, no more."""
+    if one.cause == other.cause:
+        return False
+    if one.family == other.family == "friction":
+        both = {one.cause, other.cause}
+        return "viscous_friction" in both and "asymmetric_friction" not in both
+    return True
 
 
 class Screen:
@@ -61,9 +66,13 @@ class Screen:
         evaluation = fit.evaluation
         scale = np.linalg.norm(evaluation.jacobian, axis=0)
         scale[scale == 0] = 1.0
-        left, size, _ = np.linalg.svd(evaluation.jacobian / scale, full_matrices=False)
-        self.basis = left[:, size > 1e-10 * size[0]]
+        left, size, right = np.linalg.svd(evaluation.jacobian / scale, full_matrices=False)
+        seen = size > 1e-10 * size[0]
+        self.basis = left[:, seen]
+        self._back = (right[seen].T / size[seen]) / scale[:, None]
         self.residual = evaluation.residual - self.basis @ (self.basis.T @ evaluation.residual)
+        self._feedback = [v.feedback for v in evaluation.views]
+        self._at: Pattern | None = None
         self.tail = evaluation.residual.size - sum(
             2 * v.record.omega.size * v.record.torque.shape[1] for v in evaluation.views
         )
@@ -86,6 +95,18 @@ class Screen:
         out: Float64 = white - self.basis @ (self.basis.T @ white)
         return out
 
+    def shift(self, term: Term, x: Float64) -> Float64:
+        """(n,) Gauss–Newton step of the parameters fitted so far with the effect at ``x`` in place."""
+        self._reconstruct(term)
+        evaluation = self.fit.evaluation
+        parts = []
+        for view, root, basis in zip(self.views, evaluation.roots, evaluation.bases, strict=True):
+            part = _stack(root @ term.effect.contribution(view, term.place, x.tolist())[0][..., None])[:, 0]
+            parts.append(part - basis @ (basis.T @ part) if basis.size else part)
+        white = np.concatenate([*parts, np.zeros(self.tail)]) + evaluation.residual
+        out: Float64 = -self._back @ (self.basis.T @ white)
+        return out
+
     def at(self, term: Term, shape: Sequence[float]) -> tuple[float, Float64]:
         """Gain and parameter vector at one shape."""
         effect, place = term.effect, term.place
@@ -95,13 +116,31 @@ class Screen:
                 return -np.inf, np.asarray(shape, dtype=float)
             gain = float(-2.0 * columns @ self.residual - columns @ columns)
             return gain, np.asarray(shape, dtype=float)
+        self._reconstruct(term)
         columns = self.project([effect.basis(v, place, shape) for v in self.views])
         gain, coefficients = _regress(effect, columns, self.residual)
         return gain, np.concatenate((coefficients, np.asarray(shape, dtype=float)))
 
+    def _reconstruct(self, term: Term | None) -> None:
+        """Inner motion of every view, had the missing torque come from a force at the term's place."""
+        pattern = None if term is None or not term.inner else term.place.pattern(self.fit.layout.structure)
+        if pattern == self._at:
+            return
+        self._at = pattern
+        for view, own, rest in zip(self.views, self._feedback, self.fit.evaluation.missing, strict=True):
+            if pattern is None or view.missing is None:
+                view.respond(own)
+            else:
+                view.respond(own - view.yields(pattern) * view.inferred(pattern, rest)[:, None])
+
+    def release(self) -> None:
+        """Gives the views of the fit their own inner motion back."""
+        self._reconstruct(None)
+
     def _nonlinear(self, view: View, term: Term, shape: Sequence[float]) -> Complex128:
         """Contribution on top of the causes chosen, inner motion in agreement with it."""
-        if not term.inner:
+        self._reconstruct(term)
+        if not term.inner or view.missing is not None:
             return term.effect.contribution(view, term.place, shape)[0]
         before = view.feedback
         total: Complex128 = np.zeros_like(view.acting)
@@ -115,14 +154,17 @@ class Screen:
 
     def best(self, term: Term, *, polish: bool = False) -> Score:
         """The best shape of the grid, polished between its neighbours where asked."""
+        self._reconstruct(term)
         grid = term.effect.grid(self.views, term.place)
         if not grid:
             return Score(term, np.zeros(0), -np.inf)
         results = [(*self.at(term, shape), shape) for shape in grid]
         gain, x, shape = max(results, key=lambda r: r[0])
-        if polish and shape:
+        if not polish:
+            return Score(term, x, gain)
+        if shape:
             gain, x = self._polish(term, gain, x, list(shape), grid)
-        return Score(term, x, gain)
+        return Score(term, x, gain, self.shift(term, x))
 
     def _polish(
         self, term: Term, gain: float, x: Float64, shape: list[float], grid: list[tuple[float, ...]]

@@ -7,11 +7,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from invid.arrays import Float64
-from invid.discrepancy.joint import JointFit, fit, held_out
-from invid.discrepancy.plant import Evaluation, Layout, Term, evaluate
+from invid.arrays import Bool, Float64
+from invid.discrepancy.joint import LARGEST_STEP, JointFit, fit, held_out, limits_of
+from invid.discrepancy.plant import Candidate, Evaluation, Layout, Term, evaluate
 from invid.discrepancy.screen import Score, Screen, terms_for
 from invid.distributions import chi2_isf
+from invid.effects import CATALOGUE
 from invid.effects.base import Record, rms
 
 POLISHED, REFITTED, PLACES = 12, 6, 2
@@ -73,35 +74,71 @@ class Selection:
     rejected: tuple[Score, ...] = field(default=())
 
 
-def refit(current: JointFit, records: Sequence[Record], term: Term, x: Float64, iterations: int) -> JointFit:
-    """Joint fit with one effect more."""
-    layout, p = current.layout, current.p
-    if term.effect.cause == "torque_delay":
-        layout, stay = layout.without_delay([term.place.axis])
-        p = p[stay]
-    x = _start(layout, records, p, current, term, x)
-    return fit(layout, records, p, current.candidate.plus(term, x), iterations=iterations)
+def refit(
+    current: JointFit,
+    records: Sequence[Record],
+    term: Term,
+    x: Float64,
+    iterations: int,
+    shift: Float64 | None = None,
+) -> JointFit:
+    """Joint fit with one effect more; ``shift``: step of the parameters so far that goes with it."""
+    layout, p, candidate = _start(current, records, term, x, shift)
+    return fit(layout, records, p, candidate, iterations=iterations)
 
 
 def _start(
-    layout: Layout, records: Sequence[Record], p: Float64, current: JointFit, term: Term, x: Float64
-) -> Float64:
-    """The screen's coefficients, or a share of them: linearised sizes overshoot where effects are strong."""
-    count = len(term.effect.coefficients)
-    best, chosen = np.inf, x
-    for share in (1.0, 0.4, 0.1, 0.01):
+    current: JointFit, records: Sequence[Record], term: Term, x: Float64, shift: Float64 | None
+) -> tuple[Layout, Float64, Candidate]:
+    """Where the joint fit starts: the cheapest of the screen's joint step, shares of it, and of sizes alone.
+
+    A strong effect biases the linear parameters, so its size alone makes things worse; a linearised step
+    overshoots where the bias is large.
+    """
+    layout, stay = current.layout, np.ones(current.layout.count, dtype=bool)
+    if term.effect.cause == "torque_delay":
+        layout, stay = layout.without_delay([term.place.axis])
+    count, n = len(term.effect.coefficients), current.layout.count
+    best, chosen = np.inf, (layout, current.p[stay], current.candidate.plus(term, x))
+    tries = [(0.0, 1.0), (0.0, 0.4), (0.0, 0.1), (0.0, 0.01)]
+    if shift is not None and shift.size and np.isfinite(shift).all():
+        tries = [(1.0, 1.0), (0.5, 1.0), *tries[:1], (0.4, 0.4), *tries[1:]]
+    low, high = limits_of(current.layout, current.candidate, current.evaluation, True)
+    for step, share in tries:
+        moved = np.concatenate((current.p, *current.candidate.x))
+        if step and shift is not None:
+            limit = np.where(_logarithmic(current), LARGEST_STEP, np.inf)
+            moved = np.clip(moved + np.clip(step * shift, -limit, limit), low, high)
+        p, at, xs = moved[:n], n, []
+        for t in current.candidate.terms:
+            xs.append(moved[at : at + t.size])
+            at += t.size
         trial = x.copy()
         trial[:count] *= share
+        if not current.layout.structure.admissible(p[: current.layout.structure.count]):
+            continue
+        candidate = Candidate((*current.candidate.terms, term), (*xs, trial))
         with np.errstate(all="ignore"):
             try:
-                cost = evaluate(layout, records, p, current.candidate.plus(term, trial), jacobian=False).cost
+                cost = evaluate(layout, records, p[stay], candidate, jacobian=False).cost
             except np.linalg.LinAlgError:
                 continue
         if np.isfinite(cost) and cost < best:
-            best, chosen = cost, trial
-        if not count or cost < current.cost:
+            best, chosen = cost, (layout, p[stay], candidate)
+        if cost < current.cost:
             break
     return chosen
+
+
+def _logarithmic(current: JointFit) -> Bool:
+    """(n,) parameters of a fit that move as logarithms."""
+    structure, layout = current.layout.structure, current.layout
+    flags = [structure.logarithmic, np.zeros(layout.count - structure.count, dtype=bool)]
+    for t in current.candidate.terms:
+        shapes = np.array(t.effect.logarithmic, dtype=bool)
+        flags += [np.zeros(len(t.effect.coefficients), dtype=bool), shapes]
+    out: Bool = np.concatenate(flags)
+    return out
 
 
 def select(
@@ -124,9 +161,59 @@ def select(
         step, rejected = _step(current, train, held, linear_axes, free, start, first=not steps)
         if step is None:
             break
-        steps.append(step)
-        current = step.chosen
+        added = _ladder(step, train, held) or (step,)
+        steps.extend(added)
+        current = added[-1].chosen
     return Selection(start, current, tuple(steps), rejected)
+
+
+def _ladder(step: Step, train: Sequence[Record], held: Sequence[Record]) -> tuple[Step, ...]:
+    """Friction that differs between the directions against dry and viscous friction at the same place.
+
+    Four parameters against two (Coulomb and viscous), four (Stribeck or presliding, and viscous): each as two
+    causes. The cheaper after the penalty is the answer; none where the four parameters are needed.
+    """
+    place = step.chosen.term.place
+    if step.chosen.term.effect.cause != "asymmetric_friction":
+        return ()
+    x = step.chosen.x
+    effects = {e.cause: e for e in CATALOGUE}
+    dry, wet = 0.5 * float(x[0] + x[1]), 0.5 * float(x[2] + x[3])
+    views = step.chosen.fit.evaluation.views
+    best: tuple[Trial, Trial] | None = None
+    here = step.chosen.fit
+    rows, dispersion = here.dof, max(1.0, step.chosen.cost / (here.dof + step.chosen.held.dof))
+    limit = step.chosen.cost / dispersion + penalty(step.chosen, rows)
+    for cause in ("coulomb_friction", "stribeck_friction", "presliding_friction"):
+        if dry <= 0 or wet <= 0:
+            break
+        effect = effects[cause]
+        shape = min((abs(g[0]), g) for g in effect.grid(views, place))[1] if effect.shapes else ()
+        start = [dry, 0.2 * dry] if cause == "stribeck_friction" else [dry]
+        terms = (Term(effect, place), Term(effects["viscous_friction"], place))
+        candidate = Candidate(
+            (*here.candidate.terms[:-1], *terms),
+            (*here.candidate.x[:-1], np.array([*start, *shape]), np.array([wet])),
+        )
+        try:
+            both = fit(here.layout, train, here.p, candidate, iterations=20)
+            trial = Trial(both, held_out(both, held))
+        except np.linalg.LinAlgError:
+            continue
+        if trial.cost / dispersion + penalty(trial, rows) < limit:
+            limit = trial.cost / dispersion + penalty(trial, rows)
+            alone = Candidate(candidate.terms[:-1], both.candidate.x[:-1])
+            one = fit(here.layout, train, both.p, alone, iterations=12)
+            best = Trial(one, held_out(one, held)), trial
+    if best is None:
+        return ()
+    first, second = best
+    kept = tuple((t, s) for t, s in step.ranked if t.term.place != place)
+    score = second.cost / dispersion + penalty(second, rows)
+    return (
+        Step(step.before, first, ((first, score), *kept)),
+        Step(first, second, ((second, score),)),
+    )
 
 
 def _screened(screen: Screen, terms: Sequence[Term]) -> list[Score]:
@@ -141,6 +228,7 @@ def _screened(screen: Screen, terms: Sequence[Term]) -> list[Score]:
         if count[cause] <= PLACES:
             out.append(s)
     polished = [screen.best(s.term, polish=True) for s in out[:POLISHED]]
+    screen.release()
     polished.sort(key=lambda s: -s.gain)
     return polished
 
@@ -177,7 +265,7 @@ def _step(
             break
         with np.errstate(all="ignore"):
             try:
-                refitted = refit(here, train, s.term, s.x, 12)
+                refitted = refit(here, train, s.term, s.x, 12, s.shift)
                 trial = Trial(refitted, held_out(refitted, held))
             except np.linalg.LinAlgError:  # a start from which nothing finite follows
                 continue

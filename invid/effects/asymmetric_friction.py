@@ -9,7 +9,7 @@ import numpy as np
 
 from invid.arrays import Float64
 from invid.effects.base import ForceEffect, Place, View, mass_places
-from invid.effects.coulomb_friction import sign_law, softness
+from invid.effects.sign import sign_law, softness
 from invid.refine.structure import ChainStructure
 
 

@@ -71,7 +71,10 @@ class Record:
     scatter
         (F, M) variance of r [(N·m)² or N²] that the scatter between periods adds to the sensors' noise.
     motor_wave, motor_velocity, velocity_noise
-        (n, M), (n, M), (M,): one period (or the whole record) of the motors, noise filtered out.
+        (n, M), (n, M), (M,): one period (or the whole record) of the motors, noise filtered out, on a grid
+        of interval ``wave_step`` that is no finer than the laws of motion need.
+    torque_wave
+        (samples, M): torque over the same time, as sampled.
     ramp
         (M,) speed of the line between the record's ends; zero for periodic records.
     command
@@ -99,6 +102,7 @@ class Record:
     motor_velocity: Float64
     velocity_noise: Float64
     torque_wave: Float64
+    wave_step: float
     ramp: Float64
     staircase: Float64
     start_time: float
@@ -116,8 +120,15 @@ class Record:
 
     @property
     def samples(self) -> int:
-        """n."""
+        """n, of the waves of motion."""
         return int(self.motor_wave.shape[0])
+
+    @property
+    def wave_time(self) -> Float64:
+        """(n,) time of the waves of motion, zero in the record's middle [s]."""
+        middle = 0.5 * (self.torque_wave.shape[0] - 1) * self.step
+        out: Float64 = np.arange(self.samples, dtype=np.float64) * self.wave_step - middle
+        return out
 
     def after(self, time: float) -> float:
         """Share of the record that lies after ``time``."""
@@ -147,7 +158,12 @@ class View:
         self.origin = origin
         self.base = np.einsum("fqm,fm->fq", motion, record.filtered)
         self.feedback: Complex128 = np.zeros_like(self.base)
+        self.missing: Complex128 | None = None
+        """(F, M) missing torque of the linear model; None where forces cannot be read from it."""
+        self.certainty: Complex128 = np.zeros((0, 0, 0), dtype=complex)
+        """(F, M, M) inverse covariance of ``missing``."""
         self._waves: dict[tuple[Pattern, bool], Float64] = {}
+        self._gains: dict[tuple[Pattern, ...], Complex128] = {}
 
     @property
     def omega(self) -> Float64:
@@ -193,8 +209,7 @@ class View:
             out = np.fft.irfft(half, record.samples)
             ramp = sum(sign * record.ramp[self._axis(at)] for at, sign in pattern)
             if ramp:
-                time = (np.arange(record.samples) - (record.samples - 1) / 2) * record.step
-                out = out + (ramp if rate else ramp * time)
+                out = out + (ramp if rate else ramp * record.wave_time)
         self._waves[key] = out
         return out
 
@@ -203,13 +218,13 @@ class View:
 
     def to_lines(self, basis: Float64, *, smeared: bool = False) -> Complex128:
         """(F, L) amplitudes of (n, L) waves; ``smeared``: they are means over a triangle of two samples."""
-        record = self.record
-        out: Complex128 = np.fft.rfft(basis, axis=0)[record.lines] * (2.0 / record.samples)
+        record, count = self.record, basis.shape[0]
+        out: Complex128 = np.fft.rfft(basis, axis=0)[record.lines] * (2.0 / count)
         if record.transient:
-            out = out + (basis[-1] - basis[0]) / record.samples
+            out = out + (basis[-1] - basis[0]) / count
         out[0] *= 0.5
         if smeared:
-            out = out / np.sinc(self.omega * record.step / 2 / np.pi)[:, None] ** 2
+            out = out / np.sinc(self.omega * record.wave_step / 2 / np.pi)[:, None] ** 2
         return out
 
     def push(self, pattern: Pattern) -> Complex128:
@@ -225,6 +240,46 @@ class View:
         for at, sign in pattern:
             total = total + sign * self.inner[:, :, at]
         return total
+
+    def inferred(self, pattern: Pattern, missing: Complex128) -> Complex128:
+        """(F,) force along the pattern that ``missing`` (F, M) would take, whatever its law.
+
+        r = −Wᵀ b f solved for f with the weights of the noise, shrunk by its own noise (Wiener) and zero
+        where within six times the noise power, which noise alone exceeds on one line in 400.
+        """
+        push = self.push(pattern)
+        weighted = np.einsum("fij,fj->fi", self.certainty, push).conj()
+        information = np.einsum("fi,fi->f", weighted, push).real
+        safe = np.maximum(information, 1e-300)
+        force = -np.einsum("fi,fi->f", weighted, missing) / safe
+        power = np.abs(force) ** 2 * safe
+        keep = np.where((power > 6.0) & (information > 0), 1.0 - 1.0 / np.maximum(power, 1e-300), 0.0)
+        out: Complex128 = keep * force
+        return out
+
+    def correction(self, patterns: tuple[Pattern, ...], rest: Complex128) -> Complex128:
+        """(F, ΣN) what forces beyond the laws do to inner coordinates: the mean of what ``rest`` leaves open.
+
+        ``rest`` is the missing torque with the laws' contributions. A law at the wrong size reconstructs
+        the wrong inner motion, which near a clamped resonance feeds back and runs away; the measured
+        torque says what force there really was. Prior variance of the forces: what ``missing`` would
+        take at each place alone, so that nothing is corrected where noise is all there is.
+        """
+        if self.missing is None:
+            return np.zeros_like(self.base)
+        if patterns not in self._gains:
+            pushes = np.stack([self.push(p) for p in patterns], axis=-1)  # (F, M, T)
+            prior = np.stack([np.abs(self.inferred(p, self.missing)) ** 2 for p in patterns], axis=-1)
+            weighted = np.einsum("fmt,fmn->ftn", pushes.conj(), self.certainty)
+            inner = np.einsum("ftn,fnu->ftu", weighted, pushes) * prior[:, None, :]
+            inner = inner + np.eye(len(patterns))
+            # S Hᴴ(H S Hᴴ + C)⁻¹ = S (Hᴴ C⁻¹ H S + 1)⁻¹ Hᴴ C⁻¹
+            self._gains[patterns] = -prior[..., None] * np.linalg.solve(inner, weighted)
+        forces = np.einsum("ftm,fm->ft", self._gains[patterns], rest)
+        out: Complex128 = np.zeros_like(self.base)
+        for k, pattern in enumerate(patterns):
+            out = out - self.yields(pattern) * forces[:, k, None]
+        return out
 
     def compliance(self, pattern: Pattern) -> Complex128:
         """(F,) bᵀ Z_ii⁻¹ b."""

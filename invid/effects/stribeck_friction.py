@@ -6,11 +6,10 @@ from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import numpy as np
-from scipy.special import erf
 
 from invid.arrays import Float64
 from invid.effects.base import ForceEffect, Place, View, mass_places, rms
-from invid.effects.coulomb_friction import averaged, sign_law, softness
+from invid.effects.sign import excess_law, sign_law, softness
 from invid.refine.structure import ChainStructure
 
 
@@ -48,9 +47,7 @@ class StribeckFriction(ForceEffect):
         v = view.velocity(place.pattern(view.structure))
         soft = softness(view, place)
         vs = float(np.exp(shape[0]))
-        phi = vs * np.sqrt(np.pi) / 2 * erf(np.abs(v) / vs)
-        excess = averaged(v, phi, np.tanh(v / soft) * np.exp(-((v / vs) ** 2)))
-        return np.stack([sign_law(v, soft), excess], axis=1)
+        return np.stack([sign_law(v, soft), excess_law(v, soft, vs)], axis=1)
 
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
         return {"static": float(x[0] + x[1]), "coulomb": float(x[0]), "velocity": float(np.exp(x[2]))}

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from invid.effects import CATALOGUE
-from invid.effects.coulomb_friction import sign_law
+from invid.effects.sign import sign_law
 from invid.effects.slider import slide
 from invid.refine.structure import ChainStructure
 

@@ -1,0 +1,79 @@
+"""Laws that jump with the sign of the velocity, averaged over their samples so that the jumps do not alias.
+
+With the velocity linear between samples, the mean of a law over an interval is ΔΦ/Δv, Φ the law's
+antiderivative (antiderivative antialiasing); a sample gets the mean of the intervals around it.
+"""
+
+from __future__ import annotations
+
+from math import erf, exp, log1p, pi, sqrt, tanh
+
+import numpy as np
+from numba import njit
+
+from invid.arrays import Float64
+from invid.effects.base import Place, View
+
+FAR = 15.0
+"""Velocity over the softness from which a sign is one: exp(−30) is beyond the digits of a float."""
+
+
+def softness(view: View, place: Place) -> float:
+    """Velocity below which its sign is noise [rad/s or m/s]."""
+    pattern = place.pattern(view.structure)
+    v = view.velocity(pattern)
+    noise = float(view.record.velocity_noise[place.axis])
+    return max(1.5 * noise, 1e-3 * float(np.sqrt(np.mean(v**2))), 1e-300)
+
+
+@njit(cache=True)
+def _between(v: np.ndarray, phi: np.ndarray, plain: np.ndarray) -> np.ndarray:
+    """(n,) mean over the intervals around each sample of a wave that closes."""
+    count = v.size
+    small = 1e-9 * np.abs(v).max()
+    out = np.empty(count)
+    before = 0.0
+    for k in range(-1, count):
+        a = k if k >= 0 else count - 1
+        b = k + 1 if k + 1 < count else 0
+        dv = v[b] - v[a]
+        now = 0.5 * (plain[a] + plain[b]) if abs(dv) < small else (phi[b] - phi[a]) / dv
+        if k >= 0:
+            out[k] = 0.5 * (before + now)
+        before = now
+    return out
+
+
+@njit(cache=True)
+def _sign(v: np.ndarray, soft: float) -> np.ndarray:
+    phi, plain = np.empty(v.size), np.empty(v.size)
+    for k in range(v.size):
+        u = abs(v[k]) / soft
+        near = u < FAR
+        phi[k] = soft * (u + (log1p(exp(-2.0 * u)) if near else 0.0))
+        size = tanh(u) if near else 1.0
+        plain[k] = size if v[k] > 0 else -size
+    return _between(v, phi, plain)
+
+
+@njit(cache=True)
+def _excess(v: np.ndarray, soft: float, width: float) -> np.ndarray:
+    phi, plain = np.empty(v.size), np.empty(v.size)
+    for k in range(v.size):
+        u, w = abs(v[k]) / soft, abs(v[k]) / width
+        phi[k] = width * sqrt(pi) / 2 * erf(w)
+        size = (tanh(u) if u < FAR else 1.0) * exp(-w * w)
+        plain[k] = size if v[k] > 0 else -size
+    return _between(v, phi, plain)
+
+
+def sign_law(v: Float64, soft: float) -> Float64:
+    """(n,) the sign of the velocity."""
+    out: Float64 = _sign(np.ascontiguousarray(v), soft)
+    return out
+
+
+def excess_law(v: Float64, soft: float, width: float) -> Float64:
+    """(n,) sign(v)·exp(−(v/width)²)."""
+    out: Float64 = _excess(np.ascontiguousarray(v), soft, width)
+    return out
