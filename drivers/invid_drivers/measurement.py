@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import yaml
 
@@ -17,7 +17,7 @@ from invid.config import CellConfig
 from invid.errors import BusError, ConfigError, DriveError, SafetyStop
 from invid.plan import Plan, make_plan
 from invid.recording import Outcome, Recording, RecordingWriter
-from invid.sweep import Progress, Sweep, SweepResult
+from invid.sweep import Progress, Sink, Sweep, SweepResult
 from invid.sweep.recorder import Recorder
 from invid_drivers.cia402.bus import Cia402Cell
 from invid_drivers.connect import connect, is_virtual
@@ -106,6 +106,14 @@ def measure_to_file(
     return result
 
 
+class ClosingSink(Sink, Protocol):
+    """Where the samples of one measurement go."""
+
+    def close(self, outcome: Outcome) -> None:
+        """How it ended."""
+        ...
+
+
 def start_measurement(
     config: CellConfig,
     axes: Sequence[str] | None,
@@ -130,23 +138,25 @@ def run_measurement(
     *,
     progress: Callable[[Progress], None] | None = None,
     stop: threading.Event | None = None,
-    open_writer: Callable[[Recording], RecordingWriter] | None = None,
+    open_sink: Callable[[Recording], ClosingSink] | None = None,
     notes: Sequence[str] = (),
 ) -> MeasurementResult:
-    """The measurement on a connected cell, which is closed at the end."""
+    """The measurement on a connected cell, which is closed at the end.
+
+    ``open_sink`` says where samples go instead of into ``out``.
+    """
     complaints: list[str] = []
     closed = False
-    recorder: Recorder | None = None
+    recorder: ClosingSink | None = None
     outcome = Outcome.FAILED
     try:
         _require_file(out)
         cell.check()
         header = _header(config, cell)
-        recorder = Recorder(
-            lambda: RecordingWriter(out, header) if open_writer is None else open_writer(header),
-            plan.cycle_s,
-            len(plan.axes),
-        )
+        if open_sink is None:
+            recorder = Recorder(lambda: RecordingWriter(out, header), plan.cycle_s, len(plan.axes))
+        else:
+            recorder = open_sink(header)
         sweep = Sweep(plan, config, cell, recorder, progress=progress, stop=stop)
         result = sweep.run()
         outcome = Outcome.COMPLETED

@@ -18,20 +18,27 @@ import queue
 import resource
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from invid import errors
+from invid.arrays import frozen_float
 from invid.chains import CoupledChains
 from invid.config import CellConfig
 from invid.errors import BusError, InvidError, SafetyStop
+from invid.plan.model import PlannedExperiment
 from invid.recording import Outcome, Recording, RecordingWriter
-from invid.sweep import Progress
+from invid.sweep import Progress, Sample
+from invid.sweep.recorder import Recorder
 
 PRIORITY = 50
 """SCHED_FIFO priority: above everything ordinary, below the kernel's own threads."""
@@ -40,6 +47,8 @@ SWITCH_S = 0.0001
 _PR_SET_PDEATHSIG = 1
 _MCL_CURRENT_AND_FUTURE = 3
 RELAY_POLL_S = 0.05
+POST_S = 0.05
+"""Rows leave the cycle process this often: what a sudden death of it may cost."""
 
 
 def make_realtime() -> tuple[str, ...]:
@@ -77,26 +86,60 @@ def die_with_parent(parent: int) -> None:
         os.kill(os.getpid(), signal.SIGTERM)
 
 
-class RemoteWriter:
-    """Stands for the parent's ``RecordingWriter``; a thread sends, so that the cycle never waits."""
+def row_format(axes: int) -> np.dtype[Any]:
+    """One cycle on its way to the parent."""
+    per_axis = (("position", "<f8"), ("torque", "<f8"), ("demand", "<f8"), ("status", "<u2"), ("fresh", "?"))
+    return np.dtype([("slot", "<i8"), ("time", "<f8"), *((name, code, (axes,)) for name, code in per_axis)])
 
-    def __init__(self, send: Callable[[tuple[Any, ...]], None]) -> None:
+
+class RemoteSink:
+    """The sweep's sink in the cycle process: packs rows, and leaves gaps and file to the parent.
+
+    Filling gaps and compressing take milliseconds, which the cycle has not; and rows that have left this
+    process survive it.
+    """
+
+    def __init__(self, send: Callable[[tuple[Any, ...]], None], cycle_s: float, axes: int) -> None:
         self._send = send
+        # row_format, packed
+        self._pack = struct.Struct(f"<qd{3 * axes}d{axes}H{axes}?").pack
+        self._rows: list[bytes] = []
+        self._most = max(1, round(POST_S / cycle_s))
 
-    def begin(self, **settings: Any) -> None:
-        """As ``RecordingWriter.begin``."""
-        self._send(("begin", settings))
+    def begin(self, experiment: PlannedExperiment, hold_gain: Sequence[float], scale: float) -> None:
+        """As ``Recorder.begin``; the planned torque stays here."""
+        none = frozen_float(np.zeros((0, len(hold_gain))))
+        self._send(("begin", replace(experiment, torque=none, reference=None), list(hold_gain), scale))
 
-    def append(self, *arrays: Any) -> None:
-        """As ``RecordingWriter.append``."""
-        self._send(("append", arrays))
+    def row(self, sample: Sample, demand: Sequence[float]) -> None:
+        """As ``Recorder.row``."""
+        self._rows.append(
+            self._pack(
+                sample.slot,
+                sample.time,
+                *sample.position,
+                *sample.torque,
+                *demand,
+                *sample.status,
+                *sample.fresh,
+            )
+        )
+        if len(self._rows) >= self._most:
+            self._post()
+
+    def _post(self) -> None:
+        if self._rows:
+            self._send(("rows", b"".join(self._rows)))
+            self._rows.clear()
 
     def end(self) -> None:
-        """As ``RecordingWriter.end``."""
+        """As ``Recorder.end``."""
+        self._post()
         self._send(("end",))
 
     def close(self, outcome: Outcome) -> None:
         """The parent closes, when it knows how the run ended."""
+        self._post()
 
 
 def child_main(fd: int) -> None:
@@ -129,9 +172,9 @@ def child_main(fd: int) -> None:
         plan, cell = start_measurement(config, task["axes"], task["amplitude_scale"], task["model"])
         notes = make_realtime()
 
-        def open_writer(header: Recording) -> Any:
-            outbox.put(("open", header))
-            return RemoteWriter(outbox.put)
+        def open_sink(header: Recording) -> RemoteSink:
+            outbox.put(("open", header, plan.cycle_s))
+            return RemoteSink(outbox.put, plan.cycle_s, len(plan.axes))
 
         result = run_measurement(
             config,
@@ -140,7 +183,7 @@ def child_main(fd: int) -> None:
             Path(task["out"]),
             progress=lambda p: outbox.put(("progress", p)),
             stop=stop,
-            open_writer=open_writer,
+            open_sink=open_sink,
             notes=notes,
         )
         outbox.put(("result", result))
@@ -208,7 +251,8 @@ class _Relay:
 
     def __init__(self, out: Path) -> None:
         self._out = out
-        self._writer: RecordingWriter | None = None
+        self._recorder: Recorder | None = None
+        self._row_format = row_format(0)
         self._outcome = Outcome.FAILED
 
     def run(
@@ -231,7 +275,7 @@ class _Relay:
                 if progress is not None:
                     progress(message[1])
             elif kind == "open":
-                self._writer = RecordingWriter(self._out, message[1])
+                self._open(*message[1:])
             elif kind == "result":
                 self._outcome = Outcome.COMPLETED
                 return message[1]
@@ -242,24 +286,38 @@ class _Relay:
                         self._outcome = Outcome.ABORTED
                     raise known(message[2])
                 raise RuntimeError(message[2])
-            elif self._writer is not None:
-                self._write(kind, message)
+            elif self._recorder is not None:
+                self._record(self._recorder, kind, message)
 
-    def _write(self, kind: str, message: tuple[Any, ...]) -> None:
-        writer = self._writer
-        if writer is None:
-            return
+    def _open(self, header: Recording, cycle_s: float) -> None:
+        count = len(header.axes)
+        self._row_format = row_format(count)
+        self._recorder = Recorder(lambda: RecordingWriter(self._out, header), cycle_s, count)
+
+    def _record(self, recorder: Recorder, kind: str, message: tuple[Any, ...]) -> None:
         if kind == "begin":
-            writer.begin(**message[1])
-        elif kind == "append":
-            writer.append(*message[1])
+            recorder.begin(*message[1:])
         elif kind == "end":
-            writer.end()
+            recorder.end()
+        elif kind == "rows":
+            for slot, time, position, torque, demand, status, fresh in np.frombuffer(
+                message[1], dtype=self._row_format
+            ):
+                sample = Sample(
+                    int(slot),
+                    float(time),
+                    position.tolist(),
+                    torque.tolist(),
+                    status.tolist(),
+                    fresh.tolist(),
+                )
+                recorder.row(sample, demand.tolist())
 
     def close(self) -> None:
-        """Mark and close the file, if one was opened."""
-        if self._writer is not None:
-            self._writer.close(self._outcome)
+        """Write what is left, mark and close the file, if one was opened."""
+        if self._recorder is not None:
+            self._recorder.end()
+            self._recorder.close(self._outcome)
 
 
 if __name__ == "__main__":

@@ -138,6 +138,7 @@ class Recorder:
         self._time, self._demand = self._time[keep:], self._demand[keep:]
         self._status = self._status[keep:]
         self._written = upto - keep
+        self._holes = bool(np.isnan(np.asarray(self._position)).any())
 
     def end(self) -> None:
         """The experiment is over."""
