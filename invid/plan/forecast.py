@@ -9,7 +9,9 @@ import numpy as np
 from invid.arrays import Float64
 from invid.chains import CoupledChains
 from invid.config import CellConfig
+from invid.plan.belief import Belief
 from invid.plan.model import AxisForecast, PlannedExperiment
+from invid.plan.response import foretold_motion
 from invid.recording.model import Kind
 
 
@@ -46,6 +48,32 @@ def forecast(
             )
         )
     return tuple(result)
+
+
+def forecast_motion(
+    config: CellConfig, experiments: Sequence[PlannedExperiment], belief: Belief
+) -> tuple[AxisForecast, ...]:
+    """The same from the motion in time, transients, holds and friction included."""
+    count = len(config.axes)
+    peak, travel, velocity = np.zeros(count), np.zeros(count), np.zeros(count)
+    for e in experiments:
+        motion = foretold_motion(config, e, belief)
+        peak = np.maximum(peak, np.abs(e.torque).max(axis=0, initial=0.0))
+        travel = np.maximum(travel, np.abs(motion.position).max(axis=0))
+        velocity = np.maximum(velocity, np.abs(motion.velocity).max(axis=0))
+    return tuple(
+        AxisForecast(
+            axis=axis.name,
+            unit="N" if config.linear else "N·m",
+            peak_torque=float(peak[i]),
+            travel=float(travel[i]),
+            velocity=float(velocity[i]),
+            power=float(peak[i] * velocity[i]),
+            travel_limit=axis.limits.position,
+            basis="guess" if belief.guessed else "model",
+        )
+        for i, axis in enumerate(config.axes)
+    )
 
 
 def _motion(config: CellConfig, e: PlannedExperiment, model: CoupledChains | None) -> tuple[Float64, Float64]:

@@ -13,9 +13,9 @@ import typer
 from invid.cli.output import EXIT_OK, emit, note
 from invid.config import load_config
 from invid.errors import InputError, SafetyStop
-from invid.model import load_model
 from invid.plan import Plan, make_plan
 from invid.sweep import Progress
+from invid_drivers.cli.expectation import NOTHING, belief_of, expectation, expected_text, noise_of
 from invid_drivers.measurement import MeasurementResult, measure_to_file
 
 
@@ -122,17 +122,31 @@ def register(app: typer.Typer) -> None:
             None, "--axes", help="Excite only these, as A1,A2; the others are held."
         ),
         amplitude: float = typer.Option(1.0, "--amplitude", help="Factor on every torque, at most 1."),
-        model: Path | None = typer.Option(None, "--model", help="Last model: foretells travel."),
+        model: Path | None = typer.Option(
+            None, "--model", help="Last accepted model: foretells travel and uncertainty."
+        ),
+        noise_from: Path | None = typer.Option(
+            None, "--noise-from", help="Earlier recording of this cell: its noise foretells uncertainty."
+        ),
         as_json: bool = typer.Option(False, "--json", help="One JSON document on stdout."),
     ) -> int:
         """Shake the axes and record position and torque."""
         cell = load_config(config)
         chosen = None if axes is None else [a.strip() for a in axes.split(",") if a.strip()]
-        chains = None if model is None else load_model(model).chains
+        belief = belief_of(cell, model)
+        chains = None if model is None or belief is None else belief.chains
         if dry_run:
             plan = make_plan(cell, axes=chosen, amplitude_scale=amplitude, model=chains)
-            document = {"dry_run": True, "robot": cell.robot, "simulated": cell.simulated, **plan.to_json()}
-            emit(document, plan_text(plan, cell.robot), as_json=as_json)
+            found = expectation(cell, plan, belief, noise_of(cell, noise_from))
+            document = {
+                "dry_run": True,
+                "robot": cell.robot,
+                "simulated": cell.simulated,
+                **plan.to_json(),
+                "expected": None if found is None else found.to_json(),
+            }
+            said = f"  note: {NOTHING}" if found is None else expected_text(found, linear=cell.linear)
+            emit(document, f"{plan_text(plan, cell.robot)}\n{said}", as_json=as_json)
             return EXIT_OK
         if out is None:
             raise InputError("measure: no recording named; add -o REC.h5 (or --dry-run)")

@@ -1,0 +1,75 @@
+"""What a dry run says of the uncertainty to expect, as one document and as text."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from invid.config import CellConfig
+from invid.errors import InputError
+from invid.expected import Expected, Noise, expected, recorded_noise
+from invid.model import load_model, units
+from invid.plan import Plan
+from invid.plan.belief import Belief, from_model, guess
+from invid.recording import read_recording
+from invid_drivers.foretelling import sensor_noise
+
+NOTHING = (
+    "no expected uncertainty: neither --model nor an inertia (inertia_kgm2, mass_kg) for every axis in the "
+    "config; after a first identification give its model"
+)
+
+
+def belief_of(config: CellConfig, model: Path | None) -> Belief | None:
+    """The last model, or a guess that says so; ``None`` where there is nothing to guess from."""
+    if model is None:
+        return guess(config)
+    return from_model(load_model(model), config, source=f"the model {model}")
+
+
+def noise_of(config: CellConfig, recording: Path | None) -> Noise:
+    """Noise of an earlier recording of the cell, or what the config says and leaves to assume."""
+    if recording is None:
+        return sensor_noise(config)
+    found = read_recording(recording)
+    if found.axes != tuple(a.name for a in config.axes):
+        raise InputError(
+            f"{recording}: its axes are {', '.join(found.axes)}, the config's "
+            f"{', '.join(a.name for a in config.axes)}; name a recording of this cell"
+        )
+    noise = recorded_noise(found)
+    if not np.isfinite(noise.torque).all():
+        raise InputError(f"{recording}: no experiment shakes an axis, so it shows no noise; leave it out")
+    return noise
+
+
+def expectation(config: CellConfig, plan: Plan, belief: Belief | None, noise: Noise) -> Expected | None:
+    """Expected covariance of a plan; ``None`` where there is no belief or nothing to identify from."""
+    if belief is None or not any(e.role == "identify" and e.frequencies_hz.size for e in plan.experiments):
+        return None
+    return expected(config, plan, belief, noise)
+
+
+def expected_text(found: Expected, *, linear: bool) -> str:
+    """Expected standard deviations for a person."""
+    unit = units(linear)
+    of = {
+        "mass": unit["mass"],
+        "spring": unit["stiffness"],
+        "damper": unit["damping"],
+        "coupling": unit["mass"],
+    }
+    of["ground_spring"] = unit["stiffness"]
+    lines = [
+        f"  expected standard deviations, from {found.belief}; noise {found.noise}",
+        f"  {'parameter':<18}{'value':>10}  {'± std':<10}{'relative':>9}  unit",
+    ]
+    for name, value, std, relative in zip(found.names, found.values, found.std, found.relative, strict=True):
+        kind = next(k for k in of if k in name)
+        shown = (f"{std:.2g}", f"{100 * relative:.2g} %") if np.isfinite(std) else ("not seen", "")
+        lines.append(f"  {name:<18}{value:>10.4g}  {shown[0]:<10}{shown[1]:>9}  {of[kind]}")
+    name, worst = found.worst
+    figure = f"{100 * worst:.2g} %" if np.isfinite(worst) else "not seen by this plan"
+    lines.append(f"  worst of masses, springs and couplings: {name}, {figure}")
+    return "\n".join(lines)
