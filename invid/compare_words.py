@@ -7,7 +7,10 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from invid.compare import Change
+    from invid.compare_change import Change, Comparison
+
+PRACTICAL = 0.02
+"""Below it a change gets no interpretation: a tool change of interest exceeds about 2 % (a convention)."""
 
 
 def differing_number(value: float, std: float) -> str:
@@ -23,10 +26,91 @@ def differing_number(value: float, std: float) -> str:
     return f"{value:.{decimals}f}"
 
 
-def interpret(changed: Sequence[Change], every: Sequence[Change], tolerance: float) -> list[str]:
+def sentences(c: Comparison, *, joint_alpha: float) -> tuple[str, ...]:
+    """What changed, what did not, what cannot be told; each as a technician would want to hear it."""
+    everything = c.parameters + c.effects
+    changed = [x for x in everything if x.status == "changed"]
+    unchanged = [x for x in everything if x.status == "unchanged"]
+    separate = [x for x in everything if x.rivals]
+    open_ones = [x for x in everything if x.status == "cannot_tell" and not x.rivals]
+    said = interpret(changed, c.parameters) + _one_of(separate)
+    said += list(c.structure)
+    spread_out = c.joint_p is not None and c.joint_p < joint_alpha and not changed and not separate
+    if spread_out:
+        said.append(
+            f"Something changed (joint test, p = {c.joint_p:.1g}), but the data cannot tell which parameter: "
+            "the uncertainties of several go together. A longer measurement would."
+        )
+    else_ = "else " if changed or c.structure or separate else ""
+    worst = 100 * max((x.bound or 0.0 for x in unchanged), default=0.0)
+    if unchanged and spread_out:
+        said.append(f"{_count(len(unchanged))} unchanged within ±{worst:.2g} %.")
+    elif unchanged and not open_ones:
+        said.append(f"Nothing {else_}changed.")
+        said.append(f"{_all(len(unchanged), bool(else_))} within ±{worst:.2g} %.")
+    elif unchanged:
+        said.append(
+            f"Nothing {else_}changed as far as the data tell: {_count(len(unchanged))} unchanged within "
+            f"±{worst:.2g} %."
+        )
+    if open_ones:
+        said.append(f"Cannot tell for {_listing([x.label for x in open_ones])}: {_reasons(open_ones)}.")
+    return tuple(said)
+
+
+def _one_of(separate: Sequence[Change]) -> list[str]:
+    """One sentence for every group of parameters of which one or another changed."""
+    said: list[str] = []
+    left = {x.name: x for x in separate}
+    while left:
+        group = [next(iter(left))]
+        for name in group:
+            group += [r for r in left[name].rivals if r in left and r not in group]
+        labels = [left.pop(name).label for name in group]
+        said.append(f"One of these changed, the data do not tell which: {_listing(labels)}.")
+    return said
+
+
+def _all(count: int, other: bool) -> str:
+    word = "other " if other else ""
+    return (
+        f"The one {word}parameter is the same" if count == 1 else f"All {count} {word}parameters are the same"
+    )
+
+
+def _count(count: int) -> str:
+    return "1 parameter is" if count == 1 else f"{count} parameters are"
+
+
+def _listing(labels: Sequence[str], most: int = 6) -> str:
+    shown = ", ".join(x.replace(": ", " ") for x in labels[:most])
+    return shown if len(labels) <= most else f"{shown} and {len(labels) - most} more"
+
+
+def _reasons(changes: Sequence[Change]) -> str:
+    kinds = {x.reason for x in changes if not x.reason.startswith("a change of up to")}
+    bounds = [x.bound for x in changes if x.bound is not None]
+    said = sorted(k for k in kinds if k)
+    if bounds:
+        low, high = percent(min(bounds)), percent(max(bounds))
+        said.append(
+            f"changes of up to {low} to {high} would not be seen"
+            if low != high
+            else f"a change of up to {low} would not be seen"
+        )
+    return "; ".join(said)
+
+
+def percent(fraction: float) -> str:
+    """A bound in per cent, two digits; "any size" where it says nothing."""
+    value = 100 * fraction
+    return f"{value:.2g} %" if value < 99.5 else f"{value:.0f} %" if value < 1e4 else "any size"
+
+
+def interpret(changed: Sequence[Change], every: Sequence[Change]) -> list[str]:
     """One sentence a change, or one for changes that have one reason.
 
-    A change that is significant but certainly below the tolerance gets no interpretation.
+    A change that is significant but certainly too small to matter gets no interpretation.
     """
     said: list[str] = []
     left = list(changed)
@@ -43,11 +127,11 @@ def interpret(changed: Sequence[Change], every: Sequence[Change], tolerance: flo
             "change."
         )
         left = [c for c in left if c not in own]
-    small = [c for c in left if c.bound is not None and c.bound <= tolerance]
+    small = [c for c in left if c.bound is not None and c.bound <= PRACTICAL]
     large = [c for c in left if c not in small]
     final_masses = [c for c in large if c.final]
     said += [f"{_numbers(c)}{_meaning(c, len(final_masses))}" for c in large]
-    said += [f"{_numbers(c)}: beyond its uncertainty, but below {100 * tolerance:.3g} %." for c in small]
+    said += [f"{_numbers(c)}: beyond its uncertainty, but below {100 * PRACTICAL:.3g} %." for c in small]
     return said
 
 
@@ -70,7 +154,9 @@ def _common_factor(changes: Sequence[Change]) -> float | None:
 def _numbers(c: Change) -> str:
     if c.old is None or c.new is None or c.difference is None or c.std is None:
         return c.label
-    old, new = differing_number(c.old.value, c.std), differing_number(c.new.value, c.std)
+    # The change may be better known than the two values, whose errors go together.
+    spread = max(c.std, math.hypot(c.old.std or 0.0, c.new.std or 0.0))
+    old, new = differing_number(c.old.value, spread), differing_number(c.new.value, spread)
     unit = f" {c.unit}" if c.unit else ""
     sign = "+" if c.difference >= 0 else "−"
     size = differing_number(abs(c.difference), c.std)

@@ -16,7 +16,9 @@ def register(app: typer.Typer) -> None:
     def _compare(
         old: Path = typer.Argument(..., help="Model before (invid-model JSON)."),
         new: Path = typer.Argument(..., help="Model after (invid-model JSON)."),
-        tolerance: float = typer.Option(2.0, help="±x in per cent below which a parameter is unchanged."),
+        tolerance: float = typer.Option(
+            20.0, help="Largest ±x in per cent within which a parameter is still called unchanged."
+        ),
         alpha: float = typer.Option(0.01, help="Probability of a false 'changed' over all parameters."),
         repeatability: float = typer.Option(
             0.0, help="Standard deviation in per cent between measurements of an unchanged robot."

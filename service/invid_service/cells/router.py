@@ -11,6 +11,7 @@ from fastapi.responses import JSONResponse
 
 from invid.errors import InputError
 from invid_service.auth import Accepter, Anyone, Reader, Require, Scope
+from invid_service.cells.changes import changes_view
 from invid_service.cells.readiness import Readiness
 from invid_service.cells.registry import Cell, merged
 from invid_service.cells.schema import (
@@ -245,7 +246,7 @@ async def changes(
         "simulated": found.simulated,
         "from": before.id,
         "to": after.id,
-        **result.to_json(),
+        **changes_view(result),
     }
 
 

@@ -10,9 +10,10 @@ from typing import Any
 
 from sqlalchemy.exc import SQLAlchemyError
 
+from invid.compare import Comparison, compare
 from invid.errors import InvidError
 from invid.model import Model, model_from_json
-from invid_service.cells.changes import Changes, compare_models
+from invid_service.cells.changes import changes_view
 from invid_service.settings import AutoAccept
 from invid_service.store.blobs import KINDS, Blobs
 from invid_service.store.store import RunRecord, Store, StoredModel
@@ -62,7 +63,7 @@ class Results:
         approvals = self._store.approvals(cell)
         return self._store.model(cell, approvals[0].model) if approvals else None
 
-    def changes(self, cell: str, old: StoredModel, new: StoredModel) -> Changes:
+    def changes(self, cell: str, old: StoredModel, new: StoredModel) -> Comparison:
         """What changed between two models, with this cell's repeatability."""
         loaded: dict[str, Model] = {}
         history = []
@@ -74,11 +75,11 @@ class Results:
                     log.warning("model %s is left out of the history: %s", stored.id, error)
                     continue
                 history.append(loaded[stored.id])
-        return compare_models(
+        return compare(
             loaded.get(old.id) or load(old),
             loaded.get(new.id) or load(new),
             history=history,
-            unchanged_percent=self._unchanged,
+            tolerance=self._unchanged / 100.0,
         )
 
     def against_accepted(self, run: RunRecord) -> dict[str, Any] | None:
@@ -89,7 +90,7 @@ class Results:
             old, new = self.in_force(run.cell), self._store.model(run.cell, run.id)
             if old is None or new is None:
                 return None
-            return {"from": old.id, **self.changes(run.cell, old, new).to_json()}
+            return {"from": old.id, **changes_view(self.changes(run.cell, old, new))}
         except (InvidError, SQLAlchemyError) as error:
             log.error("run %s: no comparison with the accepted model: %s", run.id, error)
             return None
@@ -101,6 +102,8 @@ class Results:
         """
         bounds, changes = self._auto, summary.get("changes")
         if bounds is None or changes is None or summary.get("verdict") not in bounds.verdicts:
+            return False
+        if changes["structure"]:  # an effect that came or went, another number of masses
             return False
         for p in changes["parameters"]:
             old, difference, std = p["from"]["value"], p["difference"], p["difference_std"]

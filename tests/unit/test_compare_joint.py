@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from invid.chains import case_study
+from invid.compare import Status, compare
+from invid.compare_joint import repeatability
 from invid.model import ChainStd, Model, model_from_json, model_to_json, parameter_vector
-from invid_service.cells.changes import compare_models, repeatability
 
 TRUTH = case_study(damping_ratio=0.01)
 NAMES, VALUES = parameter_vector(TRUTH)
@@ -56,8 +57,8 @@ def drawn(
 
 
 def changed(old: Model, new: Model, **given: object) -> list[str]:
-    result = compare_models(old, new, **given)  # type: ignore[arg-type]
-    return [p.name for p in result.parameters if p.verdict == "changed"]
+    result = compare(old, new, **given)  # type: ignore[arg-type]
+    return [p.name for p in result.parameters if p.status is Status.CHANGED]
 
 
 def test_an_unchanged_robot_is_called_changed_in_at_most_two_of_a_hundred_comparisons() -> None:
@@ -108,14 +109,15 @@ def test_a_tool_change_reads_as_one() -> None:
     matrix = covariance(rng, relative=5e-3)
     truth = VALUES.copy()
     truth[NAMES.index("A2.mass.3")] += 1.31
-    result = compare_models(drawn(rng, matrix), drawn(rng, matrix, truth))
-    assert [p.name for p in result.parameters if p.verdict == "changed"] == ["A2.mass.3"]
-    change = next(p for p in result.parameters if p.verdict == "changed")
+    result = compare(drawn(rng, matrix), drawn(rng, matrix, truth))
+    assert [p.name for p in result.parameters if p.status is Status.CHANGED] == ["A2.mass.3"]
+    change = next(p for p in result.parameters if p.status is Status.CHANGED)
     assert change.difference is not None
-    assert change.difference_std is not None
-    assert abs(change.difference - 1.31) < 4 * change.difference_std
-    assert result.sentence.startswith("A2: final mass 6.")
-    assert "consistent with a tool change. Nothing else changed" in result.sentence
+    assert change.std is not None
+    assert abs(change.difference - 1.31) < 4 * change.std
+    assert result.sentences[0].startswith("A2: final mass 6.")
+    assert result.sentences[0].endswith("consistent with a tool change.")
+    assert result.sentences[1].startswith("Nothing else changed")
 
 
 def test_twins_that_the_data_do_not_separate_are_both_cannot_tell() -> None:
@@ -129,11 +131,13 @@ def test_twins_that_the_data_do_not_separate_are_both_cannot_tell() -> None:
     matrix[a, b] = matrix[b, a] = -((30 * std[a]) ** 2) + (0.5 * std[a]) ** 2
     truth = VALUES.copy()
     truth[a] += 10 * std[a]
-    result = compare_models(drawn(rng, matrix), drawn(rng, matrix, truth))
+    result = compare(drawn(rng, matrix), drawn(rng, matrix, truth))
     verdicts = {p.name: p for p in result.parameters}
-    assert verdicts["A1.mass.1"].verdict == verdicts["A1.mass.2"].verdict == "cannot_tell"
-    assert "A1.mass.2" in (verdicts["A1.mass.1"].reason or "")
-    assert "do not tell which" in result.sentence
+    assert verdicts["A1.mass.1"].status is verdicts["A1.mass.2"].status is Status.CANNOT_TELL
+    assert verdicts["A1.mass.1"].rivals == ("A1.mass.2",)
+    assert result.sentences[0] == (
+        "One of these changed, the data do not tell which: A1 motor mass, A1 mass 2."
+    )
 
 
 def test_unchanged_says_within_what_and_a_loose_one_is_cannot_tell() -> None:
@@ -142,14 +146,14 @@ def test_unchanged_says_within_what_and_a_loose_one_is_cannot_tell() -> None:
     j = NAMES.index("A3.damper.2")
     matrix[j, :] = matrix[:, j] = 0.0
     matrix[j, j] = VALUES[j] ** 2
-    result = compare_models(drawn(rng, matrix), model_of(VALUES, matrix))
+    result = compare(drawn(rng, matrix), model_of(VALUES, matrix))
     by_name = {p.name: p for p in result.parameters}
-    assert by_name["A3.damper.2"].verdict == "cannot_tell"
+    assert by_name["A3.damper.2"].status is Status.CANNOT_TELL
     spring = by_name["A1.spring.1"]
-    assert spring.verdict == "unchanged"
-    assert spring.within_percent is not None
-    # 1.96·√2·0.1 % plus the difference itself
-    assert 0.27 < spring.within_percent < 1.0
+    assert spring.status is Status.UNCHANGED
+    assert spring.bound is not None
+    # 2.33·√2·0.1 % (a one-sided test at 1 % on either side) plus the difference itself
+    assert 0.0033 < spring.bound < 0.01
 
 
 def test_a_parameter_without_uncertainty_or_in_one_model_only_is_cannot_tell() -> None:
@@ -161,9 +165,11 @@ def test_a_parameter_without_uncertainty_or_in_one_model_only_is_cannot_tell() -
     del document["branches"][2]["masses"][2], document["branches"][2]["springs"][1]
     del document["branches"][2]["dampers"][1]
     other = model_from_json(document)
-    by_name = {p.name: p for p in compare_models(drawn(rng, matrix), other).parameters}
-    assert by_name["A1.mass.1"].verdict == "cannot_tell"
-    assert by_name["A3.mass.3"].reason == "not in both models"
+    result = compare(drawn(rng, matrix), other)
+    by_name = {p.name: p for p in result.parameters}
+    assert by_name["A1.mass.1"].status is Status.CANNOT_TELL
+    assert "A3.mass.3" not in by_name
+    assert any("A3 had 3 masses and now has 2" in s for s in result.sentences)
 
 
 def test_a_tool_change_in_the_history_is_not_taken_for_bad_repeatability() -> None:
@@ -172,14 +178,54 @@ def test_a_tool_change_in_the_history_is_not_taken_for_bad_repeatability() -> No
     heavier = VALUES.copy()
     heavier[NAMES.index("A2.mass.3")] *= 1.5
     history = [drawn(rng, matrix) for _ in range(4)] + [drawn(rng, matrix, heavier) for _ in range(4)]
-    factor, pairs = repeatability(history)
-    assert pairs == 7
-    assert factor == pytest.approx(1.0, abs=0.4)
+    found = repeatability(history)
+    assert found.pairs == 7
+    assert found.factor == pytest.approx(1.0, abs=0.4)
 
 
 def test_too_short_a_history_is_said() -> None:
     rng = np.random.default_rng(19)
     matrix = covariance(rng)
-    result = compare_models(drawn(rng, matrix), drawn(rng, matrix))
-    assert result.repeatability_pairs == 0
+    result = compare(drawn(rng, matrix), drawn(rng, matrix), history=())
+    assert result.repeatability.pairs == 0
     assert "repeatability of this cell is not known yet" in result.warnings[0]
+
+
+def test_a_parameter_off_by_chance_beside_the_one_that_changed_is_no_rival() -> None:
+    # Independent errors: A2's final mass changed by 6 deviations, A1's first spring is off by 5.5 of its own.
+    # Each is beyond chance, and neither explains the other.
+    std = 2e-3 * np.abs(VALUES)
+    matrix = np.diag(std**2)
+    moved = VALUES.copy()
+    moved[NAMES.index("A2.mass.3")] += 6.0 * np.sqrt(2) * std[NAMES.index("A2.mass.3")]
+    moved[NAMES.index("A1.spring.1")] += 5.5 * np.sqrt(2) * std[NAMES.index("A1.spring.1")]
+    assert changed(model_of(VALUES, matrix), model_of(moved, matrix)) == ["A1.spring.1", "A2.mass.3"]
+    moved[NAMES.index("A1.spring.1")] = VALUES[NAMES.index("A1.spring.1")] + 3.0 * std[
+        NAMES.index("A1.spring.1")
+    ] * np.sqrt(2)
+    moved[NAMES.index("A2.mass.3")] = VALUES[NAMES.index("A2.mass.3")] + 3.9 * std[
+        NAMES.index("A2.mass.3")
+    ] * np.sqrt(2)
+    assert changed(model_of(VALUES, matrix), model_of(moved, matrix)) == ["A2.mass.3"]
+
+
+def test_a_covariance_that_is_none_is_said_and_only_its_diagonal_used() -> None:
+    matrix = np.diag((2e-3 * np.abs(VALUES)) ** 2)
+    matrix[0, 1] = matrix[1, 0] = 5 * np.sqrt(matrix[0, 0] * matrix[1, 1])
+    result = compare(model_of(VALUES, matrix), model_of(VALUES * 1.0, matrix))
+    assert "not positive definite" in result.warnings[0]
+    assert {p.status for p in result.parameters} == {Status.UNCHANGED}
+
+
+def test_runs_between_the_two_models_count_only_where_one_of_them_cannot_move_the_median() -> None:
+    rng = np.random.default_rng(20)
+    matrix = covariance(rng)
+    heavier = VALUES.copy()
+    heavier[NAMES.index("A2.mass.3")] *= 1.5
+    short = [drawn(rng, matrix), drawn(rng, matrix, heavier), drawn(rng, matrix, heavier)]
+    assert repeatability(short, spanning=(short[0], short[2])).factor == 1.0
+    assert changed(short[0], short[2], history=short) == ["A2.mass.3"]
+    loose = [drawn(rng, matrix, scale=2.0) for _ in range(8)]
+    found = repeatability(loose, spanning=(loose[0], loose[-1]))
+    assert found.pairs == 7
+    assert found.factor == pytest.approx(2.0, abs=0.7)
