@@ -231,7 +231,7 @@ def evaluate(
         if near and candidate.terms:
             view.respond(near[len(missing)].feedback)
         if not record.transient:
-            inverse: Complex128 = np.linalg.inv(covariance)
+            inverse = np.asarray(np.linalg.inv(covariance), dtype=np.complex128)
             view.missing, view.certainty = r, inverse
         extra = contributions(view, candidate)
         r = r + extra
