@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -27,11 +28,16 @@ FORMAT_VERSION = 1
 
 @dataclass(frozen=True)
 class Estimate:
-    """A value with one standard deviation (``None`` where the data cannot tell) and its unit."""
+    """A value with one standard deviation (``None`` where the data cannot tell) and its unit.
+
+    ``name`` only where the value is the number of something that has a name: the ``parameter`` of
+    ``parameter_drift`` ("A1.spring.2"; its value is 2).
+    """
 
     value: float
     std: float | None = None
     unit: str | None = None
+    name: str | None = None
 
 
 @dataclass(frozen=True)
@@ -178,12 +184,17 @@ class _CouplingJson(_Open):
     std: float | None = None
 
 
+class _NamedJson(_EstimateJson):
+    value: float | str  # type: ignore[assignment]
+    name: str | None = None
+
+
 class _EffectJson(_Open):
     cause: str
     axis: str
     element: str | None = None
     other_axis: str | None = None
-    parameters: dict[str, _EstimateJson] = {}
+    parameters: dict[str, _NamedJson | float | str] = {}
 
 
 class _CovarianceJson(_Open):
@@ -222,7 +233,12 @@ def effect_to_json(term: EffectTerm) -> dict[str, Any]:
         "element": term.element,
         "other_axis": term.other_axis,
         "parameters": {
-            name: {"value": p.value, "std": None if p.std is None else _null_nan(p.std), "unit": p.unit}
+            name: {
+                "value": p.value,
+                "std": None if p.std is None else _null_nan(p.std),
+                "unit": p.unit,
+                **({} if p.name is None else {"name": p.name}),
+            }
             for name, p in term.parameters.items()
         },
     }
@@ -284,6 +300,38 @@ def describe_validation_error(error: ValidationError, where: str) -> str:
     return f"{where}: {path}: {first['msg']}; found {shown}{more}"
 
 
+_NAMED = re.compile(r"(?:(?P<axis>.+)\.)?(?P<kind>mass|spring)[ .]?(?P<number>[1-9]\d*)")
+
+
+def _effect_term(e: _EffectJson, source: str) -> EffectTerm:
+    """One effect; a parameter called by its name ("A1.spring.2", "spring 2") is its number and its place."""
+    element, parameters = e.element, {}
+    for key, p in e.parameters.items():
+        given = p if isinstance(p, _NamedJson) else _NamedJson(value=p)
+        name = given.value if isinstance(given.value, str) else given.name
+        if not isinstance(given.value, str):
+            parameters[key] = Estimate(given.value, given.std, given.unit, name)
+            continue
+        found = _NAMED.fullmatch(given.value)
+        if key != "parameter" or found is None or found["axis"] not in (None, e.axis):
+            raise ModelError(
+                f"{source}: effect {e.cause} on {e.axis}: {key} is {given.value!r}; "
+                + (
+                    f"name a parameter of the axis, as {e.axis}.spring.1 or {e.axis}.mass.1"
+                    if key == "parameter"
+                    else "it must be a number"
+                )
+            )
+        place = f"{found['kind']} {found['number']}"
+        if element not in (None, place):
+            raise ModelError(
+                f"{source}: effect {e.cause} on {e.axis}: element {element!r}, but parameter {given.value!r}"
+            )
+        element = place
+        parameters[key] = Estimate(float(found["number"]), None, given.unit, name)
+    return EffectTerm(e.cause, e.axis, parameters, element, e.other_axis)
+
+
 def model_from_json(document: Any, *, source: str = "model") -> Model:
     """Model from a parsed ``invid-model`` document; ModelError says what is wrong and where."""
     try:
@@ -333,16 +381,7 @@ def model_from_json(document: Any, *, source: str = "model") -> Model:
             ]
         ),
     )
-    effects = tuple(
-        EffectTerm(
-            e.cause,
-            e.axis,
-            {n: Estimate(p.value, p.std, p.unit) for n, p in e.parameters.items()},
-            e.element,
-            e.other_axis,
-        )
-        for e in parsed.effects
-    )
+    effects = tuple(_effect_term(e, source) for e in parsed.effects)
     for e in effects:
         if e.axis not in index:
             raise ModelError(f"{source}: effect {e.cause}: no branch called {e.axis!r}; found {axes}")

@@ -102,8 +102,9 @@ def _axis_rms(trial: Trial, axis: int) -> float:
 
 def _finding(selection: Selection, number: int, recording: Recording, explained: float) -> Finding:
     step, final = selection.steps[number], selection.final
-    term = final.fit.candidate.terms[number]
-    effect = effect_term(final, number, recording)
+    at = len(selection.base.fit.candidate.terms) + number  # after the effects that the model came with
+    term = final.fit.candidate.terms[at]
+    effect = effect_term(final, at, recording)
     rivals, share = _rivals(step)
     alternatives = tuple(
         Alternative(

@@ -8,11 +8,13 @@ from typing import Any, Literal
 
 import numpy as np
 
-from invid.arrays import Float64, frozen_float
-from invid.diagnosis import AxisResidual, Diagnosis, Finding, Unexplained, Verdict
+from invid.arrays import Float64
+from invid.diagnosis import AxisResidual, Diagnosis, Unexplained, Verdict
 from invid.discrepancy.character import unexplained_of
-from invid.discrepancy.confidence import judge
+from invid.discrepancy.confidence import effect_term, judge
 from invid.discrepancy.dropped import before_repair, find_dropped, repaired, with_dropped
+from invid.discrepancy.extended import extended_model
+from invid.discrepancy.given import carried, folded, given_effects
 from invid.discrepancy.joint import JointFit, fit, held_out
 from invid.discrepancy.missing_torque import NullTest, changing, null_test, rms_torque, with_scatter
 from invid.discrepancy.plant import Candidate, Layout
@@ -21,7 +23,7 @@ from invid.discrepancy.select import Selection, select
 from invid.discrepancy.trust import cautious, distrust_sentences, in_the_way, trust
 from invid.effects.base import Record, unit_of
 from invid.errors import InputError, InvidError
-from invid.model import ChainStd, EffectTerm, Estimate, Model
+from invid.model import Model
 from invid.recording.model import Recording
 from invid.refine.blocks import HOLD_OFFSET, driven_and_held
 from invid.refine.structure import ChainStructure
@@ -69,7 +71,7 @@ def diagnose(
     spectra = all_spectra(sound)
     if not spectra:
         raise InputError(f"{recording.source}: no experiment shakes an axis; nothing to compare with a model")
-    model = _with_timing(model, sound, spectra)
+    model = folded(_with_timing(model, sound, spectra))
     train, held, warnings = split(sound, spectra)
     train, held = (with_holds(part, spectra, model, sound) for part in (train, held))
     train, standing = with_sticking(train, spectra, model, sound)
@@ -77,9 +79,29 @@ def diagnose(
     warnings = [*warnings, *standing]
     warnings = [*(w for s in spectra for w in s.warnings), *warnings]
     base, free, train, held = linear_fit(model, sound, spectra, train, held)
+    bare = without_effects(base, train)
     selection = select(base, train, held, linear_axes=recording.linear, free=free)
-    result = _document(sound, model, selection, train, held, warnings)
-    return with_dropped(result, recording, dropped, before_repair(recording, base, result) if dropped else {})
+    result = _document(sound, model, selection, bare, train, held, warnings)
+    return with_dropped(result, recording, dropped, before_repair(recording, bare, result) if dropped else {})
+
+
+def without_effects(base: JointFit, train: Sequence[Record]) -> JointFit:
+    """The linear model alone fitted to the same records, where the model came with effects."""
+    if not base.candidate.terms:
+        return base
+    layout = replace(base.layout, free_delays=tuple(range(base.layout.structure.motors)))
+    delays = np.zeros(layout.structure.motors)
+    for i, value in zip(base.layout.free_delays, _delays_of(base), strict=True):
+        delays[i] = value
+    count = base.layout.structure.count
+    rest = base.p[count + len(base.layout.free_delays) : base.layout.count]
+    p = np.concatenate((base.p[:count], delays, rest))
+    return fit(layout, train, p, Candidate(), iterations=25)
+
+
+def _delays_of(fitted: JointFit) -> Float64:
+    count = fitted.layout.structure.count
+    return fitted.p[count : count + len(fitted.layout.free_delays)]
 
 
 def _with_timing(model: Model, recording: Recording, spectra: Sequence[LineSpectra]) -> Model:
@@ -114,13 +136,16 @@ def linear_fit(
     train: Sequence[Record],
     held: Sequence[Record],
 ) -> tuple[JointFit, Float64, list[Record], list[Record]]:
-    """The model without effects fitted to the training records, its parameters with unbounded time offsets,
-    and the records with their scatter."""
+    """The model, with the effects it came with, fitted to the training records, its parameters with unbounded
+    time offsets, and the records with their scatter."""
     chains = model.chains
     grounded = tuple(int(i) for i in np.flatnonzero(chains.ground_springs > 0))
     structure = ChainStructure(chains.masses_per_branch, chains.axes, viscous=False, grounded=grounded)
     origin = min(float(e.time[0]) for e in recording.experiments)
     layout = layout_of(structure, train, origin)
+    given = given_effects(model, structure)
+    late = [t.place.axis for t in given.terms if t.effect.cause == "torque_delay"]
+    layout, _ = layout.without_delay(late)
     start = np.zeros(layout.count)
     start[: structure.count] = structure.vector(chains)
     offsets = model.fit.get("time_offset_s", {}) if isinstance(model.fit, dict) else {}
@@ -131,9 +156,9 @@ def linear_fit(
     if layout.free_stairs:
         start[-len(layout.free_stairs) :] = 0.5
     first = fit(
-        layout, with_scatter(train, spectra, layout, start), start, Candidate(), iterations=25, strict=False
+        layout, with_scatter(train, spectra, layout, start), start, given, iterations=25, strict=False
     )
-    if _vanishing(first):
+    if _vanishing(first) and not given.terms:
         first = _restarted(first, train)
     train = with_scatter(train, spectra, layout, first.p)
     held = with_scatter(held, spectra, layout, first.p)
@@ -141,7 +166,7 @@ def linear_fit(
     if apart:
         train, held = by_period(recording, train, apart), by_period(recording, held, apart)
         train, held = (with_holds(part, spectra, model, recording) for part in (train, held))
-    return fit(layout, train, first.p, Candidate(), iterations=25), first.p, train, held
+    return fit(layout, train, first.p, first.candidate, iterations=25), first.p, train, held
 
 
 def _vanishing(fitted: JointFit) -> bool:
@@ -181,30 +206,33 @@ def _document(
     recording: Recording,
     model: Model,
     selection: Selection,
+    bare: JointFit,
     train: Sequence[Record],
     held: Sequence[Record],
     warnings: list[str],
 ) -> Diagnosis:
     base, final = selection.base, selection.final
+    known = len(base.fit.candidate.terms)
+    without = base.held if bare is base.fit else held_out(bare, held)
     before_test = null_test(base.fit.cost + base.held.cost, base.fit.dof + base.held.dof, [*train, *held])
     after_test = null_test(final.fit.cost + final.held.cost, final.fit.dof + final.held.dof, [*train, *held])
     anything = bool(selection.steps) or before_test.rejects
     unit = unit_of("torque", recording.linear)
     judged = judge(selection, recording, after_test)
-    full = extended_model(model, final.fit, (), recording, train)
+    full = extended_model(model, final.fit, ())
     linear = trust(model, full, base, final, (before_test, after_test), recording)
     named = judged.findings if judged.named and not linear.broken else ()
     shown = final if named else base
     residual = []
     for i, axis in enumerate(recording.axes):
-        before, _ = rms_torque(base.held, i)
+        before, _ = rms_torque(without, i)
         after, floor = rms_torque(shown.held, i)
         residual.append(AxisResidual(axis, unit, before, after, floor))
     b2 = sum(r.before**2 for r in residual)
     a2 = sum(r.after**2 for r in residual)
     n2 = sum(r.noise_floor**2 for r in residual)
     explained = None
-    if named:
+    if named or known:
         explained = float(np.clip(1.0 - (a2 - n2) / max(b2 - n2, 1e-300), 0.0, 1.0))
     unexplained: Unexplained | None = None
     if not anything:
@@ -221,10 +249,16 @@ def _document(
     said = distrust_sentences(linear, model.chains.masses_per_branch)
     sentences = [*said, *(f.sentence for f in findings)]
     if verdict is Verdict.CONSISTENT:
-        sentences.append("The model explains the measurement to within its noise: nothing is missing.")
+        sentences.append(
+            "The model"
+            + (", with the causes it already contains," if known else "")
+            + " explains the measurement to within its noise: nothing is missing."
+        )
     if unexplained is not None:
         sentences.append(unexplained.sentence)
-    extended = extended_model(model, shown.fit, tuple(f.effect for f in findings), recording, train)
+    effects = [effect_term(shown, k, recording) for k in range(known)] + [f.effect for f in findings]
+    effects += [e for e in carried(model) if e.cause == "dropped_samples"]
+    extended = extended_model(model, shown.fit, tuple(effects))
     extended = replace(
         extended,
         fit={
@@ -271,74 +305,4 @@ def _details(before: NullTest, after: NullTest, selection: Selection, explained:
     }
 
 
-def extended_model(
-    model: Model,
-    fitted: JointFit,
-    effects: tuple[EffectTerm, ...],
-    recording: Recording,
-    train: Sequence[Record],
-) -> Model:
-    """The linear parameters refitted jointly, with the effects."""
-    structure = fitted.layout.structure
-    chains = structure.chains(fitted.p[: structure.count])
-    values = structure.physical(fitted.p[: structure.count])
-    factor = np.where(structure.logarithmic, values, 1.0)
-    n = structure.count
-    with np.errstate(invalid="ignore"):
-        covariance = fitted.covariance[:n, :n] * factor[:, None] * factor
-    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    std = np.where(np.isfinite(std), std, np.nan)
-    at = structure.slices
-
-    def split_(part: Float64, counts: Sequence[int]) -> tuple[Float64, ...]:
-        return tuple(frozen_float(x) for x in np.split(part, np.cumsum(counts)[:-1]))
-
-    links = [k - 1 for k in structure.sizes]
-    couplings = np.full((structure.motors, structure.motors), np.nan)
-    for (i, j), s in zip(structure.coupling_pairs, std[at["coupling"]], strict=True):
-        couplings[i, j] = couplings[j, i] = s
-    ground = np.full(structure.motors, np.nan)
-    ground[list(structure.grounded)] = std[at["ground_spring"]]
-    from invid.model import parameter_vector
-
-    names = parameter_vector(chains)[0]
-    place = {name: k for k, name in enumerate(structure.names)}
-    index = [place[name] for name in names]
-    finite = bool(np.isfinite(covariance).all())
-    layout = fitted.layout
-    offsets = layout.delays(fitted.p)
-    facts = {
-        **dict(model.fit),
-        "chi2": fitted.cost,
-        "dof": fitted.dof,
-        "time_offset_s": {
-            f"{structure.axes[i]}.time_offset": {
-                "value": float(offsets[i]),
-                "std": _finite(float(np.sqrt(max(fitted.covariance[n + k, n + k], 0.0)))),
-            }
-            for k, i in enumerate(layout.free_delays)
-        },
-        "joint_with_effects": bool(effects),
-    }
-    return replace(
-        model,
-        chains=chains,
-        std=ChainStd(
-            masses=split_(std[at["mass"]], structure.sizes),
-            springs=split_(std[at["spring"]], links),
-            dampers=split_(std[at["damper"]], links),
-            couplings=frozen_float(couplings),
-            ground_springs=frozen_float(ground),
-        ),
-        effects=effects,
-        covariance=frozen_float(covariance[np.ix_(index, index)]) if finite else None,
-        parameter_names=names if finite else (),
-        fit=facts,
-    )
-
-
-def _finite(value: float) -> float | None:
-    return value if np.isfinite(value) else None
-
-
-__all__ = ["Estimate", "Finding", "diagnose", "extended_model", "held_out", "linear_fit"]
+__all__ = ["diagnose", "linear_fit"]

@@ -124,7 +124,10 @@ def with_dropped(
     n2 = sum(r.noise_floor**2 for r in residual)
     explained = float(np.clip(1.0 - (a2 - n2) / max(b2 - n2, 1e-300), 0.0, 1.0))
     findings = []
+    known = {e.axis for e in result.model.effects if e.cause == "dropped_samples"}
     for d in dropped:
+        if recording.axes[d.axis] in known:
+            continue
         own = next(r for r in residual if r.axis == recording.axes[d.axis])
         term = EffectTerm(
             "dropped_samples", own.axis, {"fraction": Estimate(d.fraction, d.std, unit_of("ratio", False))}
@@ -142,6 +145,8 @@ def with_dropped(
                 ),
             )
         )
+    if not findings:
+        return replace(result, residual=residual, explained_fraction=explained)
     verdict = Verdict.EXPLAINED if result.verdict is Verdict.CONSISTENT else result.verdict
     if verdict is Verdict.UNEXPLAINED:
         verdict = Verdict.PARTLY_EXPLAINED

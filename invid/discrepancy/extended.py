@@ -1,0 +1,78 @@
+"""The extended model: the linear parameters as fitted together with the effects."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from invid.arrays import Float64, frozen_float
+from invid.discrepancy.joint import JointFit
+from invid.model import ChainStd, EffectTerm, Model, parameter_vector
+
+
+def extended_model(
+    model: Model,
+    fitted: JointFit,
+    effects: tuple[EffectTerm, ...],
+) -> Model:
+    """The linear parameters refitted jointly, with the effects."""
+    structure = fitted.layout.structure
+    chains = structure.chains(fitted.p[: structure.count])
+    values = structure.physical(fitted.p[: structure.count])
+    factor = np.where(structure.logarithmic, values, 1.0)
+    n = structure.count
+    with np.errstate(invalid="ignore"):
+        covariance = fitted.covariance[:n, :n] * factor[:, None] * factor
+    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    std = np.where(np.isfinite(std), std, np.nan)
+    at = structure.slices
+
+    def split_(part: Float64, counts: Sequence[int]) -> tuple[Float64, ...]:
+        return tuple(frozen_float(x) for x in np.split(part, np.cumsum(counts)[:-1]))
+
+    links = [k - 1 for k in structure.sizes]
+    couplings = np.full((structure.motors, structure.motors), np.nan)
+    for (i, j), s in zip(structure.coupling_pairs, std[at["coupling"]], strict=True):
+        couplings[i, j] = couplings[j, i] = s
+    ground = np.full(structure.motors, np.nan)
+    ground[list(structure.grounded)] = std[at["ground_spring"]]
+    names = parameter_vector(chains)[0]
+    place = {name: k for k, name in enumerate(structure.names)}
+    index = [place[name] for name in names]
+    finite = bool(np.isfinite(covariance).all())
+    layout = fitted.layout
+    offsets = layout.delays(fitted.p)
+    facts = {
+        **dict(model.fit),
+        "chi2": fitted.cost,
+        "dof": fitted.dof,
+        "time_offset_s": {
+            f"{structure.axes[i]}.time_offset": {
+                "value": float(offsets[i]),
+                "std": _finite(float(np.sqrt(max(fitted.covariance[n + k, n + k], 0.0)))),
+            }
+            for k, i in enumerate(layout.free_delays)
+        },
+        "joint_with_effects": bool(effects),
+    }
+    return replace(
+        model,
+        chains=chains,
+        std=ChainStd(
+            masses=split_(std[at["mass"]], structure.sizes),
+            springs=split_(std[at["spring"]], links),
+            dampers=split_(std[at["damper"]], links),
+            couplings=frozen_float(couplings),
+            ground_springs=frozen_float(ground),
+        ),
+        effects=effects,
+        covariance=frozen_float(covariance[np.ix_(index, index)]) if finite else None,
+        parameter_names=names if finite else (),
+        fit=facts,
+    )
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None
