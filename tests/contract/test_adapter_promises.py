@@ -380,3 +380,34 @@ def test_a_computer_that_wakes_late_skips_slots_and_never_sends_two_syncs_close_
     skipped = int((np.diff(slots) - 1).sum())
     assert skipped == (0 if late < 0.5 else cell.skipped_slots)
     assert (skipped > 0) == (late > 0.5)
+
+
+def test_a_drive_with_one_sdo_buffer_gets_the_cycles_question_and_then_the_next_request() -> None:
+    cell = simulated()
+    link = cell._link
+    put = link.put
+    thinking_s, busy_until, lost = 0.02, 0.0, 0
+
+    def one_buffer(message: Any) -> None:
+        """A drive loses an SDO request that comes while it still works on the one before."""
+        nonlocal busy_until, lost
+        if message.arbitration_id == 0x601:
+            if link.clock.now() < busy_until:
+                lost += 1
+                return
+            busy_until = link.clock.now() + thinking_s
+        put(message)
+
+    try:
+        cell.check()
+        cell._link.bus.cell.drives[0].node._sdo_ns = round(thinking_s * 1e9)  # type: ignore[attr-defined]
+        link.put = one_buffer  # type: ignore[method-assign]
+        began = link.clock.now()
+        link.ask(1, bytes.fromhex("4061600000000000"))
+        link.ask(1, bytes.fromhex("4061600000000000"))  # not sent: the first is unanswered
+        assert len(link.sdo(1).upload(0x6064, 0)) == 4
+        assert lost == 0
+        assert link.clock.now() - began < 3 * thinking_s
+    finally:
+        link.put = put  # type: ignore[method-assign]
+        cell.close()

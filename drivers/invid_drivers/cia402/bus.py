@@ -313,6 +313,7 @@ class Cia402Cell:
         if axis is None or message.is_error_frame:
             self._link.sort(message)
             return
+        self._link.answered(self._drives[axis].node_id)
         data = bytes(message.data)
         if len(data) == 8 and data[1:4] == _MODE_REQUEST[1:4] and data[0] & 0xE0 == 0x40:
             shown = int.from_bytes(data[4:5], "little", signed=True)
@@ -350,7 +351,7 @@ class Cia402Cell:
                     )
                 )
         self._mode_asked = (self._mode_asked + 1) % len(self._drives)
-        self._link.send(0x600 + self._drives[self._mode_asked].node_id, _MODE_REQUEST)
+        self._link.ask(self._drives[self._mode_asked].node_id, _MODE_REQUEST)
 
     # --- the way out ---------------------------------------------------------------------------
     def stop(self) -> None:

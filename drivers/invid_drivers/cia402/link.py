@@ -23,6 +23,11 @@ MASTER_ID = 127
 SHORTEST_WAIT_S = 1e-6
 """A rest of a wait below a bus's clock tick would never pass in virtual time."""
 
+LATE_ANSWER_S = 0.05
+"""How long a request waits for the answer to a question that the cycle asked before it."""
+UNANSWERED_S = 1.0
+"""A question of the cycle that stayed unanswered so long may be asked again."""
+
 NMT_START, NMT_STOP, NMT_PRE_OPERATIONAL, NMT_RESET, NMT_RESET_COMMUNICATION = 0x01, 0x02, 0x80, 0x81, 0x82
 
 
@@ -67,6 +72,7 @@ class Link:
         self.peers: dict[int, Peer] = {}
         self.events: list[Event] = []
         self._sdo: dict[int, _PumpedSdo] = {}
+        self._asked: dict[int, float] = {}
         self._heartbeat_s = heartbeat_s
         self._next_heartbeat = 0.0
         self._heartbeat = can.Message(
@@ -131,6 +137,7 @@ class Link:
         cob, data = message.arbitration_id, bytes(message.data)
         node = self.peers.get(cob & 0x7F)
         if cob & 0x780 == 0x580:
+            self.answered(cob & 0x7F)
             self.network.notify(cob, bytearray(data), message.timestamp)
         elif node is None:
             return
@@ -194,6 +201,28 @@ class Link:
             client = self._sdo[node_id] = _PumpedSdo(self, node_id)
         return client
 
+    def ask(self, node_id: int, request: bytes) -> None:
+        """An SDO request whose answer nobody waits for; none while an earlier one is unanswered.
+
+        A drive has one buffer for SDO: what comes while it works on a request is lost.
+        """
+        now = self.clock.now()
+        since = self._asked.get(node_id)
+        if since is None or now - since > UNANSWERED_S:
+            self._asked[node_id] = now
+            self.send(0x600 + node_id, request)
+
+    def answered(self, node_id: int) -> None:
+        """An SDO answer of the node was seen."""
+        self._asked.pop(node_id, None)
+
+    def await_unasked(self, node_id: int) -> None:
+        """Give a node the time to answer what was asked without waiting."""
+        end = self.clock.now() + LATE_ANSWER_S
+        while node_id in self._asked and (rest := end - self.clock.now()) > 0:
+            self.pump(rest)
+        self._asked.pop(node_id, None)
+
     def close(self) -> None:
         """Close the bus; safe to call twice."""
         try:
@@ -228,6 +257,7 @@ class _PumpedSdo(SdoClient):
         """Send a request and pump until its answer is there; one retry, because a frame may be lost."""
         # Initiate download and upload (command 1, 2) name an object, and so does their answer. The cycle asks
         # for 0x6061 without waiting: its answer may come late and is not the answer to this request.
+        self._link.await_unasked(self.rx_cobid - 0x600)
         named = bytes(sdo_request[1:4]) if sdo_request[0] >> 5 in (1, 2) else None
         for attempt in (1, 2):
             self._answers.clear()
