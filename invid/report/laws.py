@@ -32,6 +32,7 @@ ABSCISSA = {
     "encoder_eccentricity": POSITION,
     "transmission_error": POSITION,
     "cubic_stiffness": DEFLECTION,
+    "quadratic_stiffness": DEFLECTION,
     "backlash": DEFLECTION,
     "spring_hysteresis": DEFLECTION,
     "spring_damping": "deflection rate",
@@ -76,10 +77,14 @@ def _static(cause: str, p: dict[str, float], x: Float64, stiffness: float) -> Fl
     elif cause in ("viscous_friction", "spring_damping"):
         y = p["coefficient"] * x
     elif cause == "stribeck_friction":
-        y = (p["coulomb"] + (p["static"] - p["coulomb"]) * np.exp(-((x / p["velocity"]) ** 2))) * np.sign(x)
+        near = np.exp(-((np.abs(x) / p["velocity"]) ** p.get("exponent", 2.0)))
+        y = (p["coulomb"] + (p["static"] - p["coulomb"]) * near) * np.sign(x)
     elif cause == "asymmetric_friction":
-        up = p["coulomb_positive"] + p["viscous_positive"] * x
-        y = np.where(x > 0, up, -p["coulomb_negative"] + p["viscous_negative"] * x)
+        speed = p.get("low_speed_velocity", 0.0)
+        near = np.exp(-((np.abs(x) / speed) ** p.get("exponent", 2.0))) if speed > 0 else np.zeros_like(x)
+        up = p["coulomb_positive"] + p["viscous_positive"] * x + near * p.get("low_speed_positive", 0.0)
+        down = -p["coulomb_negative"] + p["viscous_negative"] * x - near * p.get("low_speed_negative", 0.0)
+        y = np.where(x > 0, up, down)
         y = y - 0.5 * (p["coulomb_positive"] - p["coulomb_negative"])
     elif cause == "torque_offset":
         y = np.full_like(x, p["torque"])
@@ -91,6 +96,8 @@ def _static(cause: str, p: dict[str, float], x: Float64, stiffness: float) -> Fl
         y = -stiffness * p["amplitude"] * np.sin(p["cycles_per_rev"] * x + p["phase"])
     elif cause == "cubic_stiffness":
         y = p["coefficient"] * x**3
+    elif cause == "quadratic_stiffness":
+        y = p["coefficient"] * x**2
     elif cause == "backlash":
         y = stiffness * (np.sign(x) * np.maximum(np.abs(x) - 0.5 * p["gap"], 0.0) - x)
     elif cause == "coupling_stiffness":

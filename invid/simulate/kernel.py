@@ -119,10 +119,14 @@ def march(
                         if kinds[e, 0] != 0:
                             continue
                         a = int(kinds[e, 1])
-                        ratio = state[dofs + a] / parameters[e, 3]
-                        excess = parameters[e, 2] * np.exp(-ratio * ratio)
+                        near = 0.0
+                        if parameters[e, 2] != 0.0 or parameters[e, 4] != 0.0:
+                            ratio = abs(state[dofs + a]) / parameters[e, 3]
+                            near = np.exp(-(ratio ** parameters[e, 5]))
+                        up = max(parameters[e, 0] + near * parameters[e, 2], 0.0)
+                        down = max(parameters[e, 1] + near * parameters[e, 4], 0.0)
                         stop = impulse[e] - fresh[dofs + a] / force_input[dofs + a, a]
-                        wanted = min(max(stop, -(parameters[e, 0] + excess)), parameters[e, 1] + excess)
+                        wanted = min(max(stop, -up), down)
                         change = wanted - impulse[e]
                         impulse[e] = wanted
                         if change != 0.0:

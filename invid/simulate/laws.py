@@ -8,9 +8,11 @@ cause                  force on the mass (springs: on mass s, and its opposite o
 ====================== ==============================================================================
 coulomb_friction       −torque·sgn(θ̇); at rest whatever holds it, up to ±torque
 viscous_friction       −coefficient·θ̇
-stribeck_friction      as Coulomb with level coulomb + (static − coulomb)·exp(−(θ̇/velocity)²)
+stribeck_friction      as Coulomb with level coulomb + (static − coulomb)·exp(−(|θ̇|/velocity)^exponent);
+                       exponent 2 where it is not given
 presliding_friction    −stiffness·z: a spring that slides at ±torque (elastoplastic)
-asymmetric_friction    −coulomb_positive − viscous_positive·θ̇ for θ̇ > 0; _negative for θ̇ < 0
+asymmetric_friction    −coulomb_positive − viscous_positive·θ̇ for θ̇ > 0; _negative for θ̇ < 0; with
+                       low_speed_velocity: low_speed_positive (_negative) times the same exponential more
 torque_offset          −torque
 cogging                −torque·sin(cycles_per_rev·θ + phase), motor
 gravity                −torque·sin(θ + angle), final mass unless ``element`` says otherwise
@@ -52,7 +54,7 @@ EXTRA_MODE_DAMPING = 0.01
 class Law(IntEnum):
     """Laws of the compiled kernel; parameters in brackets."""
 
-    DRY = 0  # [level up, level down, static excess, Stribeck velocity]
+    DRY = 0  # [level up, level down, excess up, Stribeck velocity, excess down, exponent]
     ONE_SIDED_VISCOUS = 1  # [coefficient up, coefficient down]
     SLIDER = 2  # [stiffness, torque] on one mass
     SINE = 3  # [torque, cycles, phase]
@@ -63,7 +65,7 @@ class Law(IntEnum):
     TRANSMISSION = 8  # [amplitude, cycles, phase, stiffness]
 
 
-PARAMETERS = 4
+PARAMETERS = 6
 
 
 @dataclass(frozen=True)
@@ -157,8 +159,14 @@ def laws_of(chains: CoupledChains, effects: tuple[EffectTerm, ...]) -> Laws:
 _Value = Callable[[str], float]
 
 
-def _dry(level: float, excess: float = 0.0, velocity: float = 1.0) -> tuple[float, ...]:
-    return (level, level, excess, velocity)
+def _dry(
+    level: float, excess: float = 0.0, velocity: float = 1.0, exponent: float = 2.0
+) -> tuple[float, ...]:
+    return (level, level, excess, velocity, excess, exponent)
+
+
+def _exponent(term: EffectTerm) -> float:
+    return term.value("exponent") if "exponent" in term.parameters else 2.0
 
 
 def _coulomb(laws: Laws, at: _Place, value: _Value) -> None:
@@ -174,7 +182,9 @@ def _stribeck(laws: Laws, at: _Place, value: _Value) -> None:
     if velocity == 0:
         raise ModelError(f"effect stribeck_friction on {at.term.axis}: velocity is 0; it must be > 0")
     excess = value("static") - value("coulomb")
-    laws.forces.append(ForceLaw(Law.DRY, at.mass(), -1, _dry(value("coulomb"), excess, velocity)))
+    laws.forces.append(
+        ForceLaw(Law.DRY, at.mass(), -1, _dry(value("coulomb"), excess, velocity, _exponent(at.term)))
+    )
 
 
 def _presliding(laws: Laws, at: _Place, value: _Value) -> None:
@@ -184,7 +194,11 @@ def _presliding(laws: Laws, at: _Place, value: _Value) -> None:
 
 def _asymmetric(laws: Laws, at: _Place, value: _Value) -> None:
     a = at.mass()
-    levels = (value("coulomb_positive"), value("coulomb_negative"), 0.0, 1.0)
+    up, down, velocity = 0.0, 0.0, 1.0
+    if "low_speed_velocity" in at.term.parameters:
+        up, down = value("low_speed_positive"), value("low_speed_negative")
+        velocity = _positive(at, value, "low_speed_velocity")
+    levels = (value("coulomb_positive"), value("coulomb_negative"), up, velocity, down, _exponent(at.term))
     laws.forces.append(ForceLaw(Law.DRY, a, -1, levels))
     sides = (value("viscous_positive"), value("viscous_negative"))
     laws.forces.append(ForceLaw(Law.ONE_SIDED_VISCOUS, a, -1, sides))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -27,7 +27,13 @@ _START_PRIOR = 1e-3
 """Weight of the guessed initial state against the measured motion: only decides what no motor sees."""
 
 
-def simulate(model: Model, recording: Recording, *, rng: np.random.Generator | None = None) -> Recording:
+def simulate(
+    model: Model,
+    recording: Recording,
+    *,
+    rng: np.random.Generator | None = None,
+    only: Collection[str] | None = None,
+) -> Recording:
     """Time-domain answer of ``model``, effects included, to the torques of ``recording``.
 
     The linear part is exact; force laws act once per sub-step (see ``laws``). How the loop is closed
@@ -41,6 +47,9 @@ def simulate(model: Model, recording: Recording, *, rng: np.random.Generator | N
         Axes must have the same names; order may differ.
     rng
         Draws the rows that ``dropped_samples`` repeats; default: a fixed seed.
+    only
+        Keys of the experiments to simulate, and to return; default: all. The clock of effects that change
+        with time is the whole recording's.
 
     Returns
     -------
@@ -53,6 +62,10 @@ def simulate(model: Model, recording: Recording, *, rng: np.random.Generator | N
         Axes that do not match; an effect that cannot be simulated; motion that diverges.
     """
     order = _axis_order(model, recording)
+    if model.method == "trajectory":
+        from invid.trajectory.simulation import simulate_motion
+
+        return simulate_motion(model, recording)
     laws = laws_of(model.chains, model.effects)
     for i, offset in _time_offsets(model).items():
         laws.delay[i] = laws.delay.get(i, 0.0) + offset
@@ -61,6 +74,8 @@ def simulate(model: Model, recording: Recording, *, rng: np.random.Generator | N
     origin = min(float(e.time[0]) for e in recording.experiments) if recording.experiments else 0.0
     done = []
     for experiment in recording.experiments:
+        if only is not None and experiment.key not in only:
+            continue
         answer = _simulate_one(_reordered(experiment, order), model, laws, plant, origin)
         answer = _dropped(answer, laws.dropped, chance)
         done.append(_reordered(answer, np.argsort(order)))

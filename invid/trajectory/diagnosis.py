@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,7 @@ from invid.trajectory.selection import (
     rms,
     training_p,
 )
+from invid.trajectory.simulation import errors_of
 from invid.trajectory.terms import Term
 from invid.trajectory.words import sentence_of
 
@@ -80,8 +82,23 @@ def diagnose_trajectory(recording: Recording, *, model: Model | None = None) -> 
         model=extended,
         warnings=extended.warnings,
         sentences=tuple(f.sentence for f in findings) + (() if left is None else (left.sentence,)),
-        details=_details(a),
+        details={**_details(a), "simulation": _simulated(a, extended)},
     )
+
+
+def _simulated(a: Analysis, extended: Model) -> list[dict[str, Any]]:
+    """The model run through time beside the record, and the best linear model in its place."""
+    found = errors_of(extended, a.recording)
+    if not found:
+        return []
+    count = a.recording.axis_count
+    linear = [t for t in a.final.terms if t.base or t.cause == "torque_delay"]
+    linear += [Term("viscous_friction", i, ("coefficient",)) for i in range(count)]
+    linear += [Term("torque_offset", i, ("torque",)) for i in range(count)]
+    plain = _model(replace(a, final=fit(a.design, linear)), None)
+    for entry, before in zip(found, errors_of(plain, a.recording), strict=True):
+        entry["linear_model"] = {k: before[k] for k in ("position", "torque", "failed") if k in before}
+    return found
 
 
 def _residuals(a: Analysis, floor: Float64) -> tuple[AxisResidual, ...]:
@@ -213,7 +230,10 @@ def _model(a: Analysis, given: Model | None) -> Model:
                 coupling[i, j], coupling_std[i, j] = value[0], std[0]
         elif term.cause == "time_offset":
             offsets = facts.setdefault("time_offset_s", {})
-            offsets[recording.axes[term.axis]] = {"value": float(value[0]), "std": float(std[0])}
+            offsets[f"{recording.axes[term.axis]}.time_offset"] = {
+                "value": float(value[0]),
+                "std": float(std[0]),
+            }
         elif term.cause == "ground_spring":
             spring[term.axis], spring_std[term.axis] = value[0], std[0]
         elif term.cause == "configuration":

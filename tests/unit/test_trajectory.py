@@ -110,7 +110,7 @@ def test_a_plain_mass_with_noise_is_consistent_and_nothing_is_named():
         mass = diagnosis.model.chains.masses[0][0]
         assert mass == pytest.approx(0.5, rel=0.01)
         # The command is held over the sample: half of it is the mean lag.
-        offset = diagnosis.model.fit["time_offset_s"]["A1"]
+        offset = diagnosis.model.fit["time_offset_s"]["A1.time_offset"]
         assert offset["value"] == pytest.approx(0.5 / RATE, abs=0.1 / RATE)
 
 
