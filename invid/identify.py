@@ -16,7 +16,9 @@ from invid.frf import FrfMatrix, frf_matrix, local_frf_matrix
 from invid.identifiability import Blind, blind_directions
 from invid.inverse import PaperResult, identify_paper, starts
 from invid.model import ChainStd, EffectTerm, Estimate, Model, parameter_vector, units
+from invid.modes import Modes
 from invid.modes.settle import settled_frf
+from invid.pole_search import searched_modes
 from invid.rational import FINE, TRUSTED, rational_modes
 from invid.recording.model import Recording, Role
 from invid.refine.fit import Fit, fit_structure
@@ -145,18 +147,33 @@ def _starts(
 ) -> Iterator[CoupledChains]:
     """Starts, most trusted first; each is made only when those before it did not do."""
     yield from further
+    crude: list[CoupledChains] = []
+    for modes, frf in _modal_starts(spectra, sizes, thorough):
+        *physical, equal = starts(frf.frequency_hz, frf.frf, frf.variance, sizes, axes=axes, modes=modes)
+        yield from physical
+        crude.append(equal)
     if isinstance(paper, PaperResult):
         yield paper.chains
-    count = 0
-    for trusted in (TRUSTED, FINE) if thorough else (TRUSTED,):
-        rational = rational_modes(spectra, sizes, trusted=trusted)
-        if rational is not None:
-            modes, frf = rational
-            for chains in starts(frf.frequency_hz, frf.frf, frf.variance, sizes, axes=axes, modes=modes):
-                count += 1
-                yield chains
-    if count == 0 and not isinstance(paper, PaperResult) and measured.frequency_hz.size:
+    elif measured.frequency_hz.size:
         yield from starts(measured.frequency_hz, measured.frf, measured.variance, sizes, axes=axes)
+    yield from crude
+
+
+def _modal_starts(
+    spectra: Sequence[LineSpectra], sizes: Sequence[int], thorough: bool
+) -> Iterator[tuple[Modes, FrfMatrix]]:
+    """Rational fits, each made only when those before it did not do: quick, thorough, fine."""
+    found = rational_modes(spectra, sizes, trusted=TRUSTED)
+    if found is not None:
+        yield found
+    for model_error in (0.0, FINE) if thorough else (0.0,):
+        found = searched_modes(spectra, sizes, model_error=model_error)
+        if found is not None:
+            yield found
+    if thorough:
+        found = rational_modes(spectra, sizes, trusted=FINE)
+        if found is not None:
+            yield found
 
 
 # --- checks ------------------------------------------------------------------------------------

@@ -40,33 +40,41 @@ def rational_modes(
     """
     motors = spectra[0].axis_count
     modes = sum(masses) - motors
-    data = [_record(s, most_lines, trusted) for s in spectra]
+    data = [record_of(s, most_lines, trusted) for s in spectra]
     low = min(float(w[0]) for w, *_ in data)
     high = max(float(w[-1]) for w, *_ in data)
     scale = float(np.sqrt(low * high))
     poles: Complex128 = np.linspace(low, high, modes + 2)[1:-1] / scale * np.complex128(-DAMPING + 1j)
     for _ in range(iterations):
-        fresh = _relocate(data, poles, motors, scale)
+        fresh = relocated(data, poles, motors, scale)
         if fresh is None:
             return None
         settled = np.allclose(fresh, poles, rtol=1e-6, atol=0)
         poles = fresh
         if settled:
             break
-    residues = _residues(data, poles, motors, scale)
+    residues = residues_of(data, poles, motors, scale)
     if not np.isfinite(residues).all():
         return None
-    found = _modes(poles * scale, residues, scale, tuple(masses))
+    return on_grid(poles, residues, scale, tuple(masses), (low, high))
+
+
+def on_grid(
+    poles: Complex128, residues: Float64, scale: float, masses: tuple[int, ...], band: tuple[float, float]
+) -> tuple[Modes, FrfMatrix]:
+    """The modes and G between ``band`` [rad/s], on lines that resolve every mode."""
+    low, high = band
+    found = modes_of(poles * scale, residues, scale, masses)
     inside = found.omega[(found.omega > low) & (found.omega < high)]
     near = np.concatenate([inside * x for x in (0.97, 0.985, 0.995, 1.0, 1.005, 1.015, 1.03)])
     grid = np.unique(np.concatenate((np.linspace(low, high, 80), near, np.geomspace(low, high, 20))))
     grid = grid[(grid >= low) & (grid <= high)]
-    basis = _basis(grid / scale, poles)
+    basis = fractions(grid / scale, poles)
     g = np.einsum("fn,nij->fij", basis, residues) / -(grid**2)[:, None, None]
     return found, FrfMatrix(grid / 2 / np.pi, g, (TRUSTED * np.abs(g)) ** 2 + 1e-300)
 
 
-def _modes(poles: Complex128, residues: Float64, scale: float, masses: tuple[int, ...]) -> Modes:
+def modes_of(poles: Complex128, residues: Float64, scale: float, masses: tuple[int, ...]) -> Modes:
     """Mass-normalised motor shapes from the residues of the acceleration.
 
     Near a pole −ω²G ≈ c/(jω − p) with c real coefficients a + jb of the basis; the receptance has the
@@ -105,10 +113,10 @@ def _modes(poles: Complex128, residues: Float64, scale: float, masses: tuple[int
     )
 
 
-_Record = tuple[Float64, Complex128, Complex128, Float64, bool]
+Record = tuple[Float64, Complex128, Complex128, Float64, bool]
 
 
-def _record(s: LineSpectra, most: int, trusted: float) -> _Record:
+def record_of(s: LineSpectra, most: int, trusted: float) -> Record:
     """ω, acceleration, torque, weight of one record on the lines that carry something."""
     lines: Bool = np.array(s.excited)
     if s.transient and lines.any():
@@ -134,7 +142,7 @@ def _record(s: LineSpectra, most: int, trusted: float) -> _Record:
     return w, acceleration, torque, weight, s.transient
 
 
-def _basis(w: Float64, poles: Complex128) -> Complex128:
+def fractions(w: Float64, poles: Complex128) -> Complex128:
     """(F, 2n+1) real-coefficient partial fractions and a constant."""
     s = 1j * w[:, None]
     up, down = 1.0 / (s - poles), 1.0 / (s - poles.conj())
@@ -142,11 +150,11 @@ def _basis(w: Float64, poles: Complex128) -> Complex128:
     return out
 
 
-def _columns(data: Sequence[_Record], poles: Complex128, motors: int, scale: float) -> list[Complex128]:
+def columns_of(data: Sequence[Record], poles: Complex128, motors: int, scale: float) -> list[Complex128]:
     """Per record (F, M·(2n+1) + own transient) columns; transients of other records are left out."""
     out = []
     for w, _, torque, _, transient in data:
-        basis = _basis(w / scale, poles)
+        basis = fractions(w / scale, poles)
         parts = [torque[:, j : j + 1] * basis for j in range(motors)]
         if transient:
             parts.append(np.concatenate((basis, 1j * w[:, None] / scale), axis=1))
@@ -154,8 +162,8 @@ def _columns(data: Sequence[_Record], poles: Complex128, motors: int, scale: flo
     return out
 
 
-def _reduced(
-    data: Sequence[_Record],
+def without_transients(
+    data: Sequence[Record],
     columns: Sequence[Complex128],
     right: Sequence[Complex128],
     motor: int,
@@ -182,15 +190,15 @@ def _real(values: Complex128) -> Float64:
     return out
 
 
-def _relocate(data: Sequence[_Record], poles: Complex128, motors: int, scale: float) -> Complex128 | None:
+def relocated(data: Sequence[Record], poles: Complex128, motors: int, scale: float) -> Complex128 | None:
     """Zeros of σ: the poles of the next round."""
     count = poles.size
     shared = motors * (2 * count + 1)
-    columns = _columns(data, poles, motors, scale)
+    columns = columns_of(data, poles, motors, scale)
     rows, emphasis = [], 0.0
     for i in range(motors):
-        targets = [-(a[:, i : i + 1]) * _basis(w / scale, poles) for w, a, *_ in data]
-        left, goal = _reduced(data, columns, targets, i, shared)
+        targets = [-(a[:, i : i + 1]) * fractions(w / scale, poles) for w, a, *_ in data]
+        left, goal = without_transients(data, columns, targets, i, shared)
         size = np.linalg.norm(left, axis=0)
         left = left / np.where(size > 0, size, 1.0)
         triangle = np.asarray(np.linalg.qr(np.concatenate((left, goal), axis=1), mode="r"))
@@ -198,7 +206,7 @@ def _relocate(data: Sequence[_Record], poles: Complex128, motors: int, scale: fl
         emphasis += float((goal[:, -1] ** 2).sum())
     matrix = np.concatenate(rows)
     # Relaxed: σ's mean over the lines is one.
-    mean = np.mean(np.concatenate([_basis(w / scale, poles).real for w, *_ in data]), axis=0)
+    mean = np.mean(np.concatenate([fractions(w / scale, poles).real for w, *_ in data]), axis=0)
     matrix = np.concatenate((matrix, np.sqrt(emphasis) * mean[None]))
     right = np.zeros(matrix.shape[0])
     right[-1] = np.sqrt(emphasis)
@@ -233,13 +241,13 @@ def _relocate(data: Sequence[_Record], poles: Complex128, motors: int, scale: fl
     return tamed
 
 
-def _residues(data: Sequence[_Record], poles: Complex128, motors: int, scale: float) -> Float64:
+def residues_of(data: Sequence[Record], poles: Complex128, motors: int, scale: float) -> Float64:
     """(2n+1, M, M) real coefficients of N with the poles given; reciprocity imposed by averaging."""
     shared = motors * (2 * poles.size + 1)
-    columns = _columns(data, poles, motors, scale)
+    columns = columns_of(data, poles, motors, scale)
     out = np.zeros((2 * poles.size + 1, motors, motors))
     for i in range(motors):
-        left, goal = _reduced(data, columns, [a[:, i : i + 1] for _, a, *_ in data], i, shared)
+        left, goal = without_transients(data, columns, [a[:, i : i + 1] for _, a, *_ in data], i, shared)
         size = np.linalg.norm(left, axis=0)
         size[size == 0] = 1.0
         x = np.linalg.lstsq(left / size, goal[:, 0], rcond=None)[0] / size
