@@ -11,7 +11,7 @@ from invid.arrays import Float64, frozen_float
 from invid.chains import CoupledChains
 from invid.diagnosis import Alternative, AxisResidual, Diagnosis, Finding, Unexplained, Verdict
 from invid.errors import InputError, ModelError, NotIdentifiableError
-from invid.model import ChainStd, Model
+from invid.model import ChainStd, EffectTerm, Model
 from invid.recording.model import Recording
 from invid.trajectory.analysis import Analysis, analyse, row_floor
 from invid.trajectory.causes import effect_of, separating
@@ -26,7 +26,7 @@ from invid.trajectory.selection import (
     training_p,
 )
 from invid.trajectory.simulation import errors_of
-from invid.trajectory.terms import Term
+from invid.trajectory.terms import ASYMMETRIC, Term
 from invid.trajectory.words import sentence_of
 
 AT_FLOOR = 1.3
@@ -119,7 +119,7 @@ def _finding(a: Analysis, term: Term) -> Finding:
     p = max(training_p(without, final), held_out_p(design, without, final))
     before, after = rms(without.held_out[mine]), rms(final.held_out[mine])
     rivals = _rivals(a, term, rest, mine)
-    effect = effect_of(a, term)
+    effect, remark = _plain(a, term, rest)
     share = 1.0 / (1 + sum(float(np.exp(-0.5 * max(excess, 0.0))) for _, excess in rivals))
     causes = {term.cause, *(r.cause for r, _ in rivals)}
     name = a.recording.axes[term.axis]
@@ -133,8 +133,54 @@ def _finding(a: Analysis, term: Term) -> Finding:
         separating_experiment=separating(name, causes, float(a.reach.speed[term.axis]), a.recording.linear)
         if rivals
         else None,
-        sentence=sentence_of(effect, before, after, a.recording.torque_unit, tuple(r for r, _ in rivals)),
+        sentence=sentence_of(effect, before, after, a.recording.torque_unit, tuple(r for r, _ in rivals))
+        + remark,
     )
+
+
+def _plain(a: Analysis, term: Term, rest: list[Term]) -> tuple[EffectTerm, str]:
+    """The effect in the cause's own parameters, and what the model has beyond them, in words.
+
+    Friction that differs by direction has four parameters; where it also bends at low speed, the four are
+    those of the best law without the bend (with the bend they would mean something else), and the bend stands
+    in the model's effect. The symmetric law beside it lets a reader compare with tables.
+    """
+    effect = effect_of(a, term)
+    if term.cause != "asymmetric_friction":
+        return effect, ""
+    remark = ""
+    if len(term.names) > len(ASYMMETRIC):
+        bend = {n: effect.parameters[n] for n in effect.parameters if n.startswith("low_speed")}
+        own = Term("asymmetric_friction", term.axis, ASYMMETRIC)
+        beyond = effect
+        effect = effect_of(replace(a, final=fit(a.design, [*rest, own])), own)
+        up, down, speed = (p.value for p in bend.values())
+        word = (
+            "; below about {:.3g} {} it changes by {:.3g} (forward) and {:.3g} {} (backward): see the model"
+        )
+        unit = bend["low_speed_velocity"].unit
+        remark += word.format(speed, unit, up, down, beyond.parameters["coulomb_positive"].unit)
+    same = [
+        Term("coulomb_friction", term.axis, ("torque",)),
+        Term("viscous_friction", term.axis, ("coefficient",)),
+        Term("torque_offset", term.axis, ("torque",)),
+    ]
+    if any(t.cause == "gravity" and t.axis == term.axis for t in rest):
+        return effect, remark
+    # As tables in the literature are made: without the sampling instant of the torque.
+    symmetric = fit(a.design, [*(t for t in rest if t.cause != "time_offset"), *same])
+    units = [p.unit for p in effect.parameters.values()]
+    sizes = [
+        f"{name} {value[0]:.4g} ± {std[0]:.2g} {unit}"
+        for name, unit, (value, std) in zip(
+            ("Coulomb", "viscous", "offset"),
+            (units[0], units[2], units[0]),
+            (symmetric.of(t) for t in same),
+            strict=True,
+        )
+    ]
+    remark += "; as one law for both directions: " + ", ".join(sizes)
+    return effect, remark
 
 
 def _rivals(

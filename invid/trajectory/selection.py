@@ -14,7 +14,7 @@ from scipy import stats
 
 from invid.arrays import Float64
 from invid.trajectory.regression import Design, Fit, fit
-from invid.trajectory.terms import Term
+from invid.trajectory.terms import ASYMMETRIC, Term
 
 ALARM = 0.01
 """False alarms allowed for each decision, shared among the candidates tried (Bonferroni)."""
@@ -231,9 +231,8 @@ def _simpler(term: Term) -> list[list[Term]]:
     viscous = Term("viscous_friction", i, ("coefficient",), ("coefficient",))
     coulomb = Term("coulomb_friction", i, ("torque",), ("torque",))
     offset = Term("torque_offset", i, ("torque",))
-    four = ("coulomb_positive", "coulomb_negative", "viscous_positive", "viscous_negative")
     dry = ("coulomb_friction", "viscous_friction", "torque_offset", "stribeck_friction")
-    plain = Term("asymmetric_friction", i, four, (), replaces=dry, needs=("coulomb_friction",))
+    plain = Term("asymmetric_friction", i, ASYMMETRIC, (), replaces=dry, needs=("coulomb_friction",))
     if term.cause == "asymmetric_friction":
         options = [[coulomb], [coulomb, viscous], [coulomb, offset], [coulomb, viscous, offset]]
         if len(term.names) == 6:

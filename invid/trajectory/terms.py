@@ -14,6 +14,9 @@ import numpy as np
 from invid.arrays import Float64
 from invid.trajectory.motion import Motion
 
+ASYMMETRIC = ("coulomb_positive", "coulomb_negative", "viscous_positive", "viscous_negative")
+"""Coefficients of friction that differs by direction."""
+
 
 @dataclass(frozen=True)
 class Term:
@@ -208,17 +211,16 @@ def candidate_terms(axes: int, reach: Extent, springs: set[int]) -> list[Term]:
                     )
                 )
         if reach.both_ways[i]:
-            four = ("coulomb_positive", "coulomb_negative", "viscous_positive", "viscous_negative")
             swallowed = ("coulomb_friction", "viscous_friction", "torque_offset", "stribeck_friction")
             dry = ("coulomb_friction", "stribeck_friction")
-            found.append(Term("asymmetric_friction", i, four, (), replaces=swallowed, needs=dry))
+            found.append(Term("asymmetric_friction", i, ASYMMETRIC, (), replaces=swallowed, needs=dry))
             for exponent in (1, 2):
                 for speed in speeds:
                     found.append(
                         Term(
                             "asymmetric_friction",
                             i,
-                            (*four, "low_speed_positive", "low_speed_negative"),
+                            (*ASYMMETRIC, "low_speed_positive", "low_speed_negative"),
                             (),
                             shape=speed,
                             exponent=exponent,
