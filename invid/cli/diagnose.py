@@ -85,6 +85,7 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
     lines.append(f"  {'axis':<12} {'before':>11} {'after':>11} {'noise':>11}")
     for r in diagnosis.residual:
         lines.append(f"  {r.axis:<12} {r.before:>11.4g} {r.after:>11.4g} {r.noise_floor:>11.4g} {r.unit}")
+    lines += _replay_lines(diagnosis)
     for f in diagnosis.findings:
         place = " ".join(x for x in (f.effect.axis, f.effect.element, f.effect.other_axis) if x)
         lines.append(f"{f.effect.cause} ({place}), confidence {f.confidence:.2f}")
@@ -98,3 +99,17 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
             lines.append(f"  to separate them: {f.separating_experiment.get('description', '')}")
     lines += [f"warning: {w}" for w in diagnosis.warnings]
     return "\n".join(lines)
+
+
+def _replay_lines(diagnosis: Diagnosis) -> list[str]:
+    """What the simulation over time says, where it was run."""
+    answer = diagnosis.details.get("replay")
+    if not answer:
+        return []
+    lines = ["simulated over time on held-out data: error of the motion, before and after the extension"]
+    for a in answer["axes"]:
+        lines.append(
+            f"  {a['axis']:<12} {a['position_before']:>11.3g} {a['position_after']:>11.3g} "
+            f"{a['position_unit']} of {a['motion']:.3g}; leaves {a['torque_after']:.4g} {a['torque_unit']}"
+        )
+    return lines

@@ -19,6 +19,7 @@ from invid.discrepancy.joint import JointFit, fit, held_out
 from invid.discrepancy.missing_torque import NullTest, changing, null_test, rms_torque, with_scatter
 from invid.discrepancy.plant import Candidate, Layout
 from invid.discrepancy.records import by_period, split, with_holds, with_sticking
+from invid.discrepancy.replayed import REFUSED, Replay, replay, with_replay
 from invid.discrepancy.select import Selection, select
 from invid.discrepancy.trust import cautious, distrust_sentences, in_the_way, trust
 from invid.effects.base import Record, unit_of
@@ -82,6 +83,13 @@ def diagnose(
     bare = without_effects(base, train)
     selection = select(base, train, held, linear_axes=recording.linear, free=free)
     result = _document(sound, model, selection, bare, train, held, warnings)
+    if result.findings:
+        linear = extended_model(model, bare, ())
+        before = held_out(bare, held).cost
+        answer = replay(sound, spectra, linear, result.model, selection.final.fit, held, before)
+        if isinstance(answer, Replay) and answer.refused:
+            result = _document(sound, model, selection, bare, train, held, [*warnings, REFUSED], refused=True)
+        result = with_replay(result, answer, sound)
     return with_dropped(result, recording, dropped, before_repair(recording, bare, result) if dropped else {})
 
 
@@ -210,6 +218,8 @@ def _document(
     train: Sequence[Record],
     held: Sequence[Record],
     warnings: list[str],
+    *,
+    refused: bool = False,
 ) -> Diagnosis:
     base, final = selection.base, selection.final
     known = len(base.fit.candidate.terms)
@@ -221,7 +231,7 @@ def _document(
     judged = judge(selection, recording, after_test)
     full = extended_model(model, final.fit, ())
     linear = trust(model, full, base, final, (before_test, after_test), recording)
-    named = judged.findings if judged.named and not linear.broken else ()
+    named = judged.findings if judged.named and not linear.broken and not refused else ()
     shown = final if named else base
     residual = []
     for i, axis in enumerate(recording.axes):

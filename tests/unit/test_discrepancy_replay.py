@@ -1,0 +1,82 @@
+"""The extension is simulated over time on held-out data, and refused where it gains nothing there."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from hidden.generator import make
+
+from invid.diagnosis import Verdict
+from invid.discrepancy import diagnose, diagnosing
+from invid.discrepancy.replayed import Replay
+
+QUICK = {"seed": 11, "motors": 1}
+
+
+@pytest.mark.parametrize("cause", ["coulomb_friction", "cubic_stiffness"])
+def test_the_simulation_over_time_leaves_what_the_regression_leaves(cause: str) -> None:
+    recording, _ = make(cause, target_db=20, **QUICK)
+    d = diagnose(recording)
+    assert d.findings
+    answer = d.details["replay"]
+    held = [e.key for e in recording.experiments if str(e.role) == "validate"]
+    assert answer["experiments"] == held
+    axis, r = answer["axes"][0], d.residual[0]
+    assert axis["torque_after"] == pytest.approx(r.noise_floor, rel=0.3)
+    assert axis["torque_after"] < 0.5 * r.before
+    assert axis["position_after"] < axis["position_before"]
+    assert answer["gain_chi2"] > answer["gain_std"] > 0
+
+
+def test_an_extension_that_gains_less_than_its_uncertainty_over_time_is_refused(monkeypatch) -> None:
+    recording, _ = make("coulomb_friction", target_db=20, **QUICK)
+    honest = diagnosing.replay
+
+    def useless(*given, **named):
+        found = honest(*given, **named)
+        assert isinstance(found, Replay)
+        return Replay(
+            found.keys,
+            found.torque_after,
+            found.position_before,
+            found.position_after,
+            found.motion,
+            gain=3.0,
+            std=3.5,
+            linear=found.linear,
+            extended=found.extended,
+        )
+
+    monkeypatch.setattr(diagnosing, "replay", useless)
+    d = diagnose(recording)
+    assert d.findings == ()
+    assert d.verdict is Verdict.UNEXPLAINED
+    assert d.model.effects == ()
+    assert any("refused" in w for w in d.warnings)
+
+
+def test_a_wrong_extension_does_not_pass_the_simulation_over_time(monkeypatch) -> None:
+    """Friction with its sign turned: the regression says so here, the simulation knows better."""
+    from dataclasses import replace
+
+    from invid.model import Estimate
+
+    recording, _ = make("coulomb_friction", target_db=20, **QUICK)
+    honest = diagnosing.replay
+
+    def turned(sound, spectra, linear, extended, *rest):
+        (term,) = extended.effects
+        wrong = replace(term, parameters={"torque": Estimate(3.0 * term.value("torque"))})
+        return honest(sound, spectra, linear, replace(extended, effects=(wrong,)), *rest)
+
+    monkeypatch.setattr(diagnosing, "replay", turned)
+    d = diagnose(recording)
+    assert d.findings == () or d.findings[0].confidence < 0.9
+    assert any("over time" in w for w in d.warnings)
+    assert np.isfinite(d.residual[0].after)
