@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 from itertools import pairwise
 
 from invid.errors import BusError, DriveError, SafetyStop
 from invid.sweep.ports import Sample, Severity
+from invid.sweep.standing import Standing
 
 STATE_MASK, OPERATION_ENABLED = 0x6F, 0x27
 """State bits of 0x6041 (CiA 402)."""
@@ -26,11 +28,6 @@ and has passed 5 % of the velocity limit (0.0025 = 0.05²). A linear structure d
 amplitude stops growing; 1.25⁴ = 2.4 in a second is faster than any mode in a robot rings up and slower
 than the growth of the unstable P holds measured on the case study (0.78 /s at K_R = 1000 is 4.8 in
 energy). Empirical."""
-STUCK_S = 1.5
-"""An excited axis whose encoder repeats one value this long, before it is known how long it may."""
-STUCK_FACTOR, STUCK_LEAST_S = 3.0, 0.05
-"""Afterwards: three times the longest stand seen at a tenth of the amplitude, where friction and coarse
-counts hold an axis longest, and never below 50 ms."""
 
 
 @dataclass(frozen=True)
@@ -72,17 +69,15 @@ class Watch:
         self._missed = [0] * count
         self._last_slot: int | None = None
         self._origin: list[float] | None = None
-        self._history: list[tuple[float, list[float]]] = []
+        self._history: list[deque[tuple[float, float]]] = [
+            deque(maxlen=VELOCITY_CYCLES + 1) for _ in range(count)
+        ]
         self._energy = 0.0
         self._energy_cycles = 0
         self._energies: list[float] = []
-        self._still = [0] * count
-        self._longest = [0] * count
-        self._stuck_cycles = [max(1, round(STUCK_S / cycle_s))] * count
+        self.standing = Standing([a.name for a in limits], cycle_s)
         self.held: set[int] = set()
         """Axes whose energy is watched for growth."""
-        self.excited: set[int] = set()
-        """Axes that must move."""
         self.statistics = Statistics(
             missed_tpdos=[0] * count,
             peak_travel=[0.0] * count,
@@ -101,19 +96,27 @@ class Watch:
     def pause(self) -> None:
         """The cycle was interrupted on purpose (change of mode): no velocity or slot across the gap."""
         self._last_slot = None
-        self._history.clear()
+        for samples in self._history:
+            samples.clear()
+
+    @property
+    def excited(self) -> set[int]:
+        """Axes that must move."""
+        return self.standing.excited
+
+    @excited.setter
+    def excited(self, axes: set[int]) -> None:
+        self.standing.excited = axes
 
     def learn_standing(self, axes: set[int]) -> None:
         """From here on, these axes may stand three times as long as they have stood so far."""
-        for i in axes:
-            allowed = max(STUCK_FACTOR * self._longest[i] * self._cycle, STUCK_LEAST_S)
-            self._stuck_cycles[i] = max(5, round(min(allowed, STUCK_S) / self._cycle))
+        self.standing.learn(axes)
 
     def settle(self) -> None:
         """Excitation changed: growth of energy is judged afresh."""
         self._energies.clear()
         self._energy, self._energy_cycles = 0.0, 0
-        self._still = [0] * len(self._still)
+        self.standing.settle()
 
     def check(self, sample: Sample) -> None:
         """Raise SafetyStop, DriveError or BusError where the motion must stop."""
@@ -135,12 +138,6 @@ class Watch:
         origin = self._origin
         if origin is None:
             return
-        history = self._history
-        history.append((sample.time, positions.copy()))
-        if len(history) > VELOCITY_CYCLES + 1:
-            del history[0]
-        then, before = history[0]
-        dt = sample.time - then
         energy = 0.0
         for i, limit in enumerate(self._limits):
             if not sample.fresh[i]:
@@ -164,8 +161,13 @@ class Watch:
                         "the start, "
                         f"limit {limit.position:g}; lower the amplitude or widen the window"
                     )
+            # Samples that came, each with its own instant: a stale one would pass for a leap.
+            history = self._history[i]
+            history.append((sample.time, positions[i]))
+            then, before = history[0]
+            dt = sample.time - then
             if dt > 0:
-                moved = abs(positions[i] - before[i])
+                moved = abs(positions[i] - before)
                 speed = (moved - limit.resolution) / dt
                 if speed > self._speed[i]:
                     self._speed[i] = speed
@@ -187,8 +189,7 @@ class Watch:
                         "drive gives more than it was asked for: check rated_torque and the drive's tuning"
                     )
         self._watch_energy(energy)
-        if self.excited:
-            self._watch_stuck(sample, history[-2][1] if len(history) > 1 else None)
+        self.standing.check(sample)
 
     def _missing(self, i: int) -> None:
         self._lost[i] += 1
@@ -226,21 +227,3 @@ class Watch:
                 f"the motion of the held axes ({names}) keeps growing: a hold is unstable; use hold mode "
                 "'drive', or master_pd with a lower gain"
             )
-
-    def _watch_stuck(self, sample: Sample, before: list[float] | None) -> None:
-        if before is None:
-            return
-        for i in self.excited:
-            # A sample that did not come repeats the last one: silence is not a still encoder.
-            if not sample.fresh[i]:
-                continue
-            if sample.position[i] != before[i]:
-                self._still[i] = 0
-                continue
-            self._still[i] += 1
-            if self._still[i] > self._stuck_cycles[i]:
-                raise SafetyStop(
-                    f"axis {self._limits[i].name}: the encoder has shown one value for {STUCK_S:g} s of "
-                    "shaking; "
-                    "the encoder is stuck, the brake is closed, or friction is above the torque"
-                )

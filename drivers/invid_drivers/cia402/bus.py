@@ -32,6 +32,12 @@ DISABLE_S = 0.2
 RUNAWAY_GROWTH, RUNAWAY_SHARE = 1.2, 0.02
 """A quick stop only slows down. Above 1.2 times the speed at its start, and 2 % of the limit for the
 noise of single counts, it does the opposite (empirical)."""
+UNCERTAIN_CYCLES = 0.2
+"""Where reading the clock and sending SYNC took longer, the system paused this process in between: nobody
+knows when SYNC was on the wire, and the positions of that cycle count as not received. At 3 rad/s a fifth
+of a millisecond is 0.6 mrad."""
+LOADED_RUNAWAYS = 5
+"""A gravity-loaded axis without brake is cut off only after five samples in a row of growing speed."""
 MODE_POLL_S = 0.1
 """0x6061 of one axis after another is asked for at this interval during the cycle."""
 HEARTBEAT_PERIODS = 3.5
@@ -235,6 +241,7 @@ class Cia402Cell:
         slot, instant = self._wait_for_slot()
         deadline = self._started + slot * self._cycle
         put(self._sync)
+        certain = clock.now() - instant < UNCERTAIN_CYCLES * self._cycle
         self._slot = slot
         self.jitter.add(instant - deadline)
         sample.slot, sample.time = slot, instant
@@ -258,6 +265,9 @@ class Cia402Cell:
                 fresh[axis] = True
                 pending -= 1
         self._late = pending > 0
+        if not certain:
+            for i in range(len(fresh)):
+                fresh[i] = False
         link.beat(instant)
         if instant >= self._next_mode_poll:
             self._watch_slowly(instant)
@@ -395,7 +405,7 @@ class Cia402Cell:
     def _cut_runaways(self, guard: _RunawayGuard, sample: Sample) -> bool:
         """An axis that a quick stop makes faster has a wrong sign somewhere: only cutting it off helps."""
         for i in guard.faster(sample):
-            self._control[i] = states.DISABLE_VOLTAGE
+            self._control[i] = states.DISABLE_VOLTAGE  # the one case in which a loaded axis is let go
         for i in guard.silent(sample):
             # It may hear NMT though its PDOs are lost; its abort option (0x6007) is a quick stop.
             if i not in self._given_up:
@@ -485,10 +495,14 @@ class _RunawayGuard:
 
     def __init__(self, config: CellConfig) -> None:
         self._least = [RUNAWAY_SHARE * a.limits.velocity for a in config.axes]
-        self._before: tuple[float, list[float]] | None = None
-        self._entry = [-1.0] * len(config.axes)
-        self._seen = [0] * len(config.axes)
-        self._quiet = [0] * len(config.axes)
+        # A loaded axis without brake falls when it is let go: only a certain runaway is worse.
+        self._needed = [LOADED_RUNAWAYS if a.gravity_loaded and a.brake == "none" else 1 for a in config.axes]
+        count = len(config.axes)
+        self._before: list[tuple[float, float] | None] = [None] * count
+        self._entry = [-1.0] * count
+        self._last = [0.0] * count
+        self._seen = [0] * count
+        self._quiet = [0] * count
 
     def silent(self, sample: Sample) -> list[int]:
         """Axes that have said nothing for three samples."""
@@ -497,19 +511,22 @@ class _RunawayGuard:
         return [i for i, n in enumerate(self._quiet) if n >= 3]
 
     def faster(self, sample: Sample) -> list[int]:
-        """Axes that are faster than a quick stop could make them."""
+        """Axes that are faster than a quick stop could make them, as often in a row as they need to be."""
         found: list[int] = []
-        before, self._before = self._before, (sample.time, list(sample.position))
-        if before is None or sample.time <= before[0]:
-            return found
         for i, fresh in enumerate(sample.fresh):
             if not fresh:
                 continue
-            speed = abs(sample.position[i] - before[1][i]) / (sample.time - before[0])
+            before, self._before[i] = self._before[i], (sample.time, sample.position[i])
+            if before is None or sample.time <= before[0]:
+                continue
+            speed = abs(sample.position[i] - before[1]) / (sample.time - before[0])
             if self._entry[i] < 0:
                 self._entry[i] = speed
             fast = speed > RUNAWAY_GROWTH * self._entry[i] + self._least[i]
+            if self._needed[i] > 1:
+                fast = fast and speed > self._last[i]
+            self._last[i] = speed
             self._seen[i] = self._seen[i] + 1 if fast else 0
-            if self._seen[i] >= 1:
+            if self._seen[i] >= self._needed[i]:
                 found.append(i)
         return found
