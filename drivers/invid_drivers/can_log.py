@@ -7,6 +7,7 @@ master sends (RPDO) acts from the next SYNC on and stands in that row, held unti
 from __future__ import annotations
 
 import math
+import re
 import struct
 from collections.abc import Iterator
 from pathlib import Path
@@ -21,6 +22,8 @@ from invid.recording.import_map import Pdo, Signal, Source
 from invid.recording.tables import BrokenRow, Table
 
 MAX_FRAMES = 50_000_000
+MAX_BROKEN = 100_000
+_TEXT = (".log", ".asc")
 _FORMATS = {
     "int8": ("b", 1), "uint8": ("B", 1), "int16": ("h", 2), "uint16": ("H", 2), "int32": ("i", 4),
     "uint32": ("I", 4), "int64": ("q", 8), "uint64": ("Q", 8), "float32": ("f", 4),
@@ -66,12 +69,15 @@ def _rows(
     instants: list[float] = []
     rows: list[Float64] = []
     short: list[BrokenRow] = []
-    for number, frame in enumerate(_frames(path)):
+    # Cut frames of a text log are found by line; of a binary log by the count of the frame.
+    numbers: list[int] = []
+    for number, frame in _frames(path, short):
         identifier = frame.arbitration_id
         if identifier == clock:
             row = np.full(len(names), math.nan)
             row[~np.isnan(held)] = held[~np.isnan(held)]
             instants.append(frame.timestamp)
+            numbers.append(number)
             rows.append(row)
         if identifier not in layouts:
             continue
@@ -109,7 +115,8 @@ def _rows(
     return Table(
         name=str(path),
         columns=columns,
-        line_word="cycle",
+        lines=np.array(numbers[first:last], dtype=np.int64),
+        line_word="line" if path.suffix.lower() in _TEXT else "frame",
         notes={"sync_id": clock},
         broken=tuple(short),
         rows_seen=last - first,
@@ -117,15 +124,81 @@ def _rows(
     )
 
 
-def _frames(path: Path) -> Iterator[Any]:
+_CANDUMP = re.compile(
+    r"\s*\(\d+(\.\d+)?\)\s+\S+\s+([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#"
+    r"(([0-9A-Fa-f]{2}){0,8}|R\d?|#[0-9A-Fa-f]([0-9A-Fa-f]{2}){0,64})(\s+[TRtr])?\s*$"
+)
+_CANDUMP_SHOWN = re.compile(
+    r"\s*(\(\d+(?:\.\d+)?\))\s+(\S+)\s+(?:[TR]X\s+)?(?:-\s+)*([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})"
+    r"\s+\[(\d)\]((?:\s+[0-9A-Fa-f]{2})*)\s*(?:'.*)?$"
+)
+"""What candump shows on the screen with -t a, as people pipe it into a file."""
+_ASC_FRAME = re.compile(r"\s*\d+\.\d+\s+\d+\s+[0-9A-Fa-f]+x?\s+[RT]x\s+d\b")
+_ASC_WHOLE = re.compile(
+    r"\s*\d+\.\d+\s+\d+\s+[0-9A-Fa-f]+x?\s+[RT]x\s+d\s+([0-9A-Fa-f])((\s+[0-9A-Fa-f]{1,3})*)(\s.*)?$"
+)
+
+
+class _Lines:
+    """Lines of a text log for python-can's reader, without those that are broken: they are kept with
+    their numbers."""
+
+    def __init__(self, path: Path, broken: list[BrokenRow]) -> None:
+        self._file = path.open(encoding="utf-8", errors="replace")
+        self._name, self._asc, self._broken = path.name, path.suffix.lower() == ".asc", broken
+        self.number = 0
+
+    def __iter__(self) -> Iterator[str]:
+        for line in self._file:
+            self.number += 1
+            whole = self._asc_line(line) if self._asc else self._candump_line(line)
+            if whole is not None:
+                yield whole
+            elif len(self._broken) < MAX_BROKEN:
+                self._broken.append(BrokenRow(self._name, self.number, "no whole CAN frame"))
+
+    @staticmethod
+    def _candump_line(line: str) -> str | None:
+        if not line.strip() or line.lstrip().startswith("#"):
+            return ""
+        if _CANDUMP.match(line):
+            return line
+        shown = _CANDUMP_SHOWN.match(line)
+        if shown is None:
+            return None
+        data = shown[5].split()
+        return f"{shown[1]} {shown[2]} {shown[3]}#{''.join(data)}\n" if len(data) == int(shown[4]) else None
+
+    @staticmethod
+    def _asc_line(line: str) -> str | None:
+        if not _ASC_FRAME.match(line):
+            # Header, comments, events of other kinds: the reader knows which of them matter.
+            return line
+        whole = _ASC_WHOLE.match(line)
+        return line if whole and len(whole[2].split()) >= int(whole[1], 16) else None
+
+    def close(self) -> None:
+        self._file.close()
+
+
+def _reader(path: Path, lines: _Lines | None) -> Any:
+    if lines is None:
+        return can.LogReader(path)
+    kind = can.ASCReader if path.suffix.lower() == ".asc" else can.CanutilsLogReader
+    return kind(lines)  # type: ignore[arg-type]
+
+
+def _frames(path: Path, broken: list[BrokenRow] | None = None) -> Iterator[tuple[int, Any]]:
+    """Frames with the number of their line (in binary logs their own number, from 1)."""
     try:
         # A log truncated while it was written still has all frames before the cut.
-        with can.LogReader(path) as reader:
+        lines = _Lines(path, [] if broken is None else broken) if path.suffix.lower() in _TEXT else None
+        with _reader(path, lines) as reader:
             for count, frame in enumerate(reader):
                 if count >= MAX_FRAMES:
                     raise InputError(f"{path}: more than {MAX_FRAMES} frames; cut the log")
                 if not (frame.is_error_frame or frame.is_remote_frame):
-                    yield frame
+                    yield (count + 1 if lines is None else lines.number), frame
     except InputError:
         raise
     except Exception as error:  # readers raise ValueError, IndexError, struct.error, BLFParseError by kind
@@ -135,7 +208,7 @@ def _frames(path: Path) -> Iterator[Any]:
 
 def _identifiers(path: Path) -> str:
     seen: dict[int, int] = {}
-    for count, frame in enumerate(_frames(path)):
+    for count, (_, frame) in enumerate(_frames(path)):
         if count > 20_000:
             break
         seen[frame.arbitration_id] = seen.get(frame.arbitration_id, 0) + 1

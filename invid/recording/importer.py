@@ -19,12 +19,11 @@ from invid.recording.binary_table import read_hdf5_table, read_mat_table, read_p
 from invid.recording.check import check_recording
 from invid.recording.import_map import AxisMap, Channel, ExperimentMap, ImportMap, Source
 from invid.recording.model import Experiment, Recording, nominal_sample_rate
+from invid.recording.rows import good_rows
 from invid.recording.tables import BrokenRow, Table
 from invid.recording.text_table import read_text_table
 from invid.recording.units import LINEAR, MachineConstants, Quantity, factor, normal_unit
 
-BROKEN_LIMIT = 0.01
-"""More broken rows than this stop an import: it is then more likely a wrong map than a bad log (issue 7)."""
 _KINDS = {
     ".csv": "csv", ".txt": "csv", ".tsv": "csv", ".dat": "csv",
     ".mat": "mat", ".parquet": "parquet", ".pq": "parquet",
@@ -99,7 +98,7 @@ def import_files(
     for entry, path in _assign(sources, chart.experiments):
         if path not in tables:
             table = read_table(path, chart.source, beside=beside)
-            good, skipped = _good_rows(table, chart, path)
+            good, skipped = good_rows(table, _needed(chart), chart.time.column, path)
             tables[path] = (table, good)
             broken += skipped
             rows += max(good.size, 1)
@@ -208,58 +207,6 @@ def _needed(chart: ImportMap) -> list[str | int]:
         names += [c.column for c in channels if c is not None]
         names += [] if axis.status is None else [axis.status]
     return names
-
-
-def _good_rows(table: Table, chart: ImportMap, path: Path) -> tuple[Bool, list[BrokenRow]]:
-    """Mask of usable rows and the others with their reason; InputError beyond one per cent."""
-    needed = _needed(chart)
-    columns = {name: table.column(name) for name in needed}
-    sizes = {c.size for c in columns.values()}
-    if len(sizes) != 1:
-        found = ", ".join(f"{n!r} {c.size}" for n, c in columns.items())
-        raise InputError(f"{path}: the columns of the map differ in length: {found}")
-    count = sizes.pop()
-    good: Bool = np.ones(count, dtype=np.bool_)
-    reasons: dict[int, str] = {}
-    for name, column in columns.items():
-        for row in np.flatnonzero(~np.isfinite(column) & good).tolist():
-            good[row] = False
-            reasons[row] = f"column {name!r} holds no number"
-    if chart.time.column is not None:
-        for row in _out_of_order(columns[chart.time.column], good):
-            good[row] = False
-            reasons[row] = "time does not increase"
-    known = {b.line: b.reason for b in table.broken}
-    numbers = np.arange(count) if table.lines is None else table.lines
-    skipped = [
-        BrokenRow(path.name, int(numbers[row]), known.get(int(numbers[row]), reason))
-        for row, reason in sorted(reasons.items())
-    ]
-    if len(skipped) > BROKEN_LIMIT * count or good.sum() < 2:
-        shown = "; ".join(f"{table.line_word} {b.line}: {b.reason}" for b in skipped[:5])
-        raise InputError(
-            f"{path}: {len(skipped)} of {count} rows are broken, more than {BROKEN_LIMIT:.0%} ({shown}"
-            f"{'; …' if len(skipped) > 5 else ''}); check the map's columns, 'delimiter' and 'decimal', "
-            f"or repair the file"
-        )
-    return good, skipped
-
-
-def _out_of_order(time: Float64, good: Bool) -> list[int]:
-    rows = np.flatnonzero(good)
-    t = time[rows]
-    if rows.size < 2 or (np.diff(t) > 0).all():
-        return []
-    bad: list[int] = []
-    last = -np.inf
-    for i, row in enumerate(rows):
-        # A lone instant far ahead would make every later row look late: it is the one that is wrong.
-        leap = i + 1 < rows.size and last < t[i + 1] < t[i] and (i + 2 >= rows.size or t[i + 2] < t[i])
-        if t[i] <= last or leap:
-            bad.append(int(row))
-        else:
-            last = t[i]
-    return bad
 
 
 def _experiment(

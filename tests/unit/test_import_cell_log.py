@@ -148,3 +148,65 @@ def test_a_sync_identifier_that_never_comes_is_said_with_those_that_do(logged, t
     path = chart(tmp_path, [0, None], {**PDOS, "sync_id": 0x81}, ("q", "tau", "aim"))
     assert run(["import", str(logged[0]), "--map", str(path), "-o", str(tmp_path / "x.h5")]) == 2
     assert "0x80" in capsys.readouterr().err
+
+
+def frames(n: int) -> list[str]:
+    lines = []
+    for k in range(n):
+        lines.append(f"({1.7e9 + 0.01 * k:.6f}) can0 080#")
+        data = (10 * k).to_bytes(4, "little") + (k % 900).to_bytes(2, "little") + b"\x37\x06"
+        lines.append(f"({1.7e9 + 0.01 * k + 1e-3:.6f}) can0 185#{data.hex().upper()}")
+        lines.append(f"({1.7e9 + 0.01 * k + 2e-3:.6f}) can0 205#0F000A00")
+    return lines
+
+
+def shown(line: str) -> str:
+    """A line as candump prints it on the screen."""
+    stamp, channel, frame = line.split()
+    identifier, data = frame.split("#")
+    pairs = [data[i : i + 2] for i in range(0, len(data), 2)]
+    return f" {stamp}  {channel}  {identifier}   [{len(pairs)}]  {' '.join(pairs)}"
+
+
+def log_imported(tmp_path: Path, lines: list[str]) -> tuple[int, Path]:
+    (tmp_path / "bus.log").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    out = tmp_path / "log.h5"
+    path = chart(tmp_path, [0, None], PDOS, ("q", "tau", "aim"))
+    path.write_text(
+        path.read_text(encoding="utf-8").replace("period_samples: 2048", "period_samples: 0"),
+        encoding="utf-8",
+    )
+    return run(["import", str(tmp_path / "bus.log"), "--map", str(path), "-o", str(out)]), out
+
+
+def test_lines_of_a_log_that_are_cut_are_skipped_with_their_numbers(tmp_path, capsys):
+    lines = frames(400)
+    lines[301] = lines[301][:-3]  # a TPDO: its cycle is lost
+    lines[601] = "\x00\x7fnoise"  # a TPDO again
+    lines.insert(900, "(17000")  # no frame at all: no cycle is lost
+    status, out = log_imported(tmp_path, lines)
+    assert status == 0
+    # The first cycle has no command yet.
+    assert read_recording(out).experiments[0].samples == 397
+    told = capsys.readouterr().err
+    for number in (301, 601, 901):
+        assert f"line {number}" in told
+
+
+def test_a_log_of_which_more_than_one_per_cent_is_cut_is_refused(tmp_path, capsys):
+    lines = [line[:-3] if k % 90 == 1 else line for k, line in enumerate(frames(400))]
+    status, out = log_imported(tmp_path, lines)
+    assert status == 2
+    assert not out.exists()
+    assert "broken" in capsys.readouterr().err
+
+
+def test_what_candump_shows_on_the_screen_is_read_like_its_log(tmp_path):
+    status, out = log_imported(tmp_path, frames(50))
+    assert status == 0
+    first = read_recording(out).experiments[0]
+    status, out = log_imported(tmp_path, [shown(line) for line in frames(50)])
+    assert status == 0
+    second = read_recording(out).experiments[0]
+    np.testing.assert_array_equal(first.position, second.position)
+    np.testing.assert_array_equal(first.torque, second.torque)
