@@ -20,6 +20,7 @@ from invid.recording import Outcome, Recording, RecordingWriter
 from invid.sweep import Progress, Sink, Sweep, SweepResult
 from invid.sweep.recorder import Recorder
 from invid_drivers.cia402.bus import Cia402Cell
+from invid_drivers.collecting import Judged
 from invid_drivers.connect import connect, is_virtual
 
 __all__ = ["MeasurementResult", "Progress", "measure_to_file"]
@@ -72,11 +73,15 @@ def measure_to_file(
     progress: Callable[[Progress], None] | None = None,
     stop: threading.Event | None = None,
     model: CoupledChains | None = None,
+    plan: Plan | None = None,
+    go_on: Callable[[Recording], bool] | None = None,
 ) -> MeasurementResult:
-    """Run the config's experiments and write the recording.
+    """Run the config's experiments, or those of ``plan``, and write the recording.
 
-    ``out`` is not touched before the first experiment begins. Whatever ends the run, the drives are
-    stopped and restored, and what was measured is closed and marked in ``out``.
+    ``go_on`` is asked after each experiment but the last, with what has been recorded so far, whether
+    the next one is needed; the axes are held meanwhile. ``out`` is not touched before the first
+    experiment begins. Whatever ends the run, the drives are stopped and restored, and what was measured is
+    closed and marked in ``out``.
 
     Raises
     ------
@@ -87,10 +92,11 @@ def measure_to_file(
     """
     out = Path(out)
     if is_virtual(config):
-        plan, cell = start_measurement(config, axes, amplitude_scale, model)
-        return run_measurement(config, plan, cell, out, progress=progress, stop=stop)
-    # refused here, before a process is started for it
-    make_plan(config, axes=axes, amplitude_scale=amplitude_scale, model=model)
+        plan, cell = start_measurement(config, axes, amplitude_scale, model, plan)
+        return run_measurement(config, plan, cell, out, progress=progress, stop=stop, go_on=go_on)
+    if plan is None:
+        # refused here, before a process is started for it
+        make_plan(config, axes=axes, amplitude_scale=amplitude_scale, model=model)
     _require_file(out)
     from invid_drivers.realtime import measure_in_process
 
@@ -102,6 +108,8 @@ def measure_to_file(
         progress=progress,
         stop=stop,
         model=model,
+        plan=plan,
+        go_on=go_on,
     )
     return result
 
@@ -119,9 +127,11 @@ def start_measurement(
     axes: Sequence[str] | None,
     amplitude_scale: float,
     model: CoupledChains | None,
+    plan: Plan | None = None,
 ) -> tuple[Plan, Cia402Cell]:
-    """Plan and connected cell; nothing is written into a drive yet."""
-    plan = make_plan(config, axes=axes, amplitude_scale=amplitude_scale, model=model)
+    """Plan (the given one, if any) and connected cell; nothing is written into a drive yet."""
+    if plan is None:
+        plan = make_plan(config, axes=axes, amplitude_scale=amplitude_scale, model=model)
     return plan, connect(config)
 
 
@@ -140,10 +150,14 @@ def run_measurement(
     stop: threading.Event | None = None,
     open_sink: Callable[[Recording], ClosingSink] | None = None,
     notes: Sequence[str] = (),
+    go_on: Callable[[Recording], bool] | None = None,
+    asked: Callable[[int], bool | None] | None = None,
 ) -> MeasurementResult:
     """The measurement on a connected cell, which is closed at the end.
 
-    ``open_sink`` says where samples go instead of into ``out``.
+    ``open_sink`` says where samples go instead of into ``out``, and ``asked`` who then answers whether
+    the next experiment is needed (see ``Sweep.go_on``); without it ``go_on`` is called in between, which
+    only a cell in virtual time can wait for.
     """
     complaints: list[str] = []
     closed = False
@@ -153,11 +167,14 @@ def run_measurement(
         _require_file(out)
         cell.check()
         header = _header(config, cell)
-        if open_sink is None:
-            recorder = Recorder(lambda: RecordingWriter(out, header), plan.cycle_s, len(plan.axes))
-        else:
+        if open_sink is not None:
             recorder = open_sink(header)
-        sweep = Sweep(plan, config, cell, recorder, progress=progress, stop=stop)
+        elif go_on is not None:
+            judged = Judged(out, header, go_on)
+            recorder, asked = Recorder(judged.open, plan.cycle_s, len(plan.axes)), judged.ask
+        else:
+            recorder = Recorder(lambda: RecordingWriter(out, header), plan.cycle_s, len(plan.axes))
+        sweep = Sweep(plan, config, cell, recorder, progress=progress, stop=stop, go_on=asked)
         result = sweep.run()
         outcome = Outcome.COMPLETED
         complaints = cell.close()

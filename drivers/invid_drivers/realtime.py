@@ -35,10 +35,11 @@ from invid.arrays import frozen_float
 from invid.chains import CoupledChains
 from invid.config import CellConfig
 from invid.errors import BusError, InvidError, SafetyStop
-from invid.plan.model import PlannedExperiment
+from invid.plan.model import Plan, PlannedExperiment
 from invid.recording import Outcome, Recording, RecordingWriter
 from invid.sweep import Progress, Sample
 from invid.sweep.recorder import Recorder
+from invid_drivers.collecting import Judged
 
 PRIORITY = 50
 """SCHED_FIFO priority: above everything ordinary, below the kernel's own threads."""
@@ -153,11 +154,19 @@ def child_main(fd: int) -> None:
     task: Mapping[str, Any] = connection.recv()
     die_with_parent(task["parent"])
     outbox: queue.SimpleQueue[tuple[Any, ...] | None] = queue.SimpleQueue()
+    answers: dict[int, bool | None] = {}
 
     def listen() -> None:
         with contextlib.suppress(EOFError, OSError):
-            connection.recv()
+            while isinstance(message := connection.recv(), tuple):
+                answers[message[0]] = message[1]
         stop.set()
+
+    def ask(number: int) -> bool | None:
+        if number not in answers:
+            answers[number] = None
+            outbox.put(("ask", number))
+        return answers[number]
 
     def post() -> None:
         while (message := outbox.get()) is not None:
@@ -169,7 +178,9 @@ def child_main(fd: int) -> None:
     sender.start()
     config = CellConfig.model_validate(task["config"])
     try:
-        plan, cell = start_measurement(config, task["axes"], task["amplitude_scale"], task["model"])
+        plan, cell = start_measurement(
+            config, task["axes"], task["amplitude_scale"], task["model"], task["plan"]
+        )
         notes = make_realtime()
 
         def open_sink(header: Recording) -> RemoteSink:
@@ -185,6 +196,7 @@ def child_main(fd: int) -> None:
             stop=stop,
             open_sink=open_sink,
             notes=notes,
+            asked=ask if task["judged"] else None,
         )
         outbox.put(("result", result))
     except InvidError as error:
@@ -204,8 +216,13 @@ def measure_in_process(
     progress: Callable[[Progress], None] | None,
     stop: threading.Event | None,
     model: CoupledChains | None,
+    plan: Plan | None = None,
+    go_on: Callable[[Recording], bool] | None = None,
 ) -> Any:
-    """``MeasurementResult`` of a measurement whose cycle runs in its own process."""
+    """``MeasurementResult`` of a measurement whose cycle runs in its own process.
+
+    ``go_on`` runs here, beside the relay, while the cycle process holds the axes.
+    """
     ours, theirs = socket.socketpair()
     with theirs:
         child = subprocess.Popen(
@@ -215,7 +232,7 @@ def measure_in_process(
             stdout=subprocess.DEVNULL,
         )
     connection = Connection(ours.detach())
-    relay = _Relay(out)
+    relay = _Relay(out, go_on)
     try:
         connection.send(
             {
@@ -225,6 +242,8 @@ def measure_in_process(
                 "axes": None if axes is None else list(axes),
                 "amplitude_scale": amplitude_scale,
                 "model": model,
+                "plan": plan,
+                "judged": go_on is not None,
             }
         )
         return relay.run(connection, progress, stop)
@@ -249,8 +268,10 @@ def measure_in_process(
 class _Relay:
     """The parent's side: messages to file, progress and result."""
 
-    def __init__(self, out: Path) -> None:
-        self._out = out
+    def __init__(self, out: Path, go_on: Callable[[Recording], bool] | None = None) -> None:
+        self._out, self._go_on = out, go_on
+        self._judged: Judged | None = None
+        self._verdicts: queue.SimpleQueue[tuple[int, bool]] = queue.SimpleQueue()
         self._recorder: Recorder | None = None
         self._row_format = row_format(0)
         self._outcome = Outcome.FAILED
@@ -267,6 +288,8 @@ class _Relay:
             if stop is not None and stop.is_set() and not asked:
                 asked = True
                 connection.send("stop")
+            while not self._verdicts.empty():
+                connection.send(self._verdicts.get())
             if not connection.poll(RELAY_POLL_S):
                 continue
             message = connection.recv()
@@ -276,6 +299,8 @@ class _Relay:
                     progress(message[1])
             elif kind == "open":
                 self._open(*message[1:])
+            elif kind == "ask":
+                threading.Thread(target=self._judge, args=message[1:], daemon=True).start()
             elif kind == "result":
                 self._outcome = Outcome.COMPLETED
                 return message[1]
@@ -292,7 +317,19 @@ class _Relay:
     def _open(self, header: Recording, cycle_s: float) -> None:
         count = len(header.axes)
         self._row_format = row_format(count)
-        self._recorder = Recorder(lambda: RecordingWriter(self._out, header), cycle_s, count)
+        if self._go_on is None:
+            self._recorder = Recorder(lambda: RecordingWriter(self._out, header), cycle_s, count)
+            return
+        self._judged = Judged(self._out, header, self._go_on)
+        self._recorder = Recorder(self._judged.open, cycle_s, count)
+
+    def _judge(self, number: int) -> None:
+        """Answer whether the next experiment is needed; a judge that fails ends nothing."""
+        needed = True
+        try:
+            needed = self._judged is None or self._judged.ask(number)
+        finally:
+            self._verdicts.put((number, needed))
 
     def _record(self, recorder: Recorder, kind: str, message: tuple[Any, ...]) -> None:
         if kind == "begin":

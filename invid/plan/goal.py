@@ -60,8 +60,8 @@ class GoalPlan:
     needed: int
     """Blocks after which the goal is expected to be met; all of them where it is not."""
     reachable: bool
-    forecasts: tuple[Expected, ...]
-    """Expected covariance after ``needed`` blocks first, after all second."""
+    expected: Expected
+    """Expected covariance after ``needed`` blocks."""
     binding: tuple[str, ...]
     amplitudes: tuple[float, ...]
     """Share of the torque limit of each block."""
@@ -75,7 +75,7 @@ class GoalPlan:
     @property
     def sentence(self) -> str:
         """What a person wants to know first."""
-        name, worst = self.forecasts[0].worst
+        name, worst = self.expected.worst
         if self.reachable:
             return (
                 f"{self.goal:.2g} of every mass, spring and coupling expected after {self.needed} of "
@@ -209,7 +209,10 @@ class _Designer:
         """One block, within travel and velocity by the belief."""
         if length != self.length:
             self._settle(length)
-        return self._make(length, number, rung)
+        made = self._make(length, number, rung)
+        # laid out for the first block; the others have other phases
+        over = max((ratio for _, _, ratio in self._over(made)), default=1.0) if number else 1.0
+        return replace(made, torque=frozen_float(made.torque / over))
 
     def _settle(self, length: float) -> None:
         """Prices and amplitudes that keep blocks of this length within travel and velocity.
@@ -375,7 +378,7 @@ class _Designer:
             goal=goal,
             needed=needed,
             reachable=reachable,
-            forecasts=(reached,),
+            expected=reached,
             binding=tuple(binding),
             amplitudes=tuple(r * self.share for r in rungs),
         )

@@ -11,7 +11,7 @@ import numpy as np
 from invid.arrays import Float64
 from invid.config import CellConfig
 from invid.errors import SafetyStop
-from invid.excitation import doublet
+from invid.excitation import doublet, ramped
 from invid.plan.model import Plan, PlannedExperiment
 from invid.recording.model import Kind
 from invid.sweep import trials
@@ -32,6 +32,11 @@ LEAST_COUNTS = 5
 NEAR_LIMIT = 0.8
 """The trial foretells the motion at full amplitude; beyond this share of a limit it is scaled down."""
 TRIAL_PERIOD_S = 10.0
+CLIMB_S = 4.0
+"""Second step of the amplitude's trial, at the root of the first share: friction that hides motion at a
+tenth of the amplitude hides less of it at a third."""
+DECIDE_S, DECIDE_POLL_S = 60.0, 0.1
+"""The axes are held this long while whoever ordered the measurement judges what is there."""
 FADE_S = 0.1
 """A stop on request fades the torque out in this time before the quick stop."""
 PROGRESS_S = 0.2
@@ -85,6 +90,9 @@ class Sweep:
     progress: Callable[[Progress], None] | None = None
     stop: threading.Event | None = None
     warnings: list[str] = field(default_factory=list)
+    go_on: Callable[[int], bool | None] | None = None
+    """Asked after each experiment but the last, with its number: True next one, False enough, ``None`` not
+    known yet (the axes are held, and it is asked again)."""
 
     def __post_init__(self) -> None:
         count = len(self.config.axes)
@@ -107,10 +115,9 @@ class Sweep:
         self._now: PlannedExperiment | None = None
         self._watch: Watch | None = None
         self._must_move: set[int] = set()
-        self._recorded = self._living = False
 
     def _trial_s(self) -> float:
-        return 2.0 * len(self.plan.excited) + TRIAL_PERIOD_S
+        return 2.0 * len(self.plan.excited) + TRIAL_PERIOD_S + CLIMB_S + self.plan.rest_s
 
     # --- the run -------------------------------------------------------------------------------
     def run(self) -> SweepResult:
@@ -131,6 +138,9 @@ class Sweep:
             self._try_amplitude()
             for number, experiment in enumerate(self.plan.experiments):
                 self._experiment(experiment, number)
+                if number + 1 < len(self.plan.experiments) and self._enough(number):
+                    self._total_s = self._done_s
+                    break
         finally:
             self.cell.stop()
         self._phase, self._done_s = "done", self._total_s
@@ -251,11 +261,9 @@ class Sweep:
             if sink is not None:
                 # an encoder that stands still is stuck, but not while the excitation fades in or out
                 watch.excited = self._must_move if shaken[0] <= k < shaken[1] and not fading else set()
-                self._expect_life(first <= k < last and not fading)
             watch.check(sample)
             self._differentiate(sample)
             if sink is not None and first <= k < last:
-                self._recorded = True
                 sink.row(sample, demand)
             if log:
                 kept[0].append(list(demand))
@@ -266,8 +274,7 @@ class Sweep:
             if fading:
                 fading += 1
                 if fading > fade:
-                    kept = "the recording so far is kept" if self._recorded else "nothing was recorded yet"
-                    raise SafetyStop(f"stopped on request; {kept}")
+                    raise SafetyStop("stopped on request; the recording so far is kept")
             elif stop is not None and stop.is_set():
                 fading = 1
                 cycles = max(cycles, k + fade + 1)
@@ -276,15 +283,6 @@ class Sweep:
                 self._report(k * cycle)
         self._done_s += cycles * cycle
         return [*(np.asarray(part) for part in kept), np.asarray(instants)]
-
-    def _expect_life(self, expected: bool) -> None:
-        """While a periodic excitation is recorded, held axes that tremble with it must go on trembling."""
-        e = self._now
-        if expected is self._living or e is None:
-            return
-        self._living = expected
-        held = set(range(self._count)) - set(e.excited) if expected and e.period_samples else set()
-        self._watching.standing.expect_life(held, e.period_samples)
 
     def _differentiate(self, sample: Sample) -> None:
         dt = sample.time - self._last_time
@@ -416,20 +414,26 @@ class Sweep:
         return min(lines, default=1.0)
 
     def _try_amplitude(self) -> None:
-        """A tenth of the first shaking: does the motion at full amplitude stay within the limits?"""
+        """A tenth, then a third of the largest shaking: does full amplitude stay within the limits?"""
         shaking = [e for e in self.plan.experiments if e.kind is not Kind.CONSTANT_VELOCITY]
         if not shaking:
             return
-        experiment = shaking[0]
+        peaks = [float(np.abs(e.torque).max(initial=0.0)) for e in shaking]
+        # the first of the largest; runs of one multisine differ by rounding
+        experiment = next(e for e, p in zip(shaking, peaks, strict=True) if p >= 0.999 * max(peaks))
         share = self.config.safety.test_amplitude
         self._phase, self._now = "trying the amplitude", experiment
-        excited = set(experiment.excited)
-        self._centre(excited, lowest=self._lowest([experiment]))
-        cycle = self.plan.cycle_s
-        cycles = min(experiment.cycles, round(TRIAL_PERIOD_S / cycle))
-        rows = experiment.torque[:cycles] * share
+        self._centre(set(experiment.excited), lowest=self._lowest([experiment]))
+        self._try_share(experiment, share, TRIAL_PERIOD_S)
+        self._try_share(experiment, min(float(np.sqrt(share)), NEAR_LIMIT) * self._scale, CLIMB_S)
+
+    def _try_share(self, experiment: PlannedExperiment, share: float, seconds: float) -> None:
+        """The first seconds at a share of the amplitude, and what full amplitude would be by them."""
+        excited, cycle = set(experiment.excited), self.plan.cycle_s
+        cycles = min(experiment.cycles, round(seconds / cycle))
         # the fades at the ends of the excitation stand still by themselves
         fade = min(round(0.5 / cycle), cycles // 4)
+        rows = ramped(experiment.torque[:cycles] * share, 0, fade)
         opening = self._play(rows[:fade], fade, log=True)
         self._watching.excited = excited
         body = self._play(rows[fade:-fade], cycles - 2 * fade, log=True)
@@ -457,6 +461,21 @@ class Sweep:
                     )
 
     # --- experiments ---------------------------------------------------------------------------
+    def _enough(self, number: int) -> bool:
+        """Whether the measurement may end after this experiment; holds every axis until that is known."""
+        if self.go_on is None:
+            return False
+        self._phase, self._now = "judging what was measured", None
+        for _ in range(round(DECIDE_S / DECIDE_POLL_S)):
+            answer = self.go_on(number)
+            if answer is not None:
+                return not answer
+            self._play(None, max(1, round(DECIDE_POLL_S / self.plan.cycle_s)))
+        self.warnings.append(
+            f"nobody said within {DECIDE_S:g} s whether to go on after experiment {number + 1}: ended there"
+        )
+        return True
+
     def _experiment(self, experiment: PlannedExperiment, number: int) -> None:
         self._phase = f"experiment {number + 1} of {len(self.plan.experiments)}"
         self._now = experiment
@@ -482,7 +501,6 @@ class Sweep:
         finally:
             self._must_move = set()
             self._watching.excited = set()
-            self._expect_life(False)
             self.sink.end()
 
     def _report(self, within: float = 0.0) -> None:

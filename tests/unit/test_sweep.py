@@ -250,7 +250,7 @@ def test_a_few_lost_tpdos_are_survived() -> None:
 
 def test_a_person_who_pushes_the_arm_is_noticed_by_the_window() -> None:
     cell = RigidCell()
-    cell.disturb = after(16.0, lambda c, s: c.push.__setitem__(0, 30.0))
+    cell.disturb = after(21.0, lambda c, s: c.push.__setitem__(0, 30.0))
     rows, error, _ = run(cell)
     assert isinstance(error, SafetyStop)
     assert len(rows.kept) == 1
@@ -266,7 +266,7 @@ def test_a_stuck_encoder_is_noticed_while_shaking() -> None:
     def stuck(c: RigidCell, s: Sample) -> None:
         s.position[1] = held.setdefault("x", s.position[1])
 
-    cell.disturb = after(13.0, stuck)
+    cell.disturb = after(18.0, stuck)
     _, error, _ = run(cell)
     assert isinstance(error, SafetyStop)
     assert "A2" in str(error)
@@ -276,10 +276,10 @@ def test_growing_motion_of_held_axes_is_called_an_unstable_hold() -> None:
     cell = RigidCell()
 
     def grow(c: RigidCell, s: Sample) -> None:
-        t = s.time - 12.0
+        t = s.time - 17.0
         s.position[0] += 1e-4 * np.exp(2.0 * t) * np.sin(60 * t)
 
-    cell.disturb = after(12.0, grow)
+    cell.disturb = after(17.0, grow)
     _, error, _ = run(cell, axes=["A2"], cfg=config(count=2, limits=""))
     assert isinstance(error, SafetyStop)
     assert "unstable" in str(error) or "velocity" in str(error)
@@ -288,12 +288,12 @@ def test_growing_motion_of_held_axes_is_called_an_unstable_hold() -> None:
 def test_a_stop_on_request_fades_out_and_counts_as_a_safety_stop() -> None:
     cell = RigidCell()
     event = threading.Event()
-    cell.disturb = after(13.0, lambda c, s: event.set())
+    cell.disturb = after(18.0, lambda c, s: event.set())
     _rows, error, _ = run(cell, stop=event)
     assert isinstance(error, SafetyStop)
     assert "request" in str(error)
     assert not cell.energised
-    assert cell.clock.time < 13.0 + 0.1 + 5 * CYCLE
+    assert cell.clock.time < 18.0 + 0.1 + 5 * CYCLE
     jumps = np.abs(np.diff(np.array(cell.demands)[-50:], axis=0)).max()
     assert jumps < 2.0
 

@@ -10,13 +10,20 @@ from pathlib import Path
 
 import typer
 
-from invid.cli.output import EXIT_OK, emit, note
-from invid.config import load_config
+from invid.cli.output import EXIT_NOT_TRUSTWORTHY, EXIT_OK, emit, note
+from invid.config import CellConfig, load_config
 from invid.errors import InputError, SafetyStop
+from invid.expected import Noise
 from invid.plan import Plan, make_plan
+from invid.plan.belief import Belief
+from invid.plan.goal import GoalPlan, plan_for_goal
 from invid.sweep import Progress
 from invid_drivers.cli.expectation import NOTHING, belief_of, expectation, expected_text, noise_of
+from invid_drivers.goal import Reached, measure_to_goal
 from invid_drivers.measurement import MeasurementResult, measure_to_file
+
+SHORTEST_S = 4.0
+"""Below that not even one block with its rest fits."""
 
 
 @contextlib.contextmanager
@@ -110,6 +117,100 @@ def result_text(result: MeasurementResult) -> str:
     return "\n".join(lines)
 
 
+def _required(out: Path | None) -> Path:
+    if out is None:
+        raise InputError("measure: no recording named; add -o REC.h5 (or --dry-run)")
+    return out
+
+
+def design_for(
+    cell: CellConfig,
+    belief: Belief | None,
+    noise: Noise,
+    goal: str,
+    axes: list[str] | None,
+    amplitude: float,
+    max_duration_s: float,
+) -> GoalPlan:
+    """The plan for a goal as it stands on the command line."""
+    if belief is None:
+        raise InputError(
+            "--goal needs something to plan against: --model MODEL.json, or an inertia (inertia_kgm2, "
+            "mass_kg) for every axis in the config"
+        )
+    if not 0 < amplitude <= 1:
+        raise InputError(f"--amplitude is {amplitude:g}; it must lie above 0 and be at most 1")
+    if not max_duration_s >= SHORTEST_S:
+        raise InputError(f"--max-duration is {max_duration_s:g}; give at least {SHORTEST_S:g} seconds")
+    return plan_for_goal(
+        cell,
+        belief,
+        noise,
+        parse_goal(goal),
+        axes=axes,
+        amplitude_scale=amplitude,
+        max_duration_s=max_duration_s,
+    )
+
+
+def parse_goal(text: str) -> float:
+    """0.01 from "1%", "1 %" or "0.01"."""
+    number = text.strip().removesuffix("%").strip()
+    try:
+        value = float(number) / (100.0 if text.strip().endswith("%") else 1.0)
+    except ValueError:
+        value = float("nan")
+    if not 0 < value < 1:
+        raise InputError(f"--goal is {text!r}; give a relative uncertainty such as 1% or 0.01")
+    return value
+
+
+def tell_design(cell: CellConfig, design: GoalPlan, *, as_json: bool) -> int:
+    """A dry run of a goal: 3 where it is not expected to be reached."""
+    document = {
+        "dry_run": True,
+        "robot": cell.robot,
+        "simulated": cell.simulated,
+        **design.plan.to_json(),
+        "goal": design.to_json(),
+        "expected": design.expected.to_json(),
+    }
+    if not design.reachable:
+        document["warnings"] = [*document["warnings"], design.sentence]
+    shown = [plan_text(design.plan, cell.robot), expected_text(design.expected, linear=cell.linear)]
+    emit(document, "\n".join([*shown, f"  {design.sentence}"]), as_json=as_json)
+    return EXIT_OK if design.reachable else EXIT_NOT_TRUSTWORTHY
+
+
+def run_design(cell: CellConfig, design: GoalPlan, out: Path, *, as_json: bool) -> int:
+    """Measure to the goal: 3 where the measured covariance did not reach it."""
+    note(f"invid measure: {design.sentence}")
+
+    def tell(found: Reached) -> None:
+        worst = f"{found.worst} at {found.relative:.2g}" if found.worst else found.reason
+        note(f"  after {found.blocks} block{'s' * (found.blocks > 1)}: {worst}")
+
+    with stop_on_signals() as stop:
+        try:
+            result, found = measure_to_goal(cell, design, out, progress=ProgressLine(), stop=stop, tell=tell)
+        except KeyboardInterrupt:
+            raise SafetyStop("stopped at once on request; the drives are off") from None
+    there = found.meets(design.goal)
+    sentence = (
+        f"goal of {design.goal:.2g} reached after {found.blocks} of {len(design.plan.experiments)} blocks: "
+        f"worst is {found.worst} at {found.relative:.2g}"
+        if there
+        else f"goal of {design.goal:.2g} not reached: "
+        + (found.reason or f"{found.worst} stands at {found.relative:.2g}; raise --max-duration or limits")
+    )
+    document = result.to_json()
+    if not there:
+        document["warnings"] = [*document["warnings"], sentence]
+    document["goal"] = {**design.to_json(), "reached": there, "measured": found.to_json(), "result": sentence}
+    emit(document, f"{result_text(result)}\n  {sentence}", as_json=as_json)
+    return EXIT_OK if there else EXIT_NOT_TRUSTWORTHY
+
+
 def register(app: typer.Typer) -> None:
     """Add the command."""
 
@@ -128,6 +229,15 @@ def register(app: typer.Typer) -> None:
         noise_from: Path | None = typer.Option(
             None, "--noise-from", help="Earlier recording of this cell: its noise foretells uncertainty."
         ),
+        goal: str | None = typer.Option(
+            None,
+            "--goal",
+            help="Relative uncertainty to reach, as 1%: plans the shortest experiment instead of the "
+            "config's and stops as soon as it is reached.",
+        ),
+        max_duration: float = typer.Option(
+            120.0, "--max-duration", help="With --goal: longest robot time of the blocks [s]."
+        ),
         as_json: bool = typer.Option(False, "--json", help="One JSON document on stdout."),
     ) -> int:
         """Shake the axes and record position and torque."""
@@ -135,6 +245,13 @@ def register(app: typer.Typer) -> None:
         chosen = None if axes is None else [a.strip() for a in axes.split(",") if a.strip()]
         belief = belief_of(cell, model)
         chains = None if model is None or belief is None else belief.chains
+        if goal is not None:
+            design = design_for(
+                cell, belief, noise_of(cell, noise_from), goal, chosen, amplitude, max_duration
+            )
+            if dry_run:
+                return tell_design(cell, design, as_json=as_json)
+            return run_design(cell, design, _required(out), as_json=as_json)
         if dry_run:
             plan = make_plan(cell, axes=chosen, amplitude_scale=amplitude, model=chains)
             found = expectation(cell, plan, belief, noise_of(cell, noise_from))
@@ -148,8 +265,7 @@ def register(app: typer.Typer) -> None:
             said = f"  note: {NOTHING}" if found is None else expected_text(found, linear=cell.linear)
             emit(document, f"{plan_text(plan, cell.robot)}\n{said}", as_json=as_json)
             return EXIT_OK
-        if out is None:
-            raise InputError("measure: no recording named; add -o REC.h5 (or --dry-run)")
+        out = _required(out)
         with stop_on_signals() as stop:
             try:
                 result = measure_to_file(
