@@ -216,7 +216,9 @@ def with_holds(
     """Records with the law and the timing of holds inside the drives, as the identification found them.
 
     A hold that acts half a sample before the command looks like a viscous friction of gain·step/2 on every
-    axis (``invid.refine.fit``): a sampling convention, which must not be named as a cause.
+    axis (``invid.refine.fit``): a sampling convention, which must not be named as a cause. A hold acts with
+    the command or up to half a sample before it. Where the identification, which knows no effects, found
+    another time, an effect made it: such a hold is taken to act as the others do and marked doubtful.
     """
     offsets = model.fit.get("time_offset_s", {})
     found = {}
@@ -228,12 +230,17 @@ def with_holds(
     if not laws:
         return list(records)
     late = np.array([found.get(i, 0.0) if i in laws else 0.0 for i in range(recording.axis_count)])
+    step = records[0].step if records else 0.0
+    doubt = (late < -0.55 * step) | (late > 0.05 * step)
+    sound = [late[i] for i in laws if not doubt[i]]
+    late[doubt] = float(np.median(sound)) if sound else 0.0
     gains = np.array([laws.get(i, (0.0, 0.0)) for i in range(recording.axis_count)])
     return [
         replace(
             r,
             hold=(gains[:, 0] + 1j * r.omega[:, None] * gains[:, 1]).astype(complex),
             hold_offset=late,
+            hold_doubt=doubt,
         )
         for r in records
     ]

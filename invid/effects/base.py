@@ -82,6 +82,8 @@ class Record:
     hold, hold_offset
         (F, M) law H of holds inside the drives, torque −H·position, and (M,) how much later than the
         command they act [s] (negative: earlier); a sampling convention, known from the identification.
+    hold_doubt
+        (M,) True where the identification found a time for the hold that no hold has: an effect's doing.
     set_aside
         (M,) True for axes whose torque in this record no law tells: held, they stand on their friction.
     """
@@ -112,6 +114,7 @@ class Record:
     command: Complex128 | None = None
     hold: Complex128 | None = None
     hold_offset: Float64 = field(default_factory=lambda: np.zeros(0))
+    hold_doubt: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
     set_aside: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
     weight: Float64 = field(default_factory=lambda: np.zeros(0))
     """(F,) 0 for lines that are left out; empty where all count."""
@@ -164,6 +167,8 @@ class View:
         """(F, M, M) inverse covariance of ``missing``."""
         self._waves: dict[tuple[Pattern, bool], Float64] = {}
         self._gains: dict[tuple[Pattern, ...], Complex128] = {}
+        self._pushes: dict[Pattern, Complex128] = {}
+        self._yields: dict[Pattern, Complex128] = {}
 
     @property
     def omega(self) -> Float64:
@@ -229,17 +234,21 @@ class View:
 
     def push(self, pattern: Pattern) -> Complex128:
         """(F, M) Wᵀ b: how a force along the pattern reaches the motors."""
-        total: Complex128 = np.zeros((self.omega.size, self.structure.motors), dtype=complex)
-        for at, sign in pattern:
-            total = total + sign * self.motion[:, at]
-        return total
+        if pattern not in self._pushes:
+            self._pushes[pattern] = sum(
+                (sign * self.motion[:, at] for at, sign in pattern[1:]),
+                start=pattern[0][1] * self.motion[:, pattern[0][0]],
+            )
+        return self._pushes[pattern]
 
     def yields(self, pattern: Pattern) -> Complex128:
         """(F, ΣN) Z_ii⁻¹ b: how the inner coordinates give way."""
-        total: Complex128 = np.zeros(self.base.shape, dtype=complex)
-        for at, sign in pattern:
-            total = total + sign * self.inner[:, :, at]
-        return total
+        if pattern not in self._yields:
+            self._yields[pattern] = sum(
+                (sign * self.inner[:, :, at] for at, sign in pattern[1:]),
+                start=pattern[0][1] * self.inner[:, :, pattern[0][0]],
+            )
+        return self._yields[pattern]
 
     def inferred(self, pattern: Pattern, missing: Complex128) -> Complex128:
         """(F,) force along the pattern that ``missing`` (F, M) would take, whatever its law.
@@ -253,7 +262,9 @@ class View:
         safe = np.maximum(information, 1e-300)
         force = -np.einsum("fi,fi->f", weighted, missing) / safe
         power = np.abs(force) ** 2 * safe
-        keep = np.where((power > 6.0) & (information > 0), 1.0 - 1.0 / np.maximum(power, 1e-300), 0.0)
+        # A pair of forces moves nothing at 0 Hz: what is left of its push there is rounding.
+        felt = np.abs(push).max(axis=1) > 1e-10
+        keep = np.where(felt & (power > 6.0), 1.0 - 1.0 / np.maximum(power, 1e-300), 0.0)
         out: Complex128 = keep * force
         return out
 

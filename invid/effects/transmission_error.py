@@ -71,11 +71,19 @@ class TransmissionError(Effect):
         return out, back
 
     def basis(self, view: View, place: Place, shape: Sequence[float]) -> Complex128:
-        small = 1e-6 * max(rms([view.wave(place.pattern(view.structure))]), 1e-12)
-        columns = [
-            self.contribution(view, place, (*c, *shape))[0] / small for c in ((small, 0.0), (0.0, small))
-        ]
-        return np.stack(columns, axis=-1)
+        (a, _), (b, _) = place.pattern(view.structure)
+        stiff = view.springs[spring_index(view.structure, place)]
+        cycles = float(np.exp(shape[0]))
+        angle = cycles * self._motor_side(view, place)
+        sine, cosine = np.sin(angle), np.cos(angle)
+        lean = cycles * view.wave(place.pattern(view.structure))
+        waves = np.stack([-sine - lean * cosine, -cosine + lean * sine, sine, cosine], axis=1)
+        lines = stiff * view.to_lines(waves)
+        out: Complex128 = (
+            view.push(((a, 1.0),))[:, :, None] * lines[:, None, :2]
+            + view.push(((b, 1.0),))[:, :, None] * lines[:, None, 2:]
+        )
+        return out
 
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
         return {
