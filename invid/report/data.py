@@ -272,7 +272,13 @@ def _liveliest(spectra: Sequence[LineSpectra], axis: int) -> LineSpectra:
 
 
 def _force_at(m: MissingTorque, pattern: Float64) -> Complex128:
-    """(F,) force at a place that explains the missing torque best: r = Wᵀ b f, weighted with the noise."""
+    """(F,) force at a place, lines of mere noise shrunk."""
+    return _denoised(*force_at(m, pattern))
+
+
+def force_at(m: MissingTorque, pattern: Float64) -> tuple[Complex128, Float64]:
+    """(F,) force at a place that explains the missing torque best, r = Wᵀ b f weighted with the noise, and
+    its (F,) standard deviation."""
     reach = np.einsum("d,fdm->fm", pattern, m.motion)
     scale = np.maximum(np.einsum("fii->f", m.covariance).real, 1e-300)[:, None, None]
     solved = np.linalg.solve(
@@ -280,7 +286,7 @@ def _force_at(m: MissingTorque, pattern: Float64) -> Complex128:
     )
     size = np.einsum("fm,fm->f", reach.conj(), solved[..., 0]).real
     force = np.einsum("fm,fm->f", reach.conj(), solved[..., 1]) / np.maximum(size, 1e-300)
-    return _denoised(force, np.sqrt(scale[:, 0, 0] / np.maximum(size, 1e-300)))
+    return force, np.sqrt(scale[:, 0, 0] / np.maximum(size, 1e-300))
 
 
 def _denoised(values: Complex128, std: Float64) -> Complex128:

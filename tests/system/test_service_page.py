@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from service_process import serving
+from service_process import SMALL_CELL, serving
 
 pytestmark = [pytest.mark.browser, pytest.mark.xdist_group("service")]
 BROWSER, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
@@ -101,7 +101,9 @@ class Page:
 
 @needs_browser
 def test_a_person_sees_readiness_and_the_plan_arms_watches_and_accepts_on_the_page(tmp_path: Path) -> None:
-    with serving(tmp_path) as service, browser(tmp_path / "profile") as driver:
+    # With dry friction far above the noise there is a cause to be shown.
+    stiff = SMALL_CELL + "  axes: {A1: {friction: {coulomb_Nm: 1.0}}}\n"
+    with serving(tmp_path, cell=stiff) as service, browser(tmp_path / "profile") as driver:
         page = Page(driver)
         driver.get(service.url + "/")
         page.wait_text("ready-title", "Ready to measure")
@@ -112,6 +114,9 @@ def test_a_person_sees_readiness_and_the_plan_arms_watches_and_accepts_on_the_pa
         assert "A1" in page.text("plan-table")
         assert "N·m" in page.text("plan-table")
         assert "s of robot time" in page.text("plan-facts")
+        # What will move and how far: foreseen, or bounded by where the sweep stops.
+        assert "°" in page.text("plan-table")
+        assert "unknown" not in page.text("plan-table")
         assert page.small_targets() == []
         driver.find_element("id", "arm").click()
         page.wait_text("run-title", "Measuring")
@@ -121,6 +126,19 @@ def test_a_person_sees_readiness_and_the_plan_arms_watches_and_accepts_on_the_pa
         assert page.text("sentence")
         page.shown("frf")
         assert driver.find_element("id", "frf-plot").find_elements("tag name", "canvas")
+        assert driver.find_element("id", "missing-plot").find_elements("tag name", "canvas")
+        cause = page.shown("causes").find_element("tag name", "figure")
+        assert "coulomb friction at the motor" in cause.text
+        sides = cause.find_elements("tag name", "button")
+        assert [b.text for b in sides] == [
+            "over velocity", "over position", "over deflection", "over frequency",
+        ]  # fmt: skip
+        for side in sides:
+            driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", side)
+            side.click()
+            assert side.get_attribute("aria-pressed") == "true"
+            assert cause.find_elements("tag name", "canvas")
+        assert "left with the cause" in cause.text
         parameters = page.text("parameters")
         for name in ("A1 mass 1", "A1 mass 2 (final)", "A1 spring 1", "±"):
             assert name in parameters

@@ -9,14 +9,16 @@ from invid.diagnosis import Diagnosis
 from invid.model import Model
 from invid.recording import Recording
 from invid.report.data import figure_data
+from invid.report.views import cause_views
 
 _DIGITS = 5
 
 
 def plot_data(recording: Recording, model: Model, diagnosis: Diagnosis) -> dict[str, Any]:
-    """``figure_data`` with five significant digits (a screen shows four) and no value that JSON lacks."""
+    """``figure_data`` and ``cause_views``, five significant digits (a screen shows four), no NaN."""
     document: dict[str, Any] = _rounded(figure_data(recording, model, diagnosis))
-    return {"axes": list(recording.axes), **document}
+    views: list[dict[str, Any]] = _rounded(cause_views(recording, model, diagnosis))
+    return {"axes": list(recording.axes), **document, "views": views}
 
 
 def _rounded(value: Any) -> Any:

@@ -31,6 +31,7 @@ class ResponseWatch:
     def __init__(self, path: Path, tell: Callable[[dict[str, Any]], None]) -> None:
         self._path, self._tell = path, tell
         self._process: subprocess.Popen[bytes] | None = None
+        self._told: set[str] = set()
         self._thread = threading.Thread(target=self._hear, name="response", daemon=True)
 
     def __enter__(self) -> ResponseWatch:
@@ -48,23 +49,28 @@ class ResponseWatch:
 
     def __exit__(self, *_: object) -> None:
         process = self._process
-        if process is None:
-            return
-        if process.stdin is not None:
-            process.stdin.close()
-        try:
-            process.wait(3.0)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-        self._thread.join(1.0)
+        if process is not None:
+            if process.stdin is not None:
+                process.stdin.close()
+            try:
+                process.wait(1.0)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+            self._thread.join(1.0)
+        # Nothing moves any more: what a starved process did not get to see is looked at here.
+        with contextlib.suppress(OSError, KeyError, ValueError, RuntimeError):
+            for response in look(self._path, self._told):
+                self._tell(response)
 
     def _hear(self) -> None:
         if self._process is None or self._process.stdout is None:
             return
         for line in self._process.stdout:
             with contextlib.suppress(ValueError):
-                self._tell(json.loads(line))
+                response = json.loads(line)
+                self._told.add(str(response["experiment"]))
+                self._tell(response)
 
 
 def look(path: Path, told: set[str]) -> Iterator[dict[str, Any]]:

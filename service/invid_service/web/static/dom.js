@@ -13,6 +13,13 @@ export const fill = (node, children) => node.replaceChildren(...children);
 export function row(kind, cells, classes = {}) {
   return el("tr", {}, cells.map((c, i) => el(kind, { class: classes[i] }, [c instanceof Node ? c : String(c ?? "")])));
 }
+// A table whose rows become blocks on a narrow screen: every cell carries its column's name.
+export function table(target, head, rows) {
+  const body = rows.map(({ cells, changed }) => el("tr", { class: changed ? "changed" : null },
+    cells.map((c, i) => el("td", { "data-label": head[i] || null }, [c instanceof Node ? c : String(c ?? "")]))));
+  fill(target, [el("thead", {}, [row("th", head)]), el("tbody", {}, body)]);
+  target.classList.add("stacks");
+}
 export function fmt(value, digits = 4) {
   if (value == null || !Number.isFinite(value)) return "?";
   const size = Math.abs(value);

@@ -2,7 +2,7 @@
 import { call, download, follow, get, onKeyNeeded, post, Problem } from "./api.js";
 import { showResult } from "./result.js";
 import { curves } from "./plots.js";
-import { clear, el, fill, fmt, row, time } from "./dom.js";
+import { clear, el, fill, fmt, row, table, time } from "./dom.js";
 
 const $ = (id) => document.getElementById(id);
 const ENDED = ["succeeded", "failed", "cancelled", "stopped", "interrupted"];
@@ -145,11 +145,15 @@ function show(run) {
 function showPlan(run) {
   const plan = run.plan;
   const rotary = (f) => (f.unit === "N" ? ["mm", 1000] : ["°", 180 / Math.PI]);
-  fill($("plan-table"), [row("th", ["Axis", "Torque up to", "Moves up to", "Speed up to"]), ...(plan.forecast ?? []).map((f) => {
-    const [unit, factor] = rotary(f);
-    return row("td", [f.axis, `±${fmt(f.peak_torque, 3)} ${f.unit}`, f.travel == null ? "unknown: limits watch it" : `±${fmt(f.travel * factor, 2)} ${unit}`,
-      f.velocity == null ? "unknown" : `${fmt(f.velocity * factor, 2)} ${unit}/s`]);
-  })]);
+  // What cannot be foretold is bounded all the same: the sweep stops every axis at its limits.
+  const limits = new Map((state.cell?.limits ?? []).map((l) => [l.axis, l]));
+  table($("plan-table"), ["Axis", "Torque up to", "Moves up to", "Speed up to"], (plan.forecast ?? []).map((f) => {
+    const [unit, factor] = rotary(f), l = limits.get(f.axis), shown = (v) => `${fmt(v * factor, 2)} ${unit}`;
+    const most = (v, limit, sign, per) => (v != null && !(v > limit) ? `${sign}${shown(v)}${per}`
+      : limit == null ? "not foreseen" : `${v == null ? "not foreseen; " : ""}stopped at ${sign}${shown(limit)}${per}`);
+    const travel = most(f.travel, l?.position, "±", ""), speed = most(f.velocity, l?.velocity, "", "/s");
+    return { cells: [el("b", {}, f.axis), `±${fmt(f.peak_torque, 3)} ${f.unit}`, travel, speed] };
+  }));
   $("plan-facts").textContent = `Takes about ${fmt(plan.duration_s, 3)} s of robot time in ${plan.experiments?.length ?? "?"} experiments. Motion stops by itself at the limits.`;
   fill($("plan-warnings"), (plan.warnings ?? []).map((w) => el("li", {}, w)));
 }
@@ -192,12 +196,12 @@ const loadHistory = guarded(async () => {
   });
   const button = (text, work) => { const b = el("button", { type: "button" }, text); b.addEventListener("click", work); return b; };
   clear(changes);
-  fill($("accepted"), [row("th", ["Accepted", "Model", "By", ""]), ...history.map((m, i) => row("td", [when(m.accepted), `…${m.id.slice(-8)}`, `${m.by} (${m.how})`,
-    i ? el("span", { class: "actions" }, [button("Compare with now", compare(m)), button("Restore", restore(m))]) : el("b", {}, "in force")]))]);
+  table($("accepted"), ["Accepted", "Model", "By", ""], history.map((m, i) => ({ cells: [when(m.accepted), `…${m.id.slice(-8)}`, `${m.by} (${m.how})`,
+    i ? el("span", { class: "actions" }, [button("Compare with now", compare(m)), button("Restore", restore(m))]) : el("b", {}, "in force")] })));
   const { identifications } = await get(`/identifications?cell=${state.cell.id}`);
   const open = (r) => () => { setView("work"); state.dismissed = null; watchRun(r); };
-  fill($("runs"), [row("th", ["Started", "Mode", "State", "Result", ""]), ...identifications.map((r) => row("td", [when(r.created), r.mode, WORDS[r.state].split(":")[0],
-    r.summary?.sentences?.[0] ?? r.error?.text ?? "", button("Show", open(r))], { 3: "wrap" }))]);
+  table($("runs"), ["Started", "Mode", "State", "Result", ""], identifications.map((r) => ({ cells: [when(r.created), r.mode, WORDS[r.state].split(":")[0],
+    r.summary?.sentences?.[0] ?? r.error?.text ?? "", button("Show", open(r))] })));
 });
 
 // --- upload -----------------------------------------------------------------------------------------

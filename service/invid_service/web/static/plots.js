@@ -10,11 +10,14 @@ window.addEventListener("resize", () => {
 });
 const DASHES = [[], [10, 5], [3, 4]];
 
-function axes(x, y) {
+function axes(x, y, logX) {
   const base = { stroke: colour("--ink"), grid: { stroke: colour("--grid"), width: 1 }, ticks: { stroke: colour("--grid") }, font: "14px system-ui", labelFont: "14px system-ui", labelSize: 28 };
   const plain = (u, ticks) => ticks.map((v) => (v == null ? "" : short(v)));
-  return [{ ...base, label: x, values: plain }, { ...base, label: y, size: 78, values: plain }];
+  const decades = (u, ticks) => ticks.map((v) => (v == null || !round(v) ? "" : short(v)));
+  return [{ ...base, label: x, values: logX ? decades : plain, filter: logX ? (u, splits) => splits : undefined }, { ...base, label: y, size: 78, values: plain }];
 }
+// 1, 2 or 5 times a power of ten: what a logarithmic axis is labelled at.
+function round(v) { const mantissa = v / 10 ** Math.floor(Math.log10(v) + 1e-9); return [1, 2, 5, 10].some((m) => Math.abs(mantissa - m) < 1e-6); }
 
 // One x for all series: values of each looked up at its own points, null elsewhere.
 function joined(series) {
@@ -41,9 +44,9 @@ function drawCurves(target, { x, y, series, peaks = [], logX = true, logY = true
   const options = {
     width: Math.max(280, target.clientWidth), height: Math.min(420, Math.max(300, Math.round(target.clientWidth * 0.5))),
     scales: { x: { time: false, distr: logX ? 3 : 1, range: (u, low, high) => [low * 0.97, high * 1.03] }, y: { distr: logY ? 3 : 1 } },
-    axes: axes(x, y), legend: { live: false }, cursor: { drag: { x: true, y: false } },
+    axes: axes(x, y, logX), legend: { live: false }, cursor: { drag: { x: true, y: false } },
     series: [{}, ...shown.map((s, k) => ({
-      label: s.label, stroke: colour(s.colour), width: s.points ? 0 : 2.5, dash: s.points ? undefined : DASHES[s.dash ?? k % 3], spanGaps: true,
+      label: s.label, stroke: colour(s.colour), width: s.points ? 0 : s.width ?? 2.5, dash: s.points ? undefined : DASHES[s.dash ?? k % 3], spanGaps: true,
       points: s.points ? { show: true, size: 6, stroke: colour(s.colour), fill: colour(s.colour) } : { show: false },
       paths: s.points ? () => null : undefined,
     }))],
@@ -57,15 +60,17 @@ function labelPeaks(u, peaks) {
   c.save();
   c.fillStyle = colour("--ink"); c.strokeStyle = colour("--quiet"); c.setLineDash([2 * ratio, 4 * ratio]);
   c.font = `${13 * ratio}px system-ui`; c.textAlign = "center";
-  let right = -Infinity, row = 0;
+  const rows = [-Infinity, -Infinity, -Infinity, -Infinity];
   for (const f of peaks) {
     if (f < u.scales.x.min || f > u.scales.x.max) continue;
     const px = u.valToPos(f, "x", true), text = `${f < 10 ? f.toFixed(2) : f.toFixed(1)} Hz`, half = c.measureText(text).width / 2;
-    row = px - half < right + 6 * ratio ? (row + 1) % 3 : 0;
-    right = px + half;
-    const top = u.bbox.top + (14 + 16 * row) * ratio;
+    const middle = Math.min(Math.max(px, u.bbox.left + half), u.bbox.left + u.bbox.width - half);
+    // The first row with room; where there is none the line stays and the label goes.
+    const row = rows.findIndex((right) => middle - half > right + 6 * ratio), top = u.bbox.top + (14 + 16 * Math.max(row, 0)) * ratio;
     c.beginPath(); c.moveTo(px, top + 4 * ratio); c.lineTo(px, u.bbox.top + u.bbox.height); c.stroke();
-    c.fillText(text, Math.min(Math.max(px, u.bbox.left + half), u.bbox.left + u.bbox.width - half), top);
+    if (row < 0) continue;
+    rows[row] = middle + half;
+    c.fillText(text, middle, top);
   }
   c.restore();
 }
@@ -76,7 +81,7 @@ export function cloud(target, picture) {
   drawCloud(target, picture);
 }
 
-function drawCloud(target, { x, y, fit, xLabel, yLabel }) {
+function drawCloud(target, { x, y, fit, line: joined = true, xLabel, yLabel }) {
   target.replaceChildren();
   const canvas = document.createElement("canvas"), ratio = window.devicePixelRatio || 1;
   const width = Math.max(280, target.clientWidth), height = Math.min(380, Math.max(260, width * 0.45));
@@ -101,12 +106,23 @@ function drawCloud(target, { x, y, fit, xLabel, yLabel }) {
   x.forEach((v, i) => { c.beginPath(); c.arc(px(v), py(y[i]), 2.5, 0, 7); c.fill(); });
   c.globalAlpha = 1;
   if (fit) {
-    c.strokeStyle = colour("--before"); c.lineWidth = 3; c.beginPath();
-    fit.x.forEach((v, i) => (i ? c.lineTo(px(v), py(fit.y[i])) : c.moveTo(px(v), py(fit.y[i]))));
-    c.stroke();
+    // Over its own quantity a cause is a curve; over any other it is the torque of the same instants.
+    c.strokeStyle = c.fillStyle = colour("--before");
+    const order = joined ? fit.x.map((v, i) => i).sort((a, b) => fit.x[a] - fit.x[b]) : [], single = joined && isCurve(order.map((i) => fit.y[i]));
+    if (single) {
+      c.lineWidth = 3.5; c.beginPath();
+      order.forEach((i, k) => (k ? c.lineTo(px(fit.x[i]), py(fit.y[i])) : c.moveTo(px(fit.x[i]), py(fit.y[i]))));
+      c.stroke();
+    } else fit.x.forEach((v, i) => c.fillRect(px(v) - 2.5, py(fit.y[i]) - 2.5, 5, 5));
   }
 }
 
+// A function of x jumps rarely; a loop goes back and forth all the time.
+function isCurve(y) {
+  let way = 0;
+  for (let i = 1; i < y.length; i++) way += Math.abs(y[i] - y[i - 1]);
+  return way < 12 * (Math.max(...y) - Math.min(...y));
+}
 function line(c, ax, ay, bx, by) { c.beginPath(); c.moveTo(ax, ay); c.lineTo(bx, by); c.stroke(); }
 function range(values) {
   const low = Math.min(...values), high = Math.max(...values), pad = (high - low || Math.abs(high) || 1) * 0.06;

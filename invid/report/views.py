@@ -1,0 +1,156 @@
+"""One cause seen from every side: its missing torque over velocity, position, deflection and frequency.
+
+``figure_data`` draws a cause over the quantity that it depends on; a person who doubts it wants to see the
+same torque over the others too, where a wrong cause would leave a shape.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from invid.arrays import Complex128, Float64
+from invid.chains import CoupledChains
+from invid.diagnosis import Diagnosis
+from invid.errors import InvidError
+from invid.model import EffectTerm, Model
+from invid.recording.model import Recording, Role
+from invid.report import laws
+from invid.report.data import (
+    POINTS,
+    _abscissa,
+    _denoised,
+    _interior,
+    _liveliest,
+    _place,
+    _unit,
+    _wave,
+    force_at,
+)
+from invid.report.spectra_data import MissingTorque, binned, missing_torque
+from invid.spectra import LineSpectra, all_spectra
+
+SIDES = (laws.VELOCITY, laws.POSITION, laws.DEFLECTION)
+
+
+def cause_views(recording: Recording, model: Model, diagnosis: Diagnosis) -> list[dict[str, Any]]:
+    """One entry a finding (or the axis on which something unexplained lives, without a fit).
+
+    Each has ``cause``, ``axis``, ``element``, ``y_label``, ``own`` (what the cause depends on), ``sides``
+    (``what``, ``x_label``, ``x``, ``y``, ``fit`` {x, y} as points of the same instants, or null) and
+    ``spectrum`` (``frequency_hz``, ``missing``, ``left`` after the cause, ``noise_floor``). Empty where
+    the recording carries no spectra.
+    """
+    chains = diagnosis.model.chains
+    try:
+        spectra = all_spectra(recording)
+    except InvidError:
+        return []
+    if not spectra or chains.branches != len(recording.axes):
+        return []
+    held_out = tuple(s for s in spectra if s.role is Role.VALIDATE) or spectra
+    terms = [f.effect for f in diagnosis.findings if f.effect.axis in recording.axes]
+    out = [_views(recording, held_out, chains, term, terms) for term in terms]
+    lost = diagnosis.unexplained
+    if not out and lost is not None and lost.axis in recording.axes:
+        nameless = EffectTerm("", lost.axis, {}, "mass 1")
+        out.append(_views(recording, held_out, model.chains, nameless, ()))
+    return out
+
+
+def _views(
+    recording: Recording,
+    spectra: Sequence[LineSpectra],
+    chains: CoupledChains,
+    term: EffectTerm,
+    all_terms: Sequence[EffectTerm],
+) -> dict[str, Any]:
+    i, pattern, stiffness = _place(chains, term)
+    s = _liveliest(spectra, i)
+    m = missing_torque(s, chains)
+    force, std = force_at(m, pattern)
+    y = -_wave(s, _denoised(force, std))
+    keep = _interior(s, y.size)
+    own = laws.ABSCISSA.get(term.cause)
+    fit = None if own is None else _fitted(m, pattern, i, term, own, stiffness)
+    sides = []
+    for what in dict.fromkeys((*([own] if own else []), *SIDES)):
+        x = _side(m, chains, pattern, i, what, term if what == own else None)
+        if x is None:
+            continue
+        step = max(1, y[keep].size // POINTS)
+        picture: dict[str, Any] = {
+            "what": what,
+            "x_label": f"{what} [{_unit(recording, what)}]",
+            "x": x[keep][::step].tolist(),
+            "y": y[keep][::step].tolist(),
+            "fit": None,
+        }
+        if fit is not None:
+            picture["fit"] = {"x": picture["x"], "y": fit[keep][::step].tolist()}
+        sides.append(picture)
+    others = len(all_terms) - 1
+    return {
+        "cause": term.cause or None,
+        "axis": term.axis,
+        "element": term.element if term.cause else None,
+        "y_label": f"missing torque [{recording.torque_unit}]",
+        "note": f"with {others} other cause(s) still in it" if others > 0 else "",
+        "own": own,
+        "sides": sides,
+        "spectrum": _spectrum(s, force, std, fit),
+    }
+
+
+def _fitted(
+    m: MissingTorque, pattern: Float64, axis: int, term: EffectTerm, own: str, stiffness: float
+) -> Float64 | None:
+    """(n,) torque of the fitted cause at every instant; mean removed, as lines carry none."""
+    x = _abscissa(m, pattern, axis, own, term)
+    curve = laws.curve(term, x, stiffness)
+    if curve is None:
+        return None
+    y = curve.y if curve.path else np.interp(x, curve.x, curve.y)
+    result: Float64 = y - float(y.mean())
+    return result
+
+
+def _side(
+    m: MissingTorque, chains: CoupledChains, pattern: Float64, axis: int, what: str, term: EffectTerm | None
+) -> Float64 | None:
+    """(n,) the quantity at the cause's place; the deflection is that of the spring next to it."""
+    if what != laws.DEFLECTION or np.count_nonzero(pattern) == 2:
+        at = pattern
+        if what in (laws.VELOCITY, laws.POSITION) and np.count_nonzero(pattern) == 2:
+            at = np.maximum(pattern, 0.0)  # of a spring: its motor's side
+        return _abscissa(m, at, axis, what, term)
+    springs = chains.springs[axis].size
+    if springs == 0:
+        return None
+    place = int(np.flatnonzero(pattern)[0]) - int(chains.motor_dofs[axis])
+    first = int(chains.motor_dofs[axis]) + min(max(place, 0), springs - 1)
+    across = np.zeros(chains.dofs)
+    across[first], across[first + 1] = 1.0, -1.0
+    return _abscissa(m, across, axis, what, None)
+
+
+def _spectrum(s: LineSpectra, force: Complex128, std: Float64, fit: Float64 | None) -> dict[str, Any]:
+    """Rms over frequency of the torque at the cause's place, before and with the cause taken out."""
+    count = s.time.size
+    at = np.round(s.frequency_hz * count / s.sample_rate_hz).astype(int)
+    inside = at <= count // 2
+    hz = s.frequency_hz[inside]
+    centre, before = binned([hz], [np.abs(force[inside]) ** 2])
+    _, noise = binned([hz], [std[inside] ** 2])
+    left = None
+    if fit is not None:
+        taken = np.fft.rfft(fit)[at[inside]] * 2 / count
+        left = binned([hz], [np.abs(force[inside] + taken) ** 2])[1].tolist()
+    return {
+        "frequency_hz": centre.tolist(),
+        "missing": before.tolist(),
+        "left": left,
+        "noise_floor": noise.tolist(),
+    }

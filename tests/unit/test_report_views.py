@@ -1,0 +1,106 @@
+"""A cause seen over velocity, position, deflection and frequency: the shapes a person can check by eye.
+
+Recordings come from the hidden tests' own integrator and physics, not from the product's simulator.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from hidden.generator import Truth, make
+
+from invid.diagnosis import AxisResidual, Diagnosis, Finding, Unexplained, Verdict
+from invid.model import ChainStd, EffectTerm, Estimate, Model
+from invid.recording.model import Recording
+from invid.report.views import cause_views
+
+TORQUE = 2.0
+
+
+def diagnosed(recording: Recording, model: Model, *terms: EffectTerm) -> Diagnosis:
+    findings = tuple(Finding(t, 0.98, 1.4, 0.05, 0.97, (), None, "said") for t in terms)
+    rows = tuple(AxisResidual(a, "N·m", 1.4, 0.05, 0.049) for a in recording.axes)
+    verdict = Verdict.EXPLAINED if terms else Verdict.CONSISTENT
+    return Diagnosis(verdict, rows, 0.97, findings, None, model.extended(*terms))
+
+
+@pytest.fixture(scope="module")
+def friction() -> tuple[Recording, Truth, Model]:
+    recording, truth = make(
+        "coulomb_friction", (1, 1), {"torque": TORQUE}, seed=11, motors=2, masses=(2, 2), moves=False,
+        noise=0.002, drive="smooth",
+    )  # fmt: skip
+    return recording, truth, Model("cell", "refined", truth.chains, ChainStd.unknown(truth.chains))
+
+
+def coulomb(axis: str, torque: float = TORQUE) -> EffectTerm:
+    return EffectTerm("coulomb_friction", axis, {"torque": Estimate(torque, 0.05, "N·m")}, "mass 1")
+
+
+def test_friction_is_a_step_over_velocity_and_none_over_position(
+    friction: tuple[Recording, Truth, Model],
+) -> None:
+    recording, _, model = friction
+    (view,) = cause_views(recording, model, diagnosed(recording, model, coulomb(recording.axes[1])))
+    sides = {s["what"]: s for s in view["sides"]}
+    assert list(sides) == ["velocity", "position", "deflection"]
+    assert view["own"] == "velocity"
+    y, v, x = (np.array(sides[w][k]) for w, k in (("velocity", "y"), ("velocity", "x"), ("position", "x")))
+    fast = np.abs(v) > 0.3 * np.abs(v).max()
+    assert np.mean(np.sign(v[fast]) == np.sign(y[fast])) > 0.97
+    assert np.median(np.abs(y[fast])) == pytest.approx(TORQUE, rel=0.15)
+    assert abs(np.corrcoef(x, y)[0, 1]) < 0.5 * np.corrcoef(np.sign(v), y)[0, 1]
+    assert sides["deflection"]["x_label"] == "deflection [rad]"
+
+
+def test_the_fitted_cause_is_drawn_at_the_instants_of_the_points_whatever_it_is_seen_over(
+    friction: tuple[Recording, Truth, Model],
+) -> None:
+    recording, _, model = friction
+    (view,) = cause_views(recording, model, diagnosed(recording, model, coulomb(recording.axes[1])))
+    for side in view["sides"]:
+        assert side["fit"]["x"] == side["x"]
+        # The truth explains the points: what it leaves is a fraction of what it takes.
+        left = np.array(side["y"]) - np.array(side["fit"]["y"])
+        assert np.std(left) < 0.5 * np.std(side["y"])
+
+
+def test_over_frequency_the_right_cause_takes_the_missing_torque_down_and_a_wrong_one_does_not(
+    friction: tuple[Recording, Truth, Model],
+) -> None:
+    recording, _, model = friction
+    axis = recording.axes[1]
+    rms = {}
+    for torque in (TORQUE, -TORQUE):
+        (view,) = cause_views(recording, model, diagnosed(recording, model, coulomb(axis, torque)))
+        s = view["spectrum"]
+        assert len(s["frequency_hz"]) == len(s["missing"]) == len(s["left"]) == len(s["noise_floor"])
+        rms[torque] = [float(np.sqrt(np.mean(np.square(s[k])))) for k in ("missing", "left", "noise_floor")]
+    missing, left, noise = rms[TORQUE]
+    assert left < 0.35 * missing
+    assert noise < missing
+    assert rms[-TORQUE][1] > 1.5 * missing
+
+
+def test_what_no_cause_explains_is_shown_without_a_fit(friction: tuple[Recording, Truth, Model]) -> None:
+    recording, _, model = friction
+    lost = Unexplained(axis=recording.axes[1], frequencies_hz=(1.0,), character=("odd",), sentence="there")
+    diagnosis = replace(
+        diagnosed(recording, model), verdict=Verdict.UNEXPLAINED, unexplained=lost, model=model
+    )
+    (view,) = cause_views(recording, model, diagnosis)
+    assert view["cause"] is None
+    assert [s["what"] for s in view["sides"]] == ["velocity", "position", "deflection"]
+    assert all(s["fit"] is None for s in view["sides"])
+    assert view["spectrum"]["left"] is None
+
+
+def test_with_nothing_missing_there_is_nothing_to_show(friction: tuple[Recording, Truth, Model]) -> None:
+    recording, _, model = friction
+    assert cause_views(recording, model, diagnosed(recording, model)) == []
