@@ -1,4 +1,4 @@
-# The service in a container. Built in two stages: the first installs what requirements.lock pins, the
+# The service in a container. Built in two stages: the first installs what requirements-runtime.lock pins, the
 # second has Python, the packages and nothing else. Nothing is fetched when it runs.
 #
 #   docker build -t invid .
@@ -11,9 +11,9 @@
 
 FROM python:3.11-slim-bookworm AS build
 WORKDIR /src
-COPY requirements.lock pyproject.toml README.md LICENSE ./
+COPY requirements-runtime.lock pyproject.toml README.md LICENSE ./
 RUN python -m venv /opt/invid
-RUN /opt/invid/bin/python -m pip install --no-cache-dir --disable-pip-version-check -r requirements.lock
+RUN /opt/invid/bin/python -m pip install --no-cache-dir --disable-pip-version-check -r requirements-runtime.lock
 COPY invid ./invid
 COPY drivers ./drivers
 COPY service ./service
