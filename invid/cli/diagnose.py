@@ -12,6 +12,7 @@ from invid.cli.output import EXIT_NOT_TRUSTWORTHY, EXIT_OK, emit, note
 from invid.diagnosis import Diagnosis, diagnosis_to_json
 from invid.errors import InputError
 from invid.model import dump_json
+from invid.recording.model import Recording
 
 
 def register(app: typer.Typer) -> None:
@@ -35,6 +36,10 @@ def register(app: typer.Typer) -> None:
         report: Annotated[
             Path | None, typer.Option("--report", metavar="REPORT.html", help="Where the report goes.")
         ] = None,
+        plots: Annotated[
+            Path | None,
+            typer.Option("--plots", metavar="DIR", help="Folder for pictures (SVG) and their data."),
+        ] = None,
         as_json: Annotated[bool, typer.Option("--json", help="Print the diagnosis as JSON.")] = False,
     ) -> int:
         """Name what the model gets wrong, with the extended model and the gain on held-out data."""
@@ -56,13 +61,17 @@ def register(app: typer.Typer) -> None:
             note(f"diagnosis written to {output}")
         if report is not None:
             from invid.report import render_report
+            from invid.report.dependence import linear_model_of
 
-            _write(report, render_report(data, diagnosis.model, diagnosis))
+            _write(report, render_report(data, linear_model_of(diagnosis), diagnosis))
             note(f"report written to {report}")
+        pictures = [] if plots is None else _write_plots(plots, data, diagnosis)
         if as_json:
             for warning in diagnosis.warnings:
                 note(f"warning: {warning}")
-        emit(document, diagnosis_text(diagnosis), as_json=as_json)
+        seen = [f"report: {report}"] if report is not None else []
+        seen += [f"picture: {p}" for p in pictures if p.suffix == ".svg"]
+        emit(document, "\n".join([diagnosis_text(diagnosis), *seen]), as_json=as_json)
         trustworthy = bool(diagnosis.model.fit.get("trustworthy", True))
         return EXIT_OK if trustworthy else EXIT_NOT_TRUSTWORTHY
 
@@ -72,6 +81,21 @@ def _write(path: Path, text: str) -> None:
         path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror}") from None
+
+
+def _write_plots(folder: Path, recording: Recording, diagnosis: Diagnosis) -> list[Path]:
+    """Writes pictures and their data; the paths, pictures of what is missing first."""
+    from invid.report.plots import plot_files
+
+    files = plot_files(recording, diagnosis)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be made a folder: {error.strerror}") from None
+    for name, text in files.items():
+        _write(folder / name, text)
+    note(f"{len(files)} pictures and tables written to {folder}")
+    return [folder / name for name in files]
 
 
 def diagnosis_text(diagnosis: Diagnosis) -> str:

@@ -24,7 +24,7 @@ from invid.discrepancy.select import Selection, select
 from invid.discrepancy.trust import cautious, distrust_sentences, in_the_way, trust
 from invid.effects.base import Record, unit_of
 from invid.errors import InputError, InvidError
-from invid.model import Model
+from invid.model import Model, model_to_json
 from invid.recording.model import Recording
 from invid.refine.blocks import HOLD_OFFSET, driven_and_held
 from invid.refine.structure import ChainStructure
@@ -90,6 +90,7 @@ def diagnose(
         if isinstance(answer, Replay) and answer.refused:
             result = _document(sound, model, selection, bare, train, held, [*warnings, REFUSED], refused=True)
         result = with_replay(result, answer, sound)
+        result = replace(result, details={**result.details, "linear_model": model_to_json(linear)})
     return with_dropped(result, recording, dropped, before_repair(recording, bare, result) if dropped else {})
 
 

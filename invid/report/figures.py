@@ -132,7 +132,7 @@ def missing(rows: list[dict[str, Any]]) -> str:
         values = values[np.isfinite(values) & (values > 0)]
         if values.size:
             plots[0].set_ylim(np.quantile(values, 0.02) * 0.5, values.max() * 2)
-        _plain_hz(plots[-1])
+        plain_hz(plots[-1])
         handles, words = plots[0].get_legend_handles_labels()
         figure.legend(handles, words, loc="upper right", ncols=3)
 
@@ -196,7 +196,7 @@ def response(row: dict[str, Any], name: str) -> str:
         bottom.set_ylabel("phase [°]")
         bottom.set_yticks([-270, -180, -90, 0, 90])
         bottom.set_ylim(-290, 110)
-        _plain_hz(bottom)
+        plain_hz(bottom)
         figure.legend(loc="upper right", ncols=4)
 
     return svg(
@@ -219,7 +219,8 @@ def _positive(values: list[float]) -> Any:
     return np.where(array > 0, array, np.nan)
 
 
-def _plain_hz(ax: Axes) -> None:
+def plain_hz(ax: Axes) -> None:
+    """A logarithmic frequency axis with ticks at 1, 2, 5 in plain figures."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     ax.set_xlabel("frequency [Hz]")

@@ -19,7 +19,9 @@ from invid.diagnosis import Diagnosis, Verdict
 from invid.model import EffectTerm, Model, units
 from invid.recording.model import Recording
 from invid.report.data import figure_data
+from invid.report.dependence import replay_data
 from invid.report.figures import draw
+from invid.report.plots import replay_picture
 from invid.report.style import printable
 
 HEADLINE = {
@@ -37,6 +39,13 @@ def render_report(recording: Recording, model: Model, diagnosis: Diagnosis | Non
     replaced by the reason.
     """
     data = figure_data(recording, model, diagnosis)
+    drawn, captions = draw(data), _captions(data)
+    first = [name for name in drawn if name == "residual" or name.startswith("cause-")]
+    pictures = {name: drawn[name] for name in first}
+    for number, row in enumerate([] if diagnosis is None else replay_data(recording, diagnosis), 1):
+        pictures[f"replay-{number}"] = replay_picture(row, f"replay-{number}")
+        captions[f"replay-{number}"] = _replay_caption(row)
+    pictures |= {name: picture for name, picture in drawn.items() if name not in pictures}
     environment = Environment(
         loader=PackageLoader("invid.report", ""), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
@@ -47,8 +56,8 @@ def render_report(recording: Recording, model: Model, diagnosis: Diagnosis | Non
         diagnosis=diagnosis,
         headline=_headline(model, diagnosis),
         sentences=_sentences(diagnosis),
-        pictures=draw(data),
-        captions=_captions(data),
+        pictures=pictures,
+        captions=captions,
         notes=data["notes"],
         parameters=_parameters(shown),
         effects=[_effect(e) for e in shown.effects],
@@ -80,6 +89,18 @@ def _sentences(diagnosis: Diagnosis | None) -> list[str]:
     if diagnosis.unexplained is not None and diagnosis.unexplained.sentence not in said:
         said.append(diagnosis.unexplained.sentence)
     return said
+
+
+def _replay_caption(row: Mapping[str, Any]) -> str:
+    rms = row["rms"]
+    seen = "which no fit has seen" if row["role"] == "validate" else "which the fit has seen"
+    text = (
+        f"{row['axis']}: the recorded torque through the model, against the measured motion, in experiment "
+        f"{row['experiment']}, {seen}. The simulation is off by {rms['error_before']:.2g} {row['unit']} rms"
+    )
+    if row["extended"]:
+        text += f" without and {rms['error_after']:.2g} {row['unit']} with the causes named"
+    return f"{text}, of {rms['motion']:.2g} {row['unit']} of motion."
 
 
 def _captions(data: Mapping[str, Any]) -> dict[str, str]:
