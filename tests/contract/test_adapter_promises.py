@@ -411,3 +411,85 @@ def test_a_drive_with_one_sdo_buffer_gets_the_cycles_question_and_then_the_next_
     finally:
         link.put = put  # type: ignore[method-assign]
         cell.close()
+
+
+def positions_of_a_moving_axis(cell: Cia402Cell, cycles: int, meddle: Any) -> tuple[list[float], list[bool]]:
+    """A1 under constant torque, whose frames ``meddle(get)`` may hold back; position and freshness."""
+    cell.check()
+    cell.energise(held(cell))
+    cell.set_modes([Mode.TORQUE, Mode.HOLD], [0.0, 0.0])
+    for _ in range(50):
+        cell.exchange([1.0, 0.0])
+    cell._link.get = meddle(cell._link.get)  # type: ignore[method-assign]
+    seen, fresh = [], []
+    for _ in range(cycles):
+        sample = cell.exchange([1.0, 0.0])
+        seen.append(sample.position[0])
+        fresh.append(sample.fresh[0])
+    return seen, fresh
+
+
+def test_tpdos_that_come_cycles_late_in_a_bunch_are_never_taken_for_a_later_cycles() -> None:
+    """A simulated drive that was not run for a while answers all the SYNCs it missed at once."""
+    undisturbed = simulated()
+    truth, _ = positions_of_a_moving_axis(undisturbed, 60, lambda get: get)
+    undisturbed.close()
+    cell = simulated()
+    calls = 0
+    kept: list[Any] = []
+
+    def meddle(get: Any) -> Any:
+        def in_a_bunch(timeout: float) -> Any:
+            """The tenth to fifteenth answers wait for the sixteenth; their order is kept."""
+            nonlocal calls
+            if kept and calls >= 16:
+                return kept.pop(0)
+            message = get(timeout)
+            if message is None or message.arbitration_id != 0x181:
+                return message
+            calls += 1
+            if 10 <= calls <= 16:
+                kept.append(message)
+                return in_a_bunch(timeout)
+            return message
+
+        return in_a_bunch
+
+    try:
+        seen, fresh = positions_of_a_moving_axis(cell, 60, meddle)
+    finally:
+        cell.close()
+    assert 3 <= fresh.count(False) <= 12
+    assert all(fresh[-30:])
+    step = max(np.abs(np.diff(truth)))
+    for x, true, new in zip(seen, truth, fresh, strict=True):
+        if new:
+            assert abs(x - true) < 0.2 * step
+
+
+def test_a_lost_tpdo_costs_its_own_cycle_and_no_other() -> None:
+    undisturbed = simulated()
+    truth, _ = positions_of_a_moving_axis(undisturbed, 60, lambda get: get)
+    undisturbed.close()
+    cell = simulated()
+    calls = 0
+
+    def meddle(get: Any) -> Any:
+        def lossy(timeout: float) -> Any:
+            nonlocal calls
+            message = get(timeout)
+            if message is not None and message.arbitration_id == 0x181:
+                calls += 1
+                if calls in (10, 30, 31):
+                    return get(timeout)
+            return message
+
+        return lossy
+
+    try:
+        seen, fresh = positions_of_a_moving_axis(cell, 60, meddle)
+    finally:
+        cell.close()
+    assert [k + 1 for k, new in enumerate(fresh) if not new] == [10, 30, 31]
+    step = max(np.abs(np.diff(truth)))
+    assert all(abs(x - t) < 0.2 * step for x, t, new in zip(seen, truth, fresh, strict=True) if new)

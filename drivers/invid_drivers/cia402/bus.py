@@ -38,6 +38,9 @@ knows when SYNC was on the wire, and the positions of that cycle count as not re
 of a millisecond is 0.6 mrad."""
 LOADED_RUNAWAYS = 5
 """A gravity-loaded axis without brake is cut off only after five samples in a row of growing speed."""
+ALONE_CYCLES = 3
+"""After a gap, a TPDO that comes later than usual is believed to be of this cycle when three cycles in a
+row have brought just one: what was owed is lost."""
 MODE_POLL_S = 0.1
 """0x6061 of one axis after another is asked for at this interval during the cycle."""
 HEARTBEAT_PERIODS = 3.5
@@ -75,7 +78,9 @@ class Cia402Cell:
         )
         self._started = 0.0
         self._slot = -1
-        self._late = True
+        self._owed = [0] * count
+        self._alone = [0] * count
+        self._answered_s = 0.5 * self._cycle
         self._operational = False
         self._touched = False
         self._mode_asked = 0
@@ -219,15 +224,13 @@ class Cia402Cell:
             self._started, self._slot = now, -1
         else:
             self._slot = max(self._slot, int((now - self._started) / self._cycle))
-        self._late = True
+        self._owed = [0] * len(self._drives)
 
     # --- the cycle -----------------------------------------------------------------------------
     def exchange(self, torque: Sequence[float]) -> Sample:
         """Targets out, SYNC at its slot, samples in."""
         link, clock = self._link, self.clock
         sample, put = self._sample, link.put
-        if self._late:
-            self._drain()
         hold = Mode.HOLD
         for i, cob in enumerate(self._rpdo_ids):
             value = 0 if self._modes[i] is hold else round(torque[i] * self._per_mille[i])
@@ -238,33 +241,18 @@ class Cia402Cell:
                     arbitration_id=cob, data=_RPDO.pack(self._control[i], value), is_extended_id=False
                 )
             )
+        self._drain()
         slot, instant = self._wait_for_slot()
+        self._drain()
+        instant = max(instant, clock.now())
         deadline = self._started + slot * self._cycle
         put(self._sync)
         certain = clock.now() - instant < UNCERTAIN_CYCLES * self._cycle
         self._slot = slot
         self.jitter.add(instant - deadline)
         sample.slot, sample.time = slot, instant
+        self._collect(instant, deadline + 0.85 * self._cycle)
         fresh = sample.fresh
-        for i in range(len(fresh)):
-            fresh[i] = False
-        pending = len(fresh)
-        tpdo_axis, get = self._tpdo_axis, link.get
-        end = deadline + 0.85 * self._cycle
-        while pending:
-            rest = end - clock.now()
-            if rest <= 0:
-                break
-            message = get(rest)
-            if message is None:
-                break
-            axis = tpdo_axis.get(message.arbitration_id)
-            if axis is None:
-                self._sort(message)
-            elif self._take(axis, message) and not fresh[axis]:
-                fresh[axis] = True
-                pending -= 1
-        self._late = pending > 0
         if not certain:
             for i in range(len(fresh)):
                 fresh[i] = False
@@ -277,6 +265,52 @@ class Cia402Cell:
         elif sample.events:
             sample.events = []
         return sample
+
+    def _collect(self, instant: float, end: float) -> None:
+        """TPDOs of the SYNC at ``instant`` until all came or ``end``.
+
+        Where an earlier one has not come, it was lost or is still under way (a simulated drive on a busy
+        computer, a slow gateway). What comes then is this SYNC's only if it comes alone and as fast as
+        ever, or last of as many as are owed; else nobody knows, and the axis counts as not received.
+        """
+        clock, get, owed = self.clock, self._link.get, self._owed
+        fresh = self._sample.fresh
+        for i in range(len(fresh)):
+            fresh[i] = False
+        pending = len(fresh)
+        waiting = any(owed)
+        came = [0] * len(fresh)
+        last = instant
+        tpdo_axis = self._tpdo_axis
+        while pending or waiting:
+            rest = end - clock.now()
+            if rest <= 0:
+                break
+            message = get(rest)
+            if message is None:
+                break
+            axis = tpdo_axis.get(message.arbitration_id)
+            if axis is None:
+                self._sort(message)
+            elif self._take(axis, message):
+                came[axis] += 1
+                if waiting:
+                    last = clock.now()
+                if not fresh[axis]:
+                    fresh[axis] = True
+                    pending -= 1
+                    if not pending and not waiting:
+                        self._answered_s += 0.05 * (clock.now() - instant - self._answered_s)
+        if pending or waiting:
+            in_time = last - instant < 1.5 * self._answered_s + 0.1 * self._cycle
+            for i, count in enumerate(came):
+                missing = owed[i] + 1 - count
+                self._alone[i] = self._alone[i] + 1 if count == 1 and missing else 0
+                if count and (missing <= 0 or (count == 1 and (in_time or self._alone[i] >= ALONE_CYCLES))):
+                    missing = self._alone[i] = 0
+                else:
+                    fresh[i] = False
+                owed[i] = missing
 
     def _wait_for_slot(self) -> tuple[int, float]:
         """Number and instant of the next SYNC, at its slot or at most half a cycle late.
@@ -339,11 +373,13 @@ class Cia402Cell:
                 )
 
     def _drain(self) -> None:
-        """Frames of the cycle before would pass for this one's."""
+        """Before a SYNC: what is there belongs to an earlier one and would pass for this one's."""
         while (message := self._link.get(0)) is not None:
             axis = self._tpdo_axis.get(message.arbitration_id)
             if axis is None:
                 self._sort(message)
+            elif self._owed[axis]:
+                self._owed[axis] -= 1
 
     def _watch_slowly(self, now: float) -> None:
         """Heartbeats and bus state; 0x6061 of one axis after another."""
