@@ -11,6 +11,7 @@ significant first (Wald statistic of its residues), and the rest relocated each 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -43,8 +44,9 @@ MOST = 4e9
 
 def searched_modes(
     spectra: Sequence[LineSpectra], masses: Sequence[int], *, model_error: float = 0.0, most_lines: int = 300
-) -> tuple[Modes, FrfMatrix] | None:
-    """Modes and G as from ``rational_modes``, weak modes included; ``None`` where it fails or is too long.
+) -> tuple[Modes, FrfMatrix, float] | None:
+    """Modes and G as from ``rational_modes``, weak modes included, and how much later than recorded the
+    torque acts [s]; ``None`` where it fails or is too long.
 
     ``model_error``: relative error of the spectra beyond their noise (friction).
     """
@@ -62,13 +64,55 @@ def searched_modes(
     high = max(float(w[-1]) for w, *_ in raw)
     search = _Search(spectra, raw, motors, float(np.sqrt(low * high)), model_error)
     best: tuple[float, Complex128, Float64] | None = None
+    late = 0.0
     for delay in DELAYS:
         found = search.run(_even(low, high, modes, search.scale), spare, modes, delay, (low, high))
         if found is not None and (best is None or found[0] < best[0]):
-            best = found
+            best, late = found, delay / spectra[0].sample_rate_hz
     if best is None:
         return None
-    return on_grid(best[1], best[2], search.scale, tuple(masses), (low, high))
+    return (*on_grid(best[1], best[2], search.scale, tuple(masses), (low, high)), late)
+
+
+@dataclass(frozen=True, eq=False)
+class Unstructured:
+    """A rational FRF and the records it was fitted to, weighted.
+
+    ``mean_square`` is its weighted mean square error per real number.
+    """
+
+    records: tuple[Record, ...]
+    mean_square: float
+
+
+def unstructured(
+    spectra: Sequence[LineSpectra],
+    masses: Sequence[int],
+    *,
+    further: int,
+    model_error: float,
+    most_lines: int = 300,
+) -> Unstructured | None:
+    """The best rational FRF with ``further`` more modes than the masses have, for comparison."""
+    motors, modes = spectra[0].axis_count, sum(masses) - len(masses) + further
+    raw = [record_of(s, most_lines, TRUSTED) for s in spectra]
+    rows = 2 * sum(w.size for w, *_ in raw)
+    width = (motors + 1) * (2 * modes + 1)
+    if 2.0 * motors * rows * width**2 * 5 * ROUNDS > MOST:
+        return None
+    low = min(float(w[0]) for w, *_ in raw)
+    high = max(float(w[-1]) for w, *_ in raw)
+    search = _Search(spectra, raw, motors, float(np.sqrt(low * high)), model_error)
+    best: Unstructured | None = None
+    for delay in DELAYS:
+        found = search.run(_even(low, high, modes, search.scale), 0, modes, delay, (low, high))
+        if found is None:
+            continue
+        free = rows * motors - motors * (motors * (2 * modes + 1))
+        mean = found[0] / max(free, 1)
+        if best is None or mean < best.mean_square:
+            best = Unstructured(tuple(search.weighted(delay, found[1], found[2])), mean)
+    return best
 
 
 def _even(low: float, high: float, count: int, scale: float) -> Complex128:
@@ -102,7 +146,7 @@ class _Search:
         poles = _even(band[0], band[1], modes + spare, self.scale)
         while True:
             for _ in range(ROUNDS):
-                data = self._weighted(delay, *model)
+                data = self.weighted(delay, *model)
                 fresh = self._relocated(data, poles, 5)
                 if fresh is None:
                     return None
@@ -111,7 +155,7 @@ class _Search:
                 if not np.isfinite(residues).all():
                     return None
                 model = (poles, residues)
-            cost, significance = self._judged(self._weighted(delay, *model), poles)
+            cost, significance = self._judged(self.weighted(delay, *model), poles)
             if poles.size == modes:
                 return cost, poles, residues
             poles = np.delete(poles, int(np.argmin(significance)))
@@ -128,7 +172,7 @@ class _Search:
                 break
         return poles
 
-    def _weighted(self, delay: float, poles: Complex128, residues: Float64) -> list[Record]:
+    def weighted(self, delay: float, poles: Complex128, residues: Float64) -> list[Record]:
         """The records with each line's noise under the FRF given, torque ``delay`` samples late."""
         out: list[Record] = []
         for s, (w, acceleration, torque, _, transient) in zip(self.spectra, self.raw, strict=True):

@@ -80,6 +80,8 @@ class LineSpectra:
     floor: Float64 = field(default_factory=lambda: np.zeros(0))
     """(2M,) noise power of the averaged spectra from lines above the band, quantisation included."""
     hold_gain: Float64 = field(default_factory=lambda: np.zeros(0))
+    hold_torque: Complex128 | None = None
+    """(F, M) the part of the torque that a hold inside the drive gave, where the recording tells it apart."""
 
     @property
     def omega(self) -> Float64:

@@ -162,8 +162,9 @@ def covariance_of(modes: Modes, chains: CoupledChains) -> Float64:
         for sign in (1.0, -1.0):
             try:
                 moved = _moved(modes, p, sign * step)
-                gains = gains_of(moved, axes=chains.axes)
-                ends.append(_vector(chains_of(moved, gains, axes=chains.axes, dampers=False)))
+                with np.errstate(all="ignore"):
+                    gains = gains_of(moved, axes=chains.axes)
+                    ends.append(_vector(chains_of(moved, gains, axes=chains.axes, dampers=False)))
             except NotIdentifiableError:
                 ends.append(np.full(base.size, np.nan))
         jacobian[:, p] = (ends[0] - ends[1]) / (2 * step)
@@ -175,7 +176,7 @@ def _moved(modes: Modes, place: int, step: float) -> Modes:
     n, count = modes.shapes.shape
     if place < n:
         omega = modes.omega.copy()
-        omega[place] *= np.exp(step)
+        omega[place] *= np.exp(min(step, 5.0))
         return replace(modes, omega=omega)
     if place < 2 * n + n * count:
         shapes = modes.shapes.copy()

@@ -46,6 +46,7 @@ def identify_paper(
     masses: Sequence[int],
     *,
     axes: Sequence[str] | None = None,
+    start: Modes | None = None,
 ) -> PaperResult:
     """The paper's method on a measured receptance matrix: modes, gains, eqs. 13–22, couplings.
 
@@ -55,6 +56,8 @@ def identify_paper(
         (F,) [Hz], (F, M, M) receptance [rad/(N·m) or m/N], (F, M, M) or (F, M·M) E|n|² of its entries.
     masses
         (M,) masses per branch.
+    start
+        Modes at which the modal fit starts; without, it searches for them.
 
     Raises
     ------
@@ -62,7 +65,7 @@ def identify_paper(
         Where what came out is no physical chain; says which branch and value.
     """
     names = _names(axes, len(masses))
-    modes = fit_modes(frequency_hz, frf, frf_variance, masses)
+    modes = fit_modes(frequency_hz, frf, frf_variance, masses, start=start)
     gains = gains_of(modes, axes=names)
     chains = chains_of(modes, gains, axes=names)
     covariance = covariance_of(modes, chains)

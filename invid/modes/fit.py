@@ -33,6 +33,8 @@ def fit_modes(
     frf: npt.ArrayLike,
     frf_variance: npt.ArrayLike,
     masses: Sequence[int],
+    *,
+    start: Modes | None = None,
 ) -> Modes:
     """Modes of a measured receptance matrix, with covariance; needs no start values.
 
@@ -46,6 +48,8 @@ def fit_modes(
         (F, M, M) or (F, M·M) variance E|n|² of each entry.
     masses
         (M,) masses per branch: fixes the number of modes Σ(N_i − 1).
+    start
+        Modes to start from; without, poles are searched for.
 
     Raises
     ------
@@ -56,6 +60,8 @@ def fit_modes(
     """
     data = checked_data(frequency_hz, frf, frf_variance, masses)
     best: tuple[float, ModalFit] | None = None
+    if start is not None:
+        return _finish(data, _from(data, start))
     for model_error, order in _attempts(data):
         weight = data.weight(model_error)
         for poles in pole_candidates(data, weight, order):
@@ -73,6 +79,19 @@ def fit_modes(
     if best is None:
         raise NotIdentifiableError("modal fit: no start converged; measure longer or raise the amplitude")
     return _finish(data, best[1])
+
+
+def _from(data: FrfData, start: Modes) -> ModalFit:
+    rows, columns = pairs(data.count)
+    allowed = high_gain_pairs(data.masses)
+    fit = ModalFit(
+        start.omega.copy(),
+        start.damping.copy(),
+        start.shapes.copy(),
+        start.high_gain[rows[allowed], columns[allowed]],
+        start.friction[rows, columns],
+    )
+    return levenberg(data, data.weight(_MODEL_ERRORS[1]), fit, 20)
 
 
 def _attempts(data: FrfData) -> Iterator[tuple[float, int]]:

@@ -36,4 +36,5 @@ def _acting(s: LineSpectra, experiment: Experiment) -> LineSpectra:
     half = s.omega / (2 * s.sample_rate_hz)
     held = (np.sinc(half / np.pi) * np.exp(-1j * half))[:, None]
     torque = np.where(mixed, s.torque + command * (held - 1.0), s.torque)
-    return replace(s, torque=torque, staircase=np.where(mixed, 0.0, s.staircase))
+    hold = np.where(mixed, s.torque - command, 0.0)
+    return replace(s, torque=torque, staircase=np.where(mixed, 0.0, s.staircase), hold_torque=hold)
