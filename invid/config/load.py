@@ -50,7 +50,15 @@ def load_config(path: Path | str) -> CellConfig:
         raise ConfigError(f"{path}: not a text file ({error.reason} at byte {error.start})") from None
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
-    return parse_config(text, source=str(path))
+    return _beside(parse_config(text, source=str(path)), path.parent)
+
+
+def _beside(config: CellConfig, folder: Path) -> CellConfig:
+    """Files that a config names stand beside it, wherever the command runs."""
+    if all(a.eds is None for a in config.axes):
+        return config
+    axes = [a if a.eds is None else a.model_copy(update={"eds": str(folder / a.eds)}) for a in config.axes]
+    return config.model_copy(update={"axes": axes})
 
 
 def parse_config(text: str, *, source: str = "config") -> CellConfig:

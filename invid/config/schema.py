@@ -59,6 +59,7 @@ class AxisConfig(Strict):
     name: str = Field(min_length=1)
     node_id: int = Field(ge=1, le=126)
     eds: str | None = None
+    """The drive's EDS or DCF file, beside the config: what it lacks is known before the drive is asked."""
     vendor: str = "generic"
     """Row of the table of vendors' differences."""
     rated_torque: float | None = Field(

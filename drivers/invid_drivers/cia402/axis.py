@@ -9,6 +9,7 @@ from typing import Any
 from invid.config import AxisConfig
 from invid.errors import BusError, DriveError
 from invid_drivers.cia402 import objects as od
+from invid_drivers.cia402.declared import declared_of, refusal
 from invid_drivers.cia402.journal import Entry, Journal
 from invid_drivers.cia402.link import (
     MASTER_ID,
@@ -27,6 +28,11 @@ INVALID = 1 << 31
 DRIVE_MARGIN = 1.25
 """The drive's own windows are a quarter wider than the master's: the master, who sees all axes and can
 tell a runaway, acts first, and the drive where the master does not."""
+PROTECTION = (
+    od.CONSUMER_HEARTBEAT, od.PRODUCER_HEARTBEAT, od.ABORT_CONNECTION, od.QUICK_STOP_OPTION, od.MAX_TORQUE,
+    od.POSITION_LIMIT_LOW, od.POSITION_LIMIT_HIGH, od.MAX_VELOCITY, od.FOLLOWING_WINDOW, od.FOLLOWING_TIME,
+)  # fmt: skip
+"""What keeps an axis from doing harm by itself: asked for whatever an EDS says."""
 SYNCHRONOUS = 1
 """Transmission type: with every SYNC."""
 
@@ -79,6 +85,7 @@ class Drive:
                 f"{', '.join(sorted(VENDORS))} (generic asks the drive for everything)"
             )
         self._vendor = row
+        self._declared, self._eds_warnings = declared_of(self.name, config.eds, config.node_id)
         link.add_peer(self.node_id, self.name)
 
     # --- SDO -----------------------------------------------------------------------------------
@@ -87,7 +94,14 @@ class Drive:
         return what.unpack(self._upload(what))
 
     def find(self, what: Object) -> int | None:
-        """Value of an object; ``None`` where the drive lacks it."""
+        """Value of an object; ``None`` where the drive lacks it.
+
+        What the EDS does not list is not asked for, but for the drive's own protection: there firmware newer
+        than the file may have more.
+        """
+        declared = self._declared
+        if declared is not None and what not in PROTECTION and declared.find(what.index, what.sub) is None:
+            return None
         try:
             return what.unpack(self._link.sdo(self.node_id).upload(what.index, what.sub))
         except SdoAbortedError:
@@ -150,10 +164,12 @@ class Drive:
     # --- preflight -----------------------------------------------------------------------------
     def check(self) -> DriveReport:
         """Capabilities of the drive; DriveError in plain words where it cannot do the job."""
+        who = f"axis {self.name} (node {self.node_id})"
+        warnings: list[str] = list(self._eds_warnings)
+        self._refuse_declared(who)
         self.read(od.DEVICE_TYPE)
         self._serial = self.find(od.SERIAL_NUMBER) or 0
-        who = f"axis {self.name} (node {self.node_id})"
-        warnings: list[str] = []
+        self._compare_identity(who, warnings)
         self._require_objects(who)
         mode, can_hold = self._modes(who, warnings)
         scaling = Scaling(self._position(who), self._rated(who, warnings), self.config.direction)
@@ -178,6 +194,30 @@ class Drive:
             lacks=tuple(lacks),
             warnings=tuple(warnings),
         )
+
+    def _refuse_declared(self, who: str) -> None:
+        why = None if self._declared is None else refusal(self._declared)
+        if why is not None and self._declared is not None:
+            raise DriveError(
+                f"{who}: by its EDS {self._declared.path.name} the drive {why}; this drive cannot be shaken. "
+                "Log its motion with another tool and use `invid import`; if the file is not this drive's, "
+                "leave eds out and the drive itself is asked"
+            )
+
+    def _compare_identity(self, who: str, warnings: list[str]) -> None:
+        """An EDS of another device is not believed."""
+        declared = self._declared
+        if declared is None:
+            return
+        for what, said in ((od.VENDOR_ID, declared.vendor_id), (od.PRODUCT_CODE, declared.product_code)):
+            found = self.find(what)
+            if said and found is not None and found != said:
+                warnings.append(
+                    f"{who}: EDS {declared.path.name} is of {what.name} 0x{said:X}, the drive says "
+                    f"0x{found:X}; the drive itself is asked for everything"
+                )
+                self._declared = None
+                return
 
     def _require_objects(self, who: str) -> None:
         for what, why in (
@@ -320,6 +360,9 @@ class Drive:
         stays = self.config.gravity_loaded and self.config.brake == "none"
         self._try(od.QUICK_STOP_OPTION, 6 if stays else 2)  # stop on the ramp, then stay or switch off
         permille = math.ceil(limits.torque / scaling.rated_torque * 1000)
+        highest = None if self._declared is None else self._declared.find(od.MAX_TORQUE.index, 0)
+        if highest is not None and highest.high is not None:
+            permille = min(permille, highest.high)  # the drive takes no more, and allows no more
         if not self._try(od.MAX_TORQUE, permille):
             self._limit_current(permille)
         here = self.read(od.POSITION)
@@ -354,7 +397,7 @@ class Drive:
             ("RPDO", od.rpdo_communication, od.rpdo_mapping, od.RPDO_MAP, 0x200 + self.node_id),
             ("TPDO", od.tpdo_communication, od.tpdo_mapping, od.TPDO_MAP, 0x180 + self.node_id),
         ):
-            for number in range(2, 9):
+            for number in range(2, self._pdos(kind) + 1):
                 other = communication(number, 1)
                 value = self.find(other)
                 if value is not None and not value & INVALID:
@@ -376,6 +419,13 @@ class Drive:
                     f"{who}: {kind} 1 cannot be mapped to {names}: {error}; this drive cannot be run in "
                     "the cycle"
                 ) from None
+
+    def _pdos(self, kind: str) -> int:
+        """How many PDOs of a kind the EDS lists; at most the eight that are switched off one by one."""
+        declared = self._declared
+        if declared is None:
+            return 8
+        return min(8, declared.rpdos if kind == "RPDO" else declared.tpdos)
 
     def set_mode(self, mode: OperationMode, clock_wait: float = 0.5) -> None:
         """0x6060, and wait until 0x6061 shows it."""

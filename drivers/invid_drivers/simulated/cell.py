@@ -9,6 +9,7 @@ from __future__ import annotations
 import heapq
 import math
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from invid.errors import ConfigError
 from invid_drivers.simulated import kernel
 from invid_drivers.simulated.config import AxisSimulation, simulation_of, truth
 from invid_drivers.simulated.drive import Drive
+from invid_drivers.simulated.eds import apply_eds
 from invid_drivers.simulated.faults import FaultConfig, disturb
 from invid_drivers.simulated.injection import FaultInjector
 from invid_drivers.simulated.node import Handler, Node
@@ -118,6 +120,8 @@ class SimulatedCell:
             serial=axis.node_id,
             profile=profile,
         )
+        if objects.eds is not None:
+            apply_eds(od, Path(objects.eds), axis.node_id)
         for name in objects.not_mappable:
             entry = od.find(*_address(name))
             if entry is not None:
@@ -144,6 +148,7 @@ class SimulatedCell:
             lag_cycles=settings.actual_torque_lag_cycles,
             cycle_s=self.config.bus.cycle_s,
             linear=linear,
+            velocity_in_rpm=known.velocity_in_rpm,
         )
         node.application = drive
         command = self.plant.command[row]

@@ -91,6 +91,8 @@ class ObjectsConfig(Strict):
     """Start values, as "0x605A": 6 or "0x608F:1": 4096."""
     not_mappable: list[str] = Field(default_factory=list)
     dummy_mapping: bool | None = None
+    eds: str | None = None
+    """An EDS file: its objects and no others, with its values."""
 
     @field_validator("profile")
     @classmethod

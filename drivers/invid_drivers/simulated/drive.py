@@ -42,6 +42,7 @@ class Drive:
         lag_cycles: int,
         cycle_s: float,
         linear: bool,
+        velocity_in_rpm: bool = False,
     ) -> None:
         if rated_torque <= 0 or counts_per_unit <= 0:
             raise ConfigError("simulation: rated torque and encoder counts must be positive")
@@ -74,6 +75,7 @@ class Drive:
         self._e_following = entry(od, 0x60F4, "i")
         self._e_max_torque = entry(od, 0x6072, "H", 3000)
         od.entry(0x6060).on_write = self._check_mode
+        self._velocity_in_rpm = velocity_in_rpm
         self.configured()
         self._torque_unit = direction * rated_torque / 1000.0
         self._forget()
@@ -358,7 +360,7 @@ class Drive:
     # --- supervision -----------------------------------------------------------------------------
     def configured(self) -> None:
         """Take over limits that may have been written."""
-        self._limits = Limits.of(self.node.od, self._counts_per_rev)
+        self._limits = Limits.of(self.node.od, self._counts_per_rev, rpm=self._velocity_in_rpm)
 
     def _supervise(self, now_ns: int) -> None:
         position, speed, _, _ = self.measured

@@ -24,13 +24,18 @@ class Limits:
     """How long the following error may be outside it."""
 
     @classmethod
-    def of(cls, od: ObjectDictionary, counts_per_rev: float) -> Limits:
-        """From 0x607F, 0x6080, 0x607D, 0x6065 and 0x6066; ``counts_per_rev`` 0 for a linear axis."""
+    def of(cls, od: ObjectDictionary, counts_per_rev: float, *, rpm: bool = False) -> Limits:
+        """From 0x607F, 0x6080, 0x607D, 0x6065 and 0x6066; ``counts_per_rev`` 0 for a linear axis.
+
+        ``rpm``: 0x607F counts revolutions per minute, as some vendors have it.
+        """
         profile = od.number(0x607F, missing=_UNLIMITED)
         fastest = math.inf if profile == _UNLIMITED else float(profile)
-        rpm = od.number(0x6080, missing=_UNLIMITED)
-        if rpm != _UNLIMITED and counts_per_rev:
-            fastest = min(fastest, rpm * counts_per_rev / 60.0)
+        if rpm and counts_per_rev:
+            fastest *= counts_per_rev / 60.0
+        most = od.number(0x6080, missing=_UNLIMITED)
+        if most != _UNLIMITED and counts_per_rev:
+            fastest = min(fastest, most * counts_per_rev / 60.0)
         low, high = od.number(0x607D, 1, _LOWEST), od.number(0x607D, 2, _HIGHEST)
         if low >= high:  # both zero, as some drives come: no limit
             low, high = _LOWEST, _HIGHEST

@@ -140,6 +140,13 @@ class ObjectDictionary:
         """Take an object away, as a vendor did."""
         self._entries.pop(index, None)
 
+    def remove_entry(self, index: int, sub: int) -> None:
+        """Take one subindex away, and the object with its last."""
+        subs = self._entries.get(index, {})
+        subs.pop(sub, None)
+        if not subs:
+            self._entries.pop(index, None)
+
     def __iter__(self) -> Iterator[Entry]:
         for subs in self._entries.values():
             yield from subs.values()

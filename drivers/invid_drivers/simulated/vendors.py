@@ -18,6 +18,8 @@ class Profile:
     rpdos: int = 4
     tpdos: int = 4
     dummy_mapping: bool = True
+    velocity_in_rpm: bool = False
+    """0x607F is in rpm, not in counts per second."""
 
 
 _NO_TORQUE_LIMIT = frozenset({0x6072})
@@ -29,6 +31,7 @@ PROFILES: dict[str, Profile] = {
         lacks=_NO_TORQUE_LIMIT | _NO_GEAR,
         values={(0x6076, 0): 0, (0x605A, 0): 6, (0x6007, 0): 3, (0x1008, 0): "EPOS4 (simulated)"},
         dummy_mapping=False,
+        velocity_in_rpm=True,
     ),
     "elmo_gold": Profile(
         values={(0x6076, 0): 0, (0x605A, 0): 2, (0x6007, 0): 1, (0x1008, 0): "Gold (simulated)"}
@@ -38,9 +41,15 @@ PROFILES: dict[str, Profile] = {
         values={(0x6072, 0): 0, (0x605A, 0): 1, (0x1008, 0): "C5-E (simulated)"},
         rpdos=8,
         tpdos=8,
+        velocity_in_rpm=True,
     ),
     "zeroerr_erob": Profile(
         lacks=frozenset({0x6072, 0x605A, 0x6007}) | _NO_GEAR, values={(0x1008, 0): "eRob (simulated)"}
+    ),
+    "schunk": Profile(
+        lacks=frozenset({0x6071, 0x6072, 0x6076, 0x605A, 0x6007, 0x6087}) | _NO_GEAR,
+        values={(0x6502, 0): 0x00000080, (0x1008, 0): "Schunk (simulated)"},
+        rpdos=2,
     ),
     "pilz": Profile(
         lacks=frozenset({0x6071, 0x6072, 0x6076, 0x605A, 0x6007, 0x6087}) | _NO_GEAR,

@@ -1,0 +1,103 @@
+"""EDS and DCF files: what a CANopen device says of itself before anybody asks it.
+
+``canopen`` reads them. Vendors' files often break the rules (an option twice, a PDO map without a
+default); whoever reads one must expect that it does not parse.
+"""
+
+from __future__ import annotations
+
+import configparser
+from dataclasses import dataclass
+from pathlib import Path
+
+import canopen
+from canopen.objectdictionary import ODVariable, import_od
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One entry."""
+
+    index: int
+    sub: int
+    data_type: int
+    access: str
+    mappable: bool
+    default: int | str | None
+    high: int | None
+    """HighLimit, where the file gives one."""
+
+
+@dataclass(frozen=True)
+class Declared:
+    """A device as its file describes it."""
+
+    path: Path
+    vendor_id: int | None
+    product_code: int | None
+    variables: tuple[Variable, ...]
+    rpdos: int
+    tpdos: int
+    dummies: bool
+    """Whether gaps of a receive PDO may be filled with dummies."""
+
+    @property
+    def objects(self) -> frozenset[tuple[int, int]]:
+        """(index, subindex) of every entry."""
+        return frozenset((v.index, v.sub) for v in self.variables)
+
+    def find(self, index: int, sub: int) -> Variable | None:
+        """The entry of an object; ``None`` where the device lacks it."""
+        return next((v for v in self.variables if (v.index, v.sub) == (index, sub)), None)
+
+
+def parse_eds(path: Path, node_id: int) -> Declared:
+    """Read an EDS (or DCF) file; ``node_id`` stands for $NODEID in it.
+
+    Raises
+    ------
+    OSError
+        The file cannot be read.
+    ValueError
+        It does not parse, with the reason.
+    """
+    text = path.read_text(encoding="utf-8", errors="replace")
+    try:
+        od = import_od(str(path), node_id)
+        variables = [v for o in od.values() for v in ([o] if isinstance(o, ODVariable) else o.values())]
+        entries = tuple(_variable(v) for v in variables)
+    except (
+        configparser.Error,
+        canopen.ObjectDictionaryError,
+        ValueError,
+        LookupError,
+        TypeError,
+        AttributeError,
+    ) as error:
+        reason = " ".join(str(error).replace(f"While reading from {str(path)!r} ", "").split())
+        reason = reason or type(error).__name__
+        raise ValueError(f"does not parse ({reason})") from None
+    objects = {(e.index, e.sub) for e in entries}
+    if not any(index >= 0x1000 for index, _ in objects):
+        raise ValueError("does not parse (it lists no objects)")
+    return Declared(
+        path=path,
+        vendor_id=od.device_information.vendor_number,
+        product_code=od.device_information.product_number,
+        variables=entries,
+        rpdos=sum((0x1400 + n, 1) in objects for n in range(512)),
+        tpdos=sum((0x1800 + n, 1) in objects for n in range(512)),
+        dummies="Dummy0005=1" in text.replace(" ", ""),
+    )
+
+
+def _variable(v: ODVariable) -> Variable:
+    return Variable(
+        index=v.index,
+        sub=v.subindex,
+        data_type=int(v.data_type or 0),
+        access=str(v.access_type),
+        mappable=bool(v.pdo_mappable),
+        default=v.default if isinstance(v.default, int | str) else None,
+        high=v.max if isinstance(v.max, int) else None,
+    )
