@@ -13,6 +13,7 @@ from pydantic import ValidationError
 from invid.cli.output import note
 from invid.errors import ConfigError, InputError
 from invid_service.app import create_app
+from invid_service.connection import Connection, allow_many_connections
 from invid_service.logging_setup import configure_logging
 from invid_service.settings import Settings
 
@@ -54,8 +55,16 @@ def serve_forever(settings: Settings, *, json_logs: bool = False) -> None:
             for c in app.state.service.cells.values()
         )
         note(f"invid serve: http://{shown}:{port}/   cells: {cells}   data: {settings.data_dir.resolve()}")
+        allow_many_connections()
+        Connection.header_timeout_s = settings.header_timeout_s
         config = uvicorn.Config(
-            app, log_config=None, access_log=False, timeout_graceful_shutdown=_GRACE_S, server_header=False
+            app,
+            http=Connection,
+            ws="none",
+            log_config=None,
+            access_log=False,
+            timeout_graceful_shutdown=_GRACE_S,
+            server_header=False,
         )
         _Server(config).run(sockets=[bound])
     finally:

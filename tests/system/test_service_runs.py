@@ -198,6 +198,49 @@ def test_a_slow_upload_is_given_up_while_others_are_served(tmp_path: Path) -> No
             assert b"408" in line.recv(4096).split(b"\r\n")[0]
 
 
+def test_clients_that_hang_and_headers_without_end_take_no_room_and_no_stop(tmp_path: Path) -> None:
+    import contextlib
+    import resource
+    import socket
+
+    def memory(process: int) -> int:
+        pages = int(Path(f"/proc/{process}/statm").read_text().split()[1])
+        return pages * resource.getpagesize()
+
+    with serving(tmp_path, env={"INVID_HEADER_TIMEOUT_S": "2"}) as service, contextlib.ExitStack() as stack:
+        host, port = service.url.removeprefix("http://").split(":")
+
+        def connect() -> socket.socket:
+            return stack.enter_context(socket.create_connection((host, int(port)), timeout=20))
+
+        began = time.monotonic()
+        hanging = [connect() for _ in range(300)]
+        for n, line in enumerate(hanging):
+            line.sendall(b"GET /health/live HTTP/1.1\r\nX-Slow: "[: n % 30])
+        assert service.client.post("/api/v1/cells/small/stop").status_code == 200
+        before = memory(service.process.pid)
+        endless = connect()
+        with contextlib.suppress(OSError):  # the service may close before all of it is sent
+            endless.sendall(b"GET / HTTP/1.1\r\nHost: x\r\nX-Endless: " + b"a" * 20_000_000)
+        assert memory(service.process.pid) - before < 10_000_000
+        noise = connect()
+        noise.sendall(b"\x16\x03\x01 this is no HTTP\r\n\r\n")
+        said = b"".join(iter(lambda: noise.recv(4096), b""))
+        assert said.startswith(b"HTTP/1.1 400")
+        assert b"application/problem+json" in said
+        assert b"urn:invid:problem:bad-request" in said
+        # A byte now and then does not put the end off.
+        while time.monotonic() - began < 3.0:
+            time.sleep(0.25)
+            with contextlib.suppress(OSError):
+                hanging[5].sendall(b"x")
+        for line in hanging[:5] + hanging[6:]:
+            assert line.recv(1) == b""
+        with contextlib.suppress(ConnectionResetError):
+            assert hanging[5].recv(1) == b""
+        assert service.client.get("/health/ready").status_code == 200
+
+
 def test_the_service_refuses_a_port_beyond_loopback_without_a_key_in_one_sentence(tmp_path: Path) -> None:
     import subprocess
     import sys

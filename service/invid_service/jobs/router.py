@@ -74,13 +74,12 @@ async def list_identifications(
 
 
 @router.get("/identifications/{identification}", response_model=Identification)
-async def get_identification(
-    identification: str, response: Response, service: Context, _caller: Reader
-) -> Identification:
+async def get_identification(identification: str, service: Context, _caller: Reader) -> Response:
     """State, progress, phase: plain polling is enough."""
     record, live = await service.run(identification)
-    response.headers.update(polling_headers(record))
-    return view(record, live)
+    # Written here and not by the framework, which would check and turn it over twice: the busiest call.
+    content = view(record, live).model_dump_json()
+    return Response(content, media_type="application/json", headers=polling_headers(record))
 
 
 @router.post(
