@@ -13,6 +13,7 @@ from invid.discrepancy.plant import Term
 from invid.discrepancy.select import Selection, Step, Trial
 from invid.discrepancy.words import BY_CAUSE, finding_sentence
 from invid.effects.base import unit_of
+from invid.effects.sign import ROUNDING, DryLaw
 from invid.model import EffectTerm, Estimate
 from invid.recording.model import Recording
 
@@ -82,10 +83,14 @@ def estimates(trial: Trial, number: int, linear: bool) -> dict[str, Estimate]:
 def effect_term(trial: Trial, number: int, recording: Recording) -> EffectTerm:
     """One effect in the model's terms."""
     term = trial.fit.candidate.terms[number]
+    parameters = estimates(trial, number, recording.linear)
+    if isinstance(term.effect, DryLaw) and term.effect.rounding > 0:
+        unit = unit_of("velocity", recording.linear)
+        parameters[ROUNDING] = Estimate(term.effect.rounding, None, unit)
     return EffectTerm(
         cause=term.effect.cause,
         axis=recording.axes[term.place.axis],
-        parameters=estimates(trial, number, recording.linear),
+        parameters=parameters,
         element=term.place.element,
         other_axis=recording.axes[term.place.other] if term.place.other >= 0 else None,
     )

@@ -11,6 +11,7 @@ from invid.arrays import Float64, frozen_float
 from invid.discrepancy.plant import Candidate, Term
 from invid.discrepancy.words import BY_CAUSE
 from invid.effects.base import Place
+from invid.effects.sign import ROUNDING, DryLaw
 from invid.errors import ModelError
 from invid.model import EffectTerm, Model
 from invid.refine.structure import ChainStructure
@@ -154,5 +155,8 @@ def given_effects(model: Model, structure: ChainStructure) -> Candidate:
                 f"effect {term.cause!r} on {term.axis}: no cause of the catalogue; it knows "
                 f"{', '.join(sorted(_VECTOR))}"
             )
-        out = out.plus(Term(BY_CAUSE[term.cause], place_of(term, structure)), vector_of(term))
+        effect = BY_CAUSE[term.cause]
+        if isinstance(effect, DryLaw) and ROUNDING in term.parameters:
+            effect = effect.rounded(term.value(ROUNDING))
+        out = out.plus(Term(effect, place_of(term, structure)), vector_of(term))
     return out

@@ -10,10 +10,12 @@ import numpy as np
 from invid.arrays import Bool, Float64
 from invid.discrepancy.joint import LARGEST_STEP, JointFit, fit, held_out, limits_of
 from invid.discrepancy.plant import Candidate, Evaluation, Layout, Term, evaluate
+from invid.discrepancy.rounding import rounded
 from invid.discrepancy.screen import Score, Screen, terms_for
 from invid.distributions import chi2_isf
 from invid.effects import CATALOGUE
 from invid.effects.base import Record, rms
+from invid.effects.sign import DryLaw
 
 POLISHED, REFITTED, PLACES = 12, 6, 2
 """How many candidates are polished and refitted, and at most how many places of one cause."""
@@ -220,6 +222,8 @@ def _ladder(step: Step, train: Sequence[Record], held: Sequence[Record]) -> tupl
         if dry <= 0 or wet <= 0:
             break
         effect = effects[cause]
+        if isinstance(effect, DryLaw) and isinstance(step.chosen.term.effect, DryLaw):
+            effect = effect.rounded(step.chosen.term.effect.rounding)
         shape = min((abs(g[0]), g) for g in effect.grid(views, place))[1] if effect.shapes else ()
         start = [dry, 0.2 * dry] if cause == "stribeck_friction" else [dry]
         terms = (Term(effect, place), Term(effects["viscous_friction"], place))
@@ -308,6 +312,7 @@ def _step(
                 continue
         if np.isfinite(trial.cost) and not _at_bound(trial) and not _is_smaller_model(trial):
             trials.append(trial)
+    trials = [_rounded(t, current, train, held) for t in trials]
     if not trials:
         return None, tuple(scores[:5])
     trials.sort(key=lambda t: t.cost + penalty(t, rows))
@@ -339,6 +344,20 @@ def _least_gain(here: JointFit, current: Trial, count: int, *, first: bool) -> f
     if first:
         return significant
     return max(significant, REMAINDER * max(here.cost - here.dof, 0.0))
+
+
+def _rounded(trial: Trial, current: Trial, train: Sequence[Record], held: Sequence[Record]) -> Trial:
+    """Friction whose sign changes gradually, where it takes half of the excess but ends above the noise."""
+    here = trial.fit
+    if trial.cost > 0.5 * current.cost or trial.cost < CLOSE * (here.dof + trial.held.dof):
+        return trial
+    found = rounded(
+        here, train, lambda new, old: (old.cost - new.cost) / new.dispersion > np.log(max(new.dof, 2))
+    )
+    if found is here:
+        return trial
+    more = Trial(found, held_out(found, held))
+    return more if more.held.cost < trial.held.cost else trial
 
 
 def _is_smaller_model(trial: Trial) -> bool:

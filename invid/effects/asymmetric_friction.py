@@ -8,12 +8,12 @@ from typing import ClassVar
 import numpy as np
 
 from invid.arrays import Float64
-from invid.effects.base import ForceEffect, Place, View, mass_places
-from invid.effects.sign import sign_law, softness
+from invid.effects.base import Place, View, mass_places
+from invid.effects.sign import DryLaw, sign_law
 from invid.refine.structure import ChainStructure
 
 
-class AsymmetricFriction(ForceEffect):
+class AsymmetricFriction(DryLaw):
     """Coulomb and viscous friction of their own for each direction."""
 
     cause = "asymmetric_friction"
@@ -37,7 +37,7 @@ class AsymmetricFriction(ForceEffect):
 
     def law(self, view: View, place: Place, shape: Sequence[float]) -> Float64:
         v = view.velocity(place.pattern(view.structure))
-        sign = sign_law(v, softness(view, place))
+        sign = sign_law(v, self.softness(view, place))
         return np.stack([0.5 * (1 + sign), -0.5 * (1 - sign), np.maximum(v, 0.0), np.minimum(v, 0.0)], axis=1)
 
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:

@@ -8,12 +8,12 @@ from typing import ClassVar
 import numpy as np
 
 from invid.arrays import Float64
-from invid.effects.base import ForceEffect, Place, View, mass_places
-from invid.effects.sign import sign_law, softness
+from invid.effects.base import Place, View, mass_places
+from invid.effects.sign import DryLaw, sign_law
 from invid.refine.structure import ChainStructure
 
 
-class CoulombFriction(ForceEffect):
+class CoulombFriction(DryLaw):
     """Resistance torque·sgn(θ̇)."""
 
     cause = "coulomb_friction"
@@ -32,7 +32,7 @@ class CoulombFriction(ForceEffect):
 
     def law(self, view: View, place: Place, shape: Sequence[float]) -> Float64:
         v = view.velocity(place.pattern(view.structure))
-        return sign_law(v, softness(view, place))[:, None]
+        return sign_law(v, self.softness(view, place))[:, None]
 
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
         return {"torque": float(x[0])}

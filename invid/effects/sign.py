@@ -6,24 +6,40 @@ antiderivative (antiderivative antialiasing); a sample gets the mean of the inte
 
 from __future__ import annotations
 
+import copy
 from math import erf, exp, log1p, pi, sqrt, tanh
+from typing import Self
 
 import numpy as np
 from numba import njit
 
 from invid.arrays import Float64
-from invid.effects.base import Place, View
+from invid.effects.base import ForceEffect, Place, View
 
+ROUNDING = "rounding"
+"""Name of the further parameter that friction has in a model where its sign changes over gradually."""
 FAR = 15.0
 """Velocity over the softness from which a sign is one: exp(−30) is beyond the digits of a float."""
 
 
-def softness(view: View, place: Place) -> float:
-    """Velocity below which its sign is noise [rad/s or m/s]."""
-    pattern = place.pattern(view.structure)
-    v = view.velocity(pattern)
-    noise = float(view.record.velocity_noise[place.axis])
-    return max(1.5 * noise, 1e-3 * float(np.sqrt(np.mean(v**2))), 1e-300)
+class DryLaw(ForceEffect):
+    """A friction law that changes over with the sign of the velocity, at once or over a range of it."""
+
+    rounding: float = 0.0
+    """Velocity over which the sign changes over, tanh(v/rounding) [rad/s or m/s]; 0: at once. No contact
+    reverses at once: creep, lubricant and the simulation of others round the corner."""
+
+    def rounded(self, velocity: float) -> Self:
+        """The same law with another rounding."""
+        other = copy.copy(self)
+        other.rounding = velocity
+        return other
+
+    def softness(self, view: View, place: Place) -> float:
+        """Velocity over which the sign changes over: the rounding, or the velocity's noise if larger."""
+        v = view.velocity(place.pattern(view.structure))
+        noise = float(view.record.velocity_noise[place.axis])
+        return max(1.5 * noise, 1e-3 * float(np.sqrt(np.mean(v**2))), self.rounding, 1e-300)
 
 
 @njit(cache=True)

@@ -8,12 +8,12 @@ from typing import ClassVar
 import numpy as np
 
 from invid.arrays import Float64
-from invid.effects.base import ForceEffect, Place, View, mass_places, rms
-from invid.effects.sign import excess_law, sign_law, softness
+from invid.effects.base import Place, View, mass_places, rms
+from invid.effects.sign import DryLaw, excess_law, sign_law
 from invid.refine.structure import ChainStructure
 
 
-class StribeckFriction(ForceEffect):
+class StribeckFriction(DryLaw):
     """Resistance (coulomb + (static − coulomb)·exp(−(θ̇/velocity)²))·sgn(θ̇)."""
 
     cause = "stribeck_friction"
@@ -45,7 +45,7 @@ class StribeckFriction(ForceEffect):
 
     def law(self, view: View, place: Place, shape: Sequence[float]) -> Float64:
         v = view.velocity(place.pattern(view.structure))
-        soft = softness(view, place)
+        soft = self.softness(view, place)
         vs = float(np.exp(shape[0]))
         return np.stack([sign_law(v, soft), excess_law(v, soft, vs)], axis=1)
 

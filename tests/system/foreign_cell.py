@@ -29,6 +29,8 @@ class Plant:
     stiffness: np.ndarray
     motors: list[int]
     coulomb: list[float] = field(default_factory=list)
+    rounding: float = 1e-4
+    """Velocity over which Coulomb friction changes sign [rad/s]."""
 
 
 def chain(values: list[float]) -> np.ndarray:
@@ -128,7 +130,7 @@ def simulate(
             motor = drive - hold * x[motors] - hold_damping * x[velocity_rows]
             if s == 0:
                 position[k], torque[k] = x[motors], motor
-            friction = coulomb * np.tanh(x[velocity_rows] / 1e-4)
+            friction = coulomb * np.tanh(x[velocity_rows] / p.rounding)
             x = ad @ x + bd @ (motor - friction)
     return position, torque
 
