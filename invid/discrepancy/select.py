@@ -383,10 +383,12 @@ def _is_smaller_model(trial: Trial) -> bool:
 def _at_bound(trial: Trial) -> bool:
     """A shape at the edge of what it may be: the fit wants something else than this cause."""
     term, x = trial.term, trial.x
-    if term.effect.cause in ("extra_mode", "payload_change"):  # damping and time are no part of the size
+    if term.effect.cause == "payload_change":  # time is no part of the size
         return False
     shapes = x[len(term.effect.coefficients) :]
     limits = term.effect.limits(trial.fit.evaluation.views, term.place)
+    if term.effect.cause == "extra_mode":  # nor is damping, but a mode beside all lines is none
+        shapes, limits = shapes[:1], limits[:1]
     return any(v <= low + 1e-9 or v >= high - 1e-9 for v, (low, high) in zip(shapes, limits, strict=True))
 
 

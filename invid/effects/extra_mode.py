@@ -35,9 +35,8 @@ class ExtraMode(ImpedanceEffect):
         return [(float(np.log(w)), float(np.log(0.02))) for w in np.geomspace(3 * low, 1.2 * high, 14)]
 
     def limits(self, views: Sequence[View], place: Place) -> list[tuple[float, float]]:
-        low = min(float(v.omega[1:].min()) for v in views)
-        high = max(float(v.omega.max()) for v in views)
-        return [(float(np.log(low)), float(np.log(1.5 * high))), (float(np.log(1e-3)), float(np.log(0.2)))]
+        low, high = _driven(views)
+        return [(float(np.log(low)), float(np.log(high))), (float(np.log(1e-3)), float(np.log(0.2)))]
 
     def impedance(self, view: View, place: Place, x: Sequence[float]) -> Complex128:
         own, zeta = float(np.exp(x[1])), float(np.exp(x[2]))
@@ -48,3 +47,17 @@ class ExtraMode(ImpedanceEffect):
 
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
         return {"mass": float(x[0]), "stiffness": float(x[0] * np.exp(2 * x[1]))}
+
+
+def _driven(views: Sequence[View]) -> tuple[float, float]:
+    """Lowest and highest excited line [rad/s]: a resonance shows by the lines on both sides of it.
+
+    Below all of them a mode, well damped, is friction at its mass by another name, above all of them a mass.
+    """
+    lines = []
+    for view in views:
+        omega = view.omega
+        excited = np.asarray(view.record.excited, dtype=bool).reshape(omega.size, -1).any(axis=1)
+        lines.append(omega[excited] if excited.any() else omega[1:])
+    every = np.concatenate(lines)
+    return float(every.min()), float(every.max())
