@@ -25,6 +25,10 @@ def register(app: typer.Typer) -> None:
             Path | None,
             typer.Option("--model", metavar="MODEL.json", help="Start here instead of identifying first."),
         ] = None,
+        further: Annotated[
+            list[Path] | None,
+            typer.Option("--with", metavar="REC2.h5", help="A further recording of the same robot, joined."),
+        ] = None,
         masses: Annotated[
             str | None,
             typer.Option(help="Masses of each axis, as 3,3,3; or auto. Default: what the recording says."),
@@ -53,6 +57,10 @@ def register(app: typer.Typer) -> None:
                 "--masses and --model: the model says how many masses there are; give one of the two"
             )
         data = read_recording(recording)
+        if further:
+            from invid.separate import joined
+
+            data = joined([data, *(read_recording(p) for p in further)])
         given = None if model is None else load_model(model)
         diagnosis = diagnose(data, model=given, masses=wanted)
         document = diagnosis_to_json(diagnosis)
@@ -120,7 +128,12 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
             other = " ".join(x for x in (a.axis, a.element, a.other_axis) if x)
             lines.append(f"  not told apart from {a.cause} ({other}), after {a.after:.4g}")
         if f.separating_experiment is not None:
-            lines.append(f"  to separate them: {f.separating_experiment.get('description', '')}")
+            planned = f.separating_experiment
+            lines.append(f"  to separate them: {planned.get('description') or planned.get('text', '')}")
+            lines.append(
+                "  (invid measure CONFIG --separate DIAGNOSIS.json -o NEW.h5 runs it; then diagnose with "
+                "--with NEW.h5)"
+            )
     lines += [f"warning: {w}" for w in diagnosis.warnings]
     return "\n".join(lines)
 

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from invid.arrays import Float64
-from invid.diagnosis import AxisResidual, Diagnosis, Unexplained, Verdict
+from invid.diagnosis import AxisResidual, Diagnosis, Finding, Unexplained, Verdict
 from invid.discrepancy.character import unexplained_of
 from invid.discrepancy.confidence import effect_term, judge
 from invid.discrepancy.dropped import before_repair, find_dropped, repaired, with_dropped
@@ -256,7 +256,7 @@ def _document(
     else:
         verdict = Verdict.PARTLY_EXPLAINED
         unexplained = unexplained_of(final, recording)
-    findings = cautious(tuple(named), linear)
+    findings = tuple(_axis_by_name(f) for f in cautious(tuple(named), linear))
     said = distrust_sentences(linear, model.chains.masses_per_branch)
     sentences = [*said, *(f.sentence for f in findings)]
     if verdict is Verdict.CONSISTENT:
@@ -289,6 +289,14 @@ def _document(
         sentences=tuple(sentences),
         details=_details(before_test, after_test, selection, judged.explained),
     )
+
+
+def _axis_by_name(finding: Finding) -> Finding:
+    """The separating experiment names its axis as everything else does."""
+    planned = finding.separating_experiment
+    if planned is None:
+        return finding
+    return replace(finding, separating_experiment={**planned, "axis": finding.effect.axis})
 
 
 def _details(before: NullTest, after: NullTest, selection: Selection, explained: float) -> dict[str, Any]:

@@ -14,9 +14,11 @@ from invid.cli.output import EXIT_NOT_TRUSTWORTHY, EXIT_OK, emit, note
 from invid.config import CellConfig, load_config
 from invid.errors import InputError, SafetyStop
 from invid.expected import Noise
+from invid.model import load_json
 from invid.plan import Plan, make_plan
 from invid.plan.belief import Belief
 from invid.plan.goal import GoalPlan, plan_for_goal
+from invid.separate import to_separate
 from invid.sweep import Progress
 from invid_drivers.cli.expectation import NOTHING, belief_of, expectation, expected_text, noise_of
 from invid_drivers.goal import Reached, measure_to_goal
@@ -211,6 +213,19 @@ def run_design(cell: CellConfig, design: GoalPlan, out: Path, *, as_json: bool) 
     return EXIT_OK if there else EXIT_NOT_TRUSTWORTHY
 
 
+def cell_to_separate(cell: CellConfig, path: Path, *, goal: str | None, screening: bool) -> CellConfig:
+    """The cell with the experiments that a diagnosis asks for, told in words."""
+    if goal is not None or screening:
+        raise InputError("--separate plans its own experiments: leave --goal and --screen")
+    document = load_json(path)
+    if not isinstance(document, dict):
+        raise InputError(f"{path}: no diagnosis: the document is no object")
+    separation = to_separate(document, cell)
+    for sentence in separation.sentences:
+        note(f"invid measure: {sentence}")
+    return separation.config
+
+
 def register(app: typer.Typer) -> None:
     """Add the command."""
 
@@ -238,10 +253,17 @@ def register(app: typer.Typer) -> None:
         max_duration: float = typer.Option(
             120.0, "--max-duration", help="With --goal: longest robot time of the blocks [s]."
         ),
+        separate: Path | None = typer.Option(
+            None,
+            "--separate",
+            help="Diagnosis: run what tells its alternatives apart instead.",
+        ),
         as_json: bool = typer.Option(False, "--json", help="One JSON document on stdout."),
     ) -> int:
         """Shake the axes and record position and torque."""
         cell = load_config(config)
+        if separate is not None:
+            cell = cell_to_separate(cell, separate, goal=goal, screening=False)
         chosen = None if axes is None else [a.strip() for a in axes.split(",") if a.strip()]
         belief = belief_of(cell, model)
         chains = None if model is None or belief is None else belief.chains
