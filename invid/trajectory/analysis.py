@@ -71,7 +71,7 @@ def _delays(design: Design, terms: list[Term], step: float) -> list[Term]:
     current = fit(design, terms)
     for term in [t for t in terms if t.cause == "time_offset"]:
         value, std = current.of(term)
-        if abs(value[0]) <= step + 2 * std[0]:
+        if abs(value[0]) <= step + 2 * std[0] or not _late_while_moving(design, terms, term, step):
             continue
         without = fit(design, [t for t in terms if t is not term])
         if needed(design, without, current):
@@ -80,6 +80,26 @@ def _delays(design: Design, terms: list[Term], step: float) -> list[Term]:
             terms = without.terms
         current = fit(design, terms)
     return terms
+
+
+def _late_while_moving(design: Design, terms: list[Term], term: Term, step: float) -> bool:
+    """Whether the torque is late also where no axis stands or turns round near by.
+
+    An axis that sticks before it turns, where the model's friction changes sign with the velocity, looks late
+    by as long as it sticks. That is friction, not the actuator.
+    """
+    rows = design.far & ~design.validate if design.has_validation else design.far
+    if rows.sum() < 5 * sum(len(t.names) for t in terms):
+        return False
+    weight = design.weight.copy()
+    design.weight = np.where(design.far, weight, 0.0)
+    try:
+        result = fit(design, terms)
+    finally:
+        design.weight = weight
+    value, std = result.of(term)
+    share = rows.sum() / max((~design.validate).sum(), 1)
+    return bool(abs(value[0]) > step + 3 * std[0] / np.sqrt(share))
 
 
 def _refined(design: Design, result: Fit) -> tuple[list[Term], dict[Term, float]]:

@@ -9,9 +9,11 @@ biases nothing (Gautier's parallel filter).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy import fft
+from scipy.ndimage import minimum_filter1d
 from scipy.signal import periodogram, welch
 
 from invid.arrays import Bool, Float64
@@ -63,6 +65,8 @@ class Motion:
     band: Band
     keep: Bool
     """(rows,) rows in which every axis moves enough."""
+    far: Bool
+    """(rows kept,) rows with no standstill or reversal of any axis within their filter's reach."""
     row_noise: Float64
     """(rows kept, M) variance of the torque row that noise alone leaves (position noise excluded)."""
 
@@ -110,9 +114,13 @@ def reduced(columns: Float64, step: float, cutoff_hz: Float64) -> Float64:
         for i, cutoff in enumerate(cutoff_hz)
     ]
     filtered = np.stack(parts, axis=1).reshape(columns.shape)
-    edge = min(int(np.ceil(2.0 / (float(cutoff_hz.min()) * step))), columns.shape[0] // 8)
-    rows: Float64 = filtered[edge : columns.shape[0] - edge : spacing(step, cutoff_hz)]
+    rows: Float64 = _taken(filtered, step, cutoff_hz)
     return rows
+
+
+def _taken(values: Any, step: float, cutoff_hz: Float64) -> Any:
+    edge = min(int(np.ceil(2.0 / (float(cutoff_hz.min()) * step))), values.shape[0] // 8)
+    return values[edge : values.shape[0] - edge : spacing(step, cutoff_hz)]
 
 
 def spacing(step: float, cutoff_hz: Float64) -> int:
@@ -200,6 +208,10 @@ def prepare(experiment: Experiment, band: Band) -> Motion:
     moving = (np.abs(velocity) > rest).astype(float)
     share = reduced(moving, step, band.rows_hz)
     keep: Bool = np.all(share > MOVING, axis=1)
+    same = np.sign(velocity) == np.sign(np.roll(velocity, 1, axis=0))
+    reach = 2 * max(1, round(0.5 / (float(band.rows_hz.min()) * step))) + 1
+    steadily = minimum_filter1d(np.all(same & (moving > 0), axis=1).astype(np.int8), reach)
+    far: Bool = (_taken(steadily, step, band.rows_hz) > 0)[keep]
     row_noise = np.broadcast_to(band.torque_psd * band.rows_hz, (int(keep.sum()), position.shape[1]))
     every = spacing(step, band.rows_hz)
     return Motion(
@@ -216,6 +228,7 @@ def prepare(experiment: Experiment, band: Band) -> Motion:
         steady=False,
         band=band,
         keep=keep,
+        far=far,
         row_noise=np.array(row_noise),
     )
 
@@ -241,5 +254,6 @@ def _steady(experiment: Experiment, band: Band) -> Motion:
         steady=True,
         band=band,
         keep=np.ones(1, dtype=np.bool_),
+        far=np.ones(1, dtype=np.bool_),
         row_noise=variance[None, :],
     )

@@ -29,6 +29,7 @@ class Design:
         self.noise = self._stack([m.row_noise for m in motions])
         shape = [(m.keep.sum(), m) for m in motions]
         self.axis = np.concatenate([np.repeat(np.arange(self.axes), n) for n, _ in shape])
+        self.far = np.concatenate([np.tile(m.far, self.axes) for m in motions])
         self.group = self._groups()
         validate = np.concatenate([np.full(n * self.axes, m.role == "validate") for n, m in shape])
         self.validate = validate

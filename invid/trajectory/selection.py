@@ -8,6 +8,7 @@ cannot tell from the one taken are kept as alternatives.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import combinations
 
 import numpy as np
 from scipy import stats
@@ -175,7 +176,11 @@ def select(design: Design, base: list[Term], candidates: list[Term], *, most: in
             and held_out_cost(design, f) < (1 - LEAST_GAIN) * held_out_cost(design, current)
         ]
         if not good:
-            break
+            # Two strong causes hide each other: what the other leaves is no noise, and neither stands out.
+            pair = _pair(design, current, [t for t, _ in tried], terms, length)
+            if pair is None:
+                break
+            good, tried = [pair], [pair]
         # Information criterion on independent rows: more coefficients must earn their place.
         chosen, best = min(good, key=lambda p: _criterion(p[1], length))
         rivals = [
@@ -203,6 +208,29 @@ def select(design: Design, base: list[Term], candidates: list[Term], *, most: in
     start = fit(design, base)
     current, terms = _prune(design, current, terms)
     return Selection(start, current, steps, ladder)
+
+
+def _pair(
+    design: Design, current: Fit, found: list[Term], terms: list[Term], length: float
+) -> tuple[Term, Fit] | None:
+    """The best two causes that only together are significant; the tests count the pairs tried."""
+    trials: list[tuple[Term, Fit]] = []
+    for one, other in combinations(found, 2):
+        if one.label == other.label or not may_join([*terms, one], other):
+            continue
+        if one.cause in other.replaces or other.cause in one.replaces:
+            continue
+        trial = fit(design, joined(joined(terms, one), other))
+        if physical(trial, one) and physical(trial, other):
+            trials.append((other, trial))
+    good = [
+        (t, f)
+        for t, f in trials
+        if training_p(current, f) < ALARM / len(trials)
+        and held_out_p(design, current, f) < ALARM
+        and held_out_cost(design, f) < (1 - LEAST_GAIN) ** 2 * held_out_cost(design, current)
+    ]
+    return min(good, key=lambda p: _criterion(p[1], length)) if good else None
 
 
 def may_join(terms: list[Term], new: Term) -> bool:
