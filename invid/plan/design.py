@@ -67,6 +67,7 @@ def line_design(
     position_noise: Float64,
     goal_scale: Float64 | None,
     prices: tuple[Float64, Float64],
+    robust_share: float = ROBUST_SHARE,
 ) -> LineDesign:
     """The design of one record.
 
@@ -81,6 +82,8 @@ def line_design(
         ``None``: amplitudes ∝ f^−½, no optimisation.
     prices
         (M,) price of travel² and of speed² of each motor beside a torque² of 1.
+    robust_share
+        Share of the power kept on f^−½.
     """
     structure = structure_of(belief.chains)
     omega: Float64 = np.asarray(2 * np.pi * spacing_hz * lines, dtype=np.float64)
@@ -116,7 +119,7 @@ def line_design(
         root = inverse * (importance / ruler)
         gain = np.einsum("ab,lbc,ca->l", root.T, scaled, root).real
         weight = _normalised(weight * np.sqrt(np.maximum(gain, 0.0) / cost), axis, cost)
-    power = (1 - ROBUST_SHARE) * weight + ROBUST_SHARE * _normalised(robust, axis, cost)
+    power = (1 - robust_share) * weight + robust_share * _normalised(robust, axis, cost)
     return LineDesign(lines, axis, np.sqrt(_normalised(power, axis)), travel, speed)
 
 

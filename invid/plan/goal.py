@@ -23,7 +23,7 @@ from invid.model import parameter_vector
 from invid.plan.belief import Belief
 from invid.plan.budget import require_budget
 from invid.plan.build import CREEP_TRAVEL, REST_S
-from invid.plan.design import LineDesign, interleaved, line_design
+from invid.plan.design import ROBUST_SHARE, LineDesign, interleaved, line_design
 from invid.plan.forecast import forecast_motion
 from invid.plan.model import Plan, PlannedExperiment
 from invid.plan.response import foretold_motion, hold_gains
@@ -47,6 +47,8 @@ NEAR = 0.8
 """Share of the position window and of the velocity limit that may be used, as in the sweep."""
 PRICINGS = 3
 """Times the price of travel and speed is raised before amplitudes are cut."""
+TAIL = 0.025
+"""Power of the best design that lies below, and as much above, the band called informative."""
 RESERVE = 2
 """Blocks after the expected ones, at the largest amplitude."""
 
@@ -65,6 +67,8 @@ class GoalPlan:
     binding: tuple[str, ...]
     amplitudes: tuple[float, ...]
     """Share of the torque limit of each block."""
+    about: str = "every mass, spring and coupling"
+    """What the goal is about, in words."""
 
     @property
     def expected_s(self) -> float:
@@ -78,7 +82,7 @@ class GoalPlan:
         name, worst = self.expected.worst
         if self.reachable:
             return (
-                f"{self.goal:.2g} of every mass, spring and coupling expected after {self.needed} of "
+                f"{self.goal:.2g} of {self.about} expected after {self.needed} of "
                 f"{len(self.plan.experiments)} blocks, {self.expected_s:.0f} s (worst: {name}, {worst:.2g})"
             )
         return (
@@ -110,6 +114,7 @@ def plan_for_goal(
     amplitude_scale: float = 1.0,
     max_duration_s: float = 120.0,
     names: Sequence[str] | None = None,
+    band: tuple[float, float] | None = None,
     seed: int = 1,
 ) -> GoalPlan:
     """The shortest plan that is expected to reach ``goal`` (relative standard deviation).
@@ -120,6 +125,8 @@ def plan_for_goal(
         Excite only these.
     names
         Parameters that the goal is about; default all masses, springs and couplings.
+    band
+        Frequencies to excite [Hz]; default those of the config's multisines.
 
     Raises
     ------
@@ -133,7 +140,7 @@ def plan_for_goal(
     if unknown:
         raise ConfigError(f"axes: no axis {unknown[0]!r} in the config; it has {', '.join(known)}")
     excited = tuple(i for i, n in enumerate(known) if axes is None or n in axes)
-    designer = _Designer(config, belief, noise, excited, amplitude_scale, names, seed)
+    designer = _Designer(config, belief, noise, excited, amplitude_scale, names, seed, band)
     budget = require_budget(config)
 
     def plan_of(blocks: Sequence[PlannedExperiment]) -> Plan:
@@ -169,6 +176,14 @@ def plan_for_goal(
     return designer.finish(blocks, reached, length, goal, plan_of, max_duration_s)
 
 
+def informative_band(
+    config: CellConfig, belief: Belief, noise: Noise, names: Sequence[str], axes: Sequence[str]
+) -> tuple[float, float]:
+    """The frequencies [Hz] that tell about the named parameters when ``axes`` are excited."""
+    excited = tuple(i for i, a in enumerate(config.axes) if a.name in axes)
+    return _Designer(config, belief, noise, excited, 1.0, names, 0).informative(BLOCKS_S[-1])
+
+
 class _Designer:
     """Makes blocks of any length and amplitude for one cell, and knows which limits they touch."""
 
@@ -181,11 +196,12 @@ class _Designer:
         amplitude_scale: float,
         names: Sequence[str] | None,
         seed: int,
+        band: tuple[float, float] | None = None,
     ) -> None:
         self.config, self.belief, self.noise, self.excited = config, belief, noise, excited
         self.names, self.seed = names, seed
         specs = [s for s in config.experiments if isinstance(s, MultisineSpec) and s.role == "identify"]
-        self.band = (
+        self.band = band or (
             (min(s.band_Hz[0] for s in specs), max(s.band_Hz[1] for s in specs)) if specs else (0.5, 12.0)
         )
         self.share = amplitude_scale * max((s.amplitude for s in specs), default=0.7)
@@ -307,8 +323,37 @@ class _Designer:
             path[:, i] = excitation.triangle_path(self.creep, samples, 1.0 / self.config.bus.cycle_s, window)
         return frozen_float(path)
 
+    def informative(self, length: float) -> tuple[float, float]:
+        """The band [Hz] that holds all but a twentieth of the power of the best design."""
+        spacing = 1.0 / length
+        low, high = self.band
+        lines = np.arange(max(1, int(np.ceil(low / spacing))), int(high / spacing) + 1)
+        shell = PlannedExperiment(
+            key="",
+            kind=Kind.MULTISINE,
+            role=Role.IDENTIFY,
+            excited=self.excited,
+            torque=np.zeros((0, len(self.config.axes))),
+            reference=None,
+            record_from=0,
+            record_to=0,
+            period_samples=0,
+            frequencies_hz=frozen_float(lines * spacing),
+        )
+        axis = interleaved(lines, self.excited)
+        found = self._design(lines, spacing, axis, shell, robust_share=0.0)
+        share = np.cumsum(found.amplitude**2) / np.sum(found.amplitude**2)
+        first, last = np.searchsorted(share, [TAIL, 1.0 - TAIL])
+        return max(low, 0.9 * float(lines[first]) * spacing), min(high, 1.1 * float(lines[last]) * spacing)
+
     def _design(
-        self, lines: np.ndarray, spacing: float, axis: np.ndarray, shell: PlannedExperiment
+        self,
+        lines: np.ndarray,
+        spacing: float,
+        axis: np.ndarray,
+        shell: PlannedExperiment,
+        *,
+        robust_share: float = ROBUST_SHARE,
     ) -> LineDesign:
         quantum = self.noise.position_step / np.sqrt(12)
         steps = self.noise.torque_step / np.sqrt(12)
@@ -322,6 +367,7 @@ class _Designer:
             position_noise=np.hypot(self.noise.position, quantum),
             goal_scale=None if self.belief.guessed else self._scale(),
             prices=self.prices,
+            robust_share=robust_share,
         )
 
     def _scale(self) -> Float64:
@@ -381,6 +427,7 @@ class _Designer:
             expected=reached,
             binding=tuple(binding),
             amplitudes=tuple(r * self.share for r in rungs),
+            **({} if self.names is None else {"about": f"the {len(self.names)} parameters asked for"}),
         )
 
     def _warnings(self, rung: float) -> list[str]:

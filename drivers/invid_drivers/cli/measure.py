@@ -14,15 +14,16 @@ from invid.cli.output import EXIT_NOT_TRUSTWORTHY, EXIT_OK, emit, note
 from invid.config import CellConfig, load_config
 from invid.errors import InputError, SafetyStop
 from invid.expected import Noise
-from invid.model import load_json
+from invid.model import Model, load_json, load_model, save_model
 from invid.plan import Plan, make_plan
-from invid.plan.belief import Belief
+from invid.plan.belief import Belief, from_model
 from invid.plan.goal import GoalPlan, plan_for_goal
 from invid.separate import to_separate
 from invid.sweep import Progress
 from invid_drivers.cli.expectation import NOTHING, belief_of, expectation, expected_text, noise_of
 from invid_drivers.goal import Reached, measure_to_goal
 from invid_drivers.measurement import MeasurementResult, measure_to_file
+from invid_drivers.rescreening import screen_cell, screening_plan
 
 SHORTEST_S = 4.0
 """Below that not even one block with its rest fits."""
@@ -213,6 +214,54 @@ def run_design(cell: CellConfig, design: GoalPlan, out: Path, *, as_json: bool) 
     return EXIT_OK if there else EXIT_NOT_TRUSTWORTHY
 
 
+def run_screening(
+    cell: CellConfig,
+    model: Model,
+    out: Path,
+    noise: Noise,
+    goal: float | None,
+    max_duration_s: float,
+    update: Path | None,
+    *,
+    as_json: bool,
+) -> int:
+    """Screen and measure again what changed: 3 where the record cannot tell or the goal was not reached."""
+    with stop_on_signals() as stop:
+        try:
+            found = screen_cell(
+                cell,
+                model,
+                out,
+                noise=noise,
+                goal=goal,
+                max_duration_s=max_duration_s,
+                progress=ProgressLine(),
+                stop=stop,
+                tell=lambda text: note(f"invid measure: {text}"),
+            )
+        except KeyboardInterrupt:
+            raise SafetyStop("stopped at once on request; the drives are off") from None
+    lines = [result_text(found.result), f"  {found.screening.sentence}"]
+    document = {**found.result.to_json(), "screening": found.to_json()}
+    code = EXIT_OK
+    if found.screening.verdict == "cannot tell":
+        document["warnings"] = [*document["warnings"], found.screening.sentence]
+        code = EXIT_NOT_TRUSTWORTHY
+    if found.model is not None:
+        reached = found.reached if found.reached is not None else float("inf")
+        lines.append(
+            f"  measured {', '.join(found.axes)} again: worst changed parameter known to {reached:.2g}"
+        )
+        if update is not None:
+            save_model(found.model, update)
+            lines.append(f"  {update}: the model with its changed parts")
+        if goal is not None and reached > goal:
+            document["warnings"] = [*document["warnings"], f"goal of {goal:.2g} not reached: {reached:.2g}"]
+            code = EXIT_NOT_TRUSTWORTHY
+    emit(document, "\n".join(lines), as_json=as_json)
+    return code
+
+
 def cell_to_separate(cell: CellConfig, path: Path, *, goal: str | None, screening: bool) -> CellConfig:
     """The cell with the experiments that a diagnosis asks for, told in words."""
     if goal is not None or screening:
@@ -253,6 +302,14 @@ def register(app: typer.Typer) -> None:
         max_duration: float = typer.Option(
             120.0, "--max-duration", help="With --goal: longest robot time of the blocks [s]."
         ),
+        screening: bool = typer.Option(
+            False,
+            "--screen",
+            help="Test in seconds whether anything changed since --model; measure only that again.",
+        ),
+        update: Path | None = typer.Option(
+            None, "--update", help="With --screen: the model with its changed parts, where any changed."
+        ),
         separate: Path | None = typer.Option(
             None,
             "--separate",
@@ -263,10 +320,28 @@ def register(app: typer.Typer) -> None:
         """Shake the axes and record position and torque."""
         cell = load_config(config)
         if separate is not None:
-            cell = cell_to_separate(cell, separate, goal=goal, screening=False)
+            cell = cell_to_separate(cell, separate, goal=goal, screening=screening)
         chosen = None if axes is None else [a.strip() for a in axes.split(",") if a.strip()]
         belief = belief_of(cell, model)
         chains = None if model is None or belief is None else belief.chains
+        if update is not None and not screening:
+            raise InputError("--update is for --screen: it writes the model with its changed parts")
+        if screening:
+            if model is None:
+                raise InputError("--screen needs the accepted model to test against: --model MODEL.json")
+            if chosen is not None or amplitude != 1.0:
+                raise InputError(
+                    "--screen excites all axes at the amplitude it needs: leave --axes, --amplitude"
+                )
+            noise, wanted = noise_of(cell, noise_from), None if goal is None else parse_goal(goal)
+            accepted = load_model(model)
+            if dry_run:
+                return tell_design(
+                    cell, screening_plan(cell, from_model(accepted, cell), noise), as_json=as_json
+                )
+            return run_screening(
+                cell, accepted, _required(out), noise, wanted, max_duration, update, as_json=as_json
+            )
         if goal is not None:
             design = design_for(
                 cell, belief, noise_of(cell, noise_from), goal, chosen, amplitude, max_duration
