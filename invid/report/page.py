@@ -50,6 +50,8 @@ def render_report(recording: Recording, model: Model, diagnosis: Diagnosis | Non
         loader=PackageLoader("invid.report", ""), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
     environment.filters["clean"] = lambda text: printable(str(text), 2000)
+    # The configuration is evidence, kept whole; what an upload brings is bounded all the same.
+    environment.filters["whole"] = lambda text: printable(str(text), 200_000)
     shown = model if diagnosis is None else diagnosis.model
     return environment.get_template("report.html.j2").render(
         recording=recording,

@@ -104,3 +104,13 @@ def test_what_no_cause_explains_is_shown_without_a_fit(friction: tuple[Recording
 def test_with_nothing_missing_there_is_nothing_to_show(friction: tuple[Recording, Truth, Model]) -> None:
     recording, _, model = friction
     assert cause_views(recording, model, diagnosed(recording, model)) == []
+
+
+def test_the_report_keeps_the_whole_configuration(friction: tuple[Recording, Truth, Model]) -> None:
+    from invid.report import render_report
+
+    recording, _, model = friction
+    lines = [f"line_{n}: {'x' * 40}" for n in range(200)]
+    html = render_report(replace(recording, config="\n".join(lines)), model, diagnosed(recording, model))
+    assert lines[0] in html
+    assert lines[-1] in html

@@ -190,7 +190,9 @@ def analyse(job: Job, line: Line, path: Path) -> dict[str, Any]:
     save_text(job.folder / "model.json", dump_json({**model_to_json(best), **flag}))
     save_text(job.folder / "diagnosis.json", dump_json({**diagnosis_to_json(diagnosis), **flag}))
     report = render_report(recording, model, diagnosis)
-    save_text(job.folder / "report.html", _marked(report, simulated))
+    # A recording that says so is marked by the report itself.
+    told = bool(recording.attributes.get("simulated", False))
+    save_text(job.folder / "report.html", _marked(report, simulated and not told))
     save_text(job.folder / "plots.json", dump_json({**plot_data(recording, model, diagnosis), **flag}))
     return {
         "verdict": str(diagnosis.verdict),
