@@ -71,7 +71,10 @@ def cell_config(folder: Path, minutes: float, cycle_s: float) -> Path:
     data = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))
     data["bus"] |= {"channel": str(folder / "bus.sock"), "cycle_s": cycle_s}
     periods = max(2, round(minutes * 60 / 3 / PERIOD_S))
-    data["experiments"] = [{"kind": "multisine", "period_s": PERIOD_S, "periods": periods, "seed": 1}]
+    # Half the usual amplitude: timing is measured here, and half an hour must not end at a limit.
+    data["experiments"] = [
+        {"kind": "multisine", "period_s": PERIOD_S, "periods": periods, "seed": 1, "amplitude": 0.35}
+    ]
     path = folder / "cell.yaml"
     path.write_text(yaml.safe_dump(data), encoding="utf-8")
     return path

@@ -10,7 +10,7 @@ import typer
 
 from invid import __version__
 from invid.cli.output import EXIT_NOT_TRUSTWORTHY, emit, note
-from invid.errors import InvidError
+from invid.errors import InvidError, SafetyStop
 
 GROUP = "invid.commands"
 EXIT_INTERNAL = 70  # EX_SOFTWARE of sysexits.h: not one of the contract's, because it is our fault
@@ -72,6 +72,9 @@ def run(arguments: list[str]) -> int:
         if error.exit_code == EXIT_NOT_TRUSTWORTHY and "--json" in arguments:
             # Done, with no result to speak of: the reason still is a document's warnings.
             emit({"result": None, "warnings": [str(error)]}, "", as_json=True)
+        elif isinstance(error, SafetyStop) and "--json" in arguments:
+            # Stopped: what was recorded so far is in the file that the command named.
+            emit({"result": None, "outcome": "aborted", "warnings": [str(error)]}, "", as_json=True)
         return error.exit_code
     except UsageError as error:
         error.show(file=sys.stderr)  # type: ignore[attr-defined]

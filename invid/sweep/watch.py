@@ -15,6 +15,9 @@ STATE_MASK, OPERATION_ENABLED = 0x6F, 0x27
 
 VELOCITY_CYCLES = 4
 """Baseline of the velocity: four cycles halve the noise of two encoder counts twice."""
+STAMP_CYCLES = 0.2
+"""When SYNC was on the wire is known to a fifth of a cycle on a busy computer: what is surely too fast is so
+over a way that took that much longer. Five per cent over four cycles."""
 TORQUE_MARGIN = 1.1
 TORQUE_NOISE = 0.03
 """0x6077 may read 10 % over the limit and 3 % of rated torque: six standard deviations of the 0.5 % that
@@ -171,7 +174,7 @@ class Watch:
                 speed = (moved - limit.resolution) / dt
                 if speed > self._speed[i]:
                     self._speed[i] = speed
-                    if speed > limit.velocity:
+                    if speed * dt > limit.velocity * (dt + STAMP_CYCLES * self._cycle):
                         raise SafetyStop(
                             f"axis {limit.name}: velocity {speed:.4g} {limit.unit}/s, limit "
                             f"{limit.velocity:g}; "

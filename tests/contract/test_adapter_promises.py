@@ -7,13 +7,16 @@ import os
 from collections.abc import Iterator
 from typing import Any
 
+import can
 import numpy as np
 import pytest
 from durand_cell import DurandBus
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from invid.arrays import frozen_float
 from invid.config import CellConfig, load_config
-from invid.errors import BusError, DriveError
+from invid.errors import BusError, DriveError, InvidError
 from invid.recording import Experiment, Kind, Recording, Role
 from invid.sweep import Cell, Mode
 from invid_drivers.cia402.bus import Cia402Cell
@@ -493,3 +496,58 @@ def test_a_lost_tpdo_costs_its_own_cycle_and_no_other() -> None:
     assert [k + 1 for k, new in enumerate(fresh) if not new] == [10, 30, 31]
     step = max(np.abs(np.diff(truth)))
     assert all(abs(x - t) < 0.2 * step for x, t, new in zip(seen, truth, fresh, strict=True) if new)
+
+
+foreign_frames = st.builds(
+    lambda can_id, data, length, extended, remote, error: can.Message(
+        arbitration_id=can_id,
+        data=None if remote else data,
+        dlc=length if remote else len(data),
+        is_extended_id=extended,
+        is_remote_frame=remote,
+        is_error_frame=error,
+        check=False,
+    ),
+    # mostly identifiers that mean something: TPDO, SDO answer, EMCY, heartbeat of both nodes
+    st.one_of(
+        st.sampled_from([0x181, 0x182, 0x581, 0x582, 0x81, 0x82, 0x701, 0x702, 0x80]), st.integers(0, 0x7FF)
+    ),
+    st.binary(max_size=8),
+    st.integers(0, 8),
+    st.booleans(),
+    st.booleans(),
+    st.booleans(),
+)
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.lists(foreign_frames, min_size=1, max_size=60))
+def test_frames_of_any_kind_in_the_cycle_never_crash_the_adapter_nor_keep_it_from_stopping(
+    frames: list[can.Message],
+) -> None:
+    cell = simulated()
+    get = cell._link.get
+    waiting = list(frames)
+
+    turn = 0
+
+    def polluted(timeout: float) -> can.Message | None:
+        """A strange frame between every two real ones."""
+        nonlocal turn
+        turn += 1
+        return waiting.pop() if waiting and turn % 2 else get(timeout)
+
+    try:
+        cell.check()
+        cell.energise(held(cell))
+        cell._link.get = polluted  # type: ignore[method-assign,assignment]
+        for _ in range(30):
+            cell.exchange(zero(cell))
+        cell.stop()
+    except InvidError:
+        cell.stop()
+    finally:
+        cell._link.get = get  # type: ignore[method-assign]
+        bus: Any = cell._link.bus
+        cell.close()
+    assert all(d.state.name in ("SWITCH_ON_DISABLED", "READY_TO_SWITCH_ON", "FAULT") for d in bus.cell.drives)

@@ -69,7 +69,7 @@ def folder(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def simcell(folder: Path) -> Iterator[subprocess.Popen[str]]:
-    process = start("simcell", str(config(folder)), "--duration", "120", "--json", folder=folder)
+    process = start("simcell", str(config(folder)), "--duration", "400", "--json", folder=folder)
     wait_for(process)
     yield process
     if process.poll() is None:
@@ -86,7 +86,7 @@ def wait_for(process: subprocess.Popen[str]) -> None:
 def end(process: subprocess.Popen[str]) -> list[dict[str, Any]]:
     """The drives' states when the simulated cell is ended politely."""
     process.send_signal(signal.SIGINT)
-    out, _ = process.communicate(timeout=20)
+    out, _ = process.communicate(timeout=60)
     drives: list[dict[str, Any]] = json.loads(out)["drives"]
     return drives
 
@@ -103,7 +103,7 @@ def until_phase(process: subprocess.Popen[str], word: str) -> None:
 
 def until_file(process: subprocess.Popen[str], path: Path) -> None:
     """Until the recording is there: it is opened with its first row, however slow the machine is."""
-    deadline = time.monotonic() + 90.0
+    deadline = time.monotonic() + 240.0
     while not path.exists():
         if process.poll() is not None or time.monotonic() > deadline:
             process.kill()
@@ -116,7 +116,7 @@ def test_a_measurement_over_a_unix_socket_completes_and_leaves_every_drive_off(
     simcell: subprocess.Popen[str], folder: Path
 ) -> None:
     measure = start("measure", "cell.yaml", "-o", "run.h5", "--json", folder=folder)
-    out, said = measure.communicate(timeout=100)
+    out, said = measure.communicate(timeout=240)
     assert measure.returncode == 0, said
     result = json.loads(out)
     recording = read_recording(folder / "run.h5")
@@ -151,7 +151,7 @@ def test_kill_9_of_either_process_of_the_master_stops_the_drives(
     simcell: subprocess.Popen[str], folder: Path, victim: str
 ) -> None:
     measure = kill_and_look(simcell, folder, victim)
-    _, said = measure.communicate(timeout=60)
+    _, said = measure.communicate(timeout=240)
     if victim == "cycle process":
         assert measure.returncode == 5, said
         assert "heartbeat" in said
@@ -167,7 +167,7 @@ def test_a_cell_that_dies_ends_the_measurement_with_exit_5_and_keeps_the_samples
     simcell: subprocess.Popen[str], folder: Path
 ) -> None:
     measure = kill_and_look(simcell, folder, "simcell")
-    _, said = measure.communicate(timeout=60)
+    _, said = measure.communicate(timeout=240)
     assert measure.returncode == 5, said
     recording = read_recording(folder / "run.h5")
     assert recording.outcome is Outcome.FAILED
@@ -176,13 +176,55 @@ def test_a_cell_that_dies_ends_the_measurement_with_exit_5_and_keeps_the_samples
 
 @pytest.mark.slow
 def test_ctrl_c_stops_in_order_and_exits_4(simcell: subprocess.Popen[str], folder: Path) -> None:
-    measure = start("measure", "cell.yaml", "-o", "run.h5", folder=folder)
-    until_phase(measure, "experiment 1")
+    measure = start("measure", "cell.yaml", "-o", "run.h5", "--json", folder=folder)
+    until_file(measure, folder / "run.h5")
+    time.sleep(1.0)
     measure.send_signal(signal.SIGINT)
-    _, said = measure.communicate(timeout=60)
+    out, said = measure.communicate(timeout=240)
     assert measure.returncode == 4, said
+    assert "the recording so far is kept" in said
+    document = json.loads(out)
+    assert document["outcome"] == "aborted"
+    recording = read_recording(folder / "run.h5")
+    assert recording.outcome is Outcome.ABORTED
+    assert recording.experiments[0].samples > 100
     assert all(d["state"].upper().replace(" ", "_") in STOPPED for d in end(simcell))
     assert not list((folder / "state").rglob("*.journal"))
+
+
+@pytest.mark.slow
+def test_ctrl_c_before_anything_is_recorded_says_so_and_leaves_no_file(
+    simcell: subprocess.Popen[str], folder: Path
+) -> None:
+    measure = start("measure", "cell.yaml", "-o", "run.h5", folder=folder)
+    until_phase(measure, "trying the signs")
+    measure.send_signal(signal.SIGINT)
+    _, said = measure.communicate(timeout=240)
+    assert measure.returncode == 4, said
+    assert "nothing was recorded yet" in said
+    assert "kept" not in said
+    assert not (folder / "run.h5").exists()
+    assert all(d["state"].upper().replace(" ", "_") in STOPPED for d in end(simcell))
+
+
+@pytest.mark.slow
+def test_init_writes_a_first_config_from_a_live_cell(simcell: subprocess.Popen[str], folder: Path) -> None:
+    """Over the socket that the cell listens on; what it writes passes the check once limits are set."""
+    scan = start(
+        "init", "--interface", "invid-unix", "--channel", str(folder / "bus.sock"), "-o", "first.yaml",
+        "--json", folder=folder,
+    )  # fmt: skip
+    out, said = scan.communicate(timeout=240)
+    assert scan.returncode == 0, said
+    assert [d["node_id"] for d in json.loads(out)["drives"]] == [1, 2, 3]
+    written = yaml.safe_load((folder / "first.yaml").read_text(encoding="utf-8"))
+    assert written["bus"]["channel"] == str(folder / "bus.sock")
+    assert [a["node_id"] for a in written["axes"]] == [1, 2, 3]
+    assert all(a["gravity_loaded"] for a in written["axes"])
+    check = start("check", "first.yaml", "--json", folder=folder)
+    out, said = check.communicate(timeout=240)
+    assert check.returncode == 0, said
+    assert json.loads(out)["ready"] is True
 
 
 @pytest.mark.slow
@@ -196,7 +238,7 @@ def test_the_same_over_the_kernels_virtual_can(folder: Path) -> None:
     try:
         wait_for(cell)
         measure = start("measure", path, "-o", "run.h5", folder=folder)
-        _, said = measure.communicate(timeout=100)
+        _, said = measure.communicate(timeout=240)
         assert measure.returncode == 0, said
         assert all(d["state"].upper().replace(" ", "_") in STOPPED for d in end(cell))
     finally:
@@ -210,7 +252,7 @@ def test_nobody_on_the_bus_is_exit_5_and_writes_nothing(folder: Path) -> None:
     before = folder / "run.h5"
     before.write_bytes(b"an earlier file")
     measure = start("measure", "cell.yaml", "-o", "run.h5", folder=folder)
-    _, said = measure.communicate(timeout=60)
+    _, said = measure.communicate(timeout=240)
     assert measure.returncode == 5, said
     assert "simcell" in said
     assert "Traceback" not in said

@@ -1,0 +1,235 @@
+"""kill -9 of the parent, of the cycle process, of the simulated cell, at random moments of a real-time run.
+
+    python benchmarks/bench_kill.py [--runs 20] [--seed 0] [--results runs.jsonl] [--markdown]
+
+Afterwards: every drive of a cell that still runs is off, and no axis outside its window; nobody is left
+running; the command ends with the right status; the recording opens and has the samples up to the kill.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from invid.errors import InvidError
+from invid.recording import Outcome, read_recording
+
+CONFIG = Path(__file__).parents[1] / "configs" / "case-study-unix.yaml"
+INVID = [sys.executable, "-c", "from invid.cli import main; main()"]
+VICTIMS = ("parent", "cycle process", "simulated cell")
+CYCLE_S, PERIOD_S, PERIODS = 0.004, 2.048, 3
+ROWS = round(PERIODS * PERIOD_S / CYCLE_S)
+RUN_S = 24.0
+"""About how long a run takes after it has enabled the drives; the kill comes at any moment of it."""
+OFF = {"switch_on_disabled", "ready_to_switch_on", "switched_on", "fault", "not_ready_to_switch_on"}
+LOST_S = {"parent": 1.6, "cycle process": 0.3, "simulated cell": 0.3}
+"""What of the record may be lost: the writer flushes once a second; rows leave the cycle process every
+50 ms. The rest is for a busy machine."""
+WINDOW = 0.5
+
+
+@dataclass(frozen=True)
+class Kill:
+    """One run."""
+
+    victim: str
+    moment_s: float
+    phase: str
+    status: int | None
+    rows: int
+    lost_s: float
+    complaints: tuple[str, ...]
+
+
+def cell_config(folder: Path) -> Path:
+    """The case study at 250 Hz, one experiment."""
+    data = yaml.safe_load(CONFIG.read_text(encoding="utf-8"))
+    data["bus"] |= {"channel": str(folder / "bus.sock"), "cycle_s": CYCLE_S}
+    data["experiments"] = [
+        {"kind": "multisine", "band_Hz": [1, 12], "period_s": PERIOD_S, "periods": PERIODS,
+         "settle_periods": 0, "experiments": 1}
+    ]  # fmt: skip
+    path = folder / "cell.yaml"
+    path.write_text(yaml.safe_dump(data), encoding="utf-8")
+    return path
+
+
+def start(folder: Path, *arguments: str, said: str) -> subprocess.Popen[str]:
+    """A command in its own process, its stderr in a file."""
+    with (folder / said).open("w") as errors:
+        return subprocess.Popen(
+            [*INVID, *arguments], stdout=subprocess.PIPE, stderr=errors, text=True, cwd=folder,
+            env={**os.environ, "XDG_STATE_HOME": str(folder / "state")},
+        )  # fmt: skip
+
+
+def wait_for(process: subprocess.Popen[str], path: Path, word: str) -> None:
+    """Until a command has said a word."""
+    end = time.monotonic() + 180
+    while word not in path.read_text():
+        if process.poll() is not None or time.monotonic() > end:
+            raise SystemExit(f"{word!r} was not said: {path.read_text()}")
+        time.sleep(0.02)
+
+
+def children(pid: int) -> list[int]:
+    """Process ids of the children."""
+    try:
+        return [int(p) for p in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+    except OSError:
+        return []
+
+
+def alive(pid: int) -> bool:
+    """Whether a process still runs (a zombie does not)."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def run_one(victim: str, rng: np.random.Generator, folder: Path) -> Kill:
+    """One measurement, one kill."""
+    path = cell_config(folder)
+    out = folder / "run.h5"
+    complaints: list[str] = []
+    cell = start(folder, "simcell", str(path), "--json", said="cell.txt")
+    measure = None
+    try:
+        wait_for(cell, folder / "cell.txt", "ready")
+        measure = start(folder, "measure", str(path), "-o", str(out), "--json", said="measure.txt")
+        wait_for(measure, folder / "measure.txt", "enabling")
+        moment = float(rng.uniform(0.0, RUN_S))
+        time.sleep(moment)
+        cycle = children(measure.pid)
+        target = {"parent": [measure.pid], "cycle process": cycle, "simulated cell": [cell.pid]}[victim]
+        phase = (folder / "measure.txt").read_text().strip().rsplit("left", 1)[-1].strip()
+        killed = time.monotonic()
+        ended = measure.poll() is not None
+        for pid in target:
+            os.kill(pid, signal.SIGKILL)
+        try:
+            status: int | None = measure.wait(timeout=60)
+        except subprocess.TimeoutExpired:
+            status = None
+            complaints.append("the command did not end")
+        wanted = {"parent": -9, "cycle process": 5, "simulated cell": 5}[victim]
+        if status != wanted and not ended and target:
+            complaints.append(f"exit {status}")
+        # heartbeat watch of three halves of a second, quick stop, and the orphan's own way out
+        end = time.monotonic() + 15.0
+        while any(alive(p) for p in cycle) and time.monotonic() < end:
+            time.sleep(0.05)
+        if any(alive(p) for p in cycle):
+            complaints.append("the cycle process was left running")
+        if victim != "simulated cell":
+            time.sleep(max(0.0, killed + 4.0 - time.monotonic()))
+            cell.send_signal(signal.SIGINT)
+            _judge_cell(json.loads(cell.communicate(timeout=60)[0]), complaints)
+        rows, lost = _judge_record(out, victim, killed, ended, complaints)
+    finally:
+        for process in (cell, measure):
+            if process is not None and process.poll() is None:
+                process.kill()
+                process.communicate()
+    return Kill(victim, moment, phase, status, rows, lost, tuple(complaints))
+
+
+def _judge_cell(document: dict[str, Any], complaints: list[str]) -> None:
+    for drive in document["drives"]:
+        if drive["state"] not in OFF:
+            complaints.append(f"{drive['axis']} ended in {drive['state']}")
+        if abs(drive["position"]) > 1.1 * WINDOW:
+            complaints.append(f"{drive['axis']} ended at {drive['position']:.2f}")
+
+
+def _judge_record(
+    out: Path, victim: str, killed: float, ended: bool, complaints: list[str]
+) -> tuple[int, float]:
+    if not out.exists():
+        return 0, 0.0
+    try:
+        recording = read_recording(out)
+    except InvidError as error:
+        complaints.append(f"the recording does not open: {error}")
+        return 0, 0.0
+    rows = sum(e.samples for e in recording.experiments)
+    wanted = None if victim == "parent" else Outcome.FAILED
+    complete = rows >= ROWS
+    if not ended and not complete and recording.outcome is not wanted:
+        complaints.append(f"marked {recording.outcome}")
+    # SYNC instants are of the machine's monotonic clock, as the moment of the kill
+    lost = 0.0 if complete or not rows else killed - float(recording.experiments[-1].time[-1])
+    if lost > LOST_S[victim]:
+        complaints.append(f"the last {lost:.2f} s are lost")
+    return rows, max(lost, 0.0)
+
+
+def campaign(runs: int, seed: int, results: Path | None) -> list[Kill]:
+    """``runs`` kills of each victim; what stands in ``results`` is not run again."""
+    done: list[Kill] = []
+    if results is not None and results.exists():
+        rows = [json.loads(line) for line in results.read_text(encoding="utf-8").splitlines()]
+        done = [Kill(**{**row, "complaints": tuple(row["complaints"])}) for row in rows]
+    for n in range(len(done), runs * len(VICTIMS)):
+        with tempfile.TemporaryDirectory() as folder:
+            kill = run_one(VICTIMS[n % len(VICTIMS)], np.random.default_rng([seed, n]), Path(folder))
+        done.append(kill)
+        if results is not None:
+            with results.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(asdict(kill)) + "\n")
+    return done
+
+
+def table(kills: list[Kill], *, markdown: bool) -> str:
+    """Victims × outcomes."""
+    head = ("killed", "runs", "exit", "with a recording", "most of it lost [s]", "violations")
+    rows = [head]
+    for victim in VICTIMS:
+        group = [k for k in kills if k.victim == victim]
+        if group:
+            status = ", ".join(sorted({str(k.status) for k in group}))
+            kept = [k for k in group if k.rows]
+            lost = max((k.lost_s for k in kept), default=0.0)
+            bad = sum(bool(k.complaints) for k in group)
+            rows.append((victim, str(len(group)), status, str(len(kept)), f"{lost:.2f}", str(bad)))
+    widths = [max(len(r[i]) for r in rows) for i in range(len(head))]
+    lines = [" | ".join(c.ljust(w) for c, w in zip(r, widths, strict=True)) for r in rows]
+    if markdown:
+        lines = [f"| {line} |" for line in lines]
+        lines.insert(1, "|" + " --- |" * len(head))
+    return "\n".join(lines)
+
+
+def main() -> int:
+    """Run the campaign and print the table; the exit status is 1 where a requirement was broken."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--runs", type=int, default=20, help="of each victim")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--results", type=Path)
+    parser.add_argument("--markdown", action="store_true")
+    arguments, _ = parser.parse_known_args()
+    began = time.monotonic()
+    kills = campaign(arguments.runs, arguments.seed, arguments.results)
+    print(table(kills, markdown=arguments.markdown))
+    bad = [(n, k) for n, k in enumerate(kills) if k.complaints]
+    for n, k in bad:
+        print(f"run {n} ({k.victim} at {k.moment_s:.1f} s, {k.phase}): {'; '.join(k.complaints)}")
+    print(f"{len(kills)} runs, {len(bad)} violations, {time.monotonic() - began:.0f} s")
+    return 1 if bad else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
