@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import argparse
 import hashlib
+import os
 import random
 import sqlite3
 import sys
@@ -38,6 +39,13 @@ from invid.model import Model, model_from_json, model_to_json, parameter_vector
 CLIENTS = 20
 RATE = 200.0
 HISTORY = 40
+STATES = ("queued", "checking", "running", "running", "analysing", "awaiting_accept")
+
+
+def processor_s(process: int) -> float:
+    """Processor time of a process so far, its runner not counted."""
+    fields = Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def poll(seconds: float) -> bool:
@@ -65,16 +73,21 @@ def poll(seconds: float) -> bool:
                 late.extend(own)
 
         threads = [threading.Thread(target=client, args=(k,)) for k in range(CLIENTS)]
+        before = processor_s(service.process.pid)
         for t in threads:
             t.start()
         for t in threads:
             t.join()
+        spent = processor_s(service.process.pid) - before
         state = service.client.get(location).json()["state"]
         service.client.post("/api/v1/cells/small/stop")
     p50, p99, worst = (1e3 * float(np.quantile(late, q)) for q in (0.5, 0.99, 1.0))
+    load = os.getloadavg()[0]
     print(
         f"polling: {len(late)} requests from {CLIENTS} clients at {RATE:.0f}/s, run was {state} at the end: "
-        f"p50 {p50:.1f} ms, p99 {p99:.1f} ms, worst {worst:.1f} ms, {len(failures)} failed"
+        f"p50 {p50:.1f} ms, p99 {p99:.1f} ms, worst {worst:.1f} ms, {len(failures)} failed; "
+        f"processor time of the service {1e3 * spent / len(late):.2f} ms a request; load of the machine "
+        f"{load:.1f} on {os.cpu_count()} cores"
     )
     return p99 < 50 and not failures
 
@@ -114,11 +127,14 @@ def kill(times: int, seed: int = 1) -> bool:
                 if n == times:
                     break
                 previous = service.start()
-                moment = rng.uniform(0.0, 12.0)
+                # A state first and then a moment in it: the same spread on a slow machine as on a fast one.
+                aimed, moment = rng.choice(STATES), rng.uniform(0.0, 2.0)
+                service.wait(previous, *STATES[STATES.index(aimed) :], timeout=300.0)
                 time.sleep(moment)
                 state = service.client.get(previous).json()["state"]
                 seen[state] = seen.get(state, 0) + 1
                 service.kill()
+                print(f"kill {n + 1}: {moment:.1f} s into {aimed}, {state}", file=sys.stderr, flush=True)
             wrong += [f"kill {n}: {w}" for w in consistent(folder)]
     print(f"kill -9: {times} times, in states {seen}: {len(wrong)} wrong {wrong[:5]}")
     return not wrong
