@@ -43,7 +43,11 @@ def missed_by_structure(spectra: Sequence[LineSpectra], fit: Fit) -> tuple[float
     near one. A fit in a wrong minimum, or a structure that cannot move as the machine does (springs to
     ground, masses too few), is beaten by far. (0, 0) where no rational FRF is found.
     """
-    found = unstructured(spectra, fit.structure.sizes, further=FURTHER, model_error=GRANTED)
+    try:
+        with np.errstate(all="ignore"):
+            found = unstructured(spectra, fit.structure.sizes, further=FURTHER, model_error=GRANTED)
+    except np.linalg.LinAlgError:  # a pole upon a line of the record: the search ended nowhere
+        found = None
     if found is None:
         return 0.0, 0.0
     left, rows = 0.0, 0
