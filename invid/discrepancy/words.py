@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from invid.diagnosis import Alternative
 from invid.effects import CATALOGUE
@@ -51,6 +52,11 @@ def finding_sentence(
     effect = BY_CAUSE[term.cause]
     main = term.parameters.get(effect.main)
     size = f" of {number(main)}" if main is not None else ""
+    if main is not None and main.unit == "s":
+        thousand = replace(
+            main, value=1e3 * main.value, std=None if main.std is None else 1e3 * main.std, unit="ms"
+        )
+        size = f" ({number(thousand)})"
     if term.cause == "torque_gain" and main is not None:
         size = f" (true torque is {number(main)} times the record)"
     text = (
