@@ -14,41 +14,25 @@ from typing import Any
 
 import numpy as np
 
-from invid import excitation
-from invid.arrays import Float64, frozen_float
-from invid.config import CellConfig, MultisineSpec
+from invid.config import CellConfig
 from invid.errors import ConfigError
-from invid.expected import Expected, Noise, expected, parameter_scale
-from invid.model import parameter_vector
+from invid.expected import Expected, Noise
 from invid.plan.belief import Belief
+from invid.plan.blocks import FRICTION_FACTOR, BlockDesigner
 from invid.plan.budget import require_budget
-from invid.plan.build import CREEP_TRAVEL, REST_S
-from invid.plan.design import ROBUST_SHARE, LineDesign, interleaved, line_design
+from invid.plan.build import REST_S
 from invid.plan.forecast import forecast_motion
 from invid.plan.model import Plan, PlannedExperiment
-from invid.plan.response import foretold_motion, hold_gains
-from invid.recording.model import Kind, Role
-from invid.refine.structure import structure_of
 
-RAMP_S = 0.25
-"""Raised-cosine start and end of a block."""
 BLOCKS_S = (5.0, 6.5, 8.0, 10.0, 13.0, 16.0, 20.0)
 """Lengths of a block. Shorter than 5 s the lines lie so far apart that a fit from nothing may miss a
 resonance (empirical, modes of 4 to 8 Hz); they scale with the lowest frequency below 0.5 Hz."""
 LADDER = (0.25, 0.35, 0.5, 0.7, 1.0)
 """Amplitudes tried, as shares of the largest allowed."""
-FRICTION_FACTOR = 13.0
-"""Peak torque over Coulomb torque below which sticking shows (notes, case study)."""
 MARGIN = 0.9
 """The expected uncertainty must be this much below the goal: the measured one scatters about it."""
 SURELY = 2.0
 """A block expected to miss the goal by this factor is not worked out: longer ones resolve more, too."""
-NEAR = 0.8
-"""Share of the position window and of the velocity limit that may be used, as in the sweep."""
-PRICINGS = 3
-"""Times the price of travel and speed is raised before amplitudes are cut."""
-TAIL = 0.025
-"""Power of the best design that lies below, and as much above, the band called informative."""
 RESERVE = 2
 """Blocks after the expected ones, at the largest amplitude."""
 
@@ -84,6 +68,10 @@ class GoalPlan:
             return (
                 f"{self.goal:.2g} of {self.about} expected after {self.needed} of "
                 f"{len(self.plan.experiments)} blocks, {self.expected_s:.0f} s (worst: {name}, {worst:.2g})"
+            )
+        if not np.isfinite(worst):
+            return (
+                f"{self.goal:.2g} is not expected: {name} is not seen by this plan at all; excite every axis"
             )
         return (
             f"{self.goal:.2g} is not expected within the limits: {name} would reach "
@@ -140,7 +128,7 @@ def plan_for_goal(
     if unknown:
         raise ConfigError(f"axes: no axis {unknown[0]!r} in the config; it has {', '.join(known)}")
     excited = tuple(i for i, n in enumerate(known) if axes is None or n in axes)
-    designer = _Designer(config, belief, noise, excited, amplitude_scale, names, seed, band)
+    designer = BlockDesigner(config, belief, noise, excited, amplitude_scale, names, seed, band)
     budget = require_budget(config)
 
     def plan_of(blocks: Sequence[PlannedExperiment]) -> Plan:
@@ -162,10 +150,10 @@ def plan_for_goal(
         best = (blocks, reached)
         first = first or reached.worst[1]
         if reached.worst[1] <= MARGIN * goal:
-            return designer.finish(blocks, reached, length, goal, plan_of, max_duration_s)
+            return _finish(designer, blocks, reached, length, goal, plan_of, max_duration_s)
     blocks, reached = best if best is not None else ([], designer.expected([]))
     length = lengths[-1]
-    while reached.worst[1] > MARGIN * goal:
+    while MARGIN * goal < reached.worst[1] < np.inf:
         # information adds up over blocks: the number that is missing, at once
         more = max(1, int(np.ceil(len(blocks) * (reached.worst[1] / (MARGIN * goal)) ** 2)) - len(blocks))
         room = int(max_duration_s // (length + REST_S)) - len(blocks)
@@ -173,7 +161,7 @@ def plan_for_goal(
             break
         blocks += [designer.block(length, len(blocks) + k, 1.0) for k in range(min(more, room))]
         reached = designer.expected(blocks)
-    return designer.finish(blocks, reached, length, goal, plan_of, max_duration_s)
+    return _finish(designer, blocks, reached, length, goal, plan_of, max_duration_s)
 
 
 def informative_band(
@@ -181,264 +169,51 @@ def informative_band(
 ) -> tuple[float, float]:
     """The frequencies [Hz] that tell about the named parameters when ``axes`` are excited."""
     excited = tuple(i for i, a in enumerate(config.axes) if a.name in axes)
-    return _Designer(config, belief, noise, excited, 1.0, names, 0).informative(BLOCKS_S[-1])
+    return BlockDesigner(config, belief, noise, excited, 1.0, names, 0).informative(BLOCKS_S[-1])
 
 
-class _Designer:
-    """Makes blocks of any length and amplitude for one cell, and knows which limits they touch."""
-
-    def __init__(
-        self,
-        config: CellConfig,
-        belief: Belief,
-        noise: Noise,
-        excited: tuple[int, ...],
-        amplitude_scale: float,
-        names: Sequence[str] | None,
-        seed: int,
-        band: tuple[float, float] | None = None,
-    ) -> None:
-        self.config, self.belief, self.noise, self.excited = config, belief, noise, excited
-        self.names, self.seed = names, seed
-        specs = [s for s in config.experiments if isinstance(s, MultisineSpec) and s.role == "identify"]
-        self.band = band or (
-            (min(s.band_Hz[0] for s in specs), max(s.band_Hz[1] for s in specs)) if specs else (0.5, 12.0)
-        )
-        self.share = amplitude_scale * max((s.amplitude for s in specs), default=0.7)
-        self.creep = max((s.creep_velocity for s in specs), default=0.0)
-        self.limits = np.array([a.limits.torque for a in config.axes])
-        self.prices = (np.zeros(len(config.axes)), np.zeros(len(config.axes)))
-        self.reduced = np.ones(len(config.axes))
-        self.touched: set[str] = set()
-        self.length = 0.0
-
-    def expected(self, blocks: Sequence[PlannedExperiment]) -> Expected:
-        """Expected covariance, its goal narrowed to the wanted parameters."""
-        numbered = [replace(e, key=f"{k:03d}") for k, e in enumerate(blocks)]
-        found = expected(self.config, numbered, self.belief, self.noise)
-        if self.names is None:
-            return found
-        wanted = np.array([n in self.names for n in found.names])
-        return replace(found, goal=found.goal & wanted)
-
-    def block(self, length: float, number: int, rung: float) -> PlannedExperiment:
-        """One block, within travel and velocity by the belief."""
-        if length != self.length:
-            self._settle(length)
-        made = self._make(length, number, rung)
-        # laid out for the first block; the others have other phases
-        over = max((ratio for _, _, ratio in self._over(made)), default=1.0) if number else 1.0
-        return replace(made, torque=frozen_float(made.torque / over))
-
-    def _settle(self, length: float) -> None:
-        """Prices and amplitudes that keep blocks of this length within travel and velocity.
-
-        Power is first moved away from the lines that cause the motion; what is still over is scaled.
-        """
-        self.length = length
-        self.prices = (np.zeros(len(self.config.axes)), np.zeros(len(self.config.axes)))
-        self.reduced = np.ones(len(self.config.axes))
-        self.touched.clear()
-        for attempt in range(PRICINGS + 4):
-            over = self._over(self._make(length, 0, 1.0))
-            if not over:
-                return
-            for axis, kind, ratio in over:
-                limits = self.config.axes[axis].limits
-                travels = kind == "position window"
-                which = self.prices[0] if travels else self.prices[1]
-                self.touched.add(f"{kind} of {self.config.axes[axis].name}")
-                if attempt < PRICINGS:
-                    unit = self.limits[axis] * self.share / (limits.position if travels else limits.velocity)
-                    which[axis] = max(which[axis], unit**2) * ratio**2
-                else:
-                    self.reduced[axis] /= 1.02 * ratio
-
-    def _over(self, block: PlannedExperiment) -> list[tuple[int, str, float]]:
-        motion = foretold_motion(self.config, block, self.belief)
-        found = []
-        for i, axis in enumerate(self.config.axes):
-            for kind, value, limit in (
-                ("position window", np.abs(motion.position[:, i]).max(), axis.limits.position),
-                ("velocity limit", np.abs(motion.velocity[:, i]).max(), axis.limits.velocity),
-            ):
-                if value > NEAR * limit:
-                    found.append((i, kind, float(value / (NEAR * limit))))
-        return found
-
-    def peaks(self, rung: float) -> Float64:
-        """(M,) peak torque."""
-        return rung * self.share * self.limits * self.reduced
-
-    def _make(self, length: float, number: int, rung: float) -> PlannedExperiment:
-        config, cycle = self.config, self.config.bus.cycle_s
-        period = round(length / cycle)
-        spacing = 1.0 / (period * cycle)
-        first = max(1, int(np.ceil(self.band[0] / spacing - 1e-9)))
-        lines = np.arange(first, int(np.floor(self.band[1] / spacing + 1e-9)) + 1)
-        axis = interleaved(lines, self.excited, number)
-        peaks = self.peaks(rung)
-        torque = np.zeros((period + 1, len(config.axes)))
-        shell = PlannedExperiment(
-            key="",
-            kind=Kind.MULTISINE,
-            role=Role.IDENTIFY,
-            excited=self.excited,
-            torque=torque,
-            reference=None,
-            record_from=0,
-            record_to=period + 1,
-            period_samples=0,
-            frequencies_hz=frozen_float(lines * spacing),
-            attributes={
-                "seed": self.seed + number,
-                "amplitude": rung * self.share,
-                "lines": "interleaved",
-                "from_rest": True,
-            },
-        )
-        design = self._design(lines, spacing, axis, shell)
-        rng = np.random.default_rng((self.seed, number))
-        for i in self.excited:
-            own, amplitude = design.of(i)
-            if own.size == 0:
-                raise ConfigError(
-                    f"goal: a block of {length:g} s has no line for axis {config.axes[i].name} in "
-                    f"{self.band[0]:g}…{self.band[1]:g} Hz; widen band_Hz"
-                )
-            wave = excitation.multisine(own, period, 1.0 / cycle, rng=rng, shape=amplitude).period()
-            torque[:, i] = peaks[i] * np.append(wave, wave[0])
-        ramp = round(RAMP_S / cycle)
-        torque = excitation.ramped(torque, ramp, ramp)
-        return replace(shell, torque=frozen_float(torque), reference=self._creep(peaks, period + 1))
-
-    def _creep(self, peaks: Float64, samples: int) -> Float64 | None:
-        """Slow motion where friction is near the amplitude, if the config allows any."""
-        near = [i for i in self.excited if peaks[i] < FRICTION_FACTOR * self.belief.coulomb[i]]
-        if self.creep <= 0 or not near:
-            return None
-        path = np.zeros((samples, len(self.config.axes)))
-        for i in near:
-            window = self.config.axes[i].limits.position * CREEP_TRAVEL
-            path[:, i] = excitation.triangle_path(self.creep, samples, 1.0 / self.config.bus.cycle_s, window)
-        return frozen_float(path)
-
-    def informative(self, length: float) -> tuple[float, float]:
-        """The band [Hz] that holds all but a twentieth of the power of the best design."""
-        spacing = 1.0 / length
-        low, high = self.band
-        lines = np.arange(max(1, int(np.ceil(low / spacing))), int(high / spacing) + 1)
-        shell = PlannedExperiment(
-            key="",
-            kind=Kind.MULTISINE,
-            role=Role.IDENTIFY,
-            excited=self.excited,
-            torque=np.zeros((0, len(self.config.axes))),
-            reference=None,
-            record_from=0,
-            record_to=0,
-            period_samples=0,
-            frequencies_hz=frozen_float(lines * spacing),
-        )
-        axis = interleaved(lines, self.excited)
-        found = self._design(lines, spacing, axis, shell, robust_share=0.0)
-        share = np.cumsum(found.amplitude**2) / np.sum(found.amplitude**2)
-        first, last = np.searchsorted(share, [TAIL, 1.0 - TAIL])
-        return max(low, 0.9 * float(lines[first]) * spacing), min(high, 1.1 * float(lines[last]) * spacing)
-
-    def _design(
-        self,
-        lines: np.ndarray,
-        spacing: float,
-        axis: np.ndarray,
-        shell: PlannedExperiment,
-        *,
-        robust_share: float = ROBUST_SHARE,
-    ) -> LineDesign:
-        quantum = self.noise.position_step / np.sqrt(12)
-        steps = self.noise.torque_step / np.sqrt(12)
-        return line_design(
-            self.belief,
-            lines,
-            spacing,
-            axis,
-            hold=hold_gains(self.config, shell, self.belief),
-            torque_noise=np.maximum(np.hypot(self.noise.torque, steps), 1e-300),
-            position_noise=np.hypot(self.noise.position, quantum),
-            goal_scale=None if self.belief.guessed else self._scale(),
-            prices=self.prices,
-            robust_share=robust_share,
-        )
-
-    def _scale(self) -> Float64:
-        """Scale of every parameter of the structure in the units of the fit (logarithms: 1)."""
-        structure = structure_of(self.belief.chains)
-        names, _ = parameter_vector(self.belief.chains)
-        relative = dict(zip(names, parameter_scale(self.belief.chains), strict=True))
-        scale = np.full(structure.count, np.inf)
-        for k, name in enumerate(structure.names):
-            if ".damper." in name or name not in relative or name.endswith(".ground_spring"):
+def _finish(
+    designer: BlockDesigner,
+    blocks: list[PlannedExperiment],
+    reached: Expected,
+    length: float,
+    goal: float,
+    plan_of: Any,
+    max_duration_s: float,
+) -> GoalPlan:
+    """Lowest amplitude that does, then rising ones, then reserve."""
+    reachable = reached.worst[1] <= goal
+    rungs = [1.0] * len(blocks)
+    if reachable and len(blocks) == 1:
+        for rung in LADDER[:-1]:
+            low = designer.peaks(rung)
+            if any(low[i] < FRICTION_FACTOR * designer.belief.coulomb[i] for i in designer.excited):
                 continue
-            if self.names is not None and name not in self.names:
-                continue
-            scale[k] = 1.0 if structure.logarithmic[k] else relative[name]
-        return scale
-
-    def finish(
-        self,
-        blocks: list[PlannedExperiment],
-        reached: Expected,
-        length: float,
-        goal: float,
-        plan_of: Any,
-        max_duration_s: float,
-    ) -> GoalPlan:
-        """Lowest amplitude that does, then rising ones, then reserve."""
-        reachable = reached.worst[1] <= goal
-        rungs = [1.0] * len(blocks)
-        if reachable and len(blocks) == 1:
-            for rung in LADDER[:-1]:
-                low = self.peaks(rung)
-                if any(low[i] < FRICTION_FACTOR * self.belief.coulomb[i] for i in self.excited):
-                    continue
-                trial = [self.block(length, 0, rung)]
-                found = self.expected(trial)
-                if found.worst[1] <= MARGIN * goal:
-                    blocks, reached, rungs = trial, found, [rung]
-                    break
-        needed = len(blocks)
-        for _ in range(RESERVE):
-            if reachable and (len(blocks) + 1) * (length + REST_S) <= max_duration_s:
-                higher = [r for r in LADDER if r > rungs[-1]]
-                rungs.append(higher[min(1, len(higher) - 1)] if higher else 1.0)
-                blocks = [*blocks, self.block(length, len(blocks), rungs[-1])]
-        binding = sorted(self.touched)
-        if not reachable:
-            if not binding or self.reduced.min() > 0.99:
-                name = reached.worst[0].split(".")[0].split("-")[0]
-                binding.append(f"torque limit of {name}")
-            binding.append(f"duration of {max_duration_s:g} s")
-        plan = plan_of(blocks)
-        return GoalPlan(
-            plan=replace(plan, warnings=tuple(self._warnings(rungs[0]))),
-            goal=goal,
-            needed=needed,
-            reachable=reachable,
-            expected=reached,
-            binding=tuple(binding),
-            amplitudes=tuple(r * self.share for r in rungs),
-            **({} if self.names is None else {"about": f"the {len(self.names)} parameters asked for"}),
-        )
-
-    def _warnings(self, rung: float) -> list[str]:
-        low, coulomb = self.peaks(rung), self.belief.coulomb
-        way_out = "it creeps while it is shaken" if self.creep > 0 else "allow a creep_velocity in the config"
-        near = [
-            f"axis {self.config.axes[i].name}: the peak torque of {low[i]:.3g} is only "
-            f"{low[i] / coulomb[i]:.1f} times the Coulomb friction of {coulomb[i]:.3g}; {way_out}"
-            for i in self.excited
-            if coulomb[i] > 0 and low[i] < FRICTION_FACTOR * coulomb[i]
-        ]
-        if self.belief.guessed:
-            near.append(f"expected figures rest on {self.belief.source}")
-        return near
+            trial = [designer.block(length, 0, rung)]
+            found = designer.expected(trial)
+            if found.worst[1] <= MARGIN * goal:
+                blocks, reached, rungs = trial, found, [rung]
+                break
+    needed = len(blocks)
+    for _ in range(RESERVE):
+        if reachable and (len(blocks) + 1) * (length + REST_S) <= max_duration_s:
+            higher = [r for r in LADDER if r > rungs[-1]]
+            rungs.append(higher[min(1, len(higher) - 1)] if higher else 1.0)
+            blocks = [*blocks, designer.block(length, len(blocks), rungs[-1])]
+    binding = sorted(designer.touched)
+    if not reachable and np.isfinite(reached.worst[1]):
+        if not binding or designer.reduced.min() > 0.99:
+            name = reached.worst[0].split(".")[0].split("-")[0]
+            binding.append(f"torque limit of {name}")
+        binding.append(f"duration of {max_duration_s:g} s")
+    plan = plan_of(blocks)
+    return GoalPlan(
+        plan=replace(plan, warnings=tuple(designer.warnings(rungs[0]))),
+        goal=goal,
+        needed=needed,
+        reachable=reachable,
+        expected=reached,
+        binding=tuple(binding),
+        amplitudes=tuple(r * designer.share for r in rungs),
+        **({} if designer.names is None else {"about": f"the {len(designer.names)} parameters asked for"}),
+    )
