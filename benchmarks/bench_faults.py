@@ -190,7 +190,7 @@ def run_one(kind: str, rng: np.random.Generator, folder: Path) -> RunOutcome:
         given[0] += 1
         row(self, *arguments)
 
-    Recorder.row = counted  # type: ignore[method-assign]
+    Recorder.row = counted  # type: ignore[assignment, method-assign]
     status, said = 0, ""
     try:
         run_measurement(config, make_plan(config), cell, out)
