@@ -71,10 +71,10 @@ def _delays(design: Design, terms: list[Term], step: float) -> list[Term]:
     current = fit(design, terms)
     for term in [t for t in terms if t.cause == "time_offset"]:
         value, std = current.of(term)
-        if abs(value[0]) <= step + 2 * std[0] or not _late_while_moving(design, terms, term, step):
+        if abs(value[0]) <= step + 2 * std[0]:
             continue
         without = fit(design, [t for t in terms if t is not term])
-        if needed(design, without, current):
+        if needed(design, without, current) and _late_while_moving(design, terms, term, step):
             terms = [replace(t, cause="torque_delay", base=False) if t is term else t for t in terms]
         else:
             terms = without.terms

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.signal import csd, find_peaks, welch
 
+from invid.arrays import Float64
 from invid.errors import InvidError
 from invid.recording.model import Kind, Recording
 from invid.timebase import uniform
@@ -53,28 +54,48 @@ def is_trajectory(recording: Recording) -> bool:
 
 
 def resonance_visible(recording: Recording) -> bool:
-    """True where some axis's response from torque to acceleration has a peak that stands out."""
+    """True where some axis's response from torque to acceleration has a peak that stands out.
+
+    It must stand out in both halves of the record at the same place: the peaks that friction makes of single
+    moves do not.
+    """
     longest = max((e for e in recording.experiments if e.kind is Kind.OTHER), key=lambda e: e.samples)
     even = uniform(longest)
     if even.samples < 512:
         return False
     acceleration = np.diff(even.position, 2, axis=0) / even.step**2
     torque = even.torque[1:-1]
-    length = acceleration.shape[0] // 8
+    middle = acceleration.shape[0] // 2
     for i in range(recording.axis_count):
-        frequency, cross = csd(torque[:, i], acceleration[:, i], 1 / even.step, nperseg=length)
-        _, pa = welch(acceleration[:, i], 1 / even.step, nperseg=length)
-        _, pt = welch(torque[:, i], 1 / even.step, nperseg=length)
-        coherence = np.abs(cross) ** 2 / np.maximum(pa * pt, 1e-300)
-        response = np.log(np.maximum(np.abs(cross) / np.maximum(pt, 1e-300), 1e-300))
-        seen = (coherence > COHERENT) & (frequency > 0)
-        if seen.sum() < 8:
+        whole = _peaks(torque[:, i], acceleration[:, i], even.step)
+        if whole.size == 0:
             continue
-        inside = response[seen]
-        for peak in find_peaks(inside, prominence=PROMINENCE, width=2)[0]:
-            if 2 < peak < inside.size - 3:
+        halves = [
+            _peaks(torque[part, i], acceleration[part, i], even.step, acceleration.shape[0] // 8)
+            for part in (slice(None, middle), slice(middle, None))
+        ]
+        apart = 2.0 * 8 / (acceleration.shape[0] * even.step)
+        for peak in whole:
+            if all((np.abs(half - peak) < max(apart, 0.05 * peak)).any() for half in halves):
                 return True
     return False
+
+
+def _peaks(torque: Float64, acceleration: Float64, step: float, length: int = 0) -> Float64:
+    """Frequencies [Hz] of the peaks that stand out of the response where it is coherent."""
+    length = length or acceleration.size // 8
+    frequency, cross = csd(torque, acceleration, 1 / step, nperseg=length)
+    _, pa = welch(acceleration, 1 / step, nperseg=length)
+    _, pt = welch(torque, 1 / step, nperseg=length)
+    coherence = np.abs(cross) ** 2 / np.maximum(pa * pt, 1e-300)
+    response = np.log(np.maximum(np.abs(cross) / np.maximum(pt, 1e-300), 1e-300))
+    seen = (coherence > COHERENT) & (frequency > 0)
+    if seen.sum() < 8:
+        return np.zeros(0)
+    peaks = find_peaks(response[seen], prominence=PROMINENCE, width=2)[0]
+    inner = peaks[(peaks > 2) & (peaks < int(seen.sum()) - 3)]
+    found: Float64 = frequency[seen][inner]
+    return found
 
 
 def grounded_axes(recording: Recording) -> set[int]:

@@ -275,12 +275,42 @@ def _simpler(term: Term) -> list[list[Term]]:
     return [[]]
 
 
+def _same_both_ways(design: Design, current: Fit, rest: list[Term], term: Term) -> Fit | None:
+    """Dry and viscous friction instead of friction that differs by direction, where the difference is none.
+
+    What bends at low speed alike in both directions, towards less friction, has no name in the catalogue (a
+    coarse encoder at reversals, friction that grows with the root of speed): it is no asymmetry either.
+    """
+    if term.cause != "asymmetric_friction" or term.shape is None:
+        return None
+    i = term.axis
+    bend = Term("stribeck_friction", i, ("coulomb", "excess"), shape=term.shape, exponent=term.exponent)
+    viscous = Term("viscous_friction", i, ("coefficient",), ("coefficient",))
+    coulomb = Term("coulomb_friction", i, ("torque",), ("torque",))
+    offset = Term("torque_offset", i, ("torque",))
+    for more in ([], [offset]):
+        if more and any(t.cause == "gravity" and t.axis == i for t in rest):
+            continue
+        bent = fit(design, [*rest, bend, viscous, *more])
+        # A bend towards more friction is Stribeck friction, and is tried as such.
+        if bent.of(bend)[0][1] >= 0 or needed(design, bent, current):
+            continue
+        simple = fit(design, [*rest, coulomb, viscous, *more])
+        if physical(simple, coulomb) and physical(simple, viscous):
+            return simple
+    return None
+
+
 def _prune(design: Design, current: Fit, terms: list[Term]) -> tuple[Fit, list[Term]]:
     changed = True
     while changed:
         changed = False
         for term in [t for t in terms if not t.base or t.cause == "configuration"]:
             rest = [t for t in terms if t is not term]
+            same = _same_both_ways(design, current, rest, term)
+            if same is not None:
+                current, terms, changed = same, list(same.terms), True
+                break
             falls = any(t.cause == "gravity" and t.axis == term.axis for t in rest)
             for replacement in _simpler(term):
                 # A falling load holds the joint with a constant of its own: an offset beside it is no cause.

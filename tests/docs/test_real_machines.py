@@ -1,0 +1,132 @@
+"""The page on real machines, executed: every command as it stands there, every figure beside the record."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from invid.cli.app import run
+from invid.model import model_from_json
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = ROOT / "docs" / "tutorial" / "real-machines.md"
+DATA = ROOT.parent / "shared" / "data"
+TEXT = PAGE.read_text(encoding="utf-8")
+
+
+def commands() -> list[list[str]]:
+    """The words of every command of the page, with absolute paths."""
+    blocks = re.findall(r"```sh\n(.*?)```", TEXT, flags=re.DOTALL)
+    return [
+        [
+            re.sub(r"^configs/", f"{ROOT}/configs/", re.sub(r"^\.\./shared/data", str(DATA), word))
+            for word in shlex.split(line)
+        ]
+        for block in blocks
+        for line in block.splitlines()
+        if line.strip()
+    ]
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory) -> dict[str, dict]:
+    """Diagnosis of every record of the page, by file name."""
+    sources = [Path(words[2]) for words in commands() if words[1] == "import"]
+    missing = [str(s) for s in sources if not s.exists()]
+    if missing:
+        reason = f"records are not there ({', '.join(missing)}): the page on real machines is NOT checked"
+        print(reason)
+        pytest.skip(reason)
+    where = tmp_path_factory.mktemp("real")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(where)
+        for words in commands():
+            assert words[0] == "invid"
+            assert run(words[1:]) == 0, words
+    return {p.stem: json.loads(p.read_text(encoding="utf-8")) for p in where.glob("*.json")}
+
+
+def parameters(document: dict, cause: str, axis: str | None = None) -> dict[str, float]:
+    for f in document["findings"]:
+        if f["cause"] == cause and axis in (None, f["axis"]):
+            return {name: p["value"] for name, p in f["parameters"].items()}
+    raise AssertionError(f"{cause} is not named: {[f['cause'] for f in document['findings']]}")
+
+
+def simulated(document: dict, key: str, quantity: str) -> dict:
+    entry = next(e for e in document["details"]["simulation"] if e["key"] == key)
+    return next(iter(entry[quantity].values()))
+
+
+def error(document: dict, part: str) -> float:
+    return document["details"]["relative_torque_error_percent_all_axes"][part]
+
+
+def test_every_picture_of_the_page_is_there():
+    for name in re.findall(r"\]\(\.\./images/(.*?)\)", TEXT):
+        assert (ROOT / "docs" / "images" / name).stat().st_size > 0
+
+
+def test_the_ball_screw_has_friction_that_differs_by_direction(results):
+    screw = results["screw"]
+    found = parameters(screw, "asymmetric_friction")
+    assert found["viscous_positive"] == pytest.approx(166.706, rel=0.03)
+    assert found["viscous_negative"] == pytest.approx(240.424, rel=0.03)
+    assert found["coulomb_positive"] == pytest.approx(20.144, rel=0.03)
+    assert found["coulomb_negative"] == pytest.approx(20.628, rel=0.03)
+    rung = next(r for r in screw["details"]["ladder"] if r["friction"] == "coulomb + viscous + offset")
+    symmetric = {k: next(iter(v.values()))["value"] for k, v in rung["parameters"].items()}
+    assert symmetric["carriage.inertia"] == pytest.approx(95.1089, rel=0.01)
+    assert symmetric["carriage.viscous_friction"] == pytest.approx(203.5034, rel=0.01)
+    assert symmetric["carriage.coulomb_friction"] == pytest.approx(20.3935, rel=0.01)
+    assert symmetric["carriage.torque_offset"] == pytest.approx(-3.1648, rel=0.01)
+    assert error(screw, "fit") < 3.2
+    assert error(screw, "held_out") < 5.982
+    assert simulated(screw, "001", "torque")["percent"] < 5.0
+    # The sentence that people read has the law for both directions as well.
+    assert "one law for both directions" in screw["sentences"][0]
+
+
+def test_the_oscillator_has_a_spring_that_hardens(results):
+    oscillator = results["oscillator"]
+    assert parameters(oscillator, "cubic_stiffness")["coefficient"] > 0
+    assert abs(parameters(oscillator, "quadratic_stiffness")["coefficient"]) < 0.1
+    for key, most in (("001", 0.94e-3), ("002", 1.0e-3)):
+        assert simulated(oscillator, key, "position")["rms"] < most
+
+
+def test_screw_drive_1_sticks_before_it_slides(results):
+    found = parameters(results["drive1"], "stribeck_friction")
+    assert found["static"] > found["coulomb"] > 0
+    assert 1e3 * results["drive1"]["details"]["ladder"][-1]["fit_rms"] < 0.04
+    std = results["drive1"]["findings"][0]["parameters"]["velocity"]["std"]
+    assert 0 < std < found["velocity"]
+
+
+def test_screw_drive_3_differs_by_direction_at_low_speed(results):
+    parameters(results["drive3"], "asymmetric_friction")
+    assert 1e3 * results["drive3"]["details"]["ladder"][-1]["fit_rms"] < 0.03
+    effect = next(e for e in results["drive3"]["model"]["effects"] if e["cause"] == "asymmetric_friction")
+    assert "low_speed_velocity" in effect["parameters"]
+
+
+def test_the_pendulum_feels_gravity_and_dry_friction_in_both_joints(results):
+    pendulum = results["pendulum"]
+    for axis in ("shoulder", "elbow"):
+        assert parameters(pendulum, "gravity", axis)["torque"] > 0
+        assert parameters(pendulum, "coulomb_friction", axis)["torque"] > 0
+    coupling = model_from_json(pendulum["model"]).chains.couplings[0, 1]
+    assert coupling == pytest.approx(0.0242, rel=0.05)
+    assert error(pendulum, "fit") < 9.7
+    assert error(pendulum, "held_out") < 9.7
+
+
+def test_the_large_robot_has_viscous_and_dry_friction(results):
+    robot = results["robot"]
+    assert parameters(robot, "viscous_friction")["coefficient"] == pytest.approx(1939.5, rel=0.15)
+    assert parameters(robot, "coulomb_friction")["torque"] == pytest.approx(350.0, rel=0.25)
+    assert error(robot, "held_out") < 19.0
