@@ -23,7 +23,8 @@ from invid.plan.model import Plan, PlannedExperiment
 from invid.plan.response import Motion, foretold_motion, hold_gains
 from invid.recording.model import Experiment, Kind, Recording, Role
 from invid.refine.blocks import problem_from_spectra
-from invid.refine.fit import physical_covariance, with_coulomb
+from invid.refine.covariance import physical_covariance
+from invid.refine.lags import with_coulomb
 from invid.refine.problem import MissingTorqueProblem
 from invid.refine.solver import Solution
 from invid.refine.structure import ChainStructure, structure_of

@@ -127,6 +127,12 @@ def refined_model(
             f"the torque is missed by {np.sqrt(fit.noise_chi2):.2g} times its noise: something acts that the "
             "model does not contain; standard deviations include it; invid diagnose names it where it can"
         )
+    for axis, own in fit.facts["hold_timing"].items():
+        warnings.append(
+            f"{axis}: a hold works while this axis is driven, and nothing tells whether it acts inside the "
+            f"drive or is held over the sample: its motor mass is known to ±{own:.2g} only; record "
+            "torque_demand, or an experiment in which the axis is held and not excited"
+        )
     routes = compared(paper, names, values, covariance, warnings)
     finite = np.isfinite(covariance).all()
     facts = {

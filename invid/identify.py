@@ -23,6 +23,7 @@ from invid.rational import FINE, TRUSTED, rational_modes
 from invid.recording.model import Recording, Role
 from invid.refine.fit import Fit, fit_structure
 from invid.refine.mixed_drive import with_acting_torque
+from invid.refine.profile import profiles
 from invid.refine.structure import ChainStructure
 from invid.spectra import LineSpectra, all_spectra
 
@@ -36,7 +37,9 @@ LOCAL_MISFIT = 0.03
 """The same for the local regression, which blunts resonances narrower than its window."""
 
 
-def identify(recording: Recording, *, masses: Masses = None, method: Method = "refined") -> Model:
+def identify(
+    recording: Recording, *, masses: Masses = None, method: Method = "refined", profile: bool = False
+) -> Model:
     """Masses, springs, dampers and couplings of every branch with their covariance.
 
     Parameters
@@ -46,6 +49,9 @@ def identify(recording: Recording, *, masses: Masses = None, method: Method = "r
         "auto" lets the data choose.
     method
         "refined" (maximum likelihood) or "paper" (the inverse eigenvalue method alone).
+    profile
+        Profile-likelihood intervals of masses, springs and couplings in ``fit["profile"]`` (refined only;
+        some hundred further fits).
 
     Returns
     -------
@@ -59,35 +65,52 @@ def identify(recording: Recording, *, masses: Masses = None, method: Method = "r
     NotIdentifiableError
         Data from which no such model can be drawn at all; an excitation that drowns in the noise.
     """
-    from invid.trajectory import identify_trajectory, is_rigid_case
+    if method == "refined" and _may_be_rigid(recording, masses):
+        # Only here: the import takes seconds, which elastic identification need not pay.
+        from invid.trajectory import identify_trajectory, is_rigid_case
 
-    if method == "refined" and is_rigid_case(recording, masses):
-        return identify_trajectory(recording)
+        if is_rigid_case(recording, masses):
+            return identify_trajectory(recording)
     spectra = all_spectra(recording, Role.IDENTIFY)
     _check(recording, spectra)
     spectra = with_acting_torque(spectra, recording.experiments)
     wanted = recording.masses_per_axis if masses is None else masses
     warnings = [w for s in spectra for w in s.warnings]
     order: dict[str, Any] = {}
+    further: list[CoupledChains] = []
     if wanted is None or isinstance(wanted, str):
         from invid.order import choose_order
 
         choice = choose_order(spectra, recording.axes)
         sizes, order = choice.sizes, choice.evidence
         warnings += choice.warnings
+        further = [] if choice.chains is None else [choice.chains]
     else:
         sizes = _sizes(recording, wanted)
     if method == "paper":
         result, measured = _by_paper(spectra, sizes, recording.axes)
         return paper_model(recording, result, measured, warnings, order)
-    fit = fit_sizes(spectra, sizes, recording.axes, measured_frf(spectra))
+    fit = fit_sizes(spectra, sizes, recording.axes, measured_frf(spectra), further=further)
     if fit.noise_chi2 > SUSPECT and min(missed_by_structure(spectra, fit)) > BEATEN:
 
         def starts_for(corrected: Sequence[LineSpectra]) -> Iterator[CoupledChains]:
             return _starts(corrected, sizes, recording.axes, measured_frf(corrected), (), False)
 
         fit = with_ground_springs(spectra, fit, starts_for)
-    return refined_model(recording, spectra, fit, second_route(spectra, fit), warnings, order)
+    model = refined_model(recording, spectra, fit, second_route(spectra, fit), warnings, order)
+    if not profile:
+        return model
+    intervals = {name: {"low": i.low, "high": i.high} for name, i in profiles(fit).items()}
+    return replace(model, fit={**model.fit, "profile": intervals})
+
+
+def _may_be_rigid(recording: Recording, masses: Masses) -> bool:
+    """False where ``is_rigid_case`` is known to be false: more masses asked for, or periods of excitation."""
+    if masses is not None and not isinstance(masses, str) and any(n != 1 for n in masses):
+        return False
+    if any("position_source" in e.attributes for e in recording.experiments):
+        return True
+    return not any(e.period_samples and e.periods >= 2 for e in recording.experiments)
 
 
 def _by_paper(

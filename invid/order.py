@@ -22,6 +22,8 @@ class OrderChoice:
     sizes: tuple[int, ...]
     evidence: dict[str, Any] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
+    chains: CoupledChains | None = None
+    """The plant found with those masses: a start."""
 
 
 GAIN = 1.3
@@ -103,7 +105,7 @@ def choose_order(spectra: Sequence[LineSpectra], axes: Sequence[str], *, most: i
         },
         "vanishing": vanishing,
     }
-    return OrderChoice(best, evidence, warnings)
+    return OrderChoice(best, evidence, warnings, chains.get(best))
 
 
 def _trimmed(

@@ -30,6 +30,10 @@ def register(app: typer.Typer) -> None:
             typer.Option(help="Masses of each axis, as 3,3,3; or auto. Default: what the recording says."),
         ] = None,
         method: Annotated[str, typer.Option(help="refined or paper.")] = "refined",
+        profile: Annotated[
+            bool,
+            typer.Option("--profile", help="Profile-likelihood intervals of masses, springs, couplings."),
+        ] = False,
         as_json: Annotated[bool, typer.Option("--json", help="Print the model as JSON.")] = False,
     ) -> int:
         """Masses, springs, dampers and inertia couplings from a recording, with their uncertainty."""
@@ -38,10 +42,17 @@ def register(app: typer.Typer) -> None:
 
         if method not in ("refined", "paper"):
             raise InputError(f"--method {method}: there are refined and paper")
+        if profile and method == "paper":
+            raise InputError("--profile needs a likelihood: use it with --method refined")
         wanted = parse_masses(masses)
         data = read_recording(recording)
         try:
-            model = identify(data, masses=wanted, method="paper" if method == "paper" else "refined")
+            model = identify(
+                data,
+                masses=wanted,
+                method="paper" if method == "paper" else "refined",
+                profile=profile,
+            )
         except NotIdentifiableError as error:
             if not as_json:
                 raise
@@ -126,6 +137,9 @@ def model_text(model: Model) -> str:
             f"(against sensor noise alone {model.fit['noise_chi2_per_dof']:.3g}), "
             f"band {model.fit['band_hz'][0]:.3g} … {model.fit['band_hz'][1]:.3g} Hz"
         )
+    for name, interval in model.fit.get("profile", {}).items():
+        low, high = (f"{v:.5g}" if v is not None else "open" for v in (interval["low"], interval["high"]))
+        lines.append(f"  {name:<18} 68 % profile interval {low} … {high}")
     lines += [f"warning: {w}" for w in model.warnings]
     if not model.fit.get("trustworthy", True):
         lines.append("not trustworthy: see the warnings")

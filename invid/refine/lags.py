@@ -1,0 +1,81 @@
+"""Columns of the fit for friction at the motors and for torque that acts later than it is recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from invid.refine.blocks import carried, used_lines, with_columns
+from invid.refine.friction import coulomb_columns
+from invid.refine.problem import MissingTorqueProblem
+from invid.refine.solver import Solution, gauss_newton
+from invid.spectra import LineSpectra
+
+COULOMB = ".coulomb"
+HOLD_LAG = ".hold_lag"
+"""Endings of the names of columns: Coulomb friction, and a hold inside the drive acting later."""
+REVERSAL = ".reversal_lag"
+"""Ending of the names of the columns by which Coulomb friction may turn later than the velocity."""
+
+
+def with_coulomb(problem: MissingTorqueProblem, spectra: Sequence[LineSpectra]) -> MissingTorqueProblem:
+    """One Coulomb coefficient for each axis that moves clearly in some record, and one lag for each hold
+    that works beside a command inside the drive."""
+    motors = problem.structure.motors
+    found = [coulomb_columns(s) for s in spectra]
+    axes = [i for i in range(motors) if any(bool(moves[i]) for _, moves in found)]
+    held = [
+        i
+        for i in range(motors)
+        if any(s.hold_torque is not None and bool(np.any(s.hold_torque[:, i])) for s in spectra)
+    ]
+    columns = []
+    for (spectrum, moves), s, block in zip(found, spectra, problem.blocks, strict=True):
+        used = used_lines(s, everything=block.transient)
+        part = np.zeros((int(used.sum()), motors, len(axes) + len(held)), dtype=complex)
+        for at, i in enumerate(axes):
+            if moves[i]:
+                part[:, i, at] = spectrum[used, i]
+        for at, i in enumerate(held, start=len(axes)):
+            if s.hold_torque is not None:
+                part[:, i, at] = 1j * s.omega[used] * s.hold_torque[used, i]
+        columns.append(part)
+    names = problem.structure.axes
+    lags = [f"{names[i]}{HOLD_LAG}" for i in held]
+    step = max(b.step for b in problem.blocks)
+    # A drive's own loop runs several times a sample; the torque it asks for acts within one such cycle.
+    known = dict.fromkeys(lags, (0.0, step / 8.0))
+    problem = replace(problem, priors={**problem.priors, **known})
+    return with_columns(problem, columns, [f"{names[i]}{COULOMB}" for i in axes] + lags)
+
+
+def with_reversal_lags(
+    problem: MissingTorqueProblem, solution: Solution
+) -> tuple[MissingTorqueProblem, Solution]:
+    """When Coulomb friction turns round is known to half a sample, no better; the data may say more.
+
+    A motor that reverses stands for a moment, and the sign of its velocity does not tell when its
+    friction turned. Friction that turns later looks like motor inertia: with the instant taken as
+    known, the motor's mass was off by three to five of its standard deviations (virtual cells).
+    """
+    names = problem.column_names
+    rubbing = [k for k, n in enumerate(names) if n.endswith(COULOMB)]
+    if not rubbing:
+        return problem, solution
+    size = np.abs(solution.p[problem.slices["column"]][rubbing])
+    columns = []
+    for block in problem.blocks:
+        turned = -1j * block.omega[:, None, None] * block.columns[:, :, rubbing]
+        columns.append(np.concatenate((block.columns, turned), axis=2))
+    lags = tuple(names[k].removesuffix(COULOMB) + REVERSAL for k in rubbing)
+    step = max(b.step for b in problem.blocks)
+    # Even within half a sample either way: a standard deviation of h/√12.
+    known = {n: (0.0, float(c) * step / np.sqrt(12.0)) for n, c in zip(lags, size, strict=True) if c > 0}
+    larger = replace(
+        with_columns(problem, columns, names + lags),
+        priors={**problem.priors, **known},
+        fixed=(*problem.fixed, *(n for n in lags if n not in known)),
+    )
+    return larger, gauss_newton(larger, carried(problem, solution.p, larger))
