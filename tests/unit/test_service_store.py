@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
 import shutil
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import pytest
 from alembic import command
@@ -100,6 +102,29 @@ def test_a_clean_shutdown_stops_the_motion_and_interrupts_the_run(tmp_path: Path
     assert {"type": "stop"} in director.workers[0].said
     with running(tmp_path) as (client, _):
         assert client.get(location).json()["state"] == "interrupted"
+
+
+def test_the_last_state_of_a_run_reaches_the_store_however_slowly(
+    tmp_path: Path,
+) -> None:
+    director = Director()
+    director.go.clear()
+    with running(tmp_path, director) as (client, _):
+        jobs = client.app.state.service.jobs  # type: ignore[attr-defined]
+        persist = jobs._persist
+
+        async def late(*given: Any) -> None:
+            await asyncio.sleep(0.4)  # as where every thread is busy and the disk slow
+            await persist(*given)
+
+        answer = client.post("/api/v1/cells/cell/identifications", json={"mode": "full", "arm": True})
+        location = answer.headers["Location"]
+        wait_for(client, location, "running")
+        jobs._persist = late
+    with running(tmp_path) as (client, _):
+        ended = client.get(location).json()
+    # Written by the service that ended; one that starts again would say that it was cut off.
+    assert ended["error"]["text"] == "the service was shut down"
 
 
 def test_a_result_that_awaits_accept_outlives_a_restart(tmp_path: Path) -> None:

@@ -25,6 +25,8 @@ from invid_service.store.store import RunRecord, Store, StoredEvent
 
 log = logging.getLogger(__name__)
 _RETRY_S = 1.0
+_LAST_WORDS_S = 2.0
+"""At the end: for the store to take the last state of a run; one that does not answer is not waited for."""
 
 
 @dataclass(frozen=True)
@@ -389,6 +391,9 @@ class JobManager:
                 for run in runs:
                     while not run.ended:
                         await run.changed.wait()
+        # The state is in memory before it is in the store: let what is being written be written.
+        if self._tasks:
+            await asyncio.wait(list(self._tasks), timeout=_LAST_WORDS_S)
         for task in list(self._tasks):
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
