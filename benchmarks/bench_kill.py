@@ -37,7 +37,10 @@ OFF = {"switch_on_disabled", "ready_to_switch_on", "switched_on", "fault", "not_
 LOST_S = {"parent": 1.6, "cycle process": 0.3, "simulated cell": 0.3}
 """What of the record may be lost: the writer flushes once a second; rows leave the cycle process every
 50 ms. The rest is for a busy machine."""
-WINDOW = 0.5
+WINDOW, TOP_SPEED, DRIVE_MARGIN, QUICK_STOP = 0.5, 3.0, 1.25, 10.0
+FURTHEST = DRIVE_MARGIN * WINDOW + (DRIVE_MARGIN * TOP_SPEED) ** 2 / (2 * QUICK_STOP) + 0.02
+"""A drive without its master stops by its own limits, a quarter above the config's, with its quick stop of
+10 rad/s²; 0.02 rad for one cycle of it and the springs."""
 START_S = 400.0
 """Longest start of a command on a machine that is very busy with other things."""
 
@@ -153,7 +156,7 @@ def _judge_cell(document: dict[str, Any], complaints: list[str]) -> None:
     for drive in document["drives"]:
         if drive["state"] not in OFF:
             complaints.append(f"{drive['axis']} ended in {drive['state']}")
-        if abs(drive["position"]) > 1.1 * WINDOW:
+        if abs(drive["position"]) > FURTHEST:
             complaints.append(f"{drive['axis']} ended at {drive['position']:.2f}")
 
 

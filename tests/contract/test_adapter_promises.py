@@ -231,7 +231,7 @@ class TestPromisesOfEveryDrive:
             Cia402Cell(drives._link.bus, wrong).check()
 
 
-GAPS = [
+GAPS: list[tuple[set[int], dict[int, int], dict[str, Any], str]] = [
     ({0x6071}, {}, {}, "cannot be commanded"),
     ({0x6077}, {}, {}, "cannot be measured"),
     ({0x1016}, {}, {}, "allow_missing_heartbeat"),
@@ -254,7 +254,7 @@ def test_a_drive_that_cannot_do_the_job_is_refused_in_plain_words(
     assert "A1" in str(caught.value)
 
 
-WAYS_OUT = [
+WAYS_OUT: list[tuple[set[int], dict[int, int], dict[str, Any], str | None]] = [
     ({0x1016}, {}, {"allow_missing_heartbeat": True}, "0x1016"),
     ({0x608F}, {}, {"position_rad_per_count": 6e-6}, None),
     ({0x6076}, {}, {"rated_torque_Nm": 10.0}, None),
