@@ -41,7 +41,7 @@ from invid_drivers.simulated import truth
 
 CONFIG = Path(__file__).parents[1] / "configs" / "case-study.yaml"
 GOAL = 0.01
-FREQUENCIES = (8, 16, 32)
+FREQUENCIES = (8, 16)
 """Stepped sine is tried with so many frequencies an axis, and the shortest that does is taken."""
 
 
