@@ -115,6 +115,7 @@ class Sweep:
         self._now: PlannedExperiment | None = None
         self._watch: Watch | None = None
         self._must_move: set[int] = set()
+        self._recorded = self._living = False
 
     def _trial_s(self) -> float:
         return 2.0 * len(self.plan.excited) + TRIAL_PERIOD_S + CLIMB_S + self.plan.rest_s
@@ -261,9 +262,11 @@ class Sweep:
             if sink is not None:
                 # an encoder that stands still is stuck, but not while the excitation fades in or out
                 watch.excited = self._must_move if shaken[0] <= k < shaken[1] and not fading else set()
+                self._expect_life(first <= k < last and not fading)
             watch.check(sample)
             self._differentiate(sample)
             if sink is not None and first <= k < last:
+                self._recorded = True
                 sink.row(sample, demand)
             if log:
                 kept[0].append(list(demand))
@@ -274,7 +277,8 @@ class Sweep:
             if fading:
                 fading += 1
                 if fading > fade:
-                    raise SafetyStop("stopped on request; the recording so far is kept")
+                    so_far = "the recording so far is kept" if self._recorded else "nothing was recorded yet"
+                    raise SafetyStop(f"stopped on request; {so_far}")
             elif stop is not None and stop.is_set():
                 fading = 1
                 cycles = max(cycles, k + fade + 1)
@@ -283,6 +287,15 @@ class Sweep:
                 self._report(k * cycle)
         self._done_s += cycles * cycle
         return [*(np.asarray(part) for part in kept), np.asarray(instants)]
+
+    def _expect_life(self, expected: bool) -> None:
+        """While a periodic excitation is recorded, held axes that tremble with it must go on trembling."""
+        e = self._now
+        if expected is self._living or e is None:
+            return
+        self._living = expected
+        held = set(range(self._count)) - set(e.excited) if expected and e.period_samples else set()
+        self._watching.standing.expect_life(held, e.period_samples)
 
     def _differentiate(self, sample: Sample) -> None:
         dt = sample.time - self._last_time
@@ -501,6 +514,7 @@ class Sweep:
         finally:
             self._must_move = set()
             self._watching.excited = set()
+            self._expect_life(False)
             self.sink.end()
 
     def _report(self, within: float = 0.0) -> None:
