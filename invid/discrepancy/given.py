@@ -15,6 +15,7 @@ from invid.effects.sign import ROUNDING, DryLaw
 from invid.errors import ModelError
 from invid.model import EffectTerm, Model
 from invid.refine.structure import ChainStructure
+from invid.simulate.laws import EXTRA_MODE_DAMPING
 
 _P = Mapping[str, float]
 
@@ -48,13 +49,19 @@ _VECTOR: dict[str, Callable[[_P], list[float]]] = {
     "backlash": lambda p: [np.log(p["gap"])],
     "spring_hysteresis": lambda p: [p["torque"], np.log(p["torque"] / p["stiffness"])],
     "transmission_error": lambda p: [*_turned("amplitude", "phase")(p), np.log(p["cycles_per_rev"])],
-    # The contract's extra mode has no damping; 1 % of critical is what the simulation gives it.
-    "extra_mode": lambda p: [p["mass"], 0.5 * np.log(p["stiffness"] / p["mass"]), np.log(0.01)],
+    "extra_mode": lambda p: [
+        p["mass"],
+        0.5 * np.log(p["stiffness"] / p["mass"]),
+        np.log(p["damping_ratio"]),
+    ],
     "coupling_stiffness": lambda p: [p["stiffness"]],
     "payload_change": lambda p: [p["mass"], p["time"]],
     "parameter_drift": lambda p: [p["rate"]],
 }
 """The contract's parameters as the vector that an effect is fitted with: the inverse of ``Effect.values``."""
+
+_OPTIONAL = {"damping_ratio": EXTRA_MODE_DAMPING}
+"""What the contract does not ask for, as the simulation takes it where it is missing."""
 
 _SAMPLES = ("dropped_samples",)
 """Causes that sit in the samples and not in the plant."""
@@ -117,7 +124,10 @@ def place_of(term: EffectTerm, structure: ChainStructure) -> Place:
 
 def vector_of(term: EffectTerm) -> Float64:
     """The parameters of an effect as they are fitted; ModelError where one is missing or impossible."""
-    values = {name: term.value(name) for name in BY_CAUSE[term.cause].parameters}
+    values = {
+        name: _OPTIONAL[name] if name in _OPTIONAL and name not in term.parameters else term.value(name)
+        for name in BY_CAUSE[term.cause].parameters
+    }
     with np.errstate(all="ignore"):
         x = np.array(_VECTOR[term.cause](values), dtype=float)
     if not np.isfinite(x).all():

@@ -136,7 +136,9 @@ def with_replay(result: Diagnosis, answer: Replay | str, recording: Recording) -
         return replace(result, warnings=(*result.warnings, answer))
     details = {**result.details, "replay": answer.to_json(recording)}
     result = replace(result, details=details)
-    if answer.refused:
+    # The simulated start of a mode of its own rings on, and no boundary term of the chains takes that out.
+    rings = any(e.cause == "extra_mode" for e in result.model.effects)
+    if answer.refused or rings:
         return result
     doubtful = [
         r

@@ -20,7 +20,11 @@ class ExtraMode(ImpedanceEffect):
     check = "Look for a flexible attachment: a tool, a cable carrier, a loose foot or cover."
     separate = "a finer and wider grid of frequencies around the resonance"
     family = "structure"
-    parameters: ClassVar[Mapping[str, str]] = {"mass": "mass", "stiffness": "stiffness"}
+    parameters: ClassVar[Mapping[str, str]] = {
+        "mass": "mass",
+        "stiffness": "stiffness",
+        "damping_ratio": "ratio",
+    }
     coefficients = ("mass",)
     lower, upper = (0.0,), (np.inf,)
     shapes, logarithmic = ("frequency", "damping"), (True, True)
@@ -46,7 +50,11 @@ class ExtraMode(ImpedanceEffect):
         return out
 
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
-        return {"mass": float(x[0]), "stiffness": float(x[0] * np.exp(2 * x[1]))}
+        return {
+            "mass": float(x[0]),
+            "stiffness": float(x[0] * np.exp(2 * x[1])),
+            "damping_ratio": float(np.exp(x[2])),
+        }
 
 
 def _driven(views: Sequence[View]) -> tuple[float, float]:

@@ -28,7 +28,7 @@ backlash               spring and damper act on the part of d beyond ±gap/2
 spring_hysteresis      −stiffness·z beside the spring: slides at ±torque
 transmission_error     spring acts on d − e, e = amplitude·sin(cycles_per_rev·q_s + phase); mass s feels
                        it times 1 − ∂e/∂q_s (no energy is made)
-extra_mode             a mass on a spring (1 % damping) at the mass named, final mass by default
+extra_mode             a mass on a spring (``damping_ratio``, default 1 %) at the mass named, or the final one
 coupling_stiffness     a spring between the final masses of two axes
 payload_change         ``mass`` added to the final mass from ``time`` on (the recording's clock)
 parameter_drift        spring s (or mass q) changes by ``rate`` per second from the recording's start
@@ -86,8 +86,8 @@ class Laws:
     stiffness: list[tuple[int, int, float]] = field(default_factory=list)
     """(a, b, value) springs to add, b = −1: to ground."""
     damping: list[tuple[int, int, float]] = field(default_factory=list)
-    extra_masses: list[tuple[int, float, float]] = field(default_factory=list)
-    """(at, mass, stiffness)."""
+    extra_masses: list[tuple[int, float, float, float]] = field(default_factory=list)
+    """(at, mass, stiffness, damping ratio)."""
     gain: dict[int, float] = field(default_factory=dict)
     delay: dict[int, float] = field(default_factory=dict)
     lag: dict[int, float] = field(default_factory=dict)
@@ -274,7 +274,10 @@ def _transmission(laws: Laws, at: _Place, value: _Value) -> None:
 
 def _extra_mode(laws: Laws, at: _Place, value: _Value) -> None:
     at_mass = at.mass(at.last)
-    laws.extra_masses.append((at_mass, _positive(at, value, "mass"), _positive(at, value, "stiffness")))
+    given = at.term.parameters.get("damping_ratio")
+    ratio = EXTRA_MODE_DAMPING if given is None else max(given.value, 0.0)
+    size = (_positive(at, value, "mass"), _positive(at, value, "stiffness"))
+    laws.extra_masses.append((at_mass, *size, ratio))
 
 
 def _coupling_stiffness(laws: Laws, at: _Place, value: _Value) -> None:

@@ -9,7 +9,7 @@ import scipy.linalg
 
 from invid.arrays import Float64
 from invid.chains import CoupledChains
-from invid.simulate.laws import EXTRA_MODE_DAMPING, Laws
+from invid.simulate.laws import Laws
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,11 +50,11 @@ def matrices(chains: CoupledChains, laws: Laws) -> Matrices:
         add_link(stiffness, a, b, value)
     for a, b, value in laws.damping:
         add_link(damping, a, b, value)
-    for number, (at, m, k) in enumerate(laws.extra_masses):
+    for number, (at, m, k, ratio) in enumerate(laws.extra_masses):
         new = chains.dofs + number
         mass[new, new] = m
         add_link(stiffness, at, new, k)
-        add_link(damping, at, new, 2 * EXTRA_MODE_DAMPING * float(np.sqrt(k * m)))
+        add_link(damping, at, new, 2 * ratio * float(np.sqrt(k * m)))
     return Matrices(mass, damping, stiffness)
 
 

@@ -33,7 +33,7 @@ CONTRACT = {
     "spring_hysteresis": {"stiffness", "torque"},
     "transmission_error": {"amplitude", "cycles_per_rev", "phase"},
     "gravity": {"torque", "angle"},
-    "extra_mode": {"mass", "stiffness"},
+    "extra_mode": {"mass", "stiffness", "damping_ratio"},  # the last is ours: it is fitted, so it is said
     "coupling_stiffness": {"stiffness"},
     "payload_change": {"mass", "time"},
     "parameter_drift": {"parameter", "rate"},

@@ -64,7 +64,7 @@ SIZES = {
     "spring_hysteresis": ("spring 1", {"stiffness": 200.0, "torque": 0.2}),
     "transmission_error": ("spring 1", {"amplitude": 1e-4, "cycles_per_rev": 30.0, "phase": 0.4}),
     "gravity": ("mass 2", {"torque": 0.8, "angle": 0.3}),
-    "extra_mode": ("mass 2", {"mass": 0.2, "stiffness": 900.0}),
+    "extra_mode": ("mass 2", {"mass": 0.2, "stiffness": 900.0, "damping_ratio": 0.02}),
     "coupling_stiffness": (None, {"stiffness": 100.0}),
     "payload_change": ("mass 2", {"mass": 0.3, "time": 2.0}),
     "parameter_drift": ("spring 1", {"parameter": 1.0, "rate": -20.0}),
