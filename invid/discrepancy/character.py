@@ -6,7 +6,7 @@ import numpy as np
 
 from invid.diagnosis import Unexplained
 from invid.discrepancy.missing_torque import informative
-from invid.discrepancy.select import Trial
+from invid.discrepancy.trial import Trial
 from invid.recording.model import Recording
 
 

@@ -10,7 +10,8 @@ from invid.arrays import Float64
 from invid.diagnosis import Alternative, Finding
 from invid.discrepancy.missing_torque import NullTest, rms_torque
 from invid.discrepancy.plant import Term
-from invid.discrepancy.select import Selection, Step, Trial
+from invid.discrepancy.select import Selection
+from invid.discrepancy.trial import Step, Trial
 from invid.discrepancy.words import BY_CAUSE, finding_sentence
 from invid.effects.base import unit_of
 from invid.effects.sign import ROUNDING, DryLaw
@@ -29,6 +30,15 @@ COMPETES = 9.0
 CONTESTED = 0.89
 """Most that is claimed where alternatives remain. exp(−COMPETES/4) leaves a rival at the edge a tenth of the
 likelihood, so a cause with one has at most nine tenths."""
+
+
+AT_FLOOR = 1.44
+"""χ²/ν up to which the extended model is at the noise: a residual of 1.2 times the floor, the product's bar.
+Above it something is left that no cause took, the cause named may be a disguise of another (a delay of a lag
+beside friction left χ²/ν at 300 and a hundredth of the excess), and nobody may be certain."""
+SLOW = 400.0
+"""χ² gain of dry friction below which a Stribeck effect is not excluded: forty per cent more torque in the
+sixth of the time that is slow is a fortieth of dry friction's power, and 9 (3 σ) of that needs 400."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,9 +68,17 @@ def judge(selection: Selection, recording: Recording, after: NullTest) -> Judgem
     findings = tuple(
         _finding(selection, number, recording, explained) for number in range(len(selection.steps))
     )
-    complete = not after.rejects or explained > 0.98
+    at_floor = final.cost <= AT_FLOOR * (final.fit.dof + final.held.dof) or _rms_at_floor(final)
+    complete = not after.rejects or (explained > 0.98 and at_floor)
     named = explained >= NAMED or (explained >= MOST_OF_CHI2 and _power_explained(base, final) >= NAMED)
     return Judgement(findings, named, complete, explained)
+
+
+def _rms_at_floor(final: Trial) -> bool:
+    """Whether every axis' held-out missing torque is within 1.2 times its floor."""
+    motors = final.fit.layout.structure.motors
+    pairs = [rms_torque(final.held, i) for i in range(motors)]
+    return all(r <= 1.2 * n for r, n in pairs)
 
 
 def _power_explained(base: Trial, final: Trial) -> float:
@@ -86,8 +104,11 @@ def estimates(trial: Trial, number: int, linear: bool) -> dict[str, Estimate]:
         moved[k] += h
         changed = term.effect.values(moved.tolist(), term.place)
         jacobian[:, k] = [(changed[n] - values[n]) / h for n in values]
-    with np.errstate(invalid="ignore"):
-        variance = np.einsum("ik,kl,il->i", jacobian, covariance, jacobian)
+    # What the data do not see (the moment of a change between two records) is no reason to lose the rest.
+    seen = np.isfinite(np.diag(covariance))
+    known = jacobian[:, seen]
+    variance = np.einsum("ik,kl,il->i", known, covariance[np.ix_(seen, seen)], known)
+    variance[(jacobian[:, ~seen] != 0).any(axis=1)] = np.inf
     out = {}
     for (name, value), v in zip(values.items(), variance, strict=True):
         std = float(np.sqrt(v)) if np.isfinite(v) and v > 0 else None
@@ -125,7 +146,7 @@ def _finding(selection: Selection, number: int, recording: Recording, explained:
     at = len(selection.base.fit.candidate.terms) + number  # after the effects that the model came with
     term = final.fit.candidate.terms[at]
     effect = effect_term(final, at, recording)
-    rivals, share = _rivals(step)
+    rivals, share = _rivals(step, _left_beyond_noise(final))
     alternatives = tuple(
         Alternative(
             t.term.effect.cause,
@@ -136,12 +157,15 @@ def _finding(selection: Selection, number: int, recording: Recording, explained:
         )
         for t in rivals
     )
+    alternatives += _other_scale(final, term, recording, alternatives)
+    alternatives += _slow_friction(step, recording, alternatives)
     axis = term.place.axis
     before, after = _axis_rms(step.before, axis), _axis_rms(step.chosen, axis)
     total = selection.base.cost - final.cost
     fraction = float(np.clip((step.before.cost - step.chosen.cost) / max(total, 1e-300), 0, 1)) * explained
     confidence = float(np.clip(share * (0.55 + 0.45 * _ramp(explained)), 0.01, 0.999))
-    if alternatives:
+    dof = final.fit.dof + final.held.dof
+    if alternatives or final.cost > AT_FLOOR * dof:
         confidence = min(confidence, CONTESTED)
     sizes = final.fit.layout.structure.sizes
     return Finding(
@@ -151,16 +175,44 @@ def _finding(selection: Selection, number: int, recording: Recording, explained:
         after=after,
         fraction=fraction,
         alternatives=alternatives,
-        separating_experiment=_separating(step.chosen.term, rivals),
+        separating_experiment=_separating(step.chosen.term, rivals, bool(alternatives)),
         sentence=finding_sentence(effect, fraction, confidence, alternatives, sizes, recording.axes),
     )
+
+
+def _slow_friction(
+    step: Step, recording: Recording, known: tuple[Alternative, ...]
+) -> tuple[Alternative, ...]:
+    """Stribeck friction beside dry friction that is too weak to tell what it does at slow speed."""
+    term, chosen = step.chosen.term, step.chosen
+    if term.effect.cause != "coulomb_friction" or any(a.cause == "stribeck_friction" for a in known):
+        return ()
+    dispersion = max(1.0, chosen.cost / (chosen.fit.dof + chosen.held.dof))
+    if step.before.cost - chosen.cost > SLOW * dispersion:
+        return ()
+    axis = term.place.axis
+    return (
+        Alternative("stribeck_friction", recording.axes[axis], term.place.element, _axis_rms(chosen, axis)),
+    )
+
+
+def _other_scale(
+    final: Trial, term: Term, recording: Recording, known: tuple[Alternative, ...]
+) -> tuple[Alternative, ...]:
+    """With two axes, one's torque scaled by g and the other's by 1/g are the same data."""
+    if term.effect.cause != "torque_gain" or recording.axis_count != 2:
+        return ()
+    axis = 1 - term.place.axis
+    if any(a.cause == "torque_gain" for a in known):
+        return ()
+    return (Alternative("torque_gain", recording.axes[axis], None, _axis_rms(final, axis), None),)
 
 
 def _ramp(explained: float) -> float:
     return float(np.clip((explained - NAMED) / (0.995 - NAMED), 0.0, 1.0))
 
 
-def _rivals(step: Step) -> tuple[list[Trial], float]:
+def _rivals(step: Step, left: float) -> tuple[list[Trial], float]:
     """Candidates that the data cannot tell from the chosen one, and its share of the likelihood.
 
     Likelihood ratios overstate certainty where the models are imperfect (the dispersion only accounts
@@ -171,7 +223,22 @@ def _rivals(step: Step) -> tuple[list[Trial], float]:
     weights = np.exp(-0.25 * np.clip(scores - chosen, -20.0, 200.0))
     share = float(weights[0] / weights.sum())
     rivals = [t for (t, s) in step.ranked[1:] if s - chosen < COMPETES and _competes(step, t)]
+    rivals += [
+        t
+        for (t, _) in step.ranked[1:]
+        if t not in rivals and t.cost - step.chosen.cost < left and _competes(step, t)
+    ]
     return rivals, share
+
+
+def _left_beyond_noise(final: Trial) -> float:
+    """χ² that the extended model leaves beyond noise, three standard deviations of χ² taken off.
+
+    Likelihoods compare models of which one is true. Where even the final model leaves an excess, something of
+    that size is wrong with the models, and a smaller difference between causes decides nothing.
+    """
+    dof = final.fit.dof + final.held.dof
+    return max(float(final.cost - dof - 3.0 * np.sqrt(2.0 * dof)), 0.0)
 
 
 def _competes(step: Step, rival: Trial) -> bool:
@@ -191,8 +258,8 @@ def _competes(step: Step, rival: Trial) -> bool:
     return not (nested and chosen.cost - rival.cost < 9.2)
 
 
-def _separating(term: Term, rivals: list[Trial]) -> dict[str, object] | None:
-    if not rivals:
+def _separating(term: Term, rivals: list[Trial], contested: bool) -> dict[str, object] | None:
+    if not contested:
         return None
     effect = BY_CAUSE[term.effect.cause]
     others = sorted({t.term.effect.cause for t in rivals} - {term.effect.cause})

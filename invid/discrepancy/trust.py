@@ -10,7 +10,7 @@ from invid.diagnosis import Finding, Unexplained
 from invid.discrepancy.confidence import CONTESTED
 from invid.discrepancy.missing_torque import NullTest
 from invid.discrepancy.plant import Evaluation
-from invid.discrepancy.select import Trial
+from invid.discrepancy.trial import Trial
 from invid.identifiability import blind_directions
 from invid.model import Model, parameter_vector
 from invid.recording.model import Recording

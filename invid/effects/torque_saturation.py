@@ -11,6 +11,9 @@ from invid.arrays import Complex128
 from invid.effects.base import Effect, Place, View, axis_places
 from invid.refine.structure import ChainStructure
 
+CUTS = (0.3, 0.4, 0.5, 0.6, 0.7, 0.78, 0.85, 0.9, 0.94, 0.97)
+"""Limits to start from over the peak torque: closer at the top, where a little more cuts nothing any more."""
+
 
 class TorqueSaturation(Effect):
     """Acting torque = recorded torque within ±limit."""
@@ -32,7 +35,7 @@ class TorqueSaturation(Effect):
 
     def grid(self, views: Sequence[View], place: Place) -> list[tuple[float, ...]]:
         peak = max(self._peak(views, place), 1e-300)
-        return [(float(np.log(peak * f)),) for f in (0.3, 0.4, 0.55, 0.7, 0.8, 0.9)]
+        return [(float(np.log(peak * f)),) for f in CUTS]
 
     def limits(self, views: Sequence[View], place: Place) -> list[tuple[float, float]]:
         peak = max(self._peak(views, place), 1e-300)

@@ -60,3 +60,44 @@ def test_what_the_catalogue_does_not_hold_is_called_unexplained(cause: str, seed
     result = score(truth, diagnosis)
     assert diagnosis.verdict in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED), result.named
     assert not result.wrong_confident
+
+
+def test_dry_and_viscous_friction_at_one_motor_are_called_by_both_names() -> None:
+    size = {
+        "coulomb_positive": 0.3,
+        "coulomb_negative": 0.3,
+        "viscous_positive": 0.5,
+        "viscous_negative": 0.5,
+    }
+    recording, _ = make(
+        "asymmetric_friction", (0, 1), size, seed=401, masses=(2,), noise=0.003, drive="smooth"
+    )
+    found = {f.effect.cause: f for f in diagnose(recording).findings}
+    assert set(found) == {"coulomb_friction", "viscous_friction"}
+    assert {f.effect.element for f in found.values()} == {"mass 1"}
+    torque = found["coulomb_friction"].effect.parameters["torque"]
+    coefficient = found["viscous_friction"].effect.parameters["coefficient"]
+    assert abs(torque.value - 0.3) < 0.03
+    assert abs(coefficient.value - 0.5) < 0.05
+
+
+def test_strong_friction_at_the_load_is_named_though_the_load_resonates_with_the_motor_held() -> None:
+    recording, truth = make(
+        "coulomb_friction", (0, 2), seed=404, masses=(2,), target_db=25.0, noise=0.003, drive="smooth"
+    )
+    result = score(truth, diagnose(recording))
+    assert result.outcome == "right", (truth.effects, result.named)
+    assert result.size_error is not None
+    assert abs(result.size_error) < 0.1
+
+
+def test_of_two_axes_the_scale_of_one_is_never_told_from_the_inverse_scale_of_the_other() -> None:
+    recording, _ = make(
+        "torque_gain", (0, 0), {"gain": 1.08}, seed=403, masses=(2, 2), noise=0.003, drive="smooth"
+    )
+    (finding,) = diagnose(recording).findings
+    assert finding.effect.cause == "torque_gain"
+    assert [a.cause for a in finding.alternatives] == ["torque_gain"]
+    assert finding.alternatives[0].axis != finding.effect.axis
+    assert finding.confidence < 0.9
+    assert finding.separating_experiment is not None

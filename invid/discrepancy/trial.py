@@ -1,0 +1,133 @@
+"""One candidate with its joint fit, and how such a fit is started."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from invid.arrays import Bool, Float64
+from invid.discrepancy.joint import LARGEST_STEP, JointFit, fit, limits_of
+from invid.discrepancy.plant import Candidate, Evaluation, Layout, Term, evaluate
+from invid.effects.base import Record
+
+HELD_OUT = 6.6
+"""Held-out χ² gain of one degree of freedom that noise exceeds once in a hundred."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """One candidate, refitted jointly."""
+
+    fit: JointFit
+    held: Evaluation
+
+    @property
+    def term(self) -> Term:
+        """The effect added last."""
+        return self.fit.candidate.terms[-1]
+
+    @property
+    def x(self) -> Float64:
+        """Its parameters."""
+        return self.fit.candidate.x[-1]
+
+    @property
+    def cost(self) -> float:
+        """χ² of training and held-out data together."""
+        return self.fit.cost + self.held.cost
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One cause added: before, the chosen one, and those that compete, best first."""
+
+    before: Trial
+    chosen: Trial
+    ranked: tuple[tuple[Trial, float], ...]
+    """Candidates with −2 ln(likelihood) plus penalty, over the dispersion, best first."""
+
+
+def refit(
+    current: JointFit,
+    records: Sequence[Record],
+    term: Term,
+    x: Float64,
+    iterations: int,
+    shift: Float64 | None = None,
+) -> JointFit:
+    """Joint fit with one effect more; ``shift``: step of the parameters so far that goes with it."""
+    layout, p, candidate = _start(current, records, term, x, shift)
+    return fit(layout, records, p, candidate, iterations=iterations)
+
+
+def _start(
+    current: JointFit, records: Sequence[Record], term: Term, x: Float64, shift: Float64 | None
+) -> tuple[Layout, Float64, Candidate]:
+    """Where the joint fit starts: the cheapest of the screen's joint step, shares of it, and of sizes alone.
+
+    A strong effect biases the linear parameters, so its size alone makes things worse; a linearised step
+    overshoots where the bias is large.
+    """
+    layout, stay = current.layout, np.ones(current.layout.count, dtype=bool)
+    if term.effect.cause == "torque_delay":
+        layout, stay = layout.without_delay([term.place.axis])
+    count, n = len(term.effect.coefficients), current.layout.count
+    best, chosen = np.inf, (layout, current.p[stay], current.candidate.plus(term, x))
+    tries = [(0.0, 1.0), (0.0, 0.4), (0.0, 0.1), (0.0, 0.01)]
+    if shift is not None and shift.size and np.isfinite(shift).all():
+        tries = [(1.0, 1.0), (0.5, 1.0), *tries[:1], (0.4, 0.4), *tries[1:]]
+    low, high = limits_of(current.layout, current.candidate, current.evaluation, True)
+    for step, share in tries:
+        moved = np.concatenate((current.p, *current.candidate.x))
+        if step and shift is not None:
+            limit = np.where(_logarithmic(current), LARGEST_STEP, np.inf)
+            moved = np.clip(moved + np.clip(step * shift, -limit, limit), low, high)
+        p, at, xs = moved[:n], n, []
+        for t in current.candidate.terms:
+            xs.append(moved[at : at + t.size])
+            at += t.size
+        trial = x.copy()
+        trial[:count] *= share
+        if not current.layout.structure.admissible(p[: current.layout.structure.count]):
+            continue
+        candidate = Candidate((*current.candidate.terms, term), (*xs, trial))
+        with np.errstate(all="ignore"):
+            try:
+                cost = evaluate(layout, records, p[stay], candidate, jacobian=False).cost
+            except np.linalg.LinAlgError:
+                continue
+        if np.isfinite(cost) and cost < best:
+            best, chosen = cost, (layout, p[stay], candidate)
+        if cost < current.cost:
+            break
+    return chosen
+
+
+def _logarithmic(current: JointFit) -> Bool:
+    """(n,) parameters of a fit that move as logarithms."""
+    structure, layout = current.layout.structure, current.layout
+    flags = [structure.logarithmic, np.zeros(layout.count - structure.count, dtype=bool)]
+    for t in current.candidate.terms:
+        shapes = np.array(t.effect.logarithmic, dtype=bool)
+        flags += [np.zeros(len(t.effect.coefficients), dtype=bool), shapes]
+    out: Bool = np.concatenate(flags)
+    return out
+
+
+def at_bound(trial: Trial) -> bool:
+    """A shape at the edge of what it may be: the fit wants something else than this cause."""
+    term, x = trial.term, trial.x
+    if term.effect.cause == "payload_change":  # time is no part of the size
+        return False
+    shapes = x[len(term.effect.coefficients) :]
+    limits = term.effect.limits(trial.fit.evaluation.views, term.place)
+    if term.effect.cause == "extra_mode":  # nor is damping, but a mode beside all lines is none
+        shapes, limits = shapes[:1], limits[:1]
+    return any(v <= low + 1e-9 or v >= high - 1e-9 for v, (low, high) in zip(shapes, limits, strict=True))
+
+
+def penalty(trial: Trial, rows: int) -> float:
+    """Schwarz' penalty of the parameters of the effects."""
+    return float(np.log(max(rows, 2))) * sum(t.size for t in trial.fit.candidate.terms)
