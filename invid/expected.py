@@ -24,7 +24,7 @@ from invid.plan.response import Motion, foretold_motion, hold_gains
 from invid.recording.model import Experiment, Kind, Recording, Role
 from invid.refine.blocks import problem_from_spectra
 from invid.refine.covariance import physical_covariance
-from invid.refine.lags import with_coulomb
+from invid.refine.lags import reversal_lags, with_coulomb
 from invid.refine.problem import MissingTorqueProblem
 from invid.refine.solver import Solution
 from invid.refine.structure import ChainStructure, structure_of
@@ -178,6 +178,7 @@ def information(belief: Belief, spectra: Sequence[LineSpectra], noise: str = "")
     structure = structure_of(belief.chains)
     problem = with_coulomb(problem_from_spectra(structure, spectra), spectra)
     problem = replace(problem, fixed=(*problem.fixed, *problem.staircase_names))
+    problem = reversal_lags(problem, believed_vector(problem, belief))
     p = believed_vector(problem, belief)
     residual, jacobian = problem.evaluate(p)
     # χ² of zero: the covariance is not inflated by what this one draw of the noise happens to leave

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from invid.arrays import Float64
 from invid.refine.blocks import carried, used_lines, with_columns
 from invid.refine.friction import coulomb_columns
 from invid.refine.problem import MissingTorqueProblem
@@ -54,17 +55,26 @@ def with_coulomb(problem: MissingTorqueProblem, spectra: Sequence[LineSpectra]) 
 def with_reversal_lags(
     problem: MissingTorqueProblem, solution: Solution
 ) -> tuple[MissingTorqueProblem, Solution]:
+    """The problem with ``reversal_lags`` for the friction found, and its solution."""
+    larger = reversal_lags(problem, solution.p)
+    if larger is problem:
+        return problem, solution
+    return larger, gauss_newton(larger, carried(problem, solution.p, larger))
+
+
+def reversal_lags(problem: MissingTorqueProblem, p: Float64) -> MissingTorqueProblem:
     """When Coulomb friction turns round is known to half a sample, no better; the data may say more.
 
     A motor that reverses stands for a moment, and the sign of its velocity does not tell when its
     friction turned. Friction that turns later looks like motor inertia: with the instant taken as
     known, the motor's mass was off by three to five of its standard deviations (virtual cells).
+    ``p`` holds the size of the friction.
     """
     names = problem.column_names
-    rubbing = [k for k, n in enumerate(names) if n.endswith(COULOMB)]
+    size = np.abs(p[problem.slices["column"]])
+    rubbing = [k for k, n in enumerate(names) if n.endswith(COULOMB) and size[k] > 0]
     if not rubbing:
-        return problem, solution
-    size = np.abs(solution.p[problem.slices["column"]][rubbing])
+        return problem
     columns = []
     for block in problem.blocks:
         turned = -1j * block.omega[:, None, None] * block.columns[:, :, rubbing]
@@ -72,10 +82,5 @@ def with_reversal_lags(
     lags = tuple(names[k].removesuffix(COULOMB) + REVERSAL for k in rubbing)
     step = max(b.step for b in problem.blocks)
     # Even within half a sample either way: a standard deviation of h/√12.
-    known = {n: (0.0, float(c) * step / np.sqrt(12.0)) for n, c in zip(lags, size, strict=True) if c > 0}
-    larger = replace(
-        with_columns(problem, columns, names + lags),
-        priors={**problem.priors, **known},
-        fixed=(*problem.fixed, *(n for n in lags if n not in known)),
-    )
-    return larger, gauss_newton(larger, carried(problem, solution.p, larger))
+    known = {n: (0.0, float(size[k]) * step / np.sqrt(12.0)) for n, k in zip(lags, rubbing, strict=True)}
+    return replace(with_columns(problem, columns, names + lags), priors={**problem.priors, **known})
