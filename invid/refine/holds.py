@@ -108,6 +108,8 @@ def hold_timing(
         known = any(s.staircase[i] == 1.0 or s.hold_torque is not None for s in spectra)
         if known or not structure.viscous or structure.axes[i] in placed:
             continue
+        if f"{structure.axes[i]}.coulomb" in problem.column_names:
+            continue  # a motor that rubs: its viscous part is friction's, and no sign of the hold
         step = 1.0 / min(s.sample_rate_hz for s in spectra)
         friction = float(values[first + i])
         error = float(spread[first + i]) if np.isfinite(spread[first + i]) else 0.0
