@@ -21,7 +21,7 @@ from invid.discrepancy.plant import Candidate, Layout
 from invid.discrepancy.records import by_period, split, with_holds, with_sticking
 from invid.discrepancy.replayed import REFUSED, Replay, replay, with_replay
 from invid.discrepancy.select import Selection, select
-from invid.discrepancy.trust import cautious, distrust_sentences, in_the_way, trust
+from invid.discrepancy.trust import cautious, distrust_sentences, in_the_way, trust, untimed_holds
 from invid.effects.base import Record, unit_of
 from invid.errors import InputError, InvidError
 from invid.model import Model, model_to_json
@@ -256,7 +256,9 @@ def _document(
     else:
         verdict = Verdict.PARTLY_EXPLAINED
         unexplained = unexplained_of(final, recording)
-    findings = tuple(_axis_by_name(f) for f in cautious(tuple(named), linear))
+    sure, untimed = untimed_holds(cautious(tuple(named), linear), recording, model, train)
+    findings = tuple(_axis_by_name(f) for f in sure)
+    warnings = [*warnings, *untimed]
     said = distrust_sentences(linear, model.chains.masses_per_branch)
     sentences = [*said, *(f.sentence for f in findings)]
     if verdict is Verdict.CONSISTENT:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,6 +12,7 @@ from invid.discrepancy.confidence import CONTESTED
 from invid.discrepancy.missing_torque import NullTest
 from invid.discrepancy.plant import Evaluation
 from invid.discrepancy.trial import Trial
+from invid.effects.base import Record
 from invid.identifiability import blind_directions
 from invid.model import Model, parameter_vector
 from invid.recording.model import Recording
@@ -126,6 +128,34 @@ def cautious(findings: tuple[Finding, ...], found: Trust) -> tuple[Finding, ...]
     if not found.unseen:
         return findings
     return tuple(replace(f, confidence=min(f.confidence, CONTESTED)) for f in findings)
+
+
+def untimed_holds(
+    findings: tuple[Finding, ...], recording: Recording, model: Model, train: Sequence[Record]
+) -> tuple[tuple[Finding, ...], list[str]]:
+    """Viscous friction at a motor, where it may be the timing of a hold: with less confidence, and a warning.
+
+    A hold of gain P inside the drive that acts half a sample before the record says so looks like viscous
+    friction of P·h/2, exactly. Demand beside the torque, or records that show the hold alone, tell.
+    """
+    placed = model.fit.get("holds", {})
+    out, said = [], []
+    for f in findings:
+        axis = f.effect.axis
+        i = recording.axes.index(axis)
+        gains = [e.hold_gain[i] for e in recording.experiments if e.excited_axis in (i, -1)]
+        told = not str(placed.get(axis, "open")).startswith("open")
+        known = told or any(r.command is not None or r.staircase[i] == 1.0 for r in train)
+        held = any(np.isnan(g) or g > 0 for g in gains)
+        if f.effect.cause == "viscous_friction" and f.effect.element == "mass 1" and held and not known:
+            f = replace(f, confidence=min(f.confidence, CONTESTED))
+            said.append(
+                f"viscous friction of {axis}: a hold works while the axis is driven, nothing says when it "
+                "acts, and half a sample of it looks like such friction: record the demanded torque over "
+                "whole periods, or drive the axis without a hold"
+            )
+        out.append(f)
+    return tuple(out), said
 
 
 def distrust_sentences(found: Trust, masses: tuple[int, ...]) -> list[str]:

@@ -1,0 +1,38 @@
+"""A hold inside the drive beside the excitation, and nothing that says when it acts: looks like friction."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from invid.discrepancy import diagnose
+from invid.recording import read_recording
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "system"))
+import foreign_cell
+
+
+@pytest.mark.parametrize("told", [False, True])
+def test_viscous_friction_is_doubted_where_it_may_be_a_holds_timing(tmp_path: Path, told: bool) -> None:
+    plant = foreign_cell.plant([[2.5, 0.8]], [[1500.0]], {})
+    experiments = foreign_cell.measure(
+        plant,
+        np.random.default_rng(7),
+        peak=[12.0],
+        period=4096,
+        periods=2,
+        band=(0.5, 12.0),
+        hold_gain=800.0,
+        torque_noise=1e-4,
+    )
+    for e in experiments:
+        # told: the axis is said to be free, so that all of its torque was held over the sample
+        e["attributes"]["hold_gain"] = np.array([0.0 if told else np.nan])
+    path = tmp_path / "rec.h5"
+    foreign_cell.write_recording(path, experiments, ["A1"])
+    found = diagnose(read_recording(path), masses=[2])
+    (finding,) = (f for f in found.findings if f.effect.cause == "viscous_friction")
+    doubted = [w for w in found.warnings if "a hold works while the axis is driven" in w]
+    assert bool(doubted) is not told
+    assert (finding.confidence < 0.9) is not told
