@@ -345,6 +345,7 @@ class Sweep:
         wanted = max(TRIAL_COUNTS * resolution, TRIAL_WINDOW * limits.position)
         length = TRIAL_FIRST_S
         seen: list[trials.Response] = []
+        doubted = False
         while True:
             wave = amplitude * doublet(round(length / cycle))
             quiet = max(8, round(trials.EDGE_S / cycle) + max(trials.LAGS))
@@ -363,6 +364,11 @@ class Sweep:
             )
             seen.append(found)
             sign = trials.sign_score(seen)
+            if (sign < -trials.DECISIVE or found.torque_slope < -0.2) and not doubted:
+                # A wrong sign is wrong twice; a computer that was late in the first trial is not.
+                doubted = True
+                seen.clear()
+                continue
             if sign < -trials.DECISIVE or (found.displacement >= wanted and sign > trials.DECISIVE):
                 break
             if length * 2 > TRIAL_LAST_S or found.displacement > TRIAL_MOST * limits.position:
