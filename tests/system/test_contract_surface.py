@@ -62,7 +62,7 @@ def identify(*arguments: str) -> tuple[int, dict[str, Any], str]:
         [str(Path(sys.executable).with_name("invid")), "identify", *arguments, "--json"],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=240,
         check=False,
     )
 

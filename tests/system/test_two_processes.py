@@ -86,7 +86,7 @@ def wait_for(process: subprocess.Popen[str]) -> None:
 def end(process: subprocess.Popen[str]) -> list[dict[str, Any]]:
     """The drives' states when the simulated cell is ended politely."""
     process.send_signal(signal.SIGINT)
-    out, _ = process.communicate(timeout=60)
+    out, _ = process.communicate(timeout=240)
     drives: list[dict[str, Any]] = json.loads(out)["drives"]
     return drives
 
