@@ -8,8 +8,11 @@ from typing import ClassVar
 import numpy as np
 
 from invid.arrays import Complex128
-from invid.effects.base import ImpedanceEffect, Place, View, mass_places
+from invid.effects.base import ImpedanceEffect, Pattern, Place, View, mass_places
 from invid.refine.structure import ChainStructure
+
+PEAKS = 8
+"""Peaks of the missing torque that are tried as frequencies of the mode."""
 
 
 class ExtraMode(ImpedanceEffect):
@@ -36,7 +39,10 @@ class ExtraMode(ImpedanceEffect):
     def grid(self, views: Sequence[View], place: Place) -> list[tuple[float, ...]]:
         low = min(float(v.omega[1:].min()) for v in views)
         high = max(float(v.omega.max()) for v in views)
-        return [(float(np.log(w)), float(np.log(0.02))) for w in np.geomspace(3 * low, 1.2 * high, 14)]
+        wide = [float(w) for w in np.geomspace(3 * low, 1.2 * high, 14)]
+        # A light mode is narrower than this grid's spacing: the record itself says where to look.
+        narrow = _peaks(views, place.pattern(views[0].structure))
+        return [(float(np.log(w)), float(np.log(0.02))) for w in sorted({*wide, *narrow})]
 
     def limits(self, views: Sequence[View], place: Place) -> list[tuple[float, float]]:
         low, high = _driven(views)
@@ -55,6 +61,38 @@ class ExtraMode(ImpedanceEffect):
             "stiffness": float(x[0] * np.exp(2 * x[1])),
             "damping_ratio": float(np.exp(x[2])),
         }
+
+
+def _peaks(views: Sequence[View], pattern: Pattern) -> list[float]:
+    """Frequencies [rad/s] at which most is missing that a force along the pattern would account for.
+
+    Lines are taken three neighbours (of every record) together, and none within a twentieth of a larger one.
+    """
+    omega, power, records = [], [], 0
+    for view in views:
+        if view.missing is None:
+            continue
+        used = np.flatnonzero(np.asarray(view.record.excited, dtype=bool))
+        push = view.push(pattern)[used]
+        weighted = np.einsum("fij,fj->fi", view.certainty[used], push).conj()
+        information = np.einsum("fi,fi->f", weighted, push).real
+        force = np.einsum("fi,fi->f", weighted, view.missing[used])
+        omega.append(view.omega[used])
+        power.append(np.abs(force) ** 2 / np.maximum(information, 1e-300))
+        records += 1
+    if not records:
+        return []
+    w, p = np.concatenate(omega), np.concatenate(power)
+    order = np.argsort(w)
+    window = min(3 * records, w.size)
+    w, p = w[order], np.convolve(p[order], np.ones(window) / window, mode="same")
+    found: list[float] = []
+    for k in np.argsort(-p):
+        if all(abs(w[k] / f - 1.0) > 0.05 for f in found):
+            found.append(float(w[k]))
+        if len(found) == PEAKS:
+            break
+    return found
 
 
 def _driven(views: Sequence[View]) -> tuple[float, float]:
