@@ -190,7 +190,7 @@ def test_a_stop_reaches_the_runner_while_the_store_is_locked_and_the_disk_is_ful
             raise OperationalError("locked", None, Exception("database is locked"))
 
         def full(*_: Any, **__: Any) -> None:
-            time.sleep(1.0)
+            time.sleep(3.0)
             raise OSError(28, "No space left on device")
 
         monkeypatch.setattr(service.store, "save_state", locked)
@@ -198,8 +198,8 @@ def test_a_stop_reaches_the_runner_while_the_store_is_locked_and_the_disk_is_ful
         monkeypatch.setattr(service.audit, "write", full)
         began = time.monotonic()
         assert client.post(STOP).status_code == 200
-        assert time.monotonic() - began < 0.5
-        deadline = time.monotonic() + 0.5
+        assert time.monotonic() - began < 2.0
+        deadline = time.monotonic() + 2.0
         while not director.workers[0].stopped.is_set() and time.monotonic() < deadline:
             time.sleep(0.01)
         assert director.workers[0].stopped.is_set()
