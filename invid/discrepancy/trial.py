@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Protocol, TypeVar
 
 import numpy as np
 
 from invid.arrays import Bool, Float64
-from invid.discrepancy.joint import LARGEST_STEP, JointFit, fit, limits_of
+from invid.discrepancy.joint import LARGEST_STEP, JointFit, fit, held_out, limits_of
 from invid.discrepancy.plant import Candidate, Evaluation, Layout, Term, evaluate
 from invid.effects.base import Record
 
@@ -38,6 +39,25 @@ class Trial:
         """χ² of training and held-out data together."""
         return self.fit.cost + self.held.cost
 
+    @property
+    def dof(self) -> int:
+        """Degrees of freedom of both."""
+        return self.fit.dof + self.held.dof
+
+    @property
+    def excess(self) -> float:
+        """χ² beyond its expectation; negative where chance was kind."""
+        return self.cost - self.dof
+
+    @property
+    def dispersion(self) -> float:
+        """χ²/ν of both, at least 1."""
+        return max(1.0, self.cost / self.dof)
+
+    def score(self, dispersion: float, rows: int) -> float:
+        """−2 ln(likelihood) and Schwarz' penalty of all effects: what candidates are ranked by."""
+        return self.cost / dispersion + penalty(self, rows)
+
 
 @dataclass(frozen=True, eq=False)
 class Step:
@@ -47,6 +67,34 @@ class Step:
     chosen: Trial
     ranked: tuple[tuple[Trial, float], ...]
     """Candidates with −2 ln(likelihood) plus penalty, over the dispersion, best first."""
+
+
+class _Costly(Protocol):
+    @property
+    def cost(self) -> float: ...
+
+
+T = TypeVar("T", bound=_Costly)
+
+
+def finite(run: Callable[[], T]) -> T | None:
+    """What ``run`` fits; none where nothing finite follows from its start."""
+    with np.errstate(all="ignore"):
+        try:
+            out = run()
+        except np.linalg.LinAlgError:
+            return None
+    return out if np.isfinite(out.cost) else None
+
+
+def attempted(run: Callable[[], JointFit], held: Sequence[Record]) -> Trial | None:
+    """What ``run`` fits, judged on held-out records; none where nothing finite follows from its start."""
+
+    def trial() -> Trial:
+        found = run()
+        return Trial(found, held_out(found, held))
+
+    return finite(trial)
 
 
 def refit(
