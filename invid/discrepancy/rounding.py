@@ -8,10 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-import numpy as np
-
 from invid.discrepancy.joint import JointFit, fit
 from invid.discrepancy.plant import Candidate, Term
+from invid.discrepancy.trial import finite
 from invid.effects.base import Record, rms
 from invid.effects.sign import DryLaw
 
@@ -64,9 +63,4 @@ def _rounding(found: JointFit) -> float:
 
 def _with(found: JointFit, records: Sequence[Record], term: Term, law: DryLaw) -> JointFit | None:
     candidate = Candidate((*found.candidate.terms[:-1], Term(law, term.place)), found.candidate.x)
-    with np.errstate(all="ignore"):
-        try:
-            out = fit(found.layout, records, found.p, candidate, iterations=ITERATIONS)
-        except np.linalg.LinAlgError:
-            return None
-    return out if np.isfinite(out.cost) else None
+    return finite(lambda: fit(found.layout, records, found.p, candidate, iterations=ITERATIONS))

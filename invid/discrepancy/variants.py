@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from invid.arrays import Float64
-from invid.discrepancy.joint import JointFit, fit, held_out
+from invid.discrepancy.joint import JointFit, fit
 from invid.discrepancy.plant import Candidate, Term
-from invid.discrepancy.trial import HELD_OUT, Step, Trial, at_bound, penalty, refit
-from invid.effects import CATALOGUE
+from invid.discrepancy.trial import HELD_OUT, Step, Trial, at_bound, attempted, refit
+from invid.discrepancy.words import BY_CAUSE
 from invid.effects.base import Record
 from invid.effects.sign import DryLaw
 
@@ -31,15 +32,9 @@ def retimed(
     late[doubt] = np.where(late[doubt] < -0.25 * step, 0.0, -0.5 * step)
     other, other_held = ([replace(r, hold_offset=late) for r in part] for part in (train, held))
     here = trial.fit
-    with np.errstate(all="ignore"):
-        try:
-            found = fit(here.layout, other, here.p, here.candidate, iterations=10)
-            there = Trial(found, held_out(found, other_held))
-        except np.linalg.LinAlgError:
-            return trial, train, held
+    there = attempted(lambda: fit(here.layout, other, here.p, here.candidate, iterations=10), other_held)
     # Neither has more parameters; what one must be better by is what noise makes of a choice of two.
-    dispersion = max(1.0, there.cost / (found.dof + there.held.dof))
-    if there.cost < trial.cost - HELD_OUT * dispersion:
+    if there is not None and there.cost < trial.cost - HELD_OUT * there.dispersion:
         return there, other, other_held
     return trial, train, held
 
@@ -54,41 +49,38 @@ def ladder(step: Step, train: Sequence[Record], held: Sequence[Record]) -> tuple
     if step.chosen.term.effect.cause != "asymmetric_friction":
         return ()
     x = step.chosen.x
-    effects = {e.cause: e for e in CATALOGUE}
     dry, wet = 0.5 * float(x[0] + x[1]), 0.5 * float(x[2] + x[3])
     views = step.chosen.fit.evaluation.views
     best: tuple[Trial, Trial] | None = None
     here = step.chosen.fit
-    rows, dispersion = here.dof, max(1.0, step.chosen.cost / (here.dof + step.chosen.held.dof))
-    limit = step.chosen.cost / dispersion + penalty(step.chosen, rows)
+    rows, dispersion = here.dof, step.chosen.dispersion
+    limit = step.chosen.score(dispersion, rows)
     for cause in ("coulomb_friction", "stribeck_friction", "presliding_friction"):
         if dry <= 0 or wet <= 0:
             break
-        effect = effects[cause]
+        effect = BY_CAUSE[cause]
         if isinstance(effect, DryLaw) and isinstance(step.chosen.term.effect, DryLaw):
             effect = effect.rounded(step.chosen.term.effect.rounding)
         shape = min((abs(g[0]), g) for g in effect.grid(views, place))[1] if effect.shapes else ()
         start = [dry, 0.2 * dry] if cause == "stribeck_friction" else [dry]
-        terms = (Term(effect, place), Term(effects["viscous_friction"], place))
+        terms = (Term(effect, place), Term(BY_CAUSE["viscous_friction"], place))
         candidate = Candidate(
             (*here.candidate.terms[:-1], *terms),
             (*here.candidate.x[:-1], np.array([*start, *shape]), np.array([wet])),
         )
-        try:
-            both = fit(here.layout, train, here.p, candidate, iterations=20)
-            trial = Trial(both, held_out(both, held))
-        except np.linalg.LinAlgError:
+        trial = attempted(partial(fit, here.layout, train, here.p, candidate, iterations=20), held)
+        if trial is None or trial.score(dispersion, rows) >= limit:
             continue
-        if trial.cost / dispersion + penalty(trial, rows) < limit:
-            limit = trial.cost / dispersion + penalty(trial, rows)
-            alone = Candidate(candidate.terms[:-1], both.candidate.x[:-1])
-            one = fit(here.layout, train, both.p, alone, iterations=12)
-            best = Trial(one, held_out(one, held)), trial
+        both = trial.fit
+        alone = Candidate(candidate.terms[:-1], both.candidate.x[:-1])
+        one = attempted(partial(fit, here.layout, train, both.p, alone, iterations=12), held)
+        if one is not None:
+            limit, best = trial.score(dispersion, rows), (one, trial)
     if best is None:
         return ()
     first, second = best
     kept = tuple((t, s) for t, s in step.ranked if t.term.place != place)
-    score = second.cost / dispersion + penalty(second, rows)
+    score = second.score(dispersion, rows)
     return (
         Step(step.before, first, ((first, score), *kept)),
         Step(first, second, ((second, score),)),
@@ -111,15 +103,9 @@ def delays(
         known = free if free is not None and free.size == here.p.size else p
         late = float(here.layout.delays(known)[term.place.axis])
         layout, stay = here.layout.without_delay([term.place.axis])
-        with np.errstate(all="ignore"):
-            try:
-                found = fit(
-                    layout, train, p[stay], here.candidate.plus(term, np.array([late])), iterations=20
-                )
-                trial = Trial(found, held_out(found, held))
-            except np.linalg.LinAlgError:
-                continue
-        if np.isfinite(trial.cost):
+        candidate = here.candidate.plus(term, np.array([late]))
+        trial = attempted(partial(fit, layout, train, p[stay], candidate, iterations=20), held)
+        if trial is not None:
             out.append(trial)
     return out
 
@@ -139,12 +125,7 @@ def lags(
         for term in terms:
             if term.effect.cause != "torque_lag" or term.place.axis != delay.term.place.axis or not late:
                 continue
-            with np.errstate(all="ignore"):
-                try:
-                    found = refit(here, train, term, np.array([np.log(late)]), 20)
-                    trial = Trial(found, held_out(found, held))
-                except np.linalg.LinAlgError:
-                    continue
-            if np.isfinite(trial.cost) and not at_bound(trial):
+            trial = attempted(partial(refit, here, train, term, np.array([np.log(late)]), 20), held)
+            if trial is not None and not at_bound(trial):
                 out.append(trial)
     return out
