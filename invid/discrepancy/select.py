@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
 from invid.arrays import Float64
 from invid.discrepancy.joint import JointFit, fit, held_out
-from invid.discrepancy.missing_torque import NullTest, null_test
+from invid.discrepancy.missing_torque import null_test
 from invid.discrepancy.plant import Layout, Term
 from invid.discrepancy.rounding import rounded
 from invid.discrepancy.screen import Score, Screen, terms_for
-from invid.discrepancy.trial import HELD_OUT, Step, Trial, at_bound, penalty, refit
+from invid.discrepancy.trial import HELD_OUT, Step, Trial, at_bound, attempted, refit
 from invid.discrepancy.variants import delays, ladder, lags, retimed
 from invid.distributions import chi2_isf
 from invid.effects.base import Record, rms
@@ -31,13 +32,13 @@ REMAINDER = 0.25
 imperfect model of a strong first cause leaves a per cent of it, of which other causes fit some."""
 NAMED_SHARE = 0.9
 """A further cause that takes this share of what is left and reaches the noise is there, however small beside
-the first: what an imperfect model of the first leaves has no such law (hidden plants: half at most)."""
+the first: what an imperfect model of the first leaves has no such law. A guess, no campaign counted it."""
 SHARE, CLOSE = 0.05, 1.5
 """A further cause that does not bring χ²/ν below CLOSE must remove this share of the first excess. Empirical:
 on the flexible bench ripples of 2 % were named otherwise with a phase known to ten radians."""
 REACH = 3.0
-"""How much more a refit may gain than its screen promised: shapes between the grid's, inner motion. Empirical
-(hidden plants: a factor of two was the most for causes that turned out right)."""
+"""How much more a refit may gain than its screen promised: shapes between the grid's, inner motion. A guess
+that saves refits; it only skips what could not be accepted at three times its promise."""
 MOST = 3
 
 
@@ -51,9 +52,9 @@ class Selection:
     rejected: tuple[Score, ...] = field(default=())
 
 
-def _excess(trial: Trial, records: Sequence[Record]) -> NullTest:
+def _rejects(trial: Trial, records: Sequence[Record]) -> bool:
     """Whether a fit leaves more than noise."""
-    return null_test(trial.cost, trial.fit.dof + trial.held.dof, records)
+    return null_test(trial.cost, trial.dof, records).rejects
 
 
 def select(
@@ -73,9 +74,12 @@ def select(
     steps: list[Step] = []
     rejected: tuple[Score, ...] = ()
     while len(steps) < MOST:
-        if steps and not _excess(current, [*train, *held]).rejects:
+        rejects = _rejects(current, [*train, *held])
+        if steps and not rejects:
             break  # what the causes leave is noise; what else fits it says how imperfect their models are
-        step, rejected = _step(current, train, held, linear_axes, free, start, first=not steps)
+        step, rejected = _step(
+            current, train, held, linear_axes, free, start, first=not steps, rejects=rejects
+        )
         if step is None:
             break
         added = ladder(step, train, held) or (step,)
@@ -111,9 +115,9 @@ def _step(
     start: Trial,
     *,
     first: bool,
+    rejects: bool,
 ) -> tuple[Step | None, tuple[Score, ...]]:
     here = current.fit
-    rejects = _excess(current, [*train, *held]).rejects
     screen = Screen(here)
     terms = [
         t
@@ -141,21 +145,13 @@ def _step(
         if s.gain < 0.05 * scores[0].gain or REACH * s.gain < least:
             break
         reached = min((t.fit.cost for t in trials), default=np.inf)
-        with np.errstate(all="ignore"):
-            try:
-                refitted = refit(here, train, s.term, s.x, 4, s.shift)
-                # Four steps away from a start that is right to first order: what is far behind stays there.
-                if not refitted.converged and refitted.cost - reached < 0.5 * (here.cost - reached):
-                    refitted = fit(refitted.layout, train, refitted.p, refitted.candidate, iterations=10)
-                trial = Trial(refitted, held_out(refitted, held))
-            except np.linalg.LinAlgError:  # a start from which nothing finite follows
-                continue
-        if np.isfinite(trial.cost) and not at_bound(trial) and not _is_smaller_model(trial):
+        trial = attempted(partial(_joined, here, train, s, reached), held)
+        if trial is not None and not at_bound(trial) and not _is_smaller_model(trial):
             trials.append(trial)
     trials = [_rounded(t, current, train, held) for t in trials]
     if not trials:
         return None, tuple(scores[:5])
-    trials.sort(key=lambda t: t.cost + penalty(t, rows))
+    trials.sort(key=lambda t: t.score(1.0, rows))
     best = [
         trials[0],
         *(t for t in trials[1:] if t.cost - trials[0].cost < 0.3 * (current.cost - trials[0].cost)),
@@ -168,14 +164,21 @@ def _step(
         more = fit(t.fit.layout, train, t.fit.p, t.fit.candidate, iterations=20)
         polished.append(Trial(more, held_out(more, held)))
     trials = polished + [t for t in trials if t not in best[:4]]
-    dispersion = max(1.0, min(t.cost / (t.fit.dof + t.held.dof) for t in trials))
-    ranked = sorted(((t, (t.cost / dispersion) + penalty(t, rows)) for t in trials), key=lambda pair: pair[1])
-    for trial, _ in ranked:
-        if _accepted(current, trial, dispersion, count, start, first=first, rejects=rejects):
-            order = sorted(ranked, key=lambda pair: (pair[0] is not trial, pair[1]))
-            return Step(current, trial, tuple(order)), tuple(scores[:5])
-        break
-    return None, tuple(scores[:5])
+    dispersion = min(t.dispersion for t in trials)
+    ranked = sorted(((t, t.score(dispersion, rows)) for t in trials), key=lambda pair: pair[1])
+    best_of_all = ranked[0][0]
+    if not _accepted(current, best_of_all, dispersion, count, start, first=first, rejects=rejects):
+        return None, tuple(scores[:5])
+    return Step(current, best_of_all, tuple(ranked)), tuple(scores[:5])
+
+
+def _joined(here: JointFit, train: Sequence[Record], score: Score, reached: float) -> JointFit:
+    """The joint fit of a screened candidate, gone on with while it may still come near ``reached``."""
+    found = refit(here, train, score.term, score.x, 4, score.shift)
+    # Four steps away from a start that is right to first order: what is far behind stays there.
+    if not found.converged and found.cost - reached < 0.5 * (here.cost - reached):
+        found = fit(found.layout, train, found.p, found.candidate, iterations=10)
+    return found
 
 
 def _least_gain(here: JointFit, current: Trial, count: int, *, first: bool) -> float:
@@ -189,7 +192,7 @@ def _least_gain(here: JointFit, current: Trial, count: int, *, first: bool) -> f
 def _rounded(trial: Trial, current: Trial, train: Sequence[Record], held: Sequence[Record]) -> Trial:
     """Friction whose sign changes gradually, where it takes half of the excess but ends above the noise."""
     here = trial.fit
-    if trial.cost > 0.5 * current.cost or trial.cost < CLOSE * (here.dof + trial.held.dof):
+    if trial.cost > 0.5 * current.cost or trial.cost < CLOSE * trial.dof:
         return trial
     found = rounded(
         here, train, lambda new, old: (old.cost - new.cost) / new.dispersion > np.log(max(new.dof, 2))
@@ -237,14 +240,13 @@ def _accepted(
         return False
     if first:
         return True
-    excess = current.cost - current.fit.dof - current.held.dof
-    gained = current.cost - trial.cost
+    excess, gained = current.excess, current.cost - trial.cost
     if gained < REMAINDER * max(excess, 0.0):
         return False
     # Where the model stays far from the noise, what little a further cause removes may be any cause's.
-    reached = trial.cost < CLOSE * (trial.fit.dof + trial.held.dof)
+    reached = trial.cost < CLOSE * trial.dof
     if reached and gained > NAMED_SHARE * excess:
         return True
     # What an imperfect model of the first cause leaves was up to 0.3 % of it on hidden plants.
     share = 0.01 if reached else SHARE
-    return gained > share * max(start.cost - start.fit.dof - start.held.dof, 0.0)
+    return gained > share * max(start.excess, 0.0)
