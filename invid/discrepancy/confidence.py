@@ -38,7 +38,8 @@ Above it something is left that no cause took, the cause named may be a disguise
 beside friction left χ²/ν at 300 and a hundredth of the excess), and nobody may be certain."""
 SLOW = 400.0
 """χ² gain of dry friction below which a Stribeck effect is not excluded: forty per cent more torque in the
-sixth of the time that is slow is a fortieth of dry friction's power, and 9 (3 σ) of that needs 400."""
+sixth of the time that is slow is a fortieth of dry friction's power, and 9 (3 σ) of that needs 400. On
+paper; no campaign counted it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,8 +58,8 @@ def judge(selection: Selection, recording: Recording, after: NullTest) -> Judgem
     if not selection.steps:
         return Judgement((), False, False, 0.0)
     base, final = selection.base, selection.final
-    before = base.cost - base.fit.dof - base.held.dof
-    left = final.cost - final.fit.dof - final.held.dof
+    before = base.excess
+    left = final.excess
     total = base.cost - final.cost
     explained = float(np.clip(1.0 - max(left, 0.0) / max(before, total, 1e-300), 0.0, 1.0))
     held_before = base.held.cost - base.held.dof
@@ -68,7 +69,7 @@ def judge(selection: Selection, recording: Recording, after: NullTest) -> Judgem
     findings = tuple(
         _finding(selection, number, recording, explained) for number in range(len(selection.steps))
     )
-    at_floor = final.cost <= AT_FLOOR * (final.fit.dof + final.held.dof) or _rms_at_floor(final)
+    at_floor = final.cost <= AT_FLOOR * final.dof or _rms_at_floor(final)
     complete = not after.rejects or (explained > 0.98 and at_floor)
     named = explained >= NAMED or (explained >= MOST_OF_CHI2 and _power_explained(base, final) >= NAMED)
     return Judgement(findings, named, complete, explained)
@@ -164,8 +165,7 @@ def _finding(selection: Selection, number: int, recording: Recording, explained:
     total = selection.base.cost - final.cost
     fraction = float(np.clip((step.before.cost - step.chosen.cost) / max(total, 1e-300), 0, 1)) * explained
     confidence = float(np.clip(share * (0.55 + 0.45 * _ramp(explained)), 0.01, 0.999))
-    dof = final.fit.dof + final.held.dof
-    if alternatives or final.cost > AT_FLOOR * dof:
+    if alternatives or final.cost > AT_FLOOR * final.dof:
         confidence = min(confidence, CONTESTED)
     sizes = final.fit.layout.structure.sizes
     return Finding(
@@ -187,8 +187,7 @@ def _slow_friction(
     term, chosen = step.chosen.term, step.chosen
     if term.effect.cause != "coulomb_friction" or any(a.cause == "stribeck_friction" for a in known):
         return ()
-    dispersion = max(1.0, chosen.cost / (chosen.fit.dof + chosen.held.dof))
-    if step.before.cost - chosen.cost > SLOW * dispersion:
+    if step.before.cost - chosen.cost > SLOW * chosen.dispersion:
         return ()
     axis = term.place.axis
     return (
@@ -237,8 +236,7 @@ def _left_beyond_noise(final: Trial) -> float:
     Likelihoods compare models of which one is true. Where even the final model leaves an excess, something of
     that size is wrong with the models, and a smaller difference between causes decides nothing.
     """
-    dof = final.fit.dof + final.held.dof
-    return max(float(final.cost - dof - 3.0 * np.sqrt(2.0 * dof)), 0.0)
+    return max(float(final.excess - 3.0 * np.sqrt(2.0 * final.dof)), 0.0)
 
 
 def _competes(step: Step, rival: Trial) -> bool:
