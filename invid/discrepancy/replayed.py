@@ -20,7 +20,16 @@ from invid.diagnosis import Diagnosis
 from invid.discrepancy.confidence import CONTESTED
 from invid.discrepancy.joint import JointFit
 from invid.discrepancy.missing_torque import rms_torque
-from invid.discrepancy.plant import Candidate, evaluate, views_of
+from invid.discrepancy.plant import (
+    Candidate,
+    Evaluation,
+    _basis,
+    _safe,
+    _stack,
+    _unstack,
+    evaluate,
+    views_of,
+)
 from invid.effects.base import Record
 from invid.errors import InvidError
 from invid.model import Model
@@ -113,6 +122,7 @@ def replay(
     structure = fitted.layout.structure
     sampled = replace(fitted.layout, free_delays=(), free_stairs=(), known_stairs=np.zeros(structure.motors))
     evaluation = evaluate(sampled, left, fitted.p[: structure.count], Candidate(), jacobian=False)
+    evaluation = _rung_out(evaluation, fitted.candidate)
     gain = before - evaluation.cost
     # χ² of two residuals with the same noise differs by ‖d‖² ± 2‖d‖, d their whitened difference.
     spread = max(1.0, evaluation.cost / max(evaluation.dof, 1))
@@ -136,9 +146,7 @@ def with_replay(result: Diagnosis, answer: Replay | str, recording: Recording) -
         return replace(result, warnings=(*result.warnings, answer))
     details = {**result.details, "replay": answer.to_json(recording)}
     result = replace(result, details=details)
-    # The simulated start of a mode of its own rings on, and no boundary term of the chains takes that out.
-    rings = any(e.cause == "extra_mode" for e in result.model.effects)
-    if answer.refused or rings:
+    if answer.refused:
         return result
     doubtful = [
         r
@@ -157,6 +165,42 @@ def with_replay(result: Diagnosis, answer: Replay | str, recording: Recording) -
         warnings=(*result.warnings, warning),
         findings=tuple(replace(f, confidence=min(f.confidence, CONTESTED)) for f in result.findings),
     )
+
+
+def _rung_out(evaluation: Evaluation, candidate: Candidate) -> Evaluation:
+    """The evaluation without what extra modes ring on from how the simulation started them.
+
+    The mode's own coordinate starts and ends somewhere as every coordinate of the chains does, but is none
+    of them: a jump Δx and Δẋ of it over the record acts as [(jωm + c)Δx + mΔẋ]·(2/T), which its spring and
+    damper pass on as (k + jωc)/(k + jωc − ω²m): two real unknowns of each record and mode.
+    """
+    modes = [
+        (t, t.effect.values(x.tolist(), t.place))
+        for t, x in zip(candidate.terms, candidate.x, strict=True)
+        if t.effect.cause == "extra_mode"
+    ]
+    if not modes:
+        return evaluation
+    residual, missing, at = evaluation.residual.copy(), list(evaluation.missing), 0
+    for number, (view, root, basis) in enumerate(
+        zip(evaluation.views, evaluation.roots, evaluation.bases, strict=True)
+    ):
+        w, columns = view.omega, []
+        for term, v in modes:
+            damper = 2.0 * v["damping_ratio"] * np.sqrt(v["stiffness"] * v["mass"])
+            spring = v["stiffness"] + 1j * w * damper
+            jumps = np.stack((1j * w * v["mass"] + damper, np.full(w.size, v["mass"], dtype=complex)), axis=1)
+            jumps[0] *= 0.5
+            passed = (spring / (spring - w**2 * v["mass"]))[:, None] * jumps
+            columns.append(view.push(term.place.pattern(view.structure))[:, :, None] * passed[:, None, :])
+        part = _stack(root @ np.concatenate(columns, axis=2))
+        own = _basis(part - basis @ (basis.T @ part))
+        rows = slice(at, at + part.shape[0])
+        rung = own @ (own.T @ residual[rows])
+        residual[rows] -= rung
+        missing[number] = missing[number] - _unstack(np.linalg.inv(_safe(root)), rung, missing[number].shape)
+        at = rows.stop
+    return replace(evaluation, residual=residual, missing=tuple(missing), cost=float(residual @ residual))
 
 
 def _error(measured: Sequence[Experiment], simulated: Recording) -> Float64:
