@@ -147,7 +147,7 @@ def _finding(selection: Selection, number: int, recording: Recording, explained:
     at = len(selection.base.fit.candidate.terms) + number  # after the effects that the model came with
     term = final.fit.candidate.terms[at]
     effect = effect_term(final, at, recording)
-    rivals, share = _rivals(step, _left_beyond_noise(final))
+    rivals, share = _rivals(step, final.beyond_noise)
     alternatives = tuple(
         Alternative(
             t.term.effect.cause,
@@ -228,15 +228,6 @@ def _rivals(step: Step, left: float) -> tuple[list[Trial], float]:
         if t not in rivals and t.cost - step.chosen.cost < left and _competes(step, t)
     ]
     return rivals, share
-
-
-def _left_beyond_noise(final: Trial) -> float:
-    """χ² that the extended model leaves beyond noise, three standard deviations of χ² taken off.
-
-    Likelihoods compare models of which one is true. Where even the final model leaves an excess, something of
-    that size is wrong with the models, and a smaller difference between causes decides nothing.
-    """
-    return max(float(final.excess - 3.0 * np.sqrt(2.0 * final.dof)), 0.0)
 
 
 def _competes(step: Step, rival: Trial) -> bool:

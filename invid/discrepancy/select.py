@@ -68,7 +68,37 @@ def select(
     """Adds causes while both the training and the held-out gain are significant.
 
     ``free``: linear parameters of the fit whose time offsets were not bounded; where delays start.
+
+    A lag keeps the time offset of its axis beside it: two timings, where a delay is one. Where what the lag's
+    model leaves is more than the difference between the two, the data do not ask for the second timing, and
+    the delay leads; the lag stays its rival.
     """
+    found = _search(base, train, held, linear_axes, free, frozenset())
+    contested = frozenset(
+        s.chosen.term.place.axis
+        for s in found.steps
+        if s.chosen.term.effect.cause == "torque_lag"
+        and any(_is(t, "torque_delay", s.chosen.term.place.axis) for t, _ in s.ranked)
+    )
+    if not contested:
+        return found
+    other = _search(base, train, held, linear_axes, free, contested)
+    return other if other.final.cost - found.final.cost < found.final.beyond_noise else found
+
+
+def _is(trial: Trial, cause: str, axis: int) -> bool:
+    return trial.term.effect.cause == cause and trial.term.place.axis == axis
+
+
+def _search(
+    base: JointFit,
+    train: Sequence[Record],
+    held: Sequence[Record],
+    linear_axes: bool,
+    free: Float64 | None,
+    contested: frozenset[int],
+) -> Selection:
+    """Causes added one by one; on ``contested`` axes a delay goes before its lag."""
     start = Trial(base, held_out(base, held))
     current = start
     steps: list[Step] = []
@@ -78,7 +108,7 @@ def select(
         if steps and not rejects:
             break  # what the causes leave is noise; what else fits it says how imperfect their models are
         step, rejected = _step(
-            current, train, held, linear_axes, free, start, first=not steps, rejects=rejects
+            current, train, held, linear_axes, free, start, contested, first=not steps, rejects=rejects
         )
         if step is None:
             break
@@ -113,6 +143,7 @@ def _step(
     linear_axes: bool,
     free: Float64 | None,
     start: Trial,
+    contested: frozenset[int],
     *,
     first: bool,
     rejects: bool,
@@ -165,11 +196,22 @@ def _step(
         polished.append(Trial(more, held_out(more, held)))
     trials = polished + [t for t in trials if t not in best[:4]]
     dispersion = min(t.dispersion for t in trials)
-    ranked = sorted(((t, t.score(dispersion, rows)) for t in trials), key=lambda pair: pair[1])
+    ranked = _ranked([(t, t.score(dispersion, rows)) for t in trials], contested)
     best_of_all = ranked[0][0]
     if not _accepted(current, best_of_all, dispersion, count, start, first=first, rejects=rejects):
         return None, tuple(scores[:5])
     return Step(current, best_of_all, tuple(ranked)), tuple(scores[:5])
+
+
+def _ranked(scored: Sequence[tuple[Trial, float]], contested: frozenset[int]) -> list[tuple[Trial, float]]:
+    """Best first; a lag on a contested axis just behind the delay there."""
+    delays = {t.term.place.axis: s for t, s in scored if t.term.effect.cause == "torque_delay"}
+    moved = []
+    for trial, score in scored:
+        lag = trial.term.effect.cause == "torque_lag" and trial.term.place.axis in contested
+        least = delays.get(trial.term.place.axis, score) if lag else score
+        moved.append((trial, max(score, least), lag))
+    return [(t, s) for t, s, _ in sorted(moved, key=lambda one: one[1:])]
 
 
 def _joined(here: JointFit, train: Sequence[Record], score: Score, reached: float) -> JointFit:

@@ -50,6 +50,16 @@ class Trial:
         return self.cost - self.dof
 
     @property
+    def beyond_noise(self) -> float:
+        """χ² left beyond noise, three standard deviations of χ² taken off.
+
+        Likelihoods compare models of which one is true. Where even the final model leaves an excess,
+        something of that size is wrong with the models, and a smaller difference between causes decides
+        nothing.
+        """
+        return max(float(self.excess - 3.0 * np.sqrt(2.0 * self.dof)), 0.0)
+
+    @property
     def dispersion(self) -> float:
         """χ²/ν of both, at least 1."""
         return max(1.0, self.cost / self.dof)
