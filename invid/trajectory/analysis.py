@@ -11,6 +11,7 @@ from invid.arrays import Float64
 from invid.errors import NotIdentifiableError
 from invid.recording.model import Recording
 from invid.trajectory.kind import grounded_axes
+from invid.trajectory.load import load_terms, settled
 from invid.trajectory.motion import Band, Motion, find_band, prepare
 from invid.trajectory.regression import Design, Fit, fit
 from invid.trajectory.selection import Selection, fit_fast, needed, select
@@ -59,7 +60,9 @@ def analyse(recording: Recording) -> Analysis:
     chosen = select(design, base, candidates)
     terms, spread = _refined(design, chosen.final)
     terms = _delays(design, terms, max(m.step for m in motions))
+    terms = settled(design, terms)
     final = fit(design, terms)
+    candidates += [t for t in load_terms(final, design) if not any(t.label == n.label for n in terms)]
     rigid = fit(design, [t for t in final.terms if t.base])
     return Analysis(
         recording, band, motions, design, reach, springs, candidates, chosen, rigid, final, spread

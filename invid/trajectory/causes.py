@@ -12,6 +12,7 @@ from invid.trajectory.analysis import Analysis
 from invid.trajectory.terms import Term
 
 _FRICTION = {"viscous_friction", "coulomb_friction", "stribeck_friction", "asymmetric_friction"}
+_LOADED = "load_dependent_friction"
 
 
 def effect_of(analysis: Analysis, term: Term) -> EffectTerm:
@@ -47,6 +48,9 @@ def effect_of(analysis: Analysis, term: Term) -> EffectTerm:
             )
             angle = float(np.hypot(cosine * std[0], sine * std[1]) / size**2)
             parameters["angle"] = Estimate(float(np.arctan2(cosine, sine)), angle, "rad")
+        case "load_dependent_friction":
+            parameters["coefficient"] = Estimate(*at["coefficient"], None)
+            parameters["inertia_counts"] = Estimate(float(term.exponent), None, None)
         case "viscous_friction":
             parameters["coefficient"] = Estimate(*at["coefficient"], rate)
         case "torque_delay":
@@ -69,6 +73,13 @@ def _shape(analysis: Analysis, term: Term, unit: str) -> Estimate:
 def separating(axis: str, causes: set[str], speed: float, linear: bool) -> Mapping[str, Any] | None:
     """The experiment that would tell ``causes`` on ``axis`` apart."""
     unit = "m/s" if linear else "rad/s"
+    if _LOADED in causes:
+        return {
+            "kind": "other",
+            "axis": axis,
+            "text": f"repeat the motion of {axis} with another payload: friction that depends on the load "
+            "changes with it, other friction does not",
+        }
     if len(causes & _FRICTION) > 1 or (causes & _FRICTION and "torque_offset" in causes):
         ladder = [round(speed * f, 6) for f in (0.01, 0.03, 0.1, 0.3, 1.0)]
         return {

@@ -15,6 +15,7 @@ from invid.model import ChainStd, EffectTerm, Model
 from invid.recording.model import Recording
 from invid.trajectory.analysis import Analysis, analyse, row_floor
 from invid.trajectory.causes import effect_of, separating
+from invid.trajectory.load import load_terms
 from invid.trajectory.regression import Fit, fit
 from invid.trajectory.selection import (
     INDISTINCT,
@@ -433,6 +434,12 @@ def _not_shown(a: Analysis) -> list[str]:
             missing.append(f"{name}: asymmetric friction (the axis moves one way only)")
         if not a.recording.linear and a.reach.travel[i] <= 0.2:
             missing.append(f"{name}: gravity (the axis turns by less than 0.2 rad)")
+        own = [t for t in load_terms(a.final, a.design) if t.axis == i and not t.exponent]
+        if any(t.cause == "gravity" and i in (t.axis, t.other) for t in a.final.terms) and not own:
+            missing.append(
+                f"{name}: friction that depends on the load (its weight hardly varies over this motion, "
+                "and such friction is then Coulomb friction)"
+            )
         if i not in a.springs:
             missing.append(f"{name}: stiffness of the transmission (no resonance in the band)")
     return missing

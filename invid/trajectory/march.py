@@ -50,15 +50,15 @@ def march(
     smooth
         (M, 6) springs to ground of first, second, third power; constant; sine and cosine of gravity.
     dry
-        (M, 8) Coulomb and viscous levels up and down, low-speed excess up and down, its velocity and
-        exponent.
+        (M, 10) Coulomb and viscous levels up and down, low-speed excess up and down, its velocity and
+        exponent, friction per load and 1 where inertia counts as load (that of the step before).
     """
     count, axes = out.shape
     q, v, start = state[0], state[1], state[1].copy()
     command, earlier = np.zeros(axes), np.zeros(axes)
     force, change, effective = np.zeros(axes), np.zeros(axes), np.zeros((axes, axes))
     inverse = np.zeros((axes, axes))
-    impulse = np.zeros(axes)
+    impulse, load, acceleration = np.zeros(axes), np.zeros(axes), np.zeros(axes)
     for k in range(count):
         for i in range(axes):
             out[k, i] = q[i]
@@ -89,6 +89,7 @@ def march(
                 spring = q[i] * (smooth[i, 0] + q[i] * (smooth[i, 1] + q[i] * smooth[i, 2]))
                 weight = smooth[i, 4] * np.sin(angle) + smooth[i, 5] * np.cos(angle)
                 force[i] = acting - spring - smooth[i, 3] - weight - viscous * v[i]
+                load[i] = weight + dry[i, 9] * smooth[i, 3]
                 # Half of the step's viscous force at its end: second order, and stable for any coefficient.
                 effective[i, i] += 0.5 * step * viscous
             if carried[4] > 0:
@@ -103,6 +104,11 @@ def march(
                 weight = carried[2] * np.sin(q[0] + q[1]) + carried[3] * np.cos(q[0] + q[1])
                 force[0] -= weight
                 force[1] -= weight
+                load[0] += weight + dry[0, 9] * slope * (2 * v[0] * v[1] + v[1] * v[1])
+                load[1] += weight - dry[1, 9] * slope * v[0] * v[0]
+            for i in range(axes):
+                for j in range(axes):
+                    load[i] += dry[i, 9] * effective[i, j] * acceleration[j]
             if axes == 1:
                 inverse[0, 0] = 1.0 / effective[0, 0]
             else:
@@ -131,13 +137,15 @@ def march(
                     excess = 0.0
                     if dry[i, 6] > 0:
                         excess = np.exp(-((abs(v[i]) / dry[i, 6]) ** dry[i, 7]))
-                    up = step * max(dry[i, 0] + excess * dry[i, 4], 0.0)
-                    down = step * max(dry[i, 1] + excess * dry[i, 5], 0.0)
+                    heavy = dry[i, 8] * abs(load[i])
+                    up = step * max(dry[i, 0] + excess * dry[i, 4] + heavy, 0.0)
+                    down = step * max(dry[i, 1] + excess * dry[i, 5] + heavy, 0.0)
                     stop = impulse[i] + change[i] / inverse[i, i]
                     wanted = min(max(stop, -down), up)
                     for j in range(axes):
                         change[j] -= inverse[j, i] * (wanted - impulse[i])
                     impulse[i] = wanted
             for i in range(axes):
+                acceleration[i] = (change[i] - v[i]) / step
                 v[i] = change[i]
                 q[i] += step * v[i]

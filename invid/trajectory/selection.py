@@ -14,6 +14,7 @@ import numpy as np
 from scipy import stats
 
 from invid.arrays import Float64
+from invid.trajectory.load import load_terms, settled
 from invid.trajectory.regression import Design, Fit, fit
 from invid.trajectory.terms import ASYMMETRIC, Term
 
@@ -169,6 +170,7 @@ def select(design: Design, base: list[Term], candidates: list[Term], *, most: in
             trial = best_of_label(design, terms, options, length)
             if trial is not None:
                 tried.append((trial.terms[-1], trial))
+        tried += _under_load(design, current, terms, length)
         good = [
             (t, f)
             for t, f in tried
@@ -202,13 +204,26 @@ def select(design: Design, base: list[Term], candidates: list[Term], *, most: in
                 rivals,
             )
         )
-        terms, current = list(best.terms), fit(design, best.terms)
+        terms = settled(design, list(best.terms))
+        current = fit(design, terms)
         design.reweigh(current.residual)
         current = fit(design, terms)
         ladder.append((list(terms), current))
     start = fit(design, base)
     current, terms = _prune(design, current, terms)
+    terms = settled(design, terms)
+    current = fit(design, terms)
     return Selection(start, current, steps, ladder)
+
+
+def _under_load(design: Design, current: Fit, terms: list[Term], length: float) -> list[tuple[Term, Fit]]:
+    """Friction that grows with the load as the present fit has it, on every axis that has none yet."""
+    labels: dict[tuple[str, int, int | None, str], list[Term]] = {}
+    for term in load_terms(current, design):
+        if not any(t.label == term.label for t in terms):
+            labels.setdefault(term.label, []).append(term)
+    trials = [best_of_label(design, terms, options, length) for options in labels.values()]
+    return [(t.terms[-1], t) for t in trials if t is not None]
 
 
 def _pair(

@@ -246,9 +246,9 @@ def _delays(model: Model) -> Float64:
 
 
 def _laws(model: Model) -> tuple[Float64, Float64, Float64]:
-    """(M, 6), (M, 8) and (5,) parameters of ``march``."""
+    """(M, 6), (M, 10) and (5,) parameters of ``march``."""
     axes = len(model.axes)
-    smooth, dry, carried = np.zeros((axes, 6)), np.zeros((axes, 8)), np.zeros(5)
+    smooth, dry, carried = np.zeros((axes, 6)), np.zeros((axes, 10)), np.zeros(5)
     smooth[:, 0] = model.chains.ground_springs
     dry[:, 7] = 2.0
     inertia = model.fit.get("inertia_with_angle")
@@ -280,7 +280,7 @@ def _laws(model: Model) -> tuple[Float64, Float64, Float64]:
 
 def _friction(term: EffectTerm) -> Float64:
     at = term.value
-    row = np.zeros(8)
+    row = np.zeros(10)
     match term.cause:
         case "coulomb_friction":
             row[:2] = at("torque")
@@ -295,6 +295,9 @@ def _friction(term: EffectTerm) -> Float64:
             if "low_speed_velocity" in term.parameters:
                 row[4:7] = at("low_speed_positive"), at("low_speed_negative"), at("low_speed_velocity")
                 row[7] = _exponent(term) - 2.0
+        case "load_dependent_friction":
+            row[8] = at("coefficient")
+            row[9] = at("inertia_counts") if "inertia_counts" in term.parameters else 0.0
         case _:
             raise InputError(f"effect {term.cause} on {term.axis}: a rigid model has no place for it")
     return row

@@ -34,6 +34,8 @@ class Term:
         Causes on the same axis that this term contains.
     needs
         Causes on the same axis of which one must be there before this one is tried.
+    load
+        Terms with their coefficients that make up the load of friction that depends on it.
     """
 
     cause: str
@@ -47,6 +49,7 @@ class Term:
     other: int | None = None
     base: bool = False
     tag: str = ""
+    load: tuple[tuple[Term, tuple[float, ...]], ...] = ()
 
     @property
     def label(self) -> tuple[str, int, int | None, str]:
@@ -102,6 +105,8 @@ def columns(term: Term, motion: Motion) -> Float64:
             angle = q if term.other is None else q + motion.position[:, term.other]
             for axis in (i,) if term.other is None else (i, term.other):
                 out[:, axis, 0], out[:, axis, 1] = np.sin(angle), np.cos(angle)
+        case "load_dependent_friction":
+            out[:, i, 0] = np.abs(load_on(term, motion)) * soft_sign(motion, i)
         case "quadratic_stiffness":
             out[:, i, 0] = q**2
         case "cubic_stiffness":
@@ -109,6 +114,14 @@ def columns(term: Term, motion: Motion) -> Float64:
         case _:
             raise ValueError(f"no columns for {term.cause!r}")
     return out
+
+
+def load_on(term: Term, motion: Motion) -> Float64:
+    """(n,) torque that the terms of ``term.load`` ask of its axis."""
+    total = np.zeros(motion.position.shape[0])
+    for part, value in term.load:
+        total += columns(part, motion)[:, term.axis] @ np.array(value)
+    return total
 
 
 def _other(term: Term) -> int:

@@ -8,10 +8,12 @@ from invid.model import EffectTerm
 _ADVICE = {
     "asymmetric_friction": "look for wear, preload or a seal that acts in one direction",
     "stribeck_friction": "look at the lubrication: it sticks before it slides",
+    "load_dependent_friction": "look at the bearings, the preload and the gear's efficiency under load",
     "gravity": "give the controller the load's weight",
     "cubic_stiffness": "the spring is not linear: identify at the amplitude it is used at",
 }
 _NAMES = {
+    "load_dependent_friction": "friction that grows with the load on the joint",
     "coulomb_friction": "Coulomb friction",
     "viscous_friction": "viscous friction",
     "stribeck_friction": "Stribeck friction",
@@ -33,9 +35,11 @@ def sentence_of(
         + (f" ± {p.std:.2g}" if p.std is not None else "")
         + (f" {p.unit}" if p.unit else "")
         for name, p in effect.parameters.items()
-        if name != "exponent"
+        if name not in ("exponent", "inertia_counts")
     )
     name = _NAMES.get(effect.cause, effect.cause.replace("_", " "))
+    if effect.cause == "load_dependent_friction":
+        name += ", weight and inertia" if effect.value("inertia_counts") else ", its weight"
     if effect.cause == "gravity" and effect.other_axis is not None:
         name = f"gravity of the link that {effect.other_axis} carries, felt on both"
     gain = f"without it {before:.3g} {unit} is missing, with it {after:.3g} {unit}"
