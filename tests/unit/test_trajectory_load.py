@@ -1,4 +1,4 @@
-"""Friction that grows with the load: named with its size, told from Coulomb friction where the load varies."""
+"""Friction that grows with the load: its size, and telling it from Coulomb friction."""
 
 from __future__ import annotations
 
