@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from invid.arrays import Float64
+from invid.arrays import Bool, Float64
 from invid.config import CellConfig
 from invid.errors import SafetyStop
 from invid.excitation import doublet, ramped
@@ -27,6 +27,11 @@ TRIAL_COUNTS, TRIAL_WINDOW = 50, 0.01
 """Enough is 50 encoder counts and 1 % of the position window: the slope is then good to a few per cent."""
 TRIAL_MOST = 0.1
 """A trial ends when it has used a tenth of the position window."""
+LATE_TRIALS = 5
+"""Trials that say nothing because somebody was late, before the measurement gives up. Empirical: a machine on
+which one SYNC in twenty comes late spoils one doublet in three."""
+CATCH_S = 0.3
+"""For a weak hold of 1 Hz to catch what a trial left moving."""
 LEAST_COUNTS = 5
 """Less than this after the longest doublet, and the axis did not move."""
 NEAR_LIMIT = 0.8
@@ -79,6 +84,19 @@ class _Feedback:
     limit: float
 
 
+@dataclass(frozen=True)
+class _Log:
+    """Rows of one stretch of cycles; (n, M) but for the time."""
+
+    demand: Float64
+    torque: Float64
+    position: Float64
+    fresh: Bool
+    """Where the row's torque and position came with its SYNC; elsewhere they are the last ones."""
+    time: Float64
+    """(n,) SYNC instants [s]."""
+
+
 @dataclass
 class Sweep:
     """One run of one plan. ``run`` may be called once."""
@@ -101,7 +119,7 @@ class Sweep:
         self._origin = [0.0] * count
         self._bias = [0.0] * count
         self._last: list[float] = [0.0] * count
-        self._last_time = 0.0
+        self._last_time = [0.0] * count
         self._velocity = [0.0] * count
         self._demand = [0.0] * count
         self._feedback: list[_Feedback] = []
@@ -196,12 +214,12 @@ class Sweep:
         )
         sample = cell.exchange(self._zero)
         self._origin = list(sample.position)
-        self._last, self._last_time = list(sample.position), sample.time
+        self._last, self._last_time = list(sample.position), [sample.time] * self._count
         self._watching.start(self._origin)
         self._watching.held = set(range(self._count))
         self._phase = "settling"
         rows = self._play(None, round(SETTLE_S / self.plan.cycle_s), log=True)
-        torque = rows[1][len(rows[1]) // 2 :]
+        torque = rows.torque[len(rows.torque) // 2 :]
         for i, mode in enumerate(self._modes):
             # What the drive needs to hold an axis is what it needs when the master takes over; only a
             # gravity-loaded axis is believed to need any, friction held at rest can be anything.
@@ -219,8 +237,8 @@ class Sweep:
         sink: Sink | None = None,
         rows: tuple[int, int] = (0, 0),
         log: bool = False,
-    ) -> list[Float64]:
-        """Run ``cycles`` cycles around the feedback; the log is demand, torque, position, time.
+    ) -> _Log:
+        """Run ``cycles`` cycles around the feedback; the log has rows only where ``log`` is set.
 
         ``torque`` and ``reference`` are (n, M); their last row stands for every later one. Rows become
         lists one at a time: half an hour at once would stall the cycle and take gigabytes.
@@ -232,7 +250,7 @@ class Sweep:
         first, last = rows
         edge = round(0.5 / cycle)
         shaken = (edge, cycles - edge)
-        kept: tuple[list[list[float]], list[list[float]], list[list[float]]] = ([], [], [])
+        kept: tuple[list[list[float]], ...] = ([], [], [], [])
         instants: list[float] = []
         start: int | None = None
         fading = 0
@@ -272,6 +290,7 @@ class Sweep:
                 kept[0].append(list(demand))
                 kept[1].append(list(sample.torque))
                 kept[2].append(list(sample.position))
+                kept[3].append(list(sample.fresh))
                 instants.append(sample.time)
             k += 1
             if fading:
@@ -286,7 +305,8 @@ class Sweep:
                 self._next_report = sample.time + PROGRESS_S
                 self._report(k * cycle)
         self._done_s += cycles * cycle
-        return [*(np.asarray(part) for part in kept), np.asarray(instants)]
+        demands, torques, positions, came = (np.asarray(part) for part in kept)
+        return _Log(demands, torques, positions, came.astype(bool), np.asarray(instants))
 
     def _expect_life(self, expected: bool) -> None:
         """While a periodic excitation is recorded, held axes that tremble with it must go on trembling."""
@@ -298,15 +318,11 @@ class Sweep:
         self._watching.standing.expect_life(held, e.period_samples)
 
     def _differentiate(self, sample: Sample) -> None:
-        dt = sample.time - self._last_time
-        if dt <= 0:
-            return
-        last, velocity, position = self._last, self._velocity, sample.position
+        last, before, velocity, position = self._last, self._last_time, self._velocity, sample.position
         for i, fresh in enumerate(sample.fresh):
-            if fresh:
+            if fresh and (dt := sample.time - before[i]) > 0:
                 velocity[i] = (position[i] - last[i]) / dt
-                last[i] = position[i]
-        self._last_time = sample.time
+                last[i], before[i] = position[i], sample.time
 
     def _change(self, modes: Sequence[Mode], feedback: list[_Feedback]) -> None:
         """New modes and feedback. Torque starts at the bias, as the hold left it."""
@@ -319,7 +335,7 @@ class Sweep:
             self._modes = list(modes)
             self._watching.pause()
             self._velocity = [0.0] * self._count
-            self._last_time = 0.0
+            self._last_time = [0.0] * self._count
         self._watching.settle()
 
     # --- trials --------------------------------------------------------------------------------
@@ -345,6 +361,7 @@ class Sweep:
         wanted = max(TRIAL_COUNTS * resolution, TRIAL_WINDOW * limits.position)
         length = TRIAL_FIRST_S
         seen: list[trials.Response] = []
+        spoilt: list[trials.Response] = []
         doubted = False
         while True:
             wave = amplitude * doublet(round(length / cycle))
@@ -352,19 +369,26 @@ class Sweep:
             rows = np.zeros((wave.size + 2 * quiet, self._count))
             rows[quiet:-quiet, axis] = wave
             kept = self._play(rows, len(rows), log=True)
-            demand = kept[0][:, axis] - self._bias[axis]
-            position = kept[2][:, axis] - kept[2][0, axis]
             found = trials.response(
-                kept[3],
-                demand,
-                kept[1][:, axis] - self._bias[axis],
-                position,
+                kept.time,
+                kept.demand[:, axis] - self._bias[axis],
+                kept.torque[:, axis] - self._bias[axis],
+                kept.position[:, axis] - kept.position[0, axis],
                 count=resolution,
                 rated=self.cell.rated_torque[axis],
+                fresh=kept.fresh[:, axis],
             )
+            if found.late:
+                # Nothing can be said of this one. A pause in a doublet leaves the axis drifting: catch it.
+                spoilt.append(found)
+                if len(spoilt) > LATE_TRIALS:
+                    raise trials.too_late(name, [*seen, *spoilt])
+                self._catch(axis, settings.inertia or found.inertia)
+                self._change(modes, others)
+                continue
             seen.append(found)
             sign = trials.sign_score(seen)
-            if (sign < -trials.DECISIVE or found.torque_slope < -0.2) and not doubted:
+            if (sign < -trials.DECISIVE or found.opposed) and not doubted:
                 # A wrong sign is wrong twice; a computer that was late in the first trial is not.
                 doubted = True
                 seen.clear()
@@ -383,17 +407,23 @@ class Sweep:
                 "above the trial torque; free the axis, or raise limits.torque if the axis may take more"
             )
         if abs(sign) <= trials.DECISIVE:
+            if sum(r.late_edges for r in seen) > sum(r.edges for r in seen):
+                raise trials.too_late(name, [*seen, *spoilt])
             self.warnings.append(
                 f"axis {name}: the trial could hardly tell the encoder's sign ({sign:+.1f} standard "
                 "deviations); the encoder is coarse or the torque small"
             )
         trials.judge(name, found, sign, amplitude=amplitude, unit=unit, torque_unit=torque_unit)
         self._inertia[axis] = settings.inertia if settings.inertia is not None else found.inertia
-        # back to where it stood, gently
-        self._centre({axis}, lowest=3.0)
-        self._play(None, round(0.3 / cycle))
+        self._catch(axis, self._inertia[axis])
         if self.cell.can_hold[axis]:
             self._change(self._resting_modes(), [f for f in others if f.axis != axis])
+
+    def _catch(self, axis: int, inertia: float) -> None:
+        """Back to where it stood, gently."""
+        self._inertia[axis] = inertia
+        self._centre({axis}, lowest=3.0)
+        self._play(None, round(CATCH_S / self.plan.cycle_s))
 
     def _centre(self, excited: set[int], *, lowest: float, path: bool = False) -> None:
         """Excited axes in torque mode around their place, the others held as configured."""
@@ -443,6 +473,7 @@ class Sweep:
         share = self.config.safety.test_amplitude
         self._phase, self._now = "trying the amplitude", experiment
         self._centre(set(experiment.excited), lowest=self._lowest([experiment]))
+        self._watching.standing.slowest(self._lowest([experiment]))
         self._try_share(experiment, share, TRIAL_PERIOD_S)
         self._try_share(experiment, min(float(np.sqrt(share)), NEAR_LIMIT) * self._scale, CLIMB_S)
 
@@ -458,16 +489,25 @@ class Sweep:
         body = self._play(rows[fade:-fade], cycles - 2 * fade, log=True)
         self._watching.excited = set()
         self._watching.learn_standing(excited)
-        kept = [np.concatenate(parts) for parts in zip(opening, body, strict=True)]
+        position, time, fresh = (
+            np.concatenate(parts)
+            for parts in (
+                (opening.position, body.position),
+                (opening.time, body.time),
+                (opening.fresh, body.fresh),
+            )
+        )
         self._play(rows[-fade:], fade)
         self._play(None, round(self.plan.rest_s / cycle))
         for i in sorted(excited):
             limits = self.config.axes[i].limits
-            motion = kept[2][:, i] - self._origin[i]
-            travel = float(np.abs(motion).max()) / share
+            came = fresh[:, i]
+            motion, instants = position[came, i] - self._origin[i], time[came]
+            travel = float(np.abs(motion).max(initial=0.0)) / share
             step = max(1, round(0.004 / cycle))
             moved = np.abs(motion[step:] - motion[:-step]) - self.cell.resolution[i]
-            velocity = float(moved.max(initial=0.0)) / (step * cycle) / share
+            # over the time it took: a skipped slot would pass for a leap
+            velocity = float((moved / (instants[step:] - instants[:-step])).max(initial=0.0)) / share
             for what, value, limit in (
                 ("travel", travel, limits.position),
                 ("velocity", velocity, limits.velocity),
@@ -508,6 +548,7 @@ class Sweep:
             gains[f.axis] = f.gains.stiffness
         self.sink.begin(experiment, gains, self._scale)
         self._must_move = set() if path else excited
+        self._watching.standing.slowest(self._lowest([experiment]))
         try:
             self._play(
                 experiment.torque,

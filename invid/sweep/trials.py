@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from invid.arrays import Float64
+from invid.arrays import Bool, Float64
 from invid.errors import SafetyStop
 
 EDGE_S = 0.03
@@ -17,6 +17,16 @@ DECISIVE = 5.0
 """Standard deviations: a wrong verdict once in three million trials."""
 LAGS = (0, 1, 2, 3)
 """Cycles by which the drive may delay the torque; a later one is looked for in the measured torque."""
+OPPOSITE = -0.2
+"""Measured torque per demanded torque below which the two have opposite signs. A drive that obeys shows 1,
+one with a wrong sign -1, one that shows nothing 0; the noise of 0x6077 (0.5 % of rated on 20 samples at 1 %
+of rated) is 0.1. A wrong sign must show twice."""
+SIDE_ROWS = 4
+"""Samples that an edge needs on each side: a cubic and a bend have five coefficients."""
+PAUSE = 1.5
+"""A step of time above one and a half cycles is a skipped slot."""
+LEAST_EDGES = 2
+"""A doublet has four edges; with punctual samples around fewer than two, it says nothing of the sign."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +43,20 @@ class Response:
     """Its standard deviation; infinite where the edges were too short to tell."""
     torque_slope: float
     """Measured torque per demanded torque; NaN where too small to tell."""
+    edges: int = 0
+    """Edges of torque that were judged: enough samples came around them, and no slot was skipped there."""
+    late_edges: int = 0
+    """Edges that were not, because the computer or an answer was late."""
+
+    @property
+    def opposed(self) -> bool:
+        """Whether the measured torque has the opposite sign of the commanded one."""
+        return self.torque_slope < OPPOSITE
+
+    @property
+    def late(self) -> bool:
+        """Whether the computer or the answers were too late for a verdict on this doublet."""
+        return self.late_edges > 0 and self.edges < LEAST_EDGES
 
 
 def sign_score(found: Sequence[Response]) -> float:
@@ -46,7 +70,14 @@ def sign_score(found: Sequence[Response]) -> float:
 
 
 def response(
-    time: Float64, demand: Float64, torque: Float64, position: Float64, *, count: float, rated: float
+    time: Float64,
+    demand: Float64,
+    torque: Float64,
+    position: Float64,
+    *,
+    count: float,
+    rated: float,
+    fresh: Bool | None = None,
 ) -> Response:
     """Judge a doublet by what its edges did.
 
@@ -62,63 +93,105 @@ def response(
         (n,) demanded torque and measured torque around their values at rest, position from the start.
     count
         Position of one encoder count: the least that the path is uncertain by.
+    fresh
+        (n,) whether a row's torque and position came with its SYNC; only those are believed.
     """
-    power = float(demand @ demand)
-    late, follow = _lateness(demand, torque) if power > 0 else (0, float("nan"))
+    came = np.ones(demand.size, dtype=bool) if fresh is None else fresh
+    late, follow = _lateness(demand, torque, came)
     amplitude = float(np.abs(demand).max(initial=0.0))
     # 0x6077 steps in thousandths and carries noise of several: below 1 % of rated the slope says nothing
     if amplitude < 0.01 * rated:
         late, follow = 0, float("nan")
-    displacement = float(np.abs(position).max(initial=0.0))
+    displacement = float(np.abs(position[came]).max(initial=0.0))
     acting = time[demand != 0]
     length = float(acting[-1] - acting[0]) if acting.size > 1 else 0.0
-    mobility, std = _edges(time, demand, position, count, late)
+    mobility, std, edges, missed = _edges(time, demand, position, came, count, late)
     return Response(
         inertia=amplitude * length**2 / (16 * displacement) if displacement > 0 else float("inf"),
         displacement=displacement,
         mobility=mobility,
         mobility_std=std,
         torque_slope=follow,
+        edges=edges,
+        late_edges=missed,
     )
 
 
-def _lateness(demand: Float64, torque: Float64) -> tuple[int, float]:
-    """Cycles by which 0x6077 follows the demand, and its slope there.
+def _lateness(demand: Float64, torque: Float64, came: Bool) -> tuple[int, float]:
+    """Cycles by which 0x6077 follows the demand, and its slope there; NaN where no sample came.
 
     All lags compete: the side lobes of a doublet have the other sign and half the height, so among the first
     few lags alone an answer that comes late would look like a wrong sign.
     """
-    power = float(demand @ demand)
-    slopes = [float(demand[: demand.size - k] @ torque[k:]) / power for k in range(max(1, demand.size // 2))]
+    seen = np.where(came, torque, 0.0)
+    slopes = []
+    for k in range(max(1, demand.size // 2)):
+        asked = np.where(came[k:], demand[: demand.size - k], 0.0)
+        power = float(asked @ asked)
+        slopes.append(float(asked @ seen[k:]) / power if power > 0 else 0.0)
     late = int(np.argmax(np.abs(slopes)))
-    return late, slopes[late]
+    return late, slopes[late] if slopes[late] != 0 else float("nan")
 
 
-def _edges(time: Float64, demand: Float64, position: Float64, count: float, late: int) -> tuple[float, float]:
-    """Common Δacceleration/Δtorque over all edges and its standard deviation, for the likeliest lag."""
+def _windows(
+    time: Float64, demand: Float64, came: Bool, latest: int
+) -> tuple[list[tuple[int, int, int]], int]:
+    """(edge, first row, rows) of every edge with punctual samples around it; how many have none.
+
+    Rows are counted without the lag, of which ``latest`` is the largest that will be tried: an edge counts
+    for all lags or for none, so that their residuals compare.
+    """
     edges = np.flatnonzero(np.diff(demand) != 0) + 1
-    step = float(np.median(np.diff(time)))
+    if not edges.size:
+        return [], 0
+    steps = np.diff(time)
+    step = float(np.median(steps))
     span = max(5, round(EDGE_S / step))
-    if edges.size > 1:
-        span = min(span, int(np.diff(edges).min()))
+    ends = [0, *edges.tolist(), demand.size + latest]
+    usable, late = [], 0
+    for k, edge in enumerate(edges.tolist(), start=1):
+        before = min(span, edge - ends[k - 1])
+        after = min(span, ends[k + 1] - edge, demand.size - 1 - edge - latest)
+        if min(before, after) < SIDE_ROWS:
+            continue  # the doublet is too short, nobody was late
+        first, last = edge - before, edge + latest + after
+        enough = min(came[first:edge].sum(), came[edge + latest + 1 : last + 1].sum()) >= SIDE_ROWS
+        # torque acts from the SYNC after it was sent: where that one was late, so was the bend
+        prompt = steps[edge - 1 : edge + latest].max(initial=0.0) <= PAUSE * step
+        if enough and prompt and time[last] - time[first] <= PAUSE * step * (last - first):
+            usable.append((edge, first, before + after + 1))
+        else:
+            late += 1
+    return usable, late
+
+
+def _edges(
+    time: Float64, demand: Float64, position: Float64, came: Bool, count: float, late: int
+) -> tuple[float, float, int, int]:
+    """Common Δacceleration/Δtorque over all edges and its standard deviation, for the likeliest lag.
+
+    Then how many edges were judged, and at how many somebody was late.
+    """
+    lags = (*LAGS, *(late + k for k in (-2, -1, 0, 1) if late + k > max(LAGS)))
+    windows, missed = _windows(time, demand, came, max(lags))
     best, best_rest = (0.0, np.inf), np.inf
-    for lag in (*LAGS, *(late + k for k in (-2, -1, 0, 1) if late + k > max(LAGS))):
+    if not windows:
+        return *best, 0, missed
+    for lag in lags:
         bends, curves = [], []
-        for edge in edges:
-            first, last = edge + lag - span, edge + lag + span + 1
-            if first < 0 or last > position.size or span < 4:
-                continue
-            t = time[first:last] - time[edge + lag]
+        for edge, first, rows in windows:
+            kept = np.flatnonzero(came[first + lag : first + lag + rows]) + first + lag
+            t = time[kept] - time[edge + lag]
             # the torque from row ``edge`` on bends the path from there on
             bend = 0.5 * np.maximum(t, 0.0) ** 2 * (demand[edge] - demand[edge - 1])
-            basis, _ = np.linalg.qr(np.vander(t / (span * step), 4))
-            window = position[first:last]
+            basis, _ = np.linalg.qr(np.vander(t / np.abs(t).max(), 4))
+            window = position[kept]
             bends.append(bend - basis @ (basis.T @ bend))
             curves.append(window - basis @ (basis.T @ window))
-        if not bends:
-            continue
         x, y = np.concatenate(bends), np.concatenate(curves)
         power = float(x @ x)
+        if power <= 0:
+            continue
         slope = float(x @ y) / power
         rest = y - slope * x
         squares = float(rest @ rest)
@@ -127,12 +200,24 @@ def _edges(time: Float64, demand: Float64, position: Float64, count: float, late
         variance = max(squares / freedom, count**2 / 12)
         if squares < best_rest:
             best_rest, best = squares, (slope, float(np.sqrt(variance / power)))
-    return best
+    return *best, len(windows), missed
+
+
+def too_late(axis: str, found: Sequence[Response]) -> SafetyStop:
+    """What to say where the samples of the trials were not punctual enough to accuse anything."""
+    late = sum(r.late_edges for r in found)
+    total = late + sum(r.edges for r in found)
+    return SafetyStop(
+        f"axis {axis}: could not tell whether torque and encoder agree in sign: at {late} of {total} steps "
+        f"of torque in {len(found)} trials this computer or an answer was late; nothing was recorded "
+        "yet. Stop other programs on this computer, let it have SCHED_FIFO, or lengthen bus.cycle_s; then "
+        "measure again"
+    )
 
 
 def judge(axis: str, found: Response, score: float, *, amplitude: float, unit: str, torque_unit: str) -> None:
     """SafetyStop where a sign is wrong."""
-    if found.torque_slope < -0.2:
+    if found.opposed:
         raise SafetyStop(
             f"axis {axis}: the measured torque (0x6077) has the opposite sign of the commanded one (0x6071) "
             f"in a trial at {amplitude:.3g} {torque_unit}; the drive's torque signs disagree: correct its "

@@ -1,11 +1,14 @@
 """Encoders that stand still: which stands are a fault and which are not."""
 
+from collections.abc import Iterable
+
+import numpy as np
 import pytest
 from test_sweep import CYCLE, RigidCell, after, config, run
 
 from invid.errors import SafetyStop
 from invid.sweep import Sample
-from invid.sweep.standing import LIFE_CHANGES, STUCK_S, Standing
+from invid.sweep.standing import LIFE_CHANGES, STUCK_PERIODS, STUCK_S, Standing
 from invid.sweep.watch import AxisLimits, Watch
 
 
@@ -43,34 +46,86 @@ def sample(position: float, *, fresh: bool = True, slot: int = 0) -> Sample:
     return Sample(slot, slot * CYCLE, [position], [0.0], [0x0227], [fresh], [])
 
 
-def test_an_axis_may_stand_three_times_as_long_as_it_stood_in_the_trial() -> None:
+def show(standing: Standing, places: Iterable[float], *, first: int = 0, fresh: bool = True) -> int:
+    """One place after another in consecutive slots; the slot after the last."""
+    slot = first
+    for place in places:
+        standing.check(sample(place, fresh=fresh, slot=slot))
+        slot += 1
+    return slot
+
+
+def excited_and_learned() -> tuple[Standing, int]:
+    """An axis that friction held for 0.1 s at each of five places in the trial, then moved; the next slot."""
     standing = Standing(["A1"], CYCLE)
     standing.excited = {0}
-    for move in range(5):
-        for _ in range(50):  # 0.1 s at each place: friction holds it
-            standing.check(sample(move))
+    slot = show(standing, [float(k // 51) for k in range(5 * 51)])
     standing.learn({0})
-    for _ in range(148):  # the first is the change, then three times the 49 repetitions
-        standing.check(sample(9.0))
+    return standing, show(standing, [9.0], first=slot)
+
+
+def test_an_axis_may_stand_three_times_as_long_as_it_stood_in_the_trial() -> None:
+    standing, slot = excited_and_learned()
+    slot = show(standing, [9.0] * 149, first=slot)
     with pytest.raises(SafetyStop, match="shown one value"):
-        standing.check(sample(9.0))
+        show(standing, [9.0] * 3, first=slot)
+
+
+@pytest.mark.parametrize("lowest_hz", [0.3, 1.0])
+def test_an_axis_may_stand_a_quarter_period_of_its_slowest_line_whatever_it_did_in_the_trial(
+    lowest_hz: float,
+) -> None:
+    standing = Standing(["A1"], CYCLE)
+    standing.excited = {0}
+    slot = show(standing, map(float, range(500)))  # never stood
+    standing.learn({0})
+    standing.slowest(lowest_hz)
+    slot = show(standing, [0.5] * round(0.249 / lowest_hz / CYCLE), first=slot)
+    with pytest.raises(SafetyStop, match="shown one value"):
+        show(standing, [0.5] * round(0.02 / lowest_hz / CYCLE), first=slot)
+
+
+def stuck_mass(friction: float, hz: float) -> float:
+    """Longest stand [s] of a mass under a sinusoidal torque of 1 with Coulomb friction, integrated."""
+    dt, x, v, still, longest = 1e-5, 0.0, 0.0, 0.0, 0.0
+    for k in range(round(6 / hz / dt)):
+        torque = np.sin(2 * np.pi * hz * k * dt)
+        if v == 0.0 and abs(torque) <= friction:
+            still += dt
+            longest = max(longest, still if k * dt > 3 / hz else 0.0)
+            continue
+        still = 0.0
+        before = v
+        v += dt * (torque - friction * np.sign(v if v != 0.0 else torque))
+        if before * v < 0.0:
+            v = 0.0
+        x += v * dt
+    return longest
+
+
+def test_friction_of_0_87_of_the_torque_holds_a_mass_for_a_quarter_period() -> None:
+    assert stuck_mass(0.87, 4.0) == pytest.approx(STUCK_PERIODS / 4.0, rel=0.03)
 
 
 def test_samples_that_do_not_come_are_no_stand() -> None:
     standing = Standing(["A1"], CYCLE)
     standing.excited = {0}
-    for _ in range(2 * round(STUCK_S / CYCLE)):
-        standing.check(sample(1.0, fresh=False))
+    show(standing, [1.0] * 2 * round(STUCK_S / CYCLE), fresh=False)
+
+
+def test_what_lies_beside_a_skipped_slot_is_no_stand() -> None:
+    """A computer that is held up again and again sees one value twice, with a pause in between."""
+    standing, _ = excited_and_learned()
+    for k in range(2 * round(STUCK_S / CYCLE)):
+        standing.check(sample(9.0, slot=1000 + 40 * k))
 
 
 def test_an_encoder_that_changed_too_rarely_is_not_expected_to_go_on() -> None:
     standing = Standing(["A1"], CYCLE)
     standing.expect_life({0}, 1000)
-    for k in range(1000):
-        standing.check(sample(k // 20))  # fifty changes
+    slot = show(standing, [float(k // 20) for k in range(1000)])  # fifty changes
     assert LIFE_CHANGES > 50
-    for _ in range(5000):
-        standing.check(sample(0.5))
+    show(standing, [0.5] * 5000, first=slot)
 
 
 def test_a_gap_in_the_samples_is_no_leap_of_the_velocity() -> None:
