@@ -47,6 +47,8 @@ SWITCH_S = 0.0001
 """After this long the thread that sends must give the interpreter's lock back to the cycle."""
 _PR_SET_PDEATHSIG = 1
 _MCL_CURRENT_AND_FUTURE = 3
+STOP_S = 10.0
+"""Longest way of the cycle process to its end when its parent leaves: fade, quick stop, restoring objects."""
 RELAY_POLL_S = 0.05
 POST_S = 0.05
 """Rows leave the cycle process this often: what a sudden death of it may cost."""
@@ -204,7 +206,9 @@ def child_main(fd: int) -> None:
     except Exception as error:  # the parent must hear of it: its exit status depends on it
         outbox.put(("error", "RuntimeError", f"{type(error).__name__}: {error}"))
     outbox.put(None)
-    sender.join(timeout=10.0)
+    # The drives are off. However far behind the parent is, every sample reaches it; once it has gone,
+    # sending fails and this ends.
+    sender.join()
 
 
 def measure_in_process(
@@ -258,7 +262,7 @@ def measure_in_process(
         # Closing the socket stops the child if it still runs; then the file.
         connection.close()
         try:
-            child.wait(timeout=10.0)
+            child.wait(timeout=STOP_S)
         except subprocess.TimeoutExpired:
             child.kill()
             child.wait()

@@ -7,6 +7,7 @@ Raw ``struct`` in the cycle; SDO, maps and states before and after it. Whoever e
 from __future__ import annotations
 
 import contextlib
+import math
 import struct
 from collections.abc import Callable, Sequence
 
@@ -36,6 +37,8 @@ UNCERTAIN_CYCLES = 0.2
 """Where reading the clock and sending SYNC took longer, the system paused this process in between: nobody
 knows when SYNC was on the wire, and the positions of that cycle count as not received. At 3 rad/s a fifth
 of a millisecond is 0.6 mrad."""
+CLOSEST_CYCLES = 0.5
+"""Two SYNCs are never closer: a drive that samples at SYNC may miss one that comes in half its cycle."""
 LOADED_RUNAWAYS = 5
 """A gravity-loaded axis without brake is cut off only after five samples in a row of growing speed."""
 ALONE_CYCLES = 3
@@ -77,6 +80,7 @@ class Cia402Cell:
             position=[0.0] * count, torque=[0.0] * count, status=[0] * count, fresh=[False] * count
         )
         self._started = 0.0
+        self._sent = -math.inf
         self._slot = -1
         self._owed = [0] * count
         self._alone = [0] * count
@@ -242,12 +246,10 @@ class Cia402Cell:
                 )
             )
         self._drain()
-        slot, instant = self._wait_for_slot()
-        self._drain()
-        instant = max(instant, clock.now())
-        deadline = self._started + slot * self._cycle
+        slot, deadline, instant = self._wait_for_slot()
         put(self._sync)
-        certain = clock.now() - instant < UNCERTAIN_CYCLES * self._cycle
+        self._sent = clock.now()
+        certain = self._sent - instant < UNCERTAIN_CYCLES * self._cycle
         self._slot = slot
         self.jitter.add(instant - deadline)
         sample.slot, sample.time = slot, instant
@@ -312,25 +314,29 @@ class Cia402Cell:
                     fresh[i] = False
                 owed[i] = missing
 
-    def _wait_for_slot(self) -> tuple[int, float]:
-        """Number and instant of the next SYNC, at its slot or at most half a cycle late.
+    def _wait_for_slot(self) -> tuple[int, float, float]:
+        """Number, deadline and instant of the next SYNC, at its slot or at most half a cycle late.
 
         Whoever is later, because the targets took long or because the system woke this process late, goes
-        on to the next slot still ahead: two SYNCs are never closer than half a cycle, and a pause is never
-        made up for by a burst.
+        on to the next slot still ahead: a pause is never made up for by a burst. Nor is one in the middle of
+        sending SYNC, after which the frame may have left at any moment until ``_sent``: a slot less than half
+        a cycle after that is skipped. So two SYNCs are never closer than half a cycle.
         """
         clock, cycle = self.clock, self._cycle
         slot = self._slot + 1
-        instant = clock.now()
         while True:
             deadline = self._started + slot * cycle
-            if instant <= deadline:
-                clock.sleep_until(deadline)
+            if deadline - self._sent >= CLOSEST_CYCLES * cycle:
+                if clock.now() <= deadline:
+                    clock.sleep_until(deadline)
+                self._drain()  # it may have taken its time: only now is it known how late SYNC is
                 instant = clock.now()
-            if instant <= deadline + 0.5 * cycle:
-                return slot, instant
-            self.jitter.add(instant - deadline)
-            ahead = int((instant - self._started) / cycle) + 1
+                if instant <= deadline + CLOSEST_CYCLES * cycle:
+                    return slot, deadline, instant
+                self.jitter.add(instant - deadline)
+            else:
+                instant = self._sent
+            ahead = max(int((instant - self._started) / cycle), slot) + 1
             self.skipped_slots += ahead - slot
             slot = ahead
 
