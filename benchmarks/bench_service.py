@@ -33,12 +33,16 @@ import yaml
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "system"))
 from service_process import SMALL_CELL, serving
 
-from invid.compare import Status, compare
+from invid.compare import Comparison, Status, compare
 from invid.model import Model, model_from_json, model_to_json, parameter_vector
 
 CLIENTS = 20
 RATE = 200.0
 HISTORY = 40
+EVERY = 2
+"""Of the starts, those that are tried with a change too."""
+SIDES = ((1, 1), (2, 1), (5, 1), (8, 1), (5, 3), (8, 4))
+"""Runs that the old and the new side may be the mean of."""
 STATES = ("queued", "checking", "running", "running", "analysing", "awaiting_accept")
 
 
@@ -174,13 +178,16 @@ def measured(seed: int, folder: Path) -> Model:
     return load_model(kept)
 
 
-def verdict(old: Model, new: Model, history: list[Model]) -> tuple[set[str], set[str]]:
-    """Names called changed, and names of which one or another changed."""
-    result = compare(old, new, history=history)
+def verdict(
+    old: Model, new: list[Model], earlier: list[Model], before: list[Model]
+) -> tuple[set[str], set[str], Comparison]:
+    """Names called changed, and names of which one or another changed; as the service asks."""
+    result = compare(old, new[-1], history=[*earlier, *new], before=before, after=new[:-1])
     everything = result.parameters + result.effects
     return (
         {c.name for c in everything if c.status is Status.CHANGED},
         {c.name for c in everything if c.rivals},
+        result,
     )
 
 
@@ -203,38 +210,68 @@ def changes(starts: int, keep: Path | None) -> bool:
     values = np.array([parameter_vector(m.chains)[1] for m in models])
     repetition = values.std(axis=0, ddof=1)
     fitted = np.sqrt(np.mean([np.diag(m.covariance) for m in models if m.covariance is not None], axis=0))
-    alarms: list[int] = []
-    exact = dict.fromkeys(names, 0)
-    found = dict.fromkeys(names, 0)
-    wrong = 0
-    for k in range(1, len(models)):
-        history = models[max(0, k - HISTORY) : k]  # as the service has it before this run
-        named, either = verdict(models[k - 1], models[k], [*history, models[k]])
-        alarms += [k] if named or either else []
+    covariance = np.mean([m.covariance for m in models if m.covariance is not None], axis=0)
+    sharp = 1 / np.sqrt(np.diag(np.linalg.inv(covariance))) / np.sqrt(np.diag(covariance))
+    print(
+        f"changes: scatter of {len(models)} runs over what their fits say: "
+        f"{np.array2string(repetition / fitted, precision=2)}"
+    )
+    print(
+        "| baseline runs | new runs | starts | false alarms | averaged |", *(f" {n} |" for n in names), sep=""
+    )
+    print("| --- | --- | --- | --- | --- |", " --- |" * len(names), sep="")
+    kept = True
+    for baseline, fresh in SIDES:
+        alarms, found, exact, wrong, mean, seen = power(models, names, repetition, baseline, fresh)
+        starts, tried = len(models) - baseline - fresh + 1, len(seen)
+        kept = kept and alarms <= 0.02 * starts
+        cells = (
+            f" {100 * found[n] / tried:.0f} % ({100 * exact[n] / tried:.0f} %), 90 % from "
+            f"{np.median([s[j] for s in seen]) / repetition[j]:.1f} |"
+            for j, n in enumerate(names)
+        )
+        print(
+            f"| {baseline} | {fresh} | {starts} | {alarms} ({100 * alarms / starts:.1f} %) | {mean:.1f} |",
+            *cells,
+            sep="",
+        )
+        print(f"another one called changed: {wrong} of {tried * len(names)}", file=sys.stderr)
+    print(
+        "one parameter changed by 3 deviations of repetition: found (named alone); the size in deviations of"
+    )
+    print("repetition from which the answer itself says that it would be found in 90 %")
+    print("| parameter | repetition | alone it is known to |")
+    print("| --- | --- | --- |")
+    for j, parameter in enumerate(names):
+        relative = 100 * repetition[j] / abs(values[:, j].mean())
+        print(f"| {parameter} | {relative:.3f} % | {sharp[j]:.2f} std |")
+    return kept
+
+
+def power(
+    models: list[Model], names: tuple[str, ...], repetition: Any, baseline: int, fresh: int
+) -> tuple[int, dict[str, int], dict[str, int], int, float, list[list[float]]]:
+    """One row: alarms without a change, then found and named with each parameter changed."""
+    alarms, wrong = 0, 0
+    exact, found = dict.fromkeys(names, 0), dict.fromkeys(names, 0)
+    averaged: list[int] = []
+    seen: list[list[float]] = []
+    for k in range(baseline, len(models) - fresh + 1):
+        earlier, new = models[max(0, k - HISTORY) : k], models[k : k + fresh]
+        before = models[k - baseline : k - 1]
+        named, either, result = verdict(models[k - 1], new, earlier, before)
+        alarms += bool(named or either)
+        averaged.append(result.runs[0])
+        if (k - baseline) % EVERY:
+            continue
+        seen.append([(c.detectable or np.nan) * c.scale for c in result.parameters])
         for j, parameter in enumerate(names):
-            other = shifted(models[k], parameter, 3.0 * float(repetition[j]))
-            named, either = verdict(models[k - 1], other, [*history, other])
+            moved = [shifted(m, parameter, 3.0 * float(repetition[j])) for m in new]
+            named, either, _ = verdict(models[k - 1], moved, earlier, before)
             exact[parameter] += named == {parameter}
             found[parameter] += parameter in named | either
             wrong += bool(named - {parameter})
-    print(
-        f"changes: {len(alarms)} of {starts} starts on the unchanged cell said that something changed "
-        f"({100 * len(alarms) / starts:.1f} %; promised at most 2 %); scatter of {len(models)} runs over "
-        f"what their fits say: {np.array2string(repetition / fitted, precision=2)}"
-    )
-    print("one parameter changed by 3 standard deviations of repetition:")
-    print("| parameter | repetition | found | named alone | alone it is known to |")
-    print("| --- | --- | --- | --- | --- |")
-    covariance = np.mean([m.covariance for m in models if m.covariance is not None], axis=0)
-    sharp = 1 / np.sqrt(np.diag(np.linalg.inv(covariance))) / np.sqrt(np.diag(covariance))
-    for j, parameter in enumerate(names):
-        relative = 100 * repetition[j] / abs(values[:, j].mean())
-        print(
-            f"| {parameter} | {relative:.3f} % | {100 * found[parameter] / starts:.1f} % | "
-            f"{100 * exact[parameter] / starts:.1f} % | {sharp[j]:.2f} std |"
-        )
-    print(f"another parameter was called changed in {100 * wrong / (starts * len(names)):.2f} % of them")
-    return len(alarms) <= 0.02 * starts
+    return alarms, found, exact, wrong, float(np.mean(averaged)), seen
 
 
 def main() -> int:

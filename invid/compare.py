@@ -23,7 +23,9 @@ from invid.compare_joint import (
     Selection,
     Whitened,
     covariance_of,
+    detectable,
     joint_p,
+    scatter_of,
     select,
 )
 from invid.compare_joint import (
@@ -32,6 +34,7 @@ from invid.compare_joint import (
 from invid.compare_pairs import effects as paired_effects
 from invid.compare_pairs import linear_parameters
 from invid.compare_pairs import structure as structure_of
+from invid.compare_pooled import foretold, pooled, together
 from invid.compare_words import percent, sentences
 from invid.distributions import normal_isf
 from invid.errors import InputError
@@ -56,6 +59,8 @@ def compare(
     alpha: float = ALPHA,
     repeatability: float = 0.0,
     history: Sequence[Model] | None = None,
+    before: Sequence[Model] = (),
+    after: Sequence[Model] = (),
 ) -> Comparison:
     """Compare two models of one robot.
 
@@ -71,6 +76,9 @@ def compare(
     history
         Models of this cell, oldest first (the two among them or not), whose scatter from run to run says
         by how much the fits' covariances are too small; ``None`` where there is no history to ask.
+    before, after
+        Earlier models of the state that ``old`` and ``new`` stand for, oldest first: those that agree with
+        it (``compare_pooled.together``) are averaged with it, which makes smaller changes detectable.
 
     Raises
     ------
@@ -99,12 +107,14 @@ def compare(
         warnings.append(f"the models name different robots: {old.robot!r} and {new.robot!r}")
     scatter = Repeatability()
     if history is not None:
-        scatter = measured_repeatability(history, spanning=(old, new))
+        scatter = _scatter(history, old, new, averaged=bool(before or after))
         if scatter.pairs < MINIMUM_PAIRS:
             warnings.append(
                 f"repeatability of this cell is not known yet ({scatter.pairs} earlier pair(s) of runs, "
                 f"{MINIMUM_PAIRS} needed): the test rests on the covariance of the two fits alone"
             )
+    sides = together(old, before, scatter.factor), together(new, after, scatter.factor)
+    old, new = pooled(sides[0]), pooled(sides[1])
     parameters = linear_parameters(old, new, common, repeatability)
     effects, came_and_went = paired_effects(old, new, common, repeatability)
     both = [*parameters, *effects]
@@ -122,8 +132,10 @@ def compare(
             )
         selection = select(white, (1 - _JOINT_SHARE) * alpha, scatter.dof)
         p_all, dof = joint_p(white, scatter.dof), len(known)
-        for k, change in zip(tested, _judge(known, white, selection, tolerance, alpha), strict=True):
-            judged[k] = change
+        seen = detectable(white, (1 - _JOINT_SHARE) * alpha, scatter.dof)
+        verdicts = _judge(known, white, selection, tolerance, alpha)
+        for k, change, size in zip(tested, verdicts, seen, strict=True):
+            judged[k] = replace(change, detectable=float(size) / change.scale if change.scale > 0 else None)
     comparison = Comparison(
         old.robot,
         new.robot,
@@ -137,8 +149,21 @@ def compare(
         tuple(warnings),
         tuple(structure_of(old, new, common) + came_and_went),
         scatter,
+        (len(sides[0]), len(sides[1])),
     )
     return replace(comparison, sentences=sentences(comparison, joint_alpha=_JOINT_SHARE * alpha))
+
+
+def _scatter(history: Sequence[Model], old: Model, new: Model, *, averaged: bool) -> Repeatability:
+    """How much more the cell varies than its fits say, from run to run and, where a mean of runs is what
+    is compared, from such a mean to the next run: a slow drift shows only there."""
+    found = measured_repeatability(history, spanning=(old, new))
+    past = list(history)
+    if averaged and old in past:
+        drift = scatter_of(foretold(past[: past.index(old) + 1], found.factor))
+        if drift.pairs >= MINIMUM_PAIRS and drift.factor > found.factor:
+            return drift
+    return found
 
 
 def _covariance(old: Model, new: Model, changes: Sequence[Change], repeatability: float) -> Float64:

@@ -26,6 +26,7 @@ class Change:
     held equal, which is better known than the plain difference of two correlated estimates.
     ``bound`` is the largest relative change that the data still allow (a fraction of ``scale``);
     ``scale`` is |old|, or for couplings the geometric mean of the final masses they join.
+    ``detectable`` is the relative change in this parameter alone that would have been found with 90 %.
     ``rivals`` are the names of parameters of which this one, or they, changed.
     """
 
@@ -44,6 +45,7 @@ class Change:
     p_adjusted: float | None = None
     scale: float = 0.0
     bound: float | None = None
+    detectable: float | None = None
     final: bool = False
     rivals: tuple[str, ...] = ()
 
@@ -68,6 +70,7 @@ class Change:
             "p": self.p_value,
             "p_adjusted": self.p_adjusted,
             "within_percent": None if self.bound is None else 100.0 * self.bound,
+            "detectable_percent": None if self.detectable is None else 100.0 * self.detectable,
         }
 
 
@@ -75,7 +78,8 @@ class Change:
 class Repeatability:
     """How much more a cell varies from run to run than the fits' covariances say.
 
-    ``factor`` is at least 1 and multiplies every standard deviation; ``pairs`` of runs are behind it,
+    ``factor`` multiplies every standard deviation (below 1 where the runs agree better than their fits say,
+    and there are enough of them to say so); ``pairs`` of runs are behind it,
     with ``dof`` effective degrees of freedom (infinite where the factor is assumed, not measured).
     """
 
@@ -101,6 +105,8 @@ class Comparison:
     structure: tuple[str, ...] = field(default=())
     """What differs in structure: axes, numbers of masses, effects that came or went."""
     repeatability: Repeatability = field(default=Repeatability())
+    runs: tuple[int, int] = (1, 1)
+    """How many models the old and the new side are the mean of."""
 
     @property
     def told(self) -> bool:
@@ -121,6 +127,7 @@ class Comparison:
             "effects": [c.to_json() for c in self.effects],
             "joint": {"p": self.joint_p, "dof": self.joint_dof},
             "repeatability": {"factor": self.repeatability.factor, "pairs": self.repeatability.pairs},
+            "runs": {"old": self.runs[0], "new": self.runs[1]},
             "structure": list(self.structure),
             "sentences": list(self.sentences),
             "warnings": list(self.warnings),

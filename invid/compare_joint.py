@@ -30,7 +30,14 @@ _FLOOR = 1e-9
 """Smallest eigenvalue of a correlation matrix: below it a direction is rounding, not information."""
 _NEGATIVE = 1e-6
 """An eigenvalue further below zero than rounding explains: the matrix is no covariance."""
+POWER = 0.9
+"""Chance with which a change is found that is called detectable."""
 MINIMUM_PAIRS = 2
+_DECIDES = 1e-3
+"""Where a threshold of the test lies (two-sided, a few parameters, 1 %): a cell that repeats better than its
+fits say is believed once that, with what its few runs leave open, makes the test sharper there."""
+_LEAST_FACTOR = 0.5
+"""A guess: fits that claim more than twice the scatter are not believed to be that wrong."""
 _SPANNING_PAIRS = 3
 """Pairs needed before one that may hold the change itself is let into the median."""
 
@@ -128,6 +135,10 @@ class Whitened:
         z[list(chosen)] = 0.0
         return z
 
+    def sharpest(self) -> Float64:
+        """(n,) standard deviation of each change with everything else unchanged."""
+        return np.asarray(self.std / np.linalg.norm(self.columns, axis=0), dtype=float)
+
     def sizes(self, chosen: Sequence[int]) -> tuple[Float64, Float64]:
         """Changes of ``chosen`` with everything else unchanged, and their standard deviations."""
         basis = self.columns[:, list(chosen)]
@@ -164,6 +175,19 @@ def two_sided(z: float, dof: float) -> float:
     """Chance of a larger |z| (normal), or of a larger |t| where the scale itself was estimated."""
     tail = special.ndtr(-abs(z)) if math.isinf(dof) else special.stdtr(dof, -abs(z))
     return 2.0 * float(tail)
+
+
+def detectable(white: Whitened, alpha: float, dof: float) -> Float64:
+    """(n,) size of a change in one parameter alone that ``select`` would find in 90 of 100 times."""
+    share = alpha / (2 * white.data.size)
+    threshold = normal_isf(share) if math.isinf(dof) else _t_isf(share, dof)
+    result: Float64 = (threshold + normal_isf(1 - POWER)) * white.sharpest()
+    return result
+
+
+def _t_isf(p: float, dof: float) -> float:
+    """t that is exceeded with probability ``p``."""
+    return -float(special.stdtrit(dof, p))
 
 
 def select(white: Whitened, alpha: float, dof: float) -> Selection:
@@ -225,19 +249,34 @@ def repeatability(history: Sequence[Model], *, spanning: tuple[Model, Model] | N
         if found is not None:
             (between if inside else outside).append(found)
     used = outside + between if len(outside) + len(between) >= _SPANNING_PAIRS else outside
-    if len(used) < MINIMUM_PAIRS:
-        return Repeatability(pairs=len(used))
+    return scatter_of(used, low=bool(between))
+
+
+def scatter_of(misfits: Sequence[tuple[float, int]], *, low: bool = False) -> Repeatability:
+    """λ from χ² and degrees of freedom of pairs; ``low``: the lower of two middle ones is the median."""
+    if len(misfits) < MINIMUM_PAIRS:
+        return Repeatability(pairs=len(misfits))
     # χ² over its own median, not its mean: unbiased also for few parameters.
-    ratios = sorted(chi2 / chi2_isf(0.5, count) for chi2, count in used)
-    factor = math.sqrt(ratios[(len(ratios) - 1) // 2] if between else float(np.median(ratios)))
-    if factor <= 1.0:
-        return Repeatability(1.0, len(used))
+    ratios = sorted(chi2 / chi2_isf(0.5, count) for chi2, count in misfits)
+    factor = math.sqrt(ratios[(len(ratios) - 1) // 2] if low else float(np.median(ratios)))
     # Consecutive pairs share a model, and a median is two thirds as efficient as a mean: half remains.
-    return Repeatability(factor, len(used), max(1.0, 0.5 * sum(count for _, count in used)))
+    dof = max(1.0, 0.5 * sum(count for _, count in misfits))
+    if factor <= 1.0 and factor * _t_isf(_DECIDES, dof) >= normal_isf(_DECIDES):
+        return Repeatability(1.0, len(misfits))
+    return Repeatability(max(factor, _LEAST_FACTOR), len(misfits), dof)
 
 
 def _misfit(old: Model, new: Model) -> tuple[float, int] | None:
     """χ² of two models being the same robot, and its degrees of freedom."""
+    white = difference(old, new)
+    return None if white is None else (white.chi2, white.data.size)
+
+
+def difference(old: Model, new: Model, factor: float = 1.0) -> Whitened | None:
+    """new − old over the linear parameters that both know, its deviations ``factor`` times what the fits say.
+
+    ``None`` where the two have different parameters, or no covariance to judge them by.
+    """
     names_old, was = parameter_vector(old.chains)
     names_new, now = parameter_vector(new.chains)
     if names_old != names_new or old.linear != new.linear:
@@ -247,5 +286,6 @@ def _misfit(old: Model, new: Model) -> tuple[float, int] | None:
     if not keep:
         return None
     names = [names_old[k] for k in keep]
-    white, sound = Whitened.of((now - was)[keep], covariance_of(old, names) + covariance_of(new, names))
-    return (white.chi2, len(keep)) if sound else None
+    covariance = factor**2 * (covariance_of(old, names) + covariance_of(new, names))
+    white, sound = Whitened.of((now - was)[keep], covariance)
+    return white if sound else None

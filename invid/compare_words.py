@@ -55,6 +55,11 @@ def sentences(c: Comparison, *, joint_alpha: float) -> tuple[str, ...]:
         )
     if open_ones:
         said.append(f"Cannot tell for {_listing([x.label for x in open_ones])}: {_reasons(open_ones)}.")
+    means = [
+        f"the {side} values of {n} runs" for side, n in zip(("old", "new"), c.runs, strict=True) if n > 1
+    ]
+    if means:
+        said.append(f"Compared are means: {' and '.join(means)}.")
     return tuple(said)
 
 

@@ -113,7 +113,7 @@ def problem_responses(*statuses: int) -> dict[int | str, dict[str, Any]]:
     }
 
 
-EVERYWHERE = problem_responses(400, 401, 403, 404, 405, 413, 422, 500, 503)
+EVERYWHERE = problem_responses(400, 401, 403, 404, 405, 413, 415, 422, 500, 503)
 """Failures that any request may meet."""
 
 
@@ -129,6 +129,11 @@ def install(app: FastAPI) -> None:
         errors = [
             {"where": ".".join(str(part) for part in e["loc"]), "message": e["msg"]} for e in error.errors()
         ]
+        media = request.headers.get("content-type", "").split(";")[0].strip().lower()
+        # A body of another type reaches us as bytes, and would be said to be no dictionary.
+        if media and not media.endswith("json") and any(e["where"] == "body" for e in errors):
+            detail = f"the body is sent as {media[:80]!r}; send JSON with Content-Type: application/json"
+            return Problem("unsupported-media-type", detail).response(request.url.path)
         first = errors[0] if errors else {"where": "request", "message": "cannot be read"}
         detail = f"{first['where']}: {first['message']}"
         return Problem("invalid-request", detail, errors=errors[:20]).response(request.url.path)

@@ -106,7 +106,7 @@ def test_a_web_site_in_the_technicians_browser_cannot_move_the_robot(tmp_path: P
         plain = client.post(
             START, content='{"mode":"full","arm":true}', headers={"Content-Type": "text/plain"}
         )
-        assert plain.status_code == 422
+        assert plain.status_code == 415
         assert director.workers == []
 
 

@@ -319,6 +319,55 @@ def test_changes_name_the_tool_and_nothing_else(tmp_path: Path) -> None:
         problem(client.get("/api/v1/cells/cell/changes?from=nothing"), 404, "model-not-found")
 
 
+def test_the_default_changes_average_accepted_runs_and_two_named_models_only_where_asked(
+    tmp_path: Path,
+) -> None:
+    director = Director()
+    with running(tmp_path, director) as (client, _):
+        ids = []
+        for scale in (1.0, 1.0, 1.0, 1.2, 1.2):
+            director.model = lambda scale=scale: model_document(scale_mass=scale)  # type: ignore[misc]
+            location = start(client)
+            wait_for(client, location, "awaiting_accept")
+            act(client, location, "accept")
+            ids.append(location.rsplit("/", 1)[1])
+            if len(ids) == 4:
+                changes = client.get("/api/v1/cells/cell/changes").json()
+                assert (changes["from"], changes["to"]) == (ids[2], ids[3])
+                assert changes["averaged"] == {"from": ids[:3], "to": [ids[3]]}
+                assert "means: the old values of 3 runs" in changes["sentence"]
+                assert all(p["detectable_percent"] > 0 for p in changes["parameters"] if p["difference_std"])
+        named = f"/api/v1/cells/cell/changes?from={ids[2]}&to={ids[4]}"
+        assert client.get(named).json()["averaged"] == {"from": [ids[2]], "to": [ids[4]]}
+        both = client.get(f"{named}&averaged=true").json()
+        assert both["averaged"] == {"from": ids[:3], "to": ids[3:]}
+        # Behind the change lies another state: it is not averaged with what came before.
+        assert client.get("/api/v1/cells/cell/changes").json()["averaged"]["from"] == [ids[3]]
+
+
+def test_a_file_that_the_caller_has_already_is_not_sent_again(tmp_path: Path) -> None:
+    with running(tmp_path) as (client, _):
+        location = start(client)
+        wait_for(client, location, "awaiting_accept")
+        first = client.get(f"{location}/model")
+        tag = first.headers["ETag"]
+        again = client.get(f"{location}/model", headers={"If-None-Match": f'"other", W/{tag}'})
+        assert (again.status_code, again.content) == (304, b"")
+        assert again.headers["ETag"] == tag
+        assert client.get(f"{location}/model", headers={"If-None-Match": '"other"'}).content == first.content
+
+
+def test_a_body_that_is_no_json_by_its_type_is_told_what_to_send(tmp_path: Path) -> None:
+    with running(tmp_path) as (client, _):
+        form = {"Content-Type": "application/x-www-form-urlencoded"}
+        answer = client.post(
+            "/api/v1/cells/cell/identifications", content='{"mode": "full", "arm": true}', headers=form
+        )
+        detail = problem(answer, 415, "unsupported-media-type")["detail"]
+        assert "Content-Type: application/json" in detail
+        assert client.get("/api/v1/identifications").json()["identifications"] == []
+
+
 def test_events_resume_after_the_last_one_seen(tmp_path: Path) -> None:
     with running(tmp_path) as (client, _):
         location = start(client)

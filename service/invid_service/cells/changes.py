@@ -7,8 +7,11 @@ from typing import Any
 from invid.compare import Change, Comparison
 
 
-def changes_view(c: Comparison) -> dict[str, Any]:
-    """The body of ``GET /cells/{cell}/changes``, without the names of the two models."""
+def changes_view(c: Comparison, sides: tuple[list[str], list[str]]) -> dict[str, Any]:
+    """The body of ``GET /cells/{cell}/changes``, without the names of the two models.
+
+    ``sides``: the models that the old and the new side are the mean of.
+    """
     return {
         "sentence": " ".join(c.sentences),
         "sentences": list(c.sentences),
@@ -17,6 +20,7 @@ def changes_view(c: Comparison) -> dict[str, Any]:
         "structure": list(c.structure),
         "false_alarm_rate": c.alpha,
         "repeatability": {"factor": c.repeatability.factor, "pairs": c.repeatability.pairs},
+        "averaged": {"from": sides[0], "to": sides[1]},
         "warnings": list(c.warnings),
     }
 
@@ -34,6 +38,7 @@ def _entry(p: Change) -> dict[str, Any]:
         "difference": p.difference,
         "difference_std": p.std,
         "within_percent": None if p.bound is None else 100.0 * p.bound,
+        "detectable_percent": None if p.detectable is None else 100.0 * p.detectable,
         "reason": p.reason or None,
         "rivals": list(p.rivals),
     }

@@ -219,10 +219,13 @@ async def changes(
     _caller: Reader,
     from_model: Annotated[str | None, Query(alias="from", max_length=40, pattern=r"^[A-Za-z0-9-]+$")] = None,
     to_model: Annotated[str | None, Query(alias="to", max_length=40, pattern=r"^[A-Za-z0-9-]+$")] = None,
+    averaged: bool | None = None,
 ) -> dict[str, Any]:
     """For each parameter: changed, unchanged within ±x %, or cannot tell.
 
-    Default: the model in force against the one in force before it.
+    Default: the model in force against the one in force before it, the latter averaged with the accepted
+    models before it that agree with it: smaller changes are found so. With `from`, exactly the two models
+    named, unless `averaged=true`: then either is averaged with the accepted models before it that agree.
     """
     found = service.cell(cell)
     history = [a.model for a in await asyncio.to_thread(service.store.approvals, found.id)]
@@ -240,13 +243,17 @@ async def changes(
         )
     before = await _stored_model(service, found, old)
     after = await _stored_model(service, found, new)
-    result = await asyncio.to_thread(service.results.changes, found.id, before, after)
+    if averaged is None:
+        averaged = from_model is None
+    result, sides = await asyncio.to_thread(
+        service.results.changes, found.id, before, after, averaged=averaged
+    )
     return {
         "cell": found.id,
         "simulated": found.simulated,
         "from": before.id,
         "to": after.id,
-        **changes_view(result),
+        **changes_view(result, sides),
     }
 
 

@@ -63,8 +63,13 @@ class Results:
         approvals = self._store.approvals(cell)
         return self._store.model(cell, approvals[0].model) if approvals else None
 
-    def changes(self, cell: str, old: StoredModel, new: StoredModel) -> Comparison:
-        """What changed between two models, with this cell's repeatability."""
+    def changes(
+        self, cell: str, old: StoredModel, new: StoredModel, *, averaged: bool
+    ) -> tuple[Comparison, tuple[list[str], list[str]]]:
+        """What changed between two models, with this cell's repeatability, and the models behind either side.
+
+        ``averaged``: accepted runs before each of the two that agree with it are averaged with it.
+        """
         loaded: dict[str, Model] = {}
         history = []
         for stored in reversed(self._store.models(cell, HISTORY)):
@@ -75,12 +80,27 @@ class Results:
                     log.warning("model %s is left out of the history: %s", stored.id, error)
                     continue
                 history.append(loaded[stored.id])
-        return compare(
+        before, after = self._accepted_around(cell, old, new) if averaged else ([], [])
+        before, after = ([m for m in side if m in loaded] for side in (before, after))
+        found = compare(
             loaded.get(old.id) or load(old),
             loaded.get(new.id) or load(new),
             history=history,
+            before=[loaded[m] for m in before],
+            after=[loaded[m] for m in after],
             tolerance=self._unchanged / 100.0,
         )
+        return found, ([*before, old.id][-found.runs[0] :], [*after, new.id][-found.runs[1] :])
+
+    def _accepted_around(self, cell: str, old: StoredModel, new: StoredModel) -> tuple[list[str], list[str]]:
+        """Accepted before ``old``, and between ``old`` and ``new``; oldest first, each once."""
+        newest_first = list(dict.fromkeys(a.model for a in self._store.approvals(cell)))
+        if old.id not in newest_first:
+            return [], []
+        at = newest_first.index(old.id)
+        start = newest_first.index(new.id) + 1 if new.id in newest_first[:at] else 0
+        before = [m for m in reversed(newest_first[at + 1 :]) if m != new.id]
+        return before[-HISTORY:], list(reversed(newest_first[start:at]))[-HISTORY:]
 
     def against_accepted(self, run: RunRecord) -> dict[str, Any] | None:
         """The comparison of a fresh result with the model in force; ``None`` where there is none."""
@@ -90,7 +110,8 @@ class Results:
             old, new = self.in_force(run.cell), self._store.model(run.cell, run.id)
             if old is None or new is None:
                 return None
-            return {"from": old.id, **changes_view(self.changes(run.cell, old, new))}
+            found, sides = self.changes(run.cell, old, new, averaged=True)
+            return {"from": old.id, **changes_view(found, sides)}
         except (InvidError, SQLAlchemyError) as error:
             log.error("run %s: no comparison with the accepted model: %s", run.id, error)
             return None

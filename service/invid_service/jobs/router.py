@@ -180,15 +180,21 @@ async def events(
     )
 
 
+def _has_already(given: str, tag: str) -> bool:
+    """True where ``If-None-Match`` names the file as it is."""
+    return any(t.strip().removeprefix("W/") in (tag, "*") for t in given.split(","))
+
+
 def _file_responses(media: str) -> dict[int | str, dict[str, Any]]:
     schema = {"type": "object"} if media == "application/json" else {"type": "string", "format": "binary"}
     return {
         **problem_responses(410),
+        304: {"description": "Not changed since the ETag given in If-None-Match"},
         200: {"description": "The file", "content": {media.split(";")[0]: {"schema": schema}}},
     }
 
 
-async def artefact(service: Service, identification: str, kind: str) -> FileResponse:
+async def artefact(service: Service, identification: str, kind: str, request: Request) -> Response:
     """The stored file of a run; Problem 404 before it exists and 410 after its retention."""
     record, _ = await service.run(identification)
     blobs = await asyncio.to_thread(service.store.artefacts, record.id)
@@ -207,6 +213,8 @@ async def artefact(service: Service, identification: str, kind: str) -> FileResp
         raise Problem("artefact-not-found", f"the {kind} of {record.id} is missing in the store")
     name, media = KINDS[kind]
     headers = {"ETag": f'"{blob.sha256}"', "Cache-Control": "private, max-age=3600"}
+    if _has_already(request.headers.get("if-none-match", ""), headers["ETag"]):
+        return Response(status_code=304, headers=headers)
     if kind == "report":
         headers["Content-Security-Policy"] = (
             "sandbox allow-popups; default-src 'none'; style-src 'unsafe-inline'; "
@@ -221,9 +229,9 @@ async def artefact(service: Service, identification: str, kind: str) -> FileResp
     response_class=FileResponse,
     responses=_file_responses(KINDS["recording"][1]),
 )
-async def recording(identification: str, service: Context, _caller: Reader) -> FileResponse:
+async def recording(identification: str, request: Request, service: Context, _caller: Reader) -> Response:
     """The measured data, HDF5; also what was measured before a stop."""
-    return await artefact(service, identification, "recording")
+    return await artefact(service, identification, "recording", request)
 
 
 @router.get(
@@ -231,9 +239,9 @@ async def recording(identification: str, service: Context, _caller: Reader) -> F
     response_class=FileResponse,
     responses=_file_responses("application/json"),
 )
-async def model(identification: str, service: Context, _caller: Reader) -> FileResponse:
+async def model(identification: str, request: Request, service: Context, _caller: Reader) -> Response:
     """The identified model, with its effects."""
-    return await artefact(service, identification, "model")
+    return await artefact(service, identification, "model", request)
 
 
 @router.get(
@@ -241,9 +249,9 @@ async def model(identification: str, service: Context, _caller: Reader) -> FileR
     response_class=FileResponse,
     responses=_file_responses("application/json"),
 )
-async def diagnosis(identification: str, service: Context, _caller: Reader) -> FileResponse:
+async def diagnosis(identification: str, request: Request, service: Context, _caller: Reader) -> Response:
     """What the simulation gets wrong."""
-    return await artefact(service, identification, "diagnosis")
+    return await artefact(service, identification, "diagnosis", request)
 
 
 @router.get(
@@ -251,9 +259,9 @@ async def diagnosis(identification: str, service: Context, _caller: Reader) -> F
     response_class=FileResponse,
     responses=_file_responses("text/html"),
 )
-async def report(identification: str, service: Context, _caller: Reader) -> FileResponse:
+async def report(identification: str, request: Request, service: Context, _caller: Reader) -> Response:
     """One self-contained HTML file."""
-    return await artefact(service, identification, "report")
+    return await artefact(service, identification, "report", request)
 
 
 @router.get(
@@ -261,6 +269,6 @@ async def report(identification: str, service: Context, _caller: Reader) -> File
     response_class=FileResponse,
     responses=_file_responses("application/json"),
 )
-async def plots(identification: str, service: Context, _caller: Reader) -> FileResponse:
+async def plots(identification: str, request: Request, service: Context, _caller: Reader) -> Response:
     """The numbers behind the page's pictures."""
-    return await artefact(service, identification, "plots")
+    return await artefact(service, identification, "plots", request)
