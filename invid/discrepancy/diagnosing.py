@@ -233,6 +233,9 @@ def _document(
     full = extended_model(model, final.fit, ())
     linear = trust(model, full, base, final, (before_test, after_test), recording)
     named = judged.findings if judged.named and not linear.broken and not refused else ()
+    sure, untimed = untimed_holds(cautious(tuple(named), linear), recording, model, train)
+    if named and not sure:  # all of it is a matter of sampling
+        named, anything = (), not judged.complete
     shown = final if named else base
     residual = []
     for i, axis in enumerate(recording.axes):
@@ -256,7 +259,6 @@ def _document(
     else:
         verdict = Verdict.PARTLY_EXPLAINED
         unexplained = unexplained_of(final, recording)
-    sure, untimed = untimed_holds(cautious(tuple(named), linear), recording, model, train)
     findings = tuple(_axis_by_name(f) for f in sure)
     warnings = [*warnings, *untimed]
     said = distrust_sentences(linear, model.chains.masses_per_branch)
@@ -269,7 +271,7 @@ def _document(
         )
     if unexplained is not None:
         sentences.append(unexplained.sentence)
-    effects = [effect_term(shown, k, recording) for k in range(known)] + [f.effect for f in findings]
+    effects = [effect_term(shown, k, recording) for k in range(known)] + [f.effect for f in named]
     effects += [e for e in carried(model) if e.cause == "dropped_samples"]
     extended = extended_model(model, shown.fit, tuple(effects))
     extended = replace(

@@ -133,10 +133,11 @@ def cautious(findings: tuple[Finding, ...], found: Trust) -> tuple[Finding, ...]
 def untimed_holds(
     findings: tuple[Finding, ...], recording: Recording, model: Model, train: Sequence[Record]
 ) -> tuple[tuple[Finding, ...], list[str]]:
-    """Viscous friction at a motor, where it may be the timing of a hold: with less confidence, and a warning.
+    """Findings without what may well be the timing of a hold, the rest that could be with less confidence.
 
     A hold of gain P inside the drive that acts half a sample before the record says so looks like viscous
-    friction of P·h/2, exactly. Demand beside the torque, or records that show the hold alone, tell.
+    friction of P·h/2, exactly. Demand beside the torque, or records that show the hold alone, tell. Friction
+    no larger than that is a sampling convention, and no finding.
     """
     placed = model.fit.get("holds", {})
     out, said = [], []
@@ -147,15 +148,39 @@ def untimed_holds(
         told = not str(placed.get(axis, "open")).startswith("open")
         known = told or any(r.command is not None or r.staircase[i] == 1.0 for r in train)
         held = any(np.isnan(g) or g > 0 for g in gains)
-        if f.effect.cause == "viscous_friction" and f.effect.element == "mass 1" and held and not known:
-            f = replace(f, confidence=min(f.confidence, CONTESTED))
+        if f.effect.cause != "viscous_friction" or f.effect.element != "mass 1" or not held or known:
+            out.append(f)
+            continue
+        size = f.effect.parameters["coefficient"]
+        gain, step = _stiffest_hold(gains, model, i, train), train[0].step
+        if size.value <= 0.5 * step * gain + 3.0 * (size.std or 0.0):
             said.append(
-                f"viscous friction of {axis}: a hold works while the axis is driven, nothing says when it "
-                "acts, and half a sample of it looks like such friction: record the demanded torque over "
-                "whole periods, or drive the axis without a hold"
+                f"viscous friction of {size.value:.2g} {size.unit} on {axis} is what its hold makes by "
+                "acting up to half a sample before the record: a matter of sampling, so it is no finding; "
+                "record the demanded torque over whole periods, or drive the axis without a hold, to tell"
             )
-        out.append(f)
+            continue
+        out.append(replace(f, confidence=min(f.confidence, CONTESTED)))
+        said.append(
+            f"viscous friction of {axis}: a hold works while the axis is driven, nothing says when it "
+            "acts, and half a sample of it looks like such friction: record the demanded torque over "
+            "whole periods, or drive the axis without a hold"
+        )
     return tuple(out), said
+
+
+HOLD_BAND = 2.0
+"""Frequency up to which a hold of unknown gain may reach, over the lowest excited line. A guess: excitation
+that lies deeper inside a hold's band only fights the hold."""
+
+
+def _stiffest_hold(gains: Sequence[float], model: Model, axis: int, train: Sequence[Record]) -> float:
+    """Proportional gain of an axis' hold [torque per position]: declared, or as stiff as it may well be."""
+    declared = [float(g) for g in gains if np.isfinite(g) and g > 0]
+    if declared:
+        return max(declared)
+    lowest = min(float(r.omega[r.excited].min()) for r in train if r.excited.any())
+    return float(model.chains.masses[axis].sum()) * (HOLD_BAND * lowest) ** 2
 
 
 def distrust_sentences(found: Trust, masses: tuple[int, ...]) -> list[str]:

@@ -12,6 +12,9 @@ from invid.model import EffectTerm, Estimate
 
 BY_CAUSE: dict[str, Effect] = {e.cause: e for e in CATALOGUE}
 
+SEEN = 0.005
+"""Share of what the model missed from which a finding is said to explain it: below, it would round to 0 %."""
+
 
 def number(estimate: Estimate) -> str:
     """Value ± one standard deviation with as many digits as it deserves."""
@@ -59,10 +62,11 @@ def finding_sentence(
         size = f" ({number(thousand)})"
     if term.cause == "torque_gain" and main is not None:
         size = f" (true torque is {number(main)} times the record)"
-    text = (
-        f"Axis {term.axis}: {effect.title}{size}{place_of(term, sizes, axes)} explains "
-        f"{100 * fraction:.0f} % of what the model missed."
-    )
+    text = f"Axis {term.axis}: {effect.title}{size}{place_of(term, sizes, axes)} "
+    if fraction >= SEEN:
+        text += f"explains {100 * fraction:.0f} % of what the model missed."
+    else:
+        text += "is there as well: beyond the noise, though less than a per cent of what the model missed."
     if rivals:
         others = sorted(
             {BY_CAUSE[r.cause].title + (f" on {r.axis}" if r.axis != term.axis else "") for r in rivals}

@@ -13,8 +13,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "system"))
 import foreign_cell
 
 
-@pytest.mark.parametrize("told", [False, True])
-def test_viscous_friction_is_doubted_where_it_may_be_a_holds_timing(tmp_path: Path, told: bool) -> None:
+def _recorded(path: Path, hold_gain: float, declared: float) -> Path:
+    """An axis without friction and a hold inside its drive, which looks like viscous friction of P·h/2."""
     plant = foreign_cell.plant([[2.5, 0.8]], [[1500.0]], {})
     experiments = foreign_cell.measure(
         plant,
@@ -23,14 +23,28 @@ def test_viscous_friction_is_doubted_where_it_may_be_a_holds_timing(tmp_path: Pa
         period=4096,
         periods=2,
         band=(0.5, 12.0),
-        hold_gain=800.0,
+        hold_gain=hold_gain,
         torque_noise=1e-4,
     )
     for e in experiments:
-        # told: the axis is said to be free, so that all of its torque was held over the sample
-        e["attributes"]["hold_gain"] = np.array([0.0 if told else np.nan])
-    path = tmp_path / "rec.h5"
+        e["attributes"]["hold_gain"] = np.array([declared])
     foreign_cell.write_recording(path, experiments, ["A1"])
+    return path
+
+
+@pytest.mark.parametrize("declared", [np.nan, 60.0])
+def test_friction_no_larger_than_a_holds_timing_makes_is_no_finding(tmp_path: Path, declared: float) -> None:
+    path = _recorded(tmp_path / "rec.h5", 60.0, declared)
+    found = diagnose(read_recording(path), masses=[2])
+    assert found.findings == ()
+    assert found.verdict == "consistent"
+    assert found.model.effects == ()
+
+
+@pytest.mark.parametrize("told", [False, True])
+def test_viscous_friction_is_doubted_where_it_may_be_a_holds_timing(tmp_path: Path, told: bool) -> None:
+    # told: the axis is said to be free, so that all of its torque was held over the sample
+    path = _recorded(tmp_path / "rec.h5", 800.0, 0.0 if told else np.nan)
     found = diagnose(read_recording(path), masses=[2])
     (finding,) = (f for f in found.findings if f.effect.cause == "viscous_friction")
     doubted = [w for w in found.warnings if "a hold works while the axis is driven" in w]
