@@ -14,7 +14,7 @@ from invid.distributions import chi2_isf
 from invid.errors import NotIdentifiableError
 from invid.refine.blocks import carried, problem_from_spectra, with_columns
 from invid.refine.covariance import physical_covariance, spread_of
-from invid.refine.holds import hold_timing, placed_holds
+from invid.refine.holds import placed_holds, with_open_holds
 from invid.refine.lags import COULOMB, with_coulomb, with_reversal_lags
 from invid.refine.problem import MissingTorqueProblem
 from invid.refine.solver import Solution, gauss_newton
@@ -101,13 +101,18 @@ def fit_structure(
             problem, solution, excess = _weighted(plain, again, base)
         problem, solution, excess = _drop_coulomb(problem, solution, base, excess)
         problem, solution = with_reversal_lags(problem, solution)
+    problem, solution, open_holds = with_open_holds(problem, solution, spectra, holds)
     free = physical_covariance(problem, solution)
     problem, solution = _physical(problem, solution)
     covariance = physical_covariance(problem, solution)
     # A damper held at zero keeps the standard deviation it had when free.
     pinned = np.flatnonzero(~solution.free[: problem.structure.count])
     covariance[pinned, pinned] = np.diag(free)[pinned]
-    timing = hold_timing(problem, solution, covariance, spectra, holds)
+    timing = {
+        axis: float(np.sqrt(covariance[dof, dof]))
+        for axis, dof in zip(structure.axes, structure.motor_dofs, strict=True)
+        if axis in open_holds
+    }
     explained = _explained(problem, solution)
     return Fit(
         problem,

@@ -7,13 +7,22 @@ from dataclasses import replace
 
 import numpy as np
 
-from invid.arrays import Float64
 from invid.distributions import chi2_isf
-from invid.refine.blocks import driven_and_held, hold_laws, hold_offset, problem_from_spectra
+from invid.refine.blocks import (
+    carried,
+    driven_and_held,
+    hold_laws,
+    hold_offset,
+    problem_from_spectra,
+    with_columns,
+)
 from invid.refine.covariance import spread_of
 from invid.refine.problem import MissingTorqueProblem
 from invid.refine.solver import Solution, gauss_newton
 from invid.spectra import LineSpectra
+
+OPEN = (".open_hold.stiffness", ".open_hold.damping")
+"""Endings of the names of the gains of a hold of which nothing tells where it works."""
 
 
 def placed_holds(
@@ -60,8 +69,16 @@ def placed_holds(
     limit = chi2_isf(0.0027, motors.size)
     tight = chi2_isf(0.0027, motors.size - 1) if motors.size > 1 else 0.0
     fixed = [hold_offset(structure.axes[i]) for i in open_axes]
+    # The images of a command held over the sample alias into the sampled torque of a damped hold: of
+    # the command's torque jω·D·h²/(12·m), which looks like so much of a time offset.
+    values = structure.physical(solution.p[: structure.count])
+    alias = [float(laws[i][1] * step**2 / 12.0 / values[structure.motor_dofs[i]]) for i in open_axes]
+
+    def known(mean: float, std: float) -> dict[str, tuple[float, float]]:
+        return {name: (mean, float(np.hypot(std, a))) for name, a in zip(fixed, alias, strict=True)}
+
     if without < limit:
-        priors = {**problem.priors, **dict.fromkeys(fixed, (0.0, 1e-3 * step))}
+        priors = {**problem.priors, **known(0.0, 1e-3 * step)}
         text = "as the command, held over the sample"
         freed = replace(problem, priors=priors)
     else:
@@ -74,10 +91,10 @@ def placed_holds(
             for new, old in zip(blocks, problem.blocks, strict=True)
         )
         if within < tight and 0.0 < common < 0.55 * step:
-            prior, text = (-common, common_error), f"inside the drive, {common:.3g} s before the command"
+            found, text = known(-common, common_error), f"inside the drive, {common:.3g} s before the command"
         else:
-            prior, text = (-step / 4, step / 4), "open: inside the drive or held over the sample"
-        freed = replace(problem, blocks=blocks, priors={**problem.priors, **dict.fromkeys(fixed, prior)})
+            found, text = known(-step / 4, step / 4), "open: inside the drive or held over the sample"
+        freed = replace(problem, blocks=blocks, priors={**problem.priors, **found})
     decided |= {structure.axes[i]: text for i in open_axes}
     start = solution.p.copy()
     for name in fixed:
@@ -85,41 +102,68 @@ def placed_holds(
     return freed, gauss_newton(freed, start), decided
 
 
-def hold_timing(
+def with_open_holds(
     problem: MissingTorqueProblem,
     solution: Solution,
-    covariance: Float64,
     spectra: Sequence[LineSpectra],
     placed: Collection[str],
-) -> dict[str, float]:
-    """Standard deviations added to motor masses where a hold works at an unknown place while driven.
+) -> tuple[MissingTorqueProblem, Solution, tuple[str, ...]]:
+    """The problem with the hold of each axis in the fit whose place is unknown while the axis is driven.
 
-    A hold inside the drive acts half a sample before one that is held over the sample with the command.
-    Recorded as one torque, the two differ by P·h/2 of viscous friction and, with the hold's damping D,
-    by D·h/2 of motor inertia; where no record shows the hold alone (axes ``placed`` by ``placed_holds``)
-    nothing tells them apart, unless the friction that comes out is too small to hold P·h/2. D is not in
-    the recording: holds are damped near critically, D ≈ 2·√(P·S) with S the branch sum. ``covariance``
-    is widened in place by half of D·h/2.
+    A hold −(P + jωD)θ inside the drive acts half a sample before one that is held over the sample with
+    the command. Recorded as one torque, the two differ by (z − 1)(P + jωD)θ with z what holding
+    over the sample does: to first order P·h/2 of viscous friction and D·h/2 of motor inertia. Where no
+    record shows the hold alone (axes ``placed`` by ``placed_holds``) nothing tells them apart, unless the
+    friction that comes out is too small to hold P·h/2. Both gains then enter as parameters known to lie
+    somewhere between nothing (held over the sample) and the whole gain (inside the drive), so that every
+    parameter's standard deviation contains what they may cost.
+
+    P is that of the recording; where it is not said (a hold inside the drive), friction bounds it. D is
+    never said: holds are damped near critically, D ≈ 2·√(P·S) with S the branch sum.
     """
     structure = problem.structure
     values, spread = structure.physical(solution.p[: structure.count]), spread_of(solution)
-    first, added = structure.slices["viscous"].start, {}
+    first = structure.slices["viscous"].start
+    at = {name: k for k, name in enumerate(problem.names)}
+    gains: dict[int, tuple[float, float]] = {}
     for i, (dof, size) in enumerate(zip(structure.motor_dofs, structure.sizes, strict=True)):
         known = any(s.staircase[i] == 1.0 or s.hold_torque is not None for s in spectra)
         if known or not structure.viscous or structure.axes[i] in placed:
             continue
-        if f"{structure.axes[i]}.coulomb" in problem.column_names:
-            continue  # a motor that rubs: its viscous part is friction's, and no sign of the hold
         step = 1.0 / min(s.sample_rate_hz for s in spectra)
         friction = float(values[first + i])
         error = float(spread[first + i]) if np.isfinite(spread[first + i]) else 0.0
-        gains = np.array([s.hold_gain[i] for s in spectra if s.hold_gain.size > i])
-        if gains.size == 0 or not np.any(np.isnan(gains) | (gains > 0)):
+        said = np.array([s.hold_gain[i] for s in spectra if s.hold_gain.size > i and s.driven[i]])
+        if said.size == 0 or not np.any(np.isnan(said) | (said > 0)):
             continue
-        gain = float(np.nanmax(gains)) if np.any(gains > 0) else 2.0 * max(friction, 0.0) / step
+        # One standard deviation of friction above none: a small P still comes with a D that counts.
+        bound = 2.0 * (max(friction, 0.0) + error) / step
+        gain = float(np.nanmax(said)) if np.any(said > 0) else bound
         if gain <= 0 or friction + 3.0 * error < 0.25 * gain * step:
             continue
-        own = 0.5 * float(np.sqrt(gain * values[dof : dof + size].sum())) * step
-        covariance[dof, dof] += own**2
-        added[structure.axes[i]] = own
-    return added
+        gains[i] = (gain, 2.0 * float(np.sqrt(gain * values[dof : dof + size].sum())))
+    if not gains:
+        return problem, solution, ()
+    names: list[str] = []
+    priors: dict[str, tuple[float, float]] = {}
+    for i, law in gains.items():
+        for ending, gain in zip(OPEN, law, strict=True):
+            names.append(structure.axes[i] + ending)
+            priors[names[-1]] = (gain / 2, gain / 2)
+    columns = []
+    for block, s in zip(problem.blocks, spectra, strict=True):
+        part = np.zeros((block.omega.size, structure.motors, len(names)), dtype=complex)
+        jw, half = 1j * block.omega, block.omega * block.step / 2
+        held = np.sinc(half / np.pi) * np.exp(-1j * half)  # what holding over the sample does
+        for number, i in enumerate(gains):
+            if not s.driven[i]:
+                continue
+            late = solution.p[at[f"{structure.axes[i]}.time_offset"]] - block.step / 2
+            acting = np.exp(-jw * late) * (1.0 - held) * block.position[:, i]
+            part[:, i, 2 * number] = acting
+            part[:, i, 2 * number + 1] = jw * acting
+        columns.append(np.concatenate((block.columns, part), axis=2))
+    larger = with_columns(problem, columns, (*problem.column_names, *names))
+    larger = replace(larger, priors={**problem.priors, **priors})
+    found = gauss_newton(larger, carried(problem, solution.p, larger))
+    return larger, found, tuple(structure.axes[i] for i in gains)

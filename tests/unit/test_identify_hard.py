@@ -104,6 +104,38 @@ def test_a_hold_inside_the_drive_that_is_recorded_as_one_with_the_command_widens
     assert any("a hold works" in w for w in model.warnings)
 
 
+def test_a_motor_that_rubs_and_is_held_inside_the_drive_says_what_the_hold_may_cost() -> None:
+    plant = oracle.OraclePlant([[1.0, 2.0]], [[1500.0]], [[0.8]], coulomb=(0.6,))
+    model = identify(record(plant, band=(0.3, 13.0), in_drive=True), masses=(2,))
+    assert abs(model.chains.masses[0][0] - 1.0) < 3.0 * model.std.masses[0][0]
+    assert any("a hold works" in w for w in model.warnings)
+
+
+@pytest.mark.parametrize("late", [0, 2])
+def test_a_demand_logged_beside_an_aperiodic_record_tells_when_the_hold_acts(late: int) -> None:
+    plant = oracle.OraclePlant([[1.0, 2.0]], [[1500.0]], [[0.8]])
+    rng = np.random.default_rng(5)
+    count, peak = 10_000, 20.0
+    wave, _ = oracle.multisine(rng, count, RATE, (0.3, 13.0), odd=False)
+    demand = peak * wave[:, None] * np.minimum(np.arange(count) / 500, 1.0)[:, None]
+    position, torque = oracle.simulate(
+        plant, demand, RATE, gain=np.array([300.0]), damping=np.array([40.0]), in_drive=True
+    )
+    torque = np.concatenate((np.zeros((late, 1)), torque))[:count]
+    experiment = Experiment(
+        "000", Kind.OTHER, Role.IDENTIFY, 0, np.array([np.nan]), 0, np.zeros(0), RATE,
+        np.arange(count) / RATE, position + 2e-6 * rng.standard_normal((count, 1)),
+        torque + 0.04 * rng.standard_normal((count, 1)), torque_demand=demand,
+    )  # fmt: skip
+    recording = Recording("hard", ("A1",), "rad", "N·m", "2026-11-21T00:00:00Z", (experiment,))
+    model = identify(recording, masses=(2,))
+    assert model.fit["trustworthy"]
+    assert not any("a hold works" in w for w in model.warnings)
+    # Half a sample of this hold's damping is 4 % of the motor's mass; the drive's loop leaves an eighth.
+    assert worst(model, plant) < 0.01
+    assert abs(model.chains.masses[0][0] - 1.0) < 3.5 * model.std.masses[0][0]
+
+
 def test_too_few_masses_are_doubted_and_the_command_says_so_with_status_3(tmp_path: Path) -> None:
     plant = oracle.OraclePlant([[1.0, 2.0, 1.5]], [[3000.0, 2500.0]], [[1.0, 1.0]])
     recording = replace(record(plant, band=(0.5, 14.0)), masses_per_axis=(2,))
