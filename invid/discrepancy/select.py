@@ -179,7 +179,8 @@ def _step(
         trial = attempted(partial(_joined, here, train, s, reached), held)
         if trial is not None and not at_bound(trial) and not _is_smaller_model(trial):
             trials.append(trial)
-    trials = [_rounded(t, current, train, held) for t in trials]
+    rounded_ = (_rounded(t, current, train, held) for t in trials)
+    trials = [t for t in rounded_ if not _is_smaller_model(t)]  # some were larger only for want of rounding
     if not trials:
         return None, tuple(scores[:5])
     trials.sort(key=lambda t: t.score(1.0, rows))
