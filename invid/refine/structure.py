@@ -219,7 +219,7 @@ class ChainStructure:
         −ω²(w_a w_bᵀ + w_b w_aᵀ) for a coupling.
         """
         records, lines = q.shape[:2]
-        out = np.empty((records, lines, self.motors, self.count), dtype=complex)
+        out = np.empty((records, lines, motion.shape[2], self.count), dtype=complex)
         s, values = self.slices, self.physical(p)
         w = motion.transpose(0, 2, 1)  # (F, M, ΣN)
         w2 = (omega**2)[:, None, None]
