@@ -84,15 +84,19 @@ def fit(
     iterations: int = 30,
     tolerance: float = 1e-2,
     strict: bool = True,
+    quick: bool = False,
 ) -> JointFit:
-    """Minimise the cost; converged when the predicted decrease is below ``tolerance``·χ²/ν."""
-    structure = layout.structure
-    here = evaluate(layout, records, p, candidate)
+    """Minimise the cost; converged when the predicted decrease is below ``tolerance``·χ²/ν.
+
+    ``quick``: a first look, with a Jacobian that takes the effects' forces on inner masses as given.
+    """
+    structure, thorough = layout.structure, not quick
+    here = evaluate(layout, records, p, candidate, thorough=thorough)
     low, high = limits_of(layout, candidate, here, strict)
     v = np.clip(_pack(p, candidate), low, high)
     if not np.array_equal(v, _pack(p, candidate)):
         p, candidate = _unpack(layout, candidate, v)
-        here = evaluate(layout, records, p, candidate)
+        here = evaluate(layout, records, p, candidate, thorough=thorough)
     limited = np.zeros(v.size, dtype=bool)
     limited[: structure.count] = structure.logarithmic
     at = layout.count
@@ -143,7 +147,7 @@ def fit(
             break
         gained = here.cost - accepted.cost
         v, p, candidate = trial, tp, tc
-        here = evaluate(layout, records, p, candidate, near=accepted.views)
+        here = evaluate(layout, records, p, candidate, near=accepted.views, thorough=thorough)
         damping = max(damping / 8.0, 1e-12)
         if gained < 0.1 * tolerance * here.cost / max(here.dof, 1):
             converged = True

@@ -14,12 +14,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from invid.arrays import Bool, Complex128, Float64
+from invid.discrepancy.inner import settled
 from invid.effects.base import Effect, Place, Record, View
 from invid.refine.problem import condense_dense
 from invid.refine.structure import ChainStructure
 
-PASSES = 4
-"""Fixed-point steps of inner motion and the forces that depend on it."""
+PASSES = 12
+"""Most steps of inner motion and the forces that depend on it; weak effects agree after two or three."""
 
 
 @dataclass(frozen=True)
@@ -176,31 +177,32 @@ def contributions(
 ) -> Complex128:
     """(F, M) of all effects, inner motion brought into agreement with the forces.
 
-    ``early``: stop as soon as it is.
+    ``early``: stop as soon as it is; otherwise a fixed number of steps along what is known, for differences.
     """
-    total: Complex128 = np.zeros_like(view.acting)
     if not candidate.terms:
-        return total
+        return np.zeros_like(view.acting)
     inner = any(t.inner for t in candidate.terms)
-    patterns = tuple(t.place.pattern(view.structure) for t in candidate.terms if t.place.kind != "axis")
-    passes = passes if inner else 1
-    for number in range(passes):
-        total = np.zeros_like(view.acting)
+    patterns = tuple(
+        t.place.pattern(view.structure)
+        for t in candidate.terms
+        if t.place.kind != "axis" and t.effect.along_pattern
+    )
+
+    def forces() -> tuple[Complex128, Complex128]:
+        total: Complex128 = np.zeros_like(view.acting)
         back: Complex128 = np.zeros_like(view.base)
         for term, x in zip(candidate.terms, candidate.x, strict=True):
             own, yields = term.effect.contribution(view, term.place, x.tolist())
             total = total + own
             if yields is not None:
                 back = back + yields
-        if number == passes - 1:
-            break
-        if view.missing is not None:
+        if inner and view.missing is not None and patterns:
             back = back + view.correction(patterns, view.missing + total)
-        scale = float(np.abs(view.base).max())
-        if early and float(np.abs(back - view.feedback).max()) < 1e-7 * scale:
-            break
-        view.respond(back if number == 0 else 0.5 * (back + view.feedback) if number > 1 else back)
-    return total
+        return total, back
+
+    if not inner:
+        return forces()[0]
+    return settled(view, forces, passes, early=early)
 
 
 def evaluate(
@@ -211,10 +213,12 @@ def evaluate(
     *,
     jacobian: bool = True,
     near: Sequence[View] = (),
+    thorough: bool = False,
 ) -> Evaluation:
     """Whitened residual (rows,) and Jacobian (rows, parameters of layout, then of the effects).
 
     ``near``: the views of an evaluation close by, whose inner motion is where this one's starts.
+    ``thorough``: the Jacobian knows that strong effects feel what the linear parameters do to inner motion.
     """
     structure = layout.structure
     views = views_of(layout, records, p)
@@ -230,6 +234,7 @@ def evaluate(
         covariance = noise_of(view, factor)
         if near and candidate.terms:
             view.respond(near[len(missing)].feedback)
+            view.secants = near[len(missing)].secants
         if not record.transient:
             inverse = np.asarray(np.linalg.inv(covariance), dtype=np.complex128)
             view.missing, view.certainty = r, inverse
@@ -261,6 +266,8 @@ def evaluate(
                 columns[:, i, at + k] = -by_stair[:, i]
             at += len(layout.free_stairs)
             _effect_columns(view, candidate, extra, columns, at)
+            if thorough and _strong(view, candidate):
+                _law_columns(view, candidate, sp, q, columns)
         basis = np.zeros((0, 0))
         white = _stack(root @ r[..., None])[:, 0]
         if record.transient:
@@ -350,6 +357,41 @@ def _effect_columns(
             at += 1
 
 
+def _strong(view: View, candidate: Candidate) -> bool:
+    """Whether effects move inner masses by more than a hundredth of what the motors move: below, what they
+    gain by a change of that is a hundredth of a column."""
+    moved = float(np.abs(view.feedback).max())
+    return any(t.inner for t in candidate.terms) and moved > 0.01 * float(np.abs(view.base).max())
+
+
+def _law_columns(view: View, candidate: Candidate, sp: Float64, q: Complex128, columns: Complex128) -> None:
+    """Adds to the linear parameters' columns what the laws change by with the inner motion.
+
+    ``columns`` (F, M, n) holds the derivatives at fixed forces, ∂q/∂p = −Z_ii⁻¹ (∂Z/∂p) q.
+    """
+    structure, base, feedback, missing = view.structure, view.base, view.feedback, view.missing
+    springs, dampers = view.springs, view.dampers
+    every = np.broadcast_to(np.eye(base.shape[1], dtype=complex), view.inner.shape)
+    moves = -(view.inner @ structure.torque_derivative(sp, view.omega, every, q[None])[0])
+    reference = contributions(view, candidate, passes=2, early=False)
+    view.respond(feedback)
+    for k in range(structure.count):
+        largest = float(np.abs(moves[..., k]).max())
+        if largest == 0.0:
+            continue
+        h = 1e-4 * float(np.abs(base).max()) / largest
+        at = sp.copy()
+        at[k] += h
+        values = structure.physical(at)
+        view.base = base + h * moves[..., k]
+        view.missing = None if missing is None else missing + h * columns[..., k]
+        view.springs, view.dampers = values[structure.slices["spring"]], values[structure.slices["damper"]]
+        view.respond(feedback)
+        columns[..., k] += (contributions(view, candidate, passes=2, early=False) - reference) / h
+    view.base, view.missing, view.springs, view.dampers = base, missing, springs, dampers
+    view.respond(feedback)
+
+
 def noise_of(view: View, factor: Complex128) -> Complex128:
     """(F, M, M) covariance of r."""
     record = view.record
@@ -372,6 +414,24 @@ def _boundary(view: View, layout: Layout, p: Float64) -> Complex128:
     forces[0] *= 0.5
     out: Complex128 = view.motion.transpose(0, 2, 1) @ forces
     return out
+
+
+def without_boundary(
+    view: View, layout: Layout, p: Float64, r: Complex128, covariance: Complex128
+) -> tuple[Complex128, float]:
+    """(P, F, M) ``r`` of lines 1…F of P periods without what the motion between their ends explains.
+
+    A period of a motion that still settles does not close: its ends jump, each period's in its own way.
+    Also the share of each period's numbers that is left as degrees of freedom.
+    """
+    root = _whitener(covariance)
+    basis = _basis(_stack(root @ _boundary(view, layout, p)[1:]))
+    back = np.linalg.inv(_safe(root))
+    out = r.copy()
+    for period in out:
+        ends = basis @ (basis.T @ _stack(root @ period[..., None])[:, 0])
+        period -= _unstack(back, ends, period.shape)
+    return out, 1.0 - basis.shape[1] / (2.0 * r[0].size)
 
 
 def _basis(columns: Float64) -> Float64:
@@ -402,4 +462,14 @@ def _unstack(inverse_root: np.ndarray, rows: Float64, shape: tuple[int, ...]) ->
     return out
 
 
-__all__ = ["Candidate", "Evaluation", "Layout", "Term", "contributions", "evaluate", "noise_of", "views_of"]
+__all__ = [
+    "Candidate",
+    "Evaluation",
+    "Layout",
+    "Term",
+    "contributions",
+    "evaluate",
+    "noise_of",
+    "views_of",
+    "without_boundary",
+]

@@ -123,7 +123,8 @@ class Screen:
 
     def _reconstruct(self, term: Term | None) -> None:
         """Inner motion of every view, had the missing torque come from a force at the term's place."""
-        pattern = None if term is None or not term.inner else term.place.pattern(self.fit.layout.structure)
+        read = term is not None and term.inner and term.effect.along_pattern
+        pattern = term.place.pattern(self.fit.layout.structure) if term is not None and read else None
         if pattern == self._at:
             return
         self._at = pattern

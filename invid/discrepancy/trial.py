@@ -117,7 +117,7 @@ def refit(
 ) -> JointFit:
     """Joint fit with one effect more; ``shift``: step of the parameters so far that goes with it."""
     layout, p, candidate = _start(current, records, term, x, shift)
-    return fit(layout, records, p, candidate, iterations=iterations)
+    return fit(layout, records, p, candidate, iterations=iterations, quick=True)
 
 
 def _start(

@@ -7,8 +7,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from invid.arrays import Complex128, Float64
+from invid.arrays import Complex128
 from invid.effects.base import Effect, Place, View, rms, spring_places
+from invid.effects.sign import clip_law
 from invid.refine.structure import ChainStructure
 
 
@@ -40,21 +41,26 @@ class Backlash(Effect):
         size = max(rms([v.wave(place.pattern(v.structure)) for v in views]), 1e-300)
         return [(float(np.log(1e-5 * size)), float(np.log(10 * size)))]
 
-    def law(self, view: View, place: Place, gap: float) -> Float64:
-        """(n,) resistance beside the linear spring and damper."""
-        pattern = place.pattern(view.structure)
+    def force(self, view: View, place: Place, gap: float) -> Complex128:
+        """(F,) resistance beside the linear spring and damper: both lose the motion within the gap.
+
+        A gap that the deflection crosses within a sample is seen through the mean over the sample.
+        """
         at = spring_index(view.structure, place)
-        d, rate = view.wave(pattern), view.velocity(pattern)
-        half = 0.5 * gap
-        out: Float64 = -view.springs[at] * np.clip(d, -half, half)
-        out -= view.dampers[at] * rate * (np.abs(d) < half)
+        inside = clip_law(view.wave(place.pattern(view.structure)), 0.5 * gap)
+        lines = view.to_lines(inside[:, None], smeared=True)[:, 0]
+        rate = 1j * view.omega * lines
+        if view.record.transient:
+            rate = rate + (inside[-1] - inside[0]) * 2.0 / view.record.span
+            rate[0] *= 0.5
+        out: Complex128 = -view.springs[at] * lines - view.dampers[at] * rate
         return out
 
     def contribution(
         self, view: View, place: Place, x: Sequence[float]
     ) -> tuple[Complex128, Complex128 | None]:
         pattern = place.pattern(view.structure)
-        force = view.to_lines(self.law(view, place, float(np.exp(x[0])))[:, None])[:, 0]
+        force = self.force(view, place, float(np.exp(x[0])))
         return view.push(pattern) * force[:, None], -view.yields(pattern) * force[:, None]
 
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:

@@ -18,6 +18,7 @@ from typing import ClassVar
 import numpy as np
 
 from invid.arrays import Complex128, Float64
+from invid.effects.secants import Secants
 from invid.refine.structure import ChainStructure
 
 Spectrum = Complex128
@@ -161,6 +162,7 @@ class View:
         self.origin = origin
         self.base = np.einsum("fqm,fm->fq", motion, record.filtered)
         self.feedback: Complex128 = np.zeros_like(self.base)
+        self.secants = Secants()
         self.missing: Complex128 | None = None
         """(F, M) missing torque of the linear model; None where forces cannot be read from it."""
         self.certainty: Complex128 = np.zeros((0, 0, 0), dtype=complex)
@@ -350,6 +352,8 @@ class Effect:
     rotary: bool = False
     least_axes: int = 1
     main: str = ""
+    along_pattern: bool = True
+    """Whether its force lies along the pattern of its place and can be read from the missing torque."""
 
     def places(self, structure: ChainStructure) -> list[Place]:
         """Everywhere it may sit."""

@@ -1,4 +1,5 @@
-"""Laws that jump with the sign of the velocity, averaged over their samples so that the jumps do not alias.
+"""Laws that jump with the sign of the velocity, or bend within a sample, averaged over their samples so that
+neither aliases.
 
 With the velocity linear between samples, the mean of a law over an interval is ΔΦ/Δv, Φ the law's
 antiderivative (antiderivative antialiasing); a sample gets the mean of the intervals around it.
@@ -81,6 +82,22 @@ def _excess(v: np.ndarray, soft: float, width: float) -> np.ndarray:
         size = (tanh(u) if u < FAR else 1.0) * exp(-w * w)
         plain[k] = size if v[k] > 0 else -size
     return _between(v, phi, plain)
+
+
+@njit(cache=True)
+def _clipped(d: np.ndarray, half: float) -> np.ndarray:
+    phi, plain = np.empty(d.size), np.empty(d.size)
+    for k in range(d.size):
+        u = abs(d[k])
+        phi[k] = 0.5 * u * u if u < half else half * (u - 0.5 * half)
+        plain[k] = min(max(d[k], -half), half)
+    return _between(d, phi, plain)
+
+
+def clip_law(d: Float64, half: float) -> Float64:
+    """(n,) the deflection, within ±half."""
+    out: Float64 = _clipped(np.ascontiguousarray(d), half)
+    return out
 
 
 def sign_law(v: Float64, soft: float) -> Float64:

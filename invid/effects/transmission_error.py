@@ -35,6 +35,7 @@ class TransmissionError(Effect):
     shapes, logarithmic = ("cycles_per_rev",), (True,)
     rotary = True
     main = "amplitude"
+    along_pattern = False  # the motor's side feels the slope of the error as well
 
     def places(self, structure: ChainStructure) -> list[Place]:
         return spring_places(structure)
