@@ -19,7 +19,7 @@ from invid.config import (
 from invid.errors import ConfigError, InputError
 from invid.plan.budget import require_budget
 from invid.plan.forecast import forecast
-from invid.plan.model import Plan, PlannedExperiment
+from invid.plan.model import AxisForecast, Plan, PlannedExperiment
 from invid.recording.model import Kind, Role
 
 REST_S = 1.0
@@ -307,11 +307,13 @@ def _below_nyquist(frequency: float, rate: float) -> None:
 
 
 def _warnings(
-    config: CellConfig, expected: Sequence[object], experiments: Sequence[PlannedExperiment]
+    config: CellConfig, expected: Sequence[AxisForecast], experiments: Sequence[PlannedExperiment]
 ) -> list[str]:
     warnings = []
+    # Where an accepted model is given, it says how far an axis goes.
+    unknown = {f.axis for f in expected if f.travel is None}
     for axis in config.axes:
-        if axis.inertia is None:
+        if axis.inertia is None and axis.name in unknown:
             warnings.append(
                 f"axis {axis.name}: no inertia in the config, so travel is only known after the trial at low "
                 "amplitude; it is scaled down there where it would leave the position window"

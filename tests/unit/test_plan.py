@@ -122,6 +122,15 @@ def test_a_model_foretells_more_travel_than_the_rigid_guess_where_a_resonance_is
     assert modelled > 3 * rigid
 
 
+def test_missing_inertias_are_complained_of_only_where_no_model_says_how_far_an_axis_goes() -> None:
+    config = cell()
+    bare = config.model_copy(update={"axes": [a.model_copy(update={"inertia": None}) for a in config.axes]})
+    assert sum("no inertia" in w for w in make_plan(bare).warnings) == 3
+    known = make_plan(bare, model=case_study(damping_ratio=0.01))
+    assert all(f.travel is not None for f in known.forecast)
+    assert not any("no inertia" in w for w in known.warnings)
+
+
 def test_a_move_that_leaves_the_window_is_refused() -> None:
     with pytest.raises(ConfigError, match="position window"):
         make_plan(cell("[{kind: constant_velocity, velocities: [0.1], travel: 1.5}]"))
