@@ -75,7 +75,8 @@ class LiveRun:
             done = state in (State.AWAITING_ACCEPT, State.SUCCEEDED)
             self.progress = Progress(1.0 if done else self.progress.fraction, str(state))
         else:
-            self.progress = replace(self.progress, phase=str(state), eta_s=None)
+            # What belongs to the last state alone does not outlive it.
+            self.progress = replace(self.progress, phase=str(state), eta_s=None, axis=None, frequency=None)
         if state in ENDED:
             facts = {**self.record.facts, "progress": self.progress.fraction}
             self.record = replace(self.record, facts=facts)

@@ -19,6 +19,7 @@ function say(error) {
   box.hidden = false;
   box.textContent = error instanceof Problem ? error.message : `The service cannot be reached: ${error.message}`;
 }
+const sentence = (text) => text.charAt(0).toUpperCase() + text.slice(1);
 const guarded = (work) => async (...given) => { try { await work(...given); } catch (error) { say(error); } };
 
 // --- stop: first of all, needs nothing but the cell's name -----------------------------------------
@@ -26,6 +27,7 @@ async function stop() {
   const note = $("stop-note");
   const cell = state.cell?.id ?? $("cell").value;
   if (!cell) return;
+  note.className = "";
   note.textContent = "Stopping…";
   for (let attempt = 0; attempt < 5; attempt++) {
     try {
@@ -33,7 +35,7 @@ async function stop() {
       note.textContent = answer.stopping ? "STOP sent." : "STOP sent. Nothing was moving.";
       refresh();
       return;
-    } catch (error) { note.textContent = `STOP NOT SENT (${error.message}). USE THE EMERGENCY STOP.`; }
+    } catch (error) { note.className = "failed"; note.textContent = `STOP NOT SENT. USE THE EMERGENCY STOP. (${error.message})`; }
   }
 }
 $("stop").addEventListener("click", stop);
@@ -77,7 +79,7 @@ async function refresh() {
     const title = $("ready-title");
     title.textContent = ready.can_start ? "✓ Ready to measure" : "✗ Cannot start now";
     title.className = ready.can_start ? "good" : "bad";
-    fill($("reasons"), ready.reasons.map((r) => el("li", {}, [el("b", {}, r.text), `What to do: ${r.fix}.`])));
+    fill($("reasons"), ready.reasons.map((r) => el("li", {}, [el("b", {}, sentence(r.text)), `What to do: ${r.fix}.`])));
     const busy = state.run && !ENDED.includes(state.run.state);
     $("start-card").hidden = Boolean(state.run);
     $("ready-card").hidden = Boolean(state.run);
@@ -128,7 +130,7 @@ function show(run) {
   $("run-title").textContent = WORDS[run.state] + (run.simulated ? " (simulated)" : "");
   const box = $("run-error");
   box.hidden = !run.error;
-  box.textContent = run.error ? `${run.error.text}. What to do: ${run.error.fix}.` : "";
+  box.textContent = run.error ? `${sentence(run.error.text)}. What to do: ${run.error.fix}.` : "";
   const moving = ["running", "analysing", "queued", "checking"].includes(run.state);
   $("progress").hidden = !moving;
   $("arm").hidden = run.state !== "awaiting_arm";
@@ -216,7 +218,7 @@ $("upload-form").addEventListener("submit", async (event) => {
     note.textContent = "Uploaded.";
     setView("work");
     watchRun(run);
-  } catch (error) { note.className = "alarm"; note.textContent = error.message; }
+  } catch (error) { note.className = "alarm"; note.textContent = sentence(error.message); }
 });
 
 function setView(name) {

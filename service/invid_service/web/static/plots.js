@@ -4,10 +4,13 @@ const colour = (name) => getComputedStyle(document.documentElement).getPropertyV
 // A turned tablet or a resized window draws everything anew.
 const drawn = new Map();
 let pending = 0;
-window.addEventListener("resize", () => {
+function anew() {
   clearTimeout(pending);
   pending = setTimeout(() => { for (const [target, draw] of drawn) target.isConnected ? draw() : drawn.delete(target); }, 150);
-});
+}
+window.addEventListener("resize", anew);
+// At dusk a tablet goes dark by itself: black lines on black would be left.
+window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", anew);
 const DASHES = [[], [10, 5], [3, 4]];
 
 function axes(x, y, logX) {

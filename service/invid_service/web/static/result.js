@@ -14,6 +14,8 @@ let shown = null;
 
 function headline(summary) {
   const fraction = summary.explained_fraction, said = VERDICTS[summary.verdict] ?? summary.verdict;
+  // "Something is left" and "100 %" in one breath would be a riddle.
+  if (summary.verdict === "partly_explained" && fraction > 0.99) return "Nearly all of what the simulation lacks is found, a small rest is left.";
   return fraction > 0 && /explained$/.test(summary.verdict) && summary.verdict !== "unexplained"
     ? `${said} The causes below make up ${fmt(100 * Math.min(fraction, 1), 2)} % of it.` : said;
 }
@@ -61,7 +63,8 @@ function parameters(model, changes) {
     const p = known.get(name);
     if (!p) return "";
     if (p.status === "changed") return `● changed ${p.difference > 0 ? "+" : "−"}${estimate(Math.abs(p.difference), p.difference_std)}`;
-    if (p.status === "unchanged") return `○ unchanged within ±${fmt(p.within_percent, 2)} %`;
+    const seen = p.detectable_percent > 0 ? `; ${fmt(p.detectable_percent, 2)} % would have been seen` : "";
+    if (p.status === "unchanged") return `○ unchanged within ±${fmt(p.within_percent, 2)} %${seen}`;
     return `? cannot tell${p.reason ? `: ${p.reason}` : ""}`;
   };
   const head = ["Parameter", "Value ± 1 std. dev.", "Unit", ...(known.size ? ["Change"] : [])];
