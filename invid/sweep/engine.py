@@ -360,9 +360,10 @@ class Sweep:
         # The slope is of the sampled position, so the axis must move many counts.
         wanted = max(TRIAL_COUNTS * resolution, TRIAL_WINDOW * limits.position)
         length = TRIAL_FIRST_S
+        sign = 0.0
         seen: list[trials.Response] = []
         spoilt: list[trials.Response] = []
-        doubted = False
+        doubted = asleep = False
         while True:
             wave = amplitude * doublet(round(length / cycle))
             quiet = max(8, round(trials.EDGE_S / cycle) + max(trials.LAGS))
@@ -385,6 +386,12 @@ class Sweep:
                     raise trials.too_late(name, [*seen, *spoilt])
                 self._catch(axis, settings.inertia or found.inertia)
                 self._change(modes, others)
+                continue
+            if asleep and found.displacement < LEAST_COUNTS * resolution:
+                break
+            if found.stood and not asleep and found.displacement >= LEAST_COUNTS * resolution:
+                # It moved and then stood under a torque that moves it: once more before that is believed.
+                asleep = True
                 continue
             seen.append(found)
             sign = trials.sign_score(seen)

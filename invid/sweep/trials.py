@@ -43,6 +43,9 @@ class Response:
     """Its standard deviation; infinite where the edges were too short to tell."""
     torque_slope: float
     """Measured torque per demanded torque; NaN where too small to tell."""
+    stood: bool = False
+    """Whether the encoder showed one value all through the last quarter of the doublet, where any axis that
+    the torque can move is slowed down, stopped or moved back."""
     edges: int = 0
     """Edges of torque that were judged: enough samples came around them, and no slot was skipped there."""
     late_edges: int = 0
@@ -112,9 +115,16 @@ def response(
         mobility=mobility,
         mobility_std=std,
         torque_slope=follow,
+        stood=_stood(demand, position, came),
         edges=edges,
         late_edges=missed,
     )
+
+
+def _stood(demand: Float64, position: Float64, came: Bool) -> bool:
+    acting = np.flatnonzero(demand)
+    last = position[acting[-(acting.size // 4) :]][came[acting[-(acting.size // 4) :]]]
+    return last.size >= SIDE_ROWS and bool(np.all(last == last[0]))
 
 
 def _lateness(demand: Float64, torque: Float64, came: Bool) -> tuple[int, float]:

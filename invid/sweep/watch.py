@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from invid.errors import BusError, DriveError, SafetyStop
+from invid.sweep.halting import Halting
 from invid.sweep.ports import Sample, Severity
 from invid.sweep.standing import Standing
 
@@ -78,7 +79,9 @@ class Watch:
         self._energy = 0.0
         self._energy_cycles = 0
         self._energies: list[float] = []
-        self.standing = Standing([a.name for a in limits], cycle_s)
+        names = [a.name for a in limits]
+        self.standing = Standing(names, cycle_s)
+        self._halting = Halting(names, [a.resolution for a in limits], limits[0].unit, cycle_s)
         self.held: set[int] = set()
         """Axes whose energy is watched for growth."""
         self.statistics = Statistics(
@@ -192,6 +195,7 @@ class Watch:
                         "drive gives more than it was asked for: check rated_torque and the drive's tuning"
                     )
         self._watch_energy(energy)
+        self._halting.check(sample)
         self.standing.check(sample)
 
     def _missing(self, i: int) -> None:

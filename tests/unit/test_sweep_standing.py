@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from test_sweep import CYCLE, RigidCell, after, config, run
 
+from invid.arrays import Float64
 from invid.errors import SafetyStop
 from invid.sweep import Sample
+from invid.sweep.halting import HALT_CYCLES, Halting
 from invid.sweep.standing import LIFE_CHANGES, STUCK_PERIODS, STUCK_S, Standing
 from invid.sweep.watch import AxisLimits, Watch
 
@@ -149,3 +151,100 @@ def test_a_stuck_encoder_of_an_excited_axis_is_found_within_three_times_its_long
     assert isinstance(error, SafetyStop)
     assert "A1" in str(error)
     assert cell.clock.time < 22.0 + 0.4
+
+
+def rows(path: Iterable[float]) -> Iterable[Sample]:
+    """Positions in counts of 1e-6, in consecutive slots."""
+    for slot, place in enumerate(path):
+        yield sample(round(place) * 1e-6, slot=slot)
+
+
+def feed(watch: Halting, path: Iterable[float]) -> None:
+    for row in rows(path):
+        watch.check(row)
+
+
+def halting() -> Halting:
+    return Halting(["A1"], [1e-6], "rad", CYCLE)
+
+
+def swing(counts: float, hz: float, seconds: float) -> Float64:
+    """A harmonic motion."""
+    time: Float64 = np.arange(round(seconds / CYCLE), dtype=np.float64) * CYCLE
+    path: Float64 = counts * np.sin(2 * np.pi * hz * time)
+    return path
+
+
+def test_an_encoder_that_dies_in_motion_is_found_after_five_cycles() -> None:
+    watch, path = halting(), swing(5000, 1.0, 0.5)
+    dead = np.concatenate([path[:20], np.full(50, path[20])])
+    feed(watch, dead[: 20 + HALT_CYCLES])
+    watch = halting()
+    with pytest.raises(SafetyStop, match="not at all"):
+        feed(watch, dead[: 20 + HALT_CYCLES + 2])
+
+
+@pytest.mark.parametrize("friction", [0.3, 3.0, 30.0, 300.0])
+@pytest.mark.parametrize("counts", [1, 30])
+def test_a_mass_that_friction_brings_to_rest_is_no_dead_encoder(friction: float, counts: int) -> None:
+    """A mass that is hurled and slides to rest, again and again; coarse encoders and fine ones."""
+    watch, x, v, path = halting(), 0.0, 0.0, []
+    for k in range(6000):
+        torque = 3 * friction * (-1.0) ** (k // 1000) if k % 500 < 20 else 0.0
+        for _ in range(20):
+            a = torque - friction * np.sign(v) if v else torque
+            before, v = v, v + a * CYCLE / 20
+            v = 0.0 if before * v < 0 else v
+            x += v * CYCLE / 20
+        path.append(counts * np.round(x / 1e-6 / counts))
+    feed(watch, path)
+
+
+@pytest.mark.parametrize("every", [2, 7, 20])
+def test_a_drive_that_brings_a_new_position_only_now_and_then_is_no_dead_encoder(every: int) -> None:
+    watch, path = halting(), swing(50000, 1.0, 3.0)
+    feed(watch, path[np.arange(path.size) // every * every])
+
+
+def test_samples_that_do_not_come_make_no_dead_encoder() -> None:
+    watch, path = halting(), swing(50000, 1.0, 3.0)
+    shown = 0.0
+    for k, row in enumerate(rows(path)):
+        if k % 60 > 30:
+            row.fresh[0], row.position[0] = False, shown
+        shown = row.position[0]
+        watch.check(row)
+
+
+def test_an_encoder_that_dies_while_an_axis_is_caught_after_its_trial_is_found_there() -> None:
+    cell = RigidCell()
+    dead: dict[str, float] = {}
+
+    def die(c: RigidCell, s: Sample) -> None:
+        if dead or (s.time > 0.5 and abs(c.v[0]) > 0.1):
+            s.position[0] = dead.setdefault("x", s.position[0])
+            dead.setdefault("at", s.time)
+
+    cell.disturb = die
+    _, error, _ = run(cell)
+    assert isinstance(error, SafetyStop)
+    assert "A1" in str(error)
+    assert cell.clock.time < dead["at"] + 0.03
+
+
+def test_an_encoder_that_dies_at_a_turning_point_of_the_trial_is_asked_once_more_and_found() -> None:
+    """No speed is there to stop from; the doublet's last quarter stands, and the next doublet stands."""
+    cell = RigidCell()
+    dead: dict[str, float] = {}
+
+    def die(c: RigidCell, s: Sample) -> None:
+        if dead or (s.time > 0.6 and abs(c.x[0]) > 2e-3 and abs(c.v[0]) < 2e-3):
+            s.position[0] = dead.setdefault("x", s.position[0])
+            dead.setdefault("at", s.time)
+
+    cell.disturb = die
+    _, error, _ = run(cell)
+    assert isinstance(error, SafetyStop)
+    assert "by 0 counts" in str(error)
+    assert cell.clock.time < dead["at"] + 3.0
+    assert not cell.energised
