@@ -1,10 +1,17 @@
 """The highest frequency that a cycle and a computer's jitter can carry."""
 
+import json
 import math
+import os
+from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
-from invid_drivers.cli.check import highest_trustworthy, wake_jitter
+from invid.cli.app import create_app
+from invid.config import load_config
+from invid.plan import make_plan
+from invid_drivers.timing import Timing, highest_trustworthy, timing_of, wake_jitter
 
 
 def test_without_jitter_a_line_needs_ten_cycles_to_its_period() -> None:
@@ -19,5 +26,35 @@ def test_jitter_lowers_it_where_its_phase_matters() -> None:
     assert highest_trustworthy(0.001, 1e-6) == pytest.approx(100.0)
 
 
-def test_this_computers_jitter_is_a_positive_time() -> None:
-    assert 0.0 < wake_jitter(0.001) < 10.0
+def test_this_computers_jitter_is_a_positive_time_within_what_is_not_skipped() -> None:
+    jitter, skipped = wake_jitter(0.001)
+    assert 0.0 < jitter <= 0.5 * 0.001
+    assert 0.0 <= skipped <= 1.0
+
+
+def test_a_check_leaves_the_process_with_the_priority_it_had() -> None:
+    before = os.sched_getscheduler(0)
+    config = load_config(Path(__file__).parents[2] / "configs" / "case-study-unix.yaml")
+    found = timing_of(config)
+    assert os.sched_getscheduler(0) == before
+    assert found.jitter_s is not None
+    assert found.highest_hz <= 100.0
+
+
+def test_a_plan_beyond_what_the_computer_carries_is_told_so() -> None:
+    config = load_config(Path(__file__).parents[2] / "configs" / "case-study-unix.yaml")
+    plan = make_plan(config)
+    assert Timing(0.001, 1e-6, 0.0, True).warnings(plan) == []
+    (warning,) = Timing(0.001, 0.004, 0.0, False).warnings(plan)
+    # 0.05 rad of jitter at 4 ms: 0.05/(2π·0.004) = 2 Hz
+    assert "up to 1.99 Hz" in warning
+    assert "bus.cycle_s" in warning
+
+
+def test_a_dry_run_says_up_to_which_frequency_lines_can_be_trusted() -> None:
+    config = str(Path(__file__).parents[2] / "configs" / "case-study-unix.yaml")
+    done = CliRunner().invoke(create_app(), ["measure", config, "--dry-run", "--json"])
+    assert done.exit_code == 0
+    timing = json.loads(done.stdout)["timing"]
+    assert 0 < timing["highest_trustworthy_Hz"] <= 100.0
+    assert timing["cycle_s"] == 0.001

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import time
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +12,8 @@ from invid.config import CellConfig, load_config
 from invid.plan import make_plan
 from invid.sweep.holds import master_hold
 from invid_drivers.cli.measure import plan_text
-from invid_drivers.connect import connect, is_virtual
-
-PROBE_S = 0.3
-PHASE_RAD = 0.05
+from invid_drivers.connect import connect
+from invid_drivers.timing import timing_of
 
 
 def preflight(config: CellConfig) -> dict[str, Any]:
@@ -37,17 +33,8 @@ def preflight(config: CellConfig) -> dict[str, Any]:
     finally:
         complaints = cell.close()
     warnings = [*plan.warnings, *complaints]
-    jitter = None if is_virtual(config) else wake_jitter(config.bus.cycle_s)
-    highest = highest_trustworthy(config.bus.cycle_s, jitter or 0.0)
-    planned = max(
-        (float(e.frequencies_hz.max()) for e in plan.experiments if e.frequencies_hz.size), default=0.0
-    )
-    if planned > highest:
-        warnings.append(
-            f"lines up to {planned:.3g} Hz are planned, but a cycle of {config.bus.cycle_s * 1e3:g} ms and a "
-            f"computer that wakes {(jitter or 0.0) * 1e6:.0f} µs late (rms) carry only those up to "
-            f"{highest:.3g} Hz; shorten bus.cycle_s, stop other programs, or lower the band"
-        )
+    timing = timing_of(config)
+    warnings += timing.warnings(plan)
     for r in reports:
         warnings += r.warnings
     return {
@@ -59,9 +46,10 @@ def preflight(config: CellConfig) -> dict[str, Any]:
             "channel": config.bus.channel,
             "load": plan.budget.load,
             "max_load": plan.budget.max_load,
-            "jitter_rms_us": None if jitter is None else jitter * 1e6,
-            "highest_trustworthy_Hz": highest_trustworthy(config.bus.cycle_s, jitter or 0.0),
+            "jitter_rms_us": timing.to_json()["jitter_rms_us"],
+            "highest_trustworthy_Hz": timing.highest_hz,
         },
+        "timing": timing.to_json(),
         "drives": [r.to_json() for r in reports],
         "limits": [
             {
@@ -76,29 +64,6 @@ def preflight(config: CellConfig) -> dict[str, Any]:
         "plan": plan.to_json(),
         "warnings": warnings,
     }
-
-
-def wake_jitter(cycle_s: float) -> float:
-    """How late (rms, s) this process wakes at its slots now; the cycle's own process does better."""
-    late = []
-    slot = time.monotonic()
-    for _ in range(max(20, round(PROBE_S / cycle_s))):
-        slot += cycle_s
-        time.sleep(max(slot - time.monotonic(), 0.0))
-        now = time.monotonic()
-        late.append(now - slot)
-        slot = max(slot, now - cycle_s)  # a pause is one pause, not every slot after it
-    return math.sqrt(sum(x * x for x in late) / len(late))
-
-
-def highest_trustworthy(cycle_s: float, jitter_s: float) -> float:
-    """Highest frequency [Hz] with ten cycles to its period and at most 0.05 rad of jitter.
-
-    Ten: the zero-order hold is then 0.3 rad, which is modelled, and its images lie above nine times the
-    line. 0.05 rad is one per mille of the torque's power in the wrong phase (0.05²/2).
-    """
-    by_cycle = 0.1 / cycle_s
-    return by_cycle if jitter_s <= 0 else min(by_cycle, PHASE_RAD / (2 * math.pi * jitter_s))
 
 
 def _text(config: CellConfig, document: dict[str, Any]) -> str:

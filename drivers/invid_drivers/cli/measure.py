@@ -24,6 +24,7 @@ from invid_drivers.cli.expectation import NOTHING, belief_of, expectation, expec
 from invid_drivers.goal import Reached, measure_to_goal
 from invid_drivers.measurement import MeasurementResult, measure_to_file
 from invid_drivers.rescreening import screen_cell, screening_plan
+from invid_drivers.timing import timing_of
 
 SHORTEST_S = 4.0
 """Below that not even one block with its rest fits."""
@@ -170,6 +171,7 @@ def parse_goal(text: str) -> float:
 
 def tell_design(cell: CellConfig, design: GoalPlan, *, as_json: bool) -> int:
     """A dry run of a goal: 3 where it is not expected to be reached."""
+    timing = timing_of(cell)
     document = {
         "dry_run": True,
         "robot": cell.robot,
@@ -177,11 +179,13 @@ def tell_design(cell: CellConfig, design: GoalPlan, *, as_json: bool) -> int:
         **design.plan.to_json(),
         "goal": design.to_json(),
         "expected": design.expected.to_json(),
+        "timing": timing.to_json(),
     }
+    document["warnings"] = [*document["warnings"], *timing.warnings(design.plan)]
     if not design.reachable:
         document["warnings"] = [*document["warnings"], design.sentence]
     shown = [plan_text(design.plan, cell.robot), expected_text(design.expected, linear=cell.linear)]
-    emit(document, "\n".join([*shown, f"  {design.sentence}"]), as_json=as_json)
+    emit(document, "\n".join([*shown, f"  {timing.text()}", f"  {design.sentence}"]), as_json=as_json)
     return EXIT_OK if design.reachable else EXIT_NOT_TRUSTWORTHY
 
 
@@ -352,15 +356,25 @@ def register(app: typer.Typer) -> None:
         if dry_run:
             plan = make_plan(cell, axes=chosen, amplitude_scale=amplitude, model=chains)
             found = expectation(cell, plan, belief, noise_of(cell, noise_from))
+            timing = timing_of(cell)
             document = {
                 "dry_run": True,
                 "robot": cell.robot,
                 "simulated": cell.simulated,
                 **plan.to_json(),
                 "expected": None if found is None else found.to_json(),
+                "timing": timing.to_json(),
             }
+            beyond = timing.warnings(plan)
+            document["warnings"] = [*document["warnings"], *beyond]
             said = f"  note: {NOTHING}" if found is None else expected_text(found, linear=cell.linear)
-            emit(document, f"{plan_text(plan, cell.robot)}\n{said}", as_json=as_json)
+            shown = [
+                plan_text(plan, cell.robot),
+                f"  {timing.text()}",
+                *(f"  note: {w}" for w in beyond),
+                said,
+            ]
+            emit(document, "\n".join(shown), as_json=as_json)
             return EXIT_OK
         out = _required(out)
         with stop_on_signals() as stop:
