@@ -39,7 +39,7 @@ from invid_drivers.simulated import open_virtual_bus
 
 CONFIG = Path(__file__).parents[1] / "configs" / "case-study.yaml"
 CYCLE_S = 0.004
-RUN_S = 14.0
+RUN_S = 24.0
 """About how long a run without a fault takes in virtual time; faults come at any moment of it."""
 
 CYCLIC_POSITION = 8
