@@ -22,12 +22,12 @@ from typing import Any
 
 import numpy as np
 import yaml
+from processes import children, start, wait_for
 
 from invid.errors import InvidError
 from invid.recording import Outcome, read_recording
 
 CONFIG = Path(__file__).parents[1] / "configs" / "case-study-unix.yaml"
-INVID = [sys.executable, "-c", "from invid.cli import main; main()"]
 VICTIMS = ("parent", "cycle process", "simulated cell")
 CYCLE_S, PERIOD_S, PERIODS = 0.004, 2.048, 3
 ROWS = round(PERIODS * PERIOD_S / CYCLE_S)
@@ -71,32 +71,6 @@ def cell_config(folder: Path) -> Path:
     return path
 
 
-def start(folder: Path, *arguments: str, said: str) -> subprocess.Popen[str]:
-    """A command in its own process, its stderr in a file."""
-    with (folder / said).open("w") as errors:
-        return subprocess.Popen(
-            [*INVID, *arguments], stdout=subprocess.PIPE, stderr=errors, text=True, cwd=folder,
-            env={**os.environ, "XDG_STATE_HOME": str(folder / "state")},
-        )  # fmt: skip
-
-
-def wait_for(process: subprocess.Popen[str], path: Path, word: str) -> None:
-    """Until a command has said a word."""
-    end = time.monotonic() + START_S
-    while word not in path.read_text():
-        if process.poll() is not None or time.monotonic() > end:
-            raise SystemExit(f"{word!r} was not said: {path.read_text()}")
-        time.sleep(0.02)
-
-
-def children(pid: int) -> list[int]:
-    """Process ids of the children."""
-    try:
-        return [int(p) for p in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
-    except OSError:
-        return []
-
-
 def alive(pid: int) -> bool:
     """Whether a process still runs (a zombie does not)."""
     try:
@@ -110,12 +84,12 @@ def run_one(victim: str, rng: np.random.Generator, folder: Path) -> Kill:
     path = cell_config(folder)
     out = folder / "run.h5"
     complaints: list[str] = []
-    cell = start(folder, "simcell", str(path), "--json", said="cell.txt")
+    cell = start(folder, "simcell", str(path), "--json", errors="cell.txt")
     measure = None
     try:
-        wait_for(cell, folder / "cell.txt", "ready")
-        measure = start(folder, "measure", str(path), "-o", str(out), "--json", said="measure.txt")
-        wait_for(measure, folder / "measure.txt", "enabling")
+        wait_for(cell, folder / "cell.txt", "ready", START_S)
+        measure = start(folder, "measure", str(path), "-o", str(out), "--json", errors="measure.txt")
+        wait_for(measure, folder / "measure.txt", "enabling", START_S)
         moment = float(rng.uniform(0.0, RUN_S))
         time.sleep(moment)
         cycle = children(measure.pid)

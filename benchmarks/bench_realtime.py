@@ -15,7 +15,6 @@ import argparse
 import json
 import os
 import signal
-import subprocess
 import sys
 import tempfile
 import time
@@ -25,11 +24,11 @@ from typing import Any
 
 import numpy as np
 import yaml
+from processes import children, start, wait_for
 
 from invid.recording import read_recording
 
 CONFIG = Path(__file__).parents[1] / "configs" / "case-study-unix.yaml"
-INVID = [sys.executable, "-c", "from invid.cli import main; main()"]
 PERIOD_S = 8.192
 LEAST_MINUTES = 0.5
 MOST_SKIPPED = 0.005
@@ -81,40 +80,10 @@ def cell_config(folder: Path, minutes: float, cycle_s: float) -> Path:
     return path
 
 
-def start(folder: Path, *arguments: str, errors: str) -> subprocess.Popen[str]:
-    """A command in a process of its own."""
-    with (folder / errors).open("w") as said:
-        return subprocess.Popen(
-            [*INVID, *arguments],
-            stdout=subprocess.PIPE,
-            stderr=said,
-            text=True,
-            cwd=folder,
-            env={**os.environ, "XDG_STATE_HOME": str(folder / "state")},
-        )
-
-
-def wait_for(process: subprocess.Popen[str], path: Path, word: str, seconds: float) -> None:
-    """Until a command has said a word on stderr."""
-    end = time.monotonic() + seconds
-    while word not in path.read_text():
-        if process.poll() is not None or time.monotonic() > end:
-            raise SystemExit(f"{word!r} was not said: {path.read_text()}")
-        time.sleep(0.05)
-
-
 def stolen() -> float:
     """Seconds that the host took from all processors of this (virtual) machine since it started."""
     fields = Path("/proc/stat").read_text(encoding="ascii").split("\n", 1)[0].split()
     return int(fields[8]) / os.sysconf("SC_CLK_TCK")
-
-
-def children(pid: int) -> list[int]:
-    """Process ids of the children."""
-    try:
-        return [int(p) for p in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
-    except OSError:
-        return []
 
 
 def run(folder: Path, minutes: float, cycle_s: float) -> dict[str, Any]:

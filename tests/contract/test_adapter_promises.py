@@ -416,8 +416,24 @@ def test_a_drive_with_one_sdo_buffer_gets_the_cycles_question_and_then_the_next_
         cell.close()
 
 
+def freshness_of_a_moving_axis(meddle: Any) -> list[bool]:
+    """A1 under constant torque, whose frames ``meddle(get)`` may hold back; what counts as fresh is true."""
+    truth, _ = positions_of_a_moving_axis(simulated(), 60, lambda get: get)
+    seen, fresh = positions_of_a_moving_axis(simulated(), 60, meddle)
+    step = max(np.abs(np.diff(truth)))
+    assert all(abs(x - t) < 0.2 * step for x, t, new in zip(seen, truth, fresh, strict=True) if new)
+    return fresh
+
+
 def positions_of_a_moving_axis(cell: Cia402Cell, cycles: int, meddle: Any) -> tuple[list[float], list[bool]]:
-    """A1 under constant torque, whose frames ``meddle(get)`` may hold back; position and freshness."""
+    """Position and freshness in each cycle; the cell is closed then."""
+    try:
+        return _moving(cell, cycles, meddle)
+    finally:
+        cell.close()
+
+
+def _moving(cell: Cia402Cell, cycles: int, meddle: Any) -> tuple[list[float], list[bool]]:
     cell.check()
     cell.energise(held(cell))
     cell.set_modes([Mode.TORQUE, Mode.HOLD], [0.0, 0.0])
@@ -434,10 +450,6 @@ def positions_of_a_moving_axis(cell: Cia402Cell, cycles: int, meddle: Any) -> tu
 
 def test_tpdos_that_come_cycles_late_in_a_bunch_are_never_taken_for_a_later_cycles() -> None:
     """A simulated drive that was not run for a while answers all the SYNCs it missed at once."""
-    undisturbed = simulated()
-    truth, _ = positions_of_a_moving_axis(undisturbed, 60, lambda get: get)
-    undisturbed.close()
-    cell = simulated()
     calls = 0
     kept: list[Any] = []
 
@@ -458,23 +470,12 @@ def test_tpdos_that_come_cycles_late_in_a_bunch_are_never_taken_for_a_later_cycl
 
         return in_a_bunch
 
-    try:
-        seen, fresh = positions_of_a_moving_axis(cell, 60, meddle)
-    finally:
-        cell.close()
+    fresh = freshness_of_a_moving_axis(meddle)
     assert 3 <= fresh.count(False) <= 12
     assert all(fresh[-30:])
-    step = max(np.abs(np.diff(truth)))
-    for x, true, new in zip(seen, truth, fresh, strict=True):
-        if new:
-            assert abs(x - true) < 0.2 * step
 
 
 def test_a_lost_tpdo_costs_its_own_cycle_and_no_other() -> None:
-    undisturbed = simulated()
-    truth, _ = positions_of_a_moving_axis(undisturbed, 60, lambda get: get)
-    undisturbed.close()
-    cell = simulated()
     calls = 0
 
     def meddle(get: Any) -> Any:
@@ -489,13 +490,8 @@ def test_a_lost_tpdo_costs_its_own_cycle_and_no_other() -> None:
 
         return lossy
 
-    try:
-        seen, fresh = positions_of_a_moving_axis(cell, 60, meddle)
-    finally:
-        cell.close()
+    fresh = freshness_of_a_moving_axis(meddle)
     assert [k + 1 for k, new in enumerate(fresh) if not new] == [10, 30, 31]
-    step = max(np.abs(np.diff(truth)))
-    assert all(abs(x - t) < 0.2 * step for x, t, new in zip(seen, truth, fresh, strict=True) if new)
 
 
 foreign_frames = st.builds(
@@ -540,7 +536,7 @@ def test_frames_of_any_kind_in_the_cycle_never_crash_the_adapter_nor_keep_it_fro
     try:
         cell.check()
         cell.energise(held(cell))
-        cell._link.get = polluted  # type: ignore[method-assign,assignment]
+        cell._link.get = polluted  # type: ignore[method-assign]
         for _ in range(30):
             cell.exchange(zero(cell))
         cell.stop()
