@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -55,8 +55,8 @@ def paper_model(
     known = {n: float(np.sqrt(max(v, 0.0))) for n, v in zip(names, variance, strict=True)}
     for k, name in enumerate(names_all):
         std[k] = known.get(name, np.nan)
-    warnings = [*warnings, *paper.warnings]
-    trust = True
+    warnings = [*warnings, *paper.warnings, *_order_doubts(order)]
+    trust = not _order_doubts(order)
     for name, value, error in zip(names_all, values, std, strict=True):
         if ".damper." in name or ".coupling" in name:
             continue
@@ -81,6 +81,17 @@ def paper_model(
         },
         provenance=_provenance(recording),
     )
+
+
+def _order_doubts(order: Mapping[str, Any]) -> list[str]:
+    """Structures that the data cannot tell apart: their parameters differ, their motion does not."""
+    if not order.get("alike"):
+        return []
+    alike = " and ".join(",".join(map(str, n)) for n in (order["chosen"], *order["alike"]))
+    return [
+        f"order: {alike} masses explain these data alike: the motors do not show on which branch the further "
+        "mass is; say it with --masses"
+    ]
 
 
 def refined_model(
@@ -114,6 +125,7 @@ def refined_model(
             f"the model explains {fit.explained:.0%} of the torque only: another number of masses, a torque "
             "channel that is not the motor torque, or axes that do not move freely"
         )
+    doubts += _order_doubts(order)
     beaten, missed = missed_by_structure(spectra, fit) if fit.noise_chi2 > SUSPECT else (0.0, 0.0)
     if beaten > BEATEN and missed > BEATEN:
         doubts.append(

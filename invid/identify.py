@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any, Literal
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from invid.chains import CoupledChains
 from invid.crosscheck import missed_by_structure, second_route, widened
-from invid.errors import InputError, NotIdentifiableError
+from invid.errors import InputError, InvidError, NotIdentifiableError
 from invid.frf import FrfMatrix, frf_matrix, local_frf_matrix
 from invid.grounded import with_ground_springs
 from invid.identified import BEATEN, SUSPECT, paper_model, refined_model
@@ -70,7 +70,45 @@ def identify(
         from invid.trajectory import identify_trajectory, is_rigid_case
 
         if is_rigid_case(recording, masses):
-            return identify_trajectory(recording)
+            return _rigid_or_chains(recording, masses, lambda: identify_trajectory(recording))
+    return _chains(recording, masses, method, profile)
+
+
+def _rigid_or_chains(recording: Recording, masses: Masses, rigid: Callable[[], Model]) -> Model:
+    """The rigid model, or that of chains where the rigid one knows no inertia and chains explain the data.
+
+    Broadband excitation of a chain, recorded without periods, looks like a motor on a spring to ground.
+    """
+    model: Model | None = None
+    failure: NotIdentifiableError | None = None
+    try:
+        model = rigid()
+    except NotIdentifiableError as error:
+        failure = error
+    if model is not None and _known(model):
+        return model
+    if masses is None or isinstance(masses, str):
+        try:
+            chains = _chains(recording, masses, "refined", False)
+        except InvidError:
+            chains = None
+        # Where they explain the records to their noise, doubts about their number of masses notwithstanding.
+        if chains is not None and (model is None or chains.fit["noise_chi2_per_dof"] < SUSPECT):
+            return chains
+    if model is None:
+        raise failure or NotIdentifiableError(f"{recording.source}: no rigid model")
+    return model
+
+
+def _known(rigid: Model) -> bool:
+    """Whether every inertia is known to a tenth (a guess: recorded moves give a per cent or two)."""
+    return all(
+        bool(np.all(std < 0.1 * np.abs(mass)))
+        for std, mass in zip(rigid.std.masses, rigid.chains.masses, strict=True)
+    )
+
+
+def _chains(recording: Recording, masses: Masses, method: Method, profile: bool) -> Model:
     spectra = all_spectra(recording, Role.IDENTIFY)
     _check(recording, spectra)
     spectra = with_acting_torque(spectra, recording.experiments)

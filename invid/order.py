@@ -91,14 +91,24 @@ def choose_order(spectra: Sequence[LineSpectra], axes: Sequence[str], *, most: i
             continue
         break
     if count > 1:
-        best = _trimmed(best, needed, cost)
+        best = _trimmed(_grown(best, needed, cost, most), needed, cost)
+    alike = _alike(best, costs, dofs)
+    # Of those that the data cannot tell apart the most even one stands first.
+    best, *alike = sorted((best, *alike), key=lambda n: (max(n) - min(n), n != best, costs[n]))
     warnings = []
+    if count > 1 and not alike and max(best) > 1:
+        warnings.append(
+            f"order: {_label(best)} masses are the fewest that explain the data; where the ends of branches "
+            "are coupled, motors cannot always tell on which branch a mass hangs: say the numbers if known "
+            "(--masses)"
+        )
     if max(best) == most:
         warnings.append(
             f"order: {most} masses a branch are the most that are tried, and the data ask for them"
         )
     evidence = {
         "chosen": list(best),
+        "alike": [list(sizes) for sizes in alike],
         "chi2_per_dof": {
             _label(sizes): (value / dofs[sizes] if np.isfinite(value) else None)
             for sizes, value in costs.items()
@@ -120,6 +130,35 @@ def _trimmed(
         if not free:
             return best
         best = min(free, key=cost)
+
+
+def _grown(
+    best: tuple[int, ...],
+    needed: Callable[[tuple[int, ...], tuple[int, ...]], bool],
+    cost: Callable[[tuple[int, ...]], float],
+    most: int,
+) -> tuple[int, ...]:
+    """Masses added to single branches while they pay: two more at once may have ended in a wrong minimum."""
+    while True:
+        larger = [(*best[:i], n + 1, *best[i + 1 :]) for i, n in enumerate(best) if n < most]
+        paying = [s for s in larger if needed(best, s)]
+        if not paying:
+            return best
+        best = min(paying, key=cost)
+
+
+def _alike(
+    best: tuple[int, ...], costs: dict[tuple[int, ...], float], dofs: dict[tuple[int, ...], int]
+) -> list[tuple[int, ...]]:
+    """Other structures with as many masses that the data cannot tell from the best.
+
+    They exist: between two branches whose ends are coupled, a mass may hang on the one or on the other
+    with the same motion of every motor, as long as all its values stay positive.
+    """
+    scale = max(costs[best] / dofs[best], 1.0)
+    # As good as the best up to what one parameter may gain by chance once in a thousand.
+    limit = costs[best] + chi2_isf(1e-3, 1) * scale
+    return [s for s, value in costs.items() if s != best and sum(s) == sum(best) and value < limit]
 
 
 def _split(chains: CoupledChains | None, sizes: tuple[int, ...]) -> list[CoupledChains]:

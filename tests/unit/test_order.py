@@ -1,0 +1,22 @@
+"""The number of masses: what the motors cannot tell is said."""
+
+from invid.identified import _order_doubts
+from invid.order import _alike, _grown
+
+
+def test_structures_with_as_many_masses_that_fit_alike_are_named() -> None:
+    costs = {(2, 2): 9e5, (3, 3): 995.0, (3, 2): 1000.0, (2, 3): 1000.4, (4, 1): 1300.0}
+    dofs = dict.fromkeys(costs, 1000)
+    assert _alike((3, 2), costs, dofs) == [(2, 3)]
+    (doubt,) = _order_doubts({"chosen": [3, 2], "alike": [[2, 3]]})
+    assert "3,2 and 2,3" in doubt
+    assert _order_doubts({"chosen": [3, 3], "alike": []}) == []
+
+
+def test_a_mass_is_added_to_one_branch_where_more_on_all_did_not_pay() -> None:
+    costs = {(2, 2): 9e5, (3, 2): 8e5, (2, 3): 1000.0, (3, 3): 999.0, (2, 4): 999.5}
+
+    def needed(small: tuple[int, ...], large: tuple[int, ...]) -> bool:
+        return costs[small] > 2000 and costs[small] > 1.3 * costs.get(large, 1e9)
+
+    assert _grown((2, 2), needed, lambda n: costs.get(n, 1e9), 6) == (2, 3)
