@@ -11,10 +11,10 @@ from invid.arrays import Float64
 from invid.errors import NotIdentifiableError
 from invid.recording.model import Recording
 from invid.trajectory.kind import grounded_axes
-from invid.trajectory.load import load_terms, settled
+from invid.trajectory.load import load_terms
 from invid.trajectory.motion import Band, Motion, find_band, prepare
 from invid.trajectory.regression import Design, Fit, fit
-from invid.trajectory.selection import Selection, fit_fast, needed, select
+from invid.trajectory.selection import Selection, consistent, fit_fast, judged, needed, pruned, select
 from invid.trajectory.terms import Extent, Term, base_terms, candidate_terms, extent
 
 
@@ -57,16 +57,33 @@ def analyse(recording: Recording) -> Analysis:
     base = base_terms(recording.axis_count, reach.steady)
     base += [Term("ground_spring", i, ("stiffness",), base=True) for i in sorted(springs)]
     candidates = candidate_terms(recording.axis_count, reach, springs)
+    if not reach.steady:
+        design.bend(_offsets(design, base, candidates))
     chosen = select(design, base, candidates)
     terms, spread = _refined(design, chosen.final)
     terms = _delays(design, terms, max(m.step for m in motions))
-    terms = settled(design, terms)
-    final = fit(design, terms)
+    final, kept = consistent(design, terms)
+    if len(kept) < len(terms):
+        # What stood only beside what went goes as well.
+        final, kept = pruned(design, kept)
+    terms = kept
     candidates += [t for t in load_terms(final, design) if not any(t.label == n.label for n in terms)]
     rigid = fit(design, [t for t in final.terms if t.base])
     return Analysis(
         recording, band, motions, design, reach, springs, candidates, chosen, rigid, final, spread
     )
+
+
+def _offsets(design: Design, base: list[Term], candidates: list[Term]) -> Float64:
+    """(M,) time offset of each axis, every cause that is linear beside it; within a sample [s]."""
+    plain = [t for t in candidates if t.shape is None and not t.replaces]
+    quick = fit(design, [*base, *plain])
+    step = max(m.step for m in design.motions)
+    late = np.zeros(design.axes)
+    for term in base:
+        if term.cause == "time_offset":
+            late[term.axis] = np.clip(quick.of(term)[0][0], -step, step)
+    return late
 
 
 def _delays(design: Design, terms: list[Term], step: float) -> list[Term]:
@@ -77,12 +94,25 @@ def _delays(design: Design, terms: list[Term], step: float) -> list[Term]:
         if abs(value[0]) <= step + 2 * std[0]:
             continue
         without = fit(design, [t for t in terms if t is not term])
-        if needed(design, without, current) and _late_while_moving(design, terms, term, step):
+        believed = needed(design, without, current) and _takes_all(design, without, current)
+        if believed and _late_while_moving(design, terms, term, step):
             terms = [replace(t, cause="torque_delay", base=False) if t is term else t for t in terms]
         else:
             terms = without.terms
         current = fit(design, terms)
     return terms
+
+
+def _takes_all(design: Design, without: Fit, current: Fit) -> bool:
+    """Whether nine tenths of what is missing beyond noise goes with the delay.
+
+    In closed loop whatever else is missing shows in the torque as well, a little later. A delay that leaves
+    more may be the disguise of it.
+    """
+    rows = judged(design)
+    noise = float(np.sum(design.noise[rows]))
+    before, after = (float(np.sum(f.held_out[rows] ** 2)) for f in (without, current))
+    return after - noise < 0.1 * (before - noise)
 
 
 def _late_while_moving(design: Design, terms: list[Term], term: Term, step: float) -> bool:
@@ -140,8 +170,21 @@ def row_floor(analysis: Analysis) -> Float64:
             continue
         mass = float(analysis.final.of(term)[0][0])
         own = design.axis == term.axis
-        cutoff = float(band.rows_hz[term.axis])
-        # White position noise through ω⁴ up to the cut-off.
-        accelerating = band.position_psd[term.axis] * (2 * np.pi) ** 4 * cutoff**5 / 5
-        variance[own] += mass**2 * accelerating
+        accelerating: Float64 = band.noise(2, band.rows_hz)
+        variance[own] += mass**2 * float(accelerating[term.axis])
     return variance
+
+
+def counts_at_most(analysis: Analysis) -> Float64:
+    """(M,) rms torque that the steps of the encoder may leave in the rows.
+
+    At a constant speed the rounding is no white noise but a tone, at whatever frequency the sampling folds it
+    to: at worst all of it, count²/12, at the cut-off.
+    """
+    count: Float64 = np.max([m.counts for m in analysis.motions], axis=0)
+    most = np.zeros_like(count)
+    for term in analysis.final.terms:
+        if term.cause == "inertia":
+            bent = (2 * np.pi * analysis.band.rows_hz[term.axis]) ** 2 * count[term.axis] / np.sqrt(12.0)
+            most[term.axis] = abs(float(analysis.final.of(term)[0][0])) * bent
+    return most

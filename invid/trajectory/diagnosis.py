@@ -13,9 +13,10 @@ from invid.diagnosis import Alternative, AxisResidual, Diagnosis, Finding, Unexp
 from invid.errors import InputError, ModelError, NotIdentifiableError
 from invid.model import ChainStd, EffectTerm, Model
 from invid.recording.model import Recording
-from invid.trajectory.analysis import Analysis, analyse, row_floor
+from invid.trajectory.analysis import Analysis, analyse, counts_at_most, row_floor
 from invid.trajectory.causes import effect_of, separating
 from invid.trajectory.load import load_terms
+from invid.trajectory.motion import Motion
 from invid.trajectory.regression import Fit, fit
 from invid.trajectory.selection import (
     INDISTINCT,
@@ -23,6 +24,7 @@ from invid.trajectory.selection import (
     held_out_p,
     judged,
     may_join,
+    needed,
     rms,
     training_p,
 )
@@ -33,6 +35,21 @@ from invid.trajectory.words import sentence_of
 AT_FLOOR = 1.3
 """Held-out residual over noise floor that counts as at the floor: the floor's own error (noise not quite
 white) is some 20 %; empirical, on simulated axes with white noise the ratio stays below 1.15."""
+CONTESTED = 0.89
+"""Most that is claimed where a cause may be another's disguise."""
+DISGUISE = 0.02
+"""Part of what a cause took away that may be left as a function of the same driver. A guess: a law right to
+a tenth leaves a hundredth of its power; viscous friction fitted to friction that grows with the square of
+speed leaves 6 % on evenly spread speeds."""
+_DRIVEN_BY = {
+    "viscous_friction": "velocity",
+    "coulomb_friction": "velocity",
+    "stribeck_friction": "velocity",
+    "asymmetric_friction": "velocity",
+    "gravity": "position",
+    "cubic_stiffness": "position",
+    "quadratic_stiffness": "position",
+}
 RESOLUTION = 0.005
 """Part of the torque below which nothing is said to be missing: resampling, differentiation and a torque held
 over the sample leave up to 0.2 % on simulated axes without any fault (empirical)."""
@@ -65,8 +82,8 @@ def diagnose_trajectory(recording: Recording, *, model: Model | None = None) -> 
     explained = 1 - (power[1] - noise) / (power[0] - noise) if power[0] > 1.05 * noise else None
     sizes = [rms(a.design.torque[rows & (a.design.axis == i)]) for i in range(a.design.axes)]
     at_floor = all(
-        r.after <= max(AT_FLOOR * r.noise_floor, RESOLUTION * size)
-        for r, size in zip(residual, sizes, strict=True)
+        r.after <= max(AT_FLOOR * r.noise_floor, RESOLUTION * size, float(np.hypot(r.noise_floor, steps)))
+        for r, size, steps in zip(residual, sizes, counts_at_most(a), strict=True)
     )
     if not findings:
         # Without a cause the rigid model is either enough or wrong in a way that has no name here.
@@ -124,9 +141,10 @@ def _finding(a: Analysis, term: Term) -> Finding:
     share = 1.0 / (1 + sum(float(np.exp(-0.5 * max(excess, 0.0))) for _, excess in rivals))
     causes = {term.cause, *(r.cause for r, _ in rivals)}
     name = a.recording.axes[term.axis]
+    doubt = _doubt(a, term, before, after, mine)
     return Finding(
         effect=effect,
-        confidence=min(0.999, (1 - p) * share),
+        confidence=min(CONTESTED if doubt else 0.999, (1 - p) * share),
         before=before,
         after=after,
         fraction=float(np.clip(1 - after**2 / before**2, 0.0, 1.0)) if before > 0 else 0.0,
@@ -135,8 +153,44 @@ def _finding(a: Analysis, term: Term) -> Finding:
         if rivals
         else None,
         sentence=sentence_of(effect, before, after, a.recording.torque_unit, tuple(r for r, _ in rivals))
-        + remark,
+        + remark
+        + doubt,
     )
+
+
+def _doubt(a: Analysis, term: Term, before: float, after: float, mine: np.typing.NDArray[np.bool_]) -> str:
+    """Why a cause that helps may be another's disguise; empty where nothing says so."""
+    removed = before**2 - after**2
+    left = after**2 - float(np.mean(row_floor(a)[mine]))
+    if left > removed:
+        return "; likely, not certain: more is left than this takes away"
+    if term.cause not in _DRIVEN_BY:
+        return ""
+    if term.cause == "viscous_friction":
+        grown = fit(a.design, [*a.final.terms, Term("square_of_speed", term.axis, ("coefficient",))])
+        if needed(a.design, a.final, grown):
+            return "; likely, not certain: what is left grows with the square of the speed"
+    name = _DRIVEN_BY[term.cause]
+    driver = np.concatenate([_driver(m, name, term.axis) for m in a.motions])
+    own = a.final.held_out[a.design.axis == term.axis]
+    if _function_of(own, driver, own.size / max(a.final.effective / a.design.axes, 1.0)) > DISGUISE * removed:
+        return f"; likely, not certain: what is left depends on {name} as well, so its law is another"
+    return ""
+
+
+def _driver(motion: Motion, name: str, axis: int) -> Float64:
+    fine = motion.velocity if name == "velocity" else motion.position
+    rows: Float64 = motion.rows(fine)[:, axis]
+    return rows
+
+
+def _function_of(residual: Float64, driver: Float64, length: float) -> float:
+    """Mean square of what of ``residual`` is a function of ``driver``, beyond what chance makes of it."""
+    edges = np.quantile(driver, np.linspace(0, 1, 21)[1:-1])
+    bins = np.searchsorted(edges, driver)
+    sums, counts = np.bincount(bins, residual, 20), np.maximum(np.bincount(bins, minlength=20), 1)
+    chance = 20.0 * length * float(np.mean(residual**2)) / residual.size
+    return float(np.sum(sums**2 / counts)) / residual.size - chance
 
 
 def _plain(a: Analysis, term: Term, rest: list[Term]) -> tuple[EffectTerm, str]:

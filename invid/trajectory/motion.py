@@ -40,9 +40,16 @@ class Band:
     rows_hz: Float64
     """(M,) cut-off of both sides of each axis's equation."""
     position_psd: Float64
-    """(M,) white noise of position [unit²/Hz], one-sided."""
+    """(M,) white noise of position [unit²/Hz], one-sided; of velocity where only that was measured."""
     torque_psd: Float64
     """(M,) white noise of torque [unit²/Hz], one-sided."""
+    velocity_only: bool = False
+
+    def noise(self, order: int, cutoff_hz: Float64) -> Float64:
+        """(M,) variance that the measured motion's white noise leaves in its derivative below a cut-off."""
+        power = 2 * (order - int(self.velocity_only))
+        spread: Float64 = (2 * np.pi) ** power * cutoff_hz ** (power + 1) / (power + 1)
+        return self.position_psd * spread
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +63,11 @@ class Motion:
     acceleration: Float64
     torque: Float64
     torque_rate: Float64
-    """(n, M) derivative of the torque below the rows' cut-off."""
+    """(n, M) derivative of the torque below the motion's cut-off."""
+    torque_bend: Float64
+    """(n, M) its second derivative."""
+    counts: Float64
+    """(M,) step of the encoder; 0 where it is not seen."""
     step: float
     row_step: float
     rest: Float64
@@ -129,6 +140,25 @@ def spacing(step: float, cutoff_hz: Float64) -> int:
     return 1 if widest >= 0.35 / step else max(1, int(1.0 / (2.5 * widest * step)))
 
 
+def count_size(position: Float64) -> Float64:
+    """(M,) step of the encoder that the samples themselves show; 0 where they lie on no grid.
+
+    The smallest change between samples, where a hundred of all changes are whole multiples of it: noise or
+    resampling leaves none that are.
+    """
+    sizes = np.zeros(position.shape[1])
+    for i, column in enumerate(position.T):
+        changes = np.abs(np.diff(column))
+        changes = changes[changes > 1e-9 * max(float(np.ptp(column)), 1e-300)]
+        if changes.size < 100:
+            continue
+        step = float(changes.min())
+        several = changes[changes < 1e4 * step] / step
+        if several.size >= 100 and float(np.abs(several - np.round(several)).max()) < 0.05:
+            sizes[i] = step
+    return sizes
+
+
 def white_psd(values: Float64, step: float) -> tuple[Float64, Float64, Float64]:
     """Frequencies, one-sided PSD (F, M) and white level (M,) read from the upper part of the band.
 
@@ -149,7 +179,9 @@ def find_band(experiments: tuple[Experiment, ...]) -> Band:
     """Cut-offs that all axes can carry, from the longest experiment's own spectra."""
     longest = max(experiments, key=lambda e: e.samples)
     even = uniform(longest)
-    frequency, power, floor = white_psd(even.position, even.step)
+    velocity_only = _velocity_only(longest)
+    motion_of = _forward(even.position, even.step) if velocity_only else even.position
+    frequency, power, floor = white_psd(motion_of, even.step)
     _, _, torque_floor = white_psd(even.torque, even.step)
     nyquist = 0.5 / even.step
     cutoffs = []
@@ -163,7 +195,19 @@ def find_band(experiments: tuple[Experiment, ...]) -> Band:
     carried = 0.6 * motion if motion >= 0.6 * nyquist else 0.5 * motion
     # Above what drives it, an axis shows its disturbances: regressing on that motion shrinks every estimate.
     driven = TORQUE_BAND * _torque_edge([e for e in experiments if e.kind is longest.kind], torque_floor)
-    return Band(motion, np.clip(driven, 8.0 / longest.duration, carried), floor, torque_floor)
+    rows = np.clip(driven, 8.0 / longest.duration, carried)
+    return Band(motion, rows, floor, torque_floor, velocity_only)
+
+
+def _velocity_only(experiment: Experiment) -> bool:
+    return experiment.attributes.get("position_source") == "integrated_velocity"
+
+
+def _forward(position: Float64, step: float) -> Float64:
+    """The forward difference, which gives back the velocity that was integrated, exactly."""
+    velocity: Float64 = np.diff(position, axis=0, append=position[-1:]) / step
+    velocity[-1] = velocity[-2]
+    return velocity
 
 
 def _torque_edge(experiments: list[Experiment], floor: Float64) -> Float64:
@@ -188,23 +232,25 @@ def _torque_edge(experiments: list[Experiment], floor: Float64) -> Float64:
 
 def prepare(experiment: Experiment, band: Band) -> Motion:
     """The experiment as regression rows."""
-    velocity_only = experiment.attributes.get("position_source") == "integrated_velocity"
-    steady = experiment.kind is Kind.CONSTANT_VELOCITY
-    if steady:
+    if experiment.kind is Kind.CONSTANT_VELOCITY:
         return _steady(experiment, band)
     even = uniform(experiment)
     step, cutoff = even.step, band.motion_hz
     position = derivative(even.position, step, cutoff, 0)
     velocity = derivative(even.position, step, cutoff, 1)
     acceleration = derivative(even.position, step, cutoff, 2)
-    if velocity_only:
-        # The forward difference gives back the velocity that was integrated, exactly.
-        measured = np.diff(even.position, axis=0, append=even.position[-1:]) / step
-        measured[-1] = measured[-2]
+    counts = count_size(even.position)
+    if _velocity_only(experiment):
+        measured = _forward(even.position, step)
         velocity = derivative(measured, step, cutoff, 0)
         acceleration = derivative(measured, step, cutoff, 1)
-    noise = band.position_psd * (2 * np.pi) ** 2 * cutoff**3 / 3
-    rest = 3.0 * np.sqrt(noise)
+        counts = np.zeros_like(counts)
+    torque_rate, torque_bend = (derivative(even.torque, step, cutoff, k) for k in (1, 2))
+    # Where counts come more slowly than the cut-off the derivative shows the counts, not the motion.
+    noise = band.noise(1, np.full(position.shape[1], cutoff))
+    rest = np.maximum(3.0 * np.sqrt(noise), counts * cutoff)
+    inner = _without_jumps(acceleration, step, cutoff)
+    position, velocity, acceleration = position[inner], velocity[inner], acceleration[inner]
     moving = (np.abs(velocity) > rest).astype(float)
     share = reduced(moving, step, band.rows_hz)
     keep: Bool = np.all(share > MOVING, axis=1)
@@ -220,8 +266,10 @@ def prepare(experiment: Experiment, band: Band) -> Motion:
         position=position,
         velocity=velocity,
         acceleration=acceleration,
-        torque=even.torque,
-        torque_rate=derivative(even.torque, step, float(band.rows_hz.max()), 1),
+        torque=even.torque[inner],
+        torque_rate=torque_rate[inner],
+        torque_bend=torque_bend[inner],
+        counts=counts,
         step=step,
         row_step=every * step,
         rest=rest,
@@ -231,6 +279,24 @@ def prepare(experiment: Experiment, band: Band) -> Motion:
         far=far,
         row_noise=np.array(row_noise),
     )
+
+
+def _without_jumps(acceleration: Float64, step: float, cutoff_hz: float) -> slice:
+    """The samples without the ends of a record that begins or ends while it accelerates.
+
+    The second derivative of its point reflection jumps there by twice the acceleration, and the filter of the
+    rows would carry that inwards. A tenth of the rms is the most that is let pass: empirical, on drawn axes.
+    """
+    count = acceleration.shape[0]
+    end = min(int(np.ceil(4.0 / (cutoff_hz * step))), count // 8)
+    size = np.sqrt(np.mean(acceleration**2, axis=0))
+    half = max(end // 2, 1)
+    ends = (
+        acceleration[half : end + half].mean(axis=0),
+        acceleration[count - end - half : count - half].mean(axis=0),
+    )
+    first, last = (end if bool((np.abs(a) > 0.1 * size).any()) else 0 for a in ends)
+    return slice(first, count - last)
 
 
 def _steady(experiment: Experiment, band: Band) -> Motion:
@@ -248,6 +314,8 @@ def _steady(experiment: Experiment, band: Band) -> Motion:
         acceleration=np.zeros_like(velocity),
         torque=np.asarray(torque),
         torque_rate=np.zeros_like(velocity),
+        torque_bend=np.zeros_like(velocity),
+        counts=np.zeros(position.shape[1]),
         step=float(np.median(np.diff(time))),
         row_step=float(time[-1] - time[0]),
         rest=np.zeros(position.shape[1]),

@@ -37,6 +37,14 @@ class Design:
         scale = [self.torque[self.axis == i].std() or 1.0 for i in range(self.axes)]
         self.weight = 1.0 / np.array(scale)[self.axis]
 
+    def bend(self, late: Float64) -> None:
+        """Second order of each axis's time offset: τ(t − δ) = τ − δ τ̇ + ½ δ² τ̈, the first being a term.
+
+        At a hundredth of a second between samples and motion of 4 Hz it is a per cent of the torque.
+        """
+        parts = [m.rows(0.5 * late**2 * m.torque_bend) for m in self.motions]
+        self.torque = self.torque + self._stack(parts)
+
     @staticmethod
     def _stack(rows: list[Float64]) -> Float64:
         return np.concatenate([r.T.ravel() for r in rows])

@@ -210,9 +210,7 @@ def select(design: Design, base: list[Term], candidates: list[Term], *, most: in
         current = fit(design, terms)
         ladder.append((list(terms), current))
     start = fit(design, base)
-    current, terms = _prune(design, current, terms)
-    terms = settled(design, terms)
-    current = fit(design, terms)
+    current, terms = pruned(design, terms)
     return Selection(start, current, steps, ladder)
 
 
@@ -252,7 +250,7 @@ def _pair(
 def may_join(terms: list[Term], new: Term) -> bool:
     """True where ``new`` has what it builds on and is no part of what is there already."""
     here = {t.cause for t in terms if t.axis == new.axis}
-    if new.needs and not here & set(new.needs):
+    if (new.needs and not here & set(new.needs)) or here & set(new.excludes):
         return False
     # Over less than a turn, a constant is the cosine of a gravity angle: they are one cause.
     # A joint falls with its own link or with all that hangs on it, not with both.
@@ -317,10 +315,28 @@ def _same_both_ways(design: Design, current: Fit, rest: list[Term], term: Term) 
     return None
 
 
-def _prune(design: Design, current: Fit, terms: list[Term]) -> tuple[Fit, list[Term]]:
+def consistent(design: Design, terms: list[Term]) -> tuple[Fit, list[Term]]:
+    """Fit with every load as the rest has it, and no cause with a sign that it cannot have.
+
+    Beside what was taken after it a cause may turn into what it cannot be; the latest of them goes first.
+    """
+    while True:
+        terms = settled(design, terms)
+        current = fit(design, terms)
+        wrong = [t for t in terms if not t.base and not physical(current, t)]
+        if not wrong:
+            return current, terms
+        terms = [t for t in terms if t is not wrong[-1]]
+        if wrong[-1].cause == "stribeck_friction":
+            terms += _simpler(wrong[-1])[0]
+
+
+def pruned(design: Design, terms: list[Term]) -> tuple[Fit, list[Term]]:
+    """Everything taken out, or made simpler, that is not missed."""
     changed = True
     while changed:
         changed = False
+        current, terms = consistent(design, terms)
         for term in [t for t in terms if not t.base or t.cause == "configuration"]:
             rest = [t for t in terms if t is not term]
             same = _same_both_ways(design, current, rest, term)

@@ -6,8 +6,7 @@ axis. Signs: friction opposes the motion and is positive, M(q) q̈ + … + frict
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -34,6 +33,8 @@ class Term:
         Causes on the same axis that this term contains.
     needs
         Causes on the same axis of which one must be there before this one is tried.
+    excludes
+        Causes on the same axis beside which this one is not tried.
     load
         Terms with their coefficients that make up the load of friction that depends on it.
     """
@@ -46,6 +47,7 @@ class Term:
     exponent: int = 0
     replaces: tuple[str, ...] = ()
     needs: tuple[str, ...] = ()
+    excludes: tuple[str, ...] = ()
     other: int | None = None
     base: bool = False
     tag: str = ""
@@ -107,6 +109,8 @@ def columns(term: Term, motion: Motion) -> Float64:
                 out[:, axis, 0], out[:, axis, 1] = np.sin(angle), np.cos(angle)
         case "load_dependent_friction":
             out[:, i, 0] = np.abs(load_on(term, motion)) * soft_sign(motion, i)
+        case "square_of_speed":
+            out[:, i, 0] = v * np.abs(v)
         case "quadratic_stiffness":
             out[:, i, 0] = q**2
         case "cubic_stiffness":
@@ -156,10 +160,11 @@ class Extent:
     """(M,) largest speed."""
     slow: Float64
     """(M,) slowest 2 % of the speeds while moving."""
+    rest: Float64
+    """(M,) speed below which the direction is blurred."""
     both_ways: tuple[bool, ...]
     rotary: bool
     steady: bool
-    facts: Mapping[str, float] = field(default_factory=dict)
 
 
 def extent(motions: list[Motion], rotary: bool) -> Extent:
@@ -176,7 +181,13 @@ def extent(motions: list[Motion], rotary: bool) -> Extent:
         bool((v[:, i] > rest[i]).mean() > 0.05 < (v[:, i] < -rest[i]).mean()) for i in range(v.shape[1])
     )
     return Extent(
-        np.ptp(q, axis=0), np.abs(v).max(axis=0), np.array(slow), ways, rotary, all(m.steady for m in motions)
+        travel=np.ptp(q, axis=0),
+        speed=np.abs(v).max(axis=0),
+        slow=np.array(slow),
+        rest=rest,
+        both_ways=ways,
+        rotary=rotary,
+        steady=all(m.steady for m in motions),
     )
 
 
@@ -205,10 +216,9 @@ def candidate_terms(axes: int, reach: Extent, springs: set[int]) -> list[Term]:
         found.append(Term("viscous_friction", i, ("coefficient",), ("coefficient",)))
         found.append(Term("coulomb_friction", i, ("torque",), ("torque",)))
         found.append(Term("torque_offset", i, ("torque",)))
-        speeds = [
-            float(s)
-            for s in np.geomspace(max(reach.slow[i], 1e-3 * reach.speed[i]), 0.5 * reach.speed[i], 12)
-        ]
+        # Nearer to standstill than twice the blur of the direction nobody sees how friction bends.
+        slowest = max(reach.slow[i], 1e-3 * reach.speed[i], 2.0 * reach.rest[i])
+        speeds = [float(s) for s in np.geomspace(slowest, max(0.5 * reach.speed[i], 1.01 * slowest), 12)]
         for exponent in (1, 2):
             for speed in speeds:
                 found.append(
@@ -246,7 +256,9 @@ def candidate_terms(axes: int, reach: Extent, springs: set[int]) -> list[Term]:
         # Beside a spring to ground, a sine over less than half a turn is a spring that is not linear.
         swings = reach.travel[i] > (np.pi if i in springs else 0.2)
         if reach.rotary and swings and not reach.steady:
-            found.append(Term("gravity", i, ("sine", "cosine"), replaces=("torque_offset",)))
+            # Over less than half a turn a weight and the constant within friction by direction may cancel.
+            beside = ("asymmetric_friction",) if reach.travel[i] < np.pi else ()
+            found.append(Term("gravity", i, ("sine", "cosine"), replaces=("torque_offset",), excludes=beside))
         if i in springs:
             found.append(Term("quadratic_stiffness", i, ("coefficient",)))
             found.append(Term("cubic_stiffness", i, ("coefficient",)))
