@@ -261,8 +261,11 @@ def scatter_of(misfits: Sequence[tuple[float, int]], *, low: bool = False) -> Re
     factor = math.sqrt(ratios[(len(ratios) - 1) // 2] if low else float(np.median(ratios)))
     # Consecutive pairs share a model, and a median is two thirds as efficient as a mean: half remains.
     dof = max(1.0, 0.5 * sum(count for _, count in misfits))
-    if factor <= 1.0 and factor * _t_isf(_DECIDES, dof) >= normal_isf(_DECIDES):
-        return Repeatability(1.0, len(misfits))
+    if factor <= 1.0:
+        # One standard deviation of its logarithm up: a factor that came out small by chance raises alarms.
+        factor *= math.exp(1.0 / math.sqrt(2.0 * dof))
+        if factor * _t_isf(_DECIDES, dof) >= normal_isf(_DECIDES):
+            return Repeatability(1.0, len(misfits))
     return Repeatability(max(factor, _LEAST_FACTOR), len(misfits), dof)
 
 

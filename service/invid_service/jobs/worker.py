@@ -238,7 +238,9 @@ def run(line: Line) -> int:
             import traceback
 
             traceback.print_exc()
-        line.tell("failed", error=error_info(error))
+        told = error_info(error)
+        # Where the file lies in the service's own folders is nobody's business.
+        line.tell("failed", error={**told, "text": told["text"].replace(f"{job.folder}/", "")})
         return getattr(error, "exit_code", 70)
     finally:
         held.close()
