@@ -51,33 +51,46 @@ def read_parquet_table(path: Path) -> Table:
         raise
     except Exception as error:  # pyarrow raises its own, OSError, ValueError, KeyError by kind of damage
         raise InputError(f"{path}: cannot be read as Parquet: {_first_line(error)}") from None
-    columns = {}
+    columns, units = {}, {}
     for name in table.column_names:
         values = table.column(name)
         kind = str(values.type)
         if kind.startswith(("int", "uint", "float", "double", "halffloat", "decimal")):
             columns[name] = frozen_float(np.asarray(values.to_numpy(), dtype=np.float64))
-        elif kind.startswith("timestamp"):
-            columns[name] = frozen_float(values.to_numpy().astype("datetime64[ns]").astype(np.int64) * 1e-9)
-    return _finish(path, columns)
+        elif kind.startswith(("timestamp", "duration")):
+            known = "datetime64[ns]" if kind.startswith("timestamp") else "timedelta64[ns]"
+            instants = values.to_numpy().astype(known)
+            seconds = instants.astype(np.int64) * 1e-9
+            seconds[np.isnat(instants)] = np.nan
+            columns[name], units[name] = frozen_float(seconds), "s"
+    stamped = frozenset(n for n in units if str(table.column(n).type).startswith("timestamp"))
+    return _finish(path, columns, units, stamped)
 
 
-def _table(path: Path, arrays: Iterator[tuple[str, Any]]) -> Table:
+def _table(path: Path, arrays: Iterator[tuple[str, Any, str]]) -> Table:
     columns: dict[str, Float64] = {}
-    for name, array in arrays:
-        columns.update(_channels(name, array))
-    return _finish(path, columns)
+    units: dict[str, str] = {}
+    for name, array, unit in arrays:
+        found = _channels(name, array)
+        columns.update(found)
+        units.update(dict.fromkeys(found, unit) if unit else {})
+    return _finish(path, columns, units)
 
 
-def _finish(path: Path, columns: dict[str, Float64]) -> Table:
+def _finish(
+    path: Path, columns: dict[str, Float64], units: dict[str, str], stamped: frozenset[str] = frozenset()
+) -> Table:
     if not columns:
         raise InputError(f"{path}: holds no array of real numbers with at least two samples")
     rows = max(c.size for c in columns.values())
-    return Table(name=str(path), columns=columns, rows_seen=rows)
+    return Table(name=str(path), columns=columns, rows_seen=rows, units=units, stamped=stamped)
 
 
 def _channels(name: str, array: Any) -> dict[str, Float64]:
     values = np.asarray(array)
+    if values.dtype.names:
+        parts = [_channels(f"{name}.{field}", values[field]) for field in values.dtype.names]
+        return {k: v for part in parts for k, v in part.items()}
     if values.dtype.kind not in "iufb" or values.size < 2:
         return {}
     values = np.squeeze(values)
@@ -90,7 +103,7 @@ def _channels(name: str, array: Any) -> dict[str, Float64]:
     return {f"{name}[{i}]": frozen_float(values[:, i]) for i in range(values.shape[1])}
 
 
-def _mat5_arrays(path: Path) -> Iterator[tuple[str, Any]]:
+def _mat5_arrays(path: Path) -> Iterator[tuple[str, Any, str]]:
     import scipy.io
 
     try:
@@ -101,7 +114,7 @@ def _mat5_arrays(path: Path) -> Iterator[tuple[str, Any]]:
         raise InputError(f"{path}: cannot be read as a MAT file: {_first_line(error)}") from None
     for name, value in content.items():
         if not name.startswith("__") and name != "None":
-            yield from _mat5_fields(name, value, depth=0)
+            yield from ((n, v, "") for n, v in _mat5_fields(name, value, depth=0))
 
 
 def _mat5_fields(name: str, value: Any, depth: int) -> Iterator[tuple[str, Any]]:
@@ -111,6 +124,12 @@ def _mat5_fields(name: str, value: Any, depth: int) -> Iterator[tuple[str, Any]]
         if value.size == 1:
             for field in value.dtype.names:
                 yield from _mat5_fields(f"{name}.{field}", value.flat[0][field], depth + 1)
+        else:
+            # An array of structs, one a sample: a column of each field that is one number throughout.
+            for field in value.dtype.names:
+                cells = [np.asarray(cell).ravel() for cell in value[field].flat]
+                if all(cell.size == 1 and cell.dtype.kind in "iufb" for cell in cells):
+                    yield f"{name}.{field}", np.array([float(cell[0]) for cell in cells])
         return
     if value.dtype == object and value.size == 1:
         yield from _mat5_fields(name, value.flat[0], depth + 1)
@@ -118,7 +137,7 @@ def _mat5_fields(name: str, value: Any, depth: int) -> Iterator[tuple[str, Any]]
     yield name, value
 
 
-def _hdf5_arrays(path: Path, separator: str) -> Iterator[tuple[str, Any]]:
+def _hdf5_arrays(path: Path, separator: str) -> Iterator[tuple[str, Any, str]]:
     left = MAX_VALUES
     try:
         with h5py.File(path, "r") as file:
@@ -129,17 +148,32 @@ def _hdf5_arrays(path: Path, separator: str) -> Iterator[tuple[str, Any]]:
             for name, data in found:
                 if name.startswith("#") or data.is_virtual or data.external or data.shape is None:
                     continue
-                if data.dtype.kind not in "iuf" or data.ndim > 3 or data.attrs.get("MATLAB_class") == b"char":
+                numbers = data.dtype.kind in "iuf" or bool(data.dtype.names)
+                if not numbers or data.ndim > 3 or data.attrs.get("MATLAB_class") == b"char":
                     continue
                 count = int(np.prod(data.shape, dtype=object))
                 if count > left:
                     raise InputError(f"{path}: {name!r} claims {count} numbers, more than this program reads")
                 left -= count
-                yield name.replace("/", separator), data[()]
+                yield name.replace("/", separator), data[()], _unit_of(data)
     except InputError:
         raise
     except (OSError, RuntimeError, KeyError, ValueError, TypeError, MemoryError) as error:
         raise InputError(f"{path}: cannot be read as HDF5: {_first_line(error)}") from None
+
+
+def _unit_of(data: h5py.Dataset) -> str:
+    """The attribute ``unit`` or ``units`` of a dataset; empty where it has none."""
+    for name in ("unit", "units", "Unit", "Units"):
+        try:
+            value = data.attrs.get(name)
+        except (OSError, TypeError, ValueError, KeyError, RuntimeError):
+            continue
+        if isinstance(value, bytes):
+            value = value.decode("utf-8", "replace")
+        if isinstance(value, str):
+            return value.strip()
+    return ""
 
 
 def _first_line(error: BaseException) -> str:

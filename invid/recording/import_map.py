@@ -19,6 +19,9 @@ FORMAT = "invid-import-map"
 MAX_BYTES = 1_000_000
 
 
+MAX_VALUES = 100_000
+
+
 class Strict(BaseModel):
     """Unknown keys are errors."""
 
@@ -153,6 +156,12 @@ class ExperimentMap(Strict):
     attributes: dict[str, str | int | float | bool] = {}
     """Kept with the experiment; for the reader."""
 
+    @model_validator(mode="after")
+    def _periods(self) -> ExperimentMap:
+        if self.drop_periods and not self.period_samples:
+            raise ValueError("'drop_periods' needs 'period_samples': how long one period is")
+        return self
+
 
 class ImportMap(Strict):
     """The whole map."""
@@ -184,14 +193,31 @@ def load_map(path: Path) -> ImportMap:
 def parse_map(text: str | bytes, *, source: str = "map") -> ImportMap:
     """The map in a YAML text."""
     try:
-        document: Any = yaml.safe_load(text)
+        # References to references of references (*name) grow without bound when they are written out.
+        grown = _values(yaml.compose(text, Loader=yaml.SafeLoader), {}) > MAX_VALUES
+        document: Any = None if grown else yaml.safe_load(text)
     except (yaml.YAMLError, RecursionError, ValueError) as error:
         place = getattr(error, "problem_mark", None)
         line = f" line {place.line + 1}" if place is not None else ""
         raise InputError(f"{source}:{line} not YAML: {getattr(error, 'problem', None) or error}") from None
+    if grown:
+        raise InputError(
+            f"{source}: its YAML references (*name) stand for more than {MAX_VALUES} values; write them out"
+        )
     if not isinstance(document, dict):
         raise InputError(f"{source}: holds no mapping; a map starts with 'format: {FORMAT}'")
     try:
         return ImportMap.model_validate(document)
     except ValidationError as error:
         raise InputError(describe_validation_error(error, source)) from None
+
+
+def _values(node: yaml.Node | None, known: dict[int, int]) -> int:
+    """Values below a YAML node, references written out."""
+    if not isinstance(node, yaml.CollectionNode):
+        return 1
+    if id(node) not in known:
+        known[id(node)] = MAX_VALUES  # a node within itself has no end
+        parts = [n for pair in node.value for n in (pair if isinstance(pair, tuple) else (pair,))]
+        known[id(node)] = 1 + sum(_values(n, known) for n in parts)
+    return known[id(node)]

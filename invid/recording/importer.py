@@ -223,6 +223,11 @@ def _experiment(
             f"{where}: rows {list(entry.rows)} leave {use.size} samples of the file's {good.size}; "
             f"at least 2 are needed"
         )
+    if entry.period_samples and use.size < entry.period_samples:
+        raise InputError(
+            f"{where}: 'period_samples' is {entry.period_samples}, but its rows leave {use.size} samples; a "
+            f"periodic experiment holds at least one period (0: not periodic)"
+        )
     remarks: list[str] = []
     period = entry.period_samples
     if period and int(inside.sum()) != use.size:
@@ -312,6 +317,11 @@ def _time(
 ) -> tuple[Float64, float]:
     if chart.time.column is None:
         return frozen_float(use / (chart.time.sample_rate_hz or 1.0)), 0.0
+    if chart.time.column in table.stamped and chart.time.unit != "s":
+        raise InputError(
+            f"{where}: time {chart.time.column!r} holds dates or times of day, which are read as seconds; "
+            f"its unit is {chart.time.unit!r}, write 's'"
+        )
     unit = factor("time", chart.time.unit, MachineConstants(), f"{where}: time")
     time = table.column(chart.time.column)[use] * unit
     # Seconds since 1970 leave 0.2 µs in a float64: take the start out before anything is computed.

@@ -174,6 +174,7 @@ def _unit_in_name(name: str) -> str | None:
     lowered = name.lower()
     for suffix, unit in (
         ("deg_per_s", "deg/s"), ("rad_per_s", "rad/s"), ("_rpm", "rpm"), ("_deg", "deg"), ("_rad", "rad"),
+        ("_permille", "permille"), ("_percent", "%"),
         ("_nm", "N·m"), ("_ms", "ms"), ("_us", "us"), ("_mm", "mm"), ("_m", "m"), ("_n", "N"), ("_s", "s"),
         ("_a", "A"), ("_v", "V"),
     ):  # fmt: skip

@@ -35,6 +35,8 @@ class Table:
         ``(row, column) → text`` of cells that are no number, as far as they were kept.
     units
         Column → unit as the file's own header states it.
+    stamped
+        Columns that held dates or times of day, read as seconds.
     """
 
     name: str
@@ -45,6 +47,7 @@ class Table:
     broken: tuple[BrokenRow, ...] = ()
     rows_seen: int = 0
     units: Mapping[str, str] = field(default_factory=dict)
+    stamped: frozenset[str] = frozenset()
 
     def column(self, key: str | int) -> Float64:
         """One column by name or index; InputError lists what there is."""

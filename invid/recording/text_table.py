@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import math
 import re
 from collections import Counter
@@ -13,11 +14,12 @@ from invid.arrays import Float64
 from invid.errors import InputError
 from invid.recording.import_map import Source
 from invid.recording.tables import BrokenRow, Table
+from invid.recording.timestamps import DAY, past_midnight, seconds_of
 from invid.recording.units import FACTORS, normal_unit
 
 MAX_BYTES = 2_000_000_000
 _DELIMITERS = (";", "\t", ",", "|", " ")
-_NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?$")
+_NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eEdD][+-]?\d+)?$")
 _NOT_A_NUMBER = {"nan", "inf", "+inf", "-inf", "na", "n/a", "null", "none", ""}
 
 
@@ -43,6 +45,8 @@ def read_text_table(path: Path, source: Source) -> Table:
         header = lines[: rows[start][0] - 1]
     names, units = _names(header, delimiter, width, source.names, path)
     data, numbers, broken = _parse(rows[start:], width, decimal, path.name)
+    stamped = _timestamps(data, rows[start : start + 5])
+    units |= {names[i]: "s" for i in stamped}
     return Table(
         name=str(path),
         columns={name: np.ascontiguousarray(data[:, i]) for i, name in enumerate(names)},
@@ -52,7 +56,20 @@ def read_text_table(path: Path, source: Source) -> Table:
         broken=broken,
         rows_seen=len(rows) - start,
         units=units,
+        stamped=frozenset(names[i] for i in stamped),
     )
+
+
+def _timestamps(data: Float64, sample: list[tuple[int, list[str]]]) -> list[int]:
+    """Columns that hold instants, already seconds; times of day are made to go on after midnight."""
+    found = []
+    for i in range(data.shape[1]):
+        cells = [row[i] for _, row in sample if i < len(row)]
+        if any(not _NUMBER.match(c) and not math.isnan(seconds_of(c)) for c in cells):
+            found.append(i)
+            if np.nanmax(data[:, i], initial=0.0) <= DAY:
+                data[:, i] = past_midnight(data[:, i])
+    return found
 
 
 def _decode(path: Path, encoding: str | None) -> str:
@@ -86,12 +103,42 @@ def _cells(line: str, delimiter: str) -> list[str]:
     if delimiter != ",":
         # A spreadsheet that took the file for comma-separated leaves empty cells at the end of the line.
         line = line.rstrip().rstrip(",")
-    cells = [cell.strip().strip('"').strip() for cell in line.split(delimiter)]
+    cells = _split(line, delimiter)
     # A separator at the end of every line is habit, not a column.
     return cells[:-1] if len(cells) > 1 and cells[-1] == "" else cells
 
 
+def _split(line: str, delimiter: str) -> list[str]:
+    """Cells of a line; a separator inside quotation marks separates nothing."""
+    if '"' in line:
+        try:
+            return [
+                cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
+            ]
+        except (csv.Error, StopIteration):
+            pass
+    return [cell.strip().strip('"').strip() for cell in line.split(delimiter)]
+
+
+def _number(cell: str, comma: bool) -> float:
+    """A number, or an instant as seconds; NaN where the cell holds neither."""
+    try:
+        return math.nan if "_" in cell else float(cell.replace(",", ".") if comma else cell)
+    except ValueError:
+        pass
+    if cell and cell[-1].isdigit() and ("D" in cell or "d" in cell) and _NUMBER.match(cell):
+        # Fortran's double precision.
+        return float(re.sub("[dD]", "e", cell).replace(",", "."))
+    return seconds_of(cell)
+
+
+def _is_value(cell: str) -> bool:
+    return bool(_NUMBER.match(cell)) or not math.isnan(seconds_of(cell))
+
+
 def _is_number(cell: str, decimal: str) -> bool:
+    if not math.isnan(seconds_of(cell)):
+        return True
     return bool(_NUMBER.match(cell)) and (decimal in ",." and not ("," in cell and decimal == "."))
 
 
@@ -104,7 +151,7 @@ def _find_delimiter(lines: list[str], decimal: str | None) -> str:
         width, count = Counter(len(r) for r in rows).most_common(1)[0]
         if width < 2:
             continue
-        numeric = [sum(bool(_NUMBER.match(c)) for c in r) / len(r) for r in rows if len(r) == width]
+        numeric = [sum(_is_value(c) for c in r) / len(r) for r in rows if len(r) == width]
         # A decimal comma makes ',' split numbers too; where another separator works it is the right one.
         score = count / len(body) * float(np.mean(numeric)) - (0.05 if delimiter == "," else 0.0)
         score -= 0.5 if delimiter == decimal else 0.0
@@ -114,8 +161,6 @@ def _find_delimiter(lines: list[str], decimal: str | None) -> str:
 
 
 def _find_decimal(lines: list[str], delimiter: str) -> str:
-    if delimiter == ",":
-        return "."
     body = lines[len(lines) // 2 :][:400]
     commas = sum("," in c and bool(_NUMBER.match(c)) for line in body for c in _cells(line, delimiter))
     points = sum("." in c and bool(_NUMBER.match(c)) for line in body for c in _cells(line, delimiter))
@@ -154,11 +199,7 @@ def _names(
     for line in header:
         line = line if delimiter == "," else line.rstrip().rstrip(",")
         # Keep a leading separator: an unnamed first column is common (it is the time).
-        cells = (
-            line.lstrip("#%/ ").split()
-            if delimiter == " "
-            else [c.strip().strip('"').strip() for c in line.lstrip("#%").split(delimiter)]
-        )
+        cells = line.lstrip("#%/ ").split() if delimiter == " " else _split(line.lstrip("#%"), delimiter)
         cells = cells[:-1] if len(cells) == width + 1 and cells[-1] == "" else cells
         if len(cells) == width and any(c and not _NUMBER.match(c) for c in cells):
             candidates.append(cells)
@@ -178,7 +219,7 @@ def _names(
     unique: list[str] = []
     for n in names:
         unique.append(n if n not in unique else f"{n}.{sum(u.split('.')[0] == n for u in unique)}")
-    return unique, dict(zip(unique, units, strict=True)) if units else {}
+    return unique, dict(zip(unique, [u.strip("[]()") for u in units], strict=True)) if units else {}
 
 
 def _all_units(cells: list[str]) -> bool:
@@ -202,14 +243,7 @@ def _parse(
             else:
                 broken.append(BrokenRow(name, number, f"{len(cells)} cells instead of {width}"))
                 cells = [""] * width
-        values = []
-        for cell in cells:
-            try:
-                value = float(cell.replace(",", ".") if comma else cell)
-            except ValueError:
-                value = math.nan
-            values.append(math.nan if "_" in cell else value)
-        kept.append(values)
+        kept.append([_number(cell, comma) for cell in cells])
         numbers.append(number)
     data = np.array(kept, dtype=np.float64).reshape(len(kept), width)
     return data, np.array(numbers, dtype=np.int64), tuple(broken)
