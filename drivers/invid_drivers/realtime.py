@@ -15,7 +15,6 @@ import ctypes
 import gc
 import os
 import queue
-import resource
 import signal
 import socket
 import struct
@@ -40,13 +39,13 @@ from invid.recording import Outcome, Recording, RecordingWriter
 from invid.sweep import Progress, Sample
 from invid.sweep.recorder import Recorder
 from invid_drivers.collecting import Judged
+from invid_drivers.memory import lock_memory
 
 PRIORITY = 50
 """SCHED_FIFO priority: above everything ordinary, below the kernel's own threads."""
 SWITCH_S = 0.0001
 """After this long the thread that sends must give the interpreter's lock back to the cycle."""
 _PR_SET_PDEATHSIG = 1
-_MCL_CURRENT_AND_FUTURE = 3
 STOP_S = 10.0
 """Longest way of the cycle process to its end when its parent leaves: fade, quick stop, restoring objects."""
 RELAY_POLL_S = 0.05
@@ -72,11 +71,7 @@ def make_realtime() -> tuple[str, ...]:
             "the system does not allow SCHED_FIFO (run as root or grant CAP_SYS_NICE): expect milliseconds "
             "of jitter"
         )
-    soft, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
-    if os.geteuid() == 0 or soft == resource.RLIM_INFINITY:
-        with contextlib.suppress(OSError, AttributeError):
-            ctypes.CDLL(None, use_errno=True).mlockall(_MCL_CURRENT_AND_FUTURE)
-    else:
+    if not lock_memory():
         notes.append("memory is not locked (RLIMIT_MEMLOCK is limited)")
     return tuple(notes)
 

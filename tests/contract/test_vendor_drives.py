@@ -9,12 +9,14 @@ from typing import Any
 import pytest
 import yaml
 
-from invid.config import CellConfig, load_config
+from invid.config import CellConfig, load_config, parse_config
 from invid.errors import ConfigError, DriveError
 from invid.sweep import Mode
 from invid_drivers.cia402.bus import Cia402Cell
 from invid_drivers.connect import connect
 from invid_drivers.eds import parse_eds
+from invid_drivers.simulated import open_virtual_bus
+from invid_drivers.simulated.cell import SimulatedCell
 from invid_drivers.simulated.eds import eds_text, table, twice
 from invid_drivers.simulated.vendors import PROFILES
 
@@ -239,3 +241,32 @@ def test_an_eds_is_looked_for_beside_the_config_and_its_absence_is_bad_input(tmp
     connected = connect(load_config(path))
     connected.check()
     connected.close()
+
+
+def test_whatever_object_a_drive_lacks_it_runs_or_is_refused_in_a_sentence() -> None:
+    """Each object of the simulated drive taken away in turn; nobody crashes, and nobody is left energised."""
+    document = yaml.safe_load((ROOT / "configs" / "case-study.yaml").read_text(encoding="utf-8"))
+    objects = sorted(
+        {entry.index for entry in SimulatedCell(parse_config(yaml.safe_dump(document))).drives[0].node.od}
+    )
+    assert len(objects) > 60
+    refused: dict[int, str] = {}
+    for index in objects:
+        document["simulation"].setdefault("axes", {}).setdefault("A2", {})["objects"] = {
+            "lacks": [f"0x{index:04X}"]
+        }
+        bus = open_virtual_bus(parse_config(yaml.safe_dump(document)))
+        cell = Cia402Cell(bus, parse_config(yaml.safe_dump(document)))
+        try:
+            cell.check()
+            if index in (0x1400, 0x1600, 0x1800, 0x1A00, 0x6040):  # found when it is mapped
+                with pytest.raises(DriveError, match="cannot be mapped"):
+                    cell.energise([Mode.HOLD] * 3)
+        except DriveError as error:
+            refused[index] = str(error)
+        finally:
+            cell.close()
+        assert all(d.state.name not in ("OPERATION_ENABLED", "QUICK_STOP_ACTIVE") for d in bus.cell.drives)
+    # without these there is no measurement; whatever else is missing is bridged or listed
+    assert {0x1016, 0x6041, 0x6064, 0x6071, 0x6077} <= set(refused)
+    assert all("axis A2 (node 2)" in sentence for sentence in refused.values())

@@ -64,8 +64,8 @@ class Cia402Cell:
         self.journal = journal if journal is not None else Journal(None)
         self._drives = [Drive(self._link, a, self.journal, linear=config.linear) for a in config.axes]
         self._reports: list[DriveReport] = []
-        self._modes: list[Mode] = []
         count = len(self._drives)
+        self._modes = [Mode.TORQUE] * count
         self._control = [states.DISABLE_VOLTAGE] * count
         self._rpdo_ids = [0x200 + d.node_id for d in self._drives]
         self._tpdo_axis = {0x180 + d.node_id: i for i, d in enumerate(self._drives)}

@@ -74,7 +74,7 @@ class Drive:
         self._e_target_position, self._e_demand_position = entry(od, 0x607A, "i"), entry(od, 0x6062, "i")
         self._e_following = entry(od, 0x60F4, "i")
         self._e_max_torque = entry(od, 0x6072, "H", 3000)
-        od.entry(0x6060).on_write = self._check_mode
+        od.guard(0x6060, 0, self._check_mode)
         self._velocity_in_rpm = velocity_in_rpm
         self.configured()
         self._torque_unit = direction * rated_torque / 1000.0
@@ -204,7 +204,7 @@ class Drive:
         elif number in (5, 8) and od.number(0x605C if number == 5 else 0x605B, missing=0) == 1:
             self._begin_stop(target, od.number(0x6084, missing=0), now_ns)
         elif number == 15:
-            od.entry(0x603F).value = 0
+            od.put(0x603F, 0, 0)
             self._enter(target)
             self.node.emergency(0x0000, 0x00)
         else:
@@ -333,7 +333,7 @@ class Drive:
         if self.state in (State.FAULT, State.FAULT_REACTION_ACTIVE):
             return
         od = self.node.od
-        od.entry(0x603F).value = code
+        od.put(0x603F, 0, code)
         self.node.emergency(code, register | 0x01)
         option = od.number(0x605E, missing=0)
         if self.state not in (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE) or option == 0:

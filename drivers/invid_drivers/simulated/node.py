@@ -127,13 +127,13 @@ class Node:
                 od, communication=0x17FF + number, mapping=0x19FF + number, way="r", changed=self._rebuild
             )
             number += 1
-        od.entry(0x1003).on_write = self._clear_history
-        od.entry(0x1005).on_write = self._write_sync_id
-        od.entry(0x1017).on_write = self._write_producer
-        od.entry(0x1010, 1).on_write = self._save
-        od.entry(0x1011, 1).on_write = self._load
+        od.guard(0x1003, 0, self._clear_history)
+        od.guard(0x1005, 0, self._write_sync_id)
+        od.guard(0x1017, 0, self._write_producer)
+        od.guard(0x1010, 1, self._save)
+        od.guard(0x1011, 1, self._load)
         for sub in range(1, od.number(0x1016) + 1):
-            od.entry(0x1016, sub).on_write = self._write_consumer
+            od.guard(0x1016, sub, self._write_consumer)
 
     def _save(self, value: int) -> None:
         if value != SAVE:
@@ -149,17 +149,17 @@ class Node:
         if value != 0:
             raise SdoAbort(SdoAbort.RANGE)
         for sub in range(1, 9):
-            self.od.entry(0x1003, sub).value = 0
+            self.od.put(0x1003, sub, 0)
 
     def _write_sync_id(self, value: int) -> None:
         if value & 0x60000000 or not value & 0x7FF:
             raise SdoAbort(SdoAbort.RANGE)
-        self.od.entry(0x1005).value = value
+        self.od.put(0x1005, 0, value)
         self._host.rewire()
 
     # --- heartbeat -----------------------------------------------------------------------------
     def _write_producer(self, value: int) -> None:
-        self.od.entry(0x1017).value = value
+        self.od.put(0x1017, 0, value)
         self._start_heartbeat(None)
 
     def _start_heartbeat(self, now_ns: int | None) -> None:
@@ -229,12 +229,12 @@ class Node:
     def emergency(self, code: int, register: int, vendor: bytes = b"", length: int = 8) -> None:
         """Send an EMCY and write the history; ``length`` other than 8 is what some drives do."""
         od = self.od
-        od.entry(0x1001).value = register
+        od.put(0x1001, 0, register)
         if code:
             for sub in range(8, 1, -1):
-                od.entry(0x1003, sub).value = od.number(0x1003, sub - 1)
-            od.entry(0x1003, 1).value = code
-            od.entry(0x1003).value = min(od.number(0x1003) + 1, 8)
+                od.put(0x1003, sub, od.number(0x1003, sub - 1))
+            od.put(0x1003, 1, code)
+            od.put(0x1003, 0, min(od.number(0x1003) + 1, 8))
         cob = od.number(0x1014)
         if not cob & pdo.INVALID and self.state in (Nmt.PRE_OPERATIONAL, Nmt.OPERATIONAL):
             data = bytes([code & 0xFF, code >> 8, register]) + vendor[:5].ljust(5, b"\0")

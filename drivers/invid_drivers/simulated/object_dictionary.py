@@ -136,6 +136,18 @@ class ObjectDictionary:
         entry = self._entries.get(index, {}).get(sub)
         return missing if entry is None or isinstance(entry.value, str) else entry.value
 
+    def put(self, index: int, sub: int, value: int) -> None:
+        """The drive's own doing: a value, where it has the object."""
+        entry = self.find(index, sub)
+        if entry is not None:
+            entry.value = value
+
+    def guard(self, index: int, sub: int, on_write: Callable[[int], None]) -> None:
+        """What a write does, where the drive has the object."""
+        entry = self.find(index, sub)
+        if entry is not None:
+            entry.on_write = on_write
+
     def remove(self, index: int) -> None:
         """Take an object away, as a vendor did."""
         self._entries.pop(index, None)

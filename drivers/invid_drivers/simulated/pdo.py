@@ -83,8 +83,11 @@ def guard_configuration(
 ) -> None:
     """Let writes follow CiA 301: invalidate, sub 0 to zero, map, count, validate.
 
-    ``changed`` is called after every accepted write.
+    ``changed`` is called after every accepted write. A drive that lacks the communication or the mapping has
+    no such PDO.
     """
+    if od.find(communication, 1) is None or od.find(mapping) is None:
+        return
     cob, kind = od.entry(communication, 1), od.entry(communication, 2)
 
     def valid() -> bool:
@@ -136,7 +139,8 @@ def guard_configuration(
 
     cob.on_write, kind.on_write, count.on_write = write_cob, write_kind, write_count
     for sub in (3, 5):
-        entry = od.entry(communication, sub)
-        entry.on_write = write_time(entry)
+        entry = od.find(communication, sub)
+        if entry is not None:
+            entry.on_write = write_time(entry)
     for sub in range(1, 9):
-        od.entry(mapping, sub).on_write = write_entry
+        od.guard(mapping, sub, write_entry)

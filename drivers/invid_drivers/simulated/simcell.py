@@ -14,6 +14,7 @@ from can import BusABC, Message
 
 from invid.config.schema import CellConfig
 from invid.errors import BusError, ConfigError
+from invid_drivers.memory import lock_memory
 from invid_drivers.simulated.cell import SimulatedCell
 from invid_drivers.simulated.node import Nmt
 from invid_drivers.simulated.unix_bus import UnixHub
@@ -134,6 +135,7 @@ def _take_priority() -> bool:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(5))
     except (OSError, AttributeError):
         return False
+    lock_memory()
     return True
 
 
