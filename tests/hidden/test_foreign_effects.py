@@ -1,0 +1,29 @@
+"""The same promise on the second generator: aperiodic, smoothed, a demand logged beside holds."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from invid.diagnosis import Verdict
+from invid.discrepancy import diagnose
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from hidden.foreign import make_foreign
+from hidden.scoring import score
+
+
+def test_a_demand_logged_beside_the_hold_of_a_chirp_leaves_no_friction_that_is_not_there() -> None:
+    recording, truth = make_foreign(2, cause="null", excitation="chirp", motors=1)
+    assert recording.experiments[0].torque_demand is not None
+    diagnosis = diagnose(recording)
+    assert diagnosis.findings == (), truth.settings
+    assert diagnosis.verdict is Verdict.CONSISTENT
+
+
+def test_friction_whose_sign_is_rounded_is_named_with_its_size() -> None:
+    recording, truth = make_foreign(0, cause="coulomb_friction", excitation="full", motors=1)
+    result = score(truth, diagnose(recording))
+    assert result.outcome == "right", result.named
+    assert result.size_error is not None
+    assert abs(result.size_error) < 0.05
