@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from invid.arrays import Bool, Complex128, Float64
-from invid.discrepancy.plant import Evaluation, Layout, noise_of, views_of
+from invid.discrepancy.plant import Evaluation, Layout, noise_of, views_of, without_boundary
 from invid.distributions import f_sf
 from invid.effects.base import Record
 from invid.spectra import LineSpectra
@@ -70,12 +70,16 @@ def with_scatter(
         e = np.einsum("fij,pfj->pfi", z, own[..., :motors]) - factor[1:] * own[..., motors:]
         plain = replace(record, scatter=np.zeros_like(record.scatter))
         plain_view = views_of(layout, [plain], p)[0]
-        expected = np.einsum("fii->fi", noise_of(plain_view, factor)).real[1:]
+        covariance = noise_of(plain_view, factor)[1:]
+        expected = np.einsum("fii->fi", covariance).real
+        left = 1.0
+        if record.transient:
+            e, left = without_boundary(plain_view, layout, p, e, covariance)
         # ``noise`` is of the mean over the periods used in this record.
         share = float(record.noise[1, 0] / max(s.floor[0], 1e-300))
         used = max(round(periods / share), 1)
         single = expected * used
-        ratio = (np.abs(e) ** 2).sum(axis=0) / (periods - 1) / single
+        ratio = (np.abs(e) ** 2).sum(axis=0) / (periods - 1) / single / left
         trend = _trending(e, single)
         scatter = np.ones_like(record.scatter)
         window = min(LINES, lines)
@@ -93,7 +97,7 @@ def with_scatter(
         added[1:] = (scatter[1:] - 1.0) * expected
         # The mean's slow wander is that of the first lines; half of it as a complex line.
         floor = 0.5 * record.noise[1, motors:]
-        added[0] = np.maximum((_mean_scatter(s, record, used) - 1.0) * floor, 0.5 * added[1])
+        added[0] = np.maximum((_mean_scatter(ratio) - 1.0) * floor, 0.5 * added[1])
         out.append(replace(record, scatter=added, trend=trend))
     return out
 
@@ -119,17 +123,12 @@ def _trending(e: Complex128, single: Float64) -> bool:
     return variance / lines > 1.0 + 6.0 / np.sqrt(lines * (periods - 1)) and successive < 0.65 * variance
 
 
-def _mean_scatter(s: LineSpectra, record: Record, used: int) -> Float64:
+def _mean_scatter(ratio: Float64) -> Float64:
     """(M,) how much slow wander the mean torque carries beside white noise: unknown from lines alone.
 
-    Neighbours of 0 Hz: the scatter of the first lines stands for that of the mean.
+    Neighbours of 0 Hz: the (F, M) scatter of the first lines stands for that of the mean.
     """
-    motors = record.torque.shape[1]
-    first = s.deviations[:, :3, motors:]
-    if first.shape[0] < 2:
-        return np.ones(motors)
-    power = (np.abs(first) ** 2).sum(axis=(0, 1)) / max(first.shape[0] - 1, 1) / 3
-    out: Float64 = np.maximum(power / np.maximum(record.noise[1, motors:] * used, 1e-300), 1.0)
+    out: Float64 = np.maximum(ratio[:3].mean(axis=0), 1.0)
     return out
 
 

@@ -405,7 +405,11 @@ def noise_of(view: View, factor: Complex128) -> Complex128:
 
 
 def _boundary(view: View, layout: Layout, p: Float64) -> Complex128:
-    """(F, M, 2ΣN) missing torque for a unit jump of each coordinate's position and velocity."""
+    """(F, M, 2ΣN) missing torque for a unit jump of each coordinate's position and velocity.
+
+    A motor's jump also stands between its sampled spectrum and the integral; Euler–Maclaurin:
+    ∫f = hΣf + h/2·[f] − h²/12·[f′] with f = x e^{−jωt}, [f] = Δx and [f′] = Δv − jωΔx.
+    """
     mass, damping, _ = layout.structure.matrices(p[: layout.structure.count])
     omega = view.omega
     at_position = damping + 1j * omega[:, None, None] * mass
@@ -413,6 +417,12 @@ def _boundary(view: View, layout: Layout, p: Float64) -> Complex128:
     forces = forces * (2.0 / view.record.span)
     forces[0] *= 0.5
     out: Complex128 = view.motion.transpose(0, 2, 1) @ forces
+    h, motors = view.record.step, np.array(layout.structure.motor_dofs)
+    jump = 1j * omega * h**2 / 12 + (0.0 if view.record.ends_in else h / 2)
+    stiffness = view.stiffness * (2.0 / view.record.span)
+    stiffness[0] = 0.0  # positions carry no mean here
+    out[:, :, motors] += stiffness * jump[:, None, None]
+    out[:, :, layout.structure.dofs + motors] -= stiffness * (h**2 / 12)
     return out
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.fft import next_fast_len
 
-from invid.arrays import Float64
+from invid.arrays import Complex128, Float64
 from invid.effects.base import Record
 from invid.model import Model
 from invid.recording.model import Experiment, Recording, Role
@@ -88,6 +88,9 @@ def record_of(
         start = start + rows.start * span
         end = start + span
         transient = True
+    command = _command(s, experiment, index)
+    if command is not None:
+        torque = torque - command[1]
     quiet = max((0.45 / step - 1.5 * top) * s.span_s / max(s.periods, 1), 1.0) * max(s.periods - 1, 1)
     return Record(
         key=s.key,
@@ -114,7 +117,8 @@ def record_of(
         end_time=end,
         period_time=s.span_s / max(s.periods, 1),
         excited=np.concatenate(([False], s.excited[used])),
-        command=_command(s, experiment, index),
+        command=None if command is None else command[0],
+        ends_in=s.transient and s.periods <= 1 and rows is None,
     )
 
 
@@ -124,17 +128,26 @@ def _span(s: LineSpectra, experiment: Experiment) -> tuple[float, float]:
     return max(end - s.span_s, float(experiment.time[0])), end
 
 
-def _command(s: LineSpectra, experiment: Experiment, index: np.ndarray) -> np.ndarray | None:
-    """Spectrum of the demand where it repeats with the record and is not all of the torque."""
-    demand = experiment.torque_demand
-    if demand is None or s.transient or s.periods < 1 or not np.isnan(s.staircase).any():
+def _command(s: LineSpectra, experiment: Experiment, index: np.ndarray) -> tuple[Complex128, Float64] | None:
+    """Spectrum of the demand where it is not all of the torque, and what its ends add to the torque's.
+
+    That of a record that does not close carries the trapezoid's correction of its ends, which a demand held
+    over the sample does not need.
+    """
+    demand, count = experiment.torque_demand, s.position_wave.shape[0]
+    if demand is None or s.periods < 1 or not np.isnan(s.staircase).any():
         return None
-    count = s.position_wave.shape[0]
-    if demand.shape[0] < s.periods * count or demand.shape[0] != experiment.samples:
+    whole = s.transient and s.periods == 1
+    samples = s.periods * count
+    if (s.transient and not whole) or demand.shape[0] != experiment.samples:
         return None
-    wave = demand[demand.shape[0] - s.periods * count :].reshape(s.periods, count, -1).mean(axis=0)
+    if demand.shape[0] != samples + 1 if whole else demand.shape[0] < samples:
+        return None  # resampled, or cut
+    used = demand[demand.shape[0] - samples - int(whole) :][:samples]
+    wave = used.reshape(s.periods, count, -1).mean(axis=0)
     spectrum = np.fft.rfft(wave, axis=0)[index] * (2.0 / count)
-    return np.concatenate((wave.mean(axis=0)[None].astype(complex), spectrum))
+    ends: Float64 = (demand[-1] - demand[0]) / count if whole else np.zeros(s.axis_count)
+    return np.concatenate((wave.mean(axis=0)[None].astype(complex), spectrum)), ends
 
 
 def split(

@@ -1,0 +1,72 @@
+"""A motion that still settles is told from a process that scatters."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from invid.diagnosis import Verdict
+from invid.discrepancy import diagnose
+from invid.recording import Role
+from invid.recording.model import Experiment, Kind, Recording
+
+STEP, PERIOD, NOISE = 0.002, 2048, 0.05
+
+
+def from_rest(seed: int, role: Role, key: str) -> Experiment:
+    """Two periods from rest of a two-mass axis (0.7 and 2 kg·m², 1000 N·m/rad), softly held."""
+    rng = np.random.default_rng(seed)
+    mass, spring, damper, hold, rate = np.array([0.7, 2.0]), 1000.0, 0.5, 40.0, 1.0
+    a = np.zeros((4, 4))
+    a[:2, 2:] = np.eye(2)
+    a[2:, :2] = spring * np.array([[-1, 1], [1, -1]]) / mass[:, None]
+    a[2:, 2:] = damper * np.array([[-1, 1], [1, -1]]) / mass[:, None]
+    b = np.array([0.0, 0.0, 1.0 / mass[0], 0.0])
+    block = expm(np.block([[a, b[:, None]], [np.zeros((1, 5))]]) * STEP)
+    phi, gamma = block[:4, :4], block[:4, 4]
+    lines = np.arange(1, 120, 2)
+    bins = np.zeros(PERIOD // 2 + 1, complex)
+    bins[lines] = np.exp(2j * np.pi * rng.random(lines.size)) * PERIOD / 2 * 0.4
+    excitation = np.tile(np.fft.irfft(bins), 2)
+    state = np.zeros(4)
+    position, torque = np.empty(excitation.size), np.empty(excitation.size)
+    for n, push in enumerate(excitation):
+        position[n] = state[0]
+        torque[n] = push - hold * state[0] - rate * state[2]
+        state = phi @ state + gamma * torque[n]
+    return Experiment(
+        key=key,
+        kind=Kind.MULTISINE,
+        role=role,
+        excited_axis=0,
+        hold_gain=np.array([hold]),
+        period_samples=PERIOD,
+        frequencies_hz=lines / (PERIOD * STEP),
+        sample_rate_hz=1.0 / STEP,
+        time=np.arange(excitation.size) * STEP,
+        position=(position + 1e-7 * rng.standard_normal(position.size))[:, None],
+        torque=(torque + NOISE * rng.standard_normal(torque.size))[:, None],
+        torque_demand=torque[:, None],
+    )
+
+
+def test_the_noise_floor_of_a_record_from_rest_is_that_of_its_sensors() -> None:
+    """Two periods whose motion dies away differ from each other: that is no noise."""
+    recording = Recording(
+        robot="two masses",
+        axes=("A1",),
+        position_unit="rad",
+        torque_unit="N·m",
+        created="2026-11-21T10:00:00Z",
+        masses_per_axis=(2,),
+        experiments=(from_rest(1, Role.IDENTIFY, "000"), from_rest(2, Role.VALIDATE, "001")),
+    )
+    diagnosis = diagnose(recording)
+    assert diagnosis.verdict is Verdict.CONSISTENT
+    (residual,) = diagnosis.residual
+    # White noise of two averaged periods on the lines in use: 60 excited ones, their gaps, a fifth above.
+    lines = 1.2 * 119
+    expected = NOISE * np.sqrt(2 * lines / (2 * PERIOD))
+    assert residual.noise_floor == pytest.approx(expected, rel=0.15)
+    assert residual.after == pytest.approx(expected, rel=0.15)
