@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 
 import pytest
+import yaml
 from typer.testing import CliRunner
 
 from invid.cli.app import create_app
@@ -58,3 +59,15 @@ def test_a_dry_run_says_up_to_which_frequency_lines_can_be_trusted() -> None:
     timing = json.loads(done.stdout)["timing"]
     assert 0 < timing["highest_trustworthy_Hz"] <= 100.0
     assert timing["cycle_s"] == 0.001
+
+
+def test_the_text_of_a_check_shows_every_warning(tmp_path: Path) -> None:
+    (tmp_path / "broken.eds").write_text("[FileInfo\nno EDS\n", encoding="utf-8")
+    text = (Path(__file__).parents[2] / "configs" / "case-study.yaml").read_text(encoding="utf-8")
+    data = yaml.safe_load(text)
+    data["axes"][1]["eds"] = "broken.eds"
+    (tmp_path / "cell.yaml").write_text(yaml.safe_dump(data), encoding="utf-8")
+    done = CliRunner().invoke(create_app(), ["check", str(tmp_path / "cell.yaml")])
+    assert done.exit_code == 0
+    assert "note: axis A2" in done.stdout
+    assert "broken.eds does not parse" in done.stdout

@@ -81,7 +81,9 @@ def _text(config: CellConfig, document: dict[str, Any]) -> str:
             f"{limit['torque']:g} {torque}, ±{limit['position']:g} {unit}, {limit['velocity']:g} {unit}/s"
         )
         lines += [f"    lacks {what}" for what in drive["lacks"]]
-    lines.append(plan_text(make_plan(config), "plan"))
+    plan = make_plan(config)
+    lines.append(plan_text(plan, "plan"))
+    lines += [f"  note: {w}" for w in document["warnings"] if w not in plan.warnings]
     return "\n".join(lines)
 
 
