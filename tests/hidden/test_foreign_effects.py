@@ -14,7 +14,7 @@ from hidden.scoring import score
 
 
 def test_a_demand_logged_beside_the_hold_of_a_chirp_leaves_no_friction_that_is_not_there() -> None:
-    recording, truth = make_foreign(2, cause="null", excitation="chirp", motors=1)
+    recording, truth = make_foreign(2, cause="null", excitation="chirp")
     assert recording.experiments[0].torque_demand is not None
     diagnosis = diagnose(recording)
     assert diagnosis.findings == (), truth.settings
