@@ -72,13 +72,14 @@ def with_scatter(
         plain_view = views_of(layout, [plain], p)[0]
         covariance = noise_of(plain_view, factor)[1:]
         expected = np.einsum("fii->fi", covariance).real
-        left = 1.0
-        if record.transient:
-            e, left = without_boundary(plain_view, layout, p, e, covariance)
         # ``noise`` is of the mean over the periods used in this record.
         share = float(record.noise[1, 0] / max(s.floor[0], 1e-300))
         used = max(round(periods / share), 1)
         single = expected * used
+        left = 1.0
+        # What settles goes one way from period to period; what comes and goes is noise, wherever it points.
+        if record.transient and (periods <= 3 or _trending(e, single)):
+            e, left = without_boundary(plain_view, layout, p, e, covariance)
         ratio = (np.abs(e) ** 2).sum(axis=0) / (periods - 1) / single / left
         trend = _trending(e, single)
         scatter = np.ones_like(record.scatter)
