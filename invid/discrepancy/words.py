@@ -43,6 +43,15 @@ def place_of(term: EffectTerm, sizes: Sequence[int], axes: Sequence[str]) -> str
     return " at the load" if int(q) == sizes[list(axes).index(term.axis)] else f" at {term.element}"
 
 
+def _rival(rival: Alternative, term: EffectTerm) -> str:
+    """A cause that the data cannot tell from the one named; its place where only that differs."""
+    if rival.axis != term.axis:
+        return f"{BY_CAUSE[rival.cause].title} on {rival.axis}"
+    if rival.cause == term.cause and rival.element is not None:
+        return f"the same at {rival.element}"
+    return BY_CAUSE[rival.cause].title
+
+
 def finding_sentence(
     term: EffectTerm,
     fraction: float,
@@ -68,9 +77,7 @@ def finding_sentence(
     else:
         text += "is there as well: beyond the noise, though less than a per cent of what the model missed."
     if rivals:
-        others = sorted(
-            {BY_CAUSE[r.cause].title + (f" on {r.axis}" if r.axis != term.axis else "") for r in rivals}
-        )
+        others = sorted({_rival(r, term) for r in rivals})
         text += f" The data cannot tell it from {', '.join(others)}: {effect.separate}."
     elif confidence < 0.8:
         text += f" This is likely, not certain; to be sure: {effect.separate}."
