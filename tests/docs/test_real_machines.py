@@ -4,49 +4,22 @@ from __future__ import annotations
 
 import json
 import re
-import shlex
-from pathlib import Path
 
 import pytest
+from pages import ROOT, run_page
 
-from invid.cli.app import run
 from invid.model import model_from_json
 
-ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "tutorial" / "real-machines.md"
-DATA = ROOT.parent / "shared" / "data"
 TEXT = PAGE.read_text(encoding="utf-8")
-
-
-def commands() -> list[list[str]]:
-    """The words of every command of the page, with absolute paths."""
-    blocks = re.findall(r"```sh\n(.*?)```", TEXT, flags=re.DOTALL)
-    return [
-        [
-            re.sub(r"^configs/", f"{ROOT}/configs/", re.sub(r"^\.\./shared/data", str(DATA), word))
-            for word in shlex.split(line)
-        ]
-        for block in blocks
-        for line in block.splitlines()
-        if line.strip()
-    ]
 
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory) -> dict[str, dict]:
     """Diagnosis of every record of the page, by file name."""
-    sources = [Path(words[2]) for words in commands() if words[1] == "import"]
-    missing = [str(s) for s in sources if not s.exists()]
-    if missing:
-        reason = f"records are not there ({', '.join(missing)}): the page on real machines is NOT checked"
-        print(reason)
-        pytest.skip(reason)
     where = tmp_path_factory.mktemp("real")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(where)
-        for words in commands():
-            assert words[0] == "invid"
-            assert run(words[1:]) == 0, words
+    for ran in run_page(PAGE, where):
+        assert set(ran.statuses) == {0}, ran.step.commands
     return {p.stem: json.loads(p.read_text(encoding="utf-8")) for p in where.glob("*.json")}
 
 

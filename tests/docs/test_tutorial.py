@@ -2,54 +2,39 @@
 
 from __future__ import annotations
 
-import re
-import shlex
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 import scipy.io
+from pages import DATA, ROOT, Ran, assert_shows, run_page, steps
 
-from invid.cli.app import run
 from invid.forward import antiresonances, resonances
 from invid.model import Model, load_model
 from invid.recording import read_recording
 
-ROOT = Path(__file__).resolve().parents[2]
 TUTORIAL = ROOT / "docs" / "tutorial" / "flexible-drive.md"
-DATA = ROOT.parent / "shared" / "data"
 RAW = DATA / "flexible_drive" / "MultisineTypeB.mat"
 PERIOD = 2500  # samples of one second: the line of index k is k Hz
 
 
-def commands() -> list[list[str]]:
-    """The words of every command in the tutorial's shell blocks, with absolute paths."""
-    blocks = re.findall(r"```sh\n(.*?)```", TUTORIAL.read_text(encoding="utf-8"), flags=re.DOTALL)
-    lines = [line for block in blocks for line in block.splitlines() if line.strip()]
-    return [
-        [
-            re.sub(r"^configs/", f"{ROOT}/configs/", re.sub(r"^\.\./shared/data", str(DATA), word))
-            for word in shlex.split(line)
-        ]
-        for line in lines
-    ]
+@pytest.fixture(scope="module")
+def where(tmp_path_factory) -> Path:
+    return tmp_path_factory.mktemp("tutorial")
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """A folder in which all commands of the tutorial were run."""
-    if not RAW.exists():
-        reason = f"the measured bench is not there ({RAW}): the tutorial is NOT checked"
-        print(reason)
-        pytest.skip(reason)
-    where = tmp_path_factory.mktemp("tutorial")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(where)
-        for words in commands():
-            assert words[0] == "invid"
-            status = run(words[1:])
-            # 3: done, with warnings, which the tutorial shows and explains.
-            assert status in (0, 3), (words, status)
+def ran(where) -> list[Ran]:
+    """Every step of the tutorial, run."""
+    return run_page(TUTORIAL, where)
+
+
+@pytest.fixture(scope="module")
+def folder(ran, where) -> Path:
+    """The folder in which all commands were run."""
+    # 3: done, with warnings, which the tutorial shows and explains.
+    assert all(status in (0, 3) for one in ran for status in one.statuses)
     return where
 
 
@@ -58,8 +43,23 @@ def model(folder) -> Model:
     return load_model(folder / "model.json")
 
 
-def test_the_tutorial_shows_the_four_steps():
-    assert [words[1] for words in commands()] == ["import", "identify", "simulate", "diagnose"]
+def test_the_tutorial_shows_the_four_steps_and_then_the_commanded_current():
+    words = [[command[1] for command in step.commands] for step in steps(TUTORIAL)]
+    assert words == [["import"], ["identify"], ["simulate"], ["diagnose"], ["import", "diagnose"]]
+
+
+@pytest.mark.parametrize("number", range(5))
+def test_what_the_page_shows_is_what_the_commands_print(ran, number):
+    assert_shows(ran[number])
+
+
+def test_the_commanded_current_acts_late_by_what_was_measured_independently(folder):
+    found = json.loads((folder / "commanded.json").read_text(encoding="utf-8"))["findings"]
+    assert {f["cause"] for f in found} == {"torque_delay", "viscous_friction"}
+    delay = next(f for f in found if f["cause"] == "torque_delay")
+    measured = json.loads((folder / "diagnosis.json").read_text(encoding="utf-8"))["model"]["fit"]
+    late = sum(float(o["value"]) for o in measured["time_offset_s"].values())
+    assert delay["parameters"]["delay"]["value"] - late == pytest.approx(0.477e-3, abs=0.06e-3)
 
 
 def test_the_recording_never_saw_the_load_encoder(folder):

