@@ -34,6 +34,8 @@ def _acting(s: LineSpectra, experiment: Experiment) -> LineSpectra:
     demand = np.asarray(demand)
     # A record that does not close keeps its last sample for the ends.
     whole = s.transient and s.periods == 1
+    if s.transient and not whole:
+        return s  # periods that differ: a repeated demand is not what acted in each of them
     samples = s.periods * count + (1 if whole else 0)
     if s.periods < 1 or (demand.shape[0] != samples if whole else demand.shape[0] < samples):
         return s  # resampled, or cut
