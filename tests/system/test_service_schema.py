@@ -16,6 +16,8 @@ from service_process import serving
 pytestmark = pytest.mark.xdist_group("service")
 EXAMPLES = 8
 """For each call and mode, once with made-up names and once with the cell and the run that exist."""
+PATIENCE_S = 60.0
+"""The first look at a simulation loads the simulated drives: seconds on a busy machine."""
 CHECKS = [
     schemathesis.checks.not_a_server_error,
     openapi_checks.status_code_conformance,
@@ -38,11 +40,11 @@ def try_out(operation: Any, mode: GenerationMode, known: dict[str, str], tried: 
         phases=[Phase.explicit, Phase.generate],
     )
     def check(case: Any) -> None:
-        response = case.call_and_validate(checks=CHECKS)
+        response = case.call_and_validate(checks=CHECKS, timeout=PATIENCE_S)
         tried[response.status_code] = tried[response.status_code] + 1
         if set(case.path_parameters or {}) & set(known):
             case.path_parameters.update({k: v for k, v in known.items() if k in case.path_parameters})
-            response = case.call_and_validate(checks=CHECKS)
+            response = case.call_and_validate(checks=CHECKS, timeout=PATIENCE_S)
             tried[response.status_code] = tried[response.status_code] + 1
 
     check()
