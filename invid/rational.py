@@ -17,12 +17,14 @@ from invid.arrays import Bool, Complex128, Float64
 from invid.frf import FrfMatrix
 from invid.modes import Modes
 from invid.modes.model import high_gain_pairs, pairs
-from invid.spectra import LineSpectra
+from invid.spectra import FEW_LINES, LineSpectra
 
 TRUSTED = 0.02
 """Relative error granted to every spectrum: records with friction must not be fitted to their noise."""
 FINE = 0.002
 """The same for a second try, which resolves modes that are barely visible where friction is small."""
+LEAST_DAMPING = 1e-9
+"""Of a pole between rounds; finer than any band of lines can tell from none."""
 DAMPING = 0.01
 
 
@@ -119,8 +121,15 @@ Record = tuple[Float64, Complex128, Complex128, Float64, bool]
 def record_of(s: LineSpectra, most: int, trusted: float) -> Record:
     """ω, acceleration, torque, weight of one record on the lines that carry something."""
     lines: Bool = np.array(s.excited)
-    if s.transient and lines.any():
-        lines = np.arange(lines.size) <= np.flatnonzero(lines)[-1]
+    transient = s.transient
+    if transient and lines.any():
+        upto = np.arange(lines.size) <= np.flatnonzero(lines)[-1]
+        if upto.sum() < FEW_LINES:
+            # A sine that still settles: too few lines for an end of its own, but a start may be crude.
+            power = (np.abs(s.torque) ** 2).sum(axis=1)
+            lines, transient = power > 0.1 * power.max(), False
+        else:
+            lines = upto
     index = np.flatnonzero(lines)
     if index.size > most:
         # Excited lines first, then an even choice of the others.
@@ -139,7 +148,7 @@ def record_of(s: LineSpectra, most: int, trusted: float) -> Record:
     weight = 1.0 / np.sqrt(
         noise**2 + (trusted * np.abs(acceleration)) ** 2 + (0.05 * trusted * level) ** 2 + 1e-300
     )
-    return w, acceleration, torque, weight, s.transient
+    return w, acceleration, torque, weight, transient
 
 
 def fractions(w: Float64, poles: Complex128) -> Complex128:
@@ -222,12 +231,14 @@ def relocated(data: Sequence[Record], poles: Complex128, motors: int, scale: flo
     state[first, second], state[second, first] = poles.imag, -poles.imag
     drive = np.concatenate((np.full(count, 2.0), np.zeros(count)))
     values = np.linalg.eigvals(state - np.outer(drive, x[:-1]) / direct)
-    values = -np.abs(values.real) + 1j * values.imag
+    # Never on the axis itself, where a line may stand.
+    values = -np.maximum(np.abs(values.real), LEAST_DAMPING * np.abs(values.imag)) + 1j * values.imag
     upper = values[values.imag > 1e-9]
+    low, top = min(w[0] for w, *_ in data) / scale, max(w[-1] for w, *_ in data) / scale
     missing = count - upper.size
     if missing > 0:
         # Two real poles describe no mode: a lightly damped pair somewhere in the widest gap instead.
-        edges = np.sort(np.concatenate(([data[0][0][0] / scale], upper.imag, [data[0][0][-1] / scale])))
+        edges = np.sort(np.concatenate(([low], upper.imag, [top])))
         for _ in range(missing):
             at = int(np.argmax(np.diff(edges)))
             centre = 0.5 * (edges[at] + edges[at + 1])
@@ -235,7 +246,6 @@ def relocated(data: Sequence[Record], poles: Complex128, motors: int, scale: flo
             edges = np.sort(np.append(edges, centre))
     ordered: Complex128 = upper[np.argsort(upper.imag)][:count]
     # Poles that ran away or hide as broad humps come back to the band, lightly damped.
-    top = data[0][0][-1] / scale
     wild = (ordered.imag > 1.5 * top) | (np.abs(ordered.real) > 0.3 * ordered.imag)
     tamed: Complex128 = np.where(wild, np.minimum(ordered.imag, 1.2 * top) * (-0.05 + 1j), ordered)
     return tamed

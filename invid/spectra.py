@@ -21,6 +21,10 @@ NOT_PERIODIC = 0.3
 """Share of the variance that does not repeat above which a declared period is not believed: noise of
 half the signal's power still passes, a wrong period gives about 1."""
 
+FEW_LINES = 32
+"""A period of fewer lines than this, still settling, tells its motion from its ends hardly or not at all: the
+ends of N masses an axis are 2N numbers an axis, each line gives two. The lines of the whole record do."""
+
 
 @dataclass(frozen=True, eq=False)
 class LineSpectra:
@@ -131,7 +135,10 @@ def spectra_of(
     period = _period(experiment, data, warnings)
     if period is None:
         return _whole(experiment, data, band_hz, warnings)
-    return _periodic(experiment, data, period, band_hz, drop_transient, warnings)
+    found = _periodic(experiment, data, period, band_hz, drop_transient, warnings)
+    if found.transient and found.frequency_hz.size < FEW_LINES and drop_transient:
+        return _whole(experiment, data, band_hz, warnings)
+    return found
 
 
 def _period(experiment: Experiment, data: Uniform, warnings: list[str]) -> int | None:

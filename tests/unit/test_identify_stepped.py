@@ -1,0 +1,68 @@
+"""Stepped sine as others record it: every frequency an experiment of its own, settled or from rest."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from invid.identify import identify
+from invid.recording import Role
+from invid.recording.model import Experiment, Kind, Recording
+
+STEP = 0.002
+MASS, SPRING, DAMPER, HOLD, RATE = np.array([0.7, 2.0]), 1000.0, 0.5, 40.0, 8.0
+
+
+def sine(key: int, samples: int, cycles: int, settled: bool, rng: np.random.Generator) -> Experiment:
+    """One frequency of a two-mass axis (0.7 and 2 kg·m², 1000 N·m/rad), held softly by the master."""
+    a = np.zeros((4, 4))
+    a[:2, 2:] = np.eye(2)
+    a[2:, :2] = SPRING * np.array([[-1, 1], [1, -1]]) / MASS[:, None]
+    a[2:, 2:] = DAMPER * np.array([[-1, 1], [1, -1]]) / MASS[:, None]
+    b = np.array([0.0, 0.0, 1.0 / MASS[0], 0.0])
+    block = expm(np.block([[a, b[:, None]], [np.zeros((1, 5))]]) * STEP)
+    phi, gamma = block[:4, :4], block[:4, 4]
+    ahead = samples * int(np.ceil(20.0 / STEP / samples)) if settled else 0
+    excitation = 5.0 * np.sin(2 * np.pi * np.arange(ahead + samples * cycles) / samples)
+    state = np.zeros(4)
+    position, torque = np.empty(excitation.size), np.empty(excitation.size)
+    for n, push in enumerate(excitation):
+        position[n] = state[0]
+        torque[n] = push - HOLD * state[0] - RATE * state[2]
+        state = phi @ state + gamma * torque[n]
+    position, torque = position[ahead:], torque[ahead:]
+    return Experiment(
+        key=f"{key:03d}",
+        kind=Kind.STEPPED_SINE,
+        role=Role.IDENTIFY,
+        excited_axis=0,
+        hold_gain=np.array([HOLD]),
+        period_samples=samples,
+        frequencies_hz=np.array([1.0 / (samples * STEP)]),
+        sample_rate_hz=1.0 / STEP,
+        time=np.arange(position.size) * STEP,
+        position=(position + 1e-6 * rng.standard_normal(position.size))[:, None],
+        torque=(torque + 0.02 * rng.standard_normal(torque.size))[:, None],
+        torque_demand=torque[:, None],
+    )
+
+
+@pytest.mark.parametrize("settled", [True, False], ids=["settled", "from rest"])
+def test_one_experiment_a_frequency_gives_the_masses_and_the_spring(settled: bool) -> None:
+    rng = np.random.default_rng(3)
+    periods = np.unique(np.round(1.0 / STEP / np.geomspace(0.8, 9.0, 14)).astype(int))[::-1]
+    recording = Recording(
+        robot="two masses",
+        axes=("A1",),
+        position_unit="rad",
+        torque_unit="N·m",
+        created="2026-11-21T10:00:00Z",
+        masses_per_axis=(2,),
+        experiments=tuple(sine(i, int(n), 5, settled, rng) for i, n in enumerate(periods)),
+    )
+    model = identify(recording)
+    found = [*model.chains.masses[0], *model.chains.springs[0]]
+    assert found == pytest.approx([*MASS, SPRING], rel=0.01)
+    error = (np.array(found) - [*MASS, SPRING]) / [*model.std.masses[0], *model.std.springs[0]]
+    assert np.abs(error).max() < 4.0
