@@ -1,0 +1,104 @@
+"""Files of every kind, damaged at random: a message or a recording, never a traceback."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import can
+import h5py
+import numpy as np
+import pyarrow
+import pyarrow.parquet
+import pytest
+import yaml
+from scipy.io import savemat
+
+from invid.cli.app import run
+from invid.recording import read_recording
+
+TIME = np.arange(400) * 0.002
+ANGLE, TORQUE = 0.1 * np.sin(19 * TIME), 2 * np.sin(19 * TIME + 0.3)
+KINDS = ["a.csv", "a.mat", "v73.mat", "a.h5", "a.parquet", "a.log", "a.asc", "a.blf"]
+MUTATIONS = 12
+
+
+def sound(path: Path) -> dict[str, object]:
+    """Writes a whole file of the kind; the part of the map that says what its columns are."""
+    columns = {"t": TIME, "q": ANGLE, "T": TORQUE}
+    if path.name == "a.csv":
+        rows = [f"{t:.6f},{q:.9f},{m:.9f}" for t, q, m in zip(TIME, ANGLE, TORQUE, strict=True)]
+        path.write_text("\n".join(["t,q,T", *rows]) + "\n", encoding="utf-8")
+    elif path.name == "a.mat":
+        savemat(path, columns)
+    elif path.suffix == ".parquet":
+        pyarrow.parquet.write_table(pyarrow.table(columns), path)
+    elif path.suffix in (".mat", ".h5"):
+        with h5py.File(path, "w", userblock_size=512 if path.suffix == ".mat" else 0) as file:
+            for name, values in columns.items():
+                file[name] = values[None] if path.suffix == ".mat" else values
+        if path.suffix == ".mat":
+            with path.open("r+b") as raw:
+                raw.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
+    else:
+        with can.Logger(str(path)) as log:
+            for t, q, torque in zip(TIME, ANGLE, TORQUE, strict=True):
+                value = struct.pack("<ih", int(q * 1e5), int(torque * 100))
+                for late, identifier, data in ((0.0, 0x80, b""), (1e-4, 0x181, value)):
+                    log.on_message_received(
+                        can.Message(1000 + t + late, identifier, is_extended_id=False, data=data)
+                    )
+        signals = [{"name": "q", "type": "int32"}, {"name": "T", "type": "int16"}]
+        return {
+            "source": {"pdos": [{"id": 0x181, "signals": signals}]},
+            "time": {"column": "time", "unit": "s"},
+        }
+    return {"time": {"column": "t", "unit": "s"}}
+
+
+def damaged(raw: bytes, rng: np.random.Generator) -> bytes:
+    """Bytes changed anywhere or near the head, the end cut off, or a piece replaced."""
+    out = bytearray(raw)
+    kind = rng.integers(4)
+    if kind == 0:
+        return bytes(out[: rng.integers(1, len(out))])
+    if kind == 1:
+        at, length = int(rng.integers(len(out))), int(rng.integers(1, 200))
+        out[at : at + length] = rng.bytes(int(rng.integers(300)))
+        return bytes(out)
+    for at in rng.integers(0, len(out) if kind == 2 else min(len(out), 2000), rng.integers(1, 30)):
+        out[at] = rng.integers(256)
+    return bytes(out)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_damaged_file_is_read_or_refused_in_one_message(
+    kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole, out, chart = tmp_path / kind, tmp_path / "out.h5", tmp_path / "map.yaml"
+    columns = sound(whole)
+    axis = {
+        "name": "A1",
+        "position": {"column": "q", "unit": "rad"},
+        "torque": {"column": "T", "unit": "N·m"},
+    }
+    chart.write_text(
+        yaml.safe_dump(
+            {"format": "invid-import-map", "format_version": 1, "robot": "r", "axes": [axis], **columns}
+        ),
+        encoding="utf-8",
+    )
+    assert run(["import", str(whole), "--map", str(chart), "-o", str(out)]) == 0
+    assert read_recording(out).experiments[0].samples == TIME.size
+    rng = np.random.default_rng(len(kind))
+    for number in range(MUTATIONS):
+        out.unlink(missing_ok=True)
+        whole.with_name(f"x{kind}").write_bytes(damaged(whole.read_bytes(), rng))
+        capsys.readouterr()
+        status = run(["import", str(whole.with_name(f"x{kind}")), "--map", str(chart), "-o", str(out)])
+        said = capsys.readouterr()
+        assert status in (0, 2), (number, said.err)
+        assert "Traceback" not in said.out + said.err
+        assert out.exists() == (status == 0)
+        if status == 0:
+            assert np.isfinite(read_recording(out).experiments[0].position).all()
