@@ -10,6 +10,7 @@ import math
 import re
 import struct
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from invid.arrays import Float64
 from invid.errors import InputError
 from invid.recording.import_map import Pdo, Signal, Source
 from invid.recording.tables import BrokenRow, Table
+from invid_drivers.can_log_guess import Guess, guess_pdos
 
 MAX_FRAMES = 50_000_000
 MAX_BROKEN = 100_000
@@ -45,6 +47,9 @@ def read_can_log(path: Path, source: Source, *, beside: Path | None = None) -> T
     pdos = list(source.pdos)
     if source.eds is not None:
         pdos += _pdos_of_eds((beside or Path()) / source.eds, source.nodes)
+    guessed = first_pdos(path, source.sync_id) if not pdos else None
+    if guessed is not None:
+        pdos = list(guessed.pdos)
     if not pdos:
         raise InputError(
             f"{path}: a CAN log needs 'pdos' (or 'eds' and 'nodes') in the map's 'source': which identifier "
@@ -56,7 +61,11 @@ def read_can_log(path: Path, source: Source, *, beside: Path | None = None) -> T
         raise InputError(f"{path}: signal names in 'pdos' must differ, found {names}")
     if "time" in names:
         raise InputError(f"{path}: 'time' is the column of SYNC instants; give the signal another name")
-    return _rows(path, source, layouts, names)
+    table = _rows(path, source, layouts, names)
+    if guessed is None:
+        return table
+    said = {"pdos": [p.model_dump(exclude_none=True) for p in pdos], "reasons": list(guessed.reasons)}
+    return replace(table, notes={**table.notes, **said})
 
 
 def _rows(
@@ -204,6 +213,16 @@ def _frames(path: Path, broken: list[BrokenRow] | None = None) -> Iterator[tuple
     except Exception as error:  # readers raise ValueError, IndexError, struct.error, BLFParseError by kind
         text = (str(error).splitlines() or [type(error).__name__])[0][:160]
         raise InputError(f"{path}: cannot be read as a CAN log: {text}") from None
+
+
+def first_pdos(path: Path, sync_id: int | None) -> Guess:
+    """What the frames of a log look like, where no map says what they carry."""
+    frames: dict[int, list[bytes]] = {}
+    for count, (_, frame) in enumerate(_frames(path)):
+        if count > 20_000:
+            break
+        frames.setdefault(frame.arbitration_id, []).append(bytes(frame.data))
+    return guess_pdos(frames, sync_id)
 
 
 def _identifiers(path: Path) -> str:

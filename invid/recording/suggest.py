@@ -75,7 +75,11 @@ def suggest(table: Table, path: Path) -> Suggestion:
     reasons: list[str] = []
     unsure: list[str] = []
     document: dict[str, Any] = {"format": FORMAT, "format_version": 1, "robot": path.stem}
-    if table.notes:
+    if "pdos" in table.notes:
+        document["source"] = {"pdos": table.notes["pdos"]}
+        reasons.extend(table.notes["reasons"])
+        unsure.append("which field of the PDOs is what, and its unit: name position and torque by hand")
+    elif table.notes:
         kept = {k: table.notes[k] for k in ("delimiter", "decimal", "header_lines") if k in table.notes}
         document["source"] = kept
         reasons.append("the file is delimited text: " + ", ".join(f"{k} {v!r}" for k, v in kept.items()))

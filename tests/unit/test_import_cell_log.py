@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import can
@@ -210,3 +211,37 @@ def test_what_candump_shows_on_the_screen_is_read_like_its_log(tmp_path):
     second = read_recording(out).experiments[0]
     np.testing.assert_array_equal(first.position, second.position)
     np.testing.assert_array_equal(first.torque, second.torque)
+
+
+def test_a_log_without_a_map_is_shown_as_pdos_with_the_fields_that_move(logged, capsys):
+    """The position's four bytes are told from the torque's two; what they are is left to a person."""
+    assert run(["import", "--suggest", str(logged[0]), "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    pdos = {p["id"]: p for p in said["map"]["source"]["pdos"]}
+    assert pdos[0x205]["direction"] == "to_drive"
+    assert [s["type"] for s in pdos[0x185]["signals"]][:2] == ["int32", "int16"]
+    assert pdos[0x185]["direction"] == "from_drive"
+    assert any("node 5" in r for r in said["reasons"])
+    assert any("name position and torque by hand" in u for u in said["unsure"])
+
+
+def test_a_suggested_map_reads_the_log_once_its_columns_are_named(tmp_path, capsys):
+    log = tmp_path / "c.log"
+    log.write_text("\n".join(frames(400)) + "\n", encoding="utf-8")
+    assert run(["import", "--suggest", str(log)]) == 0
+    text = capsys.readouterr().out
+    text = text.replace('"?", "unit": "rad"', '"x185_byte0", "unit": "rad"')
+    text = text.replace('"?", "unit": "N·m"', '"x185_byte4", "unit": "N·m"')
+    (tmp_path / "map.yaml").write_text(text, encoding="utf-8")
+    assert run(["import", str(log), "--map", str(tmp_path / "map.yaml"), "-o", str(tmp_path / "r.h5")]) == 0
+    e = read_recording(tmp_path / "r.h5").experiments[0]
+    # The first row waits for the master's first value, which acts from the second SYNC on.
+    np.testing.assert_allclose(e.position[:, 0], 10.0 * np.arange(1, 400))
+    np.testing.assert_allclose(e.torque[:, 0], np.arange(1, 400))
+
+
+def test_a_log_without_sync_or_pdos_is_refused_with_the_identifiers_it_has(tmp_path, capsys):
+    log = tmp_path / "c.log"
+    log.write_text("\n".join(line for line in frames(50) if " 080#" not in line) + "\n", encoding="utf-8")
+    assert run(["import", "--suggest", str(log)]) == 2
+    assert "0x185" in capsys.readouterr().err
