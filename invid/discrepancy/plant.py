@@ -16,6 +16,7 @@ import numpy as np
 from invid.arrays import Bool, Complex128, Float64
 from invid.discrepancy.inner import settled
 from invid.effects.base import Effect, Place, Record, View
+from invid.refine.boundary import end_columns, end_forces, end_points
 from invid.refine.problem import condense_dense
 from invid.refine.structure import ChainStructure
 
@@ -405,25 +406,13 @@ def noise_of(view: View, factor: Complex128) -> Complex128:
 
 
 def _boundary(view: View, layout: Layout, p: Float64) -> Complex128:
-    """(F, M, 2ΣN) missing torque for a unit jump of each coordinate's position and velocity.
-
-    A motor's jump also stands between its sampled spectrum and the integral; Euler–Maclaurin:
-    ∫f = hΣf + h/2·[f] − h²/12·[f′] with f = x e^{−jωt}, [f] = Δx and [f′] = Δv − jωΔx.
-    """
-    mass, damping, _ = layout.structure.matrices(p[: layout.structure.count])
-    omega = view.omega
-    at_position = damping + 1j * omega[:, None, None] * mass
-    forces = np.concatenate((at_position, np.broadcast_to(mass, at_position.shape)), axis=2)
-    forces = forces * (2.0 / view.record.span)
+    """(F, M, 2ΣN) missing torque for a unit jump of each coordinate's position and velocity, 0 Hz first."""
+    structure, record = layout.structure, view.record
+    forces = end_forces(structure, p[: structure.count], view.omega, record.span)
     forces[0] *= 0.5
-    out: Complex128 = view.motion.transpose(0, 2, 1) @ forces
-    h, motors = view.record.step, np.array(layout.structure.motor_dofs)
-    jump = 1j * omega * h**2 / 12 + (0.0 if view.record.ends_in else h / 2)
-    stiffness = view.stiffness * (2.0 / view.record.span)
-    stiffness[0] = 0.0  # positions carry no mean here
-    out[:, :, motors] += stiffness * jump[:, None, None]
-    out[:, :, layout.structure.dofs + motors] -= stiffness * (h**2 / 12)
-    return out
+    points = end_points(view.omega, record.step, record.span, ends_in=record.ends_in)
+    points[0] = 0.0  # positions carry no mean here
+    return end_columns(structure, view.motion, view.stiffness, forces, points)
 
 
 def without_boundary(

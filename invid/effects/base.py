@@ -120,9 +120,9 @@ class Record:
     weight: Float64 = field(default_factory=lambda: np.zeros(0))
     """(F,) 0 for lines that are left out; empty where all count."""
     trend: bool = False
+    """Whether the missing torque changes over the record's periods."""
     ends_in: bool = True
     """Whether the spectra hold the end-point correction h/2·(x_n − x_0) that makes a sum the integral."""
-    """Whether the missing torque changes over the record's periods."""
 
     @property
     def samples(self) -> int:

@@ -6,9 +6,7 @@ C_r = [Z, −A] C_n [Z, −A]ᴴ, re-evaluated at every iterate; V = Σ rᴴ C_r
 cost of the errors-in-variables problem, and with the Jacobian taken at the projected measurement
 Θ̂ = Θ − C_Θr C_r⁻¹ r its gradient is exact (envelope theorem).
 
-Records that are not in steady state carry boundary terms: with Δx, Δv the end-minus-start position
-and velocity of every coordinate, Z_full q + (2/T)((C + jωM)Δx + MΔv) = τ. They are linear, 2·ΣN real
-numbers a record, and projected out.
+Records that are not in steady state carry boundary terms (``refine.boundary``), which are projected out.
 """
 
 from __future__ import annotations
@@ -21,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from invid.arrays import Bool, Complex128, Float64
+from invid.refine.boundary import end_columns, end_forces, end_places, end_points
 from invid.refine.structure import ChainStructure
 
 
@@ -210,11 +209,9 @@ class MissingTorqueProblem:
         forces = np.zeros((block.omega.size, structure.dofs, 0), dtype=complex)
         ends = np.zeros(0)
         if block.transient:
-            mass, damping, _ = structure.matrices(sp)
-            at_position = damping + 1j * block.omega[:, None, None] * mass
-            forces = np.concatenate((at_position, np.broadcast_to(mass, at_position.shape)), axis=2)
-            forces = forces * (2.0 / block.span)
-            boundary = motion.transpose(0, 2, 1) @ forces + self._quadrature(block, stiffness)
+            forces = end_forces(structure, sp, block.omega, block.span)
+            points = end_points(block.omega, block.step, block.span, ends_in=block.ends_in)
+            boundary = end_columns(structure, motion, stiffness, forces, points)
             root = _whitener(covariance)
             columns_w = _stack(root @ boundary)
             right = _stack(root @ residual[..., None])[:, 0]
@@ -222,8 +219,7 @@ class MissingTorqueProblem:
             scale[scale == 0] = 1.0
             ends = -np.linalg.lstsq(columns_w / scale, right, rcond=1e-12)[0] / scale
             residual = residual + boundary @ ends
-            position_ends = self._end_points(block)
-            shift = position_ends @ ends[self._end_places()].reshape(2, motors)
+            shift = points @ ends[end_places(structure)].reshape(2, motors)
         gain = np.linalg.solve(covariance, residual[..., None])[..., 0]
         noise = np.einsum("fcm,fm->fc", cross, gain)
         position = block.position - noise[:, :motors]
@@ -243,35 +239,6 @@ class MissingTorqueProblem:
         jacobian[..., columns] = block.columns
         jacobian[..., s["extra"]] = extra_jac
         return State(block, motion, stiffness, inner, residual, jacobian, boundary, covariance, position, q)
-
-    def _end_places(self) -> npt.NDArray[np.intp]:
-        """Where the motors' Δx and Δv stand among the boundary terms of a record."""
-        motors = np.array(self.structure.motor_dofs)
-        return np.concatenate((motors, self.structure.dofs + motors))
-
-    @staticmethod
-    def _end_points(block: Block) -> Complex128:
-        """(F, 2) what a motor's Δx and Δv add to its sampled spectrum to make it the integral.
-
-        Euler–Maclaurin: ∫f = hΣf + h/2·[f] − h²/12·[f′] with f = x e^{−jωt}, [f] = Δx and
-        [f′] = Δv − jωΔx.
-        """
-        scale, h = 2.0 / block.span, block.step
-        at_position = scale * (1j * block.omega * h**2 / 12)
-        if not block.ends_in:
-            at_position = at_position + scale * h / 2
-        at_speed = np.full(block.omega.size, -scale * h**2 / 12, dtype=complex)
-        return np.stack((at_position, at_speed), axis=1)
-
-    def _quadrature(self, block: Block, stiffness: Complex128) -> Complex128:
-        """(F, M, 2ΣN) the same on the torque side, Z times the end points."""
-        motors = self.structure.motors
-        ends = self._end_points(block)
-        out = np.zeros((block.omega.size, motors, 2 * self.structure.dofs), dtype=complex)
-        places = self._end_places()
-        out[:, :, places[:motors]] = stiffness * ends[:, 0, None, None]
-        out[:, :, places[motors:]] = stiffness * ends[:, 1, None, None]
-        return out
 
     def _boundary_derivative(
         self, jacobian: Complex128, block: Block, sp: Float64, motion: Complex128, ends: Float64

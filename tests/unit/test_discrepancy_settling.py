@@ -4,43 +4,30 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
+from two_masses import held
 
 from invid.diagnosis import Verdict
 from invid.discrepancy import diagnose
 from invid.recording import Role
 from invid.recording.model import Experiment, Kind, Recording
 
-STEP, PERIOD, NOISE = 0.002, 2048, 0.05
+STEP, PERIOD, NOISE, HOLD = 0.002, 2048, 0.05, 40.0
 
 
 def from_rest(seed: int, role: Role, key: str) -> Experiment:
     """Two periods from rest of a two-mass axis (0.7 and 2 kg·m², 1000 N·m/rad), softly held."""
     rng = np.random.default_rng(seed)
-    mass, spring, damper, hold, rate = np.array([0.7, 2.0]), 1000.0, 0.5, 40.0, 1.0
-    a = np.zeros((4, 4))
-    a[:2, 2:] = np.eye(2)
-    a[2:, :2] = spring * np.array([[-1, 1], [1, -1]]) / mass[:, None]
-    a[2:, 2:] = damper * np.array([[-1, 1], [1, -1]]) / mass[:, None]
-    b = np.array([0.0, 0.0, 1.0 / mass[0], 0.0])
-    block = expm(np.block([[a, b[:, None]], [np.zeros((1, 5))]]) * STEP)
-    phi, gamma = block[:4, :4], block[:4, 4]
     lines = np.arange(1, 120, 2)
     bins = np.zeros(PERIOD // 2 + 1, complex)
     bins[lines] = np.exp(2j * np.pi * rng.random(lines.size)) * PERIOD / 2 * 0.4
     excitation = np.tile(np.fft.irfft(bins), 2)
-    state = np.zeros(4)
-    position, torque = np.empty(excitation.size), np.empty(excitation.size)
-    for n, push in enumerate(excitation):
-        position[n] = state[0]
-        torque[n] = push - hold * state[0] - rate * state[2]
-        state = phi @ state + gamma * torque[n]
+    position, torque = held(excitation, STEP, HOLD, rate=1.0)
     return Experiment(
         key=key,
         kind=Kind.MULTISINE,
         role=role,
         excited_axis=0,
-        hold_gain=np.array([hold]),
+        hold_gain=np.array([HOLD]),
         period_samples=PERIOD,
         frequencies_hz=lines / (PERIOD * STEP),
         sample_rate_hz=1.0 / STEP,

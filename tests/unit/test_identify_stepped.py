@@ -4,33 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
+from two_masses import MASS, SPRING, held
 
 from invid.identify import identify
 from invid.recording import Role
 from invid.recording.model import Experiment, Kind, Recording
 
 STEP = 0.002
-MASS, SPRING, DAMPER, HOLD, RATE = np.array([0.7, 2.0]), 1000.0, 0.5, 40.0, 8.0
+HOLD = 40.0
 
 
 def sine(key: int, samples: int, cycles: int, settled: bool, rng: np.random.Generator) -> Experiment:
     """One frequency of a two-mass axis (0.7 and 2 kg·m², 1000 N·m/rad), held softly by the master."""
-    a = np.zeros((4, 4))
-    a[:2, 2:] = np.eye(2)
-    a[2:, :2] = SPRING * np.array([[-1, 1], [1, -1]]) / MASS[:, None]
-    a[2:, 2:] = DAMPER * np.array([[-1, 1], [1, -1]]) / MASS[:, None]
-    b = np.array([0.0, 0.0, 1.0 / MASS[0], 0.0])
-    block = expm(np.block([[a, b[:, None]], [np.zeros((1, 5))]]) * STEP)
-    phi, gamma = block[:4, :4], block[:4, 4]
     ahead = samples * int(np.ceil(20.0 / STEP / samples)) if settled else 0
     excitation = 5.0 * np.sin(2 * np.pi * np.arange(ahead + samples * cycles) / samples)
-    state = np.zeros(4)
-    position, torque = np.empty(excitation.size), np.empty(excitation.size)
-    for n, push in enumerate(excitation):
-        position[n] = state[0]
-        torque[n] = push - HOLD * state[0] - RATE * state[2]
-        state = phi @ state + gamma * torque[n]
+    position, torque = held(excitation, STEP, HOLD, rate=8.0)
     position, torque = position[ahead:], torque[ahead:]
     return Experiment(
         key=f"{key:03d}",

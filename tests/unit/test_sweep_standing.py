@@ -1,6 +1,6 @@
 """Encoders that stand still: which stands are a fault and which are not."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 import pytest
@@ -216,16 +216,22 @@ def test_samples_that_do_not_come_make_no_dead_encoder() -> None:
         watch.check(row)
 
 
-def test_an_encoder_that_dies_while_an_axis_is_caught_after_its_trial_is_found_there() -> None:
+def dying(when: Callable[[RigidCell, Sample], bool]) -> tuple[RigidCell, dict[str, float]]:
+    """A cell whose first encoder dies once ``when`` holds; its last value "x" and the moment "at"."""
     cell = RigidCell()
     dead: dict[str, float] = {}
 
     def die(c: RigidCell, s: Sample) -> None:
-        if dead or (s.time > 0.5 and abs(c.v[0]) > 0.1):
+        if dead or when(c, s):
             s.position[0] = dead.setdefault("x", s.position[0])
             dead.setdefault("at", s.time)
 
     cell.disturb = die
+    return cell, dead
+
+
+def test_an_encoder_that_dies_while_an_axis_is_caught_after_its_trial_is_found_there() -> None:
+    cell, dead = dying(lambda c, s: s.time > 0.5 and abs(c.v[0]) > 0.1)
     _, error, _ = run(cell)
     assert isinstance(error, SafetyStop)
     assert "A1" in str(error)
@@ -234,15 +240,7 @@ def test_an_encoder_that_dies_while_an_axis_is_caught_after_its_trial_is_found_t
 
 def test_an_encoder_that_dies_at_a_turning_point_of_the_trial_is_asked_once_more_and_found() -> None:
     """No speed is there to stop from; the doublet's last quarter stands, and the next doublet stands."""
-    cell = RigidCell()
-    dead: dict[str, float] = {}
-
-    def die(c: RigidCell, s: Sample) -> None:
-        if dead or (s.time > 0.6 and abs(c.x[0]) > 2e-3 and abs(c.v[0]) < 2e-3):
-            s.position[0] = dead.setdefault("x", s.position[0])
-            dead.setdefault("at", s.time)
-
-    cell.disturb = die
+    cell, dead = dying(lambda c, s: s.time > 0.6 and abs(c.x[0]) > 2e-3 and abs(c.v[0]) < 2e-3)
     _, error, _ = run(cell)
     assert isinstance(error, SafetyStop)
     assert "by 0 counts" in str(error)

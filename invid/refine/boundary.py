@@ -1,0 +1,61 @@
+"""What the ends of a record that does not close add to its spectra.
+
+With Δx, Δv the end-minus-start position and velocity of every coordinate,
+Z_full q + (2/T)((C + jωM)Δx + MΔv) = τ: linear in 2·ΣN real numbers a record. A motor's ends also stand
+between its sampled spectrum and the integral; Euler–Maclaurin: ∫f = hΣf + h/2·[f] − h²/12·[f′] with
+f = x e^{−jωt}, [f] = Δx and [f′] = Δv − jωΔx.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from invid.arrays import Complex128, Float64
+from invid.refine.structure import ChainStructure
+
+
+def end_places(structure: ChainStructure) -> npt.NDArray[np.intp]:
+    """(2M,) where the motors' Δx, then their Δv, stand among the 2ΣN boundary terms."""
+    motors = np.array(structure.motor_dofs)
+    return np.concatenate((motors, structure.dofs + motors))
+
+
+def end_forces(structure: ChainStructure, sp: Float64, omega: Float64, span: float) -> Complex128:
+    """(F, ΣN, 2ΣN) force on each coordinate for a unit Δx or Δv of each, over a record of ``span`` [s]."""
+    mass, damping, _ = structure.matrices(sp)
+    at_position = damping + 1j * omega[:, None, None] * mass
+    forces: Complex128 = np.concatenate((at_position, np.broadcast_to(mass, at_position.shape)), axis=2)
+    return forces * (2.0 / span)
+
+
+def end_points(omega: Float64, step: float, span: float, *, ends_in: bool) -> Complex128:
+    """(F, 2) what a motor's Δx and Δv add to its sampled spectrum to make it the integral.
+
+    ``ends_in``: whether the spectra already hold h/2·(x_n − x_0).
+    """
+    scale, h = 2.0 / span, step
+    at_position = scale * (1j * omega * h**2 / 12)
+    if not ends_in:
+        at_position = at_position + scale * h / 2
+    at_speed = np.full(omega.size, -scale * h**2 / 12, dtype=complex)
+    return np.stack((at_position, at_speed), axis=1)
+
+
+def end_columns(
+    structure: ChainStructure,
+    motion: Complex128,
+    stiffness: Complex128,
+    forces: Complex128,
+    points: Complex128,
+) -> Complex128:
+    """(F, M, 2ΣN) missing torque for a unit Δx or Δv of each coordinate: ``forces`` through the (F, ΣN, M)
+    ``motion``, and Z times the motors' end ``points``."""
+    columns: Complex128 = motion.transpose(0, 2, 1) @ forces
+    at_position, at_speed = end_places(structure).reshape(2, -1)
+    columns[:, :, at_position] += stiffness * points[:, 0, None, None]
+    columns[:, :, at_speed] += stiffness * points[:, 1, None, None]
+    return columns
+
+
+__all__ = ["end_columns", "end_forces", "end_places", "end_points"]
