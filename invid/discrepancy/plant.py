@@ -19,6 +19,7 @@ from invid.effects.base import Effect, Place, Record, View
 from invid.refine.boundary import end_columns, end_forces, end_points
 from invid.refine.problem import condense_dense
 from invid.refine.structure import ChainStructure
+from invid.refine.whitening import orthonormal, stack, unstack, unwhitener, whitener
 
 PASSES = 12
 """Most steps of inner motion and the forces that depend on it; weak effects agree after two or three."""
@@ -241,7 +242,7 @@ def evaluate(
             view.missing, view.certainty = r, inverse
         extra = contributions(view, candidate)
         r = r + extra
-        root = _whitener(covariance)
+        root = whitener(covariance)
         if record.weight.size:
             root = root * record.weight[:, None, None]
         columns: Complex128 | None = None
@@ -270,18 +271,18 @@ def evaluate(
             if thorough and _strong(view, candidate):
                 _law_columns(view, candidate, sp, q, columns)
         basis = np.zeros((0, 0))
-        white = _stack(root @ r[..., None])[:, 0]
+        white = stack(root @ r[..., None])[:, 0]
         if record.transient:
             edges = _boundary(view, layout, p)
-            basis = _basis(_stack(root @ edges))
+            basis = orthonormal(stack(root @ edges))
             ends = basis.T @ white
             white = white - basis @ ends
-            r = r - _unstack(np.linalg.inv(_safe(root)), basis @ ends, r.shape)
+            r = r - unstack(unwhitener(root), basis @ ends, r.shape)
         residuals.append(white)
         bases.append(basis)
         roots.append(root)
         if columns is not None:
-            part = _stack(root @ columns)
+            part = stack(root @ columns)
             if record.transient:
                 part = part - basis @ (basis.T @ part)
             jacobians.append(part)
@@ -305,14 +306,6 @@ def evaluate(
         tuple(roots),
         dof,
     )
-
-
-def _safe(root: Complex128) -> Complex128:
-    """Whiteners that can be inverted where lines are switched off."""
-    off = np.abs(root).sum(axis=(1, 2)) == 0
-    out = root.copy()
-    out[off] = np.eye(root.shape[1])
-    return out
 
 
 def _priors(layout: Layout, p: Float64, effects: int) -> tuple[Float64, Float64]:
@@ -423,42 +416,14 @@ def without_boundary(
     A period of a motion that still settles does not close: its ends jump, each period's in its own way.
     Also the share of each period's numbers that is left as degrees of freedom.
     """
-    root = _whitener(covariance)
-    basis = _basis(_stack(root @ _boundary(view, layout, p)[1:]))
-    back = np.linalg.inv(_safe(root))
+    root = whitener(covariance)
+    basis = orthonormal(stack(root @ _boundary(view, layout, p)[1:]))
+    back = unwhitener(root)
     out = r.copy()
     for period in out:
-        ends = basis @ (basis.T @ _stack(root @ period[..., None])[:, 0])
-        period -= _unstack(back, ends, period.shape)
+        ends = basis @ (basis.T @ stack(root @ period[..., None])[:, 0])
+        period -= unstack(back, ends, period.shape)
     return out, 1.0 - basis.shape[1] / (2.0 * r[0].size)
-
-
-def _basis(columns: Float64) -> Float64:
-    scale = np.linalg.norm(columns, axis=0)
-    left, size, _ = np.linalg.svd(columns[:, scale > 0] / scale[scale > 0], full_matrices=False)
-    out: Float64 = left[:, size > 1e-9 * size[0]]
-    return out
-
-
-def _whitener(covariance: Complex128) -> Complex128:
-    """√2·L⁻¹: real and imaginary part of the whitened residual have unit variance."""
-    diagonal = np.sqrt(np.maximum(np.einsum("fii->fi", covariance).real, 1e-300))
-    scaled = covariance / diagonal[:, :, None] / diagonal[:, None, :]
-    lower = np.linalg.cholesky(scaled + 1e-12 * np.eye(covariance.shape[1]))
-    root: Complex128 = np.sqrt(2.0) * np.linalg.inv(lower) / diagonal[:, None, :]
-    return root
-
-
-def _stack(values: Complex128) -> Float64:
-    flat = values.reshape(-1, values.shape[-1])
-    return np.concatenate((flat.real, flat.imag))
-
-
-def _unstack(inverse_root: np.ndarray, rows: Float64, shape: tuple[int, ...]) -> Complex128:
-    half = rows.size // 2
-    white = (rows[:half] + 1j * rows[half:]).reshape(shape)
-    out: Complex128 = (inverse_root @ white[..., None])[..., 0]
-    return out
 
 
 __all__ = [

@@ -20,21 +20,13 @@ from invid.diagnosis import Diagnosis
 from invid.discrepancy.confidence import CONTESTED
 from invid.discrepancy.joint import JointFit
 from invid.discrepancy.missing_torque import rms_torque
-from invid.discrepancy.plant import (
-    Candidate,
-    Evaluation,
-    _basis,
-    _safe,
-    _stack,
-    _unstack,
-    evaluate,
-    views_of,
-)
+from invid.discrepancy.plant import Candidate, Evaluation, evaluate, views_of
 from invid.effects.base import Record
 from invid.errors import InvidError
 from invid.model import Model
 from invid.periods import fold, without_drift
 from invid.recording.model import Experiment, Recording
+from invid.refine.whitening import orthonormal, stack, unstack, unwhitener
 from invid.simulate import simulate
 from invid.spectra import LineSpectra, spectra_of
 from invid.timebase import uniform
@@ -193,12 +185,12 @@ def _rung_out(evaluation: Evaluation, candidate: Candidate) -> Evaluation:
             jumps[0] *= 0.5
             passed = (spring / (spring - w**2 * v["mass"]))[:, None] * jumps
             columns.append(view.push(term.place.pattern(view.structure))[:, :, None] * passed[:, None, :])
-        part = _stack(root @ np.concatenate(columns, axis=2))
-        own = _basis(part - basis @ (basis.T @ part))
+        part = stack(root @ np.concatenate(columns, axis=2))
+        own = orthonormal(part - basis @ (basis.T @ part))
         rows = slice(at, at + part.shape[0])
         rung = own @ (own.T @ residual[rows])
         residual[rows] -= rung
-        missing[number] = missing[number] - _unstack(np.linalg.inv(_safe(root)), rung, missing[number].shape)
+        missing[number] = missing[number] - unstack(unwhitener(root), rung, missing[number].shape)
         at = rows.stop
     return replace(evaluation, residual=residual, missing=tuple(missing), cost=float(residual @ residual))
 

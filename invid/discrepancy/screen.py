@@ -10,10 +10,11 @@ from scipy.optimize import nnls
 
 from invid.arrays import Complex128, Float64
 from invid.discrepancy.joint import JointFit
-from invid.discrepancy.plant import Term, _stack
+from invid.discrepancy.plant import Term
 from invid.effects import CATALOGUE
 from invid.effects.base import Effect, Pattern, View
 from invid.refine.structure import ChainStructure
+from invid.refine.whitening import stack
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +88,7 @@ class Screen:
         parts = []
         evaluation = self.fit.evaluation
         for column, root, basis in zip(columns, evaluation.roots, evaluation.bases, strict=True):
-            part = _stack(root @ column)
+            part = stack(root @ column)
             if basis.size:
                 part = part - basis @ (basis.T @ part)
             parts.append(part)
@@ -101,7 +102,7 @@ class Screen:
         evaluation = self.fit.evaluation
         parts = []
         for view, root, basis in zip(self.views, evaluation.roots, evaluation.bases, strict=True):
-            part = _stack(root @ term.effect.contribution(view, term.place, x.tolist())[0][..., None])[:, 0]
+            part = stack(root @ term.effect.contribution(view, term.place, x.tolist())[0][..., None])[:, 0]
             parts.append(part - basis @ (basis.T @ part) if basis.size else part)
         white = np.concatenate([*parts, np.zeros(self.tail)]) + evaluation.residual
         out: Float64 = -self._back @ (self.basis.T @ white)

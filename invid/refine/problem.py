@@ -21,6 +21,7 @@ import numpy.typing as npt
 from invid.arrays import Bool, Complex128, Float64
 from invid.refine.boundary import end_columns, end_forces, end_places, end_points
 from invid.refine.structure import ChainStructure
+from invid.refine.whitening import stack, whitener
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,9 +213,9 @@ class MissingTorqueProblem:
             forces = end_forces(structure, sp, block.omega, block.span)
             points = end_points(block.omega, block.step, block.span, ends_in=block.ends_in)
             boundary = end_columns(structure, motion, stiffness, forces, points)
-            root = _whitener(covariance)
-            columns_w = _stack(root @ boundary)
-            right = _stack(root @ residual[..., None])[:, 0]
+            root = whitener(covariance)
+            columns_w = stack(root @ boundary)
+            right = stack(root @ residual[..., None])[:, 0]
             scale = np.linalg.norm(columns_w, axis=0)
             scale[scale == 0] = 1.0
             ends = -np.linalg.lstsq(columns_w / scale, right, rcond=1e-12)[0] / scale
@@ -310,11 +311,11 @@ class MissingTorqueProblem:
         residuals, jacobians = [], []
         free = self.free
         for state in self.states(p):
-            root = _whitener(state.covariance)
-            r = _stack(root @ state.residual[..., None])[:, 0]
-            j = _stack(root @ state.jacobian[..., free])
+            root = whitener(state.covariance)
+            r = stack(root @ state.residual[..., None])[:, 0]
+            j = stack(root @ state.jacobian[..., free])
             if state.boundary.shape[2]:
-                b = _stack(root @ state.boundary)
+                b = stack(root @ state.boundary)
                 scale = np.linalg.norm(b, axis=0)
                 b = b[:, scale > 0] / scale[scale > 0]
                 left, size, _ = np.linalg.svd(b, full_matrices=False)
@@ -383,19 +384,3 @@ def _diagonal(values: Complex128) -> Complex128:
     index = np.arange(values.shape[-1])
     out[..., index, index] = values
     return out
-
-
-def _whitener(covariance: Complex128) -> Complex128:
-    """√2·L⁻¹ of (F, M, M): real and imaginary part of the whitened residual have unit variance."""
-    diagonal = np.sqrt(np.maximum(np.einsum("fii->fi", covariance).real, 1e-300))
-    scaled = covariance / diagonal[:, :, None] / diagonal[:, None, :]
-    # 1e-12 of a unit diagonal: quantised channels that repeat exactly must not stop the fit.
-    lower = np.linalg.cholesky(scaled + 1e-12 * np.eye(covariance.shape[1]))
-    root: Complex128 = np.sqrt(2.0) * np.linalg.inv(lower) / diagonal[:, None, :]
-    return root
-
-
-def _stack(values: Complex128) -> Float64:
-    """(F, M, n) complex to (2FM, n) real rows."""
-    flat = values.reshape(-1, values.shape[-1])
-    return np.concatenate((flat.real, flat.imag))
