@@ -217,21 +217,22 @@ def _frames(path: Path, broken: list[BrokenRow] | None = None) -> Iterator[tuple
 
 def first_pdos(path: Path, sync_id: int | None) -> Guess:
     """What the frames of a log look like, where no map says what they carry."""
-    frames: dict[int, list[bytes]] = {}
+    return guess_pdos(_payloads(path), sync_id)
+
+
+def _payloads(path: Path) -> dict[int, list[bytes]]:
+    """The first frames of a log by identifier."""
+    seen: dict[int, list[bytes]] = {}
     for count, (_, frame) in enumerate(_frames(path)):
         if count > 20_000:
             break
-        frames.setdefault(frame.arbitration_id, []).append(bytes(frame.data))
-    return guess_pdos(frames, sync_id)
+        seen.setdefault(frame.arbitration_id, []).append(bytes(frame.data))
+    return seen
 
 
 def _identifiers(path: Path) -> str:
-    seen: dict[int, int] = {}
-    for count, (_, frame) in enumerate(_frames(path)):
-        if count > 20_000:
-            break
-        seen[frame.arbitration_id] = seen.get(frame.arbitration_id, 0) + 1
-    most = sorted(seen, key=lambda i: -seen[i])[:12]
+    seen = _payloads(path)
+    most = sorted(seen, key=lambda i: -len(seen[i]))[:12]
     return ", ".join(f"0x{i:X}" for i in sorted(most)) or "none"
 
 
