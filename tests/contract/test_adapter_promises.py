@@ -288,7 +288,7 @@ def test_a_cable_pulled_in_the_cycle_leaves_the_way_out_open() -> None:
     cell.stop()
     assert cell.not_off == ("A2",)
     assert bus.drives[0].state == "switch on disabled"
-    assert any("does not answer" in line for line in cell.close())
+    assert any("A2" in line and "not seen to switch off" in line for line in cell.close())
 
 
 def test_a_bus_that_dies_is_an_error_of_the_bus_and_stop_still_returns() -> None:

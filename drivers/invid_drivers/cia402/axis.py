@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+import struct
 from dataclasses import dataclass
 from typing import Any
 
@@ -444,13 +446,24 @@ class Drive:
                 )
             self._link.wait(0.005)
 
-    def quiet_command(self, what: Object, value: int) -> bool:
-        """A command on the way out: tries, and says whether the drive took it."""
-        try:
+    # --- on the way out ------------------------------------------------------------------------
+    def quiet_command(self, what: Object, value: int) -> None:
+        """A command that tries."""
+        with contextlib.suppress(BusError, SdoError):
             self._download(what, what.pack(value))
+
+    def quiet_state(self) -> DriveState | None:
+        """The state by SDO; ``None`` where the drive does not say."""
+        try:
+            return state_of(self.read(od.STATUSWORD))
         except (BusError, SdoError):
-            return False
-        return True
+            return None
+
+    def shout(self, what: Object, value: int) -> None:
+        """A command to a drive that is not heard: sent once, no answer awaited."""
+        data = what.pack(value)
+        head = struct.pack("<BHB", 0x23 | (4 - len(data)) << 2, what.index, what.sub)
+        self._link.send(0x600 + self.node_id, (head + data).ljust(8, b"\0"))
 
 
 _ABORTS = {

@@ -22,6 +22,7 @@ from invid_drivers.cia402.axis import Drive, DriveReport
 from invid_drivers.cia402.jitter import Jitter
 from invid_drivers.cia402.journal import Journal
 from invid_drivers.cia402.link import NMT_PRE_OPERATIONAL, NMT_START, NMT_STOP, Link
+from invid_drivers.cia402.runaway import RunawayGuard
 from invid_drivers.cia402.states import DriveState, OperationMode, state_of
 from invid_drivers.cia402.units import wrapped_difference
 
@@ -30,17 +31,14 @@ ENABLE_S = 3.0
 QUICK_STOP_S = 1.0
 """Longest quick stop before the voltage is taken away regardless."""
 DISABLE_S = 0.2
-RUNAWAY_GROWTH, RUNAWAY_SHARE = 1.2, 0.02
-"""A quick stop only slows down. Above 1.2 times the speed at its start, and 2 % of the limit for the
-noise of single counts, it does the opposite (empirical)."""
+STATE_POLL_S = 0.005
+"""Between two questions for the statusword by SDO, on the way out."""
 UNCERTAIN_CYCLES = 0.2
 """Where reading the clock and sending SYNC took longer, the system paused this process in between: nobody
 knows when SYNC was on the wire, and the positions of that cycle count as not received. At 3 rad/s a fifth
 of a millisecond is 0.6 mrad."""
 CLOSEST_CYCLES = 0.5
 """Two SYNCs are never closer: a drive that samples at SYNC may miss one that comes in half its cycle."""
-LOADED_RUNAWAYS = 5
-"""A gravity-loaded axis without brake is cut off only after five samples in a row of growing speed."""
 ALONE_CYCLES = 3
 """After a gap, a TPDO that comes later than usual is believed to be of this cycle when three cycles in a
 row have brought just one: what was owed is lost."""
@@ -49,6 +47,7 @@ MODE_POLL_S = 0.1
 HEARTBEAT_PERIODS = 3.5
 """A drive's heartbeat is lost after this many periods: three missed ones and some jitter."""
 
+_RAMPING = (DriveState.QUICK_STOP_ACTIVE, DriveState.FAULT_REACTION_ACTIVE)
 _RPDO = struct.Struct("<Hh")
 _TPDO = struct.Struct("<ihH")
 _MODE_REQUEST = bytes((0x40, od.MODE_DISPLAY.index & 0xFF, od.MODE_DISPLAY.index >> 8, 0, 0, 0, 0, 0))
@@ -407,44 +406,75 @@ class Cia402Cell:
 
     # --- the way out ---------------------------------------------------------------------------
     def stop(self) -> None:
-        """Quick stop, disable voltage, NMT stop; idempotent, from any state, never raises."""
+        """Quick stop, disable voltage, NMT stop; idempotent, from any state, never raises.
+
+        Whatever fails in one step, the next ones are still taken. Where it is interrupted itself (a second
+        Ctrl-C), the next call begins again.
+        """
         if self._stopped:
             return
-        self._stopped = True
-        with contextlib.suppress(InvidError):
+        began = self.clock.now()
+        with contextlib.suppress(Exception):
             self._control = [states.QUICK_STOP] * len(self._drives)
-            guard = _RunawayGuard(self._config)
+            guard = RunawayGuard(self._config)
             self._drive_to(QUICK_STOP_S, lambda s: self._cut_runaways(guard, s) or self._at_rest(s))
-        for i, drive in enumerate(self._drives):
+        for i in range(len(self._drives)):
             if self._may_disable(i):
                 self._control[i] = states.DISABLE_VOLTAGE
-            else:
-                self.held_at_end = (*self.held_at_end, drive.name)
-        with contextlib.suppress(InvidError):
+        self.held_at_end = tuple(d.name for i, d in enumerate(self._drives) if not self._may_disable(i))
+        with contextlib.suppress(Exception):
             self._drive_to(DISABLE_S, self._disabled)
-        for i, drive in enumerate(self._drives):
-            if self._may_disable(i) and self._energised(i):
-                drive.quiet_command(od.CONTROLWORD, states.DISABLE_VOLTAGE)
-                with contextlib.suppress(InvidError):
-                    self._drive_to(0.05, self._disabled)
-        self.not_off = tuple(
-            d.name for i, d in enumerate(self._drives) if self._may_disable(i) and self._energised(i)
-        )
+        unsure = [i for i in range(len(self._drives)) if self._may_disable(i) and self._may_be_on(i)]
+        on = []
+        for i in unsure:
+            off = False
+            with contextlib.suppress(Exception):
+                off = self._switch_off_by_sdo(i, began + QUICK_STOP_S)
+            if not off:
+                on.append(self._drives[i].name)
+        self.not_off = tuple(on)
         for i, drive in enumerate(self._drives):
             if self._may_disable(i):
-                with contextlib.suppress(InvidError):
+                with contextlib.suppress(Exception):
                     self._link.nmt(NMT_STOP, drive.node_id)
+        self._stopped = True
 
-    def _energised(self, axis: int) -> bool:
-        """As far as is known: a drive that fell silent may still be on."""
+    def _may_be_on(self, axis: int) -> bool:
+        """By its last TPDO: one that has not come, or came late, says nothing."""
         return not self._sample.fresh[axis] or states.is_energised(state_of(self._sample.status[axis]))
+
+    def _switch_off_by_sdo(self, axis: int, ramp_ends: float) -> bool:
+        """Ask a drive whose TPDOs did not show it off, switch it off where it is not; whether it is off.
+
+        TPDOs that come late (a busy computer) or not at all do not say that SDO is dead too. A drive that
+        does not answer is told to switch off all the same: it may hear.
+        """
+        drive, clock = self._drives[axis], self.clock
+        if axis in self._given_up:
+            self._link.nmt(NMT_PRE_OPERATIONAL, drive.node_id)  # NMT stopped, it would not answer
+        state = drive.quiet_state()
+        if state is None:
+            drive.shout(od.CONTROLWORD, states.DISABLE_VOLTAGE)
+            return False
+        while state in _RAMPING and clock.now() < ramp_ends:
+            self._link.wait(STATE_POLL_S)
+            state = drive.quiet_state()
+        if state is None or not states.is_energised(state):
+            return state is not None
+        drive.quiet_command(od.CONTROLWORD, states.DISABLE_VOLTAGE)
+        end = clock.now() + DISABLE_S
+        while (state := drive.quiet_state()) is not None and states.is_energised(state):
+            if clock.now() >= end:
+                return False
+            self._link.wait(STATE_POLL_S)
+        return state is not None
 
     def _may_disable(self, axis: int) -> bool:
         """A gravity-loaded axis without a brake stays in quick stop active, which holds it."""
         config = self._drives[axis].config
         return not config.gravity_loaded or config.brake == "drive"
 
-    def _cut_runaways(self, guard: _RunawayGuard, sample: Sample) -> bool:
+    def _cut_runaways(self, guard: RunawayGuard, sample: Sample) -> bool:
         """An axis that a quick stop makes faster has a wrong sign somewhere: only cutting it off helps."""
         for i in guard.faster(sample):
             self._control[i] = states.DISABLE_VOLTAGE  # the one case in which a loaded axis is let go
@@ -513,62 +543,29 @@ class Cia402Cell:
         return complaints
 
     def _restore(self, complaints: list[str]) -> None:
+        left = self._left_protected(complaints)
         for drive in self._drives:
-            if drive.name in self.held_at_end:
-                complaints.append(
-                    f"axis {drive.name} is held by its drive in quick stop active; its objects are "
-                    "restored at the "
-                    "next start. Set the brake before switching it off"
-                )
-                continue
-            self._link.nmt(NMT_PRE_OPERATIONAL, drive.node_id)
+            if drive.name not in left:
+                self._link.nmt(NMT_PRE_OPERATIONAL, drive.node_id)
         self._link.wait(0.02)
         for drive in self._drives:
-            if drive.name in self.held_at_end:
+            if drive.name in left:
                 continue
             try:
                 drive.restore()
             except InvidError as error:
                 complaints.append(str(error))
 
-
-class _RunawayGuard:
-    """Compares the speed during a quick stop with the speed at its start."""
-
-    def __init__(self, config: CellConfig) -> None:
-        self._least = [RUNAWAY_SHARE * a.limits.velocity for a in config.axes]
-        # A loaded axis without brake falls when it is let go: only a certain runaway is worse.
-        self._needed = [LOADED_RUNAWAYS if a.gravity_loaded and a.brake == "none" else 1 for a in config.axes]
-        count = len(config.axes)
-        self._before: list[tuple[float, float] | None] = [None] * count
-        self._entry = [-1.0] * count
-        self._last = [0.0] * count
-        self._seen = [0] * count
-        self._quiet = [0] * count
-
-    def silent(self, sample: Sample) -> list[int]:
-        """Axes that have said nothing for three samples."""
-        for i, fresh in enumerate(sample.fresh):
-            self._quiet[i] = 0 if fresh else self._quiet[i] + 1
-        return [i for i, n in enumerate(self._quiet) if n >= 3]
-
-    def faster(self, sample: Sample) -> list[int]:
-        """Axes that are faster than a quick stop could make them, as often in a row as they need to be."""
-        found: list[int] = []
-        for i, fresh in enumerate(sample.fresh):
-            if not fresh:
-                continue
-            before, self._before[i] = self._before[i], (sample.time, sample.position[i])
-            if before is None or sample.time <= before[0]:
-                continue
-            speed = abs(sample.position[i] - before[1]) / (sample.time - before[0])
-            if self._entry[i] < 0:
-                self._entry[i] = speed
-            fast = speed > RUNAWAY_GROWTH * self._entry[i] + self._least[i]
-            if self._needed[i] > 1:
-                fast = fast and speed > self._last[i]
-            self._last[i] = speed
-            self._seen[i] = self._seen[i] + 1 if fast else 0
-            if self._seen[i] >= self._needed[i]:
-                found.append(i)
-        return found
+    def _left_protected(self, complaints: list[str]) -> set[str]:
+        """Axes that keep their heartbeat watch and limits until the next start, because they may be on."""
+        for name in self.held_at_end:
+            complaints.append(
+                f"axis {name} is held by its drive in quick stop active; its objects are restored at the "
+                "next start. Set the brake before switching it off"
+            )
+        for name in self.not_off:
+            complaints.append(
+                f"axis {name} was not seen to switch off; its objects, its heartbeat watch among them, stay "
+                "as they are until the next start"
+            )
+        return {*self.held_at_end, *self.not_off}

@@ -1,0 +1,54 @@
+"""What is watched while the drives do their quick stop."""
+
+from __future__ import annotations
+
+from invid.config import CellConfig
+from invid.sweep.ports import Sample
+
+RUNAWAY_GROWTH, RUNAWAY_SHARE = 1.2, 0.02
+"""A quick stop only slows down. Above 1.2 times the speed at its start, and 2 % of the limit for the
+noise of single counts, it does the opposite (empirical)."""
+LOADED_RUNAWAYS = 5
+"""A gravity-loaded axis without brake is cut off only after five samples in a row of growing speed."""
+
+
+class RunawayGuard:
+    """Compares the speed during a quick stop with the speed at its start."""
+
+    def __init__(self, config: CellConfig) -> None:
+        self._least = [RUNAWAY_SHARE * a.limits.velocity for a in config.axes]
+        # A loaded axis without brake falls when it is let go: only a certain runaway is worse.
+        self._needed = [LOADED_RUNAWAYS if a.gravity_loaded and a.brake == "none" else 1 for a in config.axes]
+        count = len(config.axes)
+        self._before: list[tuple[float, float] | None] = [None] * count
+        self._entry = [-1.0] * count
+        self._last = [0.0] * count
+        self._seen = [0] * count
+        self._quiet = [0] * count
+
+    def silent(self, sample: Sample) -> list[int]:
+        """Axes that have said nothing for three samples."""
+        for i, fresh in enumerate(sample.fresh):
+            self._quiet[i] = 0 if fresh else self._quiet[i] + 1
+        return [i for i, n in enumerate(self._quiet) if n >= 3]
+
+    def faster(self, sample: Sample) -> list[int]:
+        """Axes that are faster than a quick stop could make them, as often in a row as they need to be."""
+        found: list[int] = []
+        for i, fresh in enumerate(sample.fresh):
+            if not fresh:
+                continue
+            before, self._before[i] = self._before[i], (sample.time, sample.position[i])
+            if before is None or sample.time <= before[0]:
+                continue
+            speed = abs(sample.position[i] - before[1]) / (sample.time - before[0])
+            if self._entry[i] < 0:
+                self._entry[i] = speed
+            fast = speed > RUNAWAY_GROWTH * self._entry[i] + self._least[i]
+            if self._needed[i] > 1:
+                fast = fast and speed > self._last[i]
+            self._last[i] = speed
+            self._seen[i] = self._seen[i] + 1 if fast else 0
+            if self._seen[i] >= self._needed[i]:
+                found.append(i)
+        return found

@@ -1,0 +1,179 @@
+"""The way out when something stands in it: late answers, silent drives, drives that do not obey, a second
+Ctrl-C. Judged on the drives themselves, not on what the master believes."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any
+
+import numpy as np
+import pytest
+from test_adapter_promises import config, held, simulated, zero
+
+from invid.sweep import Mode
+from invid_drivers.cia402.bus import Cia402Cell
+from invid_drivers.simulated import open_virtual_bus
+
+OFF = {"SWITCH_ON_DISABLED", "READY_TO_SWITCH_ON", "SWITCHED_ON", "FAULT", "NOT_READY_TO_SWITCH_ON"}
+
+
+class LateAnswers:
+    """What comes over the bus reaches the master late, in order, and nothing is lost: a starved computer."""
+
+    def __init__(self, cell: Cia402Cell, seed: int) -> None:
+        self._get, self._clock = cell._link.get, cell._link.clock
+        self._rng = np.random.default_rng(seed)
+        self._waiting: deque[tuple[float, Any]] = deque()
+        self._due = 0.0
+
+    def __call__(self, timeout: float) -> Any:
+        end = self._clock.now() + timeout
+        while True:
+            now = self._clock.now()
+            if self._waiting and self._waiting[0][0] <= now:
+                return self._waiting.popleft()[1]
+            rest = end - now
+            message = self._get(max(0.0, min(rest, self._waiting[0][0] - now) if self._waiting else rest))
+            if message is not None:
+                # every other frame waits on, for 20 ms in the mean: ten cycles
+                pause = self._rng.exponential(0.02) if self._rng.random() < 0.5 else 0.0
+                self._due = max(self._due, self._clock.now() + pause)
+                self._waiting.append((self._due, message))
+            elif self._clock.now() >= end:
+                return None
+
+
+def drives_of(cell: Cia402Cell) -> Any:
+    bus: Any = cell._link.bus
+    return bus.cell.drives
+
+
+def running(cell: Cia402Cell) -> None:
+    cell.check()
+    cell.energise(held(cell))
+    cell.set_modes([Mode.TORQUE, Mode.HOLD], zero(cell))
+    for _ in range(20):
+        cell.exchange(zero(cell))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_drives_that_are_off_are_not_called_on_because_their_answers_come_late(seed: int) -> None:
+    cell = simulated()
+    drives = drives_of(cell)
+    try:
+        running(cell)
+        cell._link.get = LateAnswers(cell, seed)  # type: ignore[method-assign]
+        for _ in range(20):
+            cell.exchange(zero(cell))
+        cell.stop()
+        assert {d.state.name for d in drives} <= OFF
+        assert cell.not_off == ()
+    finally:
+        assert cell.close() == []
+
+
+def test_a_drive_whose_samples_are_lost_but_that_answers_is_switched_off_and_known_to_be() -> None:
+    cell = simulated()
+    drives = drives_of(cell)
+    get = cell._link.get
+
+    def no_samples(timeout: float) -> Any:
+        message = get(timeout)
+        return None if message is not None and message.arbitration_id == 0x181 else message
+
+    try:
+        running(cell)
+        cell._link.get = no_samples  # type: ignore[method-assign]
+        cell.stop()
+        assert {d.state.name for d in drives} <= OFF
+        assert cell.not_off == ()
+    finally:
+        assert cell.close() == []
+
+
+def test_a_drive_refused_before_it_was_enabled_is_not_called_on() -> None:
+    cell = simulated()
+    try:
+        cell.check()
+        cell._stopped = False  # as energise does first; nothing has been enabled, no PDO runs
+        cell.stop()
+        assert cell.not_off == ()
+    finally:
+        cell.close()
+
+
+def test_a_drive_that_obeys_nothing_keeps_its_heartbeat_watch_which_stops_it() -> None:
+    cfg = config()
+    bus = open_virtual_bus(cfg)
+    cell = Cia402Cell(bus, cfg)
+    drive = bus.cell.drives[0]
+    running(cell)
+    drive.ignore_controlword = True
+    said = cell.close()
+    assert cell.not_off == ("A1",)
+    assert any("A1" in line and "heartbeat watch" in line for line in said)
+    assert drive.node.od.number(0x1016, 1) != 0
+    assert cell.journal.of_node(1)
+    assert not cell.journal.of_node(2)
+    bus.clock.sleep_until(bus.clock.now() + 2.0)
+    assert drive.state.name in OFF
+
+
+def test_a_silent_drive_that_hears_is_told_to_switch_off() -> None:
+    """Nothing of it arrives any more, not even heartbeats; what is sent to it does."""
+    cell = simulated()
+    drives = drives_of(cell)
+    get = cell._link.get
+
+    def deaf(timeout: float) -> Any:
+        message = get(timeout)
+        return None if message is not None and message.arbitration_id & 0x7F == 1 else message
+
+    running(cell)
+    cell._link.get = deaf  # type: ignore[method-assign]
+    cell.stop()
+    assert cell.not_off == ("A1",)
+    assert {d.state.name for d in drives} <= OFF
+    cell.close()
+
+
+def test_a_second_ctrl_c_in_the_quick_stop_does_not_leave_a_drive_on() -> None:
+    cell = simulated()
+    drives = drives_of(cell)
+    running(cell)
+    for _ in range(100):
+        cell.exchange([4.0, 0.0])  # to 0.8 rad/s: a quick stop takes its time
+    exchange, calls = cell.exchange, 0
+
+    def interrupted(torque: Any) -> Any:
+        nonlocal calls
+        calls += 1
+        if calls == 1:
+            raise KeyboardInterrupt
+        return exchange(torque)
+
+    cell.exchange = interrupted  # type: ignore[method-assign]
+    with pytest.raises(KeyboardInterrupt):
+        cell.stop()
+    assert cell.close() == []
+    assert {d.state.name for d in drives} <= OFF
+    assert cell.not_off == ()
+
+
+def test_an_error_that_nobody_expected_in_the_quick_stop_still_switches_off() -> None:
+    cell = simulated()
+    drives = drives_of(cell)
+    running(cell)
+    exchange, calls = cell.exchange, 0
+
+    def failing(torque: Any) -> Any:
+        nonlocal calls
+        calls += 1
+        if calls == 1:
+            raise RuntimeError("a bug")
+        return exchange(torque)
+
+    cell.exchange = failing  # type: ignore[method-assign]
+    cell.stop()
+    assert {d.state.name for d in drives} <= OFF
+    assert cell.close() == []
