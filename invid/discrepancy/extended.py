@@ -44,6 +44,7 @@ def extended_model(
     finite = bool(np.isfinite(covariance).all())
     layout = fitted.layout
     offsets = layout.delays(fitted.p)
+    held = 0.5 * layout.step * layout.stairs(fitted.p)
     facts = {
         **dict(model.fit),
         "chi2": fitted.cost,
@@ -54,6 +55,10 @@ def extended_model(
                 "std": _finite(float(np.sqrt(max(fitted.covariance[n + k, n + k], 0.0)))),
             }
             for k, i in enumerate(layout.free_delays)
+        }
+        | {
+            f"{structure.axes[i]}.time_offset": {"value": float(held[i]), "std": None}
+            for i in layout.held_late
         },
         "joint_with_effects": bool(effects),
     }

@@ -16,6 +16,7 @@ import numpy as np
 from invid.arrays import Bool, Complex128, Float64
 from invid.discrepancy.inner import settled
 from invid.effects.base import Effect, Place, Record, View
+from invid.effects.torque_delay import ActuatorEffect
 from invid.refine.boundary import end_columns, end_forces, end_points
 from invid.refine.problem import condense_dense
 from invid.refine.structure import ChainStructure
@@ -65,6 +66,8 @@ class Layout:
     known_stairs: Float64
     free_delays: tuple[int, ...]
     origin: float
+    delayed: tuple[int, ...] = ()
+    """Axes whose delay is an effect's."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -88,6 +91,24 @@ class Layout:
         out[list(self.free_delays)] = p[at : at + len(self.free_delays)]
         return out
 
+    @property
+    def held_late(self) -> tuple[int, ...]:
+        """Axes with a delay of an effect whose measured torque may be held over its sample.
+
+        Holding acts half a sample late, which a free time offset takes up; beside a delay that is an effect's
+        it stands for itself, or the effect would be half a sample too long. Where the torque is the recorded
+        demand itself, the effect is how late it follows its command, holding included.
+        """
+        return tuple(i for i in self.delayed if i in self.free_stairs)
+
+    def lateness(self, p: Float64, record: Record) -> Float64:
+        """(M,) how much later than recorded the torque acts [s], effects apart."""
+        out = self.delays(p)
+        if self.held_late and record.command is None:  # a demand beside a hold has its half sample of its own
+            at = list(self.held_late)
+            out[at] += 0.5 * self.step * self.stairs(p)[at]
+        return out
+
     def stairs(self, p: Float64) -> Float64:
         """(M,) share of the torque that is held over each sample."""
         out = self.known_stairs.copy()
@@ -95,13 +116,14 @@ class Layout:
         return out
 
     def without_delay(self, axes: Sequence[int]) -> tuple[Layout, Bool]:
-        """The layout with some axes' delays fixed at zero, and which parameters stay."""
+        """The layout with some axes' delays left to effects, and which parameters stay."""
         kept = tuple(i for i in self.free_delays if i not in axes)
         stay = np.ones(self.count, dtype=bool)
         for k, i in enumerate(self.free_delays):
             if i in axes:
                 stay[self.structure.count + k] = False
-        return replace(self, free_delays=kept), stay
+        delayed = tuple(sorted({*self.delayed, *axes}))
+        return replace(self, free_delays=kept, delayed=delayed), stay
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +149,7 @@ def views_of(layout: Layout, records: Sequence[Record], p: Float64) -> list[View
     values = structure.physical(sp)
     plants: dict[bytes, tuple[Complex128, Complex128, Complex128]] = {}
     out = []
-    delays, stairs = layout.delays(p), layout.stairs(p)
+    stairs = layout.stairs(p)
     for record in records:
         key = record.omega.tobytes()
         if key not in plants:
@@ -140,7 +162,7 @@ def views_of(layout: Layout, records: Sequence[Record], p: Float64) -> list[View
                 motion,
                 stiffness,
                 inner,
-                _acting(record, delays, stairs)[0],
+                _acting(record, layout.lateness(p, record), stairs)[0],
                 values[structure.slices["spring"]],
                 values[structure.slices["damper"]],
                 values[structure.slices["mass"]],
@@ -231,7 +253,7 @@ def evaluate(
     dof = 0
     for view in views:
         record = view.record
-        _, factor, by_stair = _acting(record, layout.delays(p), layout.stairs(p))
+        _, factor, by_stair = _acting(record, layout.lateness(p, record), layout.stairs(p))
         r: Complex128 = np.einsum("fij,fj->fi", view.stiffness, record.position) - view.acting
         covariance = noise_of(view, factor)
         if near and candidate.terms:
@@ -261,11 +283,15 @@ def evaluate(
                 sp, record.omega, view.motion, q[None]
             )[0]
             at = structure.count
+            passed = _passed(view, candidate)
+            later = 1j * record.omega[:, None] * view.acting * passed
             for k, i in enumerate(layout.free_delays):
-                columns[:, i, at + k] = 1j * record.omega * view.acting[:, i]
+                columns[:, i, at + k] = later[:, i]
             at += len(layout.free_delays)
             for k, i in enumerate(layout.free_stairs):
-                columns[:, i, at + k] = -by_stair[:, i]
+                columns[:, i, at + k] = -by_stair[:, i] * passed[:, i]
+                if i in layout.held_late and record.command is None:
+                    columns[:, i, at + k] += 0.5 * layout.step * later[:, i]
             at += len(layout.free_stairs)
             _effect_columns(view, candidate, extra, columns, at)
             if thorough and _strong(view, candidate):
@@ -316,6 +342,15 @@ def _priors(layout: Layout, p: Float64, effects: int) -> tuple[Float64, Float64]
     for k in range(stairs):
         rows[k, at + k] = 2.0
     return 2.0 * (p[at:] - 0.5), rows
+
+
+def _passed(view: View, candidate: Candidate) -> Complex128:
+    """(F, M) how much of a change of the acting torque delays and lags of the actuators let through."""
+    out: Complex128 = np.ones_like(view.acting)
+    for term, x in zip(candidate.terms, candidate.x, strict=True):
+        if isinstance(term.effect, ActuatorEffect):
+            out[:, term.place.axis] += term.effect.response(view, term.place, x.tolist()) - 1.0
+    return out
 
 
 def _effect_columns(

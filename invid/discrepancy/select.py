@@ -83,6 +83,8 @@ def select(
     if not contested:
         return found
     other = _search(base, train, held, linear_axes, free, contested)
+    if any(_is(s.chosen, "torque_lag", i) for s in other.steps for i in contested):
+        return found  # a delay that needs the lag beside it takes nothing's place
     return other if other.final.cost - found.final.cost < found.final.beyond_noise else found
 
 

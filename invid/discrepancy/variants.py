@@ -103,6 +103,7 @@ def delays(
         known = free if free is not None and free.size == here.p.size else p
         late = float(here.layout.delays(known)[term.place.axis])
         layout, stay = here.layout.without_delay([term.place.axis])
+        late -= float(layout.lateness(p[stay], train[0])[term.place.axis])
         candidate = here.candidate.plus(term, np.array([late]))
         trial = attempted(partial(fit, layout, train, p[stay], candidate, iterations=20), held)
         if trial is not None:
