@@ -9,6 +9,7 @@ from another process.
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -26,6 +27,9 @@ from invid.recording.model import Experiment, Kind, Outcome, Recording, Role
 _FLUSH_S = 0.9
 """Data gathered before a burst [s]; below the promised second by one slow append."""
 _CHUNK_ROWS = 1024
+ROOM_BYTES = 8 << 20
+"""Kept free on the disk: libhdf5 that meets a full one loses the whole file and takes the process with it,
+and closing needs some. A guess at what others may write in a second; 50 s of rows of six axes at 1 kHz."""
 
 
 class RecordingWriter:
@@ -46,12 +50,16 @@ class RecordingWriter:
         self._rows: list[tuple[npt.NDArray[Any], ...]] = []
         self._names: tuple[str, ...] = ()
         self._first = 0.0
+        self._full = False
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
+            self._require_room("nothing was recorded")
             self._file: h5py.File | None = h5py.File(self._target, "w")
             set_attributes(self._file, {k: v for k, v in root_attributes(header).items() if k != "outcome"})
             self._file.create_group("experiments")
             self._file.flush()
+        except RecordingError:
+            raise
         except (OSError, RuntimeError) as error:
             reason = getattr(error, "strerror", None) or str(error)
             raise RecordingError(f"{self.path}: cannot be written: {reason}") from None
@@ -126,6 +134,9 @@ class RecordingWriter:
             "torque_demand": demand,
             "status": status,
         }
+        if self._full:
+            self._require_room("the recording so far is kept")
+            self._full = False
         instants = np.atleast_1d(np.asarray(time, dtype=np.float64))
         rows: list[npt.NDArray[Any]] = [instants]
         for name in self._names[1:]:
@@ -148,8 +159,20 @@ class RecordingWriter:
             self.flush()
 
     def flush(self) -> None:
-        """Write the gathered rows and flush the file."""
+        """Write the gathered rows and flush the file.
+
+        Raises
+        ------
+        RecordingError
+            The disk is nearly full. The gathered rows are dropped; what was written before stays, and the
+            file can still be closed.
+        """
         if self._group is not None and self._rows:
+            try:
+                self._require_room("the recording so far is kept")
+            except RecordingError:
+                self._rows, self._full = [], True
+                raise
             for i, name in enumerate(self._names):
                 block = np.concatenate([r[i] for r in self._rows])
                 dataset = self._group[name]
@@ -158,6 +181,14 @@ class RecordingWriter:
                 dataset[start:] = block
             self._rows = []
         self._open().flush()
+
+    def _require_room(self, kept: str) -> None:
+        free = shutil.disk_usage(self.path.parent).free
+        if free < ROOM_BYTES:
+            raise RecordingError(
+                f"{self.path}: the disk is nearly full: {free / 2**20:.1f} MiB are free, {ROOM_BYTES >> 20} "
+                f"MiB are kept back to close the file; {kept}. Free some space and measure again"
+            )
 
     def end(self) -> None:
         """Close the experiment; one without rows is taken out again."""
