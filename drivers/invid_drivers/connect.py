@@ -50,4 +50,9 @@ def open_bus(config: CellConfig) -> can.BusABC:
 def connect(config: CellConfig) -> Cia402Cell:
     """The cell behind a config, its bus open and nothing written yet. Call ``close`` on every way out."""
     journal = None if is_virtual(config) else Journal(journal_path(config.bus.interface, config.bus.channel))
-    return Cia402Cell(open_bus(config), config, journal=journal)
+    bus = open_bus(config)
+    try:
+        return Cia402Cell(bus, config, journal=journal)
+    except BaseException:  # an EDS or a vendor that is refused: the bus is free for the next who tries
+        bus.shutdown()
+        raise

@@ -193,10 +193,12 @@ def run_measurement(
         raise
     finally:
         # The drives first: a file that cannot be closed must not keep an axis energised.
-        if not closed:
-            cell.close()
-        if recorder is not None:
-            recorder.close(outcome)
+        try:
+            if not closed:
+                cell.close()
+        finally:
+            if recorder is not None:
+                recorder.close(outcome)
 
 
 def _not_off(axes: tuple[str, ...]) -> str:

@@ -84,6 +84,18 @@ def die_with_parent(parent: int) -> None:
         os.kill(os.getpid(), signal.SIGTERM)
 
 
+def leave_by(stop: threading.Event) -> None:
+    """What a terminal or the system may send ends in an orderly stop, never in the sudden end of the cycle.
+
+    A terminal sends to the whole group, so here too: Ctrl-C and Ctrl-Z, which the parent relays, and hanging
+    up (a closed terminal, a lost SSH connection) and Ctrl-\\, which may have ended the parent already.
+    """
+    for number in (signal.SIGINT, signal.SIGTSTP):
+        signal.signal(number, signal.SIG_IGN)
+    for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT):
+        signal.signal(number, lambda *_: stop.set())
+
+
 def row_format(axes: int) -> np.dtype[Any]:
     """One cycle on its way to the parent."""
     per_axis = (("position", "<f8"), ("torque", "<f8"), ("demand", "<f8"), ("status", "<u2"), ("fresh", "?"))
@@ -144,9 +156,8 @@ def child_main(fd: int) -> None:
     """Run one measurement; everything goes back over the socket ``fd``."""
     from invid_drivers.measurement import run_measurement, start_measurement
 
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the parent relays it
     stop = threading.Event()
-    signal.signal(signal.SIGTERM, lambda *_: stop.set())
+    leave_by(stop)
     connection = Connection(fd)
     task: Mapping[str, Any] = connection.recv()
     die_with_parent(task["parent"])
@@ -352,8 +363,10 @@ class _Relay:
     def close(self) -> None:
         """Write what is left, mark and close the file, if one was opened."""
         if self._recorder is not None:
-            self._recorder.end()
-            self._recorder.close(self._outcome)
+            try:
+                self._recorder.end()
+            finally:
+                self._recorder.close(self._outcome)
 
 
 if __name__ == "__main__":

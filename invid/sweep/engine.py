@@ -191,6 +191,8 @@ class Sweep:
         # A drive that can hold starts holding; the others start at zero torque.
         if not cell.can_hold:
             raise SafetyStop("the cell was not checked before the sweep")
+        if self.stop is not None and self.stop.is_set():
+            raise SafetyStop("stopped on request before any drive was enabled; nothing was recorded yet")
         self._modes = self._resting_modes()
         cell.energise(self._modes)
         unit = "m" if config.linear else "rad"

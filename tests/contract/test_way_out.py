@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 from test_adapter_promises import config, held, simulated, zero
 
+from invid.errors import DriveError
 from invid.sweep import Mode
 from invid_drivers.cia402.bus import Cia402Cell
-from invid_drivers.simulated import open_virtual_bus
+from invid_drivers.connect import connect
+from invid_drivers.simulated import VirtualTimeBus, open_virtual_bus
 
 OFF = {"SWITCH_ON_DISABLED", "READY_TO_SWITCH_ON", "SWITCHED_ON", "FAULT", "NOT_READY_TO_SWITCH_ON"}
 
@@ -177,3 +179,35 @@ def test_an_error_that_nobody_expected_in_the_quick_stop_still_switches_off() ->
     cell.stop()
     assert {d.state.name for d in drives} <= OFF
     assert cell.close() == []
+
+
+def test_a_drive_silent_at_a_change_of_mode_does_not_leave_the_others_under_their_last_torque() -> None:
+    cfg = config()
+    bus = open_virtual_bus(cfg)
+    cell = Cia402Cell(bus, cfg)
+    plant = bus.cell.plant
+    motor = plant.structure.motors[0]
+    try:
+        running(cell)
+        for _ in range(50):
+            cell.exchange([0.5, 0.0])
+        speed, place = plant.velocities[motor], plant.positions[motor]
+        bus.cell.drives[1].node.silent = True
+        with pytest.raises(DriveError, match="A2"):
+            cell.set_modes([Mode.TORQUE, Mode.TORQUE], [0.5, 0.0])
+        # 0.5 N·m on 1 kg·m² goes on for the two tries of a tenth of a second
+        assert plant.velocities[motor] - speed == pytest.approx(0.5 * 0.2, abs=0.04)
+        cell.stop()
+        assert bus.cell.drives[0].state.name in OFF
+        assert abs(plant.positions[motor] - place) < 0.06
+    finally:
+        cell.close()
+
+
+def test_a_cell_that_is_refused_leaves_the_bus_to_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
+    closed = []
+    shutdown = VirtualTimeBus.shutdown
+    monkeypatch.setattr(VirtualTimeBus, "shutdown", lambda bus: (closed.append(bus), shutdown(bus)))
+    with pytest.raises(DriveError, match="not in the table"):
+        connect(config(vendor="nobody"))
+    assert len(closed) == 1

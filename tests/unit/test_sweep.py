@@ -298,6 +298,17 @@ def test_a_stop_on_request_fades_out_and_counts_as_a_safety_stop() -> None:
     assert jumps < 2.0
 
 
+def test_a_stop_that_was_asked_for_before_the_start_enables_no_drive() -> None:
+    cell = RigidCell()
+    stop = threading.Event()
+    stop.set()
+    rows, error, _ = run(cell, stop=stop)
+    assert isinstance(error, SafetyStop)
+    assert "nothing was recorded" in str(error)
+    assert cell.modes == []  # never energised
+    assert rows.kept == []
+
+
 def test_whatever_goes_wrong_inside_the_cell_is_stopped() -> None:
     cell = RigidCell()
 

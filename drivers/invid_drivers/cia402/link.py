@@ -25,6 +25,9 @@ SHORTEST_WAIT_S = 1e-6
 
 LATE_ANSWER_S = 0.05
 """How long a request waits for the answer to a question that the cycle asked before it."""
+ANSWER_S = 1.0
+"""How long a request waits for its answer; a drive answers in milliseconds, a simulated one on a busy
+computer may need longer."""
 UNANSWERED_S = 1.0
 """A question of the cycle that stayed unanswered so long may be asked again."""
 
@@ -79,6 +82,8 @@ class Link:
             arbitration_id=0x700 + MASTER_ID, data=b"\x05", is_extended_id=False, check=False
         )
         self.beating = False
+        self.answer_s = ANSWER_S
+        """How long a request waits for its answer, twice; less while other axes follow their last torque."""
 
     # --- frames --------------------------------------------------------------------------------
     def send(self, cob_id: int, data: bytes) -> None:
@@ -234,9 +239,6 @@ class Link:
 class _PumpedSdo(SdoClient):
     """``canopen``'s SDO client that takes its answers from the link instead of a second thread."""
 
-    RESPONSE_TIMEOUT = 1.0
-    """[s]; a drive answers in milliseconds, a simulated one on a busy computer may need longer."""
-
     def __init__(self, link: Link, node_id: int) -> None:
         super().__init__(  # type: ignore[no-untyped-call]
             0x600 + node_id,
@@ -284,7 +286,7 @@ class _PumpedSdo(SdoClient):
     def _answer_for(self, named: bytes | None) -> bytes:
         """The next answer, or the next about the object ``named`` (index and subindex as sent)."""
         clock = self._link.clock
-        end = clock.now() + self.RESPONSE_TIMEOUT
+        end = clock.now() + self._link.answer_s
         while True:
             while not self._answers:
                 rest = end - clock.now()

@@ -42,10 +42,10 @@ class Found:
 def scan(bus: can.BusABC, *, first: int = 1, last: int = 127) -> list[Found]:
     """Ask every node id for 0x1000 and, where one answers, who it is. Reads only."""
     link = Link(bus, heartbeat_s=1.0)
+    link.answer_s = ANSWER_S
     found = []
     for node_id in range(first, last + 1):
         client = link.sdo(node_id)
-        client.RESPONSE_TIMEOUT = ANSWER_S
 
         def read(what: Object, client: object = client) -> int | None:
             try:

@@ -32,18 +32,24 @@ SHORTEST_S = 4.0
 
 @contextlib.contextmanager
 def stop_on_signals() -> Iterator[threading.Event]:
-    """An event that Ctrl-C and a polite kill set, so that the drives are stopped in order."""
+    """An event that Ctrl-C, a closed terminal and a polite kill set, so that the drives are stopped in order.
+
+    Ctrl-Z too: a measurement cannot be suspended, the axes would go on without anybody who reads.
+    """
     stop = threading.Event()
 
     def ask(number: int, frame: object) -> None:
         if stop.is_set():
             raise KeyboardInterrupt
-        note("invid measure: stopping; once more to stop at once")
         stop.set()
+        with contextlib.suppress(OSError):  # the terminal may be gone
+            note("invid measure: stopping; once more to stop at once")
 
     before = {}
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGTSTP):
         with contextlib.suppress(ValueError):  # not in the main thread
+            if number == signal.SIGHUP and signal.getsignal(number) == signal.SIG_IGN:
+                continue  # nohup: to go on is what was asked for
             before[number] = signal.signal(number, ask)
     try:
         yield stop
@@ -66,7 +72,8 @@ class ProgressLine:
         self._phase, self._eta = progress.phase, progress.eta_s
         where = f" {progress.axis}" if progress.axis else ""
         line = f" {progress.frequency:.3g} Hz" if progress.frequency else ""
-        note(f"  {progress.fraction:4.0%}  {progress.eta_s:5.0f} s left  {progress.phase}{where}{line}")
+        with contextlib.suppress(OSError):  # nobody reads any more: no reason to stop, nor to fail
+            note(f"  {progress.fraction:4.0%}  {progress.eta_s:5.0f} s left  {progress.phase}{where}{line}")
 
 
 def plan_text(plan: Plan, robot: str) -> str:

@@ -1,0 +1,107 @@
+"""What a terminal, a system and a disk may do to a measurement: it stops in order."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from test_sweep import RigidCell, config
+
+from invid.errors import RecordingError
+from invid.plan import make_plan
+from invid.recording import Outcome, Recording, RecordingWriter, read_recording
+from invid.sweep import Progress, Sweep
+from invid.sweep.recorder import Recorder
+from invid_drivers.cli.measure import ProgressLine, stop_on_signals
+from invid_drivers.realtime import leave_by
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGTSTP)
+
+
+@pytest.fixture(autouse=True)
+def _signals_as_before() -> Iterator[None]:
+    before = {n: signal.getsignal(n) for n in SIGNALS}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
+def test_a_closed_terminal_stops_the_cycle_process_in_order(number: signal.Signals) -> None:
+    stop = threading.Event()
+    leave_by(stop)
+    os.kill(os.getpid(), number)
+    assert stop.wait(5.0)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTSTP])
+def test_keys_pressed_in_the_terminal_are_the_parents_to_relay(number: signal.Signals) -> None:
+    stop = threading.Event()
+    leave_by(stop)
+    os.kill(os.getpid(), number)
+    assert not stop.is_set()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGTSTP])
+def test_the_command_stops_in_order_on_whatever_a_terminal_sends(
+    number: signal.Signals, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "stderr", Gone())  # a terminal that was closed takes no message either
+    with stop_on_signals() as stop:
+        os.kill(os.getpid(), number)
+        assert stop.wait(5.0)
+
+
+def test_a_measurement_under_nohup_goes_on_when_the_terminal_is_closed() -> None:
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    with stop_on_signals() as stop:
+        os.kill(os.getpid(), signal.SIGHUP)
+        assert not stop.is_set()
+
+
+class Gone:
+    """A stream whose reader has gone."""
+
+    def write(self, _text: str) -> int:
+        raise BrokenPipeError(32, "Broken pipe")
+
+    def flush(self) -> None:
+        raise BrokenPipeError(32, "Broken pipe")
+
+
+def test_progress_that_nobody_reads_does_not_end_the_measurement(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stderr", Gone())
+    ProgressLine()(Progress("settling", None, None, 0.1, 10.0))
+
+
+def test_a_disk_that_fills_up_stops_the_axes_and_keeps_what_was_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, cell, cfg = tmp_path / "run.h5", RigidCell(), config()
+    header = Recording("r", cell.axes, "rad", "N·m", "2026-01-01T00:00:00+00:00", ())
+    plan = make_plan(cfg)
+    recorder = Recorder(lambda: RecordingWriter(path, header), plan.cycle_s, 2)
+    writes = 0
+
+    def filling(_path: Any) -> SimpleNamespace:
+        nonlocal writes
+        writes += 1
+        return SimpleNamespace(free=(100 if writes < 4 else 1) << 20)
+
+    monkeypatch.setattr("invid.recording.writer.shutil.disk_usage", filling)
+    with pytest.raises(RecordingError, match=r"nearly full.*kept"):
+        Sweep(plan, cfg, cell, recorder).run()
+    assert not cell.energised
+    recorder.close(Outcome.FAILED)
+    recording = read_recording(path)
+    assert recording.outcome is Outcome.FAILED
+    assert (
+        0.8 < recording.experiments[0].samples * plan.cycle_s < 2.5
+    )  # two bursts of a second, not the third
