@@ -35,6 +35,8 @@ class Settings(BaseSettings):
     key_file: Path | None = None
     """Hashed keys; needed for every bind beyond loopback."""
     max_upload_bytes: int = Field(default=512 * MEBIBYTE, gt=0)
+    max_unpacked_bytes: int = Field(default=1024 * MEBIBYTE, gt=0)
+    """An uploaded recording may unpack to this: eight axes at 1 kHz for an hour are 720 MB."""
     max_body_bytes: int = Field(default=MEBIBYTE, gt=0)
     """Largest body of every other request."""
     upload_stall_s: float = Field(default=30.0, gt=0)

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
+import h5py
 import pytest
 from service_doubles import Director, running, settings_in, wait_for
 
@@ -203,9 +204,69 @@ def test_what_is_no_recording_is_refused(
         assert client.get("/api/v1/identifications").json()["identifications"] == []
 
 
+def hdf5(path: Path, *, rows: int = 100, chunk: int | None = None, links: int = 1) -> Path:
+    """A file that claims to be a recording: datasets declared, next to nothing written."""
+    with h5py.File(path, "w") as file:
+        file.attrs["format"] = "invid-recording"
+        for k in range(links):
+            node = file.create_group(f"experiments/{k:03d}")
+            if k:
+                node["torque"] = file["experiments/000/torque"]
+            else:
+                shape = (rows, 1)
+                data = node.create_dataset(
+                    "torque", shape, "f8", chunks=(chunk or rows, 1), maxshape=(None, 1), compression="gzip"
+                )
+                data.id.set_extent(shape)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("claim", "expected", "said"),
+    [
+        ({"rows": 2_000_000_000, "chunk": 1_000_000}, "too-large", "unpack to 16000 MB"),
+        # 0.7 MB that unpacked to 1.4 GB was analysed for minutes; what is refused is the ratio, too.
+        ({"rows": 12_500_000, "chunk": 1_000_000}, "too-large", "no measured data"),
+        ({"rows": 10, "chunk": 400_000_000}, "too-large", "unpack to 3200 MB"),
+        ({"rows": 5_000_000, "chunk": 5_000_000, "links": 50}, "too-large", "unpack to 2000 MB"),
+    ],
+)
+def test_a_file_that_unpacks_to_far_more_than_it_is_gets_refused_before_it_is_unpacked(
+    tmp_path: Path, claim: dict[str, int], expected: str, said: str
+) -> None:
+    bomb = hdf5(tmp_path / "bomb.h5", **claim).read_bytes()
+    assert len(bomb) < 1_000_000
+    with running(tmp_path) as (client, director):
+        answer = client.post(
+            "/api/v1/recordings", content=bomb, headers={"Content-Type": "application/x-hdf5"}
+        )
+        assert kind(answer) == expected
+        assert said in answer.json()["detail"]
+        assert director.workers == []
+        assert list((tmp_path / "data" / "work").iterdir()) == []
+        assert client.get("/api/v1/identifications").json()["identifications"] == []
+
+
+def test_an_hdf5_file_that_is_no_recording_or_cut_off_is_refused_at_once(tmp_path: Path) -> None:
+    good = hdf5(tmp_path / "good.h5").read_bytes()
+    with h5py.File(tmp_path / "other.h5", "w") as file:
+        file["x"] = [1.0]
+    headers = {"Content-Type": "application/x-hdf5"}
+    with running(tmp_path) as (client, director):
+        for content, said in (
+            (good[: len(good) // 2], "damaged or truncated"),
+            (b"\x89HDF\r\n\x1a\n" + b"\0" * 100, "damaged or truncated"),
+            ((tmp_path / "other.h5").read_bytes(), "invid import"),
+        ):
+            answer = client.post("/api/v1/recordings", content=content, headers=headers)
+            assert kind(answer) == "invalid-recording"
+            assert said in answer.json()["detail"]
+        assert director.workers == []
+
+
 @pytest.mark.parametrize("form", [False, True])
 def test_an_upload_is_analysed_and_needs_no_cell(tmp_path: Path, form: bool) -> None:
-    content = b"\x89HDF\r\n\x1a\n" + b"\0" * 100
+    content = hdf5(tmp_path / "good.h5").read_bytes()
     with running(tmp_path) as (client, director):
         if form:
             answer = client.post("/api/v1/recordings", files={"file": ("../../evil.h5", content)})

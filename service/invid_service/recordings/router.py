@@ -18,6 +18,7 @@ from invid_service.context import Context
 from invid_service.jobs.protocol import Job
 from invid_service.jobs.schema import API, RETRY_AFTER_S, Identification, view
 from invid_service.problems import EVERYWHERE, Problem, problem_responses
+from invid_service.recordings.declared import check_claims
 from invid_service.service import Service
 from invid_service.store.store import RunRecord
 
@@ -68,6 +69,7 @@ async def upload(request: Request, response: Response, service: Context, caller:
             await _receive_form(request, target)
         else:
             await _receive_raw(request, target)
+        await check_claims(target, largest=service.settings.max_unpacked_bytes)
         await _queue(service, record, folder)
     except BaseException:
         service.blobs.clear_scratch(record.id)
