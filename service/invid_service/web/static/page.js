@@ -193,7 +193,8 @@ const loadHistory = guarded(async () => {
   const changes = $("history-changes");
   const restore = (m) => guarded(async () => { await post(`/cells/${state.cell.id}/models/${m.id}/restore`); loadHistory(); });
   const compare = (m) => guarded(async () => {
-    const answer = await get(`/cells/${state.cell.id}/changes?from=${m.id}&to=${history[0].id}`);
+    // As the result does: either side is the mean of the accepted runs that agree with it.
+    const answer = await get(`/cells/${state.cell.id}/changes?from=${m.id}&to=${history[0].id}&averaged=true`);
     changes.textContent = `Since ${time(m.accepted)}: ${answer.sentence}`;
   });
   const button = (text, work) => { const b = el("button", { type: "button" }, text); b.addEventListener("click", work); return b; };
