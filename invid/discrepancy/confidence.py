@@ -11,7 +11,7 @@ from invid.diagnosis import Alternative, Finding
 from invid.discrepancy.missing_torque import NullTest, rms_torque
 from invid.discrepancy.plant import Term
 from invid.discrepancy.select import Selection
-from invid.discrepancy.trial import Step, Trial
+from invid.discrepancy.trial import Step, Trial, unearned
 from invid.discrepancy.words import BY_CAUSE, finding_sentence
 from invid.effects.base import unit_of
 from invid.effects.sign import ROUNDING, DryLaw
@@ -37,9 +37,11 @@ AT_FLOOR = 1.44
 Above it something is left that no cause took, the cause named may be a disguise of another (a delay of a lag
 beside friction left χ²/ν at 300 and a hundredth of the excess), and nobody may be certain."""
 SLOW = 400.0
-"""χ² gain of dry friction below which a Stribeck effect is not excluded: forty per cent more torque in the
-sixth of the time that is slow is a fortieth of dry friction's power, and 9 (3 σ) of that needs 400. On
-paper; no campaign counted it."""
+"""χ² gain of dry friction below which a Stribeck effect is not excluded, where none was fitted: forty per
+cent more torque in the sixth of the time that is slow is a fortieth of dry friction's power, and 9 (3 σ) of
+that needs 400. On paper; no campaign counted it."""
+STICKS = 0.4
+"""Static friction over the Coulomb level, less one, from where on a Stribeck effect is one: as in SLOW."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,11 +189,27 @@ def _slow_friction(
     term, chosen = step.chosen.term, step.chosen
     if term.effect.cause != "coulomb_friction" or any(a.cause == "stribeck_friction" for a in known):
         return ()
-    if step.before.cost - chosen.cost > SLOW * chosen.dispersion:
-        return ()
     axis = term.place.axis
+    fitted = [
+        t for t, _ in step.ranked if t.term.effect.cause == "stribeck_friction" and t.term.place == term.place
+    ]
+    if fitted:
+        if not _sticks(fitted[0], chosen):
+            return ()
+    elif step.before.cost - chosen.cost > SLOW * chosen.dispersion:
+        return ()
     return (
         Alternative("stribeck_friction", recording.axes[axis], term.place.element, _axis_rms(chosen, axis)),
+    )
+
+
+def _sticks(slow: Trial, dry: Trial) -> bool:
+    """Whether a fitted Stribeck effect gains what its parameters do by chance, and is as large as one is."""
+    at = slow.fit.covariance.shape[0] - slow.term.size + 1
+    std = float(np.sqrt(max(slow.fit.covariance[at, at], 0.0)))
+    gained = (dry.cost - slow.cost) / dry.dispersion
+    return gained > slow.term.size - dry.term.size and float(slow.x[1]) + 2.0 * std > STICKS * float(
+        slow.x[0]
     )
 
 
@@ -217,10 +235,11 @@ def _rivals(step: Step, left: float) -> tuple[list[Trial], float]:
     Likelihood ratios overstate certainty where the models are imperfect (the dispersion only accounts
     for their size, not for their coherence); halving the exponent is empirical, from hidden plants.
     """
-    scores: Float64 = np.array([s for _, s in step.ranked])
-    chosen = scores[0]
-    weights = np.exp(-0.25 * np.clip(scores - chosen, -20.0, 200.0))
+    rows = step.before.fit.dof
+    scores: Float64 = np.array([s - unearned(t, rows) for t, s in step.ranked])
+    weights = np.exp(-0.25 * np.clip(scores - scores.min(), 0.0, 200.0))
     share = float(weights[0] / weights.sum())
+    chosen = step.ranked[0][1]
     rivals = [t for (t, s) in step.ranked[1:] if s - chosen < COMPETES and _competes(step, t)]
     rivals += [
         t

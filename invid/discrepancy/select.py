@@ -15,7 +15,7 @@ from invid.discrepancy.plant import Layout, Term
 from invid.discrepancy.rounding import rounded
 from invid.discrepancy.screen import Score, Screen, terms_for
 from invid.discrepancy.trial import HELD_OUT, Step, Trial, at_bound, attempted, refit
-from invid.discrepancy.variants import delays, ladder, lags, retimed
+from invid.discrepancy.variants import delays, ladder, lags, retimed, timings
 from invid.distributions import chi2_isf
 from invid.effects.base import Record, rms
 
@@ -109,9 +109,13 @@ def _search(
         rejects = _rejects(current, [*train, *held])
         if steps and not rejects:
             break  # what the causes leave is noise; what else fits it says how imperfect their models are
-        step, rejected = _step(
-            current, train, held, linear_axes, free, start, contested, first=not steps, rejects=rejects
-        )
+        if steps:
+            step, rejected = _step(
+                current, train, held, linear_axes, free, start, contested, first=False, rejects=rejects
+            )
+        else:
+            start, step, rejected, train, held = _first(current, train, held, linear_axes, free, contested)
+            current = start
         if step is None:
             break
         added = ladder(step, train, held) or (step,)
@@ -119,6 +123,26 @@ def _search(
         current, train, held = retimed(added[-1].chosen, train, held)
         steps[-1] = replace(steps[-1], chosen=current)
     return Selection(start, current, tuple(steps), rejected)
+
+
+def _first(
+    start: Trial,
+    train: Sequence[Record],
+    held: Sequence[Record],
+    linear_axes: bool,
+    free: Float64 | None,
+    contested: frozenset[int],
+) -> tuple[Trial, Step | None, tuple[Score, ...], Sequence[Record], Sequence[Record]]:
+    """The linear fit, the first cause and the records they are of: at the time of the holds that fits better."""
+    ways = []
+    for here, training, kept in timings(start, train, held):
+        rejects = _rejects(here, [*training, *kept])
+        step, rejected = _step(
+            here, training, kept, linear_axes, free, here, contested, first=True, rejects=rejects
+        )
+        reached = here if step is None else step.chosen
+        ways.append((reached.score(1.0, here.dof), (here, step, rejected, training, kept)))
+    return min(ways, key=lambda way: way[0])[1]
 
 
 def _screened(screen: Screen, terms: Sequence[Term]) -> list[Score]:
@@ -195,8 +219,10 @@ def _step(
         if t.fit.converged:
             polished.append(t)
             continue
-        more = fit(t.fit.layout, train, t.fit.p, t.fit.candidate, iterations=20)
+        more = fit(t.fit.layout, train, t.fit.p, t.fit.candidate, iterations=40)
         polished.append(Trial(more, held_out(more, held)))
+    # Where the fit went on it may have reached an edge.
+    polished = [t for t in polished if not at_bound(t)] or polished
     trials = polished + [t for t in trials if t not in best[:4]]
     dispersion = min(t.dispersion for t in trials)
     ranked = _ranked([(t, t.score(dispersion, rows)) for t in trials], contested)

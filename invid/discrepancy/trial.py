@@ -189,3 +189,22 @@ def at_bound(trial: Trial) -> bool:
 def penalty(trial: Trial, rows: int) -> float:
     """Schwarz' penalty of the parameters of the effects."""
     return float(np.log(max(rows, 2))) * sum(t.size for t in trial.fit.candidate.terms)
+
+
+def unearned(trial: Trial, rows: int) -> float:
+    """What Schwarz' penalty asks too much for a phase of the effect added last that the data barely see.
+
+    ln(rows) a parameter is the logarithm of prior over posterior variance where the prior is that of one row.
+    No phase is preferred, so sine and cosine have one prior: where only one direction of the two is known
+    (gravity on a small motion is a constant torque), the other's posterior is nearly its prior and costs
+    nothing.
+    """
+    if trial.term.effect.coefficients != ("sine", "cosine"):
+        return 0.0
+    at = trial.fit.covariance.shape[0] - trial.term.size
+    block = trial.fit.covariance[at : at + 2, at : at + 2]
+    most = float(np.log(max(rows, 2)))
+    if not np.isfinite(block).all():
+        return most
+    small, large = np.linalg.eigvalsh(block)
+    return most if small <= 0 else float(min(np.log(large / small), most))
