@@ -418,34 +418,37 @@ def test_a_drive_with_one_sdo_buffer_gets_the_cycles_question_and_then_the_next_
 
 def freshness_of_a_moving_axis(meddle: Any) -> list[bool]:
     """A1 under constant torque, whose frames ``meddle(get)`` may hold back; what counts as fresh is true."""
-    truth, _ = positions_of_a_moving_axis(simulated(), 60, lambda get: get)
-    seen, fresh = positions_of_a_moving_axis(simulated(), 60, meddle)
+    truth, _, _ = positions_of_a_moving_axis(simulated(), 100, lambda get: get)
+    seen, fresh, slots = positions_of_a_moving_axis(simulated(), 60, meddle)
     step = max(np.abs(np.diff(truth)))
-    assert all(abs(x - t) < 0.2 * step for x, t, new in zip(seen, truth, fresh, strict=True) if new)
+    assert all(abs(x - truth[k]) < 0.2 * step for x, k, new in zip(seen, slots, fresh, strict=True) if new)
     return fresh
 
 
-def positions_of_a_moving_axis(cell: Cia402Cell, cycles: int, meddle: Any) -> tuple[list[float], list[bool]]:
-    """Position and freshness in each cycle; the cell is closed then."""
+def positions_of_a_moving_axis(
+    cell: Cia402Cell, cycles: int, meddle: Any
+) -> tuple[list[float], list[bool], list[int]]:
+    """Position, freshness and slot of each cycle; the cell is closed then."""
     try:
         return _moving(cell, cycles, meddle)
     finally:
         cell.close()
 
 
-def _moving(cell: Cia402Cell, cycles: int, meddle: Any) -> tuple[list[float], list[bool]]:
+def _moving(cell: Cia402Cell, cycles: int, meddle: Any) -> tuple[list[float], list[bool], list[int]]:
     cell.check()
     cell.energise(held(cell))
     cell.set_modes([Mode.TORQUE, Mode.HOLD], [0.0, 0.0])
     for _ in range(50):
-        cell.exchange([1.0, 0.0])
+        first = cell.exchange([1.0, 0.0]).slot + 1
     cell._link.get = meddle(cell._link.get)  # type: ignore[method-assign]
-    seen, fresh = [], []
+    seen, fresh, slots = [], [], []
     for _ in range(cycles):
         sample = cell.exchange([1.0, 0.0])
         seen.append(sample.position[0])
         fresh.append(sample.fresh[0])
-    return seen, fresh
+        slots.append(sample.slot - first)
+    return seen, fresh, slots
 
 
 def test_tpdos_that_come_cycles_late_in_a_bunch_are_never_taken_for_a_later_cycles() -> None:
@@ -492,6 +495,49 @@ def test_a_lost_tpdo_costs_its_own_cycle_and_no_other() -> None:
 
     fresh = freshness_of_a_moving_axis(meddle)
     assert [k + 1 for k, new in enumerate(fresh) if not new] == [10, 30, 31]
+
+
+class Behind:
+    """A gateway that passes on A1's tenth to fortieth TPDO ``cycles`` later; none is lost."""
+
+    def __init__(self, get: Any, clock: Any, cycles: float) -> None:
+        self._get, self._clock, self._late = get, clock, cycles * CYCLE
+        self._waiting: list[tuple[float, Any]] = []
+        self._calls = 0
+
+    def __call__(self, timeout: float) -> Any:
+        end = self._clock.now() + timeout
+        while True:
+            now = self._clock.now()
+            if self._waiting and self._waiting[0][0] <= now:
+                return self._waiting.pop(0)[1]
+            message = self._get(min(end, self._waiting[0][0] if self._waiting else end) - now)
+            if message is not None and message.arbitration_id == 0x181:
+                self._calls += 1
+                late = self._late if 10 <= self._calls <= 40 else 0.0
+                self._waiting.append(
+                    (max(now + late, self._waiting[-1][0] if self._waiting else now), message)
+                )
+            elif message is not None:
+                return message
+            elif self._clock.now() >= end:
+                return None
+
+
+@pytest.mark.parametrize("cycles", [0.5, 0.8, 1.0, 1.1, 1.5, 2.0, 3.3])
+def test_a_drive_that_falls_behind_by_whole_cycles_and_stays_there_is_never_believed(cycles: float) -> None:
+    """Its answers come as regularly as before, each in a later cycle than its own: one a cycle."""
+    truth, _, _ = positions_of_a_moving_axis(simulated(), 150, lambda get: get)
+    cell = simulated()
+    clock = cell._link.clock
+    seen, fresh, slots = positions_of_a_moving_axis(cell, 80, lambda get: Behind(get, clock, cycles))
+    near = 0.2 * max(np.abs(np.diff(truth)))
+    wrong = [k for x, k, new in zip(seen, slots, fresh, strict=True) if new and abs(x - truth[k]) > near]
+    # the one sample that came alone and as fast as ever, before a slot without SYNC could tell
+    assert len(wrong) <= 1
+    assert all(fresh[:9])
+    assert all(fresh[-15:])  # the gateway has caught up by then
+    assert slots[-1] < 120
 
 
 foreign_frames = st.builds(

@@ -46,8 +46,12 @@ of a millisecond is 0.6 mrad."""
 CLOSEST_CYCLES = 0.5
 """Two SYNCs are never closer: a drive that samples at SYNC may miss one that comes in half its cycle."""
 ALONE_CYCLES = 3
-"""After a gap, a TPDO that comes later than usual is believed to be of this cycle when three cycles in a
-row have brought just one: what was owed is lost."""
+"""After a gap, three cycles in a row that bring one TPDO, later than usual, do not say whether what was owed
+is lost or the drive has fallen behind by whole cycles. A slot without SYNC does: nothing comes in it, or the
+answer that is late."""
+LISTEN_EVERY_S = 1.0
+"""Where one TPDO was lost and the next came as fast as ever, that is asked at most so often: one slot in a
+thousand at 1 kHz. A guess at what a record may lose."""
 MODE_POLL_S = 0.1
 """0x6061 of one axis after another is asked for at this interval during the cycle."""
 HEARTBEAT_PERIODS = 3.5
@@ -89,6 +93,9 @@ class Cia402Cell:
         self._slot = -1
         self._owed = [0] * count
         self._alone = [0] * count
+        self._behind = [False] * count
+        self._doubt = False
+        self._next_listen = -math.inf
         self._answered_s = 0.5 * self._cycle
         self._operational = False
         self._touched = False
@@ -245,6 +252,7 @@ class Cia402Cell:
         else:
             self._slot = max(self._slot, int((now - self._started) / self._cycle))
         self._owed = [0] * len(self._drives)
+        self._doubt = False
 
     # --- the cycle -----------------------------------------------------------------------------
     def exchange(self, torque: Sequence[float]) -> Sample:
@@ -252,6 +260,8 @@ class Cia402Cell:
         link, clock = self._link, self.clock
         sample, put = self._sample, link.put
         hold = Mode.HOLD
+        if self._doubt:
+            self._listen()
         for i, cob in enumerate(self._rpdo_ids):
             value = 0 if self._modes[i] is hold else round(torque[i] * self._per_mille[i])
             if value > 32767 or value < -32768:
@@ -289,7 +299,8 @@ class Cia402Cell:
 
         Where an earlier one has not come, it was lost or is still under way (a simulated drive on a busy
         computer, a slow gateway). What comes then is this SYNC's only if it comes alone and as fast as
-        ever, or last of as many as are owed; else nobody knows, and the axis counts as not received.
+        ever, or last of as many as are owed; else nobody knows, and the axis counts as not received. One
+        that comes alone may also be of a drive that answers a cycle late from now on: ``_listen`` tells.
         """
         clock, get, owed = self.clock, self._link.get, self._owed
         fresh = self._sample.fresh
@@ -323,12 +334,54 @@ class Cia402Cell:
             in_time = last - instant < 1.5 * self._answered_s + 0.1 * self._cycle
             for i, count in enumerate(came):
                 missing = owed[i] + 1 - count
-                self._alone[i] = self._alone[i] + 1 if count == 1 and missing else 0
-                if count and (missing <= 0 or (count == 1 and (in_time or self._alone[i] >= ALONE_CYCLES))):
+                single = count == 1 and missing > 0
+                self._alone[i] = self._alone[i] + 1 if single else 0
+                if single and in_time and not self._behind[i]:
                     missing = self._alone[i] = 0
+                    self._doubt = self._doubt or instant >= self._next_listen
+                elif count and missing <= 0:
+                    missing = 0
+                    self._behind[i] = False
                 else:
                     fresh[i] = False
+                    self._doubt = self._doubt or self._alone[i] >= ALONE_CYCLES
                 owed[i] = missing
+        elif any(self._behind):
+            self._behind = [False] * len(fresh)  # nothing was owed, and every answer came in its own cycle
+
+    def _listen(self) -> None:
+        """Slots without SYNC, until one passes in which no TPDO comes: whose comes then has fallen behind.
+
+        From there on nothing is owed, and a drive that was behind is believed again when it has answered a
+        SYNC in its own cycle. The drives go on with their last targets meanwhile.
+        """
+        late = set()
+        self._doubt = False
+        self._next_listen = self.clock.now() + LISTEN_EVERY_S
+        for _ in range(self._config.safety.missed_tpdos):
+            self._slot += 1
+            self.skipped_slots += 1
+            end = self._started + (self._slot + 0.85) * self._cycle
+            heard = set()
+            self._link.beat(self.clock.now())
+            while True:
+                rest = end - self.clock.now()
+                message = self._link.get(max(rest, 0.0))
+                if message is None:
+                    if (
+                        rest <= 0
+                    ):  # what is there already was looked at too: this process may have been paused
+                        break
+                elif (axis := self._tpdo_axis.get(message.arbitration_id)) is None:
+                    self._sort(message)
+                else:
+                    heard.add(axis)
+            late |= heard
+            if not heard:
+                break
+        count = len(self._drives)
+        self._owed, self._alone = [0] * count, [0] * count
+        self._behind = [self._behind[i] or i in late for i in range(count)]
 
     def _wait_for_slot(self) -> tuple[int, float, float]:
         """Number, deadline and instant of the next SYNC, at its slot or at most half a cycle late.
