@@ -68,15 +68,20 @@ class Serving:
         raise AssertionError(f"no {states} within {timeout} s: {body}")
 
     def wait_for_motion(self, location: str, timeout: float = 60.0) -> None:
-        """Until the first recorded experiment is under way (trials at low amplitude come before it)."""
+        """Until the first recorded experiment is under way (trials at low amplitude come before it).
+
+        A tenth of the run's time into it: its first period settles and is not recorded.
+        """
         deadline = time.monotonic() + timeout
         body: dict[str, Any] = {}
+        began: float | None = None
         while time.monotonic() < deadline:
             body = self.client.get(location).json()
             assert body["state"] not in ENDED, body
             if body["state"] == "running" and body["phase"].startswith("experiment"):
-                time.sleep(0.3)
-                return
+                began = body["progress"] if began is None else began
+                if body["progress"] > began + 0.1:
+                    return
             time.sleep(0.02)
         raise AssertionError(f"no motion within {timeout} s: {body}")
 
