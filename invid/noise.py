@@ -15,7 +15,7 @@ def pooled_covariance(deviations: Complex128, floor: Float64) -> tuple[Complex12
     deviations
         (P, F, C) period spectra minus their mean over the periods.
     floor
-        (C,) smallest believable noise power of one line of one period.
+        (C,) or (F, C) smallest believable noise power of one line of one period.
 
     Returns
     -------
@@ -45,9 +45,10 @@ def pooled_covariance(deviations: Complex128, floor: Float64) -> tuple[Complex12
 
 
 def flat_covariance(floor: Float64, lines: int) -> Complex128:
-    """(F, C, C) diagonal covariance of white noise of power ``floor`` (C,) a line."""
-    result: Complex128 = np.broadcast_to(np.diag(floor).astype(complex), (lines, floor.size, floor.size))
-    return result.copy()
+    """(F, C, C) diagonal covariance of noise of power ``floor``: (C,) the same on every line, or (F, C)."""
+    power = np.broadcast_to(floor, (lines, floor.shape[-1]))
+    result: Complex128 = (power[:, :, None] * np.eye(floor.shape[-1])).astype(np.complex128)
+    return result
 
 
 def quiet_power(spectrum: Complex128, quiet: np.ndarray) -> tuple[Float64, float]:

@@ -14,6 +14,7 @@ import numpy as np
 from invid.arrays import Bool, Complex128, Float64, frozen, frozen_float
 from invid.noise import flat_covariance, pooled_covariance, quantum, quiet_power
 from invid.periods import find_period, fold, repeats, settle, without_drift
+from invid.quantisation import rounding_power
 from invid.recording.model import Experiment, Kind, Recording, Role
 from invid.timebase import Uniform, uniform
 
@@ -82,7 +83,9 @@ class LineSpectra:
     staircase: Float64 = field(default_factory=lambda: np.zeros(0))
     deviations: Complex128 = field(default_factory=lambda: np.zeros((0, 0, 0), dtype=complex))
     floor: Float64 = field(default_factory=lambda: np.zeros(0))
-    """(2M,) noise power of the averaged spectra from lines above the band, quantisation included."""
+    """(2M,) noise power of the averaged spectra from lines above the band, white quantisation included."""
+    rounding: Float64 | None = None
+    """(F, 2M) power of the rounding that lies within the band (``invid.quantisation``)."""
     hold_gain: Float64 = field(default_factory=lambda: np.zeros(0))
     hold_torque: Complex128 | None = None
     """(F, M) the part of the torque that a hold inside the drive gave, where the recording tells it apart."""
@@ -91,6 +94,15 @@ class LineSpectra:
     def omega(self) -> Float64:
         """(F,) lines [rad/s]."""
         result: Float64 = 2 * np.pi * self.frequency_hz
+        return result
+
+    @property
+    def line_floor(self) -> Float64:
+        """(F, 2M) noise power on each line: the floor from above the band, or rounding where larger."""
+        lines = (self.frequency_hz.size, self.floor.size)
+        if self.rounding is None:
+            return np.broadcast_to(self.floor, lines)
+        result: Float64 = np.maximum(self.floor, self.rounding)
         return result
 
     @property
@@ -222,11 +234,14 @@ def _periodic(
     if settling.settled:
         parities = [quiet & odd, quiet & ~odd]
         repeating = np.max([quiet_power(mean, p)[0] for p in parities if p.any()], axis=0)
-    lattice = quantum(np.concatenate((data.position, data.torque), axis=1)) ** 2 / 12 * 4 / period
-    floor = np.maximum(floor, lattice)
+    step = quantum(np.concatenate((data.position, data.torque), axis=1))
+    single = (np.abs(spectra) ** 2).mean(axis=0)
+    rounding = _rounding(single, np.abs(mean) ** 2, step, band)
+    floor = np.maximum(floor, step**2 / 12 * 4 / period)
     averaged = np.maximum(np.maximum(repeating, floor / used), 1e-300)
     deviations = (spectra - mean)[:, band]
-    covariance, dof = pooled_covariance(deviations, np.maximum(floor, averaged * used))
+    least = np.maximum(np.maximum(floor, averaged * used), rounding * used)
+    covariance, dof = pooled_covariance(deviations, least)
     excited = _excited(experiment, hz[band], mean[band], covariance, motors, period * data.step)
     return _assemble(
         experiment,
@@ -242,6 +257,7 @@ def _periodic(
         span=used * period * data.step,
         deviations=deviations,
         floor=averaged,
+        rounding=rounding,
         warnings=warnings,
     )
 
@@ -267,9 +283,12 @@ def _whole(
     if quiet.sum() < 16:
         quiet = hz > 0.9 * hz[-1]
     floor, dof = quiet_power(_windowed(wave[:count], nyquist), quiet)
-    floor = np.maximum(np.maximum(floor, quantum(wave) ** 2 / 12 * 4 / count), 1e-300)
+    step = quantum(wave)
     band = _band(hz, top, band_hz)
-    covariance = flat_covariance(floor, int(band.sum()))
+    single = np.abs(_windowed(wave[:count], nyquist)) ** 2
+    rounding = _rounding(single, single, step, band)
+    floor = np.maximum(np.maximum(floor, step**2 / 12 * 4 / count), 1e-300)
+    covariance = flat_covariance(np.maximum(floor, rounding), int(band.sum()))
     excited = _excited(experiment, hz[band], mean[band], covariance, motors, count * data.step)
     return _assemble(
         experiment,
@@ -285,6 +304,7 @@ def _whole(
         span=count * data.step,
         deviations=np.zeros((0, int(band.sum()), 2 * motors), dtype=complex),
         floor=floor,
+        rounding=rounding,
         warnings=warnings,
     )
 
@@ -300,6 +320,15 @@ def _floor(data: Uniform, quiet: Bool, hz: Float64, period: int) -> tuple[Float6
     inside = (fine >= band[0]) & (fine <= band[-1]) if band.size else fine > 0.9 * fine[-1]
     power, dof = quiet_power(_windowed(wave, lines), inside)
     return power * (count / period), dof
+
+
+def _rounding(single: Float64, mean: Float64, step: Float64, band: Bool) -> Float64:
+    """(F, 2M) power of the encoders' rounding on the lines of the band; torque steps are taken as white."""
+    motors = step.size // 2
+    last = int(np.flatnonzero(band)[-1]) + 1
+    power = np.zeros((int(band.sum()), 2 * motors))
+    power[:, :motors] = rounding_power(single[:, :motors], mean[:, :motors], step[:motors], last)[band[:last]]
+    return power
 
 
 def _windowed(wave: Float64, lines: int) -> Complex128:
@@ -401,6 +430,7 @@ def _assemble(
     span: float,
     deviations: Complex128,
     floor: Float64,
+    rounding: Float64,
     warnings: list[str],
 ) -> LineSpectra:
     motors = data.position.shape[1]
@@ -429,5 +459,6 @@ def _assemble(
         staircase=frozen_float(_staircase(experiment, data)),
         deviations=fixed(deviations),
         floor=frozen_float(floor),
+        rounding=frozen_float(rounding),
         hold_gain=frozen_float(experiment.hold_gain),
     )

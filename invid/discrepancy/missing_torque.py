@@ -73,7 +73,7 @@ def with_scatter(
         covariance = noise_of(plain_view, factor)[1:]
         expected = np.einsum("fii->fi", covariance).real
         # ``noise`` is of the mean over the periods used in this record.
-        share = float(record.noise[1, 0] / max(s.floor[0], 1e-300))
+        share = 2.0 * float(record.noise[0, 0] / max(s.floor[0], 1e-300))
         used = max(round(periods / share), 1)
         single = expected * used
         left = 1.0

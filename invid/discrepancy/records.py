@@ -77,6 +77,7 @@ def record_of(
     if power.size:
         floor[motors:] = np.maximum(floor[motors:], 1e-8 * power.mean(axis=0))
     noise = np.tile(floor, (index.size + 1, 1))
+    noise[1:] = np.maximum(noise[1:], s.line_floor[used] * share)
     # A mean's variance is a quarter of a line's power, and real: half of it as a complex line.
     noise[0] = floor / 2.0
     mean_torque = s.torque_wave.mean(axis=0)

@@ -62,7 +62,7 @@ def problem_from_spectra(
                 omega=s.omega[used],
                 position=s.position[used],
                 torque=s.torque[used],
-                covariance=flat_covariance(s.floor, int(used.sum()))
+                covariance=flat_covariance(s.line_floor[used], int(used.sum()))
                 if noise == "floor"
                 else s.covariance[used],
                 span=s.span_s,
