@@ -27,9 +27,11 @@ TRIAL_COUNTS, TRIAL_WINDOW = 50, 0.01
 """Enough is 50 encoder counts and 1 % of the position window: the slope is then good to a few per cent."""
 TRIAL_MOST = 0.1
 """A trial ends when it has used a tenth of the position window."""
-LATE_TRIALS = 5
-"""Trials that say nothing because somebody was late, before the measurement gives up. Empirical: a machine on
-which one SYNC in twenty comes late spoils one doublet in three."""
+LATE_TRIALS = 20
+"""Trials that say nothing because somebody was late, before the measurement gives up: seven seconds at least,
+so that a few in which a computer is busy with something else do not end it; each trial is as small as the
+others and the axis is caught after it. Empirical: a machine on which one SYNC in twenty comes late spoils one
+doublet in three."""
 CATCH_S = 0.3
 """For a weak hold of 1 Hz to catch what a trial left moving."""
 LEAST_COUNTS = 5

@@ -83,6 +83,19 @@ def test_a_computer_that_is_always_late_is_told_so_and_no_drive_is_blamed() -> N
     assert max(abs(float(x)) for x in cell.x) < 0.5
 
 
+def test_a_computer_that_is_busy_for_a_few_seconds_is_waited_for() -> None:
+    cell = RigidCell()
+
+    def late(c: RigidCell, s: Sample) -> None:
+        if 0.31 < s.time < 4.0:
+            c.slot += 1
+            s.fresh[:] = [s.slot % 8 == 0] * 2
+
+    cell.disturb = late
+    assert verdict(cell) == ""
+    assert max(abs(float(x)) for x in cell.x) < 0.5
+
+
 def seen(came: Bool, *, sign: float = 1.0) -> Response:
     """A rigid mass under a doublet; where no sample came, the last one stands."""
     wave = np.concatenate([np.zeros(40), doublet(160), np.zeros(40)])
