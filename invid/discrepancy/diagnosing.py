@@ -89,6 +89,9 @@ def diagnose(
         answer = replay(sound, spectra, linear, result.model, selection.final.fit, held, before)
         if isinstance(answer, Replay) and answer.refused:
             result = _document(sound, model, selection, bare, train, held, [*warnings, REFUSED], refused=True)
+        elif isinstance(answer, Replay):
+            selection = selection.wider(answer.shift)
+            result = _document(sound, model, selection, bare, train, held, warnings)
         result = with_replay(result, answer, sound)
         result = replace(result, details={**result.details, "linear_model": model_to_json(linear)})
     return with_dropped(result, recording, dropped, before_repair(recording, bare, result) if dropped else {})

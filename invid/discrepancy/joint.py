@@ -152,11 +152,16 @@ def fit(
         if gained < 0.1 * tolerance * here.cost / max(here.dof, 1):
             converged = True
             break
-    return JointFit(layout, p, candidate, here, _covariance(here, v, low, high), converged)
+    return JointFit(layout, p, candidate, here, _covariance(here, v), converged)
 
 
-def _covariance(here: Evaluation, v: Float64, low: Float64, high: Float64) -> Float64:
-    """(n, n) of everything, inflated by χ²/ν > 1; infinite where the data do not see it, zero at a bound."""
+def _covariance(here: Evaluation, v: Float64) -> Float64:
+    """(n, n) of everything; infinite where the data do not see it.
+
+    The larger, parameter by parameter, of two: what the noise makes of it times χ²/ν > 1, and the sandwich
+    over lines (White 1980), true also where a model that is not quite right leaves more on the few lines that
+    the parameter is read from than on the rest.
+    """
     jacobian = here.jacobian
     scale = np.linalg.norm(jacobian, axis=0)
     blind = scale == 0
@@ -164,9 +169,26 @@ def _covariance(here: Evaluation, v: Float64, low: Float64, high: Float64) -> Fl
     _, size, right = np.linalg.svd(np.linalg.qr(jacobian / scale, mode="r"), full_matrices=False)
     seen = size > 1e-9 * size[0]
     out: Float64 = (right[seen].T / size[seen] ** 2) @ right[seen] / scale[:, None] / scale
+    spread = max(1.0, here.cost / max(here.dof - v.size, 1))
+    plain = np.diag(out) * spread
+    robust = ((_line_scores(here) @ out) ** 2).sum(axis=0) * here.dof / max(here.dof - v.size, 1)
+    wider = np.sqrt(np.maximum(robust / np.where(plain > 0, plain, np.inf), 1.0))
     lost = np.flatnonzero(blind | (np.abs(right[~seen]) > 1e-2).any(axis=0))
     out[lost, lost] = np.inf
-    return out * max(1.0, here.cost / max(here.dof - v.size, 1))
+    out *= spread * wider[:, None] * wider
+    return out
+
+
+def _line_scores(here: Evaluation) -> Float64:
+    """(lines of all records, n) what each line adds to half the gradient of the cost."""
+    at, out = 0, []
+    for view in here.views:
+        lines, motors = view.acting.shape
+        rows = slice(at, at + 2 * lines * motors)
+        own = here.jacobian[rows] * here.residual[rows, None]
+        out.append(own.reshape(2, lines, motors, -1).sum(axis=(0, 2)))
+        at = rows.stop
+    return np.concatenate(out)
 
 
 def held_out(fit_: JointFit, records: Sequence[Record], candidate: Candidate | None = None) -> Evaluation:

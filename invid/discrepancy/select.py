@@ -51,6 +51,14 @@ class Selection:
     steps: tuple[Step, ...] = ()
     rejected: tuple[Score, ...] = field(default=())
 
+    def wider(self, shift: Float64) -> Selection:
+        """The same with parameters of the final fit that may be off by ``shift`` (n,) besides their noise."""
+        fit = self.final.fit
+        if not shift.size:
+            return self
+        covariance = fit.covariance + np.outer(shift, shift)
+        return replace(self, final=replace(self.final, fit=replace(fit, covariance=covariance)))
+
 
 def _rejects(trial: Trial, records: Sequence[Record]) -> bool:
     """Whether a fit leaves more than noise."""
