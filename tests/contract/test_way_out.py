@@ -13,6 +13,7 @@ from test_adapter_promises import config, held, simulated, zero
 from invid.errors import DriveError
 from invid.sweep import Mode
 from invid_drivers.cia402.bus import Cia402Cell
+from invid_drivers.cia402.journal import Entry
 from invid_drivers.connect import connect
 from invid_drivers.simulated import VirtualTimeBus, open_virtual_bus
 
@@ -200,6 +201,24 @@ def test_a_drive_silent_at_a_change_of_mode_does_not_leave_the_others_under_thei
         cell.stop()
         assert bus.cell.drives[0].state.name in OFF
         assert abs(plant.positions[motor] - place) < 0.06
+    finally:
+        cell.close()
+
+
+def test_a_drive_put_in_place_of_another_does_not_get_the_others_values() -> None:
+    cell = simulated()
+    try:
+        cell.check()
+        drive = drives_of(cell)[0]
+        serial = drive.node.od.number(0x1018, 4)
+        assert serial
+        before = drive.node.od.number(0x6072)
+        for of, node in ((serial + 1, 1), (cell._drives[1]._serial, 2)):
+            cell.journal.add(Entry(node, of, 0x6072, 0, "0b00"))
+        cell.check()
+        assert drive.node.od.number(0x6072) == before
+        assert drives_of(cell)[1].node.od.number(0x6072) == 11
+        assert cell.journal.entries == ()
     finally:
         cell.close()
 

@@ -335,8 +335,15 @@ class Drive:
 
     # --- configuration -------------------------------------------------------------------------
     def restore(self) -> int:
-        """Undo every journalled write; number of objects restored. The drive must not be operational."""
+        """Undo every journalled write; number of objects restored. The drive must not be operational.
+
+        Writes into another drive that had this node id before are forgotten: after an exchange, the values of
+        the old drive are not this one's.
+        """
         entries = self._journal.of_node(self.node_id)
+        serial = self.find(od.SERIAL_NUMBER) if entries else None
+        if serial:
+            entries = tuple(e for e in entries if e.serial in (0, serial))
         failed = None
         for e in entries:
             try:
