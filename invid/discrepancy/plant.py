@@ -17,7 +17,7 @@ from invid.arrays import Bool, Complex128, Float64
 from invid.discrepancy.inner import settled
 from invid.effects.base import Effect, Place, Record, View
 from invid.effects.torque_delay import ActuatorEffect
-from invid.refine.boundary import end_columns, end_forces, end_points
+from invid.refine.boundary import end_columns, end_derivative, end_forces, end_places, end_points
 from invid.refine.problem import condense_dense
 from invid.refine.structure import ChainStructure
 from invid.refine.whitening import orthonormal, stack, unstack, unwhitener, whitener
@@ -186,9 +186,13 @@ def _acting(record: Record, delays: Float64, stairs: Float64) -> tuple[Complex12
     if record.command is None:
         acting = factor * record.torque
         if record.hold is not None:
-            # Command E = T + HΘ and hold −HΘ act at different times: z₁T + (z₁ − z₂)·H·Θ.
+            # Command E = T + HΘ and hold −HΘ act at different times: z₁T + (z₁ − z₂)·H·Θ. A hold that acts
+            # half a sample earlier than a torque held over the sample is not held over it.
             late = np.exp(-1j * w[:, None] * (delays + record.hold_offset))
-            acting = acting + (z - late) * record.hold * record.position
+            held_too = np.clip(1.0 + 2.0 * record.hold_offset / record.step, 0.0, 1.0)
+            hold = record.hold * record.position
+            acting = acting + (factor - late * (1.0 - stairs * held_too * smear)) * hold
+            return acting, factor, -z * smear * record.torque - (z - late * held_too) * smear * hold
         return acting, factor, -z * smear * record.torque
     rest = record.torque - record.command
     held = ((1.0 - smear) * np.exp(-0.5j * w * record.step)[:, None]).astype(complex)
@@ -255,7 +259,7 @@ def evaluate(
         record = view.record
         _, factor, by_stair = _acting(record, layout.lateness(p, record), layout.stairs(p))
         r: Complex128 = np.einsum("fij,fj->fi", view.stiffness, record.position) - view.acting
-        covariance = noise_of(view, factor)
+        covariance = noise_of(view, factor, candidate)
         if near and candidate.terms:
             view.respond(near[len(missing)].feedback)
             view.secants = near[len(missing)].secants
@@ -267,6 +271,18 @@ def evaluate(
         root = whitener(covariance)
         if record.weight.size:
             root = root * record.weight[:, None, None]
+        basis = np.zeros((0, 0))
+        white = stack(root @ r[..., None])[:, 0]
+        ends: _Ends | None = None
+        if record.transient:
+            edges, forces, points = _boundary(view, layout, p)
+            white_edges = stack(root @ edges)
+            basis = orthonormal(white_edges)
+            along = basis @ (basis.T @ white)
+            white = white - along
+            r = r - unstack(unwhitener(root), along, r.shape)
+            if jacobian:
+                ends = _Ends.of(white_edges, along, forces, points, structure)
         columns: Complex128 | None = None
         if jacobian:
             columns = np.zeros((*r.shape, layout.count + effects), dtype=complex)
@@ -277,11 +293,19 @@ def evaluate(
             position = record.position - noise[:, :motors] * np.einsum(
                 "fij,fi->fj", view.stiffness.conj(), gain
             )
+            if ends is not None:
+                position = position + ends.shift
             q = np.einsum("fqm,fm->fq", view.motion, position) + view.feedback
+            if ends is not None:
+                q = q - np.einsum("fab,fb->fa", view.inner, ends.force)
             sp = p[: structure.count]
             columns[..., : structure.count] = structure.torque_derivative(
                 sp, record.omega, view.motion, q[None]
             )[0]
+            if ends is not None:
+                columns[..., : structure.count] += end_derivative(
+                    structure, sp, record.omega, view.motion, ends.jumps, record.span
+                )
             at = structure.count
             passed = _passed(view, candidate)
             later = 1j * record.omega[:, None] * view.acting * passed
@@ -296,14 +320,6 @@ def evaluate(
             _effect_columns(view, candidate, extra, columns, at)
             if thorough and _strong(view, candidate):
                 _law_columns(view, candidate, sp, q, columns)
-        basis = np.zeros((0, 0))
-        white = stack(root @ r[..., None])[:, 0]
-        if record.transient:
-            edges = _boundary(view, layout, p)
-            basis = orthonormal(stack(root @ edges))
-            ends = basis.T @ white
-            white = white - basis @ ends
-            r = r - unstack(unwhitener(root), basis @ ends, r.shape)
         residuals.append(white)
         bases.append(basis)
         roots.append(root)
@@ -421,26 +437,67 @@ def _law_columns(view: View, candidate: Candidate, sp: Float64, q: Complex128, c
     view.respond(feedback)
 
 
-def noise_of(view: View, factor: Complex128) -> Complex128:
-    """(F, M, M) covariance of r."""
+def noise_of(view: View, factor: Complex128, candidate: Candidate | None = None) -> Complex128:
+    """(F, M, M) covariance of r; a sensor whose scale is wrong shows its noise at that scale.
+
+    Without that, of two scales that fit alike the one that makes the noise appear larger would win.
+    """
     record = view.record
     motors = record.torque.shape[1]
+    noise = record.noise
+    for term, x in () if candidate is None else zip(candidate.terms, candidate.x, strict=True):
+        position, torque = term.effect.noise_power(view, term.place, x.tolist())
+        if (position, torque) != (1.0, 1.0):
+            noise = noise.copy()
+            noise[:, term.place.axis] *= position
+            noise[:, motors + term.place.axis] *= torque
     z = view.stiffness
-    covariance: Complex128 = np.einsum("fij,fj,fkj->fik", z, record.noise[:, :motors], z.conj())
+    covariance: Complex128 = np.einsum("fij,fj,fkj->fik", z, noise[:, :motors], z.conj())
     index = np.arange(motors)
-    covariance[:, index, index] += np.abs(factor) ** 2 * record.noise[:, motors:]
+    covariance[:, index, index] += np.abs(factor) ** 2 * noise[:, motors:]
     covariance[:, index, index] += record.scatter
     return covariance
 
 
-def _boundary(view: View, layout: Layout, p: Float64) -> Complex128:
-    """(F, M, 2ΣN) missing torque for a unit jump of each coordinate's position and velocity, 0 Hz first."""
+@dataclass(frozen=True, eq=False)
+class _Ends:
+    """What the ends of a record that does not close do, at the jumps that fit best."""
+
+    jumps: Float64
+    """(2ΣN,) of every coordinate's position, then velocity."""
+    force: Complex128
+    """(F, ΣN) on every coordinate."""
+    shift: Complex128
+    """(F, M) of the motors' sampled spectra to their integrals."""
+
+    @classmethod
+    def of(
+        cls,
+        columns: Float64,
+        along: Float64,
+        forces: Complex128,
+        points: Complex128,
+        structure: ChainStructure,
+    ) -> _Ends:
+        """From whitened ``columns`` (rows, 2ΣN) and what of the residual lies ``along`` them."""
+        scale = np.linalg.norm(columns, axis=0)
+        scale[scale == 0] = 1.0
+        jumps = -np.linalg.lstsq(columns / scale, along, rcond=1e-12)[0] / scale
+        shift = points @ jumps[end_places(structure)].reshape(2, -1)
+        return cls(jumps, forces @ jumps, shift)
+
+
+def _boundary(view: View, layout: Layout, p: Float64) -> tuple[Complex128, Complex128, Complex128]:
+    """(F, M, 2ΣN) missing torque for a unit jump of each coordinate's position and velocity, 0 Hz first.
+
+    Also the forces (F, ΣN, 2ΣN) and the motors' end points (F, 2) that it comes from.
+    """
     structure, record = layout.structure, view.record
     forces = end_forces(structure, p[: structure.count], view.omega, record.span)
     forces[0] *= 0.5
     points = end_points(view.omega, record.step, record.span, ends_in=record.ends_in)
     points[0] = 0.0  # positions carry no mean here
-    return end_columns(structure, view.motion, view.stiffness, forces, points)
+    return end_columns(structure, view.motion, view.stiffness, forces, points), forces, points
 
 
 def without_boundary(
@@ -452,7 +509,7 @@ def without_boundary(
     Also the share of each period's numbers that is left as degrees of freedom.
     """
     root = whitener(covariance)
-    basis = orthonormal(stack(root @ _boundary(view, layout, p)[1:]))
+    basis = orthonormal(stack(root @ _boundary(view, layout, p)[0][1:]))
     back = unwhitener(root)
     out = r.copy()
     for period in out:

@@ -382,6 +382,10 @@ class Effect:
         out: Complex128 = columns @ np.asarray(x[:count])
         return out, None
 
+    def noise_power(self, view: View, place: Place, x: Sequence[float]) -> tuple[float, float]:
+        """What taking a sensor's fault out multiplies the noise powers of its position and torque by."""
+        return 1.0, 1.0
+
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
         """The contract's parameters."""
         raise NotImplementedError

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from invid.arrays import Complex128
+from invid.arrays import Complex128, Float64
 from invid.effects.base import Effect, Place, View, axis_places
 from invid.refine.structure import ChainStructure
 
@@ -29,8 +29,18 @@ class EncoderEccentricity(Effect):
     def places(self, structure: ChainStructure) -> list[Place]:
         return axis_places(structure)
 
-    def _columns(self, view: View, place: Place, swing: np.ndarray) -> Complex128:
-        error = view.to_lines(swing)
+    def _columns(self, view: View, place: Place, swing: Float64) -> Complex128:
+        """What errors of the reading (n, L) over time make of the missing torque.
+
+        Their part in proportion to the reading is that of the measured lines, noise and all: the wave has
+        none on lines that it fills, so an error of scale would change the motion's size and not its noise's.
+        """
+        wave = view.record.motor_wave[:, place.axis]
+        centred = wave - wave.mean()
+        power = float(centred @ centred)
+        scale: Float64 = centred @ swing / power if power > 0 else np.zeros(swing.shape[1])
+        error = view.to_lines(swing - wave[:, None] * scale)
+        error = error + view.record.position[:, place.axis, None] * scale
         out: Complex128 = -view.stiffness[:, :, place.axis][:, :, None] * error[:, None, :]
         return out
 
@@ -41,10 +51,21 @@ class EncoderEccentricity(Effect):
     def contribution(
         self, view: View, place: Place, x: Sequence[float]
     ) -> tuple[Complex128, Complex128 | None]:
-        true = reading = view.record.motor_wave[:, place.axis]
-        for _ in range(6):
-            true = reading - x[0] * np.sin(true) - x[1] * np.cos(true)
-        return self._columns(view, place, (reading - true)[:, None])[:, :, 0], None
+        reading = view.record.motor_wave[:, place.axis]
+        return self._columns(view, place, (reading - _true(reading, x))[:, None])[:, :, 0], None
+
+    def noise_power(self, view: View, place: Place, x: Sequence[float]) -> tuple[float, float]:
+        true = _true(view.record.motor_wave[:, place.axis], x)
+        # d(true)/d(reading): on a small motion the swing is a scale of the encoder, of its noise as well.
+        return float(np.mean((1.0 + x[0] * np.cos(true) - x[1] * np.sin(true)) ** -2)), 1.0
 
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
         return {"amplitude": float(np.hypot(x[0], x[1])), "phase": float(np.arctan2(x[1], x[0]))}
+
+
+def _true(reading: Float64, x: Sequence[float]) -> Float64:
+    """Position behind a reading."""
+    true = reading
+    for _ in range(6):
+        true = reading - x[0] * np.sin(true) - x[1] * np.cos(true)
+    return true

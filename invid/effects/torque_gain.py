@@ -34,5 +34,8 @@ class TorqueGain(Effect):
         out[:, place.axis, 0] = -view.acting[:, place.axis]
         return out
 
+    def noise_power(self, view: View, place: Place, x: Sequence[float]) -> tuple[float, float]:
+        return 1.0, (1.0 + x[0]) ** 2
+
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
         return {"gain": 1.0 + float(x[0])}
