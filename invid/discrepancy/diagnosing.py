@@ -17,7 +17,7 @@ from invid.discrepancy.extended import extended_model
 from invid.discrepancy.given import carried, folded, given_effects
 from invid.discrepancy.joint import JointFit, fit, held_out
 from invid.discrepancy.missing_torque import NullTest, changing, null_test, rms_torque, with_scatter
-from invid.discrepancy.plant import Candidate, Layout
+from invid.discrepancy.plant import Candidate, Evaluation, Layout
 from invid.discrepancy.records import by_period, split, with_holds, with_sticking
 from invid.discrepancy.replayed import REFUSED, Replay, replay, with_replay
 from invid.discrepancy.select import Selection, select
@@ -82,10 +82,13 @@ def diagnose(
     base, free, train, held = linear_fit(model, sound, spectra, train, held)
     bare = without_effects(base, train)
     selection = select(base, train, held, linear_axes=recording.linear, free=free)
+    # Holds whose timing was in doubt have the one that fits.
+    train, held = records_of(selection.final.fit.evaluation), records_of(selection.final.held)
+    bare = selection.base.fit if bare is base else bare
     result = _document(sound, model, selection, bare, train, held, warnings)
     if result.findings:
         linear = extended_model(model, bare, ())
-        before = held_out(bare, held).cost
+        before = selection.base.held.cost if bare is selection.base.fit else held_out(bare, held).cost
         answer = replay(sound, spectra, linear, result.model, selection.final.fit, held, before)
         if isinstance(answer, Replay) and answer.refused:
             result = _document(sound, model, selection, bare, train, held, [*warnings, REFUSED], refused=True)
@@ -95,6 +98,11 @@ def diagnose(
         result = with_replay(result, answer, sound)
         result = replace(result, details={**result.details, "linear_model": model_to_json(linear)})
     return with_dropped(result, recording, dropped, before_repair(recording, bare, result) if dropped else {})
+
+
+def records_of(evaluation: Evaluation) -> list[Record]:
+    """The records of an evaluation."""
+    return [view.record for view in evaluation.views]
 
 
 def without_effects(base: JointFit, train: Sequence[Record]) -> JointFit:

@@ -15,7 +15,7 @@ from invid.discrepancy.plant import Layout, Term
 from invid.discrepancy.rounding import rounded
 from invid.discrepancy.screen import Score, Screen, terms_for
 from invid.discrepancy.trial import HELD_OUT, Step, Trial, at_bound, attempted, refit
-from invid.discrepancy.variants import delays, ladder, lags, retimed, timings
+from invid.discrepancy.variants import delays, ladder, lags, retimed, retold, timings
 from invid.distributions import chi2_isf
 from invid.effects.base import Record, rms
 
@@ -133,6 +133,9 @@ def _search(
     return Selection(start, current, tuple(steps), rejected)
 
 
+_First = tuple[Trial, Step | None, tuple[Score, ...], Sequence[Record], Sequence[Record]]
+
+
 def _first(
     start: Trial,
     train: Sequence[Record],
@@ -140,17 +143,36 @@ def _first(
     linear_axes: bool,
     free: Float64 | None,
     contested: frozenset[int],
-) -> tuple[Trial, Step | None, tuple[Score, ...], Sequence[Record], Sequence[Record]]:
-    """The linear fit, the first cause and the records they are of: at the time of the holds that fits better."""
-    ways = []
-    for here, training, kept in timings(start, train, held):
-        rejects = _rejects(here, [*training, *kept])
-        step, rejected = _step(
-            here, training, kept, linear_axes, free, here, contested, first=True, rejects=rejects
-        )
-        reached = here if step is None else step.chosen
-        ways.append((reached.score(1.0, here.dof), (here, step, rejected, training, kept)))
-    return min(ways, key=lambda way: way[0])[1]
+) -> _First:
+    """The linear fit, the first cause and the records they are of: at the time of the holds that fits."""
+    ways = [_first_at(*way, linear_axes, free, contested) for way in timings(start, train, held)]
+    best = min(ways, key=_reached)
+    if best[1] is not None:
+        _, train, held = retimed(best[1].chosen, best[3], best[4])
+        if train is not best[3]:
+            there = retold(best[0], train, held)
+            again = None if there is None else _first_at(there, train, held, linear_axes, free, contested)
+            best = best if again is None else min(best, again, key=_reached)
+    return best
+
+
+def _first_at(
+    here: Trial,
+    train: Sequence[Record],
+    held: Sequence[Record],
+    linear_axes: bool,
+    free: Float64 | None,
+    contested: frozenset[int],
+) -> _First:
+    rejects = _rejects(here, [*train, *held])
+    step, rejected = _step(here, train, held, linear_axes, free, here, contested, first=True, rejects=rejects)
+    return here, step, rejected, train, held
+
+
+def _reached(way: _First) -> float:
+    """Penalised χ² that a first cause, or the linear fit where there is none, comes to."""
+    reached = way[0] if way[1] is None else way[1].chosen
+    return reached.score(1.0, way[0].dof)
 
 
 def _screened(screen: Screen, terms: Sequence[Term]) -> list[Score]:

@@ -39,3 +39,28 @@ def test_a_chain_shaken_without_periods_and_without_declared_masses_is_no_rigid_
 ) -> None:
     recording, _ = make_foreign(seed, cause="null", excitation=excitation)
     assert not is_trajectory(replace(recording, masses_per_axis=None))
+
+
+def test_a_wrong_torque_scale_beside_holds_whose_timing_nobody_logged_is_named_with_its_equals() -> None:
+    recording, truth = make_foreign(540015, cause="torque_gain", excitation="full")
+    diagnosis = diagnose(recording)
+    assert score(truth, diagnosis).outcome == "right", diagnosis.sentences
+    # An encoder of the wrong scale is the same data on so small a motion: neither fits better.
+    others = {(a.cause, a.axis) for a in diagnosis.findings[0].alternatives}
+    assert ("encoder_eccentricity", "A1") in others
+    assert ("encoder_eccentricity", "A2") in others
+    step = [
+        c for c in diagnosis.details["candidates"][0] if c["cause"] in ("torque_gain", "encoder_eccentricity")
+    ]
+    left = [c["chi2"] for c in step]
+    assert max(left) - min(left) < 6.6  # one parameter more gains that once in a hundred
+
+
+def test_a_hold_that_acts_at_no_time_of_its_own_hides_no_torque_scale() -> None:
+    recording, truth = make_foreign(
+        440024
+    )  # no demand logged, no torque noise: half a sample is all there is
+    result = score(truth, diagnose(recording, masses=[2, 2]))
+    assert result.outcome == "right", result.named
+    assert result.size_error is not None
+    assert abs(result.size_error) < 0.03
