@@ -165,6 +165,8 @@ def run_measurement(
     outcome = Outcome.FAILED
     try:
         _require_file(out)
+        if stop is not None:
+            cell.cancelled = stop.is_set
         cell.check()
         header = _header(config, cell)
         if open_sink is not None:

@@ -46,8 +46,9 @@ PRIORITY = 50
 SWITCH_S = 0.0001
 """After this long the thread that sends must give the interpreter's lock back to the cycle."""
 _PR_SET_PDEATHSIG = 1
-STOP_S = 10.0
-"""Longest way of the cycle process to its end when its parent leaves: fade, quick stop, restoring objects."""
+STOP_S = 30.0
+"""Longest way of the cycle process to its end when its parent leaves: fade, quick stop, two seconds for each
+drive that does not answer, restoring objects. Then it is killed, and heartbeat loss stops the drives."""
 RELAY_POLL_S = 0.05
 POST_S = 0.05
 """Rows leave the cycle process this often: what a sudden death of it may cost."""
@@ -165,10 +166,12 @@ def child_main(fd: int) -> None:
     answers: dict[int, bool | None] = {}
 
     def listen() -> None:
-        with contextlib.suppress(EOFError, OSError):
-            while isinstance(message := connection.recv(), tuple):
-                answers[message[0]] = message[1]
-        stop.set()
+        try:
+            with contextlib.suppress(EOFError, OSError):
+                while isinstance(message := connection.recv(), tuple):
+                    answers[message[0]] = message[1]
+        finally:
+            stop.set()  # whatever ended this thread: nobody could stop the axes any more
 
     def ask(number: int) -> bool | None:
         if number not in answers:

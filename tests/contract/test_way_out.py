@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from test_adapter_promises import config, held, simulated, zero
 
-from invid.errors import DriveError
+from invid.errors import DriveError, SafetyStop
 from invid.sweep import Mode
 from invid_drivers.cia402.bus import Cia402Cell
 from invid_drivers.cia402.journal import Entry
@@ -138,6 +138,31 @@ def test_a_silent_drive_that_hears_is_told_to_switch_off() -> None:
     assert cell.not_off == ("A1",)
     assert {d.state.name for d in drives} <= OFF
     cell.close()
+
+
+def test_a_stop_while_the_brakes_open_does_not_wait_for_them() -> None:
+    cell = simulated()
+    drives = drives_of(cell)
+    clock = cell._link.clock
+    shown: list[str] = []
+
+    def cancelled() -> bool:
+        shown.extend(d.state.name for d in drives)
+        return "SWITCHED_ON" in shown
+
+    cell.cancelled = cancelled
+    try:
+        cell.check()
+        began = clock.now()
+        with pytest.raises(SafetyStop, match="nothing was recorded"):
+            cell.energise(held(cell))
+        assert "OPERATION_ENABLED" not in shown
+        cell.stop()
+        assert clock.now() - began < 1.0
+        assert {d.state.name for d in drives} <= OFF
+        assert cell.not_off == ()
+    finally:
+        assert cell.close() == []
 
 
 def test_a_second_ctrl_c_in_the_quick_stop_does_not_leave_a_drive_on() -> None:

@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 import can
 
 from invid.config import CellConfig
-from invid.errors import BusError, DriveError, InvidError
+from invid.errors import BusError, DriveError, InvidError, SafetyStop
 from invid.sweep.ports import Clock, Event, Mode, Sample, Severity
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402 import states
@@ -107,6 +107,8 @@ class Cia402Cell:
         """Gravity-loaded axes that their drives hold in quick stop active."""
         self.not_off: tuple[str, ...] = ()
         """Axes that were not seen to switch off."""
+        self.cancelled: Callable[[], bool] = lambda: False
+        """Asked while the drives are being enabled: brakes take their time, a stop must not."""
         self.skipped_slots = 0
         self.jitter = Jitter()
 
@@ -205,6 +207,10 @@ class Cia402Cell:
             for i, state in enumerate(found):
                 if sample.fresh[i]:
                     self._control[i] = states.towards_enabled(state)
+            if self.cancelled():
+                raise SafetyStop(
+                    "stopped on request while the drives were being enabled; nothing was recorded yet"
+                )
             if self.clock.now() >= end:
                 i = next(
                     (

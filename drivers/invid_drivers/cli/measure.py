@@ -208,7 +208,7 @@ def run_design(cell: CellConfig, design: GoalPlan, out: Path, *, as_json: bool) 
         try:
             result, found = measure_to_goal(cell, design, out, progress=ProgressLine(), stop=stop, tell=tell)
         except KeyboardInterrupt:
-            raise SafetyStop("stopped at once on request; the drives are off") from None
+            raise SafetyStop("stopped at once on request; the drives were told to switch off") from None
     there = found.meets(design.goal)
     sentence = (
         f"goal of {design.goal:.2g} reached after {found.blocks} of {len(design.plan.experiments)} blocks: "
@@ -251,7 +251,7 @@ def run_screening(
                 tell=lambda text: note(f"invid measure: {text}"),
             )
         except KeyboardInterrupt:
-            raise SafetyStop("stopped at once on request; the drives are off") from None
+            raise SafetyStop("stopped at once on request; the drives were told to switch off") from None
     lines = [result_text(found.result), f"  {found.screening.sentence}"]
     document = {**found.result.to_json(), "screening": found.to_json()}
     code = EXIT_OK
@@ -396,6 +396,6 @@ def register(app: typer.Typer) -> None:
                     model=chains,
                 )
             except KeyboardInterrupt:
-                raise SafetyStop("stopped at once on request; the drives are off") from None
+                raise SafetyStop("stopped at once on request; the drives were told to switch off") from None
         emit(result.to_json(), result_text(result), as_json=as_json)
         return EXIT_OK
