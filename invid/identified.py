@@ -145,6 +145,13 @@ def refined_model(
             f"drive or is held over the sample: its motor mass is known to ±{own:.2g} only; record "
             "torque_demand, or an experiment in which the axis is held and not excited"
         )
+    for axis, lag in fit.facts["torque_lag_s"].items():
+        if abs(lag["value"]) > 3.0 * lag["std"]:
+            channel = "torque" if lag["value"] > 0 else "position"
+            warnings.append(
+                f"{axis}: the recorded {channel} is low-passed ({1e3 * abs(lag['value']):.3g} ± "
+                f"{1e3 * lag['std']:.1g} ms, a lag, no mere delay); the parameters are corrected for it"
+            )
     routes = compared(paper, names, values, covariance, warnings)
     finite = np.isfinite(covariance).all()
     facts = {

@@ -257,8 +257,10 @@ def _check(recording: Recording, spectra: Sequence[LineSpectra]) -> None:
             f"found {len(recording.experiments)} experiments"
         )
     motors = recording.axis_count
+    # Where no axis is named, one that only its hold moves may still be told by the others' excitation.
+    unnamed = {e.key for e in recording.experiments if not 0 <= e.excited_axis < motors}
     for i, axis in enumerate(recording.axes):
-        driving = [s for s in spectra if s.driven[i]]
+        driving = [s for s in spectra if s.driven[i] or s.key in unnamed]
         if not driving:
             raise InputError(
                 f"{recording.source}: axis {axis} is never excited (no experiment names it as excited_axis "

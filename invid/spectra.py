@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from invid.arrays import Bool, Complex128, Float64, frozen, frozen_float
+from invid.driven import driven_axes
 from invid.noise import flat_covariance, pooled_covariance, quantum, quiet_power
 from invid.periods import find_period, fold, repeats, settle, without_drift
 from invid.quantisation import rounding_power
@@ -407,14 +408,6 @@ def _staircase(experiment: Experiment, data: Uniform) -> Float64:
     return result
 
 
-def _driven(experiment: Experiment, torque: Complex128, excited: Bool) -> Bool:
-    motors = torque.shape[1]
-    if 0 <= experiment.excited_axis < motors:
-        driven: Bool = np.arange(motors) == experiment.excited_axis
-        return driven
-    return np.ones(motors, dtype=bool)
-
-
 def _assemble(
     experiment: Experiment,
     data: Uniform,
@@ -434,6 +427,10 @@ def _assemble(
     warnings: list[str],
 ) -> LineSpectra:
     motors = data.position.shape[1]
+
+    driven = driven_axes(
+        experiment.excited_axis, mean[:, :motors], mean[:, motors:], 2 * np.pi * hz, excited, floor
+    )
 
     def fixed(values: Complex128) -> Complex128:
         return frozen(values, np.complex128)  # type: ignore[return-value]
@@ -455,7 +452,7 @@ def _assemble(
         torque_wave=frozen_float(wave[:, motors:]),
         warnings=tuple(warnings),
         span_s=span,
-        driven=frozen(_driven(experiment, mean[:, motors:], excited), np.bool_),  # type: ignore[arg-type]
+        driven=frozen(driven, np.bool_),  # type: ignore[arg-type]
         staircase=frozen_float(_staircase(experiment, data)),
         deviations=fixed(deviations),
         floor=frozen_float(floor),

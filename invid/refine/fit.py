@@ -15,7 +15,7 @@ from invid.errors import NotIdentifiableError
 from invid.refine.blocks import carried, problem_from_spectra, with_columns
 from invid.refine.covariance import physical_covariance, spread_of
 from invid.refine.holds import placed_holds, with_open_holds
-from invid.refine.lags import COULOMB, with_coulomb, with_reversal_lags
+from invid.refine.lags import COULOMB, TORQUE_LAG, with_coulomb, with_reversal_lags, with_torque_lags
 from invid.refine.problem import MissingTorqueProblem
 from invid.refine.solver import Solution, gauss_newton
 from invid.refine.structure import ChainStructure
@@ -88,6 +88,7 @@ def fit_structure(
         problem, solution = _boundary(problem, solution, spectra)
         problem, solution, holds = placed_holds(problem, solution, spectra)
         problem, solution = _inner_friction(problem, solution)
+        problem, solution = with_torque_lags(problem, solution)
     base = [b.covariance for b in problem.blocks]
     noise_chi2, noise_cost = solution.reduced, solution.chi2
     excess: list[Float64] = []
@@ -278,6 +279,20 @@ def _explained(problem: MissingTorqueProblem, solution: Solution) -> float:
     return max(0.0, 1.0 - left / max(total, 1e-300))
 
 
+def _time_constants(delays: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float]]:
+    """Time constants [s] of torque channels by axis from their squares; negative where the position lags."""
+    out = {}
+    for name, square in delays.items():
+        if name.endswith(TORQUE_LAG):
+            tau = float(np.sqrt(abs(square["value"])))
+            std = square["std"] / (2.0 * tau) if tau > 0 else np.inf
+            out[name.removesuffix(TORQUE_LAG)] = {
+                "value": float(np.copysign(tau, square["value"])),
+                "std": std,
+            }
+    return out
+
+
 def _facts(problem: MissingTorqueProblem, solution: Solution, excess: list[Float64]) -> dict[str, Any]:
     spread = spread_of(solution)
     s = problem.slices
@@ -297,7 +312,8 @@ def _facts(problem: MissingTorqueProblem, solution: Solution, excess: list[Float
         "iterations": solution.iterations,
         "chi2": solution.chi2,
         "dof": solution.dof,
-        "time_offset_s": listed(s["delay"]),
+        "time_offset_s": {k: v for k, v in listed(s["delay"]).items() if not k.endswith(TORQUE_LAG)},
+        "torque_lag_s": _time_constants(listed(s["delay"])),
         "held_over_sample": listed(s["staircase"]),
         "friction": {**friction, **listed(viscous)},
         "boundary_terms": [b.key for b in problem.blocks if b.transient],

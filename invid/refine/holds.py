@@ -18,6 +18,7 @@ from invid.refine.blocks import (
 )
 from invid.refine.covariance import spread_of
 from invid.refine.problem import MissingTorqueProblem
+from invid.refine.smooth_command import seen_hold
 from invid.refine.solver import Solution, gauss_newton
 from invid.spectra import LineSpectra
 
@@ -118,30 +119,41 @@ def with_open_holds(
     somewhere between nothing (held over the sample) and the whole gain (inside the drive), so that every
     parameter's standard deviation contains what they may cost.
 
-    P is that of the recording; where it is not said (a hold inside the drive), friction bounds it. D is
-    never said: holds are damped near critically, D ≈ 2·√(P·S) with S the branch sum.
+    Both gains are read off the command where that is smooth over frequency (``smooth_command``), also
+    where the recording says that the axis is free. Otherwise P is that of the recording, or bounded by
+    friction where it is not said (a hold inside the drive); D is never said: holds are damped near
+    critically, D ≈ 2·√(P·S) with S the branch sum.
     """
     structure = problem.structure
     values, spread = structure.physical(solution.p[: structure.count]), spread_of(solution)
     first = structure.slices["viscous"].start
     at = {name: k for k, name in enumerate(problem.names)}
     gains: dict[int, tuple[float, float]] = {}
+    shares: dict[int, float] = {}
     for i, (dof, size) in enumerate(zip(structure.motor_dofs, structure.sizes, strict=True)):
         known = any(s.staircase[i] == 1.0 or s.hold_torque is not None for s in spectra)
         if known or not structure.viscous or structure.axes[i] in placed:
             continue
-        step = 1.0 / min(s.sample_rate_hz for s in spectra)
+        half = 0.5 / min(s.sample_rate_hz for s in spectra)
         friction = float(values[first + i])
         error = float(spread[first + i]) if np.isfinite(spread[first + i]) else 0.0
         said = np.array([s.hold_gain[i] for s in spectra if s.hold_gain.size > i and s.driven[i]])
-        if said.size == 0 or not np.any(np.isnan(said) | (said > 0)):
+        law = seen_hold(spectra, i)
+        if law is None:
+            if not np.any(np.isnan(said) | (said > 0)):
+                continue
+            # One standard deviation of friction above none: a small P still comes with a D that counts.
+            gain = float(np.nanmax(said)) if np.any(said > 0) else (max(friction, 0.0) + error) / half
+            if gain <= 0:
+                continue
+            law = gain, 2.0 * float(np.sqrt(gain * values[dof : dof + size].sum()))
+        # Where it acts, the hold's P makes friction of at most what there is: it bounds the share of the
+        # half sample. Below a half of it, friction that does not stand out of its error speaks for none.
+        share = min(1.0, (friction + 3.0 * error) / (law[0] * half))
+        if share < 0.5 and friction < 3.0 * error:
             continue
-        # One standard deviation of friction above none: a small P still comes with a D that counts.
-        bound = 2.0 * (max(friction, 0.0) + error) / step
-        gain = float(np.nanmax(said)) if np.any(said > 0) else bound
-        if gain <= 0 or friction + 3.0 * error < 0.25 * gain * step:
-            continue
-        gains[i] = (gain, 2.0 * float(np.sqrt(gain * values[dof : dof + size].sum())))
+        gains[i] = law
+        shares[i] = share
     if not gains:
         return problem, solution, ()
     names: list[str] = []
@@ -153,13 +165,14 @@ def with_open_holds(
     columns = []
     for block, s in zip(problem.blocks, spectra, strict=True):
         part = np.zeros((block.omega.size, structure.motors, len(names)), dtype=complex)
-        jw, half = 1j * block.omega, block.omega * block.step / 2
-        held = np.sinc(half / np.pi) * np.exp(-1j * half)  # what holding over the sample does
+        jw, half = 1j * block.omega, block.step / 2
+        smear = 1.0 - np.sinc(block.omega * half / np.pi)  # what holding over the sample takes away
         for number, i in enumerate(gains):
             if not s.driven[i]:
                 continue
-            late = solution.p[at[f"{structure.axes[i]}.time_offset"]] - block.step / 2
-            acting = np.exp(-jw * late) * (1.0 - held) * block.position[:, i]
+            late = solution.p[at[f"{structure.axes[i]}.time_offset"]]
+            command = np.exp(-jw * late) * (1.0 - shares[i] * smear)
+            acting = (np.exp(-jw * (late - shares[i] * half)) - command) * block.position[:, i]
             part[:, i, 2 * number] = acting
             part[:, i, 2 * number + 1] = jw * acting
         columns.append(np.concatenate((block.columns, part), axis=2))

@@ -57,6 +57,9 @@ class Block:
         Sample interval [s].
     columns
         (F, M, L) columns shared by all records (torque side, one coefficient each).
+    lag_index
+        (M,) which parameter among the delays is the lag of each axis' torque channel, as the square of its
+        time constant [s²] (``low_passed``); empty where no channel has one.
     """
 
     key: str
@@ -74,6 +77,7 @@ class Block:
     staircase: Float64
     step: float
     columns: Complex128
+    lag_index: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,8 +124,8 @@ class Extra(Protocol):
 class MissingTorqueProblem:
     """Residual and Jacobian of all records.
 
-    The parameter vector is: the structure's, delays [s], staircase parameters [−], column
-    coefficients, extra parameters.
+    The parameter vector is: the structure's, delays [s] (lags of torque channels [s²] among them),
+    staircase parameters [−], column coefficients, extra parameters.
     """
 
     structure: ChainStructure
@@ -236,7 +240,8 @@ class MissingTorqueProblem:
             self._boundary_derivative(jacobian, block, sp, motion, ends)
         hold_torque = (block.hold * position)[..., None]
         jacobian[..., s["delay"]] = -delay_jac[0] * torque[..., None] - delay_jac[1] * hold_torque
-        jacobian[..., s["staircase"]] = -stair_jac * torque[..., None]
+        command = torque + block.hold * position
+        jacobian[..., s["staircase"]] = -stair_jac * command[..., None]
         jacobian[..., columns] = block.columns
         jacobian[..., s["extra"]] = extra_jac
         return State(block, motion, stiffness, inner, residual, jacobian, boundary, covariance, position, q)
@@ -270,7 +275,7 @@ class MissingTorqueProblem:
         """A (F, M), its hold part, and derivatives by delays and staircase parameters.
 
         Where the hold H works beside a command, the acting torque is z₁T + (z₁ − z₂)·H·Θ: the
-        command E = T + HΘ acts with z₁, the hold's −HΘ with z₂.
+        command E = T + HΘ acts with z₁ (holding over the sample within it), the hold's −HΘ with z₂.
         """
         s = self.slices
         delays, stairs = p[s["delay"]], p[s["staircase"]]
@@ -297,13 +302,22 @@ class MissingTorqueProblem:
                 by_delay[:, i, first] = -jw * factor[:, i]
             if beside:
                 z2 = np.exp(-jw * late)
-                hold_part[:, i] = (z - z2) * block.hold[:, i]
+                z1 = factor[:, i].copy()
+                hold_part[:, i] = (z1 - z2) * block.hold[:, i]
                 if first >= 0:
-                    by_hold[:, i, first] = -jw * (z - z2)
+                    by_hold[:, i, first] = -jw * (z1 - z2)
                 if further >= 0:
                     by_hold[:, i, further] = jw * z2
             elif further >= 0:
                 by_delay[:, i, further] = -jw * factor[:, i]
+            if block.lag_index:
+                lag = block.lag_index[i]
+                passed, slope = low_passed(block.omega, float(delays[lag]))
+                for values in (factor, hold_part, by_delay, by_hold, by_stair):
+                    values[:, i] *= passed if values.ndim == 2 else passed[:, None]
+                by_delay[:, i, lag] = slope * factor[:, i]
+                if beside:
+                    by_hold[:, i, lag] = slope * passed * (z1 - z2)
         return factor, hold_part, (by_delay, by_hold), by_stair
 
     def evaluate(self, p: Float64) -> tuple[Float64, Float64]:
@@ -349,6 +363,19 @@ class MissingTorqueProblem:
         """The same problem with other noise covariances."""
         blocks = tuple(replace(b, covariance=c) for b, c in zip(self.blocks, covariances, strict=True))
         return replace(self, blocks=blocks)
+
+
+def low_passed(omega: Float64, square: float) -> tuple[Complex128, Complex128]:
+    """(F,) acting torque over one recorded through a first-order lag of τ² = ``square``, its delay taken
+    out, and (F,) the derivative of its logarithm by ``square``.
+
+    The delay of the lag is in the time offset already; without it the factor is (1 + jωτ)e^{−jωτ}, smooth in
+    τ² through zero. Negative: the inverse, the position channel lags.
+    """
+    tau = np.sqrt(abs(square))
+    once = 1.0 + 1j * omega * tau
+    factor = once * np.exp(-1j * omega * tau)
+    return _complex(factor if square >= 0 else 1.0 / factor), _complex(omega**2 / (2.0 * once))
 
 
 def condense_dense(

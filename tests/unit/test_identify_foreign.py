@@ -1,0 +1,142 @@
+"""Records as others write them: what they do not say, or say wrongly, must not give a small wrong error."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from linear_cell import LinearCell, deviations, record
+
+from invid.identify import identify
+from invid.refine.blocks import carried, problem_from_spectra
+from invid.refine.lags import with_torque_lags
+from invid.refine.smooth_command import seen_hold
+from invid.refine.solver import gauss_newton
+from invid.refine.structure import ChainStructure
+from invid.spectra import all_spectra
+
+ONE = LinearCell([[1.0, 2.0]], [[1500.0]], [[0.8]])
+TWO = LinearCell([[1.0, 2.0], [1.5, 2.5]], [[1500.0], [2500.0]], [[0.8], [1.0]], {(0, 1): 0.4})
+SUMS = np.array([3.0, 4.0])
+
+
+def hold(hz: float, ratio: float, sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Gains P and D of a position hold of so many hertz."""
+    w = 2 * np.pi * hz
+    return sums * w**2, 2 * ratio * sums * w
+
+
+def worst(found: dict[str, float]) -> float:
+    return max(abs(z) for z in found.values())
+
+
+def test_a_low_passed_torque_channel_is_recognised_and_costs_no_parameter() -> None:
+    recording = record(
+        TWO, seed=5, rate=1000.0, gain=20 * SUMS, damping=5 * SUMS, said=20 * SUMS, in_drive=False,
+        time_constant=0.002, period=8000,
+    )  # fmt: skip
+    model = identify(recording)
+    assert model.fit["trustworthy"]
+    # 4.5 standard deviations: one false alarm in fifteen thousand runs of nine parameters
+    assert worst(deviations(model, TWO)) < 4.5
+    assert model.fit["torque_lag_s"]["A1"]["value"] == pytest.approx(0.002, rel=0.05)
+    assert any("A1: the recorded torque is low-passed" in w for w in model.warnings)
+
+
+def test_a_torque_channel_without_a_lag_is_given_none() -> None:
+    recording = record(
+        TWO, seed=6, rate=1000.0, gain=20 * SUMS, damping=5 * SUMS, said=20 * SUMS, in_drive=False
+    )
+    model = identify(recording)
+    assert model.fit["torque_lag_s"] == {}
+    assert worst(deviations(model, TWO)) < 4.5
+
+
+def test_a_stiff_hold_that_the_file_denies_widens_the_motor_mass() -> None:
+    gain, damping = hold(5.0, 0.7, SUMS[:1])
+    model = identify(record(ONE, seed=7, rate=500.0, gain=gain, damping=damping, said=np.zeros(1)))
+    # The sampled hold's damping is 13 % of the motor's mass.
+    assert worst(deviations(model, ONE)) < 4.5
+    assert any("a hold works" in w for w in model.warnings)
+
+
+def test_the_gains_of_a_hold_are_read_off_a_smooth_command() -> None:
+    gain, damping = hold(2.0, 0.7, SUMS)
+    spectra = all_spectra(record(TWO, seed=8, rate=1000.0, gain=gain, damping=damping, said=np.zeros(2)))
+    for i in range(2):
+        found = seen_hold(spectra, i)
+        assert found is not None
+        assert found[0] == pytest.approx(gain[i], rel=0.05)
+        assert found[1] == pytest.approx(damping[i], rel=0.05)
+
+
+def test_no_hold_is_seen_on_a_free_axis() -> None:
+    spectra = all_spectra(
+        record(TWO, seed=9, rate=1000.0, gain=np.zeros(2), damping=np.zeros(2), said=np.zeros(2))
+    )
+    assert [seen_hold(spectra, i) for i in range(2)] == [None, None]
+
+
+def test_a_hold_damped_far_more_than_usual_is_known_from_the_command() -> None:
+    gain, damping = np.array([3.0]), np.array([30.0])
+    model = identify(record(ONE, seed=10, rate=1000.0, gain=gain, damping=damping, said=gain))
+    # Half a sample of its damping is 1.5 % of the motor's mass; 2·√(P·S) would say 0.3 %.
+    assert worst(deviations(model, ONE)) < 4.5
+
+
+@pytest.mark.parametrize("rate", [500.0, 1000.0])
+def test_axes_shaken_one_at_a_time_without_being_named_are_told_from_those_held(rate: float) -> None:
+    gain, damping = hold(2.0, 0.7, SUMS)
+    recording = record(
+        TWO, seed=11, rate=rate, gain=gain, damping=damping, said=np.full(2, np.nan), together=False
+    )
+    assert [s.driven.tolist() for s in all_spectra(recording)] == [[True, False], [False, True]]
+    model = identify(recording)
+    assert worst(deviations(model, TWO)) < 4.5
+
+
+def test_the_gradient_of_the_cost_is_exact_with_a_lag_and_a_hold_inside_the_drive() -> None:
+    gain, damping = hold(2.0, 0.7, SUMS)
+    recording = record(
+        TWO, seed=12, rate=500.0, gain=gain, damping=damping, said=np.full(2, np.nan), together=False
+    )
+    spectra = all_spectra(recording)
+    structure = ChainStructure((2, 2), ("A1", "A2"))
+    laws = {i: (float(gain[i]), float(damping[i])) for i in range(2)}
+    problem = problem_from_spectra(structure, spectra, holds=laws)
+    first = len(problem.delay_names)
+    problem = replace(
+        problem,
+        blocks=tuple(replace(b, lag_index=(first, first + 1)) for b in problem.blocks),
+        delay_names=(*problem.delay_names, "A1.torque_lag", "A2.torque_lag"),
+    )
+    log = np.log([1.0, 2.0, 1.5, 2.5, 1500.0, 2500.0])
+    p = problem.start(np.concatenate((log, [0.8, 1.0, 0.4, 0.01, 0.02])))
+    s = problem.slices
+    p[s["delay"]] = [0.001, 0.0011, -0.0009, -0.0012, 1e-6, -2e-6]
+    p[s["staircase"]] = [0.9, 0.8]
+    residual, jacobian = problem.evaluate(p)
+    gradient = 2.0 * jacobian.T @ residual
+    for k in (*range(s["delay"].start, s["delay"].stop), s["staircase"].start):
+        step = np.zeros(p.size)
+        step[k] = 1e-9 if k >= s["delay"].stop - 2 else 1e-6
+        up, down = (float(r @ r) for r in (problem.evaluate(p + h)[0] for h in (step, -step)))
+        assert gradient[k] == pytest.approx((up - down) / (2 * step[k]), rel=2e-3)
+
+
+def test_a_lag_that_the_data_do_not_ask_for_stays_out() -> None:
+    recording = record(
+        ONE, seed=13, rate=500.0, gain=20 * SUMS[:1], damping=5 * SUMS[:1], said=20 * SUMS[:1], in_drive=False
+    )
+    structure = ChainStructure((2,), ("A1",))
+    problem = problem_from_spectra(structure, all_spectra(recording))
+    start = problem.start(np.concatenate((np.log([1.0, 2.0, 1500.0]), [0.8, 0.0])))
+    solution = gauss_newton(problem, start)
+    same, again = with_torque_lags(problem, solution)
+    assert same is problem
+    assert np.array_equal(carried(problem, solution.p, same), again.p)
