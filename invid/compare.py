@@ -18,23 +18,13 @@ import numpy as np
 
 from invid.arrays import Float64
 from invid.compare_change import Change, Comparison, Repeatability, Status
-from invid.compare_joint import (
-    MINIMUM_PAIRS,
-    Selection,
-    Whitened,
-    covariance_of,
-    detectable,
-    joint_p,
-    scatter_of,
-    select,
-)
-from invid.compare_joint import (
-    repeatability as measured_repeatability,
-)
+from invid.compare_joint import Selection, Whitened, covariance_of, detectable, joint_p, select
 from invid.compare_pairs import effects as paired_effects
 from invid.compare_pairs import linear_parameters
 from invid.compare_pairs import structure as structure_of
-from invid.compare_pooled import foretold, pooled, together
+from invid.compare_pooled import pooled, together
+from invid.compare_repeat import MINIMUM_RUNS
+from invid.compare_repeat import repeatability as measured_repeatability
 from invid.compare_words import percent, sentences
 from invid.distributions import normal_isf
 from invid.errors import InputError
@@ -107,11 +97,11 @@ def compare(
         warnings.append(f"the models name different robots: {old.robot!r} and {new.robot!r}")
     scatter = Repeatability()
     if history is not None:
-        scatter = _scatter(history, old, new, averaged=bool(before or after))
-        if scatter.pairs < MINIMUM_PAIRS:
+        scatter = measured_repeatability(history, spanning=(old, new))
+        if scatter.pairs < MINIMUM_RUNS:
             warnings.append(
-                f"repeatability of this cell is not known yet ({scatter.pairs} earlier pair(s) of runs, "
-                f"{MINIMUM_PAIRS} needed): the test rests on the covariance of the two fits alone"
+                f"repeatability of this cell is not known yet ({scatter.pairs} earlier repetition(s), "
+                f"{MINIMUM_RUNS} needed): the test rests on the covariance of the two fits alone"
             )
     sides = together(old, before, scatter.factor), together(new, after, scatter.factor)
     old, new = pooled(sides[0]), pooled(sides[1])
@@ -130,9 +120,10 @@ def compare(
                 "the joint covariance of the parameters is not positive definite, so their correlation is "
                 "left out of the test"
             )
-        selection = select(white, (1 - _JOINT_SHARE) * alpha, scatter.dof)
+        runs = len(sides[0]), len(sides[1])
+        selection = select(white, (1 - _JOINT_SHARE) * alpha, scatter.dof, runs)
         p_all, dof = joint_p(white, scatter.dof), len(known)
-        seen = detectable(white, (1 - _JOINT_SHARE) * alpha, scatter.dof)
+        seen = detectable(white, (1 - _JOINT_SHARE) * alpha, scatter.dof, runs)
         verdicts = _judge(known, white, selection, tolerance, alpha)
         for k, change, size in zip(tested, verdicts, seen, strict=True):
             judged[k] = replace(change, detectable=float(size) / change.scale if change.scale > 0 else None)
@@ -152,18 +143,6 @@ def compare(
         (len(sides[0]), len(sides[1])),
     )
     return replace(comparison, sentences=sentences(comparison, joint_alpha=_JOINT_SHARE * alpha))
-
-
-def _scatter(history: Sequence[Model], old: Model, new: Model, *, averaged: bool) -> Repeatability:
-    """How much more the cell varies than its fits say, from run to run and, where a mean of runs is what
-    is compared, from such a mean to the next run: a slow drift shows only there."""
-    found = measured_repeatability(history, spanning=(old, new))
-    past = list(history)
-    if averaged and old in past:
-        drift = scatter_of(foretold(past[: past.index(old) + 1], found.factor))
-        if drift.pairs >= MINIMUM_PAIRS and drift.factor > found.factor:
-            return drift
-    return found
 
 
 def _covariance(old: Model, new: Model, changes: Sequence[Change], repeatability: float) -> Float64:

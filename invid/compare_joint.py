@@ -5,8 +5,9 @@ fits, inflated by the repeatability λ that the cell's own history shows. Parame
 correlated, so one by one they would show little, and name the neighbours of what changed. Instead the
 smallest set of changes that explains Δ is built up, one parameter at a time: each step tests every
 remaining parameter with those already found fitted (a score test of generalised least squares) and takes
-the best if it is significant after Holm's correction over all of them. With a diagonal D this *is* Holm's
-step-down procedure. A rival that explains the difference about as well is never ruled out in silence.
+the best if it is significant after Holm's correction over all of them, weighted (``shares``). With a
+diagonal D this *is* Holm's step-down procedure. A rival that explains the difference about as well is never
+ruled out in silence.
 """
 
 from __future__ import annotations
@@ -14,14 +15,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from scipy import special
 
 from invid.arrays import Float64
-from invid.compare_change import Repeatability
-from invid.distributions import chi2_isf, chi2_sf, f_sf, normal_isf
+from invid.distributions import chi2_sf, f_sf, normal_isf
 from invid.model import Model, parameter_vector
 
 RIVAL = normal_isf(0.005) ** 2
@@ -32,14 +31,11 @@ _NEGATIVE = 1e-6
 """An eigenvalue further below zero than rounding explains: the matrix is no covariance."""
 POWER = 0.9
 """Chance with which a change is found that is called detectable."""
-MINIMUM_PAIRS = 2
-_DECIDES = 1e-3
-"""Where a threshold of the test lies (two-sided, a few parameters, 1 %): a cell that repeats better than its
-fits say is believed once that, with what its few runs leave open, makes the test sharper there."""
-_LEAST_FACTOR = 0.5
-"""A guess: fits that claim more than twice the scatter are not believed to be that wrong."""
-_SPANNING_PAIRS = 3
-"""Pairs needed before one that may hold the change itself is let into the median."""
+SOUGHT = 3.0
+"""Size, in standard deviations of one run, of the change for which the thresholds are shared out."""
+_EQUAL = 0.5
+"""Part of the false alarms that every parameter gets in equal shares, whatever it is correlated with: none
+asks for more than twice the evidence (in p) of an equal share."""
 
 
 def stds_by_name(model: Model) -> dict[str, float]:
@@ -177,22 +173,48 @@ def two_sided(z: float, dof: float) -> float:
     return 2.0 * float(tail)
 
 
-def detectable(white: Whitened, alpha: float, dof: float) -> Float64:
+def shares(white: Whitened, alpha: float, runs: tuple[int, int]) -> Float64:
+    """(n,) the part of ``alpha`` that each parameter may spend on false alarms, summing to 1.
+
+    A parameter whose error goes along with others' is known much better once those are held, and is found
+    at a far stricter threshold; one that stands alone needs every bit. Half is shared equally, half so that
+    the expected number found is largest if any one parameter changed by three deviations of repetition, all
+    equally likely: with noncentrality δ, z = δ/2 + κ/δ (Spjøtvoll 1972). The shares depend on the covariance
+    alone, never on what was measured, so the family-wise rate holds for any of them.
+    """
+    count = white.data.size
+    single = math.sqrt(1 / runs[0] + 1 / runs[1])
+    reach = SOUGHT / single * np.linalg.norm(white.columns, axis=0)
+
+    def spent(level: float) -> Float64:
+        return np.asarray(2.0 * special.ndtr(-np.maximum(reach / 2 + level / reach, 0.0)), dtype=float)
+
+    # From everything spent (z = 0 everywhere) to next to nothing (z beyond 30 everywhere).
+    top = float(reach.max())
+    low, high = -(top**2) / 2, 30.0 * top
+    for _ in range(50):
+        middle = (low + high) / 2
+        low, high = (middle, high) if spent(middle).sum() > alpha else (low, middle)
+    best = spent(high)
+    total = float(best.sum())
+    equal = np.full(count, 1.0 / count)
+    result: Float64 = _EQUAL * equal + (1 - _EQUAL) * (best / total if total > 0 else equal)
+    return result
+
+
+def detectable(white: Whitened, alpha: float, dof: float, runs: tuple[int, int]) -> Float64:
     """(n,) size of a change in one parameter alone that ``select`` would find in 90 of 100 times."""
-    share = alpha / (2 * white.data.size)
-    threshold = normal_isf(share) if math.isinf(dof) else _t_isf(share, dof)
+    share = alpha * shares(white, alpha, runs) / 2
+    threshold = -(special.ndtri(share) if math.isinf(dof) else special.stdtrit(dof, share))
     result: Float64 = (threshold + normal_isf(1 - POWER)) * white.sharpest()
     return result
 
 
-def _t_isf(p: float, dof: float) -> float:
-    """t that is exceeded with probability ``p``."""
-    return -float(special.stdtrit(dof, p))
-
-
-def select(white: Whitened, alpha: float, dof: float) -> Selection:
-    """The smallest set of changes that explains Δ, family-wise at ``alpha``."""
+def select(white: Whitened, alpha: float, dof: float, runs: tuple[int, int] | None = None) -> Selection:
+    """The smallest set of changes that explains Δ, family-wise at ``alpha``; ``runs`` behind either side
+    share it out (``shares``), without them it is shared equally."""
     count = white.data.size
+    share = np.full(count, 1.0 / count) if runs is None else shares(white, alpha, runs)
     chosen: list[int] = []
     rivals: dict[int, tuple[int, ...]] = {}
     p, adjusted = [1.0] * count, [1.0] * count
@@ -202,19 +224,25 @@ def select(white: Whitened, alpha: float, dof: float) -> Selection:
         left = [k for k in range(count) if k not in chosen]
         if not left:
             break
-        best = max(left, key=lambda k: abs(z[k]))
+        whole = float(share[left].sum())
         for k in left:
             p[k] = two_sided(float(z[k]), dof)
-            adjusted[k] = max(running, min(1.0, len(left) * p[k]))
-        if adjusted[best] >= alpha:
+            adjusted[k] = max(running, min(1.0, p[k] * whole / float(share[k])))
+        found = [k for k in left if adjusted[k] < alpha]
+        if not found:
             break
+        # Whether anything changed is a matter of the shares; what it was, of the data alone.
+        best = max(found, key=lambda k: abs(z[k]))
         running = adjusted[best]
         close = [k for k in left if k != best and z[k] ** 2 > z[best] ** 2 - RIVAL]
         # A parameter that is merely off by chance beside the best is no rival: a rival takes its place.
         rivals[best] = tuple(
             k
             for k in close
-            if (len(left) - 1) * two_sided(float(white.scores([*chosen, k])[best]), dof) >= alpha
+            if two_sided(float(white.scores([*chosen, k])[best]), dof)
+            * (whole - float(share[k]))
+            / float(share[best])
+            >= alpha
         )
         chosen.append(best)
     return Selection(tuple(chosen), rivals, tuple(p), tuple(adjusted))
@@ -226,53 +254,6 @@ def joint_p(white: Whitened, dof: float) -> float:
     return (
         chi2_sf(white.chi2, count) if math.isinf(dof) else f_sf(white.chi2 / count, float(count), float(dof))
     )
-
-
-# --- repeatability -----------------------------------------------------------------------------------
-def repeatability(history: Sequence[Model], *, spanning: tuple[Model, Model] | None = None) -> Repeatability:
-    """λ from pairs of consecutive models, oldest first.
-
-    The median over pairs, so that a change of tool in a minority of them does not count as bad
-    repeatability. ``spanning``: the two models being compared; what lies between them may hold the very
-    change, so it is let in only where there are enough pairs for a median that one of them cannot move,
-    and the pair itself never is.
-    """
-    outside: list[tuple[float, int]] = []
-    between: list[tuple[float, int]] = []
-    inside = False
-    for old, new in pairwise(history):
-        if spanning is not None:
-            inside = (inside or old in spanning) and not (inside and old in spanning)
-            if old in spanning and new in spanning:
-                continue
-        found = _misfit(old, new)
-        if found is not None:
-            (between if inside else outside).append(found)
-    used = outside + between if len(outside) + len(between) >= _SPANNING_PAIRS else outside
-    return scatter_of(used, low=bool(between))
-
-
-def scatter_of(misfits: Sequence[tuple[float, int]], *, low: bool = False) -> Repeatability:
-    """λ from χ² and degrees of freedom of pairs; ``low``: the lower of two middle ones is the median."""
-    if len(misfits) < MINIMUM_PAIRS:
-        return Repeatability(pairs=len(misfits))
-    # χ² over its own median, not its mean: unbiased also for few parameters.
-    ratios = sorted(chi2 / chi2_isf(0.5, count) for chi2, count in misfits)
-    factor = math.sqrt(ratios[(len(ratios) - 1) // 2] if low else float(np.median(ratios)))
-    # Consecutive pairs share a model, and a median is two thirds as efficient as a mean: half remains.
-    dof = max(1.0, 0.5 * sum(count for _, count in misfits))
-    if factor <= 1.0:
-        # One standard deviation of its logarithm up: a factor that came out small by chance raises alarms.
-        factor *= math.exp(1.0 / math.sqrt(2.0 * dof))
-        if factor * _t_isf(_DECIDES, dof) >= normal_isf(_DECIDES):
-            return Repeatability(1.0, len(misfits))
-    return Repeatability(max(factor, _LEAST_FACTOR), len(misfits), dof)
-
-
-def _misfit(old: Model, new: Model) -> tuple[float, int] | None:
-    """χ² of two models being the same robot, and its degrees of freedom."""
-    white = difference(old, new)
-    return None if white is None else (white.chi2, white.data.size)
 
 
 def difference(old: Model, new: Model, factor: float = 1.0) -> Whitened | None:

@@ -16,15 +16,19 @@ import numpy as np
 
 from invid.arrays import Float64, frozen_float
 from invid.chains import CoupledChains
-from invid.compare_joint import difference, joint_p, select, two_sided
+from invid.compare_joint import Whitened, difference, joint_p, select, two_sided
+from invid.distributions import f_sf
 from invid.model import ChainStd, EffectTerm, Estimate, Model, parameter_vector
 
 MOST = 8
 """Runs averaged at most: with eight the deviation of a difference is within 6 % of what any number could
 give, and a slow drift of the cell has less time to come in."""
-AGREE = 0.05
-"""A run that agrees with the mean worse than this (p) is not averaged. A sound one is lost once in twenty
-times, which costs a little power; a change that is averaged into the baseline costs its meaning."""
+AGREE = 0.01
+"""A run that agrees with the mean worse than this (p) is not averaged: what the comparison itself would call
+changed at its default level is no repetition. Stricter (0.05), it left a run that is off by chance standing
+alone as a baseline one time in twenty, which raises more alarms than it prevents (simulated)."""
+SPARSE = 1e-3
+"""Chance with which a few parameters explain so much of a difference that has nothing to do with them."""
 
 
 def same_shape(one: Model, other: Model) -> bool:
@@ -161,15 +165,32 @@ def together(model: Model, earlier: Sequence[Model], factor: float) -> list[Mode
     return group
 
 
+def steady(white: Whitened) -> tuple[float, int]:
+    """χ² and degrees of freedom of a difference without the few parameters, at most a third of all, that
+    stand out of it by far: those of a tool that was changed."""
+    total, count = white.chi2, white.data.size
+    chosen: list[int] = []
+    rest, best, least = total, (total, count), SPARSE
+    for k in range(1, count // 3 + 1 if total > 0 else 1):
+        z = white.scores(chosen)
+        chosen.append(int(np.argmax(np.abs(z))))
+        rest = max(rest - float(z[chosen[-1]]) ** 2, 1e-12 * total)
+        gained = (total - rest) / k / (rest / (count - k))
+        chance = math.comb(count, k) * f_sf(gained, k, count - k)
+        if chance < least:
+            best, least = (rest, count - k), chance
+    return best
+
+
 def foretold(history: Sequence[Model], factor: float) -> list[tuple[float, int]]:
-    """χ² and degrees of freedom of each run against the mean of the runs before it, oldest first."""
+    """``steady`` of each run against the mean of the runs before it that agree with it, oldest first."""
     found: list[tuple[float, int]] = []
     group: list[Model] = []
     for model in history:
         mean = pooled(group) if group else None
         white = None if mean is None else difference(mean, model)
         if white is not None:
-            found.append((white.chi2, white.data.size))
+            found.append(steady(white))
         goes_on = mean is not None and agree(mean, model, factor)
         group = [*group, model][-MOST:] if goes_on else [model]
     return found

@@ -8,8 +8,8 @@ from scipy.stats import norm
 from test_compare_joint import NAMES, SIZE, VALUES, changed, covariance, drawn, model_of
 
 from invid.compare import compare
-from invid.compare_joint import repeatability
 from invid.compare_pooled import MOST, pooled, together
+from invid.compare_repeat import repeatability
 from invid.model import EffectTerm, Estimate, Model
 
 STD = 2e-3 * np.abs(VALUES)
