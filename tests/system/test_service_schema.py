@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from schemathesis.specs.openapi import checks as openapi_checks
 from service_process import serving
 
 pytestmark = pytest.mark.xdist_group("service")
-EXAMPLES = 8
+EXAMPLES = int(os.environ.get("INVID_SCHEMA_EXAMPLES", "8"))
 """For each call and mode, once with made-up names and once with the cell and the run that exist."""
 PATIENCE_S = 60.0
 """The first look at a simulation loads the simulated drives: seconds on a busy machine."""
