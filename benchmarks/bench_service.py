@@ -255,15 +255,17 @@ def kill(times: int, seed: int = 1) -> bool:
 # --- the change test ---------------------------------------------------------------------------------
 def measured(seed: int, folder: Path) -> Model:
     """One whole run of the small cell in this process, as the runner does it; kept in ``folder``."""
-    from invid.config import CellConfig
-    from invid.discrepancy import diagnose
-    from invid.identify import identify
-    from invid.model import dump_json, load_model, model_to_json, save_text
-    from invid.recording import read_recording
-    from invid_drivers.measurement import measure_to_file
+    from invid.model import load_model
 
     kept = folder / f"{seed}.json"
     if not kept.exists():
+        from invid.config import CellConfig
+        from invid.discrepancy import diagnose
+        from invid.identify import identify
+        from invid.model import dump_json, model_to_json, save_text
+        from invid.recording import read_recording
+        from invid_drivers.measurement import measure_to_file
+
         document = yaml.safe_load(SMALL_CELL)
         document["simulation"]["seed"] = seed
         path = folder / f"{seed}.h5"

@@ -18,7 +18,7 @@ from invid_service.context import Context
 from invid_service.jobs.protocol import Job
 from invid_service.jobs.schema import API, RETRY_AFTER_S, Identification, view
 from invid_service.problems import EVERYWHERE, Problem, problem_responses
-from invid_service.recordings.declared import check_claims
+from invid_service.recordings.claims import check_claims
 from invid_service.service import Service
 from invid_service.store.store import RunRecord
 
