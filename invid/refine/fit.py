@@ -15,7 +15,14 @@ from invid.errors import NotIdentifiableError
 from invid.refine.blocks import carried, problem_from_spectra, with_columns
 from invid.refine.covariance import physical_covariance, spread_of
 from invid.refine.holds import placed_holds, with_open_holds
-from invid.refine.lags import COULOMB, TORQUE_LAG, with_coulomb, with_reversal_lags, with_torque_lags
+from invid.refine.lags import (
+    COULOMB,
+    TORQUE_LAG,
+    with_coulomb,
+    with_reversal_lags,
+    with_sharp_reversals,
+    with_torque_lags,
+)
 from invid.refine.problem import MissingTorqueProblem
 from invid.refine.solver import Solution, gauss_newton
 from invid.refine.structure import ChainStructure
@@ -88,6 +95,7 @@ def fit_structure(
         problem, solution = _boundary(problem, solution, spectra)
         problem, solution, holds = placed_holds(problem, solution, spectra)
         problem, solution = _inner_friction(problem, solution)
+        problem, solution = with_sharp_reversals(problem, solution, spectra)
         problem, solution = with_torque_lags(problem, solution)
     base = [b.covariance for b in problem.blocks]
     noise_chi2, noise_cost = solution.reduced, solution.chi2

@@ -13,12 +13,14 @@ sys.path.insert(0, str(Path(__file__).parent))
 from linear_cell import LinearCell, deviations, record
 
 from invid.identify import identify
+from invid.recording.model import Experiment, Kind, Role
 from invid.refine.blocks import carried, problem_from_spectra
+from invid.refine.friction import coulomb_columns
 from invid.refine.lags import with_torque_lags
 from invid.refine.smooth_command import seen_hold
 from invid.refine.solver import gauss_newton
 from invid.refine.structure import ChainStructure
-from invid.spectra import all_spectra
+from invid.spectra import all_spectra, spectra_of
 
 ONE = LinearCell([[1.0, 2.0]], [[1500.0]], [[0.8]])
 TWO = LinearCell([[1.0, 2.0], [1.5, 2.5]], [[1500.0], [2500.0]], [[0.8], [1.0]], {(0, 1): 0.4})
@@ -140,3 +142,29 @@ def test_a_lag_that_the_data_do_not_ask_for_stays_out() -> None:
     same, again = with_torque_lags(problem, solution)
     assert same is problem
     assert np.array_equal(carried(problem, solution.p, same), again.p)
+
+
+def test_reversals_of_a_rubbing_motor_are_found_where_its_friction_bends_the_velocity() -> None:
+    # A mass of 1 kg·m² in steady state under two sines and friction of a tenth: Euler steps of a 50th sample.
+    rate, period, fine, friction = 500.0, 1000, 50, 0.6
+    t = np.arange(period * fine) / (rate * fine)
+    drive = 4.0 * np.sin(2 * np.pi * 1.5 * t) + 3.0 * np.sin(2 * np.pi * 2.5 * t + 1.0)
+    x, v = 0.0, -0.6
+    position, sign = np.empty(period * fine), np.empty(period * fine)
+    for _ in range(3):
+        for k, force in enumerate(drive):
+            position[k], sign[k] = x, np.sign(v)
+            v += (force - friction * np.sign(v)) / (rate * fine)
+            x += v / (rate * fine)
+    rng = np.random.default_rng(1)
+    wave = position[::fine] - np.linspace(position[0], x, period, endpoint=False)
+    experiment = Experiment(
+        "000", Kind.MULTISINE, Role.IDENTIFY, 0, np.zeros(1), period, np.array([1.5, 2.5]), rate,
+        np.arange(2 * period) / rate, np.tile(wave, 2)[:, None] + 3e-5 * rng.standard_normal((2 * period, 1)),
+        np.tile(drive[::fine], 2)[:, None] + 0.02 * rng.standard_normal((2 * period, 1)),
+    )  # fmt: skip
+    s = spectra_of(experiment, band_hz=(0.4, 12.0))
+    lines = np.rint(s.frequency_hz * 2.0).astype(int)
+    true = np.fft.rfft(sign)[lines] * 2.0 / sign.size
+    blunt, sharp = (coulomb_columns(s, ratio)[0][:, 0] - true for ratio in (None, np.array([friction])))
+    assert np.linalg.norm(sharp) < 0.7 * np.linalg.norm(blunt)
