@@ -262,9 +262,9 @@ def _judge(
     for axis, drive in zip(config.axes, simulated.drives, strict=True):
         if drive.state.name in SAFE_STATES:
             continue
-        if kind == "ignore_controlword" and axis.name in cell.not_off and axis.name in said:
-            continue  # a drive that obeys nothing: named, with the way out
         complaints.append(f"{axis.name} ended in {drive.state.name}")
+    if kind == "ignore_controlword" and status and not (cell.not_off and cell.not_off[0] in said):
+        complaints.append(f"nobody was told that a drive did not obey ({said[:80]})")
     return complaints
 
 
