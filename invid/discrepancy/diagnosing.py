@@ -83,6 +83,7 @@ def diagnose(
     bare = without_effects(base, train)
     selection = select(base, train, held, linear_axes=recording.linear, free=free)
     # Holds whose timing was in doubt have the one that fits.
+    warnings = [*warnings, *moved_holds(train, selection.final.fit.evaluation, recording)]
     train, held = records_of(selection.final.fit.evaluation), records_of(selection.final.held)
     bare = selection.base.fit if bare is base else bare
     result = _document(sound, model, selection, bare, train, held, warnings)
@@ -98,6 +99,23 @@ def diagnose(
         result = with_replay(result, answer, sound)
         result = replace(result, details={**result.details, "linear_model": model_to_json(linear)})
     return with_dropped(result, recording, dropped, before_repair(recording, bare, result) if dropped else {})
+
+
+def moved_holds(train: Sequence[Record], final: Evaluation, recording: Recording) -> list[str]:
+    """What the doubtful holds were taken to do, where that is not to act with the command."""
+    before, after = train[0], final.views[0].record
+    if before.hold is None or np.array_equal(before.hold_offset, after.hold_offset):
+        return []
+    said = []
+    for i in np.flatnonzero(before.hold_offset != after.hold_offset):
+        early, friction = -float(after.hold_offset[i]), -float(after.hold_offset[i] * before.hold[0, i].real)
+        unit = unit_of("damping", recording.linear)
+        said.append(
+            f"{recording.axes[i]}: its hold is taken to act {early:.2g} s before the command, which fits "
+            f"better than with it; viscous friction of {friction:.2g} {unit} at its motor would look alike: "
+            "record the demanded torque, or drive the axis without a hold, to tell"
+        )
+    return said
 
 
 def records_of(evaluation: Evaluation) -> list[Record]:

@@ -11,6 +11,7 @@ from invid.diagnosis import Finding, Unexplained
 from invid.discrepancy.confidence import CONTESTED
 from invid.discrepancy.missing_torque import NullTest
 from invid.discrepancy.plant import Evaluation
+from invid.discrepancy.records import HOLD_BAND
 from invid.discrepancy.trial import Trial
 from invid.effects.base import Record
 from invid.identifiability import blind_directions
@@ -169,16 +170,13 @@ def untimed_holds(
     return tuple(out), said
 
 
-HOLD_BAND = 2.0
-"""Frequency up to which a hold of unknown gain may reach, over the lowest excited line. A guess: excitation
-that lies deeper inside a hold's band only fights the hold."""
-
-
 def _stiffest_hold(gains: Sequence[float], model: Model, axis: int, train: Sequence[Record]) -> float:
     """Proportional gain of an axis' hold [torque per position]: declared, or as stiff as it may well be."""
     declared = [float(g) for g in gains if np.isfinite(g) and g > 0]
     if declared:
         return max(declared)
+    if train[0].hold_doubt.size and train[0].hold_doubt[axis] and train[0].hold is not None:
+        return float(train[0].hold[0, axis].real)
     lowest = min(float(r.omega[r.excited].min()) for r in train if r.excited.any())
     return float(model.chains.masses[axis].sum()) * (HOLD_BAND * lowest) ** 2
 

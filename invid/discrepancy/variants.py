@@ -10,6 +10,7 @@ import numpy as np
 
 from invid.arrays import Float64
 from invid.discrepancy.joint import JointFit, fit
+from invid.discrepancy.missing_torque import null_test
 from invid.discrepancy.plant import Candidate, Term
 from invid.discrepancy.trial import HELD_OUT, Step, Trial, at_bound, attempted, refit
 from invid.discrepancy.words import BY_CAUSE
@@ -23,42 +24,62 @@ Timed = tuple[Trial, Sequence[Record], Sequence[Record]]
 def retimed(trial: Trial, train: Sequence[Record], held: Sequence[Record]) -> Timed:
     """Doubtful holds at the time between half a sample before the command and with it that fits best.
 
-    Asked after a cause is in place: viscous friction and the half sample are the same data without one. A
-    drive whose own loop runs ten times a sample holds 0.45 samples early, and a tenth of that difference was
-    seen (χ²/ν of 1.7). χ² is a parabola of the time, so three fits find its foot.
+    Asked after a cause is in place: viscous friction and the half sample are the same data without one.
     """
-    if not _doubtful(train):
-        return trial, train, held
-    step = train[0].step
-    times = np.array([-0.5, -0.25, 0.0])
-    tried = [_at_time(trial, train, held, t * step) for t in times]
-    ways = [t for t in tried if t is not None]
-    if len(ways) == times.size:
-        bend, slope, _ = np.polyfit(times, [t[0].cost for t in ways], 2)
-        if bend > 0:
-            foot = float(np.clip(-0.5 * slope / bend, -0.55, 0.05))
-            last = _at_time(ways[int(np.argmin([t[0].cost for t in ways]))][0], train, held, foot * step)
-            ways += [] if last is None else [last]
-    if not ways:
-        return trial, train, held
-    best = min(ways, key=lambda t: t[0].cost)
+    best = _best_time(trial, train, held)
     # None has more parameters; what one must be better by is what noise makes of a choice of two.
-    return best if best[0].cost < trial.cost - HELD_OUT * best[0].dispersion else (trial, train, held)
+    if best is None or best[0].cost > trial.cost - HELD_OUT * best[0].dispersion:
+        return trial, train, held
+    return best
 
 
 def timings(start: Trial, train: Sequence[Record], held: Sequence[Record]) -> list[Timed]:
-    """Where the search for a first cause starts: with doubtful holds as they are taken, and at either end of
-    the times they can have.
+    """Where the search for a first cause starts: holds as they are taken, then, where in doubt, elsewhere.
 
-    Half a sample of a hold is many times the noise where a command is quiet: a cause sought with the holds at
-    the wrong time is not found, or another is.
+    At the time that fits best where nothing is missing then; else at the end of their range that they are
+    not taken at. Half a sample of a hold is many times the noise where a command is quiet: a cause sought
+    with the holds at the wrong time is not found, or another is.
     """
-    if not _doubtful(train):
-        return [(start, train, held)]
+    here = (start, train, held)
+    if not _doubtful(train) or not _misses(here):
+        return [here]
+    best = _best_time(start, train, held)
+    if best is not None and not _misses(best):
+        return [best]
     late = float(train[0].hold_offset[train[0].hold_doubt][0]) / train[0].step
     further = [t for t in (-0.5, 0.0) if abs(t - late) > 0.25]
     ways = [_at_time(start, train, held, t * train[0].step) for t in further]
-    return [(start, train, held), *(w for w in ways if w is not None)]
+    return [here, *(w for w in ways if w is not None)]
+
+
+def _misses(way: Timed) -> bool:
+    """Whether more than noise is left."""
+    trial, train, held = way
+    return null_test(trial.cost, trial.dof, [*train, *held]).rejects
+
+
+def _best_time(trial: Trial, train: Sequence[Record], held: Sequence[Record]) -> Timed | None:
+    """The same model with the doubtful holds where they fit best; none where there is no doubt.
+
+    A drive whose own loop runs ten times a sample holds 0.45 samples early, and a tenth of that difference
+    was seen (χ²/ν of 1.7). χ² is a parabola of the time, so three fits find its foot.
+    """
+    if not _doubtful(train):
+        return None
+    step = train[0].step
+    times = np.array([-0.5, -0.25, 0.0])
+    ways = [w for w in (_at_time(trial, train, held, t * step) for t in times) if w is not None]
+    if len(ways) == times.size:
+        bend, slope, _ = np.polyfit(times, [w[0].cost for w in ways], 2)
+        if bend > 0:
+            foot = float(np.clip(-0.5 * slope / bend, -0.55, 0.05))
+            last = _at_time(min(ways, key=_cost)[0], train, held, foot * step)
+            ways += [] if last is None else [last]
+    return min(ways, key=_cost) if ways else None
+
+
+def _cost(way: Timed) -> float:
+    return way[0].cost
 
 
 def retold(trial: Trial, train: Sequence[Record], held: Sequence[Record]) -> Trial | None:

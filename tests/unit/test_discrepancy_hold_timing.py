@@ -41,10 +41,19 @@ def test_friction_no_larger_than_a_holds_timing_makes_is_no_finding(tmp_path: Pa
     assert found.model.effects == ()
 
 
+def test_a_stiff_hold_inside_the_drive_is_read_off_its_smooth_command_and_is_no_friction(
+    tmp_path: Path,
+) -> None:
+    found = diagnose(read_recording(_recorded(tmp_path / "rec.h5", 800.0, np.nan)), masses=[2])
+    assert found.findings == ()
+    assert found.verdict == "consistent"
+    assert any("A1" in w and "before the command" in w for w in found.warnings)
+
+
 @pytest.mark.parametrize("told", [False, True])
 def test_viscous_friction_is_doubted_where_it_may_be_a_holds_timing(tmp_path: Path, told: bool) -> None:
     # told: the axis is said to be free, so that all of its torque was held over the sample
-    path = _recorded(tmp_path / "rec.h5", 800.0, 0.0 if told else np.nan)
+    path = _recorded(tmp_path / "rec.h5", 800.0, 0.0 if told else 60.0)
     found = diagnose(read_recording(path), masses=[2])
     (finding,) = (f for f in found.findings if f.effect.cause == "viscous_friction")
     doubted = [w for w in found.warnings if "a hold works while the axis is driven" in w]
