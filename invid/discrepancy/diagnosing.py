@@ -17,6 +17,7 @@ from invid.discrepancy.extended import extended_model
 from invid.discrepancy.given import carried, folded, given_effects
 from invid.discrepancy.joint import JointFit, fit, held_out
 from invid.discrepancy.missing_torque import NullTest, changing, null_test, rms_torque, with_scatter
+from invid.discrepancy.moves import moves_of
 from invid.discrepancy.plant import Candidate, Evaluation, Layout
 from invid.discrepancy.records import by_period, split, with_holds, with_sticking
 from invid.discrepancy.replayed import REFUSED, Replay, replay, with_replay
@@ -81,7 +82,7 @@ def diagnose(
     warnings = [*(w for s in spectra for w in s.warnings), *warnings]
     base, free, train, held = linear_fit(model, sound, spectra, train, held)
     bare = without_effects(base, train)
-    selection = select(base, train, held, linear_axes=recording.linear, free=free)
+    selection = select(base, train, held, linear_axes=recording.linear, free=free, moves=moves_of(sound))
     # Holds whose timing was in doubt have the one that fits.
     warnings = [*warnings, *moved_holds(train, selection.final.fit.evaluation, recording)]
     train, held = records_of(selection.final.fit.evaluation), records_of(selection.final.held)

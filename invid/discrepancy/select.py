@@ -11,6 +11,7 @@ import numpy as np
 from invid.arrays import Float64
 from invid.discrepancy.joint import JointFit, fit, held_out
 from invid.discrepancy.missing_torque import null_test
+from invid.discrepancy.moves import Move, judged_on_moves
 from invid.discrepancy.plant import Layout, Term
 from invid.discrepancy.rounding import rounded
 from invid.discrepancy.screen import Score, Screen, terms_for
@@ -72,16 +73,18 @@ def select(
     *,
     linear_axes: bool,
     free: Float64 | None = None,
+    moves: Sequence[Move] = (),
 ) -> Selection:
     """Adds causes while both the training and the held-out gain are significant.
 
-    ``free``: linear parameters of the fit whose time offsets were not bounded; where delays start.
+    ``free``: linear parameters of the fit whose time offsets were not bounded; where delays start. ``moves``:
+    slow moves beside the records, which tell laws of position apart.
 
     A lag keeps the time offset of its axis beside it: two timings, where a delay is one. Where what the lag's
     model leaves is more than the difference between the two, the data do not ask for the second timing, and
     the delay leads; the lag stays its rival.
     """
-    found = _search(base, train, held, linear_axes, free, frozenset())
+    found = _search(base, train, held, linear_axes, free, frozenset(), moves)
     contested = frozenset(
         s.chosen.term.place.axis
         for s in found.steps
@@ -90,7 +93,7 @@ def select(
     )
     if not contested:
         return found
-    other = _search(base, train, held, linear_axes, free, contested)
+    other = _search(base, train, held, linear_axes, free, contested, moves)
     if any(_is(s.chosen, "torque_lag", i) for s in other.steps for i in contested):
         return found  # a delay that needs the lag beside it takes nothing's place
     return other if other.final.cost - found.final.cost < found.final.beyond_noise else found
@@ -107,6 +110,7 @@ def _search(
     linear_axes: bool,
     free: Float64 | None,
     contested: frozenset[int],
+    moves: Sequence[Move],
 ) -> Selection:
     """Causes added one by one; on ``contested`` axes a delay goes before its lag."""
     start = Trial(base, held_out(base, held))
@@ -126,6 +130,7 @@ def _search(
             current = start
         if step is None:
             break
+        step = judged_on_moves(step, moves)
         added = ladder(step, train, held) or (step,)
         steps.extend(added)
         current, train, held = retimed(added[-1].chosen, train, held)

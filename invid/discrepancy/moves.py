@@ -1,0 +1,200 @@
+"""Slow moves as witnesses: what a constant torque, gravity and a ripple do over a long way.
+
+On the small motion of an excitation the three are next to the same data. A slow move, recorded beside it,
+turns the axis far: there one regression of the torque on each law says which of them acts. The chain turns as
+one body, so no spring enters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from invid.arrays import Float64
+from invid.discrepancy.joint import fit, held_out
+from invid.discrepancy.plant import Candidate
+from invid.discrepancy.trial import Step, Trial, unearned
+from invid.errors import InvidError
+from invid.recording.model import Experiment, Kind, Recording
+from invid.timebase import uniform
+
+LONGEST, SHORTEST = 0.5, 0.1
+"""Length [s] of the stretches that count as one observation: slow beside the flexible modes, short beside a
+move. What chance does to neighbouring stretches is not quite independent: the evidence is halved for it."""
+STRETCHES = 20
+"""How many a move has at least, where they are not too short for it: the regressions have up to eight
+numbers."""
+SLOW = 0.05
+"""Share of a move's top speed within which dry friction changes its sign in the regression."""
+DISAGREE = 13.8
+"""χ² of two numbers that chance exceeds once in a thousand."""
+
+
+@dataclass(frozen=True, eq=False)
+class Move:
+    """Means over n stretches of one slow move: (n, M) velocity, acceleration and torque.
+
+    ``path`` (samples, M) is the position, ``rows`` how many samples a stretch is long.
+    """
+
+    path: Float64
+    rows: int
+    velocity: Float64
+    acceleration: Float64
+    torque: Float64
+
+
+_LAWS: dict[str, Callable[[Float64, float], Float64]] = {
+    "torque_offset": lambda q, _: np.ones((q.size, 1)),
+    "gravity": lambda q, _: np.stack((np.sin(q), np.cos(q)), axis=1),
+    "cogging": lambda q, cycles: np.stack((np.sin(cycles * q), np.cos(cycles * q)), axis=1),
+}
+"""Columns (samples, L) of the torque that each law takes at the positions (samples,)."""
+
+
+def moves_of(recording: Recording) -> tuple[Move, ...]:
+    """Every slow move of a recording that is long enough to say anything."""
+    found = (_move(e) for e in recording.experiments if e.kind is Kind.CONSTANT_VELOCITY)
+    return tuple(m for m in found if m is not None)
+
+
+def _move(experiment: Experiment) -> Move | None:
+    try:
+        data = uniform(experiment)
+    except InvidError:
+        return None
+    length = data.position.shape[0]
+    rows = min(round(LONGEST / data.step), length // (STRETCHES + 2))
+    if rows * data.step < SHORTEST or rows < 2:
+        return None
+    q, at = data.position, np.arange(rows, length - rows, rows)
+    velocity = (q[at + rows] - q[at - rows]) / (2 * rows * data.step)
+    acceleration = (q[at + rows] - 2.0 * q[at] + q[at - rows]) / (rows * data.step) ** 2
+    return Move(q, rows, velocity, acceleration, _stretches(data.torque, rows))
+
+
+def _stretches(values: Float64, rows: int) -> Float64:
+    """(n, L) means of (samples, L) under triangles of half-width ``rows``.
+
+    The second difference of the position over that distance is the acceleration's mean under the same
+    triangle: what is fast meets both sides alike.
+    """
+    triangle = np.convolve(np.ones(rows), np.ones(rows)) / rows**2
+    at = np.arange(rows, values.shape[0] - rows, rows)
+    out: Float64 = np.stack([np.convolve(c, triangle, mode="same")[at] for c in values.T], axis=1)
+    return out
+
+
+def judged_on_moves(step: Step, moves: Sequence[Move]) -> Step:
+    """The step with the laws of position ranked by what the moves say as well.
+
+    Only laws on one axis are compared, and only where the first of the ranking is one. The evidence of n
+    stretches is n·ln(residual) (the noise of a move is not known beforehand) with the same penalty a
+    parameter as everywhere.
+    """
+    chosen = step.ranked[0][0]
+    if chosen.term.effect.cause not in _LAWS:
+        return step
+    axis = chosen.term.place.axis
+    rivals = [t for t, _ in step.ranked if t.term.effect.cause in _LAWS and t.term.place.axis == axis]
+    if len(rivals) < 2:
+        return step
+    evidence = np.zeros(len(rivals))
+    for move in moves:
+        evidence += _evidence(move, rivals, axis)
+    if not np.isfinite(evidence).all() or not evidence.any():
+        return step
+    added = dict(zip(map(id, rivals), 0.5 * (evidence - evidence.min()), strict=True))
+    rows = step.before.fit.dof
+    ranked = [(t, s + added.get(id(t), 0.0)) for t, s in step.ranked]
+    ranked.sort(key=lambda one: one[1] - unearned(one[0], rows))
+    if ranked[0][0] not in rivals:  # a cause that has no law here may not win by the moves
+        return step
+    best = sharpened(ranked[0][0], moves, axis)
+    return replace(step, chosen=best, ranked=((best, ranked[0][1]), *ranked[1:]))
+
+
+def sharpened(trial: Trial, moves: Sequence[Move], axis: int) -> Trial:
+    """The trial with the size of gravity as the moves know it: the excitation sees one direction of the two.
+
+    Both measurements weighted by their covariances, all other parameters moved along (a linear update). Left
+    as it is where the two disagree by more than chance does once in a thousand.
+    """
+    if trial.term.effect.cause != "gravity":
+        return trial
+    fitted = trial.fit
+    whole = np.concatenate((fitted.p, *fitted.candidate.x))
+    at = slice(whole.size - 2, whole.size)
+    covariance = fitted.covariance
+    for move in moves:
+        columns, rest, found = _regression(move, trial, axis)
+        spare = rest.size - columns.shape[1]
+        if spare < 3 or not np.isfinite(covariance).all():
+            continue
+        own = 2.0 * float(rest @ rest) / spare * np.linalg.pinv(columns.T @ columns)[-2:, -2:]
+        total = covariance[at, at] + own
+        gap = found[-2:] - whole[at]
+        if float(gap @ np.linalg.solve(total, gap)) > DISAGREE:
+            continue
+        gain = np.linalg.solve(total, covariance[at, :]).T
+        whole = whole + gain @ gap
+        covariance = covariance - gain @ covariance[at, :]
+    if covariance is fitted.covariance:
+        return trial
+    p, xs, start = whole[: fitted.layout.count], [], fitted.layout.count
+    for term in fitted.candidate.terms:
+        xs.append(whole[start : start + term.size])
+        start += term.size
+    candidate = Candidate(fitted.candidate.terms, tuple(xs))
+    if not fitted.layout.structure.admissible(p[: fitted.layout.structure.count]):
+        return trial
+    moved = fit(fitted.layout, [v.record for v in fitted.evaluation.views], p, candidate, iterations=0)
+    moved = replace(moved, covariance=covariance, converged=fitted.converged)
+    return Trial(moved, held_out(moved, [v.record for v in trial.held.views]))
+
+
+def _evidence(move: Move, rivals: Sequence[Trial], axis: int) -> Float64:
+    """(rivals,) −2 ln(likelihood) of the torque of one axis under each law, with its penalty."""
+    out = []
+    for trial in rivals:
+        columns, rest, _ = _regression(move, trial, axis)
+        left = float(rest @ rest)
+        if rest.size < columns.shape[1] + 3 or left <= 0.0:
+            return np.zeros(len(rivals))
+        size = trial.term.size
+        out.append(rest.size * np.log(left) + size * np.log(rest.size))
+    return np.array(out)
+
+
+def _regression(move: Move, trial: Trial, axis: int) -> tuple[Float64, Float64, Float64]:
+    """Columns (n, k), residual (n,) and coefficients (k,), the law's last, of one axis' torque."""
+    v = move.velocity[:, axis]
+    slow = max(SLOW * float(np.abs(v).max()), 1e-300)
+    # Inertia and the friction of the move are there whatever the law; their sizes are free.
+    known = [move.acceleration, np.tanh(v / slow)[:, None], v[:, None]]
+    best: tuple[Float64, Float64, Float64] | None = None
+    for cycles in _cycles(trial):
+        law = _stretches(_LAWS[trial.term.effect.cause](move.path[:, axis], cycles), move.rows)
+        columns = np.concatenate([*known, law], axis=1)
+        size = np.linalg.norm(columns, axis=0)
+        size[size == 0.0] = 1.0
+        found = np.linalg.lstsq(columns / size, move.torque[:, axis], rcond=1e-9)[0] / size
+        rest = move.torque[:, axis] - columns @ found
+        if best is None or float(rest @ rest) < float(best[1] @ best[1]):
+            best = columns, rest, found
+    return best if best is not None else (np.zeros((0, 0)), np.zeros(0), np.zeros(0))
+
+
+def _cycles(trial: Trial) -> Float64:
+    """Cycles a revolution of a ripple within three standard deviations of what the excitation says."""
+    if trial.term.effect.cause != "cogging":
+        return np.ones(1)
+    variance = float(trial.fit.covariance[-1, -1])
+    width = min(3.0 * float(np.sqrt(variance)), 1.0) if np.isfinite(variance) else 1.0
+    out: Float64 = np.exp(float(trial.x[2]) + np.linspace(-width, width, 41))
+    return out
+
+
+__all__ = ["Move", "judged_on_moves", "moves_of", "sharpened"]
