@@ -107,7 +107,7 @@ def score(truth: Truth, d: Diagnosis) -> Score:
             return Score("missed", **common)
         good = d.verdict in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED)
         return Score("right" if good else "wrong", **common)
-    hits = [any(names(e, f) for f in d.findings) for e in true]
+    hits = [any(names(e, f) for f in d.findings) or _in_the_dampers(e, truth, d) for e in true]
     sizes = _size(true[0], d)
     common |= {"size_error": sizes[0], "size_sigmas": sizes[1]}
     if truth.kind == "pair":
@@ -120,14 +120,29 @@ def score(truth: Truth, d: Diagnosis) -> Score:
         if any(hits):
             return Score("one_of_two" if not wrong else "one_and_wrong", **common)
         return Score(_nothing_right(true, d), **common)
-    e = true[0]
     if all(hits):
         extra = [f for f, (_, good) in zip(d.findings, flags, strict=True) if not good]
         return Score("right_and_wrong" if extra else "right", **common)
-    # A damper beside every spring is in the linear model: nothing is missing once it is fitted.
-    if e.cause == "spring_damping" and d.verdict is Verdict.CONSISTENT:
-        return Score("right", **common)
     return Score(_nothing_right(true, d), **common)
+
+
+def _in_the_dampers(e: TrueEffect, truth: Truth, d: Diagnosis) -> bool:
+    """A damper beside every spring is in the linear model: nothing is missing once it is fitted.
+
+    Where anything is named the extended model's damper has to be the true one, to a tenth or three of its
+    standard deviations; where nothing is, nothing may be missing.
+    """
+    if e.cause != "spring_damping":
+        return False
+    if not d.findings:
+        return d.verdict is Verdict.CONSISTENT
+    chains, axis = d.model.chains, truth.chains.axes.index(e.axis)
+    if chains.masses_per_branch != truth.chains.masses_per_branch or e.element is None:
+        return False
+    at = int(e.element.split()[1]) - 1
+    true = float(truth.chains.dampers[axis][at]) + e.parameters["coefficient"]
+    std = float(d.model.std.dampers[axis][at])
+    return abs(float(chains.dampers[axis][at]) - true) < max(0.1 * true, 3.0 * std)
 
 
 def _nothing_right(true: list[TrueEffect], d: Diagnosis) -> str:
