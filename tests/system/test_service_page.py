@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
+import sqlite3
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -156,6 +158,19 @@ def test_a_person_sees_readiness_and_the_plan_arms_watches_and_accepts_on_the_pa
         driver.execute_script("window.scrollTo(0, 0)")
         driver.find_element("css selector", "[data-view=history]").click()
         page.wait_text("accepted", "in force")
+        # A second entry to compare with: the history asks as the result does, for means of runs that agree.
+        with contextlib.closing(sqlite3.connect(tmp_path / "data" / "store.sqlite")) as store, store:
+            store.execute(
+                "INSERT INTO approvals (cell, model, at, by, how)"
+                " SELECT cell, model, at, by, how FROM approvals"
+            )
+        driver.find_element("css selector", "[data-view=work]").click()
+        driver.find_element("css selector", "[data-view=history]").click()
+        page.wait_text("accepted", "Compare with now")
+        driver.find_element("css selector", "#accepted .actions button").click()
+        page.wait_text("history-changes", "Nothing changed")
+        asked = driver.execute_script("return performance.getEntriesByType('resource').map(e => e.name)")
+        assert any("/changes?" in a and a.endswith("&averaged=true") for a in asked)
         assert page.mistakes() == []
     assert (tmp_path / "result-800.png").stat().st_size > 10_000
 
