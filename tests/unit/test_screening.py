@@ -32,8 +32,8 @@ NAMES = (
 )
 
 
-def cell(seed: int, tool: float = 6.0) -> CellConfig:
-    """The case study with its tool mass on A2 as given."""
+def cell(seed: int, tool: float = 6.0, coupling: float = 1.0) -> CellConfig:
+    """The case study with its tool mass on A2 and its coupling of A1 and A2 as given."""
     base = load_config(CONFIG)
     plant, names = truth(base), [a.name for a in base.axes]
     masses = [list(map(float, m)) for m in plant.masses]
@@ -52,7 +52,10 @@ def cell(seed: int, tool: float = 6.0) -> CellConfig:
                 for i in range(3)
             ],
             "couplings": [
-                {"between": [names[i], names[j]], "value": float(plant.couplings[i, j])}
+                {
+                    "between": [names[i], names[j]],
+                    "value": coupling if (i, j) == (0, 1) else float(plant.couplings[i, j]),
+                }
                 for i in range(3)
                 for j in range(i + 1, 3)
             ],
@@ -113,6 +116,37 @@ def test_a_heavier_tool_on_a2_names_a2_and_only_that_is_measured_again(
     recording = read_recording(path)
     assert recording.experiments[0].excited_axis == -1
     assert {e.excited_axis for e in recording.experiments[1:]} == {1}
+
+
+@pytest.mark.slow
+def test_a_changed_coupling_is_measured_again_on_its_two_axes_in_the_band_that_tells_about_it(
+    accepted: Model, tmp_path: Path
+) -> None:
+    config, path = cell(4, coupling=1.5), tmp_path / "r.h5"
+    found = screen_cell(config, accepted, path, noise=sensor_noise(config), goal=0.01)
+    assert found.screening.parts == ("A1-A2",)
+    assert found.axes == ("A1", "A2")
+    assert found.model is not None
+    assert found.model.chains.couplings[0, 1] == pytest.approx(1.5, abs=0.02)
+    low, high = found.band_hz or (0.0, 0.0)
+    # The config's band is 0.5 to 12 Hz; a coupling is told by what passes from one axis to the other.
+    assert high - low < 0.8 * 11.5
+    screening, *again = read_recording(path).experiments
+    assert screening.excited_axis == -1
+    assert again
+    for experiment in again:
+        lines = experiment.frequencies_hz
+        assert low <= lines.min()
+        assert lines.max() <= high
+        demand = experiment.torque_demand
+        assert demand is not None
+        hz = np.fft.rfftfreq(experiment.samples, 1 / experiment.sample_rate_hz)
+        power = np.abs(np.fft.rfft(demand, axis=0)) ** 2
+        # A quarter of a second of ramp at each end smears the lines by some hertz.
+        inside = (hz > low - 1.0) & (hz < high + 1.0)
+        shaken = power[:, :2].sum()
+        assert power[inside, :2].sum() > 0.95 * shaken
+        assert power[:, 2].sum() < 0.02 * shaken  # A3 is held, not shaken
 
 
 def test_a_model_without_covariance_or_of_another_cell_is_refused(accepted: Model) -> None:
