@@ -64,3 +64,20 @@ def test_a_hold_that_acts_at_no_time_of_its_own_hides_no_torque_scale() -> None:
     assert result.outcome == "right", result.named
     assert result.size_error is not None
     assert abs(result.size_error) < 0.03
+
+
+@pytest.mark.parametrize("excitation", ["chirp", "odd", "stepped"])
+def test_a_hold_inside_the_drive_of_a_lone_axis_is_no_friction(excitation: str) -> None:
+    recording, truth = make_foreign(540100, cause="null", excitation=excitation)
+    assert recording.experiments[0].torque_demand is None
+    diagnosis = diagnose(recording, masses=truth.settings["masses"])
+    assert diagnosis.findings == (), diagnosis.sentences
+    assert diagnosis.verdict is Verdict.CONSISTENT
+
+
+def test_cogging_in_a_chirp_stands_alone_and_has_its_size() -> None:
+    recording, truth = make_foreign(440013)
+    result = score(truth, diagnose(recording))
+    assert result.outcome == "right", result.named  # viscous friction stood beside it
+    assert result.size_error is not None
+    assert abs(result.size_error) < 0.01
