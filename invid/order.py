@@ -68,8 +68,8 @@ def choose_order(spectra: Sequence[LineSpectra], axes: Sequence[str], *, most: i
         if before < GAIN * dofs[small]:
             return False  # already noise: nothing could be better by the factor asked for
         after = cost(large, small)
-        if not np.isfinite(after):
-            return False
+        if not np.isfinite(after) or _label(large) in vanishing:
+            return False  # a mass that goes to nothing is none: it fits what is not linear
         if not np.isfinite(before):
             return True
         extra = 3 * (sum(large) - sum(small))

@@ -263,9 +263,9 @@ def evaluate(
         if near and candidate.terms:
             view.respond(near[len(missing)].feedback)
             view.secants = near[len(missing)].secants
+        view.certainty = np.asarray(np.linalg.inv(covariance), dtype=np.complex128)
         if not record.transient:
-            inverse = np.asarray(np.linalg.inv(covariance), dtype=np.complex128)
-            view.missing, view.certainty = r, inverse
+            view.missing = r
         extra = contributions(view, candidate)
         r = r + extra
         root = whitener(covariance)
@@ -283,6 +283,7 @@ def evaluate(
             r = r - unstack(unwhitener(root), along, r.shape)
             if jacobian:
                 ends = _Ends.of(white_edges, along, forces, points, structure)
+        view.remaining = r
         columns: Complex128 | None = None
         if jacobian:
             columns = np.zeros((*r.shape, layout.count + effects), dtype=complex)

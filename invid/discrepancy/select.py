@@ -12,7 +12,7 @@ from invid.arrays import Float64
 from invid.discrepancy.joint import JointFit, fit, held_out
 from invid.discrepancy.missing_torque import null_test
 from invid.discrepancy.moves import Move, judged_on_moves
-from invid.discrepancy.plant import Layout, Term
+from invid.discrepancy.plant import Candidate, Layout, Term
 from invid.discrepancy.rounding import rounded
 from invid.discrepancy.screen import Score, Screen, terms_for
 from invid.discrepancy.trial import HELD_OUT, Step, Trial, at_bound, attempted, refit
@@ -99,6 +99,49 @@ def select(
     return other if other.final.cost - found.final.cost < found.final.beyond_noise else found
 
 
+def _pruned(found: Selection, train: Sequence[Record], held: Sequence[Record]) -> Selection:
+    """Without the causes that those found after them leave nothing to.
+
+    The first cause named is the one that alone explains most; beside the true ones it may vanish.
+    """
+    gone = _superfluous(found)
+    if not gone:
+        return found
+    final, known = found.final.fit, len(found.base.fit.candidate.terms)
+    kept = [k for k in range(len(final.candidate.terms)) if k - known not in gone]
+    candidate = Candidate(
+        tuple(final.candidate.terms[k] for k in kept), tuple(final.candidate.x[k] for k in kept)
+    )
+    trial = attempted(lambda: fit(final.layout, train, final.p, candidate, iterations=40), held)
+    limit = chi2_isf(SIGNIFICANCE, sum(found.steps[k].chosen.term.size for k in gone))
+    if trial is None or trial.cost > found.final.cost + limit * found.final.dispersion:
+        return found
+    steps, before = [], None
+    for number, step in enumerate(found.steps):
+        if number in gone:
+            before = step.before if before is None else before
+            continue
+        steps.append(step if before is None else replace(step, before=before))
+        before = None
+    steps[-1] = replace(steps[-1], chosen=trial)
+    return replace(found, final=trial, steps=tuple(steps))
+
+
+def _superfluous(found: Selection) -> set[int]:
+    """Steps before the last whose cause has no coefficient that differs from zero (1 %, Wald)."""
+    final, known = found.final.fit, len(found.base.fit.candidate.terms)
+    out, at = set(), final.layout.count
+    for number, (term, x) in enumerate(zip(final.candidate.terms, final.candidate.x, strict=True)):
+        count = len(term.effect.coefficients)
+        block = final.covariance[at : at + count, at : at + count]
+        at += term.size
+        if count and known <= number < known + len(found.steps) - 1 and np.isfinite(block).all():
+            wald = float(x[:count] @ np.linalg.lstsq(block, x[:count], rcond=None)[0])
+            if wald < chi2_isf(0.01, count):
+                out.add(number - known)
+    return out
+
+
 def _is(trial: Trial, cause: str, axis: int) -> bool:
     return trial.term.effect.cause == cause and trial.term.place.axis == axis
 
@@ -135,7 +178,7 @@ def _search(
         steps.extend(added)
         current, train, held = retimed(added[-1].chosen, train, held)
         steps[-1] = replace(steps[-1], chosen=current)
-    return Selection(start, current, tuple(steps), rejected)
+    return _pruned(Selection(start, current, tuple(steps), rejected), train, held)
 
 
 _First = tuple[Trial, Step | None, tuple[Score, ...], Sequence[Record], Sequence[Record]]

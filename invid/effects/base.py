@@ -168,7 +168,9 @@ class View:
         self.missing: Complex128 | None = None
         """(F, M) missing torque of the linear model; None where forces cannot be read from it."""
         self.certainty: Complex128 = np.zeros((0, 0, 0), dtype=complex)
-        """(F, M, M) inverse covariance of ``missing``."""
+        """(F, M, M) inverse covariance of ``missing`` and of ``remaining``."""
+        self.remaining: Complex128 | None = None
+        """(F, M) missing torque that the causes chosen so far and the record's ends leave."""
         self._waves: dict[tuple[Pattern, bool], Float64] = {}
         self._gains: dict[tuple[Pattern, ...], Complex128] = {}
         self._pushes: dict[Pattern, Complex128] = {}

@@ -9,14 +9,8 @@ import numpy as np
 
 from invid.arrays import Float64
 from invid.effects.base import ForceEffect, Place, View, motor_places, rms
+from invid.effects.cycles import cycle_grid, ripples
 from invid.refine.structure import ChainStructure
-
-
-def cycle_grid(size: float, most: int = 12) -> list[float]:
-    """Cycles a revolution worth trying for a motion of rms ``size`` [rad]: 0.4 to 4 rad of phase."""
-    low, high = max(1.5, 0.4 / max(size, 1e-9)), max(3.0, 4.0 / max(size, 1e-9))
-    values = np.geomspace(low, max(high, 1.2 * low), most)
-    return sorted({float(v) for v in values})
 
 
 class Cogging(ForceEffect):
@@ -43,7 +37,8 @@ class Cogging(ForceEffect):
 
     def grid(self, views: Sequence[View], place: Place) -> list[tuple[float, ...]]:
         size = rms([v.wave(place.pattern(v.structure)) for v in views])
-        return [(float(np.log(n)),) for n in cycle_grid(size)]
+        pattern = place.pattern(views[0].structure)
+        return [(float(np.log(n)),) for n in cycle_grid(size) + ripples(views, pattern, pattern)]
 
     def limits(self, views: Sequence[View], place: Place) -> list[tuple[float, float]]:
         return [(float(np.log(1.5)), float(np.log(2000.0)))]

@@ -10,7 +10,7 @@ import numpy as np
 from invid.arrays import Complex128, Float64
 from invid.effects.backlash import spring_index
 from invid.effects.base import Effect, Place, View, rms, spring_places
-from invid.effects.cogging import cycle_grid
+from invid.effects.cycles import cycle_grid, ripples
 from invid.refine.structure import ChainStructure
 
 
@@ -45,7 +45,9 @@ class TransmissionError(Effect):
 
     def grid(self, views: Sequence[View], place: Place) -> list[tuple[float, ...]]:
         size = rms([self._motor_side(v, place) for v in views])
-        return [(float(np.log(n)),) for n in cycle_grid(size, 8)]
+        pattern = place.pattern(views[0].structure)
+        fast = ripples(views, (pattern[0],), pattern)
+        return [(float(np.log(n)),) for n in cycle_grid(size, 8) + fast]
 
     def limits(self, views: Sequence[View], place: Place) -> list[tuple[float, float]]:
         return [(0.0, float(np.log(2000.0)))]

@@ -1,0 +1,32 @@
+"""A further mass that the fit makes vanish is none, however much of a nonlinear residual it fits."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from invid.chains import CoupledChains
+from invid.order import choose_order
+
+COSTS = {1: 5e6, 2: 7e5, 3: 3.4e5, 4: 2.3e5, 5: 1.8e5, 6: 4e5}
+"""χ² of 100 degrees of freedom that a three-mass axis with a strong transmission error gave."""
+
+
+@pytest.mark.parametrize(("light", "chosen"), [(1e-4, 3), (0.5, 4)])
+def test_a_mass_that_vanishes_ends_the_growth(
+    monkeypatch: pytest.MonkeyPatch, light: float, chosen: int
+) -> None:
+    def fit_sizes(_spectra: Any, sizes: tuple[int, ...], *_: Any, **__: Any) -> Any:
+        (n,) = sizes
+        masses = np.ones(n)
+        masses[3:] = light
+        chains = CoupledChains.build([masses], [np.full(n - 1, 1e3)], [np.zeros(n - 1)], axes=("A1",))
+        return SimpleNamespace(noise_cost=COSTS[n], problem=SimpleNamespace(dof=100), chains=chains)
+
+    monkeypatch.setattr("invid.identify.fit_sizes", fit_sizes)
+    monkeypatch.setattr("invid.identify.measured_frf", lambda _: None)
+    found = choose_order([], ("A1",))
+    assert found.sizes == (chosen,)
