@@ -103,7 +103,10 @@ def compare(
                 f"repeatability of this cell is not known yet ({scatter.pairs} earlier repetition(s), "
                 f"{MINIMUM_RUNS} needed): the test rests on the covariance of the two fits alone"
             )
-    sides = together(old, before, scatter.factor), together(new, after, scatter.factor)
+    # A factor below 1 sharpens the comparison; runs of one state are not torn apart on it, as a run that is
+    # off by chance would then stand alone for its side.
+    apart = max(1.0, scatter.factor)
+    sides = together(old, before, apart), together(new, after, apart)
     old, new = pooled(sides[0]), pooled(sides[1])
     parameters = linear_parameters(old, new, common, repeatability)
     effects, came_and_went = paired_effects(old, new, common, repeatability)

@@ -121,3 +121,19 @@ def test_a_cell_that_repeats_better_than_its_fits_say_is_believed_after_enough_r
     quiet = [drawn(rng, matrix, scale=0.6) for _ in range(12)]
     assert repeatability(quiet).factor == pytest.approx(0.6, abs=0.15)
     assert repeatability(quiet[:2]).factor == 1.0
+
+
+def test_runs_of_one_state_are_not_torn_apart_because_the_cell_repeats_better_than_its_fits_say() -> None:
+    rng = np.random.default_rng(37)
+    quiet = [drawn(rng, ALONE, scale=0.6) for _ in range(10)]
+    # Off by 6.2 deviations of this cell's own scatter, by less than what its fits would call another state.
+    odd = VALUES.copy()
+    odd[J] += 6.2 * 0.6 * STD[J]
+    quiet.append(model_of(odd, ALONE))
+    new = drawn(rng, ALONE, scale=0.6)
+    factor = repeatability(quiet).factor
+    assert factor < 0.75
+    assert len(together(quiet[-1], quiet[5:-1], factor)) == 1
+    result = compare(quiet[-1], new, history=[*quiet, new], before=quiet[5:-1])
+    assert result.runs == (6, 1)
+    assert all(p.status != "changed" for p in result.parameters)
