@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from invid.arrays import Float64
+from invid.arrays import Bool, Float64
 from invid.discrepancy.joint import JointFit, fit
 from invid.discrepancy.missing_torque import null_test
 from invid.discrepancy.plant import Candidate, Term
@@ -24,12 +24,16 @@ Timed = tuple[Trial, Sequence[Record], Sequence[Record]]
 def retimed(trial: Trial, train: Sequence[Record], held: Sequence[Record]) -> Timed:
     """Doubtful holds at the time between half a sample before the command and with it that fits best.
 
-    Asked after a cause is in place: viscous friction and the half sample are the same data without one.
+    Asked after a cause is in place: viscous friction and the half sample are the same data without one. Where
+    the cause leaves more than noise every hold is in doubt, as its time was found without the cause.
     """
+    here = (trial, train, held)
+    if train[0].hold is not None and train[0].command is None and _misses(here):
+        train, held = ([replace(r, hold_doubt=_held(r)) for r in part] for part in (train, held))
     best = _best_time(trial, train, held)
     # None has more parameters; what one must be better by is what noise makes of a choice of two.
     if best is None or best[0].cost > trial.cost - HELD_OUT * best[0].dispersion:
-        return trial, train, held
+        return here
     return best
 
 
@@ -80,6 +84,14 @@ def _best_time(trial: Trial, train: Sequence[Record], held: Sequence[Record]) ->
 
 def _cost(way: Timed) -> float:
     return way[0].cost
+
+
+def _held(record: Record) -> Bool:
+    """(M,) axes whose hold has a law."""
+    law: Bool = np.zeros(record.torque.shape[1], dtype=bool)
+    if record.hold is not None:
+        law = np.abs(record.hold).max(axis=0) > 0
+    return law
 
 
 def retold(trial: Trial, train: Sequence[Record], held: Sequence[Record]) -> Trial | None:
