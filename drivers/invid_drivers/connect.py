@@ -7,7 +7,7 @@ import can
 from invid.config import CellConfig
 from invid.errors import BusError, ConfigError
 from invid_drivers.cia402.bus import Cia402Cell
-from invid_drivers.cia402.journal import Journal, journal_path
+from invid_drivers.cia402.journal import Journal, Reservation, journal_path
 
 VIRTUAL = "invid-virtual"
 
@@ -48,11 +48,26 @@ def open_bus(config: CellConfig) -> can.BusABC:
 
 
 def connect(config: CellConfig) -> Cia402Cell:
-    """The cell behind a config, its bus open and nothing written yet. Call ``close`` on every way out."""
-    journal = None if is_virtual(config) else Journal(journal_path(config.bus.interface, config.bus.channel))
-    bus = open_bus(config)
+    """The cell behind a config, its bus open and nothing written yet. Call ``close`` on every way out.
+
+    Raises
+    ------
+    BusError
+        The bus cannot be opened, or another process measures on it.
+    """
+    journal = None
+    if not is_virtual(config):
+        path = journal_path(config.bus.interface, config.bus.channel)
+        reservation = Reservation(path)  # before the journal is read: the one before may still be writing it
+        journal = Journal(path)
+        journal.reservation = reservation
+    bus = None
     try:
+        bus = open_bus(config)
         return Cia402Cell(bus, config, journal=journal)
     except BaseException:  # an EDS or a vendor that is refused: the bus is free for the next who tries
-        bus.shutdown()
+        if bus is not None:
+            bus.shutdown()
+        if journal is not None:
+            journal.release()
         raise

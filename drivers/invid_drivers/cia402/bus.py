@@ -616,6 +616,7 @@ class Cia402Cell:
         finally:
             self._link.beating = False
             self._link.close()
+            self.journal.release()
         return complaints
 
     def _restore(self, complaints: list[str]) -> None:
