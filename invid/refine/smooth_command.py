@@ -15,6 +15,14 @@ CHANCE = 1e-6
 with and without it, and of many lines some hold always smooths a little."""
 SMOOTHER = 4.0
 """Factor by which the roughness (mean square) must fall as well: half in amplitude. A guess."""
+SMOOTH = 0.35
+"""Root mean square of the second differences of log amplitude above which a command is not smooth: lines
+whose noise is below a fifth of their amplitude (``LOUD``) have at most √6/5/√2."""
+LOUD = 25.0
+"""Power over noise of a line that counts."""
+EXPLAINED = 2.0
+"""Mean square of what a hold leaves on lines without a command, in units of the noise: 16 lines and more of
+pure noise exceed it once in two thousand."""
 LINES = 16
 """Lines needed at least."""
 STARTS = (0.03, 0.3, 3.0)
@@ -26,14 +34,18 @@ def seen_hold(spectra: Sequence[LineSpectra], axis: int) -> tuple[float, float] 
 
     The recorded torque T holds the command and the hold's part. Commands of shaking are designed: their
     amplitude is smooth over frequency, while T alone has the machine's resonances. The hold is that which
-    makes |T + (P + jωD)Θ| smoothest.
+    makes |T + (P + jωD)Θ| smoothest. Where the lines are shared out among the axes (interleaved), an axis'
+    torque on the lines of the others is its hold's alone.
     """
+    alone = _without_command(spectra, axis)
+    if alone is not None:
+        return alone
     parts = []
     for s in spectra:
         lines = np.flatnonzero(s.excited)
         if s.driven[axis] and lines.size >= LINES:
             noise = s.floor[s.axis_count + axis]
-            loud = lines[np.abs(s.torque[lines, axis]) ** 2 > 25.0 * noise]
+            loud = lines[np.abs(s.torque[lines, axis]) ** 2 > LOUD * noise]
             if loud.size > 0.8 * lines.size:
                 speed = 1j * s.omega[lines] * s.position[lines, axis] + _ends(s, axis)
                 parts.append((s.position[lines, axis], speed, s.torque[lines, axis]))
@@ -55,9 +67,35 @@ def seen_hold(spectra: Sequence[LineSpectra], axis: int) -> tuple[float, float] 
     before, after = float(without @ without), float(best @ best)
     if not np.all(law >= 0) or law[0] <= 0:
         return None
+    if after > SMOOTH**2 * count:
+        return None
     if before < SMOOTHER * after or (before - after) / 2.0 < f_isf(CHANCE, 2, count) * after / count:
         return None
     return float(law[0]), float(law[1])
+
+
+def _without_command(spectra: Sequence[LineSpectra], axis: int) -> tuple[float, float] | None:
+    """The hold from every k-th excited line, where it explains the torque on those to the noise."""
+    for s in spectra:
+        excited = np.flatnonzero(s.excited)
+        if not s.driven[axis]:
+            continue
+        noise = s.floor[[axis, s.axis_count + axis]]
+        for stride in range(2, s.axis_count + 1):
+            for first in range(stride):
+                lines = excited[first::stride]
+                torque, theta = s.torque[lines, axis], s.position[lines, axis]
+                if lines.size < LINES or np.mean(np.abs(torque) ** 2) < LOUD * noise[1]:
+                    continue
+                rows = -np.stack((theta, 1j * s.omega[lines] * theta + _ends(s, axis)), axis=1)
+                both = np.concatenate((rows.real, rows.imag))
+                goal = np.concatenate((torque.real, torque.imag))
+                law = np.linalg.lstsq(both, goal, rcond=None)[0]
+                gain = law[0] ** 2 + (s.omega[lines] * law[1]) ** 2
+                left = np.abs(torque - rows @ law) ** 2 / (noise[1] + gain * noise[0])
+                if np.all(law >= 0) and law[0] > 0 and np.mean(left) < EXPLAINED:
+                    return float(law[0]), float(law[1])
+    return None
 
 
 def _ends(s: LineSpectra, axis: int) -> float:

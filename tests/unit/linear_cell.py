@@ -89,11 +89,11 @@ class LinearCell:
 
 
 def multisine(
-    rng: np.random.Generator, period: int, rate: float, top: float
+    rng: np.random.Generator, period: int, rate: float, top: float, stride: int = 1, first: int = 0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """One period of peak 1, amplitude ∝ f^−½ from 0.3 Hz on all lines, and its lines [Hz]."""
+    """One period of peak 1, amplitude ∝ f^−½ from 0.3 Hz on every ``stride``-th line, and its lines [Hz]."""
     hz = np.arange(1, period // 2) * rate / period
-    hz = hz[(hz >= 0.3) & (hz <= top)]
+    hz = hz[(hz >= 0.3) & (hz <= top)][first::stride]
     basis = np.exp(2j * np.pi * hz[:, None] * np.arange(period) / rate) * hz[:, None] ** -0.5
     waves = [(np.exp(1j * rng.uniform(0, 2 * np.pi, hz.size)) @ basis).real for _ in range(8)]
     best = min(waves, key=lambda w: float(np.abs(w).max() / w.std()))
@@ -109,6 +109,7 @@ def record(
     damping: np.ndarray,
     said: np.ndarray,
     together: bool = True,
+    interleaved: bool = False,
     in_drive: bool = True,
     time_constant: float = 0.0,
     period: int = 4000,
@@ -118,10 +119,12 @@ def record(
     experiments = []
     for number in range(count):
         wave = np.zeros((period, count))
-        hz = np.zeros(0)
+        lines = np.zeros(0)
         for i in range(count):
             if together or i == number:
-                wave[:, i], hz = multisine(rng, period, rate, 13.0)
+                share = (count, (i + number) % count) if interleaved else (1, 0)
+                wave[:, i], hz = multisine(rng, period, rate, 13.0, *share)
+                lines = hz if lines.size == 0 or not interleaved else np.union1d(lines, hz)
         position, torque = cell.run(
             np.tile(20.0 * wave, (4, 1)),
             rate,
@@ -139,7 +142,7 @@ def record(
                 -1,
                 said,
                 period,
-                hz,
+                lines,
                 rate,
                 np.arange(2 * period) / rate,
                 position + 2e-6 * rng.standard_normal(position.shape),

@@ -77,6 +77,20 @@ def test_the_gains_of_a_hold_are_read_off_a_smooth_command() -> None:
         assert found[1] == pytest.approx(damping[i], rel=0.05)
 
 
+def test_the_gains_of_a_hold_are_read_off_the_lines_of_the_other_axes() -> None:
+    gain, damping = hold(1.0, 0.3, SUMS)
+    recording = record(
+        TWO, seed=14, rate=500.0, gain=gain, damping=damping, said=gain, interleaved=True, period=8000
+    )
+    spectra = all_spectra(recording)
+    for i in range(2):
+        found = seen_hold(spectra, i)
+        assert found is not None
+        assert found[0] == pytest.approx(gain[i], rel=0.05)
+        assert found[1] == pytest.approx(damping[i], rel=0.05)
+    assert worst(deviations(identify(recording), TWO)) < 4.5
+
+
 def test_no_hold_is_seen_on_a_free_axis() -> None:
     spectra = all_spectra(
         record(TWO, seed=9, rate=1000.0, gain=np.zeros(2), damping=np.zeros(2), said=np.zeros(2))
