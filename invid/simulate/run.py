@@ -161,6 +161,8 @@ def _simulate_one(
     drift = np.zeros_like(given.measured)
     for _ in range(_DRIFT_ROUNDS if experiment.frequencies_hz.size else 0):
         added = drift + drift_torque(given.measured - motion[:, :, 0], given, chains, experiment)
+        if not np.isfinite(added).all():  # it has run away; said below
+            break
         fresh = answer(state, added)
         fresh_error = _error(fresh, given)
         if not fresh_error < 0.99 * error:

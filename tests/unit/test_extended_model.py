@@ -18,7 +18,7 @@ from invid.diagnosis import Verdict
 from invid.discrepancy import diagnose
 from invid.discrepancy.given import given_effects, place_of, vector_of
 from invid.effects import CATALOGUE
-from invid.errors import ModelError
+from invid.errors import InputError, ModelError
 from invid.model import (
     ChainStd,
     EffectTerm,
@@ -195,3 +195,9 @@ def test_given_effects_that_are_no_cause_are_refused_by_name() -> None:
     structure = ChainStructure(CHAINS.masses_per_branch, CHAINS.axes)
     with pytest.raises(ModelError, match="moonlight"):
         given_effects(extended(EffectTerm("moonlight", "A1", {})), structure)
+
+
+def test_motion_that_runs_away_beyond_all_numbers_is_said_and_no_traceback(excited: Recording) -> None:
+    away = EffectTerm("viscous_friction", "A1", {"coefficient": Estimate(-2e4, None)}, "mass 1")
+    with np.errstate(all="ignore"), pytest.raises(InputError, match="a million times"):
+        simulate(extended(away), excited)
