@@ -181,7 +181,11 @@ def at_bound(trial: Trial) -> bool:
         return False
     shapes = x[len(term.effect.coefficients) :]
     limits = term.effect.limits(trial.fit.evaluation.views, term.place)
-    if term.effect.cause == "extra_mode":  # nor is damping, but a mode beside all lines is none
+    if term.effect.cause == "extra_mode":
+        # Nor is damping; but a mode beside all lines is none, and one that wants more damping than any has is
+        # what a hold with other gains leaves (three of fifteen empty records), or friction.
+        if shapes[1] >= limits[1][1] - 1e-3:
+            return True
         shapes, limits = shapes[:1], limits[:1]
     return any(v <= low + 1e-9 or v >= high - 1e-9 for v, (low, high) in zip(shapes, limits, strict=True))
 

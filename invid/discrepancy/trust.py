@@ -167,7 +167,12 @@ def untimed_holds(
             "acts, and half a sample of it looks like such friction: record the demanded torque over "
             "whole periods, or drive the axis without a hold"
         )
-    return tuple(out), said
+    # What the gains of such a hold leave, another cause may take: a damped mode beside it was a false alarm.
+    untimed = {f.effect.axis for f in findings if f not in out}
+    kept = (
+        replace(f, confidence=min(f.confidence, CONTESTED)) if f.effect.axis in untimed else f for f in out
+    )
+    return tuple(kept), said
 
 
 def _stiffest_hold(gains: Sequence[float], model: Model, axis: int, train: Sequence[Record]) -> float:

@@ -81,3 +81,10 @@ def test_cogging_in_a_chirp_stands_alone_and_has_its_size() -> None:
     assert result.outcome == "right", result.named  # viscous friction stood beside it
     assert result.size_error is not None
     assert abs(result.size_error) < 0.01
+
+
+def test_beside_a_hold_whose_gains_nobody_knows_nothing_is_named_for_sure() -> None:
+    recording, truth = make_foreign(540340, cause="null", excitation="odd")
+    diagnosis = diagnose(recording, masses=truth.settings["masses"])
+    # Not consistent, as it should be; but a mode was named at 0.999.
+    assert all(f.confidence < 0.9 for f in diagnosis.findings), diagnosis.sentences
