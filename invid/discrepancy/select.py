@@ -104,41 +104,47 @@ def _pruned(found: Selection, train: Sequence[Record], held: Sequence[Record]) -
 
     The first cause named is the one that alone explains most; beside the true ones it may vanish.
     """
-    gone = _superfluous(found)
-    if not gone:
-        return found
-    final, known = found.final.fit, len(found.base.fit.candidate.terms)
-    kept = [k for k in range(len(final.candidate.terms)) if k - known not in gone]
+    for number in _doubtful(found):
+        smaller = _without(found, number, train, held)
+        if smaller is not None:
+            return _pruned(smaller, train, held)
+    return found
+
+
+def _without(
+    found: Selection, number: int, train: Sequence[Record], held: Sequence[Record]
+) -> Selection | None:
+    """One cause less, the others refitted; none where that costs more than the cause's parameters may."""
+    final, at = found.final.fit, len(found.base.fit.candidate.terms) + number
+    kept = [k for k in range(len(final.candidate.terms)) if k != at]
     candidate = Candidate(
         tuple(final.candidate.terms[k] for k in kept), tuple(final.candidate.x[k] for k in kept)
     )
     trial = attempted(lambda: fit(final.layout, train, final.p, candidate, iterations=40), held)
-    limit = chi2_isf(SIGNIFICANCE, sum(found.steps[k].chosen.term.size for k in gone))
-    if trial is None or trial.cost > found.final.cost + limit * found.final.dispersion:
-        return found
-    steps, before = [], None
-    for number, step in enumerate(found.steps):
-        if number in gone:
-            before = step.before if before is None else before
-            continue
-        steps.append(step if before is None else replace(step, before=before))
-        before = None
+    limit = chi2_isf(SIGNIFICANCE, final.candidate.terms[at].size) * found.final.dispersion
+    if trial is None or trial.cost > found.final.cost + limit:
+        return None
+    steps = list(found.steps)
+    gone = steps.pop(number)
+    steps[number] = replace(steps[number], before=gone.before)
     steps[-1] = replace(steps[-1], chosen=trial)
     return replace(found, final=trial, steps=tuple(steps))
 
 
-def _superfluous(found: Selection) -> set[int]:
-    """Steps before the last whose cause has no coefficient that differs from zero (1 %, Wald)."""
+def _doubtful(found: Selection) -> list[int]:
+    """Steps before the last whose cause may be superfluous: none of its coefficients differs from zero (1 %,
+    Wald), or it has none (a gap)."""
     final, known = found.final.fit, len(found.base.fit.candidate.terms)
-    out, at = set(), final.layout.count
+    out, at = [], final.layout.count
     for number, (term, x) in enumerate(zip(final.candidate.terms, final.candidate.x, strict=True)):
         count = len(term.effect.coefficients)
         block = final.covariance[at : at + count, at : at + count]
         at += term.size
-        if count and known <= number < known + len(found.steps) - 1 and np.isfinite(block).all():
-            wald = float(x[:count] @ np.linalg.lstsq(block, x[:count], rcond=None)[0])
-            if wald < chi2_isf(0.01, count):
-                out.add(number - known)
+        if not known <= number < known + len(found.steps) - 1 or not np.isfinite(block).all():
+            continue
+        wald = float(x[:count] @ np.linalg.lstsq(block, x[:count], rcond=None)[0]) if count else 0.0
+        if wald < chi2_isf(0.01, max(count, 1)):
+            out.append(number - known)
     return out
 
 

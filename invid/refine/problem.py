@@ -21,7 +21,7 @@ import numpy.typing as npt
 from invid.arrays import Bool, Complex128, Float64
 from invid.refine.boundary import end_columns, end_forces, end_places, end_points
 from invid.refine.structure import ChainStructure
-from invid.refine.whitening import stack, whitener
+from invid.refine.whitening import factored, stack, whitener
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,10 +95,12 @@ class State:
     """(F, M) missing torque r, boundary terms included."""
     jacobian: Complex128
     """(F, M, n) derivative of r by all parameters, at the projected measurement."""
-    boundary: Complex128
-    """(F, M, 2ΣN or 0) boundary columns."""
     covariance: Complex128
     """(F, M, M) C_r."""
+    root: Complex128
+    """(F, M, M) its whitener."""
+    basis: Float64
+    """(2FM, 2ΣN or 0) orthonormal basis of the whitened boundary columns."""
     projected_position: Complex128
     """(F, M) Θ̂."""
     all_motion: Complex128
@@ -210,19 +212,16 @@ class MissingTorqueProblem:
         if self.extra is not None:
             contribution, extra_jac = self.extra.evaluate(block, motion, free, p[s["extra"]])
             residual = residual + contribution
-        boundary = np.zeros((block.omega.size, motors, 0), dtype=complex)
+        root = whitener(covariance)
+        basis = np.zeros((2 * block.omega.size * motors, 0))
         forces = np.zeros((block.omega.size, structure.dofs, 0), dtype=complex)
         ends = np.zeros(0)
         if block.transient:
             forces = end_forces(structure, sp, block.omega, block.span)
             points = end_points(block.omega, block.step, block.span, ends_in=block.ends_in)
             boundary = end_columns(structure, motion, stiffness, forces, points)
-            root = whitener(covariance)
-            columns_w = stack(root @ boundary)
-            right = stack(root @ residual[..., None])[:, 0]
-            scale = np.linalg.norm(columns_w, axis=0)
-            scale[scale == 0] = 1.0
-            ends = -np.linalg.lstsq(columns_w / scale, right, rcond=1e-12)[0] / scale
+            basis, back = factored(stack(root @ boundary))
+            ends = -(back @ (basis.T @ stack(root @ residual[..., None])[:, 0]))
             residual = residual + boundary @ ends
             shift = points @ ends[end_places(structure)].reshape(2, motors)
         gain = np.linalg.solve(covariance, residual[..., None])[..., 0]
@@ -244,7 +243,9 @@ class MissingTorqueProblem:
         jacobian[..., s["staircase"]] = -stair_jac * command[..., None]
         jacobian[..., columns] = block.columns
         jacobian[..., s["extra"]] = extra_jac
-        return State(block, motion, stiffness, inner, residual, jacobian, boundary, covariance, position, q)
+        return State(
+            block, motion, stiffness, inner, residual, jacobian, covariance, root, basis, position, q
+        )
 
     def _boundary_derivative(
         self, jacobian: Complex128, block: Block, sp: Float64, motion: Complex128, ends: Float64
@@ -325,17 +326,11 @@ class MissingTorqueProblem:
         residuals, jacobians = [], []
         free = self.free
         for state in self.states(p):
-            root = whitener(state.covariance)
-            r = stack(root @ state.residual[..., None])[:, 0]
-            j = stack(root @ state.jacobian[..., free])
-            if state.boundary.shape[2]:
-                b = stack(root @ state.boundary)
-                scale = np.linalg.norm(b, axis=0)
-                b = b[:, scale > 0] / scale[scale > 0]
-                left, size, _ = np.linalg.svd(b, full_matrices=False)
-                basis = left[:, size > 1e-9 * size[0]]
-                r = r - basis @ (basis.T @ r)
-                j = j - basis @ (basis.T @ j)
+            r = stack(state.root @ state.residual[..., None])[:, 0]
+            j = stack(state.root @ state.jacobian[..., free])
+            if state.basis.shape[1]:
+                r = r - state.basis @ (state.basis.T @ r)
+                j = j - state.basis @ (state.basis.T @ j)
             residuals.append(r)
             jacobians.append(j)
         for at, name in enumerate(self.names):

@@ -40,12 +40,32 @@ def unstack(back: Complex128, rows: Float64, shape: tuple[int, ...]) -> Complex1
     return out
 
 
+def factored(columns: Float64) -> tuple[Float64, Float64]:
+    """(rows, rank) orthonormal basis of what the columns span, and (n, rank) from its coordinates to theirs.
+
+    Cholesky's factor of the products, twice (Yamamoto et al. 2015): as orthogonal as a QR where the condition
+    number is below 1e7, which the first pass shows, and several times faster on a few tall columns.
+    """
+    scale = np.linalg.norm(columns, axis=0)
+    scale = np.where(scale == 0, 1.0, scale)
+    scaled = columns / scale
+    try:
+        back = np.linalg.inv(np.linalg.cholesky(scaled.T @ scaled)).T
+        basis = scaled @ back
+        product = basis.T @ basis
+        if np.abs(product - np.eye(product.shape[0])).max(initial=0.0) < 0.1:
+            again = np.linalg.inv(np.linalg.cholesky(product)).T
+            return basis @ again, (back @ again) / scale[:, None]
+    except np.linalg.LinAlgError:
+        pass
+    left, size, right = np.linalg.svd(scaled, full_matrices=False)
+    seen = size > 1e-9 * max(float(size[0]), 1e-300)
+    return left[:, seen], right[seen].T / size[seen] / scale[:, None]
+
+
 def orthonormal(columns: Float64) -> Float64:
     """(rows, rank) basis of what the columns span."""
-    scale = np.linalg.norm(columns, axis=0)
-    left, size, _ = np.linalg.svd(columns[:, scale > 0] / scale[scale > 0], full_matrices=False)
-    out: Float64 = left[:, size > 1e-9 * size[0]]
-    return out
+    return factored(columns)[0]
 
 
-__all__ = ["orthonormal", "stack", "unstack", "unwhitener", "whitener"]
+__all__ = ["factored", "orthonormal", "stack", "unstack", "unwhitener", "whitener"]

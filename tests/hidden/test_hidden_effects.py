@@ -101,3 +101,10 @@ def test_of_two_axes_the_scale_of_one_is_never_told_from_the_inverse_scale_of_th
     assert finding.alternatives[0].axis != finding.effect.axis
     assert finding.confidence < 0.9
     assert finding.separating_experiment is not None
+
+
+def test_a_cause_that_the_next_one_leaves_nothing_to_is_not_named() -> None:
+    """Seed 600036: backlash alone explains most of a cubic spring, and a gap of 6 µrad stood beside it."""
+    recording, _ = make_case(600036)
+    (finding,) = diagnose(recording).findings
+    assert finding.effect.cause == "cubic_stiffness"
