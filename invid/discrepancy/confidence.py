@@ -115,8 +115,18 @@ def estimates(trial: Trial, number: int, linear: bool) -> dict[str, Estimate]:
     out = {}
     for (name, value), v in zip(values.items(), variance, strict=True):
         std = float(np.sqrt(v)) if np.isfinite(v) and v > 0 else None
+        if std is None and name == "time":
+            std = _gap(trial, value) / float(np.sqrt(12.0))
         out[name] = Estimate(value, std, unit_of(term.effect.parameters[name], linear))
     return out
+
+
+def _gap(trial: Trial, time: float) -> float:
+    """Length of the gap between records in which ``time`` lies: anywhere in it the data are the same."""
+    records = [v.record for v in (*trial.fit.evaluation.views, *trial.held.views)]
+    before = max((r.end_time for r in records if r.end_time <= time + r.step), default=time)
+    after = min((r.start_time for r in records if r.start_time >= time - r.step), default=time)
+    return max(after - before, records[0].step)
 
 
 def effect_term(trial: Trial, number: int, recording: Recording) -> EffectTerm:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -82,7 +83,15 @@ def diagnose(
     warnings = [*(w for s in spectra for w in s.warnings), *warnings]
     base, free, train, held = linear_fit(model, sound, spectra, train, held)
     bare = without_effects(base, train)
-    selection = select(base, train, held, linear_axes=recording.linear, free=free, moves=moves_of(sound))
+    search = partial(select, linear_axes=recording.linear, free=free, moves=moves_of(sound))
+    selection = search(base, train, held)
+    parts = around_change(selection)
+    if parts is not None:
+        around = fit(base.layout, parts[0], base.p, base.candidate, iterations=25)
+        again = search(around, *parts)
+        if _change(again) is not None:
+            base, selection, (train, held) = around, again, parts
+            bare = without_effects(base, train)
     # Holds whose timing was in doubt have the one that fits.
     warnings = [*warnings, *moved_holds(train, selection.final.fit.evaluation, recording)]
     train, held = records_of(selection.final.fit.evaluation), records_of(selection.final.held)
@@ -100,6 +109,35 @@ def diagnose(
         result = with_replay(result, answer, sound)
         result = replace(result, details={**result.details, "linear_model": model_to_json(linear)})
     return with_dropped(result, recording, dropped, before_repair(recording, bare, result) if dropped else {})
+
+
+def around_change(selection: Selection) -> tuple[list[Record], list[Record]] | None:
+    """Training and held-out records without the period in which the load changes; none where none does.
+
+    That period is half of one plant, half of the other, with what the change sets ringing: no model here.
+    """
+    time = _change(selection)
+    if time is None:
+        return None
+    parts = [records_of(selection.final.fit.evaluation), records_of(selection.final.held)]
+    kept = [[r for r in part if not _within(r, time)] for part in parts]
+    if kept == parts or not all(kept):
+        return None
+    return kept[0], kept[1]
+
+
+def _change(selection: Selection) -> float | None:
+    """When the load changes [s], by the selected causes."""
+    fit_ = selection.final.fit
+    for term, x in zip(fit_.candidate.terms, fit_.candidate.x, strict=True):
+        if term.effect.cause == "payload_change":
+            return float(x[1])
+    return None
+
+
+def _within(record: Record, time: float) -> bool:
+    """Whether ``time`` is inside the record by more than its sampling."""
+    return record.start_time + record.step < time < record.end_time - record.step
 
 
 def moved_holds(train: Sequence[Record], final: Evaluation, recording: Recording) -> list[str]:

@@ -34,6 +34,10 @@ class NullTest:
         return self.p < FALSE_ALARM
 
 
+FEW = 3
+"""Periods too few for Von Neumann's ratio: a step within the middle one has the ratio of scatter."""
+
+
 def null_test(cost: float, dof: int, records: Sequence[Record]) -> NullTest:
     """Sensors' noise enters through few numbers estimated from many quiet lines: χ²/ν is F(ν, ν_noise)."""
     noise_dof = float(sum(r.noise_dof for r in records))
@@ -51,7 +55,8 @@ def with_scatter(
     not repeat. Motion that does not repeat cancels in Z Θ − T and raises nothing.
     """
     known = {s.key: s for s in spectra}
-    out = []
+    out: list[Record] = []
+    scattering: list[tuple[int, int, bool]] = []
     for record, view in zip(records, views_of(layout, records, p), strict=True):
         s = known[record.key]
         periods = s.deviations.shape[0]
@@ -82,6 +87,7 @@ def with_scatter(
             e, left = without_boundary(plain_view, layout, p, e, covariance)
         ratio = (np.abs(e) ** 2).sum(axis=0) / (periods - 1) / single / left
         trend = _trending(e, single)
+        scattering.append((len(out), periods, _scatters(e, single)))
         scatter = np.ones_like(record.scatter)
         window = min(LINES, lines)
         kernel = np.ones(window) / window
@@ -100,6 +106,12 @@ def with_scatter(
         floor = 0.5 * record.noise[1, motors:]
         added[0] = np.maximum((_mean_scatter(ratio) - 1.0) * floor, 0.5 * added[1])
         out.append(replace(record, scatter=added, trend=trend))
+    # Two or three periods are too few to follow time. A process that scatters does so in every record; what
+    # comes in one and leaves the others quiet happened once.
+    if not all(scatters for *_, scatters in scattering):
+        for number, periods, scatters in scattering:
+            if scatters and periods <= FEW:
+                out[number] = replace(out[number], trend=True)
     return out
 
 
@@ -120,8 +132,14 @@ def _trending(e: Complex128, single: Float64) -> bool:
     white = e / np.sqrt(single)
     variance = float((np.abs(white) ** 2).sum() / (periods - 1))
     successive = float((np.abs(np.diff(white, axis=0)) ** 2).sum() / (2 * (periods - 1)))
-    lines = white[0].size
-    return variance / lines > 1.0 + 6.0 / np.sqrt(lines * (periods - 1)) and successive < 0.65 * variance
+    return _scatters(e, single) and successive < 0.65 * variance
+
+
+def _scatters(e: Complex128, single: Float64) -> bool:
+    """Whether the (P, F, M) scatter is more than the sensors': six standard deviations of χ²/ν."""
+    periods, lines = e.shape[0], e[0].size
+    level = float((np.abs(e) ** 2 / single).sum() / (periods - 1)) / lines
+    return bool(level > 1.0 + 6.0 / np.sqrt(lines * (periods - 1)))
 
 
 def _mean_scatter(ratio: Float64) -> Float64:

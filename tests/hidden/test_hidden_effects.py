@@ -14,7 +14,7 @@ from invid.diagnosis import Verdict
 from invid.discrepancy import diagnose
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from hidden.generator import make
+from hidden.generator import make, make_case
 from hidden.scoring import score
 
 # One cause of each family: at the motor, in a spring, in the actuator, over position, over time.
@@ -108,3 +108,14 @@ def test_a_cause_that_the_next_one_leaves_nothing_to_is_not_named() -> None:
     recording, _ = make_case(600036)
     (finding,) = diagnose(recording).findings
     assert finding.effect.cause == "cubic_stiffness"
+
+
+def test_a_load_that_changes_inside_a_period_is_found_without_that_period() -> None:
+    """Seed 600059: three periods a record, the load changes within the second of one."""
+    recording, truth = make_case(600059)
+    (finding,) = diagnose(recording).findings
+    assert finding.effect.cause == "payload_change"
+    mass, time = finding.effect.parameters["mass"], finding.effect.parameters["time"]
+    assert mass.value == pytest.approx(truth.effects[0].parameters["mass"], rel=0.01)
+    assert time.std is not None
+    assert abs(time.value - truth.effects[0].parameters["time"]) < 3.0 * time.std
