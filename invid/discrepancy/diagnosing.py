@@ -11,6 +11,7 @@ import numpy as np
 
 from invid.arrays import Float64
 from invid.diagnosis import AxisResidual, Diagnosis, Finding, Unexplained, Verdict
+from invid.discrepancy.change import around_change, change_of
 from invid.discrepancy.character import unexplained_of
 from invid.discrepancy.confidence import effect_term, judge
 from invid.discrepancy.dropped import before_repair, find_dropped, repaired, with_dropped
@@ -89,7 +90,7 @@ def diagnose(
     if parts is not None:
         around = fit(base.layout, parts[0], base.p, base.candidate, iterations=25)
         again = search(around, *parts)
-        if _change(again) is not None:
+        if change_of(again) is not None:
             base, selection, (train, held) = around, again, parts
             bare = without_effects(base, train)
     # Holds whose timing was in doubt have the one that fits.
@@ -109,35 +110,6 @@ def diagnose(
         result = with_replay(result, answer, sound)
         result = replace(result, details={**result.details, "linear_model": model_to_json(linear)})
     return with_dropped(result, recording, dropped, before_repair(recording, bare, result) if dropped else {})
-
-
-def around_change(selection: Selection) -> tuple[list[Record], list[Record]] | None:
-    """Training and held-out records without the period in which the load changes; none where none does.
-
-    That period is half of one plant, half of the other, with what the change sets ringing: no model here.
-    """
-    time = _change(selection)
-    if time is None:
-        return None
-    parts = [records_of(selection.final.fit.evaluation), records_of(selection.final.held)]
-    kept = [[r for r in part if not _within(r, time)] for part in parts]
-    if kept == parts or not all(kept):
-        return None
-    return kept[0], kept[1]
-
-
-def _change(selection: Selection) -> float | None:
-    """When the load changes [s], by the selected causes."""
-    fit_ = selection.final.fit
-    for term, x in zip(fit_.candidate.terms, fit_.candidate.x, strict=True):
-        if term.effect.cause == "payload_change":
-            return float(x[1])
-    return None
-
-
-def _within(record: Record, time: float) -> bool:
-    """Whether ``time`` is inside the record by more than its sampling."""
-    return record.start_time + record.step < time < record.end_time - record.step
 
 
 def moved_holds(train: Sequence[Record], final: Evaluation, recording: Recording) -> list[str]:
