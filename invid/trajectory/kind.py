@@ -27,9 +27,9 @@ that noise or a stepped sine shook. A resonance seldom stands out of such record
 lines they have."""
 
 SHAKEN = 4.0
-"""Reversals of velocity a second from which an axis is shaken, not moved. Empirical: at most 1.8 on the
-moves of six arms of two links (one axis changes the inertia of the other, so that rigid axes
-alone account for a tenth of the torque in one), 7.8 and more on 16 chains that noise or a stepped sine shook."""
+"""Reversals of velocity a second from which an axis is shaken, not moved. Empirical: at most 1.8 on the moves
+of six arms of two links (one axis changes the inertia of the other, so that rigid axes alone account for a
+tenth of the torque in one), 7.8 and more on 16 chains that noise or a stepped sine shook."""
 
 
 def is_rigid_case(recording: Recording, masses: Sequence[int] | str | None) -> bool:
