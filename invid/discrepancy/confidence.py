@@ -248,7 +248,9 @@ def _rivals(step: Step, left: float) -> tuple[list[Trial], float]:
     rows = step.before.fit.dof
     scores: Float64 = np.array([s - unearned(t, rows) for t, s in step.ranked])
     weights = np.exp(-0.25 * np.clip(scores - scores.min(), 0.0, 200.0))
-    share = float(weights[0] / weights.sum())
+    # Weight is weight, at the load or at the motor: the other end is an alternative, no doubt of the cause.
+    own = [n == 0 or _same_weight(t.term, step.ranked[0][0].term) for n, (t, _) in enumerate(step.ranked)]
+    share = float(weights[own].sum() / weights.sum())
     chosen = step.ranked[0][1]
     rivals = [t for (t, s) in step.ranked[1:] if s - chosen < COMPETES and _competes(step, t)]
     rivals += [
@@ -257,6 +259,11 @@ def _rivals(step: Step, left: float) -> tuple[list[Trial], float]:
         if t not in rivals and t.cost - step.chosen.cost < left and _competes(step, t)
     ]
     return rivals, share
+
+
+def _same_weight(one: Term, other: Term) -> bool:
+    """Whether both are gravity on the same axis."""
+    return one.effect.cause == other.effect.cause == "gravity" and one.place.axis == other.place.axis
 
 
 def _competes(step: Step, rival: Trial) -> bool:

@@ -191,8 +191,10 @@ def at_bound(trial: Trial) -> bool:
 
 
 def penalty(trial: Trial, rows: int) -> float:
-    """Schwarz' penalty of the parameters of the effects."""
-    return float(np.log(max(rows, 2))) * sum(t.size for t in trial.fit.candidate.terms)
+    """Schwarz' penalty of the parameters of the effects, and how rare their places are."""
+    terms, structure = trial.fit.candidate.terms, trial.fit.layout.structure
+    rare = sum(t.effect.rarity(t.place, structure) for t in terms)
+    return float(np.log(max(rows, 2))) * sum(t.size for t in terms) + rare
 
 
 def unearned(trial: Trial, rows: int) -> float:

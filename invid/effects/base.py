@@ -384,6 +384,10 @@ class Effect:
         out: Complex128 = columns @ np.asarray(x[:count])
         return out, None
 
+    def rarity(self, place: Place, structure: ChainStructure) -> float:
+        """−2 ln of the odds, before any data, that this cause sits here and not where it usually does."""
+        return 0.0
+
     def noise_power(self, view: View, place: Place, x: Sequence[float]) -> tuple[float, float]:
         """What taking a sensor's fault out multiplies the noise powers of its position and torque by."""
         return 1.0, 1.0

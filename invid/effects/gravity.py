@@ -1,4 +1,4 @@
-"""Gravity on the load: a sinusoid of its angle, one cycle a revolution."""
+"""Gravity: a sinusoid of the angle, one cycle a revolution."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from typing import ClassVar
 import numpy as np
 
 from invid.arrays import Float64
-from invid.effects.base import ForceEffect, Place, View, end_places
+from invid.effects.base import ForceEffect, Place, View, end_places, motor_places
 from invid.refine.structure import ChainStructure
 
 
 class Gravity(ForceEffect):
-    """Resistance torque·sin(θ_load + angle)."""
+    """Resistance torque·sin(q + angle), q the position of the final mass, or of the motor."""
 
     cause = "gravity"
     title = "gravity on the load"
@@ -27,7 +27,13 @@ class Gravity(ForceEffect):
     main = "torque"
 
     def places(self, structure: ChainStructure) -> list[Place]:
-        return end_places(structure)
+        # A motor that carries weight itself (a counterweight, a pulley) before its springs.
+        ends = end_places(structure)
+        return [*ends, *(p for p in motor_places(structure) if p not in ends)]
+
+    def rarity(self, place: Place, structure: ChainStructure) -> float:
+        # Weight hangs on the load. One in twenty at the motor is a guess; slow motion does not tell the two.
+        return 0.0 if place in end_places(structure) else float(2.0 * np.log(20.0))
 
     def law(self, view: View, place: Place, shape: Sequence[float]) -> Float64:
         q = view.wave(place.pattern(view.structure))

@@ -1,0 +1,24 @@
+"""Weight that a motor carries itself is gravity, not cogging of a cycle and a half."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from invid.discrepancy import diagnose
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from hidden.foreign import make_foreign
+
+
+def test_weight_at_the_motor_is_gravity_with_its_place_open() -> None:
+    recording, truth = make_foreign(640013)  # two axes, gravity before the springs of A2
+    (finding,) = diagnose(recording).findings
+    assert (finding.effect.cause, finding.effect.axis) == ("gravity", "A2")
+    named = {finding.effect.element, *(a.element for a in finding.alternatives)}
+    assert truth.effects[0].element in named
+    size = finding.effect.parameters["torque"]
+    assert size.value == pytest.approx(truth.effects[0].parameters["torque"], rel=0.02)
+    assert finding.confidence < 0.9
