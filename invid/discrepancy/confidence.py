@@ -11,7 +11,7 @@ from invid.diagnosis import Alternative, Finding
 from invid.discrepancy.missing_torque import NullTest, rms_torque
 from invid.discrepancy.plant import Term
 from invid.discrepancy.select import Selection
-from invid.discrepancy.trial import Step, Trial, unearned
+from invid.discrepancy.trial import Step, Trial, sized, unearned
 from invid.discrepancy.words import BY_CAUSE, finding_sentence
 from invid.effects.base import unit_of
 from invid.effects.sign import ROUNDING, DryLaw
@@ -26,6 +26,9 @@ long periodic records of a real machine a few lines stand thousands of times abo
 excess χ² (antiresonances, where the motor hardly moves), while next to no torque is missing there."""
 COMPETES = 9.0
 """Difference of −2 ln(likelihood) within which two causes are called indistinguishable (about 3 σ)."""
+
+UNSIZED = 0.5
+"""Most that is claimed of a cause whose size cannot be told from none: something is there, and it fits."""
 
 CONTESTED = 0.89
 """Most that is claimed where alternatives remain. exp(−COMPETES/4) leaves a rival at the edge a tenth of the
@@ -179,6 +182,8 @@ def _finding(selection: Selection, number: int, recording: Recording, explained:
     confidence = float(np.clip(share * (0.55 + 0.45 * _ramp(explained)), 0.01, 0.999))
     if alternatives or final.cost > AT_FLOOR * final.dof:
         confidence = min(confidence, CONTESTED)
+    if sized(final.fit, at) is False:
+        confidence = min(confidence, UNSIZED)
     sizes = final.fit.layout.structure.sizes
     return Finding(
         effect=effect,

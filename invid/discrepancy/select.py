@@ -15,7 +15,7 @@ from invid.discrepancy.moves import Move, judged_on_moves
 from invid.discrepancy.plant import Candidate, Layout, Term
 from invid.discrepancy.rounding import rounded
 from invid.discrepancy.screen import Score, Screen, terms_for
-from invid.discrepancy.trial import HELD_OUT, Step, Trial, at_bound, attempted, refit
+from invid.discrepancy.trial import HELD_OUT, Step, Trial, at_bound, attempted, refit, sized
 from invid.discrepancy.variants import delays, ladder, lags, retimed, retold, timings
 from invid.distributions import chi2_isf
 from invid.effects.base import Record, rms
@@ -132,19 +132,15 @@ def _without(
 
 
 def _doubtful(found: Selection) -> list[int]:
-    """Steps before the last whose cause may be superfluous: none of its coefficients differs from zero (1 %,
-    Wald), or it has none (a gap)."""
+    """Steps before the last whose cause may be superfluous: its size is not told from none, or it is a shape
+    alone (a gap)."""
     final, known = found.final.fit, len(found.base.fit.candidate.terms)
-    out, at = [], final.layout.count
-    for number, (term, x) in enumerate(zip(final.candidate.terms, final.candidate.x, strict=True)):
-        count = len(term.effect.coefficients)
-        block = final.covariance[at : at + count, at : at + count]
-        at += term.size
-        if not known <= number < known + len(found.steps) - 1 or not np.isfinite(block).all():
-            continue
-        wald = float(x[:count] @ np.linalg.lstsq(block, x[:count], rcond=None)[0]) if count else 0.0
-        if wald < chi2_isf(0.01, max(count, 1)):
-            out.append(number - known)
+    out = []
+    for number in range(len(found.steps) - 1):
+        term = final.candidate.terms[known + number]
+        told = sized(final, known + number)
+        if told is False or (told is None and not term.effect.coefficients):
+            out.append(number)
     return out
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from invid.arrays import Bool, Float64
 from invid.discrepancy.joint import LARGEST_STEP, JointFit, fit, held_out, limits_of
 from invid.discrepancy.plant import Candidate, Evaluation, Layout, Term, evaluate
+from invid.distributions import chi2_isf
 from invid.effects.base import Record
 
 HELD_OUT = 6.6
@@ -188,6 +189,18 @@ def at_bound(trial: Trial) -> bool:
             return True
         shapes, limits = shapes[:1], limits[:1]
     return any(v <= low + 1e-9 or v >= high - 1e-9 for v, (low, high) in zip(shapes, limits, strict=True))
+
+
+def sized(found: JointFit, number: int) -> bool | None:
+    """Whether a coefficient of an effect differs from zero (1 %, Wald); ``None`` where none is known."""
+    term, x = found.candidate.terms[number], found.candidate.x[number]
+    at = found.layout.count + sum(t.size for t in found.candidate.terms[:number])
+    count = len(term.effect.coefficients)
+    block = found.covariance[at : at + count, at : at + count]
+    if not count or not np.isfinite(block).all():
+        return None
+    wald = float(x[:count] @ np.linalg.lstsq(block, x[:count], rcond=None)[0])
+    return wald > chi2_isf(0.01, count)
 
 
 def penalty(trial: Trial, rows: int) -> float:

@@ -22,3 +22,13 @@ def test_weight_at_the_motor_is_gravity_with_its_place_open() -> None:
     size = finding.effect.parameters["torque"]
     assert size.value == pytest.approx(truth.effects[0].parameters["torque"], rel=0.02)
     assert finding.confidence < 0.9
+
+
+def test_a_cause_whose_size_is_not_told_from_none_is_not_sure() -> None:
+    """Seed 640010: cogging of 0.2 ± 0.3 N·m was named at 1.00 beside the strong cause."""
+    recording, _ = make_foreign(640010)
+    for finding in diagnose(recording).findings:
+        if finding.effect.cause == "cogging":
+            size = finding.effect.parameters["torque"]
+            assert size.std is not None
+            assert size.value > 2.0 * size.std or finding.confidence <= 0.5
