@@ -21,7 +21,7 @@ from scipy import special
 
 from invid.arrays import Float64
 from invid.distributions import chi2_sf, f_sf, normal_isf
-from invid.model import Model, parameter_vector
+from invid.model import Model, parameter_vector, stds_by_name
 
 RIVAL = normal_isf(0.005) ** 2
 """A rival whose χ² is no worse than this below the best is not ruled out: 6.6, a likelihood ratio of 28."""
@@ -36,24 +36,6 @@ SOUGHT = 3.0
 _EQUAL = 0.5
 """Part of the false alarms that every parameter gets in equal shares, whatever it is correlated with: none
 asks for more than twice the evidence (in p) of an equal share."""
-
-
-def stds_by_name(model: Model) -> dict[str, float]:
-    """Standard deviation by the names of ``parameter_vector``; a coupling under both orders of its axes."""
-    out: dict[str, float] = {}
-    for i, axis in enumerate(model.axes):
-        for kind, column in (
-            ("mass", model.std.masses[i]),
-            ("spring", model.std.springs[i]),
-            ("damper", model.std.dampers[i]),
-        ):
-            out.update({f"{axis}.{kind}.{q + 1}": float(s) for q, s in enumerate(column)})
-        out[f"{axis}.ground_spring"] = float(model.std.ground_springs[i])
-    for i, first in enumerate(model.axes):
-        for j in range(i + 1, len(model.axes)):
-            second, value = model.axes[j], float(model.std.couplings[i, j])
-            out[f"{first}-{second}.coupling"] = out[f"{second}-{first}.coupling"] = value
-    return out
 
 
 def covariance_of(model: Model, names: Sequence[str]) -> Float64:

@@ -150,6 +150,24 @@ def parameter_vector(chains: CoupledChains) -> tuple[tuple[str, ...], Float64]:
     return tuple(names), np.array(values)
 
 
+def stds_by_name(model: Model) -> dict[str, float]:
+    """Standard deviation by the names of ``parameter_vector``; a coupling under both orders of its axes."""
+    out: dict[str, float] = {}
+    for i, axis in enumerate(model.axes):
+        for kind, column in (
+            ("mass", model.std.masses[i]),
+            ("spring", model.std.springs[i]),
+            ("damper", model.std.dampers[i]),
+        ):
+            out.update({f"{axis}.{kind}.{q + 1}": float(s) for q, s in enumerate(column)})
+        out[f"{axis}.ground_spring"] = float(model.std.ground_springs[i])
+    for i, first in enumerate(model.axes):
+        for j in range(i + 1, len(model.axes)):
+            second, value = model.axes[j], float(model.std.couplings[i, j])
+            out[f"{first}-{second}.coupling"] = out[f"{second}-{first}.coupling"] = value
+    return out
+
+
 def units(linear: bool) -> dict[str, str]:
     """Units of the model's parameters by kind."""
     if linear:

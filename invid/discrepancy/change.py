@@ -14,8 +14,7 @@ def around_change(selection: Selection) -> tuple[list[Record], list[Record]] | N
     time = change_of(selection)
     if time is None:
         return None
-    evaluations = (selection.final.fit.evaluation, selection.final.held)
-    parts = [[view.record for view in evaluation.views] for evaluation in evaluations]
+    parts = [selection.final.fit.evaluation.records, selection.final.held.records]
     kept = [[r for r in part if not _within(r, time)] for part in parts]
     if kept == parts or not all(kept):
         return None

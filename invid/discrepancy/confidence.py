@@ -100,8 +100,7 @@ def _power_explained(base: Trial, final: Trial) -> float:
 def estimates(trial: Trial, number: int, linear: bool) -> dict[str, Estimate]:
     """The contract's parameters of one effect with their standard deviations."""
     term, x = trial.fit.candidate.terms[number], trial.fit.candidate.x[number]
-    at = trial.fit.layout.count + sum(t.size for t in trial.fit.candidate.terms[:number])
-    covariance = trial.fit.covariance[at : at + term.size, at : at + term.size]
+    covariance = trial.fit.covariance_of(number)
     values = term.effect.values(x.tolist(), term.place)
     jacobian = np.zeros((len(values), x.size))
     for k in range(x.size):
@@ -126,7 +125,7 @@ def estimates(trial: Trial, number: int, linear: bool) -> dict[str, Estimate]:
 
 def _gap(trial: Trial, time: float) -> float:
     """Length of the gap between records in which ``time`` lies: anywhere in it the data are the same."""
-    records = [v.record for v in (*trial.fit.evaluation.views, *trial.held.views)]
+    records = [*trial.fit.evaluation.records, *trial.held.records]
     before = max((r.end_time for r in records if r.end_time <= time + r.step), default=time)
     after = min((r.start_time for r in records if r.start_time >= time - r.step), default=time)
     return max(after - before, records[0].step)
@@ -220,8 +219,7 @@ def _slow_friction(
 
 def _sticks(slow: Trial, dry: Trial) -> bool:
     """Whether a fitted Stribeck effect gains what its parameters do by chance, and is as large as one is."""
-    at = slow.fit.covariance.shape[0] - slow.term.size + 1
-    std = float(np.sqrt(max(slow.fit.covariance[at, at], 0.0)))
+    std = float(np.sqrt(max(slow.fit.covariance_of(-1)[1, 1], 0.0)))
     gained = (dry.cost - slow.cost) / dry.dispersion
     return gained > slow.term.size - dry.term.size and float(slow.x[1]) + 2.0 * std > STICKS * float(
         slow.x[0]

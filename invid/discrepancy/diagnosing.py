@@ -95,7 +95,7 @@ def diagnose(
             bare = without_effects(base, train)
     # Holds whose timing was in doubt have the one that fits.
     warnings = [*warnings, *moved_holds(train, selection.final.fit.evaluation, recording)]
-    train, held = records_of(selection.final.fit.evaluation), records_of(selection.final.held)
+    train, held = selection.final.fit.evaluation.records, selection.final.held.records
     bare = selection.base.fit if bare is base else bare
     result = _document(sound, model, selection, bare, train, held, warnings)
     if result.findings:
@@ -127,11 +127,6 @@ def moved_holds(train: Sequence[Record], final: Evaluation, recording: Recording
             "record the demanded torque, or drive the axis without a hold, to tell"
         )
     return said
-
-
-def records_of(evaluation: Evaluation) -> list[Record]:
-    """The records of an evaluation."""
-    return [view.record for view in evaluation.views]
 
 
 def without_effects(base: JointFit, train: Sequence[Record]) -> JointFit:

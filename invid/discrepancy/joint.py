@@ -41,6 +41,12 @@ class JointFit:
         """χ²/ν, at least 1."""
         return max(1.0, self.cost / self.dof)
 
+    def covariance_of(self, number: int) -> Float64:
+        """(k, k) of the parameters of one effect; negative numbers count from the last."""
+        ends = self.layout.count + np.cumsum([t.size for t in self.candidate.terms])
+        part = slice(int(ends[number]) - self.candidate.terms[number].size, int(ends[number]))
+        return self.covariance[part, part]
+
 
 def limits_of(
     layout: Layout, candidate: Candidate, evaluation: Evaluation, strict: bool
@@ -63,11 +69,13 @@ def limits_of(
     return low, high
 
 
-def _pack(p: Float64, candidate: Candidate) -> Float64:
+def pack(p: Float64, candidate: Candidate) -> Float64:
+    """(n,) the layout's parameters, then the effects'."""
     return np.concatenate((p, *candidate.x)) if candidate.x else p.copy()
 
 
-def _unpack(layout: Layout, candidate: Candidate, v: Float64) -> tuple[Float64, Candidate]:
+def unpack(layout: Layout, candidate: Candidate, v: Float64) -> tuple[Float64, Candidate]:
+    """What ``pack`` put together."""
     at, xs = layout.count, []
     for term in candidate.terms:
         xs.append(v[at : at + term.size].copy())
@@ -93,9 +101,9 @@ def fit(
     structure, thorough = layout.structure, not quick
     here = evaluate(layout, records, p, candidate, thorough=thorough)
     low, high = limits_of(layout, candidate, here, strict)
-    v = np.clip(_pack(p, candidate), low, high)
-    if not np.array_equal(v, _pack(p, candidate)):
-        p, candidate = _unpack(layout, candidate, v)
+    v = np.clip(pack(p, candidate), low, high)
+    if not np.array_equal(v, pack(p, candidate)):
+        p, candidate = unpack(layout, candidate, v)
         here = evaluate(layout, records, p, candidate, thorough=thorough)
     limited = np.zeros(v.size, dtype=bool)
     limited[: structure.count] = structure.logarithmic
@@ -131,7 +139,7 @@ def fit(
             if largest > LARGEST_STEP:
                 step = step * (LARGEST_STEP / largest)
             trial = np.clip(v + step, low, high)
-            tp, tc = _unpack(layout, candidate, trial)
+            tp, tc = unpack(layout, candidate, trial)
             if structure.admissible(tp[: structure.count]):
                 with np.errstate(all="ignore"):
                     try:

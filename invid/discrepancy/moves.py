@@ -13,8 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from invid.arrays import Float64
-from invid.discrepancy.joint import fit, held_out
-from invid.discrepancy.plant import Candidate
+from invid.discrepancy.joint import fit, held_out, pack, unpack
 from invid.discrepancy.trial import Step, Trial, unearned
 from invid.errors import InvidError
 from invid.recording.model import Experiment, Kind, Recording
@@ -125,7 +124,7 @@ def sharpened(trial: Trial, moves: Sequence[Move], axis: int) -> Trial:
     if trial.term.effect.cause != "gravity":
         return trial
     fitted = trial.fit
-    whole = np.concatenate((fitted.p, *fitted.candidate.x))
+    whole = pack(fitted.p, fitted.candidate)
     at = slice(whole.size - 2, whole.size)
     covariance = fitted.covariance
     for move in moves:
@@ -143,16 +142,12 @@ def sharpened(trial: Trial, moves: Sequence[Move], axis: int) -> Trial:
         covariance = covariance - gain @ covariance[at, :]
     if covariance is fitted.covariance:
         return trial
-    p, xs, start = whole[: fitted.layout.count], [], fitted.layout.count
-    for term in fitted.candidate.terms:
-        xs.append(whole[start : start + term.size])
-        start += term.size
-    candidate = Candidate(fitted.candidate.terms, tuple(xs))
+    p, candidate = unpack(fitted.layout, fitted.candidate, whole)
     if not fitted.layout.structure.admissible(p[: fitted.layout.structure.count]):
         return trial
-    moved = fit(fitted.layout, [v.record for v in fitted.evaluation.views], p, candidate, iterations=0)
+    moved = fit(fitted.layout, fitted.evaluation.records, p, candidate, iterations=0)
     moved = replace(moved, covariance=covariance, converged=fitted.converged)
-    return Trial(moved, held_out(moved, [v.record for v in trial.held.views]))
+    return Trial(moved, held_out(moved, trial.held.records))
 
 
 def _evidence(move: Move, rivals: Sequence[Trial], axis: int) -> Float64:

@@ -20,7 +20,7 @@ from invid.effects.torque_delay import ActuatorEffect
 from invid.refine.boundary import end_columns, end_derivative, end_forces, end_places, end_points
 from invid.refine.problem import condense_dense
 from invid.refine.structure import ChainStructure
-from invid.refine.whitening import orthonormal, stack, unstack, unwhitener, whitener
+from invid.refine.whitening import factored, orthonormal, stack, unstack, unwhitener, whitener
 
 PASSES = 12
 """Most steps of inner motion and the forces that depend on it; weak effects agree after two or three."""
@@ -140,6 +140,11 @@ class Evaluation:
     bases: tuple[Float64, ...] = field(default=())
     roots: tuple[Complex128, ...] = field(default=())
     dof: int = 0
+
+    @property
+    def records(self) -> list[Record]:
+        """The records it is of."""
+        return [view.record for view in self.views]
 
 
 def views_of(layout: Layout, records: Sequence[Record], p: Float64) -> list[View]:
@@ -276,13 +281,13 @@ def evaluate(
         ends: _Ends | None = None
         if record.transient:
             edges, forces, points = _boundary(view, layout, p)
-            white_edges = stack(root @ edges)
-            basis = orthonormal(white_edges)
-            along = basis @ (basis.T @ white)
+            basis, back = factored(stack(root @ edges))
+            within = basis.T @ white
+            along = basis @ within
             white = white - along
             r = r - unstack(unwhitener(root), along, r.shape)
             if jacobian:
-                ends = _Ends.of(white_edges, along, forces, points, structure)
+                ends = _Ends.of(-(back @ within), forces, points, structure)
         view.remaining = r
         columns: Complex128 | None = None
         if jacobian:
@@ -472,18 +477,8 @@ class _Ends:
     """(F, M) of the motors' sampled spectra to their integrals."""
 
     @classmethod
-    def of(
-        cls,
-        columns: Float64,
-        along: Float64,
-        forces: Complex128,
-        points: Complex128,
-        structure: ChainStructure,
-    ) -> _Ends:
-        """From whitened ``columns`` (rows, 2ΣN) and what of the residual lies ``along`` them."""
-        scale = np.linalg.norm(columns, axis=0)
-        scale[scale == 0] = 1.0
-        jumps = -np.linalg.lstsq(columns / scale, along, rcond=1e-12)[0] / scale
+    def of(cls, jumps: Float64, forces: Complex128, points: Complex128, structure: ChainStructure) -> _Ends:
+        """From the ``jumps`` (2ΣN,), the forces and the end points for a unit of each."""
         shift = points @ jumps[end_places(structure)].reshape(2, -1)
         return cls(jumps, forces @ jumps, shift)
 

@@ -284,19 +284,25 @@ def unseen_holds(
     """
     laws: dict[int, tuple[float, float]] = {}
     for i in range(recording.axis_count):
-        gains = [e.hold_gain[i] for e in recording.experiments if e.excited_axis in (i, -1)]
-        held = any(np.isnan(g) or g > 0 for g in gains)
+        held, declared = driven_hold(recording, i)
         if not held or not all(s.driven[i] for s in spectra) or any(s.staircase[i] == 1.0 for s in spectra):
             continue
         total = float(model.chains.masses[i].sum())
-        declared = [float(g) for g in gains if np.isfinite(g) and g > 0]
-        if declared:
-            laws[i] = (max(declared), 2.0 * float(np.sqrt(max(declared) * total)))
+        if declared is not None:
+            laws[i] = (declared, 2.0 * float(np.sqrt(declared * total)))
             continue
         seen = seen_hold(spectra, i)
         bound = total * (HOLD_BAND * _begins(spectra, i)) ** 2
         laws[i] = seen or (bound, 2.0 * float(np.sqrt(bound * total)))
     return laws
+
+
+def driven_hold(recording: Recording, axis: int) -> tuple[bool, float | None]:
+    """Whether a hold may work while an axis is driven, and its gain as declared: the stiffest, if any."""
+    gains = np.array([e.hold_gain[axis] for e in recording.experiments if e.excited_axis in (axis, -1)])
+    declared = gains[np.isfinite(gains) & (gains > 0)]
+    held = bool((np.isnan(gains) | (gains > 0)).any())
+    return held, float(declared.max()) if declared.size else None
 
 
 def _begins(spectra: Sequence[LineSpectra], axis: int) -> float:

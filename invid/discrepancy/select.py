@@ -84,7 +84,8 @@ def select(
     model leaves is more than the difference between the two, the data do not ask for the second timing, and
     the delay leads; the lag stays its rival.
     """
-    found = _search(base, train, held, linear_axes, free, frozenset(), moves)
+    asked = _Asked(linear_axes, free, moves)
+    found = _search(base, train, held, asked)
     contested = frozenset(
         s.chosen.term.place.axis
         for s in found.steps
@@ -93,7 +94,7 @@ def select(
     )
     if not contested:
         return found
-    other = _search(base, train, held, linear_axes, free, contested, moves)
+    other = _search(base, train, held, replace(asked, contested=contested))
     if any(_is(s.chosen, "torque_lag", i) for s in other.steps for i in contested):
         return found  # a delay that needs the lag beside it takes nothing's place
     return other if other.final.cost - found.final.cost < found.final.beyond_noise else found
@@ -148,16 +149,19 @@ def _is(trial: Trial, cause: str, axis: int) -> bool:
     return trial.term.effect.cause == cause and trial.term.place.axis == axis
 
 
-def _search(
-    base: JointFit,
-    train: Sequence[Record],
-    held: Sequence[Record],
-    linear_axes: bool,
-    free: Float64 | None,
-    contested: frozenset[int],
-    moves: Sequence[Move],
-) -> Selection:
-    """Causes added one by one; on ``contested`` axes a delay goes before its lag."""
+@dataclass(frozen=True, eq=False)
+class _Asked:
+    """What a search is given beside the fit and its records; see ``select``."""
+
+    linear_axes: bool
+    free: Float64 | None
+    moves: Sequence[Move]
+    contested: frozenset[int] = frozenset()
+    """Axes on which a delay goes before its lag."""
+
+
+def _search(base: JointFit, train: Sequence[Record], held: Sequence[Record], asked: _Asked) -> Selection:
+    """Causes added one by one."""
     start = Trial(base, held_out(base, held))
     current = start
     steps: list[Step] = []
@@ -167,15 +171,13 @@ def _search(
         if steps and not rejects:
             break  # what the causes leave is noise; what else fits it says how imperfect their models are
         if steps:
-            step, rejected = _step(
-                current, train, held, linear_axes, free, start, contested, first=False, rejects=rejects
-            )
+            step, rejected = _step(current, train, held, asked, start, first=False, rejects=rejects)
         else:
-            start, step, rejected, train, held = _first(current, train, held, linear_axes, free, contested)
+            start, step, rejected, train, held = _first(current, train, held, asked)
             current = start
         if step is None:
             break
-        step = judged_on_moves(step, moves)
+        step = judged_on_moves(step, asked.moves)
         added = ladder(step, train, held) or (step,)
         steps.extend(added)
         current, train, held = retimed(added[-1].chosen, train, held)
@@ -186,37 +188,23 @@ def _search(
 _First = tuple[Trial, Step | None, tuple[Score, ...], Sequence[Record], Sequence[Record]]
 
 
-def _first(
-    start: Trial,
-    train: Sequence[Record],
-    held: Sequence[Record],
-    linear_axes: bool,
-    free: Float64 | None,
-    contested: frozenset[int],
-) -> _First:
+def _first(start: Trial, train: Sequence[Record], held: Sequence[Record], asked: _Asked) -> _First:
     """The linear fit, the first cause and the records they are of: at the time of the holds that fits."""
-    ways = [_first_at(*way, linear_axes, free, contested) for way in timings(start, train, held)]
+    ways = [_first_at(*way, asked) for way in timings(start, train, held)]
     # As the holds are taken, unless elsewhere is better by what noise makes of a choice of two.
     best = min(ways, key=lambda way: _reached(way) + (0.0 if way is ways[0] else HELD_OUT))
     if best[1] is not None:
         _, train, held = retimed(best[1].chosen, best[3], best[4])
         if train is not best[3]:
             there = retold(best[0], train, held)
-            again = None if there is None else _first_at(there, train, held, linear_axes, free, contested)
+            again = None if there is None else _first_at(there, train, held, asked)
             best = best if again is None else min(best, again, key=_reached)
     return best
 
 
-def _first_at(
-    here: Trial,
-    train: Sequence[Record],
-    held: Sequence[Record],
-    linear_axes: bool,
-    free: Float64 | None,
-    contested: frozenset[int],
-) -> _First:
+def _first_at(here: Trial, train: Sequence[Record], held: Sequence[Record], asked: _Asked) -> _First:
     rejects = _rejects(here, [*train, *held])
-    step, rejected = _step(here, train, held, linear_axes, free, here, contested, first=True, rejects=rejects)
+    step, rejected = _step(here, train, held, asked, here, first=True, rejects=rejects)
     return here, step, rejected, train, held
 
 
@@ -247,10 +235,8 @@ def _step(
     current: Trial,
     train: Sequence[Record],
     held: Sequence[Record],
-    linear_axes: bool,
-    free: Float64 | None,
+    asked: _Asked,
     start: Trial,
-    contested: frozenset[int],
     *,
     first: bool,
     rejects: bool,
@@ -259,14 +245,14 @@ def _step(
     screen = Screen(here)
     terms = [
         t
-        for t in terms_for(here.layout.structure, linear_axes=linear_axes, chosen=here.candidate.terms)
+        for t in terms_for(here.layout.structure, linear_axes=asked.linear_axes, chosen=here.candidate.terms)
         if t.effect.cause != "torque_delay" or _late(here.layout, here.p, t.place.axis)
     ]
     scores = _screened(screen, terms)
     count = max(len(terms), 1)
     rows = here.dof
     trials: list[Trial] = delays(
-        here, train, held, [t for t in terms if t.effect.cause == "torque_delay"], free
+        here, train, held, [t for t in terms if t.effect.cause == "torque_delay"], asked.free
     )
     trials += lags(here, train, held, trials, terms)
     tried = {(t.term.effect.cause, t.term.place) for t in trials}
@@ -306,7 +292,7 @@ def _step(
     polished = [t for t in polished if not at_bound(t)] or polished
     trials = polished + [t for t in trials if t not in best[:4]]
     dispersion = min(t.dispersion for t in trials)
-    ranked = _ranked([(t, t.score(dispersion, rows)) for t in trials], contested)
+    ranked = _ranked([(t, t.score(dispersion, rows)) for t in trials], asked.contested)
     best_of_all = ranked[0][0]
     if not _accepted(current, best_of_all, dispersion, count, start, first=first, rejects=rejects):
         return None, tuple(scores[:5])

@@ -9,7 +9,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 
 from invid.arrays import Bool, Float64
-from invid.discrepancy.joint import LARGEST_STEP, JointFit, fit, held_out, limits_of
+from invid.discrepancy.joint import LARGEST_STEP, JointFit, fit, held_out, limits_of, pack, unpack
 from invid.discrepancy.plant import Candidate, Evaluation, Layout, Term, evaluate
 from invid.distributions import chi2_isf
 from invid.effects.base import Record
@@ -132,26 +132,23 @@ def _start(
     layout, stay = current.layout, np.ones(current.layout.count, dtype=bool)
     if term.effect.cause == "torque_delay":
         layout, stay = layout.without_delay([term.place.axis])
-    count, n = len(term.effect.coefficients), current.layout.count
+    count = len(term.effect.coefficients)
     best, chosen = np.inf, (layout, current.p[stay], current.candidate.plus(term, x))
     tries = [(0.0, 1.0), (0.0, 0.4), (0.0, 0.1), (0.0, 0.01)]
     if shift is not None and shift.size and np.isfinite(shift).all():
         tries = [(1.0, 1.0), (0.5, 1.0), *tries[:1], (0.4, 0.4), *tries[1:]]
     low, high = limits_of(current.layout, current.candidate, current.evaluation, True)
     for step, share in tries:
-        moved = np.concatenate((current.p, *current.candidate.x))
+        moved = pack(current.p, current.candidate)
         if step and shift is not None:
             limit = np.where(_logarithmic(current), LARGEST_STEP, np.inf)
             moved = np.clip(moved + np.clip(step * shift, -limit, limit), low, high)
-        p, at, xs = moved[:n], n, []
-        for t in current.candidate.terms:
-            xs.append(moved[at : at + t.size])
-            at += t.size
+        p, before = unpack(current.layout, current.candidate, moved)
         trial = x.copy()
         trial[:count] *= share
         if not current.layout.structure.admissible(p[: current.layout.structure.count]):
             continue
-        candidate = Candidate((*current.candidate.terms, term), (*xs, trial))
+        candidate = before.plus(term, trial)
         with np.errstate(all="ignore"):
             try:
                 cost = evaluate(layout, records, p[stay], candidate, jacobian=False).cost
@@ -194,9 +191,8 @@ def at_bound(trial: Trial) -> bool:
 def sized(found: JointFit, number: int) -> bool | None:
     """Whether a coefficient of an effect differs from zero (1 %, Wald); ``None`` where none is known."""
     term, x = found.candidate.terms[number], found.candidate.x[number]
-    at = found.layout.count + sum(t.size for t in found.candidate.terms[:number])
     count = len(term.effect.coefficients)
-    block = found.covariance[at : at + count, at : at + count]
+    block = found.covariance_of(number)[:count, :count]
     if not count or not np.isfinite(block).all():
         return None
     wald = float(x[:count] @ np.linalg.lstsq(block, x[:count], rcond=None)[0])
@@ -220,8 +216,7 @@ def unearned(trial: Trial, rows: int) -> float:
     """
     if trial.term.effect.coefficients != ("sine", "cosine"):
         return 0.0
-    at = trial.fit.covariance.shape[0] - trial.term.size
-    block = trial.fit.covariance[at : at + 2, at : at + 2]
+    block = trial.fit.covariance_of(-1)[:2, :2]
     most = float(np.log(max(rows, 2)))
     if not np.isfinite(block).all():
         return most

@@ -11,11 +11,11 @@ from invid.diagnosis import Finding, Unexplained
 from invid.discrepancy.confidence import CONTESTED
 from invid.discrepancy.missing_torque import NullTest
 from invid.discrepancy.plant import Evaluation
-from invid.discrepancy.records import HOLD_BAND
+from invid.discrepancy.records import HOLD_BAND, driven_hold
 from invid.discrepancy.trial import Trial
 from invid.effects.base import Record
 from invid.identifiability import blind_directions
-from invid.model import Model, parameter_vector
+from invid.model import Model, parameter_vector, stds_by_name
 from invid.recording.model import Recording
 
 REACHED = 2.0
@@ -100,7 +100,8 @@ def _explained(evaluation: Evaluation) -> float:
 def _unseen(extended: Model, final: Trial, linear: bool) -> tuple[str, ...]:
     """Parameters that the joint fit leaves open, in words."""
     if extended.covariance is None:
-        lost = [n for n, s in _spreads(extended) if not np.isfinite(s) and ".damper." not in n]
+        known, (names, _) = stds_by_name(extended), parameter_vector(extended.chains)
+        lost = [n for n in names if not np.isfinite(known[n]) and ".damper." not in n]
         return (f"{', '.join(lost)}: not seen by these data",) if lost else ()
     bands = [v.omega[v.record.excited] for v in final.fit.evaluation.views if v.record.excited.any()]
     if not bands:
@@ -109,19 +110,6 @@ def _unseen(extended: Model, final: Trial, linear: bool) -> tuple[str, ...]:
     names, values = parameter_vector(extended.chains)
     blind = blind_directions(extended.chains, names, values, extended.covariance, band, linear)
     return blind.sentences if any(".damper." not in n for n in blind.unseen) else ()
-
-
-def _spreads(model: Model) -> list[tuple[str, float]]:
-    names, _ = parameter_vector(model.chains)
-    std = model.std
-    out: list[float] = []
-    for i in range(model.chains.branches):
-        out += [*std.masses[i], *std.springs[i], *std.dampers[i]]
-        if model.chains.ground_springs[i] != 0:
-            out.append(float(std.ground_springs[i]))
-    for i in range(model.chains.branches):
-        out += [float(std.couplings[i, j]) for j in range(i + 1, model.chains.branches)]
-    return list(zip(names, out, strict=True))
 
 
 def cautious(findings: tuple[Finding, ...], found: Trust) -> tuple[Finding, ...]:
@@ -145,15 +133,14 @@ def untimed_holds(
     for f in findings:
         axis = f.effect.axis
         i = recording.axes.index(axis)
-        gains = [e.hold_gain[i] for e in recording.experiments if e.excited_axis in (i, -1)]
+        held, declared = driven_hold(recording, i)
         told = not str(placed.get(axis, "open")).startswith("open")
         known = told or any(r.command is not None or r.staircase[i] == 1.0 for r in train)
-        held = any(np.isnan(g) or g > 0 for g in gains)
         if f.effect.cause != "viscous_friction" or f.effect.element != "mass 1" or not held or known:
             out.append(f)
             continue
         size = f.effect.parameters["coefficient"]
-        gain, step = _stiffest_hold(gains, model, i, train), train[0].step
+        gain, step = _stiffest_hold(declared, model, i, train), train[0].step
         if size.value <= 0.5 * step * gain + 3.0 * (size.std or 0.0):
             said.append(
                 f"viscous friction of {size.value:.2g} {size.unit} on {axis} is what its hold makes by "
@@ -175,11 +162,10 @@ def untimed_holds(
     return tuple(kept), said
 
 
-def _stiffest_hold(gains: Sequence[float], model: Model, axis: int, train: Sequence[Record]) -> float:
+def _stiffest_hold(declared: float | None, model: Model, axis: int, train: Sequence[Record]) -> float:
     """Proportional gain of an axis' hold [torque per position]: declared, or as stiff as it may well be."""
-    declared = [float(g) for g in gains if np.isfinite(g) and g > 0]
-    if declared:
-        return max(declared)
+    if declared is not None:
+        return declared
     if train[0].hold_doubt.size and train[0].hold_doubt[axis] and train[0].hold is not None:
         return float(train[0].hold[0, axis].real)
     lowest = min(float(r.omega[r.excited].min()) for r in train if r.excited.any())

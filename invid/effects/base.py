@@ -136,6 +136,14 @@ class Record:
         out: Float64 = np.arange(self.samples, dtype=np.float64) * self.wave_step - middle
         return out
 
+    def to_wave(self, lines: Complex128) -> Float64:
+        """(n,) wave of (F,) amplitudes, the mean first."""
+        half = np.zeros(self.samples // 2 + 1, dtype=complex)
+        half[self.lines] = lines * (self.samples / 2)
+        half[0] *= 2.0
+        out: Float64 = np.fft.irfft(half, self.samples)
+        return out
+
     def after(self, time: float) -> float:
         """Share of the record that lies after ``time``."""
         return float(np.clip((self.end_time - time) / (self.end_time - self.start_time), 0.0, 1.0))
@@ -213,11 +221,8 @@ class View:
             i = self.structure.motor_dofs.index(pattern[0][0])
             out: Float64 = (record.motor_velocity if rate else record.motor_wave)[:, i] * pattern[0][1]
         else:
-            half = np.zeros(record.samples // 2 + 1, dtype=complex)
             x = self.spectrum(pattern)
-            half[record.lines] = (1j * self.omega * x if rate else x) * (record.samples / 2)
-            half[0] *= 2.0
-            out = np.fft.irfft(half, record.samples)
+            out = record.to_wave(1j * self.omega * x if rate else x)
             ramp = sum(sign * record.ramp[self._axis(at)] for at, sign in pattern)
             if ramp:
                 out = out + (ramp if rate else ramp * record.wave_time)

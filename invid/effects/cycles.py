@@ -34,30 +34,26 @@ def ripples(views: Sequence[View], coordinate: Pattern, force: Pattern) -> list[
     beyond ``SLOW`` the neighbours up to a line away are returned with it, because what the linear fit took of
     the ripple moves it. Empty where no force can be read or the motion is small.
     """
-    angles = [v.wave(coordinate) for v in views]
+    readable = [(v, v.wave(coordinate), v.remaining) for v in views if v.remaining is not None]
+    angles = [angle for _, angle, _ in readable]
     size = rms(angles)
-    speed = rms([v.velocity(coordinate) for v in views])
-    readable = [(v, a) for v, a in zip(views, angles, strict=True) if v.remaining is not None]
-    if not readable or size <= 0 or speed <= 0:
+    speed = rms([v.velocity(coordinate) for v, *_ in readable])
+    if size <= 0 or speed <= 0:
         return []
-    low = min(float(a.min()) for _, a in readable)
-    span = max(float(a.max()) for _, a in readable) - low
+    low = min(float(a.min()) for a in angles)
+    span = max(float(a.max()) for a in angles) - low
     # Three times the rms speed is rare: a ripple that only slow parts of the motion show in the band is not.
-    top = min(HIGHEST, 3.0 * max(float(v.omega[-1]) for v, _ in readable) / speed)
+    top = min(HIGHEST, 3.0 * max(float(v.omega[-1]) for v, *_ in readable) / speed)
     if span <= 0 or top <= SLOW / size:
         return []
-    width = 2 * np.pi / (8.0 * top)
-    width = max(width, span / BINS)
+    width = max(2 * np.pi / (8.0 * top), span / BINS)
     bins = int(span / width) + 1
     length = next_fast_len(4 * bins, real=True)
     power = np.zeros(length // 2 + 1)
-    for view, angle in readable:
-        if view.remaining is None:
-            continue
-        lines = np.zeros(view.record.samples // 2 + 1, dtype=complex)
-        lines[view.record.lines] = view.inferred(force, view.remaining) * (view.record.samples / 2)
+    for view, angle, remaining in readable:
+        lines = view.inferred(force, remaining)
         lines[0] = 0.0
-        wave = np.fft.irfft(lines, view.record.samples)
+        wave = view.record.to_wave(lines)
         summed = np.bincount(((angle - low) / width).astype(int), weights=wave, minlength=bins)
         power += np.abs(np.fft.rfft(summed, length)) ** 2 / view.record.samples
     cycles = 2 * np.pi * np.arange(power.size) / (length * width)

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from invid.arrays import Bool, Complex128, Float64
-from invid.refine.boundary import end_columns, end_forces, end_places, end_points
+from invid.refine.boundary import end_columns, end_derivative, end_forces, end_places, end_points
 from invid.refine.structure import ChainStructure
 from invid.refine.whitening import factored, stack, whitener
 
@@ -236,7 +236,9 @@ class MissingTorqueProblem:
         jacobian = np.empty((block.omega.size, motors, p.size), dtype=complex)
         jacobian[..., s["structure"]] = structure.torque_derivative(sp, block.omega, motion, q[None])[0]
         if block.transient:
-            self._boundary_derivative(jacobian, block, sp, motion, ends)
+            jacobian[..., s["structure"]] += end_derivative(
+                structure, sp, block.omega, motion, ends, block.span
+            )
         hold_torque = (block.hold * position)[..., None]
         jacobian[..., s["delay"]] = -delay_jac[0] * torque[..., None] - delay_jac[1] * hold_torque
         command = torque + block.hold * position
@@ -246,29 +248,6 @@ class MissingTorqueProblem:
         return State(
             block, motion, stiffness, inner, residual, jacobian, covariance, root, basis, position, q
         )
-
-    def _boundary_derivative(
-        self, jacobian: Complex128, block: Block, sp: Float64, motion: Complex128, ends: Float64
-    ) -> None:
-        """Adds Wᵀ ∂B/∂p u: the boundary force depends on mass and damping itself."""
-        structure = self.structure
-        n = structure.dofs
-        shift, speed = ends[:n], ends[n:]
-        jw = 1j * block.omega[:, None]
-        # ∂(C + jωM)Δx + ∂M Δv has the pattern of ∂Z with −ω²q replaced by jωΔx + Δv for masses and
-        # jωq replaced by Δx for dampers.
-        pseudo = (jw * shift + speed) * (2.0 / block.span)
-        w2 = -(block.omega[:, None] ** 2)
-        mass_like = structure.torque_derivative(sp, block.omega, motion, _complex(pseudo / w2)[None])[0]
-        damp_like = structure.torque_derivative(
-            sp, block.omega, motion, _complex(shift / jw * (2.0 / block.span))[None]
-        )[0]
-        for kind in ("mass", "coupling"):
-            part = structure.slices[kind]
-            jacobian[..., part] += mass_like[..., part]
-        for kind in ("damper", "viscous"):
-            part = structure.slices[kind]
-            jacobian[..., part] += damp_like[..., part]
 
     def _torque_factor(
         self, block: Block, p: Float64

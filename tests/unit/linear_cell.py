@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.linalg import block_diag, expm
 
-from invid.model import Model, parameter_vector
+from invid.model import Model, parameter_vector, stds_by_name
 from invid.recording.model import Experiment, Kind, Recording, Role
 
 
@@ -158,16 +158,7 @@ def record(
 
 def deviations(model: Model, cell: LinearCell) -> dict[str, float]:
     """Errors in stated standard deviations by name."""
-    std: dict[str, float] = {}
-    for i, axis in enumerate(model.axes):
-        for kind, values in (
-            ("mass", model.std.masses[i]),
-            ("spring", model.std.springs[i]),
-            ("damper", model.std.dampers[i]),
-        ):
-            std |= {f"{axis}.{kind}.{q + 1}": float(v) for q, v in enumerate(values)}
-        for j in range(i + 1, len(model.axes)):
-            std[f"{axis}-{model.axes[j]}.coupling"] = float(model.std.couplings[i, j])
+    std = stds_by_name(model)
     names, values = parameter_vector(model.chains)
     found = dict(zip(names, values, strict=True))
     return {name: (found[name] - value) / std[name] for name, value in cell.truth.items()}

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from two_masses import held
+from two_masses import recording as recording_of
 
 from invid.diagnosis import Verdict
 from invid.discrepancy import diagnose
 from invid.recording import Role
-from invid.recording.model import Experiment, Kind, Recording
+from invid.recording.model import Experiment, Kind
 
 STEP, PERIOD, NOISE, HOLD = 0.002, 2048, 0.05, 40.0
 
@@ -40,15 +41,7 @@ def from_rest(seed: int, role: Role, key: str) -> Experiment:
 
 def test_the_noise_floor_of_a_record_from_rest_is_that_of_its_sensors() -> None:
     """Two periods whose motion dies away differ from each other: that is no noise."""
-    recording = Recording(
-        robot="two masses",
-        axes=("A1",),
-        position_unit="rad",
-        torque_unit="N·m",
-        created="2026-11-21T10:00:00Z",
-        masses_per_axis=(2,),
-        experiments=(from_rest(1, Role.IDENTIFY, "000"), from_rest(2, Role.VALIDATE, "001")),
-    )
+    recording = recording_of(from_rest(1, Role.IDENTIFY, "000"), from_rest(2, Role.VALIDATE, "001"))
     diagnosis = diagnose(recording)
     assert diagnosis.verdict is Verdict.CONSISTENT
     (residual,) = diagnosis.residual

@@ -7,11 +7,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from two_masses import DAMPER, MASS, SPRING
+from two_masses import recording as recording_of
 
 from invid.diagnosis import Verdict
 from invid.discrepancy import diagnose
 from invid.recording import Role
-from invid.recording.model import Experiment, Kind, Recording
+from invid.recording.model import Experiment, Kind
 
 STEP, PERIOD, NOISE, HOLD, RATE = 0.002, 2048, 0.02, 60.0, 6.0
 SUB = 5
@@ -79,15 +80,7 @@ def transmission_error(near: float, far: float) -> tuple[float, float]:
 def test_a_ripple_of_many_cycles_is_found_with_their_number(
     law: Law, main: str, size: float, cycles: float
 ) -> None:
-    recording = Recording(
-        robot="two masses",
-        axes=("A1",),
-        position_unit="rad",
-        torque_unit="N·m",
-        created="2026-11-21T10:00:00Z",
-        masses_per_axis=(2,),
-        experiments=(swings(1, Role.IDENTIFY, "000", law), swings(2, Role.VALIDATE, "001", law)),
-    )
+    recording = recording_of(swings(1, Role.IDENTIFY, "000", law), swings(2, Role.VALIDATE, "001", law))
     motion = recording.experiments[0].position[:, 0]
     assert cycles * motion.std() > 8.0  # radians of phase: beyond what is tried one by one
     diagnosis = diagnose(recording)

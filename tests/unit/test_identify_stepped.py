@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from two_masses import MASS, SPRING, held
+from two_masses import recording as recording_of
 
 from invid.identify import identify
 from invid.recording import Role
-from invid.recording.model import Experiment, Kind, Recording
+from invid.recording.model import Experiment, Kind
 
 STEP = 0.002
 HOLD = 40.0
@@ -40,15 +41,7 @@ def sine(key: int, samples: int, cycles: int, settled: bool, rng: np.random.Gene
 def test_one_experiment_a_frequency_gives_the_masses_and_the_spring(settled: bool) -> None:
     rng = np.random.default_rng(3)
     periods = np.unique(np.round(1.0 / STEP / np.geomspace(0.8, 9.0, 14)).astype(int))[::-1]
-    recording = Recording(
-        robot="two masses",
-        axes=("A1",),
-        position_unit="rad",
-        torque_unit="N·m",
-        created="2026-11-21T10:00:00Z",
-        masses_per_axis=(2,),
-        experiments=tuple(sine(i, int(n), 5, settled, rng) for i, n in enumerate(periods)),
-    )
+    recording = recording_of(*(sine(i, int(n), 5, settled, rng) for i, n in enumerate(periods)))
     model = identify(recording)
     found = [*model.chains.masses[0], *model.chains.springs[0]]
     assert found == pytest.approx([*MASS, SPRING], rel=0.01)

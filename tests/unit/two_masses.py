@@ -1,9 +1,12 @@
-"""A two-mass axis integrated exactly for torque held over the sample: shares nothing with ``invid``."""
+"""A two-mass axis integrated exactly for torque held over the sample: shares nothing with ``invid`` but the
+containers."""
 
 from __future__ import annotations
 
 import numpy as np
 from scipy.linalg import expm
+
+from invid.recording.model import Experiment, Recording
 
 MASS, SPRING, DAMPER = np.array([0.7, 2.0]), 1000.0, 0.5
 
@@ -25,3 +28,16 @@ def held(push: np.ndarray, step: float, hold: float, rate: float) -> tuple[np.nd
         torque[n] = wanted - hold * state[0] - rate * state[2]
         state = phi @ state + gamma * torque[n]
     return position, torque
+
+
+def recording(*experiments: Experiment) -> Recording:
+    """A recording of the axis, its number of masses declared."""
+    return Recording(
+        robot="two masses",
+        axes=("A1",),
+        position_unit="rad",
+        torque_unit="N·m",
+        created="2026-11-21T10:00:00Z",
+        masses_per_axis=(2,),
+        experiments=experiments,
+    )
