@@ -12,7 +12,7 @@ from typing import Any
 
 from invid.config import CellConfig
 from invid.plan import Plan
-from invid_drivers.cia402.bus import CLOSEST_CYCLES
+from invid_drivers.cia402.cycle import CLOSEST_CYCLES
 from invid_drivers.cia402.link import RealClock
 from invid_drivers.connect import is_virtual
 

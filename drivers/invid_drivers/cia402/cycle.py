@@ -1,0 +1,315 @@
+"""One cycle of every drive: targets out, SYNC at its slot, samples in, in raw ``struct``.
+
+Two promises: two SYNCs are never closer than half a cycle, and a sample is never logged with a SYNC that it
+may not belong to.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Sequence
+
+import can
+
+from invid.config import CellConfig
+from invid.sweep.ports import Event, Mode, Sample, Severity
+from invid_drivers.cia402 import objects as od
+from invid_drivers.cia402 import states
+from invid_drivers.cia402.jitter import Jitter
+from invid_drivers.cia402.link import Link
+from invid_drivers.cia402.states import OperationMode
+from invid_drivers.cia402.units import wrapped_difference
+
+UNCERTAIN_CYCLES = 0.2
+"""Where reading the clock and sending SYNC took longer, the system paused this process in between: nobody
+knows when SYNC was on the wire, and the positions of that cycle count as not received. At 3 rad/s a fifth
+of a millisecond is 0.6 mrad."""
+CLOSEST_CYCLES = 0.5
+"""Two SYNCs are never closer: a drive that samples at SYNC may miss one that comes in half its cycle."""
+ALONE_CYCLES = 3
+"""After a gap, three cycles in a row that bring one TPDO, later than usual, do not say whether what was owed
+is lost or the drive has fallen behind by whole cycles. A slot without SYNC does: nothing comes in it, or the
+answer that is late."""
+LISTEN_EVERY_S = 1.0
+"""Where one TPDO was lost and the next came as fast as ever, that is asked at most so often: one slot in a
+thousand at 1 kHz. A guess at what a record may lose."""
+MODE_POLL_S = 0.1
+"""0x6061 of one axis after another is asked for at this interval during the cycle."""
+HEARTBEAT_PERIODS = 3.5
+"""A drive's heartbeat is lost after this many periods: three missed ones and some jitter."""
+
+_RPDO = struct.Struct("<Hh")
+_TPDO = struct.Struct("<ihH")
+_MODE_REQUEST = bytes((0x40, od.MODE_DISPLAY.index & 0xFF, od.MODE_DISPLAY.index >> 8, 0, 0, 0, 0, 0))
+
+
+class Cycle:
+    """The exchange of process data with the drives of a cell, and what is watched beside it."""
+
+    def __init__(self, link: Link, config: CellConfig) -> None:
+        self._link = link
+        self._config = config
+        self._cycle = config.bus.cycle_s
+        nodes = [a.node_id for a in config.axes]
+        count = len(nodes)
+        self.modes = [Mode.TORQUE] * count
+        """What each axis does; the target of a held one is left to its drive."""
+        self.operation = [OperationMode.CYCLIC_TORQUE] * count
+        """What 0x6061 of each axis is to show."""
+        self.control = [states.DISABLE_VOLTAGE] * count
+        """Controlword of each axis in the next cycle."""
+        self.sample = Sample(
+            position=[0.0] * count, torque=[0.0] * count, status=[0] * count, fresh=[False] * count
+        )
+        self.skipped_slots = 0
+        self.jitter = Jitter()
+        self._rpdo_ids = [0x200 + n for n in nodes]
+        self._tpdo_axis = {0x180 + n: i for i, n in enumerate(nodes)}
+        self._sdo_axis = {0x580 + n: i for i, n in enumerate(nodes)}
+        self._nodes = nodes
+        self._peers = [link.peers[n] for n in nodes]
+        self._sync = can.Message(arbitration_id=0x80, data=b"", is_extended_id=False)
+        self._origin: list[int | None] = [None] * count
+        self._per_mille = [0.0] * count
+        self._position_unit = [0.0] * count
+        self._torque_unit = [0.0] * count
+        self._started = 0.0
+        self._sent = -math.inf
+        self._slot = -1
+        self._owed = [0] * count
+        self._alone = [0] * count
+        self._behind = [False] * count
+        self._doubt = False
+        self._next_listen = -math.inf
+        self._answered_s = 0.5 * self._cycle
+        self._mode_asked = 0
+        self._next_mode_poll = 0.0
+
+    def scale(self, axis: int, *, position: float, torque: float) -> None:
+        """Position of one count [rad or m] and torque of one thousandth [N·m or N], signs included."""
+        self._position_unit[axis] = position
+        self._torque_unit[axis] = torque
+        self._per_mille[axis] = 1.0 / torque
+
+    def restart_slots(self) -> None:
+        """The next SYNC is at the next whole slot from now: SDO traffic took time of its own."""
+        now = self._link.clock.now()
+        if self._slot < 0:
+            self._started, self._slot = now, -1
+        else:
+            self._slot = max(self._slot, int((now - self._started) / self._cycle))
+        self._owed = [0] * len(self._nodes)
+        self._doubt = False
+
+    def exchange(self, torque: Sequence[float]) -> Sample:
+        """Targets out, SYNC at its slot, samples in."""
+        link, clock = self._link, self._link.clock
+        sample, put = self.sample, link.put
+        hold = Mode.HOLD
+        if self._doubt:
+            self._listen()
+        for i, cob in enumerate(self._rpdo_ids):
+            value = 0 if self.modes[i] is hold else round(torque[i] * self._per_mille[i])
+            if value > 32767 or value < -32768:
+                value = 32767 if value > 0 else -32768
+            put(
+                can.Message(arbitration_id=cob, data=_RPDO.pack(self.control[i], value), is_extended_id=False)
+            )
+        self._drain()
+        slot, deadline, instant = self._wait_for_slot()
+        put(self._sync)
+        self._sent = clock.now()
+        certain = self._sent - instant < UNCERTAIN_CYCLES * self._cycle
+        self._slot = slot
+        self.jitter.add(instant - deadline)
+        sample.slot, sample.time = slot, instant
+        self._collect(instant, deadline + 0.85 * self._cycle)
+        fresh = sample.fresh
+        if not certain:
+            for i in range(len(fresh)):
+                fresh[i] = False
+        link.beat(instant)
+        if instant >= self._next_mode_poll:
+            self._watch_slowly(instant)
+        if link.events:
+            sample.events = link.events
+            link.events = []
+        elif sample.events:
+            sample.events = []
+        return sample
+
+    def _collect(self, instant: float, end: float) -> None:
+        """TPDOs of the SYNC at ``instant`` until all came or ``end``.
+
+        Where an earlier one has not come, it was lost or is still under way (a simulated drive on a busy
+        computer, a slow gateway). What comes then is this SYNC's only if it comes alone and as fast as
+        ever, or last of as many as are owed; else nobody knows, and the axis counts as not received. One
+        that comes alone may also be of a drive that answers a cycle late from now on: ``_listen`` tells.
+        """
+        clock, get, owed = self._link.clock, self._link.get, self._owed
+        fresh = self.sample.fresh
+        for i in range(len(fresh)):
+            fresh[i] = False
+        pending = len(fresh)
+        waiting = any(owed)
+        came = [0] * len(fresh)
+        last = instant
+        tpdo_axis = self._tpdo_axis
+        while pending or waiting:
+            rest = end - clock.now()
+            if rest <= 0:
+                break
+            message = get(rest)
+            if message is None:
+                break
+            axis = tpdo_axis.get(message.arbitration_id)
+            if axis is None:
+                self._sort(message)
+            elif self._take(axis, message):
+                came[axis] += 1
+                if waiting:
+                    last = clock.now()
+                if not fresh[axis]:
+                    fresh[axis] = True
+                    pending -= 1
+                    if not pending and not waiting:
+                        self._answered_s += 0.05 * (clock.now() - instant - self._answered_s)
+        if pending or waiting:
+            in_time = last - instant < 1.5 * self._answered_s + 0.1 * self._cycle
+            for i, count in enumerate(came):
+                missing = owed[i] + 1 - count
+                single = count == 1 and missing > 0
+                self._alone[i] = self._alone[i] + 1 if single else 0
+                if single and in_time and not self._behind[i]:
+                    missing = self._alone[i] = 0
+                    self._doubt = self._doubt or instant >= self._next_listen
+                elif count and missing <= 0:
+                    missing = 0
+                    self._behind[i] = False
+                else:
+                    fresh[i] = False
+                    self._doubt = self._doubt or self._alone[i] >= ALONE_CYCLES
+                owed[i] = missing
+        elif any(self._behind):
+            self._behind = [False] * len(fresh)  # nothing was owed, and every answer came in its own cycle
+
+    def _listen(self) -> None:
+        """Slots without SYNC, until one passes in which no TPDO comes: whose comes then has fallen behind.
+
+        From there on nothing is owed, and a drive that was behind is believed again when it has answered a
+        SYNC in its own cycle. The drives go on with their last targets meanwhile.
+        """
+        late = set()
+        self._doubt = False
+        self._next_listen = self._link.clock.now() + LISTEN_EVERY_S
+        for _ in range(self._config.safety.missed_tpdos):
+            self._slot += 1
+            self.skipped_slots += 1
+            end = self._started + (self._slot + 0.85) * self._cycle
+            heard = set()
+            self._link.beat(self._link.clock.now())
+            while True:
+                rest = end - self._link.clock.now()
+                message = self._link.get(max(rest, 0.0))
+                if message is None:
+                    if (
+                        rest <= 0
+                    ):  # what is there already was looked at too: this process may have been paused
+                        break
+                elif (axis := self._tpdo_axis.get(message.arbitration_id)) is None:
+                    self._sort(message)
+                else:
+                    heard.add(axis)
+            late |= heard
+            if not heard:
+                break
+        count = len(self._nodes)
+        self._owed, self._alone = [0] * count, [0] * count
+        self._behind = [self._behind[i] or i in late for i in range(count)]
+
+    def _wait_for_slot(self) -> tuple[int, float, float]:
+        """Number, deadline and instant of the next SYNC, at its slot or at most half a cycle late.
+
+        Whoever is later, because the targets took long or because the system woke this process late, goes
+        on to the next slot still ahead: a pause is never made up for by a burst. Nor is one in the middle of
+        sending SYNC, after which the frame may have left at any moment until ``_sent``: a slot less than half
+        a cycle after that is skipped. So two SYNCs are never closer than half a cycle.
+        """
+        clock, cycle = self._link.clock, self._cycle
+        slot = self._slot + 1
+        while True:
+            deadline = self._started + slot * cycle
+            if deadline - self._sent >= CLOSEST_CYCLES * cycle:
+                if clock.now() <= deadline:
+                    clock.sleep_until(deadline)
+                self._drain()  # it may have taken its time: only now is it known how late SYNC is
+                instant = clock.now()
+                if instant <= deadline + CLOSEST_CYCLES * cycle:
+                    return slot, deadline, instant
+                self.jitter.add(instant - deadline)
+            else:
+                instant = self._sent
+            ahead = max(int((instant - self._started) / cycle), slot) + 1
+            self.skipped_slots += ahead - slot
+            slot = ahead
+
+    def _take(self, axis: int, message: can.Message) -> bool:
+        data = message.data
+        if len(data) != 8 or message.is_extended_id or message.is_error_frame or message.is_remote_frame:
+            self._link.sort(message)
+            return False
+        counts, permille, status = _TPDO.unpack(data)
+        origin = self._origin[axis]
+        if origin is None:
+            origin = self._origin[axis] = counts
+        moved = counts - origin
+        if moved > 0x7FFFFFFF or moved < -0x80000000:
+            moved = wrapped_difference(counts, origin)
+        sample = self.sample
+        sample.position[axis] = (origin + moved) * self._position_unit[axis]
+        sample.torque[axis] = permille * self._torque_unit[axis]
+        sample.status[axis] = status
+        return True
+
+    def _sort(self, message: can.Message) -> None:
+        axis = self._sdo_axis.get(message.arbitration_id)
+        if axis is None or message.is_error_frame:
+            self._link.sort(message)
+            return
+        self._link.answered(self._nodes[axis])
+        data = bytes(message.data)
+        if len(data) == 8 and data[1:4] == _MODE_REQUEST[1:4] and data[0] & 0xE0 == 0x40:
+            shown = int.from_bytes(data[4:5], "little", signed=True)
+            wanted = self.operation[axis]
+            if shown != int(wanted):
+                name = self._config.axes[axis].name
+                text = f"axis {name}: the drive left mode {wanted.name.lower()} for mode {shown} (0x6061)"
+                self._link.events.append(Event(Severity.DRIVE, text, name))
+
+    def _drain(self) -> None:
+        """Before a SYNC: what is there belongs to an earlier one and would pass for this one's."""
+        while (message := self._link.get(0)) is not None:
+            axis = self._tpdo_axis.get(message.arbitration_id)
+            if axis is None:
+                self._sort(message)
+            elif self._owed[axis]:
+                self._owed[axis] -= 1
+
+    def _watch_slowly(self, now: float) -> None:
+        """Heartbeats and bus state; 0x6061 of one axis after another."""
+        self._next_mode_poll = now + MODE_POLL_S
+        self._link.require_bus()
+        limit = HEARTBEAT_PERIODS * self._config.safety.heartbeat_s
+        for axis, peer in zip(self._config.axes, self._peers, strict=True):
+            if peer.last_heartbeat is not None and now - peer.last_heartbeat > limit:
+                self._link.events.append(
+                    Event(
+                        Severity.DRIVE,
+                        f"axis {axis.name} (node {axis.node_id}): no heartbeat for "
+                        f"{now - peer.last_heartbeat:.2f} s",
+                        axis.name,
+                    )
+                )
+        self._mode_asked = (self._mode_asked + 1) % len(self._nodes)
+        self._link.ask(self._nodes[self._mode_asked], _MODE_REQUEST)

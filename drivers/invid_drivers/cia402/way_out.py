@@ -1,0 +1,165 @@
+"""The way out: quick stop, disable voltage, NMT stop.
+
+Whatever fails in one step, the next ones are still taken.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Sequence
+
+from invid.config import CellConfig
+from invid.errors import BusError
+from invid.sweep.ports import Sample
+from invid_drivers.cia402 import objects as od
+from invid_drivers.cia402 import states
+from invid_drivers.cia402.axis import Drive
+from invid_drivers.cia402.cycle import Cycle
+from invid_drivers.cia402.link import NMT_PRE_OPERATIONAL, NMT_STOP, Link
+from invid_drivers.cia402.runaway import RunawayGuard
+from invid_drivers.cia402.states import DriveState, state_of
+
+QUICK_STOP_S = 1.0
+"""Longest quick stop before the voltage is taken away regardless."""
+DISABLE_S = 0.2
+STATE_POLL_S = 0.005
+"""Between two questions for the statusword by SDO, on the way out."""
+
+_RAMPING = (DriveState.QUICK_STOP_ACTIVE, DriveState.FAULT_REACTION_ACTIVE)
+
+
+class WayOut:
+    """One stop of the drives of a cell; made anew for each."""
+
+    def __init__(
+        self,
+        config: CellConfig,
+        link: Link,
+        drives: Sequence[Drive],
+        cycle: Cycle,
+        exchange: Callable[[Sequence[float]], Sample],
+    ) -> None:
+        self._config = config
+        self._link = link
+        self._drives = drives
+        self._cycle = cycle
+        self._exchange = exchange
+        self._given_up: set[int] = set()
+
+    @property
+    def held_at_end(self) -> tuple[str, ...]:
+        """Gravity-loaded axes that their drives hold in quick stop active."""
+        return tuple(d.name for i, d in enumerate(self._drives) if not self._may_disable(i))
+
+    def take(self) -> tuple[str, ...]:
+        """Quick stop, disable voltage, NMT stop; the axes that were not seen to switch off. Never raises."""
+        began = self._link.clock.now()
+        with contextlib.suppress(Exception):
+            self._cycle.control[:] = [states.QUICK_STOP] * len(self._drives)
+            guard = RunawayGuard(self._config)
+            self._drive_to(QUICK_STOP_S, lambda s: self._cut_runaways(guard, s) or self._at_rest(s))
+        for i in range(len(self._drives)):
+            if self._may_disable(i):
+                self._cycle.control[i] = states.DISABLE_VOLTAGE
+        with contextlib.suppress(Exception):
+            self._drive_to(DISABLE_S, self._disabled)
+        unsure = [i for i in range(len(self._drives)) if self._may_disable(i) and self._may_be_on(i)]
+        on = []
+        for i in unsure:
+            off = False
+            with contextlib.suppress(Exception):
+                off = self._switch_off_by_sdo(i, began + QUICK_STOP_S)
+            if not off:
+                on.append(self._drives[i].name)
+        for i, drive in enumerate(self._drives):
+            if self._may_disable(i):
+                with contextlib.suppress(Exception):
+                    self._link.nmt(NMT_STOP, drive.node_id)
+        return tuple(on)
+
+    def _may_be_on(self, axis: int) -> bool:
+        """By its last TPDO: one that has not come, or came late, says nothing."""
+        return not self._cycle.sample.fresh[axis] or states.is_energised(
+            state_of(self._cycle.sample.status[axis])
+        )
+
+    def _switch_off_by_sdo(self, axis: int, ramp_ends: float) -> bool:
+        """Ask a drive whose TPDOs did not show it off, switch it off where it is not; whether it is off.
+
+        TPDOs that come late (a busy computer) or not at all do not say that SDO is dead too. A drive that
+        does not answer is told to switch off all the same: it may hear.
+        """
+        drive, clock = self._drives[axis], self._link.clock
+        if axis in self._given_up:
+            self._link.nmt(NMT_PRE_OPERATIONAL, drive.node_id)  # NMT stopped, it would not answer
+        state = drive.quiet_state()
+        if state is None:
+            drive.shout(od.CONTROLWORD, states.DISABLE_VOLTAGE)
+            return False
+        while state in _RAMPING and clock.now() < ramp_ends:
+            self._link.wait(STATE_POLL_S)
+            state = drive.quiet_state()
+        if state is None or not states.is_energised(state):
+            return state is not None
+        drive.quiet_command(od.CONTROLWORD, states.DISABLE_VOLTAGE)
+        end = clock.now() + DISABLE_S
+        while (state := drive.quiet_state()) is not None and states.is_energised(state):
+            if clock.now() >= end:
+                return False
+            self._link.wait(STATE_POLL_S)
+        return state is not None
+
+    def _may_disable(self, axis: int) -> bool:
+        """A gravity-loaded axis without a brake stays in quick stop active, which holds it."""
+        config = self._drives[axis].config
+        return not config.gravity_loaded or config.brake == "drive"
+
+    def _cut_runaways(self, guard: RunawayGuard, sample: Sample) -> bool:
+        """An axis that a quick stop makes faster has a wrong sign somewhere: only cutting it off helps."""
+        for i in guard.faster(sample):
+            self._cycle.control[i] = states.DISABLE_VOLTAGE  # the one case in which a loaded axis is let go
+        for i in guard.silent(sample):
+            # It may hear NMT though its PDOs are lost; its abort option (0x6007) is a quick stop.
+            if i not in self._given_up:
+                self._given_up.add(i)
+                self._link.nmt(NMT_STOP, self._drives[i].node_id)
+        return False
+
+    def _drive_to(self, seconds: float, reached: Callable[[Sample], bool]) -> None:
+        zero = [0.0] * len(self._drives)
+        end = self._link.clock.now() + seconds
+        missing = 0
+        while self._link.clock.now() < end:
+            try:
+                sample = self._exchange(zero)
+            except BusError:
+                missing += 1
+                if missing > 3:
+                    raise
+                self._link.wait(self._config.bus.cycle_s)
+                continue
+            if reached(sample):
+                return
+
+    def _at_rest(self, sample: Sample) -> bool:
+        """Every drive that talks has left operation enabled and, where it stays energised, stands."""
+        for i, status in enumerate(sample.status):
+            if i in self._given_up:
+                continue
+            if not sample.fresh[i]:
+                return False
+            match state_of(status):
+                case DriveState.OPERATION_ENABLED | DriveState.FAULT_REACTION_ACTIVE:
+                    return False
+                case DriveState.QUICK_STOP_ACTIVE:
+                    if self._may_disable(i):
+                        return False  # option 2: the drive switches itself off when the ramp has ended
+                case _:
+                    pass
+        return True
+
+    def _disabled(self, sample: Sample) -> bool:
+        return all(
+            sample.fresh[i] and (not self._may_disable(i) or not states.is_energised(state_of(s)))
+            for i, s in enumerate(sample.status)
+        )
