@@ -218,7 +218,7 @@ def _cause(
     i, pattern, stiffness = _place(chains, term)
     s = _liveliest(spectra, i)
     others = [e for e in extended.effects if e is not term and e != term]
-    m = missing_torque(s, chains)
+    m = missing_beside(s, chains, extended.effects)
     force = _force_at(m, pattern)
     what = laws.ABSCISSA[term.cause]
     x = _abscissa(m, pattern, i, what, term)
@@ -243,6 +243,43 @@ def _cause(
         "y_label": f"missing torque [{recording.torque_unit}]",
         "note": f"with {len(others)} other cause(s) still in it" if others else "",
     }
+
+
+def missing_beside(s: LineSpectra, chains: CoupledChains, terms: Sequence[EffectTerm]) -> MissingTorque:
+    """The missing torque of one record in which these causes are at work; it still holds theirs."""
+    m = missing_torque(s, chains)
+    known = np.zeros_like(m.torque)
+    for term in terms:
+        own = laws.ABSCISSA.get(term.cause)
+        if own is None or term.axis not in chains.axes:
+            continue
+        i, pattern, stiffness = _place(chains, term)
+        wave = fitted_wave(m, pattern, i, term, own, stiffness)
+        if wave is not None:
+            known -= np.einsum("d,fdm,f->fm", pattern, m.motion, lines_of(s, wave))
+    return missing_torque(s, chains, known) if known.any() else m
+
+
+def fitted_wave(
+    m: MissingTorque, pattern: Float64, axis: int, term: EffectTerm, own: str, stiffness: float
+) -> Float64 | None:
+    """(n,) torque of the fitted cause at every instant; mean removed, as lines carry none."""
+    x = _abscissa(m, pattern, axis, own, term)
+    curve = laws.curve(term, x, stiffness)
+    if curve is None:
+        return None
+    y = curve.y if curve.path else np.interp(x, curve.x, curve.y)
+    result: Float64 = y - float(y.mean())
+    return result
+
+
+def lines_of(s: LineSpectra, wave: Float64) -> Complex128:
+    """(F,) amplitudes of a time signal over the averaged period on the record's lines: undoes ``_wave``."""
+    count = s.time.size
+    at = np.round(s.frequency_hz * count / s.sample_rate_hz).astype(int)
+    found = np.fft.rfft(wave)[np.minimum(at, count // 2)] * 2 / count
+    result: Complex128 = np.where(at <= count // 2, found, 0.0)
+    return result
 
 
 def _plain(

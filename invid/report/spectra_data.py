@@ -36,15 +36,22 @@ class MissingTorque:
         return result
 
 
-def missing_torque(s: LineSpectra, chains: CoupledChains) -> MissingTorque:
-    """r = ZΘ − T of one record under a linear model (docs/explanations/decisions/0003)."""
+def missing_torque(s: LineSpectra, chains: CoupledChains, known: Complex128 | None = None) -> MissingTorque:
+    """r = ZΘ − T of one record under a linear model (docs/explanations/decisions/0003).
+
+    ``known`` (F, M) is what causes already account for: it stays in the result, but the boundary terms and
+    the offset are fitted without it. Near an antiresonance, where Z is large and noise weighs little, they
+    would else take a multiple of it along.
+    """
     seen = condense(chains, s.omega)
     z, w = seen.stiffness, seen.motion
     needed = np.einsum("fij,fj->fi", z, s.position)
     both = np.concatenate((z, -np.broadcast_to(np.eye(s.axis_count), z.shape)), axis=2)
     cover = both @ s.covariance @ both.conj().transpose(0, 2, 1)
     weight = 1.0 / np.maximum(np.einsum("fii->fi", cover).real, 1e-300)
-    return MissingTorque(s, _without_nuisance(s, chains, needed, w, weight), cover, w)
+    if known is None:
+        return MissingTorque(s, _without_nuisance(s, chains, needed, w, weight), cover, w)
+    return MissingTorque(s, known + _without_nuisance(s, chains, needed - known, w, weight), cover, w)
 
 
 def _without_nuisance(

@@ -27,9 +27,12 @@ from invid.report.data import (
     _place,
     _unit,
     _wave,
+    fitted_wave,
     force_at,
+    lines_of,
+    missing_beside,
 )
-from invid.report.spectra_data import MissingTorque, binned, missing_torque
+from invid.report.spectra_data import MissingTorque, binned
 from invid.spectra import LineSpectra, all_spectra
 
 SIDES = (laws.VELOCITY, laws.POSITION, laws.DEFLECTION)
@@ -69,12 +72,12 @@ def _views(
 ) -> dict[str, Any]:
     i, pattern, stiffness = _place(chains, term)
     s = _liveliest(spectra, i)
-    m = missing_torque(s, chains)
+    m = missing_beside(s, chains, all_terms)
     force, std = force_at(m, pattern)
     y = -_wave(s, _denoised(force, std))
     keep = _interior(s, y.size)
     own = laws.ABSCISSA.get(term.cause)
-    fit = None if own is None else _fitted(m, pattern, i, term, own, stiffness)
+    fit = None if own is None else fitted_wave(m, pattern, i, term, own, stiffness)
     sides = []
     for what in dict.fromkeys((*([own] if own else []), *SIDES)):
         x = _side(m, chains, pattern, i, what, term if what == own else None)
@@ -102,19 +105,6 @@ def _views(
         "sides": sides,
         "spectrum": _spectrum(s, force, std, fit),
     }
-
-
-def _fitted(
-    m: MissingTorque, pattern: Float64, axis: int, term: EffectTerm, own: str, stiffness: float
-) -> Float64 | None:
-    """(n,) torque of the fitted cause at every instant; mean removed, as lines carry none."""
-    x = _abscissa(m, pattern, axis, own, term)
-    curve = laws.curve(term, x, stiffness)
-    if curve is None:
-        return None
-    y = curve.y if curve.path else np.interp(x, curve.x, curve.y)
-    result: Float64 = y - float(y.mean())
-    return result
 
 
 def _side(
@@ -146,8 +136,7 @@ def _spectrum(s: LineSpectra, force: Complex128, std: Float64, fit: Float64 | No
     _, noise = binned([hz], [std[inside] ** 2])
     left = None
     if fit is not None:
-        taken = np.fft.rfft(fit)[at[inside]] * 2 / count
-        left = binned([hz], [np.abs(force[inside] + taken) ** 2])[1].tolist()
+        left = binned([hz], [np.abs(force + lines_of(s, fit))[inside] ** 2])[1].tolist()
     return {
         "frequency_hz": centre.tolist(),
         "missing": before.tolist(),
