@@ -36,6 +36,7 @@ import yaml
 from scipy import special
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "system"))
+from bench_realtime import stolen
 from service_process import SMALL_CELL, serving
 
 from invid.compare import Comparison, Status, compare
@@ -162,8 +163,10 @@ def realtime(runs: int) -> bool:
                         )
                     )
                     watcher.start()
+                    began, taken = time.monotonic(), stolen()
                     load = hammer(service.url, location, 400, ended) if polled else None
                     watcher.join()
+                    host = (stolen() - taken) / (time.monotonic() - began) / (os.cpu_count() or 1)
                     service.client.post(f"{location}/actions", json={"type": "cancel"})
                     path = folder / "run.h5"
                     path.write_bytes(service.client.get(f"{location}/recording").content)
@@ -171,7 +174,11 @@ def realtime(runs: int) -> bool:
                     shares[polled].append(skipped / slots)
                     said = f"polled, {load}" if polled else "not polled"
                     at = os.getloadavg()[0]
-                    print(f"real time, {said}: {skipped} of {slots} slots skipped; load {at:.1f}", flush=True)
+                    print(
+                        f"real time, {said}: {skipped} of {slots} slots ({skipped / slots:.2%}) skipped; "
+                        f"load {at:.1f}, the host took {host:.1%} of the processors",
+                        flush=True,
+                    )
         finally:
             simcell.send_signal(signal.SIGINT)
             simcell.wait(30)

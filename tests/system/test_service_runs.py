@@ -52,6 +52,8 @@ def test_a_run_measures_identifies_diagnoses_and_is_accepted(tmp_path: Path) -> 
         report = service.client.get(f"{location}/report")
         assert report.headers["content-type"].startswith("text/html")
         assert report.text.count("no hardware") == 1
+        assert model.provenance["recording"] == f"{body['id']}/recording.h5"
+        assert str(tmp_path) not in report.text + str(diagnosis)
         assert "http://" not in report.text.replace("http://www.w3.org", "")
         file = tmp_path / "fetched.h5"
         file.write_bytes(service.client.get(f"{location}/recording").content)

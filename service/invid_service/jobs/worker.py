@@ -14,6 +14,7 @@ import sys
 import threading
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any
 
@@ -175,7 +176,8 @@ def analyse(job: Job, line: Line, path: Path) -> dict[str, Any]:
     from invid_service.jobs.plots import plot_data
 
     line.progress(0.8, "reading the recording")
-    recording = read_recording(path)
+    # Model and report name the run, not a working folder that is gone when somebody reads them.
+    recording = replace(read_recording(path), source=f"{job.folder.name}/{path.name}")
     # An uploaded recording may come from a simulated cell too; the drives then wrote it down.
     simulated = job.simulated or bool(recording.attributes.get("simulated", False))
     flag = {"simulated": simulated}
