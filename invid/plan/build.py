@@ -318,6 +318,13 @@ def _warnings(
                 f"axis {axis.name}: no inertia in the config, so travel is only known after the trial at low "
                 "amplitude; it is scaled down there where it would leave the position window"
             )
+    for f in expected:
+        if f.travel is not None and f.travel > f.travel_limit:
+            unit = "m" if config.linear else "rad"
+            warnings.append(
+                f"axis {f.axis}: at full amplitude it would go {f.travel:.3g} {unit} by its {f.basis}, "
+                f"its window is {f.travel_limit:g}; the trial scales the torque down, but check limits and inertia"
+            )
     if not any(e.role is Role.VALIDATE for e in experiments):
         warnings.append("no experiment has role 'validate': a diagnosis will have to hold data out by itself")
     return warnings

@@ -231,6 +231,20 @@ class TestPromisesOfEveryDrive:
             Cia402Cell(drives._link.bus, wrong).check()
 
 
+@pytest.mark.parametrize(("limit", "outcome"), [(9, ""), (200, "meant"), (5000, "unit")])
+def test_a_torque_limit_far_above_the_rated_one_is_asked_about_or_refused(limit: float, outcome: str) -> None:
+    # rated 10 N·m: 200 N·m may be a peak that somebody knows of, 5000 cannot even be commanded
+    cfg = config(limits={"torque_Nm": limit, "position_window_rad": 1.0, "velocity_rad_per_s": 10})
+    cell = Cia402Cell(open_virtual_bus(cfg), cfg)
+    if outcome == "unit":
+        with pytest.raises(DriveError, match=r"A1.*torque_Nm is 5000, 500 times the rated 10 N·m.*unit"):
+            cell.check()
+    else:
+        warnings = cell.check()[0].warnings
+        assert any(outcome in w for w in warnings) if outcome else warnings == ()
+    cell.close()
+
+
 GAPS: list[tuple[set[int], dict[int, int], dict[str, Any], str]] = [
     ({0x6071}, {}, {}, "cannot be commanded"),
     ({0x6077}, {}, {}, "cannot be measured"),

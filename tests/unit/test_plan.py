@@ -154,3 +154,11 @@ def test_a_plan_is_plain_json() -> None:
 
     document = make_plan(cell()).to_json()
     assert json.loads(json.dumps(document)) == document
+
+
+def test_travel_beyond_the_window_is_said_before_anything_moves() -> None:
+    usual, light = cell(), cell()
+    axes = [light.axes[0].model_copy(update={"inertia": 0.001}), *light.axes[1:]]
+    assert not any("would go" in w for w in make_plan(usual).warnings)
+    (said,) = [w for w in make_plan(light.model_copy(update={"axes": axes})).warnings if "would go" in w]
+    assert said.startswith("axis A1")

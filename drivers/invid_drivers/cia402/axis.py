@@ -30,6 +30,10 @@ INVALID = 1 << 31
 DRIVE_MARGIN = 1.25
 """The drive's own windows are a quarter wider than the master's: the master, who sees all axes and can
 tell a runaway, acts first, and the drive where the master does not."""
+MOST_OF_RATED, MUCH_OF_RATED = 32.767, 5.0
+"""A torque limit beyond the first multiple of the rated torque cannot even be commanded (0x6071 is INTEGER16
+in thousandths). Beyond the second it is asked whether it is meant: servo motors peak at three to five times
+(a guess at what is usual)."""
 PROTECTION = (
     od.CONSUMER_HEARTBEAT, od.PRODUCER_HEARTBEAT, od.ABORT_CONNECTION, od.QUICK_STOP_OPTION, od.MAX_TORQUE,
     od.POSITION_LIMIT_LOW, od.POSITION_LIMIT_HIGH, od.MAX_VELOCITY, od.FOLLOWING_WINDOW, od.FOLLOWING_TIME,
@@ -175,6 +179,7 @@ class Drive:
         self._require_objects(who)
         mode, can_hold = self._modes(who, warnings)
         scaling = Scaling(self._position(who), self._rated(who, warnings), self.config.direction)
+        self._compare_limit(who, scaling.rated_torque, warnings)
         lacks = self._lacks(can_hold)
         state = state_of(self.read(od.STATUSWORD))
         if state in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE):
@@ -269,6 +274,19 @@ class Drive:
                 "drive's counts"
             )
         return from_drive
+
+    def _compare_limit(self, who: str, rated: float, warnings: list[str]) -> None:
+        """A torque limit in another unit, or of another motor, would be believed by nobody who reads it."""
+        limit = self.config.limits.torque
+        key, unit = ("force_N", "N") if self._linear else ("torque_Nm", "N·m")
+        said = f"{who}: limits.{key} is {limit:g}, {limit / rated:.3g} times the rated {rated:g} {unit}"
+        if limit > MOST_OF_RATED * rated:
+            raise DriveError(
+                f"{said}; 0x6071 cannot command more than {MOST_OF_RATED:g} times. Correct the limit, its "
+                "unit or the rated value"
+            )
+        if limit > MUCH_OF_RATED * rated:
+            warnings.append(f"{said}: is that limit meant?")
 
     def _position(self, who: str) -> float:
         if self.config.position_per_count is not None:

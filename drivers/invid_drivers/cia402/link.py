@@ -303,7 +303,17 @@ class _PumpedSdo(SdoClient):
 
 def _emcy_words(code: int) -> str:
     for mask, words in (
-        (0xFF00, {0x8100: "communication", 0x8600: "positioning", 0x2300: "output current"}),
+        (
+            0xFF00,
+            {
+                0x2300: "output current",
+                0x8100: "communication",
+                0x8300: "torque control",
+                0x8400: "speed control: too fast, or its speed limit is too low",
+                0x8500: "position control",
+                0x8600: "positioning: following error or a limit of position",
+            },
+        ),
         (
             0xF000,
             {
