@@ -323,7 +323,8 @@ def _warnings(
             unit = "m" if config.linear else "rad"
             warnings.append(
                 f"axis {f.axis}: at full amplitude it would go {f.travel:.3g} {unit} by its {f.basis}, "
-                f"its window is {f.travel_limit:g}; the trial scales the torque down, but check limits and inertia"
+                f"its window is {f.travel_limit:g}; the trial scales the torque down, but check limits and "
+                "inertia"
             )
     if not any(e.role is Role.VALIDATE for e in experiments):
         warnings.append("no experiment has role 'validate': a diagnosis will have to hold data out by itself")
