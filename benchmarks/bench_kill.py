@@ -32,8 +32,8 @@ VICTIMS = ("parent", "cycle process", "simulated cell")
 CYCLE_S, PERIOD_S, PERIODS = 0.004, 2.048, 8
 ROWS = round(PERIODS * PERIOD_S / CYCLE_S)
 RUN_S = 38.0
-"""About how long a run takes after it has enabled the drives, some 20 s of trials and 17 s of record; the kill
-comes at any moment of it."""
+"""About how long a run takes after it has enabled the drives, some 20 s of trials and 17 s of record; the
+kill comes at any moment of it."""
 OFF = {"switch_on_disabled", "ready_to_switch_on", "switched_on", "fault", "not_ready_to_switch_on"}
 LOST_S = {"parent": 1.6, "cycle process": 0.3, "simulated cell": 0.3}
 """What of the record may be lost: the writer flushes once a second; rows leave the cycle process every
