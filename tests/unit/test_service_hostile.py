@@ -14,6 +14,7 @@ from service_doubles import Director, running, settings_in, wait_for
 from invid.errors import ConfigError
 from invid_service.app import create_app
 from invid_service.auth import add_key
+from invid_service.recordings.declared import look
 
 START = "/api/v1/cells/cell/identifications"
 
@@ -245,6 +246,33 @@ def test_a_file_that_unpacks_to_far_more_than_it_is_gets_refused_before_it_is_un
         assert director.workers == []
         assert list((tmp_path / "data" / "work").iterdir()) == []
         assert client.get("/api/v1/identifications").json()["identifications"] == []
+
+
+@pytest.mark.parametrize("way", ["group", "experiment", "dataset", "round about", "virtual", "raw"])
+def test_a_file_that_takes_its_data_from_other_files_of_the_machine_is_refused(
+    tmp_path: Path, way: str
+) -> None:
+    other = hdf5(tmp_path / "private.h5")
+    with h5py.File(tmp_path / "sent.h5", "w") as file:
+        file.attrs["format"] = "invid-recording"
+        match way:
+            case "group":
+                file["experiments"] = h5py.ExternalLink(other, "/experiments")
+            case "experiment":
+                file["experiments/000"] = h5py.ExternalLink(other, "/experiments/000")
+            case "dataset":
+                file["experiments/000/torque"] = h5py.ExternalLink(other, "/experiments/000/torque")
+            case "round about":
+                file["x"] = h5py.ExternalLink(other, "/")
+                file["experiments/000"] = h5py.SoftLink("/x/experiments/000")
+            case "virtual":
+                layout = h5py.VirtualLayout((100, 1), "f8")
+                layout[:] = h5py.VirtualSource(other, "/experiments/000/torque", (100, 1))
+                file.create_virtual_dataset("experiments/000/torque", layout)
+            case _:
+                file.create_dataset("experiments/000/torque", (10, 1), "f8", external=[(other, 0, 80)])
+    assert "takes its data from other files" in look(tmp_path / "sent.h5")["problem"]
+    assert "unpacked" in look(other)
 
 
 def test_an_hdf5_file_that_is_no_recording_or_cut_off_is_refused_at_once(tmp_path: Path) -> None:

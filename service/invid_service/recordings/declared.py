@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import resource
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,10 @@ _MEMORY = 2 * 1024**3
 _CPU_S = 20
 _NUMBER = 8
 """Bytes of one number once read: everything becomes float64."""
+_ELSEWHERE = {
+    "problem": "the HDF5 file takes its data from other files (external link, external storage or a virtual "
+    "dataset); send one file that holds everything, for example copied with h5repack"
+}
 
 
 def look(path: Path) -> dict[str, Any]:
@@ -31,14 +36,36 @@ def look(path: Path) -> dict[str, Any]:
             if form != "invid-recording":
                 text = f"the HDF5 file has format {str(form)[:64]!r}, not 'invid-recording'"
                 return {"problem": f"{text}; 'invid import' turns other files into one"}
+            if isinstance(file.get("experiments", getlink=True), h5py.ExternalLink):
+                return _ELSEWHERE
             group = file.get("experiments")
             unpacked = 0
-            for node in group.values() if isinstance(group, h5py.Group) else ():
-                if isinstance(node, h5py.Group):
-                    unpacked += sum(_unpacked(d) for d in node.values() if isinstance(d, h5py.Dataset))
+            for node in _members(group):
+                if node is None:
+                    return _ELSEWHERE
+                for data in _members(node):
+                    if data is None:
+                        return _ELSEWHERE
+                    if isinstance(data, h5py.Dataset):
+                        if data.is_virtual or data.external:
+                            return _ELSEWHERE
+                        unpacked += _unpacked(data)
             return {"unpacked": unpacked}
     except (OSError, KeyError, RuntimeError, ValueError, TypeError, AttributeError, OverflowError):
         return damaged
+
+
+def _members(group: Any) -> Iterator[Any]:
+    """What a group holds; ``None`` for what lies in another file, which is not opened."""
+    import h5py
+
+    if not isinstance(group, h5py.Group):
+        return
+    for name in group:
+        found = None
+        if not isinstance(group.get(name, getlink=True), h5py.ExternalLink):
+            found = group.get(name)  # a soft link may still lead out of the file
+        yield found if found is not None and found.file.filename == group.file.filename else None
 
 
 def _unpacked(data: Any) -> int:
