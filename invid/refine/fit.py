@@ -20,10 +20,10 @@ from invid.refine.lags import (
     TORQUE_LAG,
     with_coulomb,
     with_reversal_lags,
-    with_sharp_reversals,
     with_torque_lags,
 )
 from invid.refine.problem import MissingTorqueProblem
+from invid.refine.reversals import with_sharp_reversals
 from invid.refine.solver import Solution, gauss_newton
 from invid.refine.structure import ChainStructure
 from invid.refine.weights import excess_variance
@@ -93,9 +93,9 @@ def fit_structure(
     holds: dict[str, str] = {}
     if thorough:
         problem, solution = _boundary(problem, solution, spectra)
+        problem, solution = with_sharp_reversals(problem, solution, spectra)
         problem, solution, holds = placed_holds(problem, solution, spectra)
         problem, solution = _inner_friction(problem, solution)
-        problem, solution = with_sharp_reversals(problem, solution, spectra)
         problem, solution = with_torque_lags(problem, solution)
     base = [b.covariance for b in problem.blocks]
     noise_chi2, noise_cost = solution.reduced, solution.chi2

@@ -7,16 +7,12 @@ import numpy as np
 from invid.arrays import Bool, Complex128, Float64
 from invid.spectra import LineSpectra
 
-SHARPENED = 4
-"""Rounds in which kinks and reversals are found from each other (empirical: the shift halves in each)."""
 
-
-def motor_velocity(s: LineSpectra, beyond: Complex128 | None = None) -> tuple[Float64, Float64]:
+def motor_velocity(s: LineSpectra) -> tuple[Float64, Float64]:
     """(n, M) velocity of the averaged wave and (M,) its noise, both after a Wiener filter.
 
     Differentiation is spectral; each line is scaled by the share of its power that is signal, so
-    quantisation does not become velocity. ``beyond`` (n/2 + 1, M) is the spectrum of the velocity as it is
-    expected, which fills what the filter takes away.
+    quantisation does not become velocity.
     """
     wave = np.asarray(s.position_wave)
     count, motors = wave.shape
@@ -33,41 +29,38 @@ def motor_velocity(s: LineSpectra, beyond: Complex128 | None = None) -> tuple[Fl
     # Lines within four times the noise power are taken for noise (1 line in 50 of pure noise passes).
     keep = np.where(power > 4.0 * noise, 1.0 - noise / np.maximum(power, 1e-300), 0.0)
     speed = 1j * omega[:, None] * spectrum * keep
-    if beyond is not None:
-        speed = speed + (1.0 - keep) * beyond
     velocity = np.fft.irfft(speed, count, axis=0) + ramp
     left = (omega[:, None] ** 2 * noise * (keep > 0)).sum(axis=0) * 2 / count**2
     return velocity, np.sqrt(left)
 
 
-def coulomb_columns(s: LineSpectra, slowed: Float64 | None = None) -> tuple[Complex128, Bool]:
+def coulomb_columns(s: LineSpectra) -> tuple[Complex128, Bool]:
     """(F, M) spectrum of sign(velocity) of each motor on all lines, and (M,) whether it moves clearly.
 
-    ``slowed`` (M,) is friction over motor inertia. Where friction turns round the velocity has a kink, whose
-    high frequencies drown in the noise; without them the velocity crosses zero too early, by a millisecond
-    where a motor reverses slowly, always to the same side. There the motor is inertia alone: the friction
-    found says how the velocity goes on beyond the noise.
+    From the position alone: ``refine.reversals`` finds the reversals better once there is a model.
     """
+    sign, moves = velocity_signs(s)
+    return sign_spectrum(s, sign), moves
+
+
+def velocity_signs(s: LineSpectra) -> tuple[Float64, Bool]:
+    """(n, M) mean sign of each motor's velocity over each sample, and (M,) whether it moves clearly."""
     velocity, noise = motor_velocity(s)
-    count = velocity.shape[0]
     rms = np.sqrt(np.mean(velocity**2, axis=0))
     smooth = np.maximum(2.0 * noise, 1e-3 * np.maximum(rms, 1e-300))
-    periodic = not s.transient or s.periods > 1
-    sign = _mean_sign(velocity, smooth, periodic=periodic)
-    omega = 2 * np.pi * np.fft.rfftfreq(count, 1.0 / s.sample_rate_hz)
-    ratio = np.zeros(rms.size) if slowed is None else slowed
-    for _ in range(SHARPENED if np.any(ratio) else 0):
-        beyond = np.zeros((omega.size, velocity.shape[1]), dtype=complex)
-        beyond[1:] = -np.fft.rfft(sign, axis=0)[1:] * ratio / (1j * omega[1:, None])
-        velocity, _ = motor_velocity(s, beyond)
-        sign = _mean_sign(velocity, smooth, periodic=periodic)
+    moves: Bool = rms > 10.0 * noise
+    return mean_sign(velocity, smooth, periodic=not s.transient or s.periods > 1), moves
+
+
+def sign_spectrum(s: LineSpectra, sign: Float64) -> Complex128:
+    """(F, M) amplitudes of (n, M) signs on the lines of the spectra."""
+    count = sign.shape[0]
     lines = np.round(s.frequency_hz * count / s.sample_rate_hz).astype(int)
     spectrum: Complex128 = np.fft.rfft(sign, axis=0)[lines] * (2.0 / count)
-    moves: Bool = rms > 10.0 * noise
-    return spectrum, moves
+    return spectrum
 
 
-def _mean_sign(velocity: Float64, smooth: Float64, *, periodic: bool) -> Float64:
+def mean_sign(velocity: Float64, smooth: Float64, *, periodic: bool) -> Float64:
     """(n, M) tanh(v/smooth) averaged over each sample's interval, v a straight line between half samples.
 
     The sign at the sampling instants alone puts every reversal on the grid: jitter of a sample, twice

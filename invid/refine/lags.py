@@ -63,34 +63,6 @@ def with_coulomb(problem: MissingTorqueProblem, spectra: Sequence[LineSpectra]) 
     return with_columns(problem, columns, [f"{names[i]}{COULOMB}" for i in axes] + lags)
 
 
-def with_sharp_reversals(
-    problem: MissingTorqueProblem, solution: Solution, spectra: Sequence[LineSpectra]
-) -> tuple[MissingTorqueProblem, Solution]:
-    """The problem with the reversals of friction where they are once its size is known, and its solution."""
-    structure = problem.structure
-    inertia = structure.physical(solution.p[: structure.count])[list(structure.motor_dofs)]
-    found = dict(zip(problem.column_names, solution.p[problem.slices["column"]], strict=True))
-    size = np.array([max(found.get(a + COULOMB, 0.0), 0.0) for a in structure.axes])
-    if not np.any(size):
-        return problem, solution
-    places = [
-        (k, structure.axes.index(n.removesuffix(COULOMB)))
-        for k, n in enumerate(problem.column_names)
-        if n.endswith(COULOMB)
-    ]
-    columns = []
-    for s, block in zip(spectra, problem.blocks, strict=True):
-        spectrum, moves = coulomb_columns(s, size / inertia)
-        used = used_lines(s, everything=block.transient)
-        part = block.columns.copy()
-        for k, i in places:
-            if moves[i]:
-                part[:, i, k] = spectrum[used, i]
-        columns.append(part)
-    sharper = with_columns(problem, columns, problem.column_names)
-    return sharper, gauss_newton(sharper, solution.p)
-
-
 def with_reversal_lags(
     problem: MissingTorqueProblem, solution: Solution
 ) -> tuple[MissingTorqueProblem, Solution]:

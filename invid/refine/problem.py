@@ -105,6 +105,8 @@ class State:
     """(F, M) Θ̂."""
     all_motion: Complex128
     """(F, ΣN) motion of all coordinates, boundary response included."""
+    ends: Float64
+    """(2ΣN,) end-minus-start position and velocity of every coordinate; empty without boundary terms."""
 
 
 class Extra(Protocol):
@@ -197,7 +199,7 @@ class MissingTorqueProblem:
         structure, s = self.structure, self.slices
         sp = p[s["structure"]]
         motors = structure.motors
-        factor, hold_part, delay_jac, stair_jac = self._torque_factor(block, p)
+        factor, hold_part, delay_jac, stair_jac = self.torque_factor(block, p)
         effective = stiffness - _diagonal(hold_part)
         residual = np.einsum("fij,fj->fi", effective, block.position) - factor * block.torque
         both = np.concatenate((effective, -_diagonal(factor)), axis=2)
@@ -246,10 +248,10 @@ class MissingTorqueProblem:
         jacobian[..., columns] = block.columns
         jacobian[..., s["extra"]] = extra_jac
         return State(
-            block, motion, stiffness, inner, residual, jacobian, covariance, root, basis, position, q
+            block, motion, stiffness, inner, residual, jacobian, covariance, root, basis, position, q, ends
         )
 
-    def _torque_factor(
+    def torque_factor(
         self, block: Block, p: Float64
     ) -> tuple[Complex128, Complex128, tuple[Complex128, Complex128], Complex128]:
         """A (F, M), its hold part, and derivatives by delays and staircase parameters.

@@ -15,12 +15,12 @@ from linear_cell import LinearCell, deviations, record
 from invid.identify import identify
 from invid.recording.model import Experiment, Kind, Role
 from invid.refine.blocks import carried, problem_from_spectra
-from invid.refine.friction import coulomb_columns
-from invid.refine.lags import with_torque_lags
+from invid.refine.lags import with_coulomb, with_torque_lags
+from invid.refine.reversals import with_sharp_reversals
 from invid.refine.smooth_command import seen_hold
 from invid.refine.solver import gauss_newton
 from invid.refine.structure import ChainStructure
-from invid.spectra import all_spectra, spectra_of
+from invid.spectra import LineSpectra, all_spectra, spectra_of
 
 ONE = LinearCell([[1.0, 2.0]], [[1500.0]], [[0.8]])
 TWO = LinearCell([[1.0, 2.0], [1.5, 2.5]], [[1500.0], [2500.0]], [[0.8], [1.0]], {(0, 1): 0.4})
@@ -158,18 +158,21 @@ def test_a_lag_that_the_data_do_not_ask_for_stays_out() -> None:
     assert np.array_equal(carried(problem, solution.p, same), again.p)
 
 
-def test_reversals_of_a_rubbing_motor_are_found_where_its_friction_bends_the_velocity() -> None:
-    # A mass of 1 kg·m² in steady state under two sines and friction of a tenth: Euler steps of a 50th sample.
-    rate, period, fine, friction = 500.0, 1000, 50, 0.6
-    t = np.arange(period * fine) / (rate * fine)
+def rubbing_mass(friction: float) -> tuple[LineSpectra, np.ndarray]:
+    """A mass of 1 kg·m² in steady state under two sines and Coulomb friction, by Euler steps of a 50th
+    sample: its noisy spectra, and the friction's spectrum over its size."""
+    rate, period, fine = 500.0, 1000, 50
+    step = 1.0 / (rate * fine)
+    t = np.arange(period * fine) * step
     drive = 4.0 * np.sin(2 * np.pi * 1.5 * t) + 3.0 * np.sin(2 * np.pi * 2.5 * t + 1.0)
     x, v = 0.0, -0.6
-    position, sign = np.empty(period * fine), np.empty(period * fine)
+    position, rubs = np.empty(period * fine), np.empty(period * fine)
     for _ in range(3):
         for k, force in enumerate(drive):
-            position[k], sign[k] = x, np.sign(v)
-            v += (force - friction * np.sign(v)) / (rate * fine)
-            x += v / (rate * fine)
+            stopping = v / step + force  # would stop the mass within the step
+            position[k], rubs[k] = x, np.clip(stopping, -friction, friction) / friction
+            v += (force - friction * rubs[k]) * step
+            x += v * step
     rng = np.random.default_rng(1)
     wave = position[::fine] - np.linspace(position[0], x, period, endpoint=False)
     experiment = Experiment(
@@ -179,6 +182,29 @@ def test_reversals_of_a_rubbing_motor_are_found_where_its_friction_bends_the_vel
     )  # fmt: skip
     s = spectra_of(experiment, band_hz=(0.4, 12.0))
     lines = np.rint(s.frequency_hz * 2.0).astype(int)
-    true = np.fft.rfft(sign)[lines] * 2.0 / sign.size
-    blunt, sharp = (coulomb_columns(s, ratio)[0][:, 0] - true for ratio in (None, np.array([friction])))
-    assert np.linalg.norm(sharp) < 0.7 * np.linalg.norm(blunt)
+    return s, np.fft.rfft(rubs)[lines] * 2.0 / rubs.size
+
+
+def sharpened(friction: float) -> tuple[float, float, float]:
+    """Error of the friction's column and χ², both over what they were before, and its size over the true."""
+    s, true = rubbing_mass(friction)
+    lines = [replace(s, excited=np.ones(s.frequency_hz.size, dtype=bool))]
+    problem = with_coulomb(problem_from_spectra(ChainStructure((1,), ("A1",)), lines), lines)
+    solution = gauss_newton(problem, problem.start(np.zeros(problem.structure.count)))
+    sharp, found = with_sharp_reversals(problem, solution, lines)
+    before, after = (np.linalg.norm(p.blocks[0].columns[:, 0, 0] - true) for p in (problem, sharp))
+    size = dict(zip(sharp.names, found.p, strict=True))["A1.coulomb"]
+    return float(after / before), found.chi2 / solution.chi2, size / friction
+
+
+def test_reversals_and_standing_of_a_rubbing_motor_are_found_from_position_and_torque() -> None:
+    error, chi2, size = sharpened(1.0)
+    assert error < 0.2
+    assert chi2 < 0.1
+    assert size == pytest.approx(1.0, rel=5e-3)
+
+
+def test_a_motor_that_stands_for_long_is_described_no_worse_than_by_its_position_alone() -> None:
+    error, chi2, _ = sharpened(1.5)
+    assert error < 1.0
+    assert chi2 < 1.0
