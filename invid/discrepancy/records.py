@@ -134,14 +134,15 @@ def _command(s: LineSpectra, experiment: Experiment, index: np.ndarray) -> tuple
     """Spectrum of the demand where it is not all of the torque, and what its ends add to the torque's.
 
     That of a record that does not close carries the trapezoid's correction of its ends, which a demand held
-    over the sample does not need.
+    over the sample does not need. A mean over periods that still settle is no other: what is held over its
+    samples has no ends that could differ.
     """
     demand, count = experiment.torque_demand, s.position_wave.shape[0]
     if demand is None or s.periods < 1 or not np.isnan(s.staircase).any():
         return None
     whole = s.transient and s.periods == 1
     samples = s.periods * count
-    if (s.transient and not whole) or demand.shape[0] != experiment.samples:
+    if demand.shape[0] != experiment.samples:
         return None
     if demand.shape[0] != samples + 1 if whole else demand.shape[0] < samples:
         return None  # resampled, or cut
