@@ -1,0 +1,288 @@
+"""Axes in motion: modes, cycles around the feedback, and the watch over them."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from invid.arrays import Bool, Float64
+from invid.config import CellConfig
+from invid.errors import SafetyStop
+from invid.plan.model import Plan, PlannedExperiment
+from invid.sweep.holds import Gains, centring, following, least_damping, master_hold
+from invid.sweep.ports import Cell, Mode, Sample, Sink
+from invid.sweep.watch import AxisLimits, Statistics, Watch
+
+SETTLE_S = 0.3
+"""Held by the drives before anything else, to measure the torque that the holds need (gravity)."""
+FADE_S = 0.1
+"""A stop on request fades the torque out in this time before the quick stop."""
+PROGRESS_S = 0.2
+
+
+@dataclass
+class Feedback:
+    """One axis in torque mode."""
+
+    axis: int
+    gains: Gains
+    bias: float
+    limit: float
+
+
+@dataclass(frozen=True)
+class Log:
+    """Rows of one stretch of cycles; (n, M) but for the time."""
+
+    demand: Float64
+    torque: Float64
+    position: Float64
+    fresh: Bool
+    """Where the row's torque and position came with its SYNC; elsewhere they are the last ones."""
+    time: Float64
+    """(n,) SYNC instants [s]."""
+
+
+class Motion:
+    """The axes of a cell from the first cycle to the last; who makes one also calls the cell's ``stop``."""
+
+    def __init__(
+        self,
+        plan: Plan,
+        config: CellConfig,
+        cell: Cell,
+        stop: threading.Event | None,
+        report: Callable[[float], None],
+    ) -> None:
+        self.plan, self.config, self.cell = plan, config, cell
+        self.stop, self.report = stop, report
+        count = len(config.axes)
+        self.count = count
+        self._zero = [0.0] * count
+        self.origin = [0.0] * count
+        """Where each axis stood at the start [rad or m]."""
+        self.bias = [0.0] * count
+        """Torque that each axis needs at rest [N·m or N]."""
+        self._last: list[float] = [0.0] * count
+        self._last_time = [0.0] * count
+        self._velocity = [0.0] * count
+        self._demand = [0.0] * count
+        self.feedback: list[Feedback] = []
+        self._modes: list[Mode] = []
+        self.inertia: dict[int, float] = {}
+        """Rigid inertia of the axes that were tried [kg·m² or kg]."""
+        self.phase = "enabling"
+        self.experiment: PlannedExperiment | None = None
+        """What is being tried or measured."""
+        self.done_s = 0.0
+        self._next_report = 0.0
+        self._watch: Watch | None = None
+        self.must_move: set[int] = set()
+        """Axes whose encoders may not stand still while rows are recorded."""
+        self._recorded = self._living = False
+
+    @property
+    def statistics(self) -> Statistics:
+        """What was seen so far."""
+        return self._watch.statistics if self._watch is not None else Statistics()
+
+    @property
+    def watching(self) -> Watch:
+        """The watch; SafetyStop before the start."""
+        if self._watch is None:
+            raise SafetyStop("the sweep watches nothing before it has started")
+        return self._watch
+
+    def resting_modes(self) -> list[Mode]:
+        """Held by its drive whatever can be."""
+        return [Mode.HOLD if can else Mode.TORQUE for can in self.cell.can_hold]
+
+    def start(self) -> None:
+        """Enable, watch, and settle where every axis stands."""
+        cell, config = self.cell, self.config
+        # A drive that can hold starts holding; the others start at zero torque.
+        if not cell.can_hold:
+            raise SafetyStop("the cell was not checked before the sweep")
+        if self.stop is not None and self.stop.is_set():
+            raise SafetyStop("stopped on request before any drive was enabled; nothing was recorded yet")
+        self._modes = self.resting_modes()
+        cell.energise(self._modes)
+        unit = "m" if config.linear else "rad"
+        self._watch = Watch(
+            [
+                AxisLimits(
+                    a.name,
+                    a.limits.torque,
+                    a.limits.position,
+                    a.limits.velocity,
+                    cell.resolution[i],
+                    cell.rated_torque[i],
+                    unit,
+                    "N" if config.linear else "N·m",
+                )
+                for i, a in enumerate(config.axes)
+            ],
+            cycle_s=self.plan.cycle_s,
+            missed_tpdos=config.safety.missed_tpdos,
+            overrun_cycles=config.safety.overrun_cycles,
+        )
+        sample = cell.exchange(self._zero)
+        self.origin = list(sample.position)
+        self._last, self._last_time = list(sample.position), [sample.time] * self.count
+        self.watching.start(self.origin)
+        self.watching.held = set(range(self.count))
+        self.phase = "settling"
+        rows = self.play(None, round(SETTLE_S / self.plan.cycle_s), log=True)
+        torque = rows.torque[len(rows.torque) // 2 :]
+        for i, mode in enumerate(self._modes):
+            # What the drive needs to hold an axis is what it needs when the master takes over; only a
+            # gravity-loaded axis is believed to need any, friction held at rest can be anything.
+            if mode is Mode.HOLD and config.axes[i].gravity_loaded:
+                self.bias[i] = float(np.mean(torque[:, i]))
+
+    # --- one cycle and many --------------------------------------------------------------------
+    def play(
+        self,
+        torque: Float64 | None,
+        cycles: int,
+        *,
+        reference: Float64 | None = None,
+        scale: float = 1.0,
+        sink: Sink | None = None,
+        rows: tuple[int, int] = (0, 0),
+        log: bool = False,
+    ) -> Log:
+        """Run ``cycles`` cycles around the feedback; the log has rows only where ``log`` is set.
+
+        ``torque`` and ``reference`` are (n, M); their last row stands for every later one. Rows become
+        lists one at a time: half an hour at once would stall the cycle and take gigabytes.
+        """
+        cell, watch, stop = self.cell, self.watching, self.stop
+        cycle = self.plan.cycle_s
+        feedback, origin, velocity = self.feedback, self.origin, self._velocity
+        demand = self._demand
+        first, last = rows
+        edge = round(0.5 / cycle)
+        shaken = (edge, cycles - edge)
+        kept: tuple[list[list[float]], ...] = ([], [], [], [])
+        instants: list[float] = []
+        start: int | None = None
+        fading = 0
+        fade = max(1, round(FADE_S / cycle))
+        k = 0
+        while k < cycles:
+            excitation = self._zero if torque is None else torque[min(k, len(torque) - 1)].tolist()
+            path = before = None
+            if reference is not None:
+                path = reference[min(k, len(reference) - 1)].tolist()
+                before = reference[min(max(k - 1, 0), len(reference) - 1)].tolist()
+            gain = scale
+            if fading:
+                gain *= 1.0 - fading / fade
+            for f in feedback:
+                i = f.axis
+                away, speed = self._last[i] - origin[i], velocity[i]
+                if path is not None and before is not None:
+                    away -= path[i]
+                    speed -= (path[i] - before[i]) / cycle
+                value = f.bias + gain * excitation[i] - f.gains.stiffness * away - f.gains.damping * speed
+                demand[i] = f.limit if value > f.limit else -f.limit if value < -f.limit else value
+            sample = cell.exchange(demand)
+            if start is None:
+                start = sample.slot
+            k = sample.slot - start
+            if sink is not None:
+                # an encoder that stands still is stuck, but not while the excitation fades in or out
+                watch.excited = self.must_move if shaken[0] <= k < shaken[1] and not fading else set()
+                self.expect_life(first <= k < last and not fading)
+            watch.check(sample)
+            self._differentiate(sample)
+            if sink is not None and first <= k < last:
+                self._recorded = True
+                sink.row(sample, demand)
+            if log:
+                kept[0].append(list(demand))
+                kept[1].append(list(sample.torque))
+                kept[2].append(list(sample.position))
+                kept[3].append(list(sample.fresh))
+                instants.append(sample.time)
+            k += 1
+            if fading:
+                fading += 1
+                if fading > fade:
+                    so_far = "the recording so far is kept" if self._recorded else "nothing was recorded yet"
+                    raise SafetyStop(f"stopped on request; {so_far}")
+            elif stop is not None and stop.is_set():
+                fading = 1
+                cycles = max(cycles, k + fade + 1)
+            if sample.time >= self._next_report:
+                self._next_report = sample.time + PROGRESS_S
+                self.report(k * cycle)
+        self.done_s += cycles * cycle
+        demands, torques, positions, came = (np.asarray(part) for part in kept)
+        return Log(demands, torques, positions, came.astype(bool), np.asarray(instants))
+
+    def expect_life(self, expected: bool) -> None:
+        """While a periodic excitation is recorded, held axes that tremble with it must go on trembling."""
+        e = self.experiment
+        if expected is self._living or e is None:
+            return
+        self._living = expected
+        held = set(range(self.count)) - set(e.excited) if expected and e.period_samples else set()
+        self.watching.standing.expect_life(held, e.period_samples)
+
+    def _differentiate(self, sample: Sample) -> None:
+        last, before, velocity, position = self._last, self._last_time, self._velocity, sample.position
+        for i, fresh in enumerate(sample.fresh):
+            if fresh and (dt := sample.time - before[i]) > 0:
+                velocity[i] = (position[i] - last[i]) / dt
+                last[i], before[i] = position[i], sample.time
+
+    def change(self, modes: Sequence[Mode], feedback: list[Feedback]) -> None:
+        """New modes and feedback. Torque starts at the bias, as the hold left it."""
+        demand = list(self._zero)
+        for f in feedback:
+            demand[f.axis] = f.bias
+        self.feedback, self._demand = feedback, demand
+        if list(modes) != self._modes:
+            self.cell.set_modes(modes, demand)
+            self._modes = list(modes)
+            self.watching.pause()
+            self._velocity = [0.0] * self.count
+            self._last_time = [0.0] * self.count
+        self.watching.settle()
+
+    def centre(self, excited: set[int], *, lowest: float, path: bool = False) -> None:
+        """Excited axes in torque mode around their place, the others held as configured."""
+        cycle = self.plan.cycle_s
+        modes: list[Mode] = []
+        feedback = []
+        for i, settings in enumerate(self.config.axes):
+            limit = settings.limits.torque
+            if i in excited:
+                inertia = self.inertia.get(i) or settings.inertia or 0.0
+                gains = following(inertia, cycle) if path else centring(inertia, lowest, cycle)
+                modes.append(Mode.TORQUE)
+                feedback.append(Feedback(i, gains, self.bias[i], limit))
+                continue
+            held = self._hold_gains(i)
+            modes.append(Mode.HOLD if held is None else Mode.TORQUE)
+            if held is not None:
+                feedback.append(Feedback(i, held, self.bias[i], limit))
+        self.change(modes, feedback)
+        self.watching.held = set(range(self.count)) - excited
+
+    def _hold_gains(self, axis: int) -> Gains | None:
+        """Gains of a held axis; ``None``: inside the drive."""
+        settings = self.config.axes[axis]
+        held = master_hold(settings, self.plan.cycle_s)
+        if held is not None:
+            return held
+        if self.cell.can_hold[axis]:
+            return None
+        # A drive without position mode is held by the master: half the torque limit at the window's edge.
+        stiffness = 0.5 * settings.limits.torque / settings.limits.position
+        return Gains(stiffness, max(least_damping(stiffness, self.plan.cycle_s), 0.1 * stiffness))
