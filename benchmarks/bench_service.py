@@ -154,7 +154,7 @@ def realtime(runs: int) -> bool:
                 for n in range(2 * runs):
                     polled = n % 2 == 1
                     location = service.start()
-                    service.wait_for_motion(location, 400)
+                    service.wait(location, "running", timeout=400)
                     ended = threading.Event()
                     watcher = threading.Thread(
                         target=lambda to=location, end=ended: (
@@ -167,10 +167,9 @@ def realtime(runs: int) -> bool:
                     load = hammer(service.url, location, 400, ended) if polled else None
                     watcher.join()
                     host = (stolen() - taken) / (time.monotonic() - began) / (os.cpu_count() or 1)
+                    seen = service.client.get(location).json()["measurement"]
                     service.client.post(f"{location}/actions", json={"type": "cancel"})
-                    path = folder / "run.h5"
-                    path.write_bytes(service.client.get(f"{location}/recording").content)
-                    skipped, slots = missed_slots(path)
+                    skipped, slots = missed_slots(seen)
                     shares[polled].append(skipped / slots)
                     said = f"polled, {load}" if polled else "not polled"
                     at = os.getloadavg()[0]
@@ -199,16 +198,10 @@ def realtime_cell(folder: Path) -> str:
     return text
 
 
-def missed_slots(path: Path) -> tuple[int, int]:
-    """SYNC slots that brought no row, and all slots, of a recording."""
-    from invid.recording import read_recording
-
-    skipped = slots = 0
-    for e in read_recording(path).experiments:
-        steps = np.rint(np.diff(e.time) * e.sample_rate_hz).astype(int)
-        skipped += int((steps - 1).clip(0).sum())
-        slots += int(steps.sum())
-    return skipped, slots
+def missed_slots(measurement: dict[str, Any]) -> tuple[int, int]:
+    """SYNC slots without a SYNC, and all slots, as the cycle counted them: the recording fills its gaps."""
+    skipped = int(measurement["skipped_slots"])
+    return skipped, sum(measurement["jitter_histogram"].values()) + skipped
 
 
 def consistent(folder: Path) -> list[str]:

@@ -22,7 +22,9 @@ pytestmark = pytest.mark.xdist_group("service")
 
 
 def test_a_run_measures_identifies_diagnoses_and_is_accepted(tmp_path: Path) -> None:
-    with serving(tmp_path) as service:
+    # A torque limit of six times the rated torque is worth a question.
+    asking = SMALL_CELL.replace("rated_torque_Nm: 50", "rated_torque_Nm: 4")
+    with serving(tmp_path, cell=asking) as service:
         location = service.start(arm=False)
         plan = service.wait(location, "awaiting_arm")["plan"]
         assert plan["forecast"][0]["axis"] == "A1"
@@ -33,6 +35,13 @@ def test_a_run_measures_identifies_diagnoses_and_is_accepted(tmp_path: Path) -> 
         assert seen["simulated"] is True
         body = service.wait(location, "awaiting_accept")
         assert body["summary"]["verdict"] in set(Verdict)
+        seen = body["measurement"]
+        assert seen["outcome"] == "completed"
+        assert seen["skipped_slots"] == 0
+        assert 0 < seen["peaks"]["A1"]["travel"] < 1.0
+        # What the measurement had to say is said to whoever decides on the result.
+        assert set(seen["warnings"]) <= set(body["summary"]["warnings"])
+        assert any("is that limit meant?" in w for w in seen["warnings"])
         with service.client.stream("GET", f"{location}/events") as stream:
             kinds = []
             for line in stream.iter_lines():

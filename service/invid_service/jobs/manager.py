@@ -247,7 +247,7 @@ class JobManager:
             case "measured":
                 run.motion_ended.set()
                 if run.wish is None:
-                    await self._move(run, State.ANALYSING)
+                    await self._move(run, State.ANALYSING, {"measurement": message.get("measurement")})
             case "recording":
                 run.record = replace(
                     run.record,

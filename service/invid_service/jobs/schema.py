@@ -62,6 +62,9 @@ class Identification(BaseModel):
     requested_by: str
     plan: dict[str, Any] | None
     """What will move and how far, once checked."""
+    measurement: dict[str, Any] | None
+    """What was seen while it moved, once measured: peaks, skipped SYNC slots, missed samples, how late the
+    SYNCs were (in real time), the drives and what they lack, warnings."""
     decision: dict[str, Any] | None
     summary: dict[str, Any] | None
     """verdict, sentences, warnings and changes against the accepted model."""
@@ -103,6 +106,7 @@ def view(record: RunRecord, live: LiveRun | None) -> Identification:
         ended=record.ended,
         requested_by=record.requested_by,
         plan=record.facts.get("plan"),
+        measurement=record.facts.get("measurement"),
         decision=record.facts.get("decision"),
         summary=record.facts.get("summary"),
         links={"self": base, **{name: f"{base}/{name}" for name in names}},

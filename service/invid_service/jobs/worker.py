@@ -15,7 +15,6 @@ import threading
 import time
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import IO, Any
 
 from invid.errors import InvidError, SafetyStop
@@ -120,8 +119,8 @@ def error_info(error: BaseException) -> dict[str, Any]:
     ).model_dump()
 
 
-def measure(job: Job, line: Line) -> Path:
-    """Check, wait for arm, move, write ``recording.h5``."""
+def measure(job: Job, line: Line) -> dict[str, Any]:
+    """Check, wait for arm, move, write ``recording.h5``; what was seen meanwhile."""
     from invid.config import CellConfig
     from invid.errors import ConfigError
     from invid.model import model_from_json
@@ -151,7 +150,7 @@ def measure(job: Job, line: Line) -> Path:
         )
 
     with ResponseWatch(target, lambda response: line.tell("response", response=response)):
-        measure_to_file(
+        result = measure_to_file(
             config,
             target,
             axes=job.axes,
@@ -161,12 +160,17 @@ def measure(job: Job, line: Line) -> Path:
             model=model,
         )
     line.check_stop()
-    line.tell("measured")
-    return target
+    seen: dict[str, Any] = _plain(result.to_json())
+    del seen["recording"]
+    line.tell("measured", measurement=seen)
+    return seen
 
 
-def analyse(job: Job, line: Line, path: Path) -> dict[str, Any]:
-    """Identify, diagnose, report, and the numbers of the page's pictures; the summary."""
+def analyse(job: Job, line: Line, seen: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Identify, diagnose, report, and the numbers of the page's pictures; the summary.
+
+    ``seen`` is what the measurement saw, ``None`` where the recording comes from elsewhere.
+    """
     from invid.diagnosis import diagnosis_to_json
     from invid.discrepancy import diagnose
     from invid.identify import identify
@@ -177,6 +181,7 @@ def analyse(job: Job, line: Line, path: Path) -> dict[str, Any]:
 
     line.progress(0.8, "reading the recording")
     # Model and report name the run, not a working folder that is gone when somebody reads them.
+    path = job.folder / "recording.h5"
     recording = replace(read_recording(path), source=f"{job.folder.name}/{path.name}")
     # An uploaded recording may come from a simulated cell too; the drives then wrote it down.
     simulated = job.simulated or bool(recording.attributes.get("simulated", False))
@@ -196,11 +201,12 @@ def analyse(job: Job, line: Line, path: Path) -> dict[str, Any]:
     told = bool(recording.attributes.get("simulated", False))
     save_text(job.folder / "report.html", _marked(report, simulated and not told))
     save_text(job.folder / "plots.json", dump_json({**plot_data(recording, model, diagnosis), **flag}))
+    said = [] if seen is None else seen["warnings"]
     return {
         "verdict": str(diagnosis.verdict),
         "sentences": list(diagnosis.sentences),
         "explained_fraction": diagnosis.explained_fraction,
-        "warnings": list(dict.fromkeys([*model.warnings, *diagnosis.warnings])),
+        "warnings": list(dict.fromkeys([*said, *model.warnings, *diagnosis.warnings])),
     }
 
 
@@ -227,8 +233,8 @@ def run(line: Line) -> int:
     held = hold(job.folder)
     threading.Thread(target=_end_with_parent, args=(line, job.stop_grace_s), daemon=True).start()
     try:
-        path = measure(job, line) if job.kind == "measure" else job.folder / "recording.h5"
-        summary = analyse(job, line, path)
+        seen = measure(job, line) if job.kind == "measure" else None
+        summary = analyse(job, line, seen)
     except Stopped:
         line.tell("stopped", error=_stopped())
         return 4
