@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -74,6 +75,28 @@ def test_nothing_moves_before_it_is_armed(tmp_path: Path) -> None:
         time.sleep(0.2)
         assert client.get(location).json()["state"] == "awaiting_arm"
         assert director.workers[0].said == []
+
+
+def test_a_button_pressed_twice_arms_once_and_is_no_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    director = Director()
+    director.analyse.clear()
+    with running(tmp_path, director) as (client, _):
+        location = start(client, arm=False)
+        wait_for(client, location, "awaiting_arm")
+        store = client.app.state.service.store  # type: ignore[attr-defined]
+        save = store.save_state
+
+        def slow(*given: Any) -> None:
+            time.sleep(0.3)
+            save(*given)
+
+        monkeypatch.setattr(store, "save_state", slow)
+        with ThreadPoolExecutor(3) as hands:
+            answers = list(hands.map(lambda _: act(client, location, "arm"), range(3)))
+        assert [(a.status_code, a.json()["state"]) for a in answers] == [(200, "running")] * 3
+        client.post(STOP)
 
 
 def test_a_test_run_asks_for_at_most_a_tenth_of_the_torque(tmp_path: Path) -> None:

@@ -118,12 +118,13 @@ class JobManager:
                         await run.changed.wait()
 
     async def arm(self, run: LiveRun) -> None:
-        """Let the run move; WrongStateError where it does not wait for that."""
-        if run.record.state is State.RUNNING:
-            return
-        if run.record.state is not State.AWAITING_ARM or run.worker is None or run.wish:
-            raise WrongStateError(str(run.record.state))
-        await self._move(run, State.RUNNING)
+        """Let the run move; WrongStateError where it does not wait for that. Twice is no error."""
+        async with run.lock:
+            if run.record.state is State.RUNNING:
+                return
+            if run.record.state is not State.AWAITING_ARM or run.worker is None or run.wish:
+                raise WrongStateError(str(run.record.state))
+            await self._persist(run, run.set(State.RUNNING, self._clock()))
         await run.worker.send({"type": "arm"})
 
     async def decide(self, run: LiveRun, *, accept: bool, by: str) -> None:
