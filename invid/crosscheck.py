@@ -109,8 +109,8 @@ def widened(paper: PaperResult, measured: FrfMatrix) -> PaperResult:
             axes=axes,
             start=paper.modes,
         )
-        values = np.array(paper_values(paper.chains))
-        own = np.array(paper_values(again.chains)) - values
+        values = np.array([v for v, _ in paper.named.values()])
+        own = np.array([v for v, _ in again.named.values()]) - values
     except (InvidError, np.linalg.LinAlgError, ValueError, FloatingPointError) as error:
         lost = f"the method could not be checked on its own result ({error}): its errors may be larger"
         return replace(paper, warnings=(*paper.warnings, lost))
@@ -122,7 +122,7 @@ def widened(paper: PaperResult, measured: FrfMatrix) -> PaperResult:
         found = (
             *found,
             f"damping: applied to its own result the paper's method is off by "
-            f"{abs(own[worst] / values[worst]):.1%} in {paper_names(paper.chains)[worst]}; standard "
+            f"{abs(own[worst] / values[worst]):.1%} in {list(paper.named)[worst]}; standard "
             "deviations include it; refined has no such error",
         )
     return replace(paper, covariance=covariance, warnings=found)
@@ -169,17 +169,17 @@ def compared(
     """
     if isinstance(paper, InvidError):
         return {"paper": None, "reason": str(paper)}
-    theirs = dict(zip(paper_names(paper.chains), paper_values(paper.chains), strict=True))
-    spread = dict(zip(paper_names(paper.chains), np.diag(paper.covariance), strict=True))
+    theirs = paper.named
     worst_name, worst = "", 0.0
     table: dict[str, float] = {}
     for k, name in enumerate(names):
         if name not in theirs:
             continue
-        table[name] = float(theirs[name])
-        joint = float(np.sqrt(max(spread[name], 0.0) + max(covariance[k, k], 0.0)))
+        value, variance = theirs[name]
+        table[name] = value
+        joint = float(np.sqrt(max(variance, 0.0) + max(covariance[k, k], 0.0)))
         joint = float(np.hypot(joint, OWN_ERROR * abs(values[k])))
-        z = abs(theirs[name] - values[k]) / joint if np.isfinite(joint) and joint > 0 else 0.0
+        z = abs(value - values[k]) / joint if np.isfinite(joint) and joint > 0 else 0.0
         if z > worst:
             worst_name, worst = name, z
     sound = paper.modes.model_error == 0.0 and not paper.warnings
@@ -194,33 +194,10 @@ def compared(
         out["reason"] = "the paper's route does not explain the FRF to its noise: no judge of the fit"
     elif not agree:
         warnings.append(
-            f"the paper's inverse gives {theirs[worst_name]:.4g} for {worst_name}, the fit "
+            f"the paper's inverse gives {table[worst_name]:.4g} for {worst_name}, the fit "
             f"{values[list(names).index(worst_name)]:.4g}, {worst:.1f} joint standard deviations apart: the "
             "structure (number of masses, friction, a spring to ground) may differ from the machine's"
         )
-    return out
-
-
-def paper_names(chains: CoupledChains) -> tuple[str, ...]:
-    """Names of the parameters of ``PaperResult.covariance``."""
-    names: list[str] = []
-    for axis, m in zip(chains.axes, chains.masses, strict=True):
-        names += [f"{axis}.mass.{q + 1}" for q in range(m.size)]
-        names += [f"{axis}.spring.{q + 1}" for q in range(m.size - 1)]
-    count = chains.branches
-    names += [
-        f"{chains.axes[i]}-{chains.axes[j]}.coupling" for i in range(count) for j in range(i + 1, count)
-    ]
-    return tuple(names)
-
-
-def paper_values(chains: CoupledChains) -> list[float]:
-    """Values in the order of ``paper_names``."""
-    out: list[float] = []
-    for m, k in zip(chains.masses, chains.springs, strict=True):
-        out += [*m.tolist(), *k.tolist()]
-    count = chains.branches
-    out += [float(chains.couplings[i, j]) for i in range(count) for j in range(i + 1, count)]
     return out
 
 
@@ -228,8 +205,6 @@ __all__ = [
     "compared",
     "missed_by_structure",
     "modes_of_chains",
-    "paper_names",
-    "paper_values",
     "second_route",
     "widened",
 ]

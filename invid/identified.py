@@ -9,13 +9,13 @@ import numpy as np
 
 from invid import __version__
 from invid.arrays import Float64, frozen_float
-from invid.chains import CoupledChains
-from invid.crosscheck import compared, missed_by_structure, paper_names
+from invid.crosscheck import compared, missed_by_structure
 from invid.errors import InvidError
 from invid.frf import FrfMatrix
 from invid.identifiability import Blind, blind_directions
 from invid.inverse import PaperResult
-from invid.model import ChainStd, EffectTerm, Estimate, Model, parameter_vector, units
+from invid.model import EffectTerm, Estimate, Model, parameter_vector, units
+from invid.named import std_by_name
 from invid.recording.model import Recording, Role
 from invid.refine.fit import Fit
 from invid.spectra import LineSpectra
@@ -48,13 +48,9 @@ def paper_model(
 ) -> Model:
     """The model of the paper's route alone."""
     chains = paper.chains
-    names = paper_names(chains)
     names_all, values = parameter_vector(chains)
-    std = np.full(len(names_all), np.nan)
-    variance = np.diag(paper.covariance)
-    known = {n: float(np.sqrt(max(v, 0.0))) for n, v in zip(names, variance, strict=True)}
-    for k, name in enumerate(names_all):
-        std[k] = known.get(name, np.nan)
+    known = {n: float(np.sqrt(max(v, 0.0))) for n, (_, v) in paper.named.items()}
+    std = np.array([known.get(name, np.nan) for name in names_all])
     warnings = [*warnings, *paper.warnings, *_order_doubts(order)]
     trust = not _order_doubts(order)
     for name, value, error in zip(names_all, values, std, strict=True):
@@ -67,11 +63,11 @@ def paper_model(
         robot=recording.robot,
         method="paper",
         chains=chains,
-        std=_chain_std(chains, dict(zip(names_all, std, strict=True))),
+        std=std_by_name(chains, known),
         linear=recording.linear,
         warnings=tuple(dict.fromkeys(warnings)),
         covariance=frozen_float(paper.covariance),
-        parameter_names=names,
+        parameter_names=tuple(known),
         fit={
             "trustworthy": trust,
             "resonances_hz": (np.sort(paper.modes.omega) / 2 / np.pi).tolist(),
@@ -173,7 +169,7 @@ def refined_model(
         robot=recording.robot,
         method="refined",
         chains=chains,
-        std=_chain_std(chains, dict(zip(names, std, strict=True))),
+        std=std_by_name(chains, dict(zip(names, std, strict=True))),
         linear=recording.linear,
         effects=_friction(fit, recording),
         warnings=tuple(dict.fromkeys(warnings)),
@@ -238,22 +234,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, np.integer):
         return int(value)
     return value
-
-
-def _chain_std(chains: CoupledChains, std: dict[str, float]) -> ChainStd:
-    def column(axis: str, kind: str, count: int) -> Float64:
-        return frozen_float([std.get(f"{axis}.{kind}.{q + 1}", np.nan) for q in range(count)])
-
-    couplings = np.full((chains.branches, chains.branches), np.nan)
-    for i, a in enumerate(chains.axes):
-        for j, b in enumerate(chains.axes):
-            if i < j:
-                couplings[i, j] = couplings[j, i] = std.get(f"{a}-{b}.coupling", np.nan)
-    sizes = chains.masses_per_branch
-    return ChainStd(
-        masses=tuple(column(a, "mass", n) for a, n in zip(chains.axes, sizes, strict=True)),
-        springs=tuple(column(a, "spring", n - 1) for a, n in zip(chains.axes, sizes, strict=True)),
-        dampers=tuple(column(a, "damper", n - 1) for a, n in zip(chains.axes, sizes, strict=True)),
-        couplings=frozen_float(couplings),
-        ground_springs=frozen_float([std.get(f"{a}.ground_spring", np.nan) for a in chains.axes]),
-    )

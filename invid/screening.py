@@ -20,6 +20,7 @@ from invid.distributions import chi2_sf
 from invid.errors import ModelError, NotIdentifiableError
 from invid.expected import in_goal, parameter_scale
 from invid.model import Model, parameter_vector
+from invid.named import chains_by_name, std_by_name
 from invid.recording.model import Recording, Role
 from invid.refine.fit import Fit, fit_structure
 from invid.refine.structure import structure_of
@@ -35,7 +36,6 @@ EXPLAINED = 0.9
 NEW_MISFIT = 4.0
 """Missing torque power against noise, over what the accepted model left, that is called something new;
 empirical: blocks of different amplitude on one machine differ by less than 2."""
-_FIELDS = {"mass": "masses", "spring": "springs", "damper": "dampers"}
 SEEN = 4.0
 """Standard deviations of a change that is seen nearly always at ``ALARM``."""
 
@@ -235,50 +235,18 @@ def updated(model: Model, screening: Screening, fit: Fit) -> Model:
     values = now + gain @ (before[kept] - pick @ now)
     spread = covariance - gain @ pick @ covariance
     spread = 0.5 * (spread + spread.T)
-    chains, std = _with_values(model, dict(zip(everything, values, strict=True)), everything, spread)
+    # Masses, springs and dampers are positive; couplings have a sign.
+    least = [-np.inf if n.endswith(".coupling") else 0.0 for n in everything]
+    chains = chains_by_name(model.chains, dict(zip(everything, np.maximum(values, least), strict=True)))
+    std = np.sqrt(np.maximum(np.diag(spread), 0.0))
     return replace(
         model,
         chains=chains,
-        std=std,
+        std=std_by_name(chains, dict(zip(everything, std, strict=True))),
         covariance=frozen_float(spread),
         parameter_names=everything,
         fit={**model.fit, "remeasured": list(screening.parts), "noise_chi2_per_dof": fit.noise_chi2},
     )
-
-
-def _with_values(
-    model: Model, values: dict[str, float], names: Sequence[str], covariance: Float64
-) -> tuple[CoupledChains, Any]:
-    std = dict(zip(names, np.sqrt(np.maximum(np.diag(covariance), 0.0)), strict=True))
-    old, axes = model.chains, model.axes
-
-    def column(source: dict[str, float], kind: str, least: float) -> list[Float64]:
-        return [
-            np.array([max(source[f"{a}.{kind}.{q + 1}"], least) for q in range(len(part))])
-            for a, part in zip(axes, getattr(old, _FIELDS[kind]), strict=True)
-        ]
-
-    couplings, spread = np.array(old.couplings), np.array(model.std.couplings)
-    for i, a in enumerate(axes):
-        for j in range(i + 1, len(axes)):
-            name = f"{a}-{axes[j]}.coupling"
-            couplings[i, j] = couplings[j, i] = values[name]
-            spread[i, j] = spread[j, i] = std[name]
-    chains = replace(
-        old,
-        masses=tuple(frozen_float(v) for v in column(values, "mass", 0.0)),
-        springs=tuple(frozen_float(v) for v in column(values, "spring", 0.0)),
-        dampers=tuple(frozen_float(v) for v in column(values, "damper", 0.0)),
-        couplings=frozen_float(couplings),
-    )
-    known = replace(
-        model.std,
-        masses=tuple(frozen_float(v) for v in column(std, "mass", 0.0)),
-        springs=tuple(frozen_float(v) for v in column(std, "spring", 0.0)),
-        dampers=tuple(frozen_float(v) for v in column(std, "damper", 0.0)),
-        couplings=frozen_float(spread),
-    )
-    return chains, known
 
 
 def _likely(difference: Float64, spread: Float64) -> tuple[float, float]:

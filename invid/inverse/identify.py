@@ -38,6 +38,19 @@ class PaperResult:
     covariance: Float64
     warnings: tuple[str, ...] = ()
 
+    @property
+    def named(self) -> dict[str, tuple[float, float]]:
+        """Value and variance of every parameter of ``covariance``, in its order."""
+        c = self.chains
+        values: dict[str, float] = {}
+        for axis, masses, springs in zip(c.axes, c.masses, c.springs, strict=True):
+            values |= {f"{axis}.mass.{q + 1}": float(m) for q, m in enumerate(masses)}
+            values |= {f"{axis}.spring.{q + 1}": float(k) for q, k in enumerate(springs)}
+        for i, j in zip(*np.triu_indices(c.branches, 1), strict=True):
+            values[f"{c.axes[i]}-{c.axes[j]}.coupling"] = float(c.couplings[i, j])
+        variance = np.diag(self.covariance)
+        return {n: (v, float(s)) for (n, v), s in zip(values.items(), variance, strict=True)}
+
 
 def identify_paper(
     frequency_hz: npt.ArrayLike,

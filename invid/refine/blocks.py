@@ -9,7 +9,8 @@ import numpy as np
 
 from invid.arrays import Bool, Complex128, Float64
 from invid.noise import flat_covariance
-from invid.refine.problem import Block, MissingTorqueProblem
+from invid.refine.channel import Block
+from invid.refine.problem import MissingTorqueProblem
 from invid.refine.structure import ChainStructure
 from invid.spectra import LineSpectra
 

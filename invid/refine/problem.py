@@ -20,64 +20,9 @@ import numpy.typing as npt
 
 from invid.arrays import Bool, Complex128, Float64
 from invid.refine.boundary import end_columns, end_derivative, end_forces, end_places, end_points
+from invid.refine.channel import Block, acting
 from invid.refine.structure import ChainStructure
 from invid.refine.whitening import factored, stack, whitener
-
-
-@dataclass(frozen=True, eq=False)
-class Block:
-    """One record on the lines that the fit uses.
-
-    Attributes
-    ----------
-    omega
-        (F,) [rad/s].
-    position, torque
-        (F, M).
-    covariance
-        (F, 2M, 2M) of [position; torque].
-    span
-        Duration [s] the boundary terms are spread over.
-    transient
-        Whether boundary terms are needed.
-    ends_in
-        Whether the spectra already hold the end-point correction h/2·(x_n − x_0).
-    delay_index
-        (M,) which delay parameter each axis' torque has; −1 none.
-    further_index
-        (M,) a second delay parameter that adds to the first, for the torque of a hold; −1 none.
-    hold
-        (F, M) hold law at work while the axis is driven, torque −hold·position acting with both
-        delays while the command acts with the first alone; zero for none.
-    staircase_index
-        (M,) which hold-over-the-sample parameter, or −1 where it is known (``staircase``).
-    staircase
-        (M,) known values, used where the index is −1.
-    step
-        Sample interval [s].
-    columns
-        (F, M, L) columns shared by all records (torque side, one coefficient each).
-    lag_index
-        (M,) which parameter among the delays is the lag of each axis' torque channel, as the square of its
-        time constant [s²] (``low_passed``); empty where no channel has one.
-    """
-
-    key: str
-    omega: Float64
-    position: Complex128
-    torque: Complex128
-    covariance: Complex128
-    span: float
-    transient: bool
-    ends_in: bool
-    delay_index: tuple[int, ...]
-    further_index: tuple[int, ...]
-    hold: Complex128
-    staircase_index: tuple[int, ...]
-    staircase: Float64
-    step: float
-    columns: Complex128
-    lag_index: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,8 +144,9 @@ class MissingTorqueProblem:
         structure, s = self.structure, self.slices
         sp = p[s["structure"]]
         motors = structure.motors
-        factor, hold_part, delay_jac, stair_jac = self.torque_factor(block, p)
-        effective = stiffness - _diagonal(hold_part)
+        channel = acting(block, p[s["delay"]], p[s["staircase"]])
+        factor = channel.factor
+        effective = stiffness - _diagonal(channel.hold)
         residual = np.einsum("fij,fj->fi", effective, block.position) - factor * block.torque
         both = np.concatenate((effective, -_diagonal(factor)), axis=2)
         cross = block.covariance @ both.conj().transpose(0, 2, 1)  # C_nr (F, 2M, M)
@@ -242,65 +188,16 @@ class MissingTorqueProblem:
                 structure, sp, block.omega, motion, ends, block.span
             )
         hold_torque = (block.hold * position)[..., None]
-        jacobian[..., s["delay"]] = -delay_jac[0] * torque[..., None] - delay_jac[1] * hold_torque
+        jacobian[..., s["delay"]] = (
+            -channel.by_delay * torque[..., None] - channel.hold_by_delay * hold_torque
+        )
         command = torque + block.hold * position
-        jacobian[..., s["staircase"]] = -stair_jac * command[..., None]
+        jacobian[..., s["staircase"]] = -channel.by_stair * command[..., None]
         jacobian[..., columns] = block.columns
         jacobian[..., s["extra"]] = extra_jac
         return State(
             block, motion, stiffness, inner, residual, jacobian, covariance, root, basis, position, q, ends
         )
-
-    def torque_factor(
-        self, block: Block, p: Float64
-    ) -> tuple[Complex128, Complex128, tuple[Complex128, Complex128], Complex128]:
-        """A (F, M), its hold part, and derivatives by delays and staircase parameters.
-
-        Where the hold H works beside a command, the acting torque is z₁T + (z₁ − z₂)·H·Θ: the
-        command E = T + HΘ acts with z₁ (holding over the sample within it), the hold's −HΘ with z₂.
-        """
-        s = self.slices
-        delays, stairs = p[s["delay"]], p[s["staircase"]]
-        motors, lines = self.structure.motors, block.omega.size
-        jw = 1j * block.omega
-        smear = 1.0 - np.sinc(block.omega * block.step / 2 / np.pi)  # what holding a sample takes away
-        factor = np.ones((lines, motors), dtype=complex)
-        hold_part = np.zeros((lines, motors), dtype=complex)
-        by_delay = np.zeros((lines, motors, delays.size), dtype=complex)
-        by_hold = np.zeros((lines, motors, delays.size), dtype=complex)
-        by_stair = np.zeros((lines, motors, stairs.size), dtype=complex)
-        for i in range(motors):
-            first, further = block.delay_index[i], block.further_index[i]
-            own = delays[first] if first >= 0 else 0.0
-            beside = block.hold[:, i].any()
-            late = own + (delays[further] if further >= 0 else 0.0)
-            z = np.exp(-jw * (own if beside else late))
-            stair = block.staircase_index[i]
-            share = stairs[stair] if stair >= 0 else block.staircase[i]
-            factor[:, i] = z * (1.0 - share * smear)
-            if stair >= 0:
-                by_stair[:, i, stair] = -z * smear
-            if first >= 0:
-                by_delay[:, i, first] = -jw * factor[:, i]
-            if beside:
-                z2 = np.exp(-jw * late)
-                z1 = factor[:, i].copy()
-                hold_part[:, i] = (z1 - z2) * block.hold[:, i]
-                if first >= 0:
-                    by_hold[:, i, first] = -jw * (z1 - z2)
-                if further >= 0:
-                    by_hold[:, i, further] = jw * z2
-            elif further >= 0:
-                by_delay[:, i, further] = -jw * factor[:, i]
-            if block.lag_index:
-                lag = block.lag_index[i]
-                passed, slope = low_passed(block.omega, float(delays[lag]))
-                for values in (factor, hold_part, by_delay, by_hold, by_stair):
-                    values[:, i] *= passed if values.ndim == 2 else passed[:, None]
-                by_delay[:, i, lag] = slope * factor[:, i]
-                if beside:
-                    by_hold[:, i, lag] = slope * passed * (z1 - z2)
-        return factor, hold_part, (by_delay, by_hold), by_stair
 
     def evaluate(self, p: Float64) -> tuple[Float64, Float64]:
         """Whitened residual (rows,) and Jacobian (rows, free parameters), boundary terms projected out."""
@@ -339,19 +236,6 @@ class MissingTorqueProblem:
         """The same problem with other noise covariances."""
         blocks = tuple(replace(b, covariance=c) for b, c in zip(self.blocks, covariances, strict=True))
         return replace(self, blocks=blocks)
-
-
-def low_passed(omega: Float64, square: float) -> tuple[Complex128, Complex128]:
-    """(F,) acting torque over one recorded through a first-order lag of τ² = ``square``, its delay taken
-    out, and (F,) the derivative of its logarithm by ``square``.
-
-    The delay of the lag is in the time offset already; without it the factor is (1 + jωτ)e^{−jωτ}, smooth in
-    τ² through zero. Negative: the inverse, the position channel lags.
-    """
-    tau = np.sqrt(abs(square))
-    once = 1.0 + 1j * omega * tau
-    factor = once * np.exp(-1j * omega * tau)
-    return _complex(factor if square >= 0 else 1.0 / factor), _complex(omega**2 / (2.0 * once))
 
 
 def condense_dense(

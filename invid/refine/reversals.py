@@ -17,9 +17,10 @@ import numpy as np
 from invid.arrays import Bool, Complex128, Float64
 from invid.refine.blocks import used_lines, with_columns
 from invid.refine.boundary import end_columns, end_forces, end_points
+from invid.refine.channel import Block, acting
 from invid.refine.friction import sign_spectrum, velocity_signs
 from invid.refine.lags import COULOMB
-from invid.refine.problem import Block, MissingTorqueProblem, condense_dense
+from invid.refine.problem import MissingTorqueProblem, condense_dense
 from invid.refine.solver import Solution, gauss_newton
 from invid.refine.weights import SIGNIFICANT, WINDOW
 from invid.spectra import LineSpectra
@@ -100,7 +101,8 @@ def fusion(problem: MissingTorqueProblem, p: Float64, block: Block, ends: Float6
     motors = structure.motors
     sp = p[problem.slices["structure"]]
     whole = _whole_block(block, s)
-    factor, hold, *_ = problem.torque_factor(whole, p)
+    channel = acting(whole, p[problem.slices["delay"]], p[problem.slices["staircase"]])
+    factor, hold = channel.factor, channel.hold
     missing = -factor * whole.torque
     lines = whole.omega.size
     stiffness = np.empty((lines, motors, motors), dtype=complex)

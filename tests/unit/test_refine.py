@@ -17,7 +17,8 @@ from invid.refine import (
     problem_from_spectra,
     structure_of,
 )
-from invid.refine.problem import Block, condense_dense
+from invid.refine.channel import Block
+from invid.refine.problem import condense_dense
 from invid.spectra import spectra_of
 
 
