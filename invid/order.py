@@ -30,6 +30,9 @@ GAIN = 1.3
 """A further mass must lower χ² by this factor: coloured residuals (friction, ripple) let any extra
 parameter fit a few per cent of them, a missing mode leaves tens to thousands (case study: 26 000 for
 two masses, 1.3 for three and for four)."""
+UNSEEN = 0.5
+"""Relative standard deviation of a final mass from which it is none: the data do not tell it from a wall, nor
+(two of them below it) from nothing."""
 
 
 def choose_order(spectra: Sequence[LineSpectra], axes: Sequence[str], *, most: int = 6) -> OrderChoice:
@@ -45,6 +48,7 @@ def choose_order(spectra: Sequence[LineSpectra], axes: Sequence[str], *, most: i
     dofs: dict[tuple[int, ...], int] = {}
     chains: dict[tuple[int, ...], CoupledChains] = {}
     vanishing: dict[str, list[str]] = {}
+    standing: dict[str, list[str]] = {}
 
     def cost(sizes: tuple[int, ...], parent: tuple[int, ...] = ()) -> float:
         if sizes not in costs:
@@ -60,6 +64,9 @@ def choose_order(spectra: Sequence[LineSpectra], axes: Sequence[str], *, most: i
                 gone = _vanishing(fit)
                 if gone:
                     vanishing[_label(sizes)] = gone
+                walls = _standing(fit)
+                if walls:
+                    standing[_label(sizes)] = walls
         return costs[sizes]
 
     def needed(small: tuple[int, ...], large: tuple[int, ...]) -> bool:
@@ -68,8 +75,8 @@ def choose_order(spectra: Sequence[LineSpectra], axes: Sequence[str], *, most: i
         if before < GAIN * dofs[small]:
             return False  # already noise: nothing could be better by the factor asked for
         after = cost(large, small)
-        if not np.isfinite(after) or _label(large) in vanishing:
-            return False  # a mass that goes to nothing is none: it fits what is not linear
+        if not np.isfinite(after) or _label(large) in vanishing or _label(large) in standing:
+            return False  # a mass that goes to nothing, or stands still, is none: it fits something else
         if not np.isfinite(before):
             return True
         extra = 3 * (sum(large) - sum(small))
@@ -114,6 +121,7 @@ def choose_order(spectra: Sequence[LineSpectra], axes: Sequence[str], *, most: i
             for sizes, value in costs.items()
         },
         "vanishing": vanishing,
+        "standing": standing,
     }
     return OrderChoice(best, evidence, warnings, chains.get(best))
 
@@ -187,6 +195,17 @@ def _vanishing(fit: Fit) -> list[str]:
     out = []
     for axis, m in zip(fit.chains.axes, fit.chains.masses, strict=True):
         out += [f"{axis}.mass.{q + 1}" for q in np.flatnonzero(m < 1e-3 * m.sum())]
+    return out
+
+
+def _standing(fit: Fit) -> list[str]:
+    """Final masses not told from a wall: a soft spring to ground (gravity, a stop) looks like them."""
+    std = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
+    masses, out, last = fit.structure.slices["mass"].start, [], -1
+    for axis, m in zip(fit.chains.axes, fit.chains.masses, strict=True):
+        last += m.size
+        if m.size > 1 and not std[masses + last] < UNSEEN * m[-1]:
+            out.append(f"{axis}.mass.{m.size}")
     return out
 
 

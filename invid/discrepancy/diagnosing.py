@@ -17,22 +17,24 @@ from invid.discrepancy.confidence import effect_term, judge
 from invid.discrepancy.dropped import before_repair, find_dropped, repaired, with_dropped
 from invid.discrepancy.extended import extended_model
 from invid.discrepancy.given import carried, folded, given_effects
+from invid.discrepancy.holds import HeldInside, holds_inside
 from invid.discrepancy.joint import JointFit, fit, held_out
 from invid.discrepancy.missing_torque import NullTest, changing, null_test, rms_torque, with_scatter
 from invid.discrepancy.moves import moves_of
-from invid.discrepancy.plant import Candidate, Evaluation, Layout
-from invid.discrepancy.records import by_period, split, with_holds, with_sticking
+from invid.discrepancy.plant import Candidate, Layout
+from invid.discrepancy.records import by_period, split, with_sticking
 from invid.discrepancy.replayed import REFUSED, Replay, replay, with_replay
 from invid.discrepancy.select import Selection, select
 from invid.discrepancy.trust import cautious, distrust_sentences, in_the_way, trust, untimed_holds
 from invid.effects.base import Record, unit_of
-from invid.errors import InputError, InvidError
+from invid.errors import InputError
 from invid.model import Model, model_to_json
 from invid.recording.model import Recording
-from invid.refine.blocks import HOLD_OFFSET, driven_and_held
 from invid.refine.structure import ChainStructure
 from invid.spectra import LineSpectra, all_spectra
 
+CLEARLY = 0.1
+"""Share of a hold from which it is worth a word that it acts inside the drive."""
 EXPLAINED = 0.9
 """Share of the excess that must go before a cause is named (prototype: separates named from outside)."""
 
@@ -75,9 +77,8 @@ def diagnose(
     spectra = all_spectra(sound)
     if not spectra:
         raise InputError(f"{recording.source}: no experiment shakes an axis; nothing to compare with a model")
-    model = folded(_with_timing(model, sound, spectra))
+    model = folded(model)
     train, held, warnings = split(sound, spectra)
-    train, held = (with_holds(part, spectra, model, sound) for part in (train, held))
     train, standing = with_sticking(train, spectra, model, sound)
     held, _ = with_sticking(held, spectra, model, sound)
     warnings = [*warnings, *standing]
@@ -93,10 +94,7 @@ def diagnose(
         if change_of(again) is not None:
             base, selection, (train, held) = around, again, parts
             bare = without_effects(base, train)
-    # Holds whose timing was in doubt have the one that fits.
-    warnings = [*warnings, *moved_holds(train, selection.final.fit.evaluation, recording)]
-    train, held = selection.final.fit.evaluation.records, selection.final.held.records
-    bare = selection.base.fit if bare is base else bare
+    warnings = [*warnings, *said_of_holds(selection.final.fit, recording)]
     result = _document(sound, model, selection, bare, train, held, warnings)
     if result.findings:
         linear = extended_model(model, bare, ())
@@ -112,19 +110,18 @@ def diagnose(
     return with_dropped(result, recording, dropped, before_repair(recording, bare, result) if dropped else {})
 
 
-def moved_holds(train: Sequence[Record], final: Evaluation, recording: Recording) -> list[str]:
-    """What the doubtful holds were taken to do, where that is not to act with the command."""
-    before, after = train[0], final.views[0].record
-    if before.hold is None or np.array_equal(before.hold_offset, after.hold_offset):
-        return []
-    said = []
-    for i in np.flatnonzero(before.hold_offset != after.hold_offset):
-        early, friction = -float(after.hold_offset[i]), -float(after.hold_offset[i] * before.hold[0, i].real)
+def said_of_holds(final: JointFit, recording: Recording) -> list[str]:
+    """What holds that no record shows alone were taken to do, where that is not to act with the command."""
+    layout, said = final.layout, []
+    for hold, share in zip(layout.holds, final.p[layout.holds_at], strict=True):
+        friction = 0.5 * layout.step * float(share) * hold.stiffness
+        if hold.damping or share < CLEARLY:
+            continue
         unit = unit_of("damping", recording.linear)
         said.append(
-            f"{recording.axes[i]}: its hold is taken to act {early:.2g} s before the command, which fits "
-            f"better than with it; viscous friction of {friction:.2g} {unit} at its motor would look alike: "
-            "record the demanded torque, or drive the axis without a hold, to tell"
+            f"{recording.axes[hold.axis]}: its hold is taken to act up to half a sample before the command, "
+            f"as fits best; viscous friction of {friction:.2g} {unit} at its motor would look alike: record "
+            "the demanded torque, or drive the axis without a hold, to tell"
         )
     return said
 
@@ -148,29 +145,15 @@ def _delays_of(fitted: JointFit) -> Float64:
     return fitted.p[count : count + len(fitted.layout.free_delays)]
 
 
-def _with_timing(model: Model, recording: Recording, spectra: Sequence[LineSpectra]) -> Model:
-    """The model with the timing of this recording's holds, where it was identified from another one."""
-    if not driven_and_held(spectra) or not any((e.hold_gain > 0).any() for e in recording.experiments):
-        return model
-    offsets = model.fit.get("time_offset_s", {})
-    if isinstance(offsets, dict) and any(name.endswith(HOLD_OFFSET) for name in offsets):
-        return model
-    from invid.identify import identify
-
-    try:
-        own = identify(recording, masses=model.chains.masses_per_branch)
-    except InvidError:
-        return model
-    return replace(model, fit={**model.fit, "time_offset_s": own.fit.get("time_offset_s", {})})
-
-
-def layout_of(structure: ChainStructure, records: Sequence[Record], origin: float) -> Layout:
-    """Delay and hold-over-the-sample parameters that the records leave open."""
+def layout_of(
+    structure: ChainStructure, records: Sequence[Record], origin: float, holds: tuple[HeldInside, ...] = ()
+) -> Layout:
+    """Delay and hold-over-the-sample parameters that the records leave open, and the holds' shares."""
     motors = structure.motors
     stairs = np.array([r.staircase for r in records])
     unknown = tuple(i for i in range(motors) if np.isnan(stairs[:, i]).any())
     known = np.nan_to_num(stairs[0], nan=0.5)
-    return Layout(structure, records[0].step, unknown, known, tuple(range(motors)), origin)
+    return Layout(structure, records[0].step, unknown, known, tuple(range(motors)), origin, holds=holds)
 
 
 def linear_fit(
@@ -186,7 +169,9 @@ def linear_fit(
     grounded = tuple(int(i) for i in np.flatnonzero(chains.ground_springs > 0))
     structure = ChainStructure(chains.masses_per_branch, chains.axes, viscous=False, grounded=grounded)
     origin = min(float(e.time[0]) for e in recording.experiments)
-    layout = layout_of(structure, train, origin)
+    logged = train[0].command is not None
+    holds = holds_inside(spectra, model, recording, with_command=logged)
+    layout = layout_of(structure, train, origin, holds)
     given = given_effects(model, structure)
     late = [t.place.axis for t in given.terms if t.effect.cause == "torque_delay"]
     layout, _ = layout.without_delay(late)
@@ -197,8 +182,8 @@ def linear_fit(
         found = offsets.get(f"{structure.axes[i]}.time_offset", {})
         value = found.get("value") if isinstance(found, dict) else None
         start[structure.count + k] = 0.5 * layout.step if value is None else float(value)
-    if layout.free_stairs:
-        start[-len(layout.free_stairs) :] = 0.5
+    start[layout.stairs_at] = 0.5
+    start[layout.holds_at] = [h.expected for h in holds]
     first = fit(
         layout, with_scatter(train, spectra, layout, start), start, given, iterations=25, strict=False
     )
@@ -209,7 +194,6 @@ def linear_fit(
     apart = changing([*train, *held])
     if apart:
         train, held = by_period(recording, train, apart), by_period(recording, held, apart)
-        train, held = (with_holds(part, spectra, model, recording) for part in (train, held))
     return fit(layout, train, first.p, first.candidate, iterations=25), first.p, train, held
 
 
@@ -268,7 +252,7 @@ def _document(
     full = extended_model(model, final.fit, ())
     linear = trust(model, full, base, final, (before_test, after_test), recording)
     named = judged.findings if judged.named and not linear.broken and not refused else ()
-    sure, untimed = untimed_holds(cautious(tuple(named), linear), recording, model, train)
+    sure, untimed = untimed_holds(cautious(tuple(named), linear), recording, model, final.fit)
     if named and not sure:  # all of it is a matter of sampling
         named, anything = (), not judged.complete
     shown = final if named else base

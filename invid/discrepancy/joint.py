@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from invid.arrays import Float64
+from invid.discrepancy.holds import SHARES
 from invid.discrepancy.plant import Candidate, Evaluation, Layout, evaluate
 from invid.effects.base import Record
 
@@ -59,9 +60,8 @@ def limits_of(
     if strict:  # up to one sample is sampling convention; more is a finding
         low[at : at + len(layout.free_delays)] = -1.0 * layout.step
         high[at : at + len(layout.free_delays)] = 1.0 * layout.step
-    stairs = len(layout.free_stairs)
-    if stairs:
-        low[layout.count - stairs :], high[layout.count - stairs :] = -0.5, 1.5
+    low[layout.stairs_at], high[layout.stairs_at] = -0.5, 1.5
+    low[layout.holds_at], high[layout.holds_at] = SHARES
     for term in candidate.terms:
         shapes = term.effect.limits(evaluation.views, term.place)
         low = np.concatenate((low, term.effect.lower, [s[0] for s in shapes]))

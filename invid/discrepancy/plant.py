@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from invid.arrays import Bool, Complex128, Float64
+from invid.discrepancy.holds import HeldInside
 from invid.discrepancy.inner import settled
 from invid.effects.base import Effect, Place, Record, View
 from invid.effects.torque_delay import ActuatorEffect
@@ -58,7 +59,8 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """The parameter vector: structure, delay of each axis, share held over the sample of each axis."""
+    """The parameter vector: structure, delay of each axis, share held over the sample of each axis, share of
+    each hold that works inside its drive."""
 
     structure: ChainStructure
     step: float
@@ -68,6 +70,7 @@ class Layout:
     origin: float
     delayed: tuple[int, ...] = ()
     """Axes whose delay is an effect's."""
+    holds: tuple[HeldInside, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -77,12 +80,24 @@ class Layout:
             *self.structure.names,
             *(f"{axes[i]}.time_offset" for i in self.free_delays),
             *(f"{axes[i]}.held_over_sample" for i in self.free_stairs),
+            *(f"{axes[h.axis]}.{h.name}" for h in self.holds),
         )
 
     @property
     def count(self) -> int:
         """n."""
-        return self.structure.count + len(self.free_delays) + len(self.free_stairs)
+        return self.structure.count + len(self.free_delays) + len(self.free_stairs) + len(self.holds)
+
+    @property
+    def stairs_at(self) -> slice:
+        """Where the shares held over the sample stand."""
+        first = self.structure.count + len(self.free_delays)
+        return slice(first, first + len(self.free_stairs))
+
+    @property
+    def holds_at(self) -> slice:
+        """Where the shares of the holds stand."""
+        return slice(self.stairs_at.stop, self.count)
 
     def delays(self, p: Float64) -> Float64:
         """(M,) [s]."""
@@ -112,7 +127,7 @@ class Layout:
     def stairs(self, p: Float64) -> Float64:
         """(M,) share of the torque that is held over each sample."""
         out = self.known_stairs.copy()
-        out[list(self.free_stairs)] = p[self.structure.count + len(self.free_delays) :]
+        out[list(self.free_stairs)] = p[self.stairs_at]
         return out
 
     def without_delay(self, axes: Sequence[int]) -> tuple[Layout, Bool]:
@@ -154,7 +169,6 @@ def views_of(layout: Layout, records: Sequence[Record], p: Float64) -> list[View
     values = structure.physical(sp)
     plants: dict[bytes, tuple[Complex128, Complex128, Complex128]] = {}
     out = []
-    stairs = layout.stairs(p)
     for record in records:
         key = record.omega.tobytes()
         if key not in plants:
@@ -167,7 +181,7 @@ def views_of(layout: Layout, records: Sequence[Record], p: Float64) -> list[View
                 motion,
                 stiffness,
                 inner,
-                _acting(record, layout.lateness(p, record), stairs)[0],
+                _acting(record, layout, p)[0],
                 values[structure.slices["spring"]],
                 values[structure.slices["damper"]],
                 values[structure.slices["mass"]],
@@ -177,32 +191,39 @@ def views_of(layout: Layout, records: Sequence[Record], p: Float64) -> list[View
     return out
 
 
-def _acting(record: Record, delays: Float64, stairs: Float64) -> tuple[Complex128, Complex128, Complex128]:
-    """Torque that acts (F, M), factor A, and its derivative by the stairs.
+def _acting(
+    record: Record, layout: Layout, p: Float64
+) -> tuple[Complex128, Complex128, Complex128, Complex128]:
+    """Torque that acts (F, M), factor A, its derivative by the stairs, and by each hold's share (F, holds).
 
     Holding a sample takes amplitude away and acts half a sample late. The time offset takes up the
     latter where all torque is alike. Where the demand is logged beside a hold, the demand is held over
     the sample (the contract says so) and ``stairs`` is the share of the rest that is.
     """
     w = record.omega
+    delays, stairs = layout.lateness(p, record), layout.stairs(p)
     smear = (1.0 - np.sinc(w * record.step / 2 / np.pi))[:, None]
     z = np.exp(-1j * w[:, None] * delays)
     factor = z * (1.0 - stairs * smear)
+    by_hold = np.zeros((w.size, len(layout.holds)), dtype=complex)
     if record.command is None:
         acting = factor * record.torque
-        if record.hold is not None:
-            # Command E = T + HΘ and hold −HΘ act at different times: z₁T + (z₁ − z₂)·H·Θ. A hold that acts
-            # half a sample earlier than a torque held over the sample is not held over it.
-            late = np.exp(-1j * w[:, None] * (delays + record.hold_offset))
-            held_too = np.clip(1.0 + 2.0 * record.hold_offset / record.step, 0.0, 1.0)
-            hold = record.hold * record.position
-            acting = acting + (factor - late * (1.0 - stairs * held_too * smear)) * hold
-            return acting, factor, -z * smear * record.torque - (z - late * held_too) * smear * hold
-        return acting, factor, -z * smear * record.torque
+        by_stair = -z * smear * record.torque
+        for k, (hold, share) in enumerate(zip(layout.holds, p[layout.holds_at], strict=True)):
+            i = hold.axis
+            if record.key not in hold.records:
+                continue
+            # Command E = T + HΘ and hold −HΘ act at different times: A·T + (A − z₂)·H·Θ, z₂ half a sample
+            # earlier and not held over it.
+            torque = hold.law(w) * record.position[:, i]
+            by_hold[:, k] = (factor[:, i] - z[:, i] * np.exp(0.5j * w * record.step)) * torque
+            acting[:, i] += share * by_hold[:, k]
+            by_stair[:, i] -= share * (z * smear)[:, i] * torque
+        return acting, factor, by_stair, by_hold
     rest = record.torque - record.command
     held = ((1.0 - smear) * np.exp(-0.5j * w * record.step)[:, None]).astype(complex)
     acting = z * (record.command * held + rest * (1.0 - stairs + stairs * held))
-    return acting, factor, z * (held - 1.0) * rest
+    return acting, factor, z * (held - 1.0) * rest, by_hold
 
 
 def contributions(
@@ -262,7 +283,7 @@ def evaluate(
     dof = 0
     for view in views:
         record = view.record
-        _, factor, by_stair = _acting(record, layout.lateness(p, record), layout.stairs(p))
+        _, factor, by_stair, by_hold = _acting(record, layout, p)
         r: Complex128 = np.einsum("fij,fj->fi", view.stiffness, record.position) - view.acting
         covariance = noise_of(view, factor, candidate)
         if near and candidate.terms:
@@ -323,6 +344,9 @@ def evaluate(
                 if i in layout.held_late and record.command is None:
                     columns[:, i, at + k] += 0.5 * layout.step * later[:, i]
             at += len(layout.free_stairs)
+            for k, hold in enumerate(layout.holds):
+                columns[:, hold.axis, at + k] = -by_hold[:, k] * passed[:, hold.axis]
+            at += len(layout.holds)
             _effect_columns(view, candidate, extra, columns, at)
             if thorough and _strong(view, candidate):
                 _law_columns(view, candidate, sp, q, columns)
@@ -357,13 +381,12 @@ def evaluate(
 
 
 def _priors(layout: Layout, p: Float64, effects: int) -> tuple[Float64, Float64]:
-    """Torque is held over the sample (1), continuous (0), or smoothed in between; dampers are weakly ≥ 0."""
-    stairs = len(layout.free_stairs)
-    rows = np.zeros((stairs, layout.count + effects))
-    at = layout.count - stairs
-    for k in range(stairs):
-        rows[k, at + k] = 2.0
-    return 2.0 * (p[at:] - 0.5), rows
+    """Torque is held over the sample (1), continuous (0), or smoothed in between; so is that of a hold."""
+    first, last = layout.stairs_at.start, layout.count
+    expected = np.array([0.5] * len(layout.free_stairs) + [h.expected for h in layout.holds])
+    rows = np.zeros((last - first, layout.count + effects))
+    rows[:, first:last] = 2.0 * np.eye(last - first)
+    return 2.0 * (p[first:last] - expected), rows
 
 
 def _passed(view: View, candidate: Candidate) -> Complex128:

@@ -12,8 +12,6 @@ from invid.arrays import Complex128, Float64
 from invid.effects.base import Record
 from invid.model import Model
 from invid.recording.model import Experiment, Recording, Role
-from invid.refine.blocks import hold_laws, hold_offset
-from invid.refine.smooth_command import seen_hold
 from invid.spectra import LineSpectra, spectra_of
 
 BAND = 1.2
@@ -224,96 +222,6 @@ def by_period(recording: Recording, records: Sequence[Record], changing: Sequenc
         experiment = experiments[record.key]
         out += [record_of(s, experiment, slice(k, k + 1), alone=True) for k in range(s.periods)]
     return out
-
-
-def with_holds(
-    records: Sequence[Record], spectra: Sequence[LineSpectra], model: Model, recording: Recording
-) -> list[Record]:
-    """Records with the law and the timing of holds inside the drives, as the identification found them.
-
-    A hold that acts half a sample before the command looks like a viscous friction of gain·step/2 on every
-    axis (``invid.refine.fit``): a sampling convention, which must not be named as a cause. A hold acts with
-    the command or up to half a sample before it. Where the identification, which knows no effects, found
-    another time, an effect made it: such a hold is taken to act as the others do and marked doubtful. So is
-    that of an axis that no record shows held alone: it is taken to act with the command.
-    """
-    offsets = model.fit.get("time_offset_s", {})
-    found = {}
-    for i, axis in enumerate(recording.axes):
-        entry = offsets.get(hold_offset(axis)) if isinstance(offsets, dict) else None
-        if isinstance(entry, dict) and entry.get("value") is not None:
-            found[i] = float(entry["value"])
-    laws = hold_laws(spectra, sorted(found)) if found else {}
-    alone = unseen_holds(spectra, model, recording) if records and records[0].command is None else {}
-    alone = {i: law for i, law in alone.items() if i not in found}
-    if not laws and not alone:
-        return list(records)
-    late = np.array([found.get(i, 0.0) if i in laws else 0.0 for i in range(recording.axis_count)])
-    step = records[0].step if records else 0.0
-    doubt = (late < -0.55 * step) | (late > 0.05 * step)
-    sound = [late[i] for i in laws if not doubt[i]]
-    laws = {**laws, **alone}
-    late[doubt] = float(np.median(sound)) if sound else 0.0
-    doubt[list(alone)] = True
-    gains = np.array([laws.get(i, (0.0, 0.0)) for i in range(recording.axis_count)])
-    return [
-        replace(
-            r,
-            hold=(gains[:, 0] + 1j * r.omega[:, None] * gains[:, 1]).astype(complex),
-            hold_offset=late,
-            hold_doubt=doubt,
-        )
-        for r in records
-    ]
-
-
-HOLD_BAND = 4.0
-"""Frequency up to which a hold of unknown gain may reach, over that where the excitation begins. A guess:
-excitation that lies deeper inside a hold's band only fights the hold."""
-BEGUN = 0.02
-"""Share of the torque's power below which the excitation has not begun: what is not periodic leaks below. A
-guess."""
-
-
-def unseen_holds(
-    spectra: Sequence[LineSpectra], model: Model, recording: Recording
-) -> dict[int, tuple[float, float]]:
-    """Gains (P, D) of holds that work whenever their axis is recorded, so that no record shows them alone.
-
-    Read off the command where that is smooth over frequency; else P is that of the recording or, where the
-    hold is inside the drive, as stiff as it may well be, and D that of a critically damped one.
-    """
-    laws: dict[int, tuple[float, float]] = {}
-    for i in range(recording.axis_count):
-        held, declared = driven_hold(recording, i)
-        if not held or not all(s.driven[i] for s in spectra) or any(s.staircase[i] == 1.0 for s in spectra):
-            continue
-        total = float(model.chains.masses[i].sum())
-        if declared is not None:
-            laws[i] = (declared, 2.0 * float(np.sqrt(declared * total)))
-            continue
-        seen = seen_hold(spectra, i)
-        bound = total * (HOLD_BAND * _begins(spectra, i)) ** 2
-        laws[i] = seen or (bound, 2.0 * float(np.sqrt(bound * total)))
-    return laws
-
-
-def driven_hold(recording: Recording, axis: int) -> tuple[bool, float | None]:
-    """Whether a hold may work while an axis is driven, and its gain as declared: the stiffest, if any."""
-    gains = np.array([e.hold_gain[axis] for e in recording.experiments if e.excited_axis in (axis, -1)])
-    declared = gains[np.isfinite(gains) & (gains > 0)]
-    held = bool((np.isnan(gains) | (gains > 0)).any())
-    return held, float(declared.max()) if declared.size else None
-
-
-def _begins(spectra: Sequence[LineSpectra], axis: int) -> float:
-    """Frequency [rad/s] at which the excitation of an axis begins, in the record where it is lowest."""
-    lowest = []
-    for s in spectra:
-        if s.excited.any() and s.driven[axis]:
-            power = np.cumsum(np.abs(s.torque[s.excited, axis]) ** 2)
-            lowest.append(float(s.omega[s.excited][np.searchsorted(power, BEGUN * power[-1])]))
-    return min(lowest, default=0.0)
 
 
 STICKING = 3.0

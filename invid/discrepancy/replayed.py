@@ -118,7 +118,9 @@ def replay(
     if left is None:
         return "the held-out records are not whole: the extension was not simulated over time"
     structure = fitted.layout.structure
-    sampled = replace(fitted.layout, free_delays=(), free_stairs=(), known_stairs=np.zeros(structure.motors))
+    sampled = replace(
+        fitted.layout, free_delays=(), free_stairs=(), known_stairs=np.zeros(structure.motors), holds=()
+    )
     evaluation = evaluate(sampled, left, fitted.p[: structure.count], Candidate(), jacobian=False)
     evaluation = _rung_out(evaluation, fitted.candidate)
     shift = _shift(fitted, held, evaluation)
@@ -298,7 +300,6 @@ def _differences(
                 position=position,
                 torque=view.acting - lines[:, motors:],
                 command=None,
-                hold=None,
                 # Recorded torque noise acts in the simulation: its answer does not end as it began.
                 transient=True,
             )

@@ -16,7 +16,7 @@ from invid.discrepancy.plant import Candidate, Layout, Term
 from invid.discrepancy.rounding import rounded
 from invid.discrepancy.screen import Score, Screen, terms_for
 from invid.discrepancy.trial import HELD_OUT, Step, Trial, at_bound, attempted, refit, sized
-from invid.discrepancy.variants import delays, ladder, lags, retimed, retold, timings
+from invid.discrepancy.variants import delays, ladder, lags
 from invid.distributions import chi2_isf
 from invid.effects.base import Record, rms
 
@@ -139,7 +139,7 @@ def _doubtful(found: Selection) -> list[int]:
     out = []
     for number in range(len(found.steps) - 1):
         term = final.candidate.terms[known + number]
-        told = sized(final, known + number)
+        told = sized(final, known + number, WEAK)
         if told is False or (told is None and not term.effect.coefficients):
             out.append(number)
     return out
@@ -170,48 +170,14 @@ def _search(base: JointFit, train: Sequence[Record], held: Sequence[Record], ask
         rejects = _rejects(current, [*train, *held])
         if steps and not rejects:
             break  # what the causes leave is noise; what else fits it says how imperfect their models are
-        if steps:
-            step, rejected = _step(current, train, held, asked, start, first=False, rejects=rejects)
-        else:
-            start, step, rejected, train, held = _first(current, train, held, asked)
-            current = start
+        step, rejected = _step(current, train, held, asked, start, first=not steps, rejects=rejects)
         if step is None:
             break
         step = judged_on_moves(step, asked.moves)
         added = ladder(step, train, held) or (step,)
         steps.extend(added)
-        current, train, held = retimed(added[-1].chosen, train, held)
-        steps[-1] = replace(steps[-1], chosen=current)
+        current = added[-1].chosen
     return _pruned(Selection(start, current, tuple(steps), rejected), train, held)
-
-
-_First = tuple[Trial, Step | None, tuple[Score, ...], Sequence[Record], Sequence[Record]]
-
-
-def _first(start: Trial, train: Sequence[Record], held: Sequence[Record], asked: _Asked) -> _First:
-    """The linear fit, the first cause and the records they are of: at the time of the holds that fits."""
-    ways = [_first_at(*way, asked) for way in timings(start, train, held)]
-    # As the holds are taken, unless elsewhere is better by what noise makes of a choice of two.
-    best = min(ways, key=lambda way: _reached(way) + (0.0 if way is ways[0] else HELD_OUT))
-    if best[1] is not None:
-        _, train, held = retimed(best[1].chosen, best[3], best[4])
-        if train is not best[3]:
-            there = retold(best[0], train, held)
-            again = None if there is None else _first_at(there, train, held, asked)
-            best = best if again is None else min(best, again, key=_reached)
-    return best
-
-
-def _first_at(here: Trial, train: Sequence[Record], held: Sequence[Record], asked: _Asked) -> _First:
-    rejects = _rejects(here, [*train, *held])
-    step, rejected = _step(here, train, held, asked, here, first=True, rejects=rejects)
-    return here, step, rejected, train, held
-
-
-def _reached(way: _First) -> float:
-    """Penalised χ² that a first cause, or the linear fit where there is none, comes to."""
-    reached = way[0] if way[1] is None else way[1].chosen
-    return reached.score(1.0, way[0].dof)
 
 
 def _screened(screen: Screen, terms: Sequence[Term]) -> list[Score]:

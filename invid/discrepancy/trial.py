@@ -188,15 +188,15 @@ def at_bound(trial: Trial) -> bool:
     return any(v <= low + 1e-9 or v >= high - 1e-9 for v, (low, high) in zip(shapes, limits, strict=True))
 
 
-def sized(found: JointFit, number: int) -> bool | None:
-    """Whether a coefficient of an effect differs from zero (1 %, Wald); ``None`` where none is known."""
+def sized(found: JointFit, number: int, chance: float = 0.01) -> bool | None:
+    """Whether a coefficient of an effect differs from zero (Wald); ``None`` where none is known."""
     term, x = found.candidate.terms[number], found.candidate.x[number]
     count = len(term.effect.coefficients)
     block = found.covariance_of(number)[:count, :count]
     if not count or not np.isfinite(block).all():
         return None
     wald = float(x[:count] @ np.linalg.lstsq(block, x[:count], rcond=None)[0])
-    return wald > chi2_isf(0.01, count)
+    return wald > chi2_isf(chance, count)
 
 
 def penalty(trial: Trial, rows: int) -> float:

@@ -80,11 +80,6 @@ class Record:
         (M,) speed of the line between the record's ends; zero for periodic records.
     command
         (F, M) spectrum of the logged demand where the torque is more than it (a hold beside it).
-    hold, hold_offset
-        (F, M) law H of holds inside the drives, torque −H·position, and (M,) how much later than the
-        command they act [s] (negative: earlier); a sampling convention, known from the identification.
-    hold_doubt
-        (M,) True where the identification found a time for the hold that no hold has: an effect's doing.
     set_aside
         (M,) True for axes whose torque in this record no law tells: held, they stand on their friction.
     """
@@ -113,9 +108,6 @@ class Record:
     period_time: float
     excited: np.ndarray
     command: Complex128 | None = None
-    hold: Complex128 | None = None
-    hold_offset: Float64 = field(default_factory=lambda: np.zeros(0))
-    hold_doubt: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
     set_aside: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
     weight: Float64 = field(default_factory=lambda: np.zeros(0))
     """(F,) 0 for lines that are left out; empty where all count."""

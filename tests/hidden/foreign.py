@@ -309,7 +309,8 @@ def make_foreign(
         zip(roles, waves, results, strict=True)
     ):
         first = period if periodic else 0
-        shown = np.round(position[first:] / step) * step + rng.normal(0, 0.3 * step, position[first:].shape)
+        jitter = rng.normal(0, 0.3, position[first:].shape)
+        shown = np.round(position[first:] / step + jitter) * step
         experiments.append(
             Experiment(
                 key=f"{number:03d}",
@@ -347,7 +348,12 @@ def make_foreign(
     effects: tuple[TrueEffect, ...] = ()
     if cause != "null":
         either = cause == "torque_gain" and axes == 2
-        effects = (TrueEffect(cause, names[axis], where, None, dict(true), cause not in OUTSIDE, either),)
+        # The line of late samples is every axis'.
+        everywhere = names if cause == "torque_delay" else (names[axis],)
+        effects = tuple(
+            TrueEffect(cause, name, where, None, dict(true), cause not in OUTSIDE, either)
+            for name in everywhere
+        )
     kind = "null" if cause == "null" else "outside" if cause in OUTSIDE else "catalogue"
     db = float(10 * np.log10(power / quiet)) if power else -np.inf
     settings: dict[str, Any] = {
