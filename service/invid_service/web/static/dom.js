@@ -33,4 +33,4 @@ export function estimate(value, std) {
   const digits = Math.min(Math.max(1 - Math.floor(Math.log10(std)), 0), 8);
   return `${value.toFixed(digits)} ± ${std.toFixed(digits)}`;
 }
-export const time = (text) => (text ? new Date(text).toLocaleString([], { dateStyle: "short", timeStyle: "medium" }) : "");
+export const time = (text) => (text ? new Date(text).toLocaleString([], { dateStyle: "medium", timeStyle: "medium" }) : "");

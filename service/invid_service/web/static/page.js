@@ -186,7 +186,8 @@ for (const type of ["arm", "cancel", "accept", "reject"]) $(type).addEventListen
 $("again").addEventListener("click", () => { state.dismissed = state.run?.id; show(null); });
 
 // --- history -----------------------------------------------------------------------------------------
-const LISTED = new Intl.DateTimeFormat([], { dateStyle: "short", timeStyle: "short" });
+// The month in letters: 11/12/26 is two days, depending on who reads it.
+const LISTED = new Intl.DateTimeFormat([], { dateStyle: "medium", timeStyle: "short" });
 const when = (text) => LISTED.format(new Date(text));
 const loadHistory = guarded(async () => {
   const { history } = await get(`/cells/${state.cell.id}/models`);

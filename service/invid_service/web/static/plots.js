@@ -73,6 +73,9 @@ function labelPeaks(u, peaks) {
     c.beginPath(); c.moveTo(px, top + 4 * ratio); c.lineTo(px, u.bbox.top + u.bbox.height); c.stroke();
     if (row < 0) continue;
     rows[row] = middle + half;
+    // A rim in the ground's colour: the peak itself runs through its label.
+    c.save(); c.setLineDash([]); c.lineWidth = 6 * ratio; c.lineJoin = "round"; c.strokeStyle = colour("--card");
+    c.strokeText(text, middle, top); c.restore();
     c.fillText(text, middle, top);
   }
   c.restore();
