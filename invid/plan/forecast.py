@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,6 +14,11 @@ from invid.plan.belief import Belief
 from invid.plan.model import AxisForecast, PlannedExperiment
 from invid.plan.response import foretold_motion
 from invid.recording.model import Kind
+
+NEVER_BACK = 2.5
+"""Creep in rms velocities of the shaking above which a motor hardly turns back (once in a hundred, normal).
+``bench_identify.py --case creep``, peak twice the friction: there every seed is good to 1 %; with three
+fifths of it two seeds were, with three tenths none."""
 
 
 def forecast(
@@ -74,6 +80,23 @@ def forecast_motion(
         )
         for i, axis in enumerate(config.axes)
     )
+
+
+def turning_back(config: CellConfig, experiment: PlannedExperiment, belief: Belief) -> list[str]:
+    """Axes whose creep is too slow to keep them from turning back while they are shaken, in words."""
+    if experiment.reference is None:
+        return []
+    free = replace(belief, coulomb=np.zeros(len(config.axes)))
+    motion = foretold_motion(config, replace(experiment, reference=None), free)
+    swing = np.sqrt(np.mean(motion.velocity**2, axis=0))
+    creep = np.abs(np.diff(experiment.reference, axis=0)).max(axis=0, initial=0.0) / config.bus.cycle_s
+    unit = "m/s" if config.linear else "rad/s"
+    return [
+        f"axis {axis.name}: it creeps at {creep[i]:.3g} {unit} and is shaken with {swing[i]:.3g} {unit} rms: "
+        f"it will turn back and stand; a creep_velocity of {NEVER_BACK * swing[i]:.2g} keeps it going"
+        for i, axis in enumerate(config.axes)
+        if 0 < creep[i] < NEVER_BACK * swing[i]
+    ]
 
 
 def _motion(config: CellConfig, e: PlannedExperiment, model: CoupledChains | None) -> tuple[Float64, Float64]:

@@ -21,7 +21,7 @@ from invid.plan.belief import Belief
 from invid.plan.blocks import FRICTION_FACTOR, BlockDesigner
 from invid.plan.budget import require_budget
 from invid.plan.build import REST_S
-from invid.plan.forecast import forecast_motion
+from invid.plan.forecast import forecast_motion, turning_back
 from invid.plan.model import Plan, PlannedExperiment
 
 BLOCKS_S = (5.0, 6.5, 8.0, 10.0, 13.0, 16.0, 20.0)
@@ -208,7 +208,13 @@ def _finish(
         binding.append(f"duration of {max_duration_s:g} s")
     plan = plan_of(blocks)
     return GoalPlan(
-        plan=replace(plan, warnings=tuple(designer.warnings(rungs[0]))),
+        plan=replace(
+            plan,
+            warnings=(
+                *designer.warnings(rungs[0]),
+                *turning_back(designer.config, blocks[0], designer.belief),
+            ),
+        ),
         goal=goal,
         needed=needed,
         reachable=reachable,

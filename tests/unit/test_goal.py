@@ -10,6 +10,7 @@ from invid.config import CellConfig, load_config
 from invid.errors import ConfigError, InputError
 from invid.expected import expected
 from invid.plan.belief import Belief, guess
+from invid.plan.forecast import turning_back
 from invid.plan.goal import GoalPlan, plan_for_goal
 from invid.recording import Recording, read_recording
 from invid_drivers.cli.measure import parse_goal
@@ -131,6 +132,13 @@ def test_creep_is_planned_where_friction_is_near_the_torque_and_the_config_allow
     assert block.reference is not None
     assert np.abs(block.reference[:, 0]).max() > 0
     assert not block.reference[:, 1:].any()
+    # 0.02 rad/s does not keep a motor going that is shaken faster; what would is said, and does.
+    (said,) = [w for w in design.plan.warnings if "turn back" in w]
+    assert said.startswith("axis A1:")
+    enough = float(said.split("creep_velocity of ")[1].split()[0])
+    path = block.reference * (1.02 * enough / 0.02)
+    assert turning_back(allowed, block, sticky) == [said]
+    assert not turning_back(allowed, replace(block, reference=path), sticky)
     plain = plan_for_goal(cell, sticky, sensor_noise(cell), 0.01)
     assert plain.plan.experiments[0].reference is None
     assert any("creep_velocity" in w for w in plain.plan.warnings)
