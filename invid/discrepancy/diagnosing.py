@@ -85,7 +85,13 @@ def diagnose(
     warnings = [*(w for s in spectra for w in s.warnings), *warnings]
     base, free, train, held = linear_fit(model, sound, spectra, train, held)
     bare = without_effects(base, train)
-    search = partial(select, linear_axes=recording.linear, free=free, moves=moves_of(sound))
+    search = partial(
+        select,
+        linear_axes=recording.linear,
+        free=free,
+        start=start_of(model, base.layout),
+        moves=moves_of(sound),
+    )
     selection = search(base, train, held)
     parts = around_change(selection)
     if parts is not None:
@@ -156,6 +162,20 @@ def layout_of(
     return Layout(structure, records[0].step, unknown, known, tuple(range(motors)), origin, holds=holds)
 
 
+def start_of(model: Model, layout: Layout) -> Float64:
+    """(n,) parameters of the model as it came."""
+    structure, start = layout.structure, np.zeros(layout.count)
+    start[: structure.count] = structure.vector(model.chains)
+    offsets = model.fit.get("time_offset_s", {}) if isinstance(model.fit, dict) else {}
+    for k, i in enumerate(layout.free_delays):
+        found = offsets.get(f"{structure.axes[i]}.time_offset", {})
+        value = found.get("value") if isinstance(found, dict) else None
+        start[structure.count + k] = 0.5 * layout.step if value is None else float(value)
+    start[layout.stairs_at] = 0.5
+    start[layout.holds_at] = [h.expected for h in layout.holds]
+    return start
+
+
 def linear_fit(
     model: Model,
     recording: Recording,
@@ -175,15 +195,7 @@ def linear_fit(
     given = given_effects(model, structure)
     late = [t.place.axis for t in given.terms if t.effect.cause == "torque_delay"]
     layout, _ = layout.without_delay(late)
-    start = np.zeros(layout.count)
-    start[: structure.count] = structure.vector(chains)
-    offsets = model.fit.get("time_offset_s", {}) if isinstance(model.fit, dict) else {}
-    for k, i in enumerate(layout.free_delays):
-        found = offsets.get(f"{structure.axes[i]}.time_offset", {})
-        value = found.get("value") if isinstance(found, dict) else None
-        start[structure.count + k] = 0.5 * layout.step if value is None else float(value)
-    start[layout.stairs_at] = 0.5
-    start[layout.holds_at] = [h.expected for h in holds]
+    start = start_of(model, layout)
     first = fit(
         layout, with_scatter(train, spectra, layout, start), start, given, iterations=25, strict=False
     )

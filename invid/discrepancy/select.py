@@ -4,24 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import numpy as np
 
 from invid.arrays import Float64
+from invid.discrepancy.candidates import is_smaller_model, refitted, screened, with_those_from
 from invid.discrepancy.joint import JointFit, fit, held_out
 from invid.discrepancy.missing_torque import null_test
 from invid.discrepancy.moves import Move, judged_on_moves
-from invid.discrepancy.plant import Candidate, Layout, Term
+from invid.discrepancy.plant import Candidate, Layout
 from invid.discrepancy.rounding import rounded
 from invid.discrepancy.screen import Score, Screen, terms_for
-from invid.discrepancy.trial import HELD_OUT, Step, Trial, at_bound, attempted, refit, sized
+from invid.discrepancy.trial import HELD_OUT, Step, Trial, at_bound, attempted, sized
 from invid.discrepancy.variants import delays, ladder, lags
 from invid.distributions import chi2_isf
-from invid.effects.base import Record, rms
+from invid.effects.base import Record
 
-POLISHED, REFITTED, PLACES = 12, 6, 2
-"""How many candidates are polished and refitted, and at most how many places of one cause."""
 SIGNIFICANCE = 1e-3
 """Chance, over all candidates together, that noise passes the training gain; the held-out gain must pass as
 well, so a false alarm by selection is rarer than the null test's 1 %."""
@@ -37,9 +35,6 @@ the first: what an imperfect model of the first leaves has no such law. A guess,
 SHARE, CLOSE = 0.05, 1.5
 """A further cause that does not bring χ²/ν below CLOSE must remove this share of the first excess. Empirical:
 on the flexible bench ripples of 2 % were named otherwise with a phase known to ten radians."""
-REACH = 3.0
-"""How much more a refit may gain than its screen promised: shapes between the grid's, inner motion. A guess
-that saves refits; it only skips what could not be accepted at three times its promise."""
 MOST = 3
 
 
@@ -73,18 +68,20 @@ def select(
     *,
     linear_axes: bool,
     free: Float64 | None = None,
+    start: Float64 | None = None,
     moves: Sequence[Move] = (),
 ) -> Selection:
     """Adds causes while both the training and the held-out gain are significant.
 
-    ``free``: linear parameters of the fit whose time offsets were not bounded; where delays start. ``moves``:
-    slow moves beside the records, which tell laws of position apart.
+    ``free``: linear parameters of the fit whose time offsets were not bounded; where delays start. ``start``:
+    those of the model, tried for a first cause where those of the fit lead nowhere. ``moves``: slow
+    moves beside the records, which tell laws of position apart.
 
     A lag keeps the time offset of its axis beside it: two timings, where a delay is one. Where what the lag's
     model leaves is more than the difference between the two, the data do not ask for the second timing, and
     the delay leads; the lag stays its rival.
     """
-    asked = _Asked(linear_axes, free, moves)
+    asked = _Asked(linear_axes, free, start, moves)
     found = _search(base, train, held, asked)
     contested = frozenset(
         s.chosen.term.place.axis
@@ -155,6 +152,7 @@ class _Asked:
 
     linear_axes: bool
     free: Float64 | None
+    start: Float64 | None
     moves: Sequence[Move]
     contested: frozenset[int] = frozenset()
     """Axes on which a delay goes before its lag."""
@@ -180,21 +178,6 @@ def _search(base: JointFit, train: Sequence[Record], held: Sequence[Record], ask
     return _pruned(Selection(start, current, tuple(steps), rejected), train, held)
 
 
-def _screened(screen: Screen, terms: Sequence[Term]) -> list[Score]:
-    scores = [screen.best(t) for t in terms]
-    scores = [s for s in scores if np.isfinite(s.gain) and s.gain > 0]
-    scores.sort(key=lambda s: -s.gain)
-    count: dict[str, int] = {}
-    out = []
-    for s in scores:
-        cause = s.term.effect.cause
-        count[cause] = count.get(cause, 0) + 1
-        if count[cause] <= PLACES:
-            out.append(s)
-    polished = [screen.best(s.term, polish=True) for s in out[:POLISHED]]
-    screen.release()
-    polished.sort(key=lambda s: -s.gain)
-    return polished
 
 
 def _step(
@@ -214,7 +197,7 @@ def _step(
         for t in terms_for(here.layout.structure, linear_axes=asked.linear_axes, chosen=here.candidate.terms)
         if t.effect.cause != "torque_delay" or _late(here.layout, here.p, t.place.axis)
     ]
-    scores = _screened(screen, terms)
+    scores = screened(screen, terms)
     count = max(len(terms), 1)
     rows = here.dof
     trials: list[Trial] = delays(
@@ -228,18 +211,12 @@ def _step(
         if s.term.effect.cause != "torque_delay" and (s.term.effect.cause, s.term.place) not in tried
     ]
     least = _least_gain(here, current, count, first=first)
-    for number, s in enumerate(scores):
-        if number >= REFITTED:
-            break
-        # Far from what the best could reach, or from what would be accepted: no refit.
-        if s.gain < 0.05 * scores[0].gain or REACH * s.gain < least:
-            break
-        reached = min((t.fit.cost for t in trials), default=np.inf)
-        trial = attempted(partial(_joined, here, train, s, reached), held)
-        if trial is not None and not at_bound(trial) and not _is_smaller_model(trial):
-            trials.append(trial)
+    reached = min((t.fit.cost for t in trials), default=np.inf)
+    trials += refitted(here, train, held, scores, least, reached)
+    if first and rejects and asked.start is not None:
+        trials = with_those_from(asked.start, here, train, held, terms, trials)
     rounded_ = (_rounded(t, current, train, held) for t in trials)
-    trials = [t for t in rounded_ if not _is_smaller_model(t)]  # some were larger only for want of rounding
+    trials = [t for t in rounded_ if not is_smaller_model(t)]  # some were larger only for want of rounding
     if not trials:
         return None, tuple(scores[:5])
     trials.sort(key=lambda t: t.score(1.0, rows))
@@ -276,15 +253,6 @@ def _ranked(scored: Sequence[tuple[Trial, float]], contested: frozenset[int]) ->
     return [(t, s) for t, s, _ in sorted(moved, key=lambda one: one[1:])]
 
 
-def _joined(here: JointFit, train: Sequence[Record], score: Score, reached: float) -> JointFit:
-    """The joint fit of a screened candidate, gone on with while it may still come near ``reached``."""
-    found = refit(here, train, score.term, score.x, 4, score.shift)
-    # Four steps away from a start that is right to first order: what is far behind stays there.
-    if not found.converged and found.cost - reached < 0.5 * (here.cost - reached):
-        found = fit(found.layout, train, found.p, found.candidate, iterations=10)
-    return found
-
-
 def _least_gain(here: JointFit, current: Trial, count: int, *, first: bool) -> float:
     """Gain of training χ² below which no cause can be accepted."""
     significant = chi2_isf(SIGNIFICANCE / count, 1)
@@ -305,26 +273,6 @@ def _rounded(trial: Trial, current: Trial, train: Sequence[Record], held: Sequen
         return trial
     more = Trial(found, held_out(found, held))
     return more if more.held.cost < trial.held.cost else trial
-
-
-def _is_smaller_model(trial: Trial) -> bool:
-    """A larger friction model that is Coulomb or viscous friction to within a tenth.
-
-    Empirical: the motion of inner masses is reconstructed to a few per cent, and so is the law there;
-    what a larger model gains by that is no asymmetry and no Stribeck effect.
-    """
-    x, cause = trial.x, trial.term.effect.cause
-    if cause == "stribeck_friction":
-        return float(x[1]) < 0.1 * float(x[0])
-    if cause != "asymmetric_friction":
-        return False
-    pattern = trial.term.place.pattern(trial.fit.layout.structure)
-    speed = rms([v.velocity(pattern) for v in trial.fit.evaluation.views])
-    up, down, up_rate, down_rate = (abs(float(c)) for c in (x[0], x[1], x[2] * speed, x[3] * speed))
-    dry, wet = up + down, up_rate + down_rate
-    coulomb = abs(up - down) < 0.1 * dry and wet < 0.1 * dry
-    viscous = abs(up_rate - down_rate) < 0.1 * wet and dry < 0.1 * wet
-    return coulomb or viscous
 
 
 def _late(layout: Layout, p: Float64, axis: int) -> bool:

@@ -119,3 +119,11 @@ def test_a_load_that_changes_inside_a_period_is_found_without_that_period() -> N
     assert mass.value == pytest.approx(truth.effects[0].parameters["mass"], rel=0.01)
     assert time.std is not None
     assert abs(time.value - truth.effects[0].parameters["time"]) < 3.0 * time.std
+
+
+def test_friction_of_a_far_mass_is_found_where_the_linear_fit_without_it_leads_away() -> None:
+    recording, truth = make_case(420007)  # viscous friction of the fourth mass, 35 dB over the noise
+    found = diagnose(recording)
+    assert score(truth, found).outcome == "right"
+    true = truth.effects[0].parameters["coefficient"]
+    assert abs(found.findings[0].effect.parameters["coefficient"].value / true - 1) < 0.01

@@ -1,0 +1,129 @@
+"""Candidates for one more cause: screened, then refitted jointly with the linear parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+
+from invid.arrays import Float64
+from invid.discrepancy.joint import JointFit, fit
+from invid.discrepancy.plant import Candidate, Term
+from invid.discrepancy.screen import Score, Screen
+from invid.discrepancy.trial import Trial, at_bound, attempted, finite, refit
+from invid.effects.base import Record, rms
+
+POLISHED, REFITTED, PLACES = 12, 6, 2
+"""How many candidates are polished and refitted, and at most how many places of one cause."""
+REACH = 3.0
+"""How much more a refit may gain than its screen promised: shapes between the grid's, inner motion. A guess
+that saves refits; it only skips what could not be accepted at three times its promise."""
+UNEXPLAINED = 1.5
+"""χ²/ν above which no candidate explains the records. A guess; it decides only whether to look elsewhere."""
+
+
+def screened(screen: Screen, terms: Sequence[Term]) -> list[Score]:
+    """The likeliest candidates with their best shapes, best first."""
+    scores = [screen.best(t) for t in terms]
+    scores = [s for s in scores if np.isfinite(s.gain) and s.gain > 0]
+    scores.sort(key=lambda s: -s.gain)
+    count: dict[str, int] = {}
+    out = []
+    for s in scores:
+        cause = s.term.effect.cause
+        count[cause] = count.get(cause, 0) + 1
+        if count[cause] <= PLACES:
+            out.append(s)
+    polished = [screen.best(s.term, polish=True) for s in out[:POLISHED]]
+    screen.release()
+    polished.sort(key=lambda s: -s.gain)
+    return polished
+
+
+def refitted(
+    here: JointFit,
+    train: Sequence[Record],
+    held: Sequence[Record],
+    scores: Sequence[Score],
+    least: float,
+    reached: float,
+) -> list[Trial]:
+    """Joint fits of the best screened; ``least``: training gain below which none is accepted, ``reached``:
+    what others came to."""
+    trials: list[Trial] = []
+    for s in scores[:REFITTED]:
+        # Far from what the best could reach, or from what would be accepted: no refit.
+        if s.gain < 0.05 * scores[0].gain or REACH * s.gain < least:
+            break
+        trial = attempted(partial(_joined, here, train, s, reached), held)
+        if trial is not None and not at_bound(trial) and not is_smaller_model(trial):
+            trials.append(trial)
+            reached = min(reached, trial.fit.cost)
+    return trials
+
+
+def with_those_from(
+    start: Float64,
+    here: JointFit,
+    train: Sequence[Record],
+    held: Sequence[Record],
+    terms: Sequence[Term],
+    trials: Sequence[Trial],
+) -> list[Trial]:
+    """The ``trials`` and, where none of them explains the records, those from other linear parameters.
+
+    A strong cause bends the linear fit without effects so far that no step leads back: friction of a far mass
+    takes a spring and a damper apart. The identification fits friction along, so its parameters (``start``)
+    may be right where the fit without is not.
+    """
+    best = min((t.fit.cost for t in trials), default=np.inf)
+    if best < UNEXPLAINED * here.dof or here.candidate.terms or start.size != here.p.size:
+        return list(trials)
+    there = attempted(lambda: fit(here.layout, train, start, Candidate(), iterations=0), held)
+    if there is None:
+        return list(trials)
+    scores = [s for s in screened(Screen(there.fit), terms) if s.term.effect.cause != "torque_delay"]
+    others = refitted(there.fit, train, held, scores, 0.0, best)
+    if not others:
+        return list(trials)
+    # Where the linear parameters alone gain more than the cause, it is no cause's doing.
+    least = min(others, key=lambda t: t.fit.cost).fit
+    alone = finite(lambda: fit(here.layout, train, least.p, Candidate(), iterations=20))
+    if alone is None or here.cost - alone.cost > alone.cost - least.cost:
+        return list(trials)
+    found = {(t.term.effect.cause, t.term.place): t for t in trials}
+    for trial in others:
+        key = (trial.term.effect.cause, trial.term.place)
+        if trial.fit.cost < (found[key].fit.cost if key in found else here.cost):
+            found[key] = trial
+    return list(found.values())
+
+
+def _joined(here: JointFit, train: Sequence[Record], score: Score, reached: float) -> JointFit:
+    """The joint fit of a screened candidate, gone on with while it may still come near ``reached``."""
+    found = refit(here, train, score.term, score.x, 4, score.shift)
+    # Four steps away from a start that is right to first order: what is far behind stays there.
+    if not found.converged and found.cost - reached < 0.5 * (here.cost - reached):
+        found = fit(found.layout, train, found.p, found.candidate, iterations=10)
+    return found
+
+
+def is_smaller_model(trial: Trial) -> bool:
+    """A larger friction model that is Coulomb or viscous friction to within a tenth.
+
+    Empirical: the motion of inner masses is reconstructed to a few per cent, and so is the law there;
+    what a larger model gains by that is no asymmetry and no Stribeck effect.
+    """
+    x, cause = trial.x, trial.term.effect.cause
+    if cause == "stribeck_friction":
+        return float(x[1]) < 0.1 * float(x[0])
+    if cause != "asymmetric_friction":
+        return False
+    pattern = trial.term.place.pattern(trial.fit.layout.structure)
+    speed = rms([v.velocity(pattern) for v in trial.fit.evaluation.views])
+    up, down, up_rate, down_rate = (abs(float(c)) for c in (x[0], x[1], x[2] * speed, x[3] * speed))
+    dry, wet = up + down, up_rate + down_rate
+    coulomb = abs(up - down) < 0.1 * dry and wet < 0.1 * dry
+    viscous = abs(up_rate - down_rate) < 0.1 * wet and dry < 0.1 * wet
+    return coulomb or viscous
