@@ -178,8 +178,6 @@ def _search(base: JointFit, train: Sequence[Record], held: Sequence[Record], ask
     return _pruned(Selection(start, current, tuple(steps), rejected), train, held)
 
 
-
-
 def _step(
     current: Trial,
     train: Sequence[Record],
