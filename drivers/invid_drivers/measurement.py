@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -136,8 +137,20 @@ def start_measurement(
 
 
 def _require_file(out: Path) -> None:
+    """Refuse before anything moves what could not be written afterwards, or would replace a device."""
     if out.is_dir():
         raise ConfigError(f"{out}: is a folder; name a file for the recording")
+    if out.exists() and not out.is_file():
+        raise ConfigError(f"{out}: is no ordinary file; name a file for the recording")
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=out.parent):
+            pass
+    except OSError as error:
+        raise ConfigError(
+            f"{out}: cannot be written there ({error.strerror or error}); name a file for the recording in a "
+            "folder that can"
+        ) from None
 
 
 def run_measurement(

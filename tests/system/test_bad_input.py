@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import sys
@@ -15,6 +16,10 @@ import yaml
 
 sys.path.insert(0, str(Path(__file__).parent))
 import foreign_cell
+
+from invid.config import load_config
+from invid.errors import ConfigError
+from invid_drivers.measurement import measure_to_file
 
 CONFIG = Path(__file__).parents[2] / "configs" / "case-study.yaml"
 
@@ -180,6 +185,21 @@ def test_a_bad_config_is_refused_before_anything_is_touched(
     assert_one_message(invid("measure", str(path), "-o", str(kept)), 2, *words)
     assert_one_message(invid("check", str(path)), 2, *words)
     assert kept.read_text() == "kept"
+
+
+@pytest.mark.parametrize("out", ["pipe", "/proc/none/rec.h5", "file/rec.h5"])
+def test_a_recording_that_could_not_be_kept_is_refused_before_anything_moves(
+    out: str, tmp_path: Path
+) -> None:
+    # A robot that was shaken for nothing, or a device replaced by a file, is worse than a message.
+    (tmp_path / "file").write_text("no folder")
+    os.mkfifo(tmp_path / "pipe")
+    moved: list[object] = []
+    config = load_config(changed_config(tmp_path, lambda _: None))
+    with pytest.raises(ConfigError, match="name a file for the recording"):
+        measure_to_file(config, tmp_path / out, progress=moved.append)
+    assert moved == []
+    assert (tmp_path / "pipe").is_fifo()
 
 
 def test_a_node_that_does_not_answer_is_a_drive_error(tmp_path: Path) -> None:

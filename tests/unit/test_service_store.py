@@ -161,6 +161,9 @@ def test_a_second_service_on_the_same_data_folder_is_refused(tmp_path: Path) -> 
     with pytest.raises(ConfigError, match="another invid service"):
         create_app(settings_in(tmp_path))
     lock.release()
+    (tmp_path / "file").write_text("no folder")
+    with pytest.raises(ConfigError, match=r"cannot be written.*--data-dir"):
+        DataLock(tmp_path / "file" / "data")
 
 
 def test_stored_files_are_whole_checksummed_and_inside_the_store(tmp_path: Path) -> None:

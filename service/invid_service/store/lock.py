@@ -12,8 +12,13 @@ class DataLock:
     """Held while the service runs; the kernel gives it back however the process ends."""
 
     def __init__(self, folder: Path) -> None:
-        folder.mkdir(parents=True, exist_ok=True)
-        self._file = (folder / "service.lock").open("a")
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            self._file = (folder / "service.lock").open("a")
+        except OSError as error:
+            raise ConfigError(
+                f"data folder {folder}: cannot be written ({error.strerror or error}); give --data-dir"
+            ) from None
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
