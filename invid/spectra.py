@@ -13,6 +13,7 @@ import numpy as np
 
 from invid.arrays import Bool, Complex128, Float64, frozen, frozen_float
 from invid.driven import driven_axes
+from invid.lines import band_of, excited_lines, held_torque, highest_excited
 from invid.noise import flat_covariance, pooled_covariance, quantum, quiet_power
 from invid.periods import find_period, fold, repeats, settle, without_drift
 from invid.quantisation import rounding_power
@@ -216,10 +217,10 @@ def _periodic(
     nyquist = (period - 1) // 2
     spectra = _amplitudes(channels, nyquist)
     hz = np.arange(1, nyquist + 1) / (period * data.step)
-    top = _highest_excited(experiment, hz, spectra)
+    top = highest_excited(experiment, hz, spectra)
     quiet = (hz > 1.5 * hz[top]) & (hz < 0.45 / data.step)
     floor, floor_dof = _floor(data, quiet, hz, period)
-    band = _band(hz, top, band_hz)
+    band = band_of(hz, top, band_hz)
     settling = settle(spectra[:, : top + 1], floor, floor_dof)
     first = settling.first if drop_transient else 0
     if first:
@@ -243,7 +244,7 @@ def _periodic(
     deviations = (spectra - mean)[:, band]
     least = np.maximum(np.maximum(floor, averaged * used), rounding * used)
     covariance, dof = pooled_covariance(deviations, least)
-    excited = _excited(experiment, hz[band], mean[band], covariance, motors, period * data.step)
+    excited = excited_lines(experiment, hz[band], mean[band], covariance, motors, period * data.step)
     return _assemble(
         experiment,
         data,
@@ -275,22 +276,22 @@ def _whole(
     nyquist = (count - 1) // 2
     mean = _amplitudes(wave[:count], nyquist)
     ends = (wave[count] - wave[0]) / count
-    staircase = _staircase(experiment, data)
+    staircase = held_torque(experiment)
     held = np.concatenate((np.zeros(motors), np.nan_to_num(staircase, nan=0.0)))
     mean = mean + ends * (1.0 - held)
     hz = np.arange(1, nyquist + 1) / (count * data.step)
-    top = _highest_excited(experiment, hz, mean[None])
+    top = highest_excited(experiment, hz, mean[None])
     quiet = (hz > 1.5 * hz[top]) & (hz < 0.45 / data.step)
     if quiet.sum() < 16:
         quiet = hz > 0.9 * hz[-1]
     floor, dof = quiet_power(_windowed(wave[:count], nyquist), quiet)
     step = quantum(wave)
-    band = _band(hz, top, band_hz)
+    band = band_of(hz, top, band_hz)
     single = np.abs(_windowed(wave[:count], nyquist)) ** 2
     rounding = _rounding(single, single, step, band)
     floor = np.maximum(np.maximum(floor, step**2 / 12 * 4 / count), 1e-300)
     covariance = flat_covariance(np.maximum(floor, rounding), int(band.sum()))
-    excited = _excited(experiment, hz[band], mean[band], covariance, motors, count * data.step)
+    excited = excited_lines(experiment, hz[band], mean[band], covariance, motors, count * data.step)
     return _assemble(
         experiment,
         data,
@@ -341,73 +342,6 @@ def _windowed(wave: Float64, lines: int) -> Complex128:
     return _amplitudes(centred * window[:, None], lines)
 
 
-def _highest_excited(experiment: Experiment, hz: Float64, spectra: Complex128) -> int:
-    """Index of the highest line that carries signal."""
-    declared = experiment.frequencies_hz[np.isfinite(experiment.frequencies_hz)]
-    declared = declared[(declared > 0) & (declared <= hz[-1])]
-    if declared.size:
-        return int(np.argmin(np.abs(hz - declared.max())))
-    motors = spectra.shape[2] // 2
-    power = (np.abs(spectra[..., motors:].mean(axis=0)) ** 2).sum(axis=1)
-    # The band that holds all but a thousandth of the torque's power.
-    cumulative = np.cumsum(power) / max(float(power.sum()), 1e-300)
-    return int(np.searchsorted(cumulative, 0.999).clip(0, hz.size - 1))
-
-
-def _band(hz: Float64, top: int, band_hz: tuple[float, float] | None) -> Bool:
-    low, high = (0.0, min(1.5 * hz[top], 0.9 * hz[-1])) if band_hz is None else band_hz
-    band: Bool = (hz >= low) & (hz <= max(high, hz[0]))
-    return band
-
-
-def _excited(
-    experiment: Experiment,
-    hz: Float64,
-    mean: Complex128,
-    covariance: Complex128,
-    motors: int,
-    duration: float,
-) -> Bool:
-    """(F,) lines that the excitation drives: as declared, or by a test of every line's torque."""
-    declared = experiment.frequencies_hz[np.isfinite(experiment.frequencies_hz)]
-    excited: Bool = np.zeros(hz.size, dtype=bool)
-    if declared.size and experiment.kind is Kind.MULTISINE:
-        nearest = np.round(declared * duration).astype(int)
-        first = round(float(hz[0] * duration))
-        inside = (nearest >= first) & (nearest < first + hz.size)
-        excited[nearest[inside] - first] = True
-        return excited
-    power = np.abs(mean[:, motors:]) ** 2
-    noise = np.einsum("fcc->fc", covariance).real[:, motors:]
-    # |X|²/σ² is exponential for noise: exceeded once in 1e4 lines; a thousandth of the strongest
-    # line's power is no excitation either, but distortion or leakage.
-    limit = np.maximum(noise * np.log(1e4), 1e-4 * power.max(axis=0))
-    above: Bool = (power > limit).any(axis=1)
-    return above
-
-
-def _staircase(experiment: Experiment, data: Uniform) -> Float64:
-    """(M,) 1 where the torque repeats a recorded demand, delayed by whole samples; NaN unknown."""
-    motors = data.torque.shape[1]
-    result = np.full(motors, np.nan)
-    if experiment.torque_demand is None:
-        return result
-    demand = np.asarray(experiment.torque_demand)
-    torque = np.asarray(experiment.torque)
-    for i in range(motors):
-        spread = demand[:, i].std()
-        if spread <= 1e-9 * max(np.abs(torque[:, i]).max(), 1e-300):
-            continue
-        for lag in range(4):
-            error = torque[lag:, i] - demand[: demand.shape[0] - lag, i]
-            # Following to a tenth is a staircase with noise; a filtered torque or one with a hold
-            # added inside the drive differs by more over a whole sample of delay.
-            if error.std() < 0.1 * spread:
-                result[i] = 1.0
-                break
-    return result
-
-
 def _assemble(
     experiment: Experiment,
     data: Uniform,
@@ -453,7 +387,7 @@ def _assemble(
         warnings=tuple(warnings),
         span_s=span,
         driven=frozen(driven, np.bool_),  # type: ignore[arg-type]
-        staircase=frozen_float(_staircase(experiment, data)),
+        staircase=frozen_float(held_torque(experiment)),
         deviations=fixed(deviations),
         floor=frozen_float(floor),
         rounding=frozen_float(rounding),
