@@ -17,6 +17,7 @@ from invid.refine.covariance import physical_covariance, spread_of
 from invid.refine.holds import placed_holds, with_open_holds
 from invid.refine.lags import (
     COULOMB,
+    COULOMB_SIGMA,
     TORQUE_LAG,
     with_coulomb,
     with_reversal_lags,
@@ -31,8 +32,6 @@ from invid.spectra import LineSpectra
 
 NEEDED = 1e-3
 """Significance at which boundary terms are added: wrong once in a thousand settled records."""
-COULOMB_SIGMA = 4.0
-"""Standard deviations (excess variance included) below which Coulomb friction leaves the fit."""
 
 
 TEMPER = (0.1, 0.03, 0.01, 0.003)

@@ -18,6 +18,8 @@ from invid.spectra import LineSpectra
 COULOMB = ".coulomb"
 HOLD_LAG = ".hold_lag"
 """Endings of the names of columns: Coulomb friction, and a hold inside the drive acting later."""
+COULOMB_SIGMA = 4.0
+"""Standard deviations (excess variance included) below which Coulomb friction leaves the fit."""
 REVERSAL = ".reversal_lag"
 """Ending of the names of the columns by which Coulomb friction may turn later than the velocity."""
 

@@ -18,8 +18,9 @@ from invid.arrays import Bool, Complex128, Float64
 from invid.refine.blocks import used_lines, with_columns
 from invid.refine.boundary import end_columns, end_forces, end_points
 from invid.refine.channel import Block, acting
+from invid.refine.covariance import spread_of
 from invid.refine.friction import sign_spectrum, velocity_signs
-from invid.refine.lags import COULOMB
+from invid.refine.lags import COULOMB, COULOMB_SIGMA
 from invid.refine.problem import MissingTorqueProblem, condense_dense
 from invid.refine.solver import Solution, gauss_newton
 from invid.refine.weights import SIGNIFICANT, WINDOW
@@ -52,16 +53,24 @@ def with_sharp_reversals(
     signs = [sign for sign, _ in guesses]
     for _ in range(TURNS):
         size = np.zeros(problem.structure.motors)
+        first, spread = problem.slices["column"].start, spread_of(solution)
         for k, i in places:
-            size[i] = max(float(solution.p[problem.slices["column"]][k]), 0.0)
+            # Friction that will leave the fit has no reversals to find.
+            if solution.p[first + k] > COULOMB_SIGMA * spread[first + k]:
+                size[i] = float(solution.p[first + k])
         if not np.any(size):
             break
         values = problem.structure.physical(solution.p[: problem.structure.count])
         inertia = values[list(problem.structure.motor_dofs)]
         columns = []
+        plants: dict[bytes, tuple[Complex128, Complex128]] = {}
         for number, (s, state) in enumerate(zip(spectra, problem.states(solution.p), strict=True)):
             moves = guesses[number][1]
-            found = fusion(problem, solution.p, state.block, state.ends, s)
+            whole = whole_block(state.block, s)
+            key = whole.omega.tobytes()
+            if key not in plants:
+                plants = {key: _condensed(problem, solution.p, whole.omega)}
+            found = fusion(problem, solution.p, whole, state.ends, s, *plants[key])
             periodic = not s.transient or s.periods > 1
             signs[number] = reversing(found, s, signs[number], size * moves, inertia, periodic=periodic)
             spectrum = sign_spectrum(s, signs[number])[used_lines(s, everything=state.block.transient)]
@@ -95,31 +104,41 @@ class Fusion:
     other: Float64
 
 
-def fusion(problem: MissingTorqueProblem, p: Float64, block: Block, ends: Float64, s: LineSpectra) -> Fusion:
-    """The record of ``block`` and ``s`` on all lines, under parameters ``p`` and boundary terms ``ends``."""
+def fusion(
+    problem: MissingTorqueProblem,
+    p: Float64,
+    whole: Block,
+    ends: Float64,
+    s: LineSpectra,
+    motion: Complex128,
+    stiffness: Complex128,
+) -> Fusion:
+    """The record ``s``, as the block ``whole`` of all its lines, under parameters ``p`` and boundary terms
+    ``ends``; W and Z are ``motion`` (L, ΣN, M) and ``stiffness`` (L, M, M)."""
     structure = problem.structure
-    motors = structure.motors
+    motors, lines = structure.motors, whole.omega.size
     sp = p[problem.slices["structure"]]
-    whole = _whole_block(block, s)
     channel = acting(whole, p[problem.slices["delay"]], p[problem.slices["staircase"]])
-    factor, hold = channel.factor, channel.hold
-    missing = -factor * whole.torque
-    lines = whole.omega.size
-    stiffness = np.empty((lines, motors, motors), dtype=complex)
-    diagonal = np.arange(motors)
-    for low in range(0, lines, AT_ONCE):
+    effective = stiffness.copy()
+    effective[:, np.arange(motors), np.arange(motors)] -= channel.hold
+    missing = np.einsum("fij,fj->fi", effective, whole.position) - channel.factor * whole.torque
+    for low in range(0, lines if whole.transient else 0, AT_ONCE):
         part = slice(low, min(low + AT_ONCE, lines))
-        omega = whole.omega[part]
-        motion, stiff, _ = condense_dense(structure, sp, omega)
-        if block.transient:
-            forces = end_forces(structure, sp, omega, block.span)
-            points = end_points(omega, block.step, block.span, ends_in=block.ends_in)
-            missing[part] += end_columns(structure, motion, stiff, forces, points) @ ends
-        stiff[:, diagonal, diagonal] -= hold[part]
-        stiffness[part] = stiff
-        missing[part] += np.einsum("fij,fj->fi", stiff, whole.position[part])
+        forces = end_forces(structure, sp, whole.omega[part], whole.span)
+        points = end_points(whole.omega[part], whole.step, whole.span, ends_in=whole.ends_in)
+        missing[part] += end_columns(structure, motion[part], effective[part], forces, points) @ ends
     floor = np.broadcast_to(s.floor, (lines, 2 * motors))
-    return Fusion(whole.omega, missing, stiffness, floor[:, :motors], floor[:, motors:] * np.abs(factor) ** 2)
+    other = floor[:, motors:] * np.abs(channel.factor) ** 2
+    return Fusion(whole.omega, missing, effective, floor[:, :motors], other)
+
+
+def _condensed(problem: MissingTorqueProblem, p: Float64, omega: Float64) -> tuple[Complex128, Complex128]:
+    """W and Z of all lines, a part at a time."""
+    parts = [
+        condense_dense(problem.structure, p[problem.slices["structure"]], omega[low : low + AT_ONCE])[:2]
+        for low in range(0, omega.size, AT_ONCE)
+    ]
+    return np.concatenate([w for w, _ in parts]), np.concatenate([z for _, z in parts])
 
 
 def reversing(
@@ -236,7 +255,7 @@ def _excess(missing: Complex128, floor: Float64, told: Bool) -> Float64:
     return out
 
 
-def _whole_block(block: Block, s: LineSpectra) -> Block:
+def whole_block(block: Block, s: LineSpectra) -> Block:
     """The block on every line below the Nyquist frequency."""
     count, motors = s.position_wave.shape
     lines = np.arange(1, (count - 1) // 2 + 1)
