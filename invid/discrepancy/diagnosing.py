@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from invid.arrays import Float64
-from invid.diagnosis import AxisResidual, Diagnosis, Finding, Unexplained, Verdict
+from invid.diagnosis import AxisResidual, Diagnosis, Finding, Verdict
 from invid.discrepancy.change import around_change, change_of
 from invid.discrepancy.character import unexplained_of
 from invid.discrepancy.confidence import effect_term, judge
@@ -25,6 +25,7 @@ from invid.discrepancy.plant import Candidate, Layout
 from invid.discrepancy.records import by_period, split, with_sticking
 from invid.discrepancy.replayed import REFUSED, Replay, replay, with_replay
 from invid.discrepancy.select import Selection, select
+from invid.discrepancy.tones import Tone, power_of, said_of_tones, tones_of, without_tones
 from invid.discrepancy.trust import cautious, distrust_sentences, in_the_way, trust, untimed_holds
 from invid.effects.base import Record, unit_of
 from invid.errors import InputError
@@ -74,16 +75,12 @@ def diagnose(
             f"the model has the axes {list(model.axes)}, the recording {list(recording.axes)}; diagnose with "
             "the model of this robot, or without one"
         )
-    spectra = all_spectra(sound)
-    if not spectra:
-        raise InputError(f"{recording.source}: no experiment shakes an axis; nothing to compare with a model")
     model = folded(model)
-    train, held, warnings = split(sound, spectra)
-    train, standing = with_sticking(train, spectra, model, sound)
-    held, _ = with_sticking(held, spectra, model, sound)
-    warnings = [*warnings, *standing]
-    warnings = [*(w for s in spectra for w in s.warnings), *warnings]
-    base, free, train, held = linear_fit(model, sound, spectra, train, held)
+    spectra, warnings, (base, free, train, held) = _begun(sound, model)
+    tones = _tones(base, held, spectra)
+    if tones:
+        sound = without_tones(sound, tones)
+        spectra, warnings, (base, free, train, held) = _begun(sound, model)
     bare = without_effects(base, train)
     search = partial(
         select,
@@ -101,19 +98,36 @@ def diagnose(
             base, selection, (train, held) = around, again, parts
             bare = without_effects(base, train)
     warnings = [*warnings, *said_of_holds(selection.final.fit, recording)]
-    result = _document(sound, model, selection, bare, train, held, warnings)
+    result = _document(sound, model, selection, bare, train, held, tones, warnings)
     if result.findings:
         linear = extended_model(model, bare, ())
         before = selection.base.held.cost if bare is selection.base.fit else held_out(bare, held).cost
         answer = replay(sound, spectra, linear, result.model, selection.final.fit, held, before)
         if isinstance(answer, Replay) and answer.refused:
-            result = _document(sound, model, selection, bare, train, held, [*warnings, REFUSED], refused=True)
+            result = _document(
+                sound, model, selection, bare, train, held, tones, [*warnings, REFUSED], refused=True
+            )
         elif isinstance(answer, Replay):
             selection = selection.wider(answer.shift)
-            result = _document(sound, model, selection, bare, train, held, warnings)
+            result = _document(sound, model, selection, bare, train, held, tones, warnings)
         result = with_replay(result, answer, sound)
         result = replace(result, details={**result.details, "linear_model": model_to_json(linear)})
     return with_dropped(result, recording, dropped, before_repair(recording, bare, result) if dropped else {})
+
+
+_Begun = tuple[JointFit, Float64, list[Record], list[Record]]
+
+
+def _begun(recording: Recording, model: Model) -> tuple[tuple[LineSpectra, ...], list[str], _Begun]:
+    """Spectra, what to warn about, and the linear fit with its records (``linear_fit``)."""
+    spectra = all_spectra(recording)
+    if not spectra:
+        raise InputError(f"{recording.source}: no experiment shakes an axis; nothing to compare with a model")
+    train, held, warnings = split(recording, spectra)
+    train, standing = with_sticking(train, spectra, model, recording)
+    held, _ = with_sticking(held, spectra, model, recording)
+    warnings = [*(w for s in spectra for w in s.warnings), *warnings, *standing]
+    return spectra, warnings, linear_fit(model, recording, spectra, train, held)
 
 
 def said_of_holds(final: JointFit, recording: Recording) -> list[str]:
@@ -204,9 +218,16 @@ def linear_fit(
     train = with_scatter(train, spectra, layout, first.p)
     held = with_scatter(held, spectra, layout, first.p)
     apart = changing([*train, *held])
-    if apart:
+    # A tone that repeats with no period looks like a change from one to the next.
+    if apart and not _tones(first, held, spectra):
         train, held = by_period(recording, train, apart), by_period(recording, held, apart)
     return fit(layout, train, first.p, first.candidate, iterations=25), first.p, train, held
+
+
+def _tones(fitted: JointFit, held: Sequence[Record], spectra: Sequence[LineSpectra]) -> list[Tone]:
+    """Tones of the training and the held-out records."""
+    both = (fitted.evaluation, held_out(fitted, held))
+    return tones_of(both, fitted.layout, fitted.p, spectra)
 
 
 def _vanishing(fitted: JointFit) -> bool:
@@ -249,6 +270,7 @@ def _document(
     bare: JointFit,
     train: Sequence[Record],
     held: Sequence[Record],
+    tones: Sequence[Tone],
     warnings: list[str],
     *,
     refused: bool = False,
@@ -258,7 +280,7 @@ def _document(
     without = base.held if bare is base.fit else held_out(bare, held)
     before_test = null_test(base.fit.cost + base.held.cost, base.fit.dof + base.held.dof, [*train, *held])
     after_test = null_test(final.fit.cost + final.held.cost, final.fit.dof + final.held.dof, [*train, *held])
-    anything = bool(selection.steps) or before_test.rejects
+    coherent = bool(selection.steps) or before_test.rejects
     unit = unit_of("torque", recording.linear)
     judged = judge(selection, recording, after_test)
     full = extended_model(model, final.fit, ())
@@ -266,12 +288,14 @@ def _document(
     named = judged.findings if judged.named and not linear.broken and not refused else ()
     sure, untimed = untimed_holds(cautious(tuple(named), linear), recording, model, final.fit)
     if named and not sure:  # all of it is a matter of sampling
-        named, anything = (), not judged.complete
+        named, coherent = (), not judged.complete
     shown = final if named else base
     residual = []
     for i, axis in enumerate(recording.axes):
+        beside = power_of(tones, i, held)
         before, _ = rms_torque(without, i)
         after, floor = rms_torque(shown.held, i)
+        before, after = (float(np.hypot(level, np.sqrt(beside))) for level in (before, after))
         residual.append(AxisResidual(axis, unit, before, after, floor))
     b2 = sum(r.before**2 for r in residual)
     a2 = sum(r.after**2 for r in residual)
@@ -279,17 +303,19 @@ def _document(
     explained = None
     if named or known:
         explained = float(np.clip(1.0 - (a2 - n2) / max(b2 - n2, 1e-300), 0.0, 1.0))
-    unexplained: Unexplained | None = None
-    if not anything:
+    unexplained = said_of_tones(tones, recording, unit)
+    if not coherent and not tones:
         verdict = Verdict.CONSISTENT
     elif not named:
         verdict = Verdict.UNEXPLAINED
-        unexplained = in_the_way(linear, unexplained_of(base, recording))
-    elif judged.complete:
+        if coherent:
+            unexplained = in_the_way(linear, unexplained_of(base, recording))
+    elif judged.complete and not tones:
         verdict = Verdict.EXPLAINED
     else:
         verdict = Verdict.PARTLY_EXPLAINED
-        unexplained = unexplained_of(final, recording)
+        if not judged.complete:
+            unexplained = unexplained_of(final, recording)
     findings = tuple(_axis_by_name(f) for f in sure)
     warnings = [*warnings, *untimed]
     said = distrust_sentences(linear, model.chains.masses_per_branch)
@@ -302,6 +328,9 @@ def _document(
         )
     if unexplained is not None:
         sentences.append(unexplained.sentence)
+    sentences += [
+        u.sentence for u in (said_of_tones(tones, recording, unit),) if u not in (None, unexplained)
+    ]
     effects = [effect_term(shown, k, recording) for k in range(known)] + [f.effect for f in named]
     effects += [e for e in carried(model) if e.cause == "dropped_samples"]
     extended = extended_model(model, shown.fit, tuple(effects))

@@ -10,7 +10,7 @@ import numpy as np
 from invid.arrays import Bool, Complex128, Float64
 from invid.discrepancy.plant import Evaluation, Layout, noise_of, views_of, without_boundary
 from invid.distributions import f_sf
-from invid.effects.base import Record
+from invid.effects.base import Record, View
 from invid.spectra import LineSpectra
 
 FALSE_ALARM = 0.01
@@ -57,34 +57,21 @@ def with_scatter(
     known = {s.key: s for s in spectra}
     out: list[Record] = []
     scattering: list[tuple[int, int, bool]] = []
-    for record, view in zip(records, views_of(layout, records, p), strict=True):
+    for record in records:
         s = known[record.key]
         periods = s.deviations.shape[0]
         if periods < 2 or (record.period_time * 1.5 > record.span and s.periods > 1 and record.transient):
             out.append(record)
             continue
-        motors = record.torque.shape[1]
-        lines = record.omega.size - 1
-        factor = np.where(
-            np.abs(record.torque) > 0,
-            view.acting / np.where(np.abs(record.torque) > 0, record.torque, 1.0),
-            1.0,
-        )
-        own = s.deviations[:, :lines]
-        z = view.stiffness[1:]
-        e = np.einsum("fij,pfj->pfi", z, own[..., :motors]) - factor[1:] * own[..., motors:]
-        plain = replace(record, scatter=np.zeros_like(record.scatter))
-        plain_view = views_of(layout, [plain], p)[0]
-        covariance = noise_of(plain_view, factor)[1:]
+        motors, lines = record.torque.shape[1], record.omega.size - 1
+        plain = views_of(layout, [replace(record, scatter=np.zeros_like(record.scatter))], p)[0]
+        e, covariance, used = between_periods(plain, s)
         expected = np.einsum("fii->fi", covariance).real
-        # ``noise`` is of the mean over the periods used in this record.
-        share = 2.0 * float(record.noise[0, 0] / max(s.floor[0], 1e-300))
-        used = max(round(periods / share), 1)
         single = expected * used
         left = 1.0
         # What settles goes one way from period to period; what comes and goes is noise, wherever it points.
         if record.transient and (periods <= 3 or _trending(e, single)):
-            e, left = without_boundary(plain_view, layout, p, e, covariance)
+            e, left = without_boundary(plain, layout, p, e, covariance)
         ratio = (np.abs(e) ** 2).sum(axis=0) / (periods - 1) / single / left
         trend = _trending(e, single)
         scattering.append((len(out), periods, _scatters(e, single)))
@@ -105,7 +92,11 @@ def with_scatter(
         # The mean's slow wander is that of the first lines; half of it as a complex line.
         floor = 0.5 * record.noise[1, motors:]
         added[0] = np.maximum((_mean_scatter(ratio) - 1.0) * floor, 0.5 * added[1])
-        out.append(replace(record, scatter=added, trend=trend))
+        # The part of the noise that scatters is known from the periods alone: χ² is F with both numbers.
+        part = float(np.mean(1.0 - 1.0 / scatter))
+        told = 2.0 * (periods - 1) * lines * left
+        dof = 1.0 / ((1.0 - part) ** 2 / max(record.noise_dof, 1.0) + part**2 / told)
+        out.append(replace(record, scatter=added, trend=trend, noise_dof=min(dof, record.noise_dof)))
     # Two or three periods are too few to follow time. A process that scatters does so in every record; what
     # comes in one and leaves the others quiet happened once.
     if not all(scatters for *_, scatters in scattering):
@@ -113,6 +104,21 @@ def with_scatter(
             if scatters and periods <= FEW:
                 out[number] = replace(out[number], trend=True)
     return out
+
+
+def between_periods(view: View, s: LineSpectra) -> tuple[Complex128, Complex128, int]:
+    """(P, F, M) how Z Θ − A T of each period differs from their mean, on lines 1…F.
+
+    Also the covariance (F, M, M) that the sensors' noise gives that mean, and of how many periods it is one.
+    """
+    record, motors = view.record, view.record.torque.shape[1]
+    there = np.abs(record.torque) > 0
+    factor = np.where(there, view.acting / np.where(there, record.torque, 1.0), 1.0)
+    own = s.deviations[:, : record.omega.size - 1]
+    e = np.einsum("fij,pfj->pfi", view.stiffness[1:], own[..., :motors]) - factor[1:] * own[..., motors:]
+    # ``noise`` is of the mean over the periods used in this record.
+    share = 2.0 * float(record.noise[0, 0] / max(s.floor[0], 1e-300))
+    return e, noise_of(view, factor)[1:], max(round(s.deviations.shape[0] / share), 1)
 
 
 def changing(records: Sequence[Record]) -> list[str]:

@@ -11,9 +11,12 @@ from invid.recording.model import Experiment, Recording
 MASS, SPRING, DAMPER = np.array([0.7, 2.0]), 1000.0, 0.5
 
 
-def held(push: np.ndarray, step: float, hold: float, rate: float) -> tuple[np.ndarray, np.ndarray]:
+def held(
+    push: np.ndarray, step: float, hold: float, rate: float, beside: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """(n,) motor position and torque from rest under ``push`` and a sampled hold, ``hold`` and ``rate`` its
-    torque per position and per velocity."""
+    torque per position and per velocity; ``beside`` acts as well and is not in the torque."""
+    beside = np.zeros(push.size) if beside is None else beside
     a = np.zeros((4, 4))
     a[:2, 2:] = np.eye(2)
     a[2:, :2] = SPRING * np.array([[-1, 1], [1, -1]]) / MASS[:, None]
@@ -26,7 +29,7 @@ def held(push: np.ndarray, step: float, hold: float, rate: float) -> tuple[np.nd
     for n, wanted in enumerate(push):
         position[n] = state[0]
         torque[n] = wanted - hold * state[0] - rate * state[2]
-        state = phi @ state + gamma * torque[n]
+        state = phi @ state + gamma * (torque[n] + beside[n])
     return position, torque
 
 
