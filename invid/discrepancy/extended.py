@@ -43,7 +43,9 @@ def extended_model(
     index = [place[name] for name in names]
     finite = bool(np.isfinite(covariance).all())
     layout = fitted.layout
-    offsets = layout.delays(fitted.p)
+    # A demand logged beside the torque has its half sample of being held by itself.
+    logged = any(v.record.command is not None for v in fitted.evaluation.views)
+    offsets = layout.delays(fitted.p) + (0.5 * layout.step if logged else 0.0)
     held = 0.5 * layout.step * layout.stairs(fitted.p)
     facts = {
         **dict(model.fit),
