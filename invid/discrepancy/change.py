@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
+from invid.discrepancy.joint import fit
 from invid.discrepancy.select import Selection
+from invid.discrepancy.trial import Step, attempted
 from invid.effects.base import Record
 
 
@@ -28,6 +33,23 @@ def change_of(selection: Selection) -> float | None:
         if term.effect.cause == "payload_change":
             return float(x[1])
     return None
+
+
+def sooner(before: Selection, again: Selection, train: Sequence[Record], held: Sequence[Record]) -> Selection:
+    """What the search without the period in which the load changes found, or the causes of the one with it.
+
+    Without that period a change in it looks like one of twice the size in the middle of the next: the search
+    may end there. The causes found with the period start at the right time.
+    """
+    final = before.final.fit
+    trial = attempted(lambda: fit(final.layout, train, final.p, final.candidate, iterations=40), held)
+    if trial is None or trial.cost >= again.final.cost or len(before.steps) != 1:
+        return again
+    others = [t for s in again.steps[:1] for t, _ in s.ranked if t.term != trial.term]
+    dispersion = min(t.dispersion for t in (trial, *others))
+    ranked = [(t, t.score(dispersion, trial.fit.dof)) for t in (trial, *others)]
+    step = Step(again.base, trial, tuple(sorted(ranked, key=lambda one: one[1])))
+    return replace(again, final=trial, steps=(step,))
 
 
 def _within(record: Record, time: float) -> bool:

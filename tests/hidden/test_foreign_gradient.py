@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from invid.discrepancy.diagnosing import layout_of
+from invid.discrepancy.linear import layout_of
 from invid.discrepancy.plant import Candidate, evaluate
 from invid.discrepancy.records import split
 from invid.refine.structure import ChainStructure

@@ -1,0 +1,141 @@
+"""The parameter vector of a joint fit, and the torque that acts at it: timing, holding, holds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from invid.arrays import Bool, Complex128, Float64
+from invid.discrepancy.holds import HeldInside
+from invid.effects.base import Record
+from invid.refine.structure import ChainStructure
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """The parameter vector: structure, delay of each axis, share held over the sample of each axis, share of
+    each hold that works inside its drive."""
+
+    structure: ChainStructure
+    step: float
+    free_stairs: tuple[int, ...]
+    known_stairs: Float64
+    free_delays: tuple[int, ...]
+    origin: float
+    delayed: tuple[int, ...] = ()
+    """Axes whose delay is an effect's."""
+    holds: tuple[HeldInside, ...] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all parameters."""
+        axes = self.structure.axes
+        return (
+            *self.structure.names,
+            *(f"{axes[i]}.time_offset" for i in self.free_delays),
+            *(f"{axes[i]}.held_over_sample" for i in self.free_stairs),
+            *(f"{axes[h.axis]}.{h.name}" for h in self.holds),
+        )
+
+    @property
+    def count(self) -> int:
+        """n."""
+        return self.structure.count + len(self.free_delays) + len(self.free_stairs) + len(self.holds)
+
+    @property
+    def stairs_at(self) -> slice:
+        """Where the shares held over the sample stand."""
+        first = self.structure.count + len(self.free_delays)
+        return slice(first, first + len(self.free_stairs))
+
+    @property
+    def holds_at(self) -> slice:
+        """Where the shares of the holds stand."""
+        return slice(self.stairs_at.stop, self.count)
+
+    def delays(self, p: Float64) -> Float64:
+        """(M,) [s]."""
+        out = np.zeros(self.structure.motors)
+        at = self.structure.count
+        out[list(self.free_delays)] = p[at : at + len(self.free_delays)]
+        return out
+
+    @property
+    def held_late(self) -> tuple[int, ...]:
+        """Axes with a delay of an effect whose measured torque may be held over its sample.
+
+        Holding acts half a sample late, which a free time offset takes up; beside a delay that is an effect's
+        it stands for itself, or the effect would be half a sample too long. Where the torque is the recorded
+        demand itself, the effect is how late it follows its command, holding included.
+        """
+        return tuple(i for i in self.delayed if i in self.free_stairs)
+
+    def lateness(self, p: Float64, record: Record) -> Float64:
+        """(M,) how much later than recorded the torque acts [s], effects apart."""
+        out = self.delays(p)
+        if self.held_late and record.command is None:  # a demand beside a hold has its half sample of its own
+            at = list(self.held_late)
+            out[at] += 0.5 * self.step * self.stairs(p)[at]
+        return out
+
+    def stairs(self, p: Float64) -> Float64:
+        """(M,) share of the torque that is held over each sample."""
+        out = self.known_stairs.copy()
+        out[list(self.free_stairs)] = p[self.stairs_at]
+        return out
+
+    def without_delay(self, axes: Sequence[int]) -> tuple[Layout, Bool]:
+        """The layout with some axes' delays left to effects, and which parameters stay."""
+        kept = tuple(i for i in self.free_delays if i not in axes)
+        stay = np.ones(self.count, dtype=bool)
+        for k, i in enumerate(self.free_delays):
+            if i in axes:
+                stay[self.structure.count + k] = False
+        delayed = tuple(sorted({*self.delayed, *axes}))
+        return replace(self, free_delays=kept, delayed=delayed), stay
+
+
+def acting_of(
+    record: Record, layout: Layout, p: Float64
+) -> tuple[Complex128, Complex128, Complex128, Complex128]:
+    """Torque that acts (F, M), factor A, its derivative by the stairs, and by each hold's share (F, holds).
+
+    Holding a sample takes amplitude away and acts half a sample late. The time offset takes up the
+    latter where all torque is alike. Where the demand is logged beside a hold, the demand is held over
+    the sample (the contract says so) and ``stairs`` is the share of the rest that is.
+    """
+    w = record.omega
+    delays, stairs = layout.lateness(p, record), layout.stairs(p)
+    smear = (1.0 - np.sinc(w * record.step / 2 / np.pi))[:, None]
+    z = np.exp(-1j * w[:, None] * delays)
+    factor = z * (1.0 - stairs * smear)
+    by_hold = np.zeros((w.size, len(layout.holds)), dtype=complex)
+    if record.command is None:
+        acting = factor * record.torque
+        by_stair = -z * smear * record.torque
+        for k, (hold, share) in enumerate(zip(layout.holds, p[layout.holds_at], strict=True)):
+            i = hold.axis
+            if record.key not in hold.records:
+                continue
+            # Command E = T + HΘ and hold −HΘ act at different times: A·T + (A − z₂)·H·Θ, z₂ half a sample
+            # earlier and not held over it.
+            torque = hold.law(w) * record.position[:, i]
+            by_hold[:, k] = (factor[:, i] - z[:, i] * np.exp(0.5j * w * record.step)) * torque
+            acting[:, i] += share * by_hold[:, k]
+            by_stair[:, i] -= share * (z * smear)[:, i] * torque
+        return acting, factor, by_stair, by_hold
+    rest = record.torque - record.command
+    held = ((1.0 - smear) * np.exp(-0.5j * w * record.step)[:, None]).astype(complex)
+    acting = z * (record.command * held + rest * (1.0 - stairs + stairs * held))
+    return acting, factor, z * (held - 1.0) * rest, by_hold
+
+
+def priors_of(layout: Layout, p: Float64, effects: int) -> tuple[Float64, Float64]:
+    """Torque is held over the sample (1), continuous (0), or smoothed in between; so is that of a hold."""
+    first, last = layout.stairs_at.start, layout.count
+    expected = np.array([0.5] * len(layout.free_stairs) + [h.expected for h in layout.holds])
+    rows = np.zeros((last - first, layout.count + effects))
+    rows[:, first:last] = 2.0 * np.eye(last - first)
+    return 2.0 * (p[first:last] - expected), rows

@@ -1,0 +1,139 @@
+"""The linear model, with the effects it came with, fitted to the training records."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from invid.arrays import Float64
+from invid.discrepancy.given import given_effects
+from invid.discrepancy.holds import HeldInside, holds_inside
+from invid.discrepancy.joint import JointFit, fit, held_out
+from invid.discrepancy.missing_torque import changing, with_scatter
+from invid.discrepancy.plant import Candidate, Layout
+from invid.discrepancy.records import by_period
+from invid.discrepancy.tones import Tone, tones_of
+from invid.effects.base import Record
+from invid.model import Model
+from invid.recording.model import Recording
+from invid.refine.structure import ChainStructure
+from invid.spectra import LineSpectra
+
+
+def linear_fit(
+    model: Model,
+    recording: Recording,
+    spectra: Sequence[LineSpectra],
+    train: Sequence[Record],
+    held: Sequence[Record],
+) -> tuple[JointFit, Float64, list[Record], list[Record]]:
+    """The model, with the effects it came with, fitted to the training records, its parameters with unbounded
+    time offsets, and the records with their scatter."""
+    chains = model.chains
+    grounded = tuple(int(i) for i in np.flatnonzero(chains.ground_springs > 0))
+    structure = ChainStructure(chains.masses_per_branch, chains.axes, viscous=False, grounded=grounded)
+    origin = min(float(e.time[0]) for e in recording.experiments)
+    logged = train[0].command is not None
+    holds = holds_inside(spectra, model, recording, with_command=logged)
+    layout = layout_of(structure, train, origin, holds)
+    given = given_effects(model, structure)
+    late = [t.place.axis for t in given.terms if t.effect.cause == "torque_delay"]
+    layout, _ = layout.without_delay(late)
+    start = start_of(model, layout)
+    first = fit(
+        layout, with_scatter(train, spectra, layout, start), start, given, iterations=25, strict=False
+    )
+    if _vanishing(first) and not given.terms:
+        first = _restarted(first, train)
+    train = with_scatter(train, spectra, layout, first.p)
+    held = with_scatter(held, spectra, layout, first.p)
+    apart = changing([*train, *held])
+    # A tone that repeats with no period looks like a change from one to the next.
+    if apart and not tones_in(first, held, spectra):
+        train, held = by_period(recording, train, apart), by_period(recording, held, apart)
+    return fit(layout, train, first.p, first.candidate, iterations=25), first.p, train, held
+
+
+def without_effects(base: JointFit, train: Sequence[Record]) -> JointFit:
+    """The linear model alone fitted to the same records, where the model came with effects."""
+    if not base.candidate.terms:
+        return base
+    layout = replace(base.layout, free_delays=tuple(range(base.layout.structure.motors)))
+    delays = np.zeros(layout.structure.motors)
+    for i, value in zip(base.layout.free_delays, _delays_of(base), strict=True):
+        delays[i] = value
+    count = base.layout.structure.count
+    rest = base.p[count + len(base.layout.free_delays) : base.layout.count]
+    p = np.concatenate((base.p[:count], delays, rest))
+    return fit(layout, train, p, Candidate(), iterations=25)
+
+
+def layout_of(
+    structure: ChainStructure, records: Sequence[Record], origin: float, holds: tuple[HeldInside, ...] = ()
+) -> Layout:
+    """Delay and hold-over-the-sample parameters that the records leave open, and the holds' shares."""
+    motors = structure.motors
+    stairs = np.array([r.staircase for r in records])
+    unknown = tuple(i for i in range(motors) if np.isnan(stairs[:, i]).any())
+    known = np.nan_to_num(stairs[0], nan=0.5)
+    return Layout(structure, records[0].step, unknown, known, tuple(range(motors)), origin, holds=holds)
+
+
+def start_of(model: Model, layout: Layout) -> Float64:
+    """(n,) parameters of the model as it came."""
+    structure, start = layout.structure, np.zeros(layout.count)
+    start[: structure.count] = structure.vector(model.chains)
+    offsets = model.fit.get("time_offset_s", {}) if isinstance(model.fit, dict) else {}
+    for k, i in enumerate(layout.free_delays):
+        found = offsets.get(f"{structure.axes[i]}.time_offset", {})
+        value = found.get("value") if isinstance(found, dict) else None
+        start[structure.count + k] = 0.5 * layout.step if value is None else float(value)
+    start[layout.stairs_at] = 0.5
+    start[layout.holds_at] = [h.expected for h in layout.holds]
+    return start
+
+
+def _delays_of(fitted: JointFit) -> Float64:
+    count = fitted.layout.structure.count
+    return fitted.p[count : count + len(fitted.layout.free_delays)]
+
+
+def _vanishing(fitted: JointFit) -> bool:
+    """A mass below a ten-thousandth of its branch in a fit that does not reach the noise: a wrong minimum."""
+    chains = fitted.layout.structure.chains(fitted.p[: fitted.layout.structure.count])
+    gone = any(bool((m < 1e-4 * m.sum()).any()) for m in chains.masses)
+    return gone and fitted.cost > 3.0 * fitted.dof
+
+
+def _restarted(fitted: JointFit, train: Sequence[Record]) -> JointFit:
+    """The best of fits from evenly shared masses with springs that spread their modes over the band."""
+    layout, structure = fitted.layout, fitted.layout.structure
+    best = fitted
+    masses = structure.slices["mass"]
+    totals = np.exp(fitted.p[masses])
+    top = max(float(r.omega[r.excited].max()) for r in train if r.excited.any())
+    for part in (0.6, 0.35, 0.2, 0.85):
+        p = fitted.p.copy()
+        at = 0
+        springs: list[float] = []
+        for n in structure.sizes:
+            share = float(totals[at : at + n].sum()) / n
+            p[masses.start + at : masses.start + at + n] = np.log(share)
+            springs += [float(np.log(share * (part * top) ** 2 / 2))] * (n - 1)
+            at += n
+        p[structure.slices["spring"]] = springs
+        p[structure.slices["damper"]] = 0.02 * np.exp(springs) / top
+        trial = fit(layout, train, p, Candidate(), iterations=60, strict=False)
+        if trial.cost < best.cost:
+            best = trial
+        if best.cost < 2.0 * best.dof:
+            break
+    return best
+
+
+def tones_in(fitted: JointFit, held: Sequence[Record], spectra: Sequence[LineSpectra]) -> list[Tone]:
+    """Tones of the training and the held-out records."""
+    both = (fitted.evaluation, held_out(fitted, held))
+    return tones_of(both, fitted.layout, fitted.p, spectra)
