@@ -16,6 +16,7 @@ from invid.discrepancy.extended import extended_model
 from invid.discrepancy.given import folded
 from invid.discrepancy.joint import JointFit, fit, held_out
 from invid.discrepancy.linear import linear_fit, start_of, tones_in, without_effects
+from invid.discrepancy.missing_torque import null_test
 from invid.discrepancy.moves import moves_of
 from invid.discrepancy.records import split, with_sticking
 from invid.discrepancy.replayed import REFUSED, Replay, replay, with_replay
@@ -94,11 +95,12 @@ def diagnose(
         linear = extended_model(model, bare, ())
         before = selection.base.held.cost if bare is selection.base.fit else held_out(bare, held).cost
         answer = replay(sound, spectra, linear, result.model, selection.final.fit, held, before)
-        if isinstance(answer, Replay) and answer.refused:
+        reached = not null_test(selection.final.held.cost, selection.final.held.dof, held).rejects
+        if isinstance(answer, Replay) and answer.refused and not (answer.lost and reached):
             result = document(
                 sound, model, selection, bare, train, held, tones, [*warnings, REFUSED], refused=True
             )
-        elif isinstance(answer, Replay):
+        elif isinstance(answer, Replay) and not answer.refused:
             selection = selection.wider(answer.shift)
             result = document(sound, model, selection, bare, train, held, tones, warnings)
         result = with_replay(result, answer, sound)

@@ -71,6 +71,14 @@ class Replay:
         """A gain smaller than its own uncertainty is no gain."""
         return not self.gain > self.std
 
+    @property
+    def lost(self) -> bool:
+        """The simulated motion of an axis is off by more than the measured one moves: no judge of the law.
+
+        A free axis among ripples ends in another one at the least difference.
+        """
+        return bool((self.position_after > self.motion).any())
+
     def to_json(self, recording: Recording) -> dict[str, Any]:
         """Plain values."""
         return {
@@ -174,7 +182,7 @@ def with_replay(result: Diagnosis, answer: Replay | str, recording: Recording) -
         return replace(result, warnings=(*result.warnings, answer))
     details = {**result.details, "replay": answer.to_json(recording)}
     result = replace(result, details=details)
-    if answer.refused:
+    if answer.refused and not result.findings:
         return result
     doubtful = [
         r

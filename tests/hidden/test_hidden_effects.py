@@ -127,3 +127,15 @@ def test_friction_of_a_far_mass_is_found_where_the_linear_fit_without_it_leads_a
     assert score(truth, found).outcome == "right"
     true = truth.effects[0].parameters["coefficient"]
     assert abs(found.findings[0].effect.parameters["coefficient"].value / true - 1) < 0.01
+
+
+def test_a_simulation_that_ends_in_another_ripple_does_not_refuse_the_ripple() -> None:
+    """Seed 720063: a free axis among 20 ripples; open loop it ends elsewhere at the least difference."""
+    recording, truth = make_case(720063)
+    found = diagnose(recording)
+    (finding,) = found.findings
+    assert finding.effect.cause == "cogging"
+    torque = finding.effect.parameters["torque"]
+    assert torque.value == pytest.approx(truth.effects[0].parameters["torque"], rel=0.01)
+    assert finding.confidence < 0.9  # it could not be confirmed over time, and a warning says so
+    assert any("simulated over time" in w for w in found.warnings)
