@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -21,6 +21,7 @@ from invid.modes.settle import settled_frf
 from invid.pole_search import searched_modes
 from invid.rational import FINE, TRUSTED, rational_modes
 from invid.recording.model import Recording, Role
+from invid.refine.bootstrap import bootstrap as bootstrap_of
 from invid.refine.fit import Fit, fit_structure
 from invid.refine.mixed_drive import with_acting_torque
 from invid.refine.profile import profiles
@@ -38,7 +39,13 @@ LOCAL_MISFIT = 0.03
 
 
 def identify(
-    recording: Recording, *, masses: Masses = None, method: Method = "refined", profile: bool = False
+    recording: Recording,
+    *,
+    masses: Masses = None,
+    method: Method = "refined",
+    profile: bool = False,
+    bootstrap: int = 0,
+    workers: int = 1,
 ) -> Model:
     """Masses, springs, dampers and couplings of every branch with their covariance.
 
@@ -52,6 +59,9 @@ def identify(
     profile
         Profile-likelihood intervals of masses, springs and couplings in ``fit["profile"]`` (refined only;
         some hundred further fits).
+    bootstrap
+        Draws of a parametric bootstrap in ``fit["bootstrap"]`` (refined only), on ``workers`` processes; 0
+        for none.
 
     Returns
     -------
@@ -71,7 +81,7 @@ def identify(
 
         if is_rigid_case(recording, masses):
             return _rigid_or_chains(recording, masses, lambda: identify_trajectory(recording))
-    return _chains(recording, masses, method, profile)
+    return _chains(recording, masses, method, profile, (bootstrap, workers))
 
 
 def _rigid_or_chains(recording: Recording, masses: Masses, rigid: Callable[[], Model]) -> Model:
@@ -108,7 +118,9 @@ def _known(rigid: Model) -> bool:
     )
 
 
-def _chains(recording: Recording, masses: Masses, method: Method, profile: bool) -> Model:
+def _chains(
+    recording: Recording, masses: Masses, method: Method, profile: bool, again: tuple[int, int] = (0, 1)
+) -> Model:
     spectra = all_spectra(recording, Role.IDENTIFY)
     _check(recording, spectra)
     spectra = with_acting_torque(spectra, recording.experiments)
@@ -136,10 +148,15 @@ def _chains(recording: Recording, masses: Masses, method: Method, profile: bool)
 
         fit = with_ground_springs(spectra, fit, starts_for)
     model = refined_model(recording, spectra, fit, second_route(spectra, fit), warnings, order)
-    if not profile:
-        return model
-    intervals = {name: {"low": i.low, "high": i.high} for name, i in profiles(fit).items()}
-    return replace(model, fit={**model.fit, "profile": intervals})
+    further_facts: dict[str, Any] = {}
+    if profile:
+        further_facts["profile"] = {name: {"low": i.low, "high": i.high} for name, i in profiles(fit).items()}
+    draws, workers = again
+    if draws:
+        spreads = bootstrap_of(fit, draws, workers=workers)
+        parameters = {name: asdict(spread) for name, spread in spreads.items()}
+        further_facts["bootstrap"] = {"draws": draws, "parameters": parameters}
+    return replace(model, fit={**model.fit, **further_facts}) if further_facts else model
 
 
 def _may_be_rigid(recording: Recording, masses: Masses) -> bool:

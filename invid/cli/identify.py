@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -34,6 +35,12 @@ def register(app: typer.Typer) -> None:
             bool,
             typer.Option("--profile", help="Profile-likelihood intervals of masses, springs, couplings."),
         ] = False,
+        bootstrap: Annotated[
+            int,
+            typer.Option(
+                min=0, help="Draws of a parametric bootstrap, on all cores; 200 tell a spread to 5 %."
+            ),
+        ] = 0,
         as_json: Annotated[bool, typer.Option("--json", help="Print the model as JSON.")] = False,
     ) -> int:
         """Masses, springs, dampers and inertia couplings from a recording, with their uncertainty."""
@@ -44,6 +51,8 @@ def register(app: typer.Typer) -> None:
             raise InputError(f"--method {method}: there are refined and paper")
         if profile and method == "paper":
             raise InputError("--profile needs a likelihood: use it with --method refined")
+        if bootstrap and method == "paper":
+            raise InputError("--bootstrap fits the likelihood again: use it with --method refined")
         wanted = parse_masses(masses)
         data = read_recording(recording)
         try:
@@ -52,6 +61,8 @@ def register(app: typer.Typer) -> None:
                 masses=wanted,
                 method="paper" if method == "paper" else "refined",
                 profile=profile,
+                bootstrap=bootstrap,
+                workers=os.cpu_count() or 1,
             )
         except NotIdentifiableError as error:
             if not as_json:
@@ -59,6 +70,8 @@ def register(app: typer.Typer) -> None:
             note(f"invid: {error}")
             emit(no_model_to_json(data, method, str(error)), "", as_json=True)
             return error.exit_code
+        if bootstrap and "bootstrap" not in model.fit:
+            note("invid: --bootstrap: these axes are rigid; their fit is linear, its deviations exact")
         if output is not None:
             save_model(model, output)
             note(f"model written to {output}")
@@ -140,6 +153,9 @@ def model_text(model: Model) -> str:
     for name, interval in model.fit.get("profile", {}).items():
         low, high = (f"{v:.5g}" if v is not None else "open" for v in (interval["low"], interval["high"]))
         lines.append(f"  {name:<18} 68 % profile interval {low} … {high}")
+    again = model.fit.get("bootstrap", {})
+    for name, spread in again.get("parameters", {}).items():
+        lines.append(f"  {name:<18} bootstrap ± {spread['std']:.2g}, bias {spread['bias']:+.2g}")
     lines += [f"warning: {w}" for w in model.warnings]
     if not model.fit.get("trustworthy", True):
         lines.append("not trustworthy: see the warnings")
