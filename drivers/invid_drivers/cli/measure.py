@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import signal
 import threading
 from collections.abc import Iterator
@@ -26,6 +27,7 @@ from invid_drivers.measurement import MeasurementResult, measure_to_file
 from invid_drivers.rescreening import screen_cell, screening_plan
 from invid_drivers.timing import timing_of
 
+STDERR = 2
 SHORTEST_S = 4.0
 """Below that not even one block with its rest fits."""
 
@@ -42,8 +44,10 @@ def stop_on_signals() -> Iterator[threading.Event]:
         if stop.is_set():
             raise KeyboardInterrupt
         stop.set()
-        with contextlib.suppress(OSError):  # the terminal may be gone
-            note("invid measure: stopping; once more to stop at once")
+        # Past Python's own buffer: a line that the signal interrupted may be in it, and may not be entered
+        # twice. The terminal may be gone.
+        with contextlib.suppress(OSError):
+            os.write(STDERR, b"invid measure: stopping; once more to stop at once\n")
 
     before = {}
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGTSTP):
