@@ -49,7 +49,8 @@ def tones_of(
 ) -> list[Tone]:
     """Tones that are in all periodic records of the evaluations: what comes and goes with them is none."""
     known = {s.key: s for s in spectra}
-    views = [v for e in evaluations for v in e.views]
+    # Periods of one experiment may train and others be held out: its tones are those of all of them, once.
+    views = list({v.record.key: v for e in evaluations for v in e.views}.values())
     axes = sum(v.record.torque.shape[1] for v in views)
     found: list[list[Tone]] = []
     width = 0.0
