@@ -63,7 +63,7 @@ def document(
     explained = None
     if named or known:
         explained = float(np.clip(1.0 - (a2 - n2) / max(b2 - n2, 1e-300), 0.0, 1.0))
-    unexplained = said_of_tones(tones, recording, unit)
+    humming = unexplained = said_of_tones(tones, recording, unit)
     if not coherent and not tones:
         verdict = Verdict.CONSISTENT
     elif not named:
@@ -88,9 +88,8 @@ def document(
         )
     if unexplained is not None:
         sentences.append(unexplained.sentence)
-    sentences += [
-        u.sentence for u in (said_of_tones(tones, recording, unit),) if u not in (None, unexplained)
-    ]
+    if humming is not None and humming is not unexplained:
+        sentences.append(humming.sentence)
     effects = [effect_term(shown, k, recording) for k in range(known)] + [f.effect for f in named]
     effects += [e for e in carried(model) if e.cause == "dropped_samples"]
     extended = extended_model(model, shown.fit, tuple(effects))

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from invid.arrays import Float64, frozen_float
+from invid.arrays import frozen_float
 from invid.discrepancy.joint import JointFit
-from invid.model import ChainStd, EffectTerm, Model, parameter_vector
+from invid.model import EffectTerm, Model, parameter_vector
+from invid.named import std_by_name
 
 
 def extended_model(
@@ -27,17 +27,6 @@ def extended_model(
         covariance = fitted.covariance[:n, :n] * factor[:, None] * factor
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     std = np.where(np.isfinite(std), std, np.nan)
-    at = structure.slices
-
-    def split_(part: Float64, counts: Sequence[int]) -> tuple[Float64, ...]:
-        return tuple(frozen_float(x) for x in np.split(part, np.cumsum(counts)[:-1]))
-
-    links = [k - 1 for k in structure.sizes]
-    couplings = np.full((structure.motors, structure.motors), np.nan)
-    for (i, j), s in zip(structure.coupling_pairs, std[at["coupling"]], strict=True):
-        couplings[i, j] = couplings[j, i] = s
-    ground = np.full(structure.motors, np.nan)
-    ground[list(structure.grounded)] = std[at["ground_spring"]]
     names = parameter_vector(chains)[0]
     place = {name: k for k, name in enumerate(structure.names)}
     index = [place[name] for name in names]
@@ -67,13 +56,7 @@ def extended_model(
     return replace(
         model,
         chains=chains,
-        std=ChainStd(
-            masses=split_(std[at["mass"]], structure.sizes),
-            springs=split_(std[at["spring"]], links),
-            dampers=split_(std[at["damper"]], links),
-            couplings=frozen_float(couplings),
-            ground_springs=frozen_float(ground),
-        ),
+        std=std_by_name(chains, dict(zip(structure.names, std.tolist(), strict=True))),
         effects=effects,
         covariance=frozen_float(covariance[np.ix_(index, index)]) if finite else None,
         parameter_names=names if finite else (),

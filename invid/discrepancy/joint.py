@@ -9,7 +9,8 @@ import numpy as np
 
 from invid.arrays import Float64
 from invid.discrepancy.holds import SHARES
-from invid.discrepancy.plant import Candidate, Evaluation, Layout, evaluate
+from invid.discrepancy.layout import Layout
+from invid.discrepancy.plant import Candidate, Evaluation, evaluate
 from invid.effects.base import Record
 
 LARGEST_STEP = 0.7

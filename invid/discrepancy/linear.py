@@ -11,8 +11,9 @@ from invid.arrays import Float64
 from invid.discrepancy.given import given_effects
 from invid.discrepancy.holds import HeldInside, holds_inside
 from invid.discrepancy.joint import JointFit, fit, held_out
+from invid.discrepancy.layout import Layout
 from invid.discrepancy.missing_torque import changing, with_scatter
-from invid.discrepancy.plant import Candidate, Layout
+from invid.discrepancy.plant import Candidate
 from invid.discrepancy.records import by_period
 from invid.discrepancy.tones import Tone, tones_of
 from invid.effects.base import Record
@@ -61,12 +62,8 @@ def without_effects(base: JointFit, train: Sequence[Record]) -> JointFit:
     if not base.candidate.terms:
         return base
     layout = replace(base.layout, free_delays=tuple(range(base.layout.structure.motors)))
-    delays = np.zeros(layout.structure.motors)
-    for i, value in zip(base.layout.free_delays, _delays_of(base), strict=True):
-        delays[i] = value
-    count = base.layout.structure.count
-    rest = base.p[count + len(base.layout.free_delays) : base.layout.count]
-    p = np.concatenate((base.p[:count], delays, rest))
+    linear, rest = base.p[: layout.structure.count], base.p[base.layout.stairs_at.start :]
+    p = np.concatenate((linear, base.layout.delays(base.p), rest))
     return fit(layout, train, p, Candidate(), iterations=25)
 
 
@@ -93,11 +90,6 @@ def start_of(model: Model, layout: Layout) -> Float64:
     start[layout.stairs_at] = 0.5
     start[layout.holds_at] = [h.expected for h in layout.holds]
     return start
-
-
-def _delays_of(fitted: JointFit) -> Float64:
-    count = fitted.layout.structure.count
-    return fitted.p[count : count + len(fitted.layout.free_delays)]
 
 
 def _vanishing(fitted: JointFit) -> bool:

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from invid.arrays import Bool, Complex128, Float64
-from invid.discrepancy.plant import Evaluation, Layout, noise_of, views_of, without_boundary
+from invid.discrepancy.layout import Layout
+from invid.discrepancy.plant import Evaluation, noise_of, views_of, without_boundary
 from invid.distributions import f_sf
 from invid.effects.base import Record, View
 from invid.spectra import LineSpectra
@@ -60,7 +61,7 @@ def with_scatter(
     for record in records:
         s = known[record.key]
         periods = s.deviations.shape[0]
-        if periods < 2 or (record.period_time * 1.5 > record.span and s.periods > 1 and record.transient):
+        if periods < 2 or record.alone:
             out.append(record)
             continue
         motors, lines = record.torque.shape[1], record.omega.size - 1

@@ -412,7 +412,6 @@ def without_boundary(
 __all__ = [
     "Candidate",
     "Evaluation",
-    "Layout",
     "Term",
     "contributions",
     "evaluate",

@@ -119,6 +119,7 @@ def record_of(
         excited=np.concatenate(([False], s.excited[used])),
         command=None if command is None else command[0],
         ends_in=s.transient and s.periods <= 1 and rows is None,
+        alone=alone and rows is not None,
     )
 
 

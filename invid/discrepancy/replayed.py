@@ -335,8 +335,7 @@ def _lines_as(simulated: Experiment, s: LineSpectra, record: Record) -> Complex1
         position = without_drift(fold(data.position, period)[-s.periods :])
         torque = fold(data.torque, period)[-s.periods :]
         both = np.concatenate((position, torque), axis=2)
-        if record.transient and record.span < 1.5 * record.period_time and s.periods > 1:
-            # one period of a machine that changes, at its own time
+        if record.alone:
             first = float(simulated.time[-1]) - s.periods * record.period_time
             at = round((record.start_time - first) / record.period_time)
             both = both[[int(np.clip(at, 0, s.periods - 1))]]

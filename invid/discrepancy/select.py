@@ -10,9 +10,10 @@ import numpy as np
 from invid.arrays import Float64
 from invid.discrepancy.candidates import is_smaller_model, refitted, screened, with_those_from
 from invid.discrepancy.joint import JointFit, fit, held_out
+from invid.discrepancy.layout import Layout
 from invid.discrepancy.missing_torque import null_test
 from invid.discrepancy.moves import Move, judged_on_moves
-from invid.discrepancy.plant import Candidate, Layout
+from invid.discrepancy.plant import Candidate
 from invid.discrepancy.rounding import rounded
 from invid.discrepancy.screen import Score, Screen, terms_for
 from invid.discrepancy.trial import HELD_OUT, Step, Trial, at_bound, attempted, sized

@@ -14,8 +14,9 @@ import numpy as np
 
 from invid.arrays import Complex128, Float64
 from invid.diagnosis import Unexplained
+from invid.discrepancy.layout import Layout
 from invid.discrepancy.missing_torque import between_periods
-from invid.discrepancy.plant import Evaluation, Layout, without_boundary
+from invid.discrepancy.plant import Evaluation, without_boundary
 from invid.effects.base import Record, View
 from invid.recording.model import Recording
 from invid.refine.problem import condense_dense
@@ -57,8 +58,7 @@ def tones_of(
     for view in views:
         record, s = view.record, known[view.record.key]
         periods = s.deviations.shape[0]
-        alone = record.transient and record.span < 1.5 * record.period_time and s.periods > 1
-        if periods >= 2 and not alone and not record.weight.size:
+        if periods >= 2 and not record.alone and not record.weight.size:
             width = max(width, 1.0 / (periods * record.period_time))
             found.append(_of_record(view, s, layout, p, axes))
             if not found[-1]:

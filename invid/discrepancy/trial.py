@@ -10,7 +10,8 @@ import numpy as np
 
 from invid.arrays import Bool, Float64
 from invid.discrepancy.joint import LARGEST_STEP, JointFit, fit, held_out, limits_of, pack, unpack
-from invid.discrepancy.plant import Candidate, Evaluation, Layout, Term, evaluate
+from invid.discrepancy.layout import Layout
+from invid.discrepancy.plant import Candidate, Evaluation, Term, evaluate
 from invid.distributions import chi2_isf
 from invid.effects.base import Record
 

@@ -111,6 +111,8 @@ class Record:
     set_aside: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
     weight: Float64 = field(default_factory=lambda: np.zeros(0))
     """(F,) 0 for lines that are left out; empty where all count."""
+    alone: bool = False
+    """Whether it is a single period of a machine that changes, at its own time."""
     trend: bool = False
     """Whether the missing torque changes over the record's periods."""
     ends_in: bool = True
