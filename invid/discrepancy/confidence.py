@@ -11,7 +11,7 @@ from invid.diagnosis import Alternative, Finding
 from invid.discrepancy.missing_torque import NullTest, rms_torque
 from invid.discrepancy.plant import Term
 from invid.discrepancy.select import Selection
-from invid.discrepancy.trial import Step, Trial, sized, unearned
+from invid.discrepancy.trial import LARGER, Step, Trial, extends, sized, unearned
 from invid.discrepancy.words import BY_CAUSE, finding_sentence
 from invid.effects.base import unit_of
 from invid.effects.sign import ROUNDING, DryLaw
@@ -278,12 +278,7 @@ def _competes(step: Step, rival: Trial) -> bool:
     if rival.term.effect.is_null(rival.x.tolist()):
         return False
     chosen = step.chosen
-    nested = (
-        rival.term.place == chosen.term.place
-        and rival.term.effect.family == chosen.term.effect.family == "friction"
-        and rival.term.size > chosen.term.size
-    )
-    return not (nested and chosen.cost - rival.cost < 9.2)
+    return not (extends(rival, chosen) and chosen.cost - rival.cost < LARGER)
 
 
 def _separating(term: Term, rivals: list[Trial], contested: bool) -> dict[str, object] | None:

@@ -16,7 +16,7 @@ from invid.discrepancy.moves import Move, judged_on_moves
 from invid.discrepancy.plant import Candidate
 from invid.discrepancy.rounding import rounded
 from invid.discrepancy.screen import Score, Screen, terms_for
-from invid.discrepancy.trial import HELD_OUT, Step, Trial, at_bound, attempted, sized
+from invid.discrepancy.trial import HELD_OUT, LARGER, Step, Trial, at_bound, attempted, extends, sized
 from invid.discrepancy.variants import delays, ladder, lags
 from invid.distributions import chi2_isf
 from invid.effects.base import Record
@@ -242,13 +242,20 @@ def _step(
 
 
 def _ranked(scored: Sequence[tuple[Trial, float]], contested: frozenset[int]) -> list[tuple[Trial, float]]:
-    """Best first; a lag on a contested axis just behind the delay there."""
+    """Best first; a lag on a contested axis just behind the delay there.
+
+    So is a larger friction model behind a smaller one where the training records do not ask for it: one in 26
+    motors with dry friction of 1 N·m alone got a peak of 4.7 ± 9.8 N·m at the slowest for held-out chance.
+    """
     delays = {t.term.place.axis: s for t, s in scored if t.term.effect.cause == "torque_delay"}
     moved = []
     for trial, score in scored:
-        lag = trial.term.effect.cause == "torque_lag" and trial.term.place.axis in contested
-        least = delays.get(trial.term.place.axis, score) if lag else score
-        moved.append((trial, max(score, least), lag))
+        behind = trial.term.effect.cause == "torque_lag" and trial.term.place.axis in contested
+        least = delays.get(trial.term.place.axis, score) if behind else score
+        for smaller, s in scored:
+            if extends(trial, smaller) and smaller.fit.cost - trial.fit.cost < LARGER * smaller.dispersion:
+                least, behind = max(least, s), True
+        moved.append((trial, max(score, least), behind))
     return [(t, s) for t, s, _ in sorted(moved, key=lambda one: one[1:])]
 
 

@@ -18,6 +18,10 @@ from invid.effects.base import Record
 HELD_OUT = 6.6
 """Held-out χ² gain of one degree of freedom that noise exceeds once in a hundred."""
 
+LARGER = 9.2
+"""χ² gain of two degrees of freedom that noise exceeds once in a hundred: what a larger friction model must
+gain over a smaller one that it contains."""
+
 
 @dataclass(frozen=True, eq=False)
 class Trial:
@@ -205,6 +209,16 @@ def penalty(trial: Trial, rows: int) -> float:
     terms, structure = trial.fit.candidate.terms, trial.fit.layout.structure
     rare = sum(t.effect.rarity(t.place, structure) for t in terms)
     return float(np.log(max(rows, 2))) * sum(t.size for t in terms) + rare
+
+
+def extends(larger: Trial, smaller: Trial) -> bool:
+    """Whether one is a larger friction model at the same place: then it always fits as well."""
+    one, other = larger.term, smaller.term
+    return (
+        one.place == other.place
+        and one.effect.family == other.effect.family == "friction"
+        and one.size > other.size
+    )
 
 
 def unearned(trial: Trial, rows: int) -> float:

@@ -1,0 +1,44 @@
+"""Which of two nested causes leads."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from invid.discrepancy.select import _ranked
+from invid.effects.base import Place
+from invid.effects.coulomb_friction import CoulombFriction
+from invid.effects.stribeck_friction import StribeckFriction
+
+
+def _trial(effect: Any, axis: int, training: float, held: float) -> Any:
+    term = SimpleNamespace(
+        effect=effect, place=Place("mass", axis, 1), size=3 - 2 * (effect.main == "torque")
+    )
+    return SimpleNamespace(
+        term=term,
+        fit=SimpleNamespace(cost=training),
+        held=SimpleNamespace(cost=held),
+        cost=training + held,
+        dispersion=1.0,
+    )
+
+
+@pytest.mark.parametrize(
+    ("axis", "gain", "first"),
+    [
+        (0, 4.0, "coulomb_friction"),  # noise gives that to two parameters more often than not
+        (0, 20.0, "stribeck_friction"),
+        (1, 4.0, "stribeck_friction"),  # on another axis it contains nothing
+    ],
+)
+def test_a_larger_friction_model_leads_only_where_the_training_records_ask_for_it(
+    axis: int, gain: float, first: str
+) -> None:
+    dry = _trial(CoulombFriction(), 0, 50.0, 60.0)
+    sticks = _trial(StribeckFriction(), axis, 50.0 - gain, 48.0)  # held-out chance is kind to it
+    ranked = _ranked([(dry, dry.cost + 4.0), (sticks, sticks.cost + 12.0)], frozenset())
+    assert ranked[0][0].term.effect.cause == first
+    assert [s for _, s in ranked] == sorted(s for _, s in ranked)
