@@ -156,6 +156,43 @@ def test_the_database_itself_refuses_a_second_run_on_a_cell(tmp_path: Path) -> N
     store.add_run(record("d", State.QUEUED, cell=None))
 
 
+def test_the_history_keeps_its_order_when_the_clock_is_set_back(tmp_path: Path) -> None:
+    noon = datetime(2026, 11, 22, 12, tzinfo=UTC)
+    with running(tmp_path) as (client, _):
+        service = client.app.state.service  # type: ignore[attr-defined]
+        started = []
+        for hours in (0, -3, -1, -7):
+            service.clock = lambda now=noon + timedelta(hours=hours): now
+            answer = client.post("/api/v1/cells/cell/identifications", json={"mode": "full", "arm": True})
+            started.append(answer.headers["Location"])
+            wait_for(client, started[-1], "awaiting_accept")
+            client.post(f"{started[-1]}/actions", json={"type": "accept"})
+        newest_first = [s.rsplit("/", 1)[1] for s in reversed(started)]
+        runs = client.get("/api/v1/identifications").json()["identifications"]
+        assert [r["id"] for r in runs] == newest_first
+        cell = client.get("/api/v1/cells/cell").json()
+        assert (cell["last_identification"]["id"], cell["model"]["id"]) == (newest_first[0],) * 2
+        assert [m["id"] for m in client.get("/api/v1/cells/cell/models").json()["models"]] == newest_first
+        changes = client.get("/api/v1/cells/cell/changes").json()
+        assert (changes["to"], changes["from"]) == tuple(newest_first[:2])
+
+
+def test_runs_of_an_older_store_are_numbered_by_their_clock(tmp_path: Path) -> None:
+    engine = open_engine(f"sqlite:///{tmp_path / 'store.sqlite'}")
+    command.upgrade(migrations_config(engine), "0002")
+    with engine.begin() as connection:
+        for identity, hour in (("b", 9), ("c", 10), ("a", 8)):
+            connection.exec_driver_sql(
+                "INSERT INTO runs (id, robot, mode, axes, simulated, state, created, requested_by, facts) "
+                f"VALUES ('{identity}', 'r', 'full', '[]', 0, 'failed', '2026-11-22 {hour:02}:00:00.000000', "
+                "'x', '{}')"
+            )
+    upgrade(engine)
+    store = Store(engine)
+    store.add_run(record("now", State.QUEUED))
+    assert [r.id for r in store.runs()] == ["now", "c", "b", "a"]
+
+
 def test_a_second_service_on_the_same_data_folder_is_refused(tmp_path: Path) -> None:
     lock = DataLock(tmp_path / "data")
     with pytest.raises(ConfigError, match="another invid service"):

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
 
-from sqlalchemy import Engine, delete, select, text, update
+from sqlalchemy import Engine, delete, func, select, text, update
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
@@ -184,6 +184,7 @@ class Store:
             simulated=run.simulated,
             state=str(run.state),
             created=run.created,
+            number=select(func.coalesce(func.max(RunRow.number), 0) + 1).scalar_subquery(),
             started=run.started,
             ended=run.ended,
             requested_by=run.requested_by,
@@ -218,8 +219,8 @@ class Store:
     def runs(
         self, *, cell: str | None = None, state: State | None = None, limit: int = 50
     ) -> list[RunRecord]:
-        """Runs, newest first."""
-        query = select(RunRow).order_by(RunRow.created.desc(), RunRow.id.desc()).limit(limit)
+        """Runs, the last started first."""
+        query = select(RunRow).order_by(RunRow.number.desc(), RunRow.id.desc()).limit(limit)
         if cell is not None:
             query = query.where(RunRow.cell == cell)
         if state is not None:
@@ -317,10 +318,10 @@ class Store:
             return None if row is None or row.cell != cell else _model(row)
 
     def models(self, cell: str, limit: int = 200) -> list[StoredModel]:
-        """Models of a cell, newest first."""
-        query = select(ModelRow).where(ModelRow.cell == cell)
+        """Models of a cell, that of the last run first."""
+        query = select(ModelRow).join(RunRow, RunRow.id == ModelRow.id).where(ModelRow.cell == cell)
         with Session(self.engine) as session:
-            rows = session.scalars(query.order_by(ModelRow.created.desc(), ModelRow.id.desc()).limit(limit))
+            rows = session.scalars(query.order_by(RunRow.number.desc(), RunRow.id.desc()).limit(limit))
             return [_model(row) for row in rows]
 
     def approve(self, cell: str, model_id: str, *, by: str, how: str, now: datetime) -> Approval:

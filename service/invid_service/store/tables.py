@@ -37,7 +37,9 @@ class RunRow(Base):
     axes: Mapped[list[str]] = mapped_column(JSON)
     simulated: Mapped[bool]
     state: Mapped[str] = mapped_column(String(20), index=True)
-    created: Mapped[datetime] = mapped_column(DateTime(timezone=True), index=True)
+    created: Mapped[datetime] = mapped_column(DateTime(timezone=True))
+    number: Mapped[int] = mapped_column(Integer, index=True, server_default="0")
+    """Grows with every start: the order of the history, whatever the clock says."""
     started: Mapped[datetime | None] = mapped_column(DateTime(timezone=True))
     ended: Mapped[datetime | None] = mapped_column(DateTime(timezone=True))
     requested_by: Mapped[str] = mapped_column(Text)
