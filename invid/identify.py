@@ -239,12 +239,18 @@ def _starts(
     count = 0
     for modes, frf in _modal_starts(spectra, sizes, thorough):
         *physical, equal = starts(frf.frequency_hz, frf.frf, frf.variance, sizes, axes=axes, modes=modes)
-        count += len(physical)
         yield from physical
         crude.append(equal)
+        if not count and measured.frequency_hz.size:
+            # Branches alike share poles, which as many poles as modes cannot fit; the modes of the FRF matrix
+            # can, and take less time than a search under the noise.
+            *shared, equal = starts(measured.frequency_hz, measured.frf, measured.variance, sizes, axes=axes)
+            yield from shared
+            crude.insert(0, equal)
+        count += 1
     if count and not thorough:
         return
-    if measured.frequency_hz.size:
+    if not count and measured.frequency_hz.size:
         yield from starts(measured.frequency_hz, measured.frf, measured.variance, sizes, axes=axes)
     yield from crude
 
