@@ -304,10 +304,18 @@ def _effect_columns(
 
 
 def _strong(view: View, candidate: Candidate) -> bool:
-    """Whether effects move inner masses by more than a hundredth of what the motors move: below, what they
-    gain by a change of that is a hundredth of a column."""
-    moved = float(np.abs(view.feedback).max())
-    return any(t.inner for t in candidate.terms) and moved > 0.01 * float(np.abs(view.base).max())
+    """Whether effects move inner masses by more than a hundredth of what moves along one of their patterns:
+    below, what the laws gain by a change of that is a hundredth of a column.
+
+    Along the pattern and not beside the motors: a gap that is most of a spring's deflection moves the load by
+    a hundredth of what the axis moves, and a fit without the term stands still far from its minimum.
+    """
+    for pattern in {t.place.pattern(view.structure) for t in candidate.terms if t.inner}:
+        at, signs = [q for q, _ in pattern], np.array([sign for _, sign in pattern])
+        base, moved = view.base[:, at] @ signs, view.feedback[:, at] @ signs
+        if np.linalg.norm(moved) > 0.01 * np.linalg.norm(base):
+            return True
+    return False
 
 
 def _law_columns(view: View, candidate: Candidate, sp: Float64, q: Complex128, columns: Complex128) -> None:
