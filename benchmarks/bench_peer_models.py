@@ -12,7 +12,9 @@ paper      invid identify --method paper: modes searched under the noise, the pa
 vector     plain vector fitting straight to the records (invid/rational.py), modes to the paper's inverse
 EMA        sdypy-EMA (LSCF poles, residues of all nine FRFs at once), modes to the paper's inverse; optional:
            pip install sdypy-EMA
-subspace   a black-box state space (MOESP) of the true order on decimated time data: no parameters
+subspace   a black-box state space of the true order by frequency-domain subspace identification (McKelvey,
+           Akçay, Ljung 1996) on the FRF matrix, weighted by its noise: no parameters
+raw        the FRF matrix as measured, for scale
 """
 
 from __future__ import annotations
@@ -26,7 +28,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from scipy.signal import decimate
 
 sys.path.insert(0, str(Path(__file__).parent))
 import plant_oracle as oracle
@@ -35,7 +36,7 @@ from bench_identify import RATE, estimate, measure, truth
 from invid.chains import CoupledChains
 from invid.errors import InvidError
 from invid.forward import frf as chain_frf
-from invid.frf import frf_matrix
+from invid.frf import FrfMatrix, frf_matrix
 from invid.identify import identify
 from invid.inverse import starts
 from invid.modes import Modes
@@ -68,11 +69,20 @@ def inverse_of(modes: Modes, measured: tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def by_vector_fitting(recording: Recording, hz: np.ndarray) -> Answer:
-    found = rational_modes(all_spectra(recording), SIZES)
+    modes, g = vector_fit(recording)
+    return inverse_of(modes, (g.frequency_hz, g.frf, g.variance), hz)
+
+
+def vector_fit(recording: Recording) -> tuple[Modes, FrfMatrix]:
+    """``rational_modes`` grants the torque a quarter of a sample, as it does not know; here it is a half."""
+    spectra = [
+        replace(s, torque=s.torque * np.exp(-0.25j * s.omega / s.sample_rate_hz)[:, None])
+        for s in all_spectra(recording)
+    ]
+    found = rational_modes(spectra, SIZES)
     if found is None:
         raise InvidError("no poles found")
-    modes, g = found
-    return inverse_of(modes, (g.frequency_hz, g.frf, g.variance), hz)
+    return found
 
 
 def by_ema(recording: Recording, hz: np.ndarray) -> Answer:
@@ -103,66 +113,61 @@ def by_ema(recording: Recording, hz: np.ndarray) -> Answer:
         product = (2j * omega[r] * np.sqrt(1 - ratio[r] ** 2) * model.A[:, r].reshape(3, 3) / 100).real
         size, vectors = np.linalg.eigh(0.5 * (product + product.T))
         shapes.append(np.sqrt(max(size[-1], 0.0)) * vectors[:, -1])
-    found = rational_modes(all_spectra(recording), SIZES)
-    if found is None:
-        raise InvidError("no asymptote")
-    # Its residuals are no mass matrix: the asymptote comes from the own vector fitting.
-    modes = replace(found[0], omega=omega, damping=ratio, shapes=np.array(shapes))
+    # Its residual terms are no mass matrix: the asymptote that the inverse needs comes from the vector
+    # fitting, and so that of its FRF, which is better for it (with its own: 3.4 % off).
+    modes = replace(vector_fit(recording)[0], omega=omega, damping=ratio, shapes=np.array(shapes))
     return inverse_of(modes, (measured.frequency_hz, measured.frf, measured.variance), hz)
 
 
-def by_subspace(recording: Recording, hz: np.ndarray, *, step: int = 20, rows: int = 30) -> Answer:
-    """MOESP with as many states as the plant has, each record starting anywhere."""
-    order = 2 * sum(SIZES)
-    inputs, outputs = [], []
-    for e in recording.experiments:
-        u, y = (
-            decimate(np.asarray(x), step, ftype="fir", axis=0, zero_phase=True)
-            for x in (e.torque, e.position)
-        )
-        inputs.append(u[40:-40])
-        outputs.append(y[40:-40] - y[40:-40].mean(axis=0))
-    scale = np.concatenate(inputs).std(axis=0), np.concatenate(outputs).std(axis=0)
-    u_past = np.concatenate([hankel(u / scale[0], rows) for u in inputs], axis=1)
-    y_past = np.concatenate([hankel(y / scale[1], rows) for y in outputs], axis=1)
-    triangle = np.linalg.qr(np.concatenate((u_past, y_past)).T, mode="r").T
-    size = u_past.shape[0]
-    left, _, _ = np.linalg.svd(triangle[size:, size:], full_matrices=False)
+def by_subspace(recording: Recording, hz: np.ndarray, *, blocks: int = 20) -> Answer:
+    """Subspace identification on the lines (McKelvey, Akçay, Ljung 1996, non-uniform lines), true order.
+
+    On the acceleration, whose order is that of the elastic modes alone, weighted by its noise; continuous
+    time by the bilinear map. A fifth of the error that MOESP on decimated samples had.
+    """
+    measured = frf_matrix(all_spectra(recording), delay_s=0.5 / RATE)
+    order, motors = 2 * (sum(SIZES) - len(SIZES)), len(SIZES)
+    omega = 2 * np.pi * measured.frequency_hz
+    corner = 0.6 * omega[-1]
+    z = (1 + 1j * omega / corner) / (1 - 1j * omega / corner)
+    acceleration = -(omega**2)[:, None, None] * measured.frf
+    weight = 1.0 / np.sqrt((omega**4)[:, None, None] * measured.variance).mean(axis=(1, 2))
+    weight /= weight.mean()
+    size = np.sqrt(np.diag(np.sqrt(np.mean(np.abs(acceleration) ** 2, axis=0))))
+    scaled = acceleration / size[:, None] / size
+
+    def stacked(values: np.ndarray) -> np.ndarray:
+        """(blocks·M, 2·F·M) of the values times 1, z, z², … beside each other, weighted."""
+        powers = z ** np.arange(blocks)[:, None] * weight
+        out = np.einsum("qf,fij->qifj", powers, values).reshape(blocks * motors, -1)
+        return np.concatenate((out.real, out.imag), axis=1)
+
+    unit = np.broadcast_to(np.eye(motors), scaled.shape)
+    triangle = np.linalg.qr(np.concatenate((stacked(unit), stacked(scaled))).T, mode="r").T
+    rows = blocks * motors
+    left, _, _ = np.linalg.svd(triangle[rows:, rows:], full_matrices=False)
     observability = left[:, :order]
-    motors = observability.shape[0] // rows
     c = observability[:motors]
     a = np.linalg.lstsq(observability[:-motors], observability[motors:], rcond=None)[0]
-    # B, D and the initial states by least squares in the frequency domain: y = C(zI − A)⁻¹(Bu + x₀z) + Du.
-    left_rows, right = [], []
-    for u, y in zip(inputs, outputs, strict=True):
-        n = u.shape[0]
-        lines = np.arange(2, int(13.0 * n * step / RATE))
-        z = np.exp(2j * np.pi * lines / n)
-        resolvent = c @ np.linalg.inv(z[:, None, None] * np.eye(order) - a)
-        fu, fy = (np.fft.rfft(x / s, axis=0)[lines] for x, s in ((u, scale[0]), (y, scale[1])))
-        by_b = np.einsum("fia,fj->fiaj", resolvent, fu).reshape(lines.size * motors, -1)
-        by_d = np.einsum("ik,fj->fikj", np.eye(motors), fu).reshape(lines.size * motors, -1)
-        by_x = (resolvent * z[:, None, None]).reshape(lines.size * motors, order)
-        own = [np.zeros_like(by_x)] * len(inputs)
-        own[len(left_rows)] = by_x
-        left_rows.append(np.concatenate((by_b, by_d, *own), axis=1))
-        right.append(fy.reshape(-1))
-    matrix, target = np.concatenate(left_rows), np.concatenate(right)
-    real = np.concatenate((matrix.real, matrix.imag))
-    norms = np.linalg.norm(real, axis=0)
-    x = np.linalg.lstsq(real / norms, np.concatenate((target.real, target.imag)), rcond=None)[0] / norms
-    b = x[: order * motors].reshape(order, motors)
-    d = x[order * motors : order * motors + motors**2].reshape(motors, motors)
-    z = np.exp(2j * np.pi * hz * step / RATE)
-    g = c @ np.linalg.inv(z[:, None, None] * np.eye(order) - a) @ b + d
-    late = np.exp(2j * np.pi * hz * 0.5 / RATE)  # it saw the torque where it is recorded
-    return g * scale[1][:, None] / scale[0] * late[:, None, None], None
+
+    def gain(at: np.ndarray) -> np.ndarray:
+        return c @ np.linalg.inv(at[:, None, None] * np.eye(order) - a)
+
+    matrix = (np.concatenate((gain(z), unit), axis=2) * weight[:, None, None]).reshape(-1, order + motors)
+    target = (scaled * weight[:, None, None]).reshape(-1, motors)
+    x = np.linalg.lstsq(
+        np.concatenate((matrix.real, matrix.imag)), np.concatenate((target.real, target.imag)), rcond=None
+    )[0]
+    at = 2 * np.pi * hz
+    g = gain((1 + 1j * at / corner) / (1 - 1j * at / corner)) @ x[:order] + x[order:]
+    return g * size[:, None] * size / -(at**2)[:, None, None], None
 
 
-def hankel(x: np.ndarray, rows: int) -> np.ndarray:
-    """(rows·C, n − rows + 1) block Hankel matrix of (n, C) samples."""
-    count = x.shape[0] - rows + 1
-    return np.concatenate([x[k : k + count].T for k in range(rows)])
+def raw(recording: Recording, hz: np.ndarray) -> Answer:
+    """What everybody starts from."""
+    measured = frf_matrix(all_spectra(recording), delay_s=0.5 / RATE)
+    at = np.abs(measured.frequency_hz[:, None] - hz).argmin(axis=0)
+    return measured.frf[at], None
 
 
 PEERS: dict[str, Callable[[Recording, np.ndarray], Answer]] = {
@@ -171,6 +176,7 @@ PEERS: dict[str, Callable[[Recording, np.ndarray], Answer]] = {
     "vector": by_vector_fitting,
     "EMA": by_ema,
     "subspace": by_subspace,
+    "raw": raw,
 }
 
 
