@@ -14,6 +14,7 @@ from invid.discrepancy.layout import Layout
 from invid.discrepancy.plant import Candidate, Evaluation, Term, evaluate
 from invid.distributions import chi2_isf
 from invid.effects.base import Record
+from invid.effects.extra_mode import frequency_told
 
 HELD_OUT = 6.6
 """Held-out χ² gain of one degree of freedom that noise exceeds once in a hundred."""
@@ -188,6 +189,9 @@ def at_bound(trial: Trial) -> bool:
         # Nor is damping; but a mode beside all lines is none, and one that wants more damping than any has is
         # what a hold with other gains leaves (three of fifteen empty records), or friction.
         if shapes[1] >= limits[1][1] - 1e-3:
+            return True
+        variance = float(trial.fit.covariance_of(-1)[1, 1])
+        if not frequency_told(trial.fit.evaluation.views, float(np.exp(shapes[0])), float(np.sqrt(variance))):
             return True
         shapes, limits = shapes[:1], limits[:1]
     return any(v <= low + 1e-9 or v >= high - 1e-9 for v, (low, high) in zip(shapes, limits, strict=True))

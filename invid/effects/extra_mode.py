@@ -13,6 +13,10 @@ from invid.refine.structure import ChainStructure
 
 PEAKS = 8
 """Peaks of the missing torque that are tried as frequencies of the mode."""
+BEYOND = 2.0
+"""Highest frequency of a mode over the highest excited line. What a mode m, ω₀ above the band adds to a mass
+is m·ω⁴/ω₀²·(1 + (ω/ω₀)² + …): m/ω₀² shows first, the two apart only by the terms after it, a quarter of it
+here. Nearer a strong one is told (``frequency_told``); further off it is a compliance of any kind."""
 
 
 class ExtraMode(ImpedanceEffect):
@@ -38,15 +42,15 @@ class ExtraMode(ImpedanceEffect):
 
     def grid(self, views: Sequence[View], place: Place) -> list[tuple[float, ...]]:
         low = min(float(v.omega[1:].min()) for v in views)
-        high = max(float(v.omega.max()) for v in views)
-        wide = [float(w) for w in np.geomspace(3 * low, 1.2 * high, 14)]
+        high = 0.95 * BEYOND * _driven(views)[1]
+        wide = [float(w) for w in np.geomspace(3 * low, high, 17)]
         # A light mode is narrower than this grid's spacing: the record itself says where to look.
         narrow = _peaks(views, place.pattern(views[0].structure))
         return [(float(np.log(w)), float(np.log(0.02))) for w in sorted({*wide, *narrow})]
 
     def limits(self, views: Sequence[View], place: Place) -> list[tuple[float, float]]:
         low, high = _driven(views)
-        return [(float(np.log(low)), float(np.log(high))), (float(np.log(1e-3)), float(np.log(0.2)))]
+        return [(float(np.log(low)), float(np.log(BEYOND * high))), (float(np.log(1e-3)), float(np.log(0.2)))]
 
     def impedance(self, view: View, place: Place, x: Sequence[float]) -> Complex128:
         own, zeta = float(np.exp(x[1])), float(np.exp(x[2]))
@@ -61,6 +65,13 @@ class ExtraMode(ImpedanceEffect):
             "stiffness": float(x[0] * np.exp(2 * x[1])),
             "damping_ratio": float(np.exp(x[2])),
         }
+
+
+def frequency_told(views: Sequence[View], frequency: float, std: float) -> bool:
+    """Whether a mode's frequency [rad/s], its logarithm known to ``std``, is within the band or, above it,
+    told from the highest that may be by three standard deviations."""
+    high = _driven(views)[1]
+    return frequency <= high or float(np.log(frequency)) + 3.0 * std < float(np.log(BEYOND * high))
 
 
 def _peaks(views: Sequence[View], pattern: Pattern) -> list[float]:
@@ -96,9 +107,9 @@ def _peaks(views: Sequence[View], pattern: Pattern) -> list[float]:
 
 
 def _driven(views: Sequence[View]) -> tuple[float, float]:
-    """Lowest and highest excited line [rad/s]: a resonance shows by the lines on both sides of it.
+    """Lowest and highest excited line [rad/s].
 
-    Below all of them a mode, well damped, is friction at its mass by another name, above all of them a mass.
+    Below all of them a mode, well damped, is friction at its mass by another name.
     """
     lines = []
     for view in views:
