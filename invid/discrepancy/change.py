@@ -6,15 +6,18 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from invid.discrepancy.joint import fit
+from invid.discrepancy.records import by_period
 from invid.discrepancy.select import Selection
 from invid.discrepancy.trial import Step, attempted
 from invid.effects.base import Record
+from invid.recording.model import Recording
 
 
-def around_change(selection: Selection) -> tuple[list[Record], list[Record]] | None:
+def around_change(selection: Selection, recording: Recording) -> tuple[list[Record], list[Record]] | None:
     """Training and held-out records without the period in which the load changes; none where none does.
 
     That period is half of one plant, half of the other, with what the change sets ringing: no model here.
+    Where it was all that the training had of one of the two, the first held-out period of that one joins it.
     """
     time = change_of(selection)
     if time is None:
@@ -23,7 +26,29 @@ def around_change(selection: Selection) -> tuple[list[Record], list[Record]] | N
     kept = [[r for r in part if not _within(r, time)] for part in parts]
     if kept == parts or not all(kept):
         return None
-    return kept[0], kept[1]
+    return _both_sides(kept[0], kept[1], time, recording)
+
+
+def _both_sides(
+    train: list[Record], held: list[Record], time: float, recording: Recording
+) -> tuple[list[Record], list[Record]]:
+    """Records of which the training has some before and some after ``time``, where periods allow it."""
+    for side in (_before, _after):
+        if any(side(r, time) for r in train):
+            continue
+        periods = by_period(recording, held, [r.key for r in held if side(r, time)])
+        first = next((r for r in periods if side(r, time)), None)
+        if first is not None and len(periods) > len(held):
+            return [*train, first], [r for r in periods if r is not first]
+    return train, held
+
+
+def _before(record: Record, time: float) -> bool:
+    return record.end_time <= time + record.step
+
+
+def _after(record: Record, time: float) -> bool:
+    return record.start_time >= time - record.step
 
 
 def change_of(selection: Selection) -> float | None:

@@ -82,7 +82,7 @@ def diagnose(
         moves=moves_of(sound),
     )
     selection = search(base, train, held)
-    parts = around_change(selection)
+    parts = around_change(selection, sound)
     if parts is not None:
         around = fit(base.layout, parts[0], base.p, base.candidate, iterations=25)
         again = sooner(selection, search(around, *parts), *parts)
