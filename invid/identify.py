@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from invid.chains import CoupledChains
-from invid.crosscheck import missed_by_structure, second_route, widened
+from invid.crosscheck import compared, missed_by_structure, second_route, widened
 from invid.errors import InputError, InvidError, NotIdentifiableError
 from invid.frf import FrfMatrix, frf_matrix, local_frf_matrix
 from invid.grounded import with_ground_springs
@@ -34,6 +34,8 @@ Method = Literal["paper", "refined"]
 MISFIT = 0.01
 """Relative FRF error granted to the modal fit that only gives a start: friction of a few per cent of the
 peak torque leaves about that, and a modal fit that chases it is slow and no better a start."""
+AT_NOISE = 1.5
+"""χ²/ν up to which a fit is at its noise; the same at which no further start is tried."""
 LOCAL_MISFIT = 0.03
 """The same for the local regression, which blunts resonances narrower than its window."""
 
@@ -141,13 +143,15 @@ def _chains(
         result, measured = _by_paper(spectra, sizes, recording.axes)
         return paper_model(recording, result, measured, warnings, order)
     fit = fit_sizes(spectra, sizes, recording.axes, measured_frf(spectra), further=further)
+    fit, paper = from_second_route(spectra, fit)
     if fit.noise_chi2 > SUSPECT and min(missed_by_structure(spectra, fit)) > BEATEN:
 
         def starts_for(corrected: Sequence[LineSpectra]) -> Iterator[CoupledChains]:
             return _starts(corrected, sizes, recording.axes, measured_frf(corrected), (), False)
 
-        fit = with_ground_springs(spectra, fit, starts_for)
-    model = refined_model(recording, spectra, fit, second_route(spectra, fit), warnings, order)
+        grounded = with_ground_springs(spectra, fit, starts_for)
+        fit, paper = grounded, paper if grounded is fit else second_route(spectra, grounded)
+    model = refined_model(recording, spectra, fit, paper, warnings, order)
     further_facts: dict[str, Any] = {}
     if profile:
         further_facts["profile"] = {name: {"low": i.low, "high": i.high} for name, i in profiles(fit).items()}
@@ -157,6 +161,25 @@ def _chains(
         parameters = {name: asdict(spread) for name, spread in spreads.items()}
         further_facts["bootstrap"] = {"draws": draws, "parameters": parameters}
     return replace(model, fit={**model.fit, **further_facts}) if further_facts else model
+
+
+def from_second_route(spectra: Sequence[LineSpectra], fit: Fit) -> tuple[Fit, PaperResult | InvidError]:
+    """The fit and the paper's result beside it, which is a further start where it contradicts the fit.
+
+    Only where its modes explain the FRF to its noise while the fit has not come down to it: one of the two
+    then stands in a wrong minimum.
+    """
+    paper = second_route(spectra, fit)
+    if isinstance(paper, InvidError) or paper.modes.model_error > 0.0:
+        return fit, paper
+    at_noise = fit.solution.result == "converged" and fit.noise_chi2 < AT_NOISE
+    if at_noise or compared(paper, fit.names, fit.values, fit.covariance, [])["agree"]:
+        return fit, paper
+    structure = ChainStructure(fit.structure.sizes, fit.structure.axes)
+    again = fit_structure(spectra, structure, [paper.chains])
+    if again.noise_cost < 0.9 * fit.noise_cost:
+        return again, second_route(spectra, again)
+    return fit, paper
 
 
 def _may_be_rigid(recording: Recording, masses: Masses) -> bool:
