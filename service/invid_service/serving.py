@@ -15,6 +15,7 @@ from invid.errors import ConfigError, InputError
 from invid_service.app import create_app
 from invid_service.connection import Connection, allow_many_connections
 from invid_service.logging_setup import configure_logging
+from invid_service.precedence import before_others
 from invid_service.settings import Settings
 
 _GRACE_S = 5
@@ -56,6 +57,7 @@ def serve_forever(settings: Settings, *, json_logs: bool = False) -> None:
         )
         note(f"invid serve: http://{shown}:{port}/   cells: {cells}   data: {settings.data_dir.resolve()}")
         allow_many_connections()
+        before_others()
         Connection.header_timeout_s = settings.header_timeout_s
         config = uvicorn.Config(
             app,

@@ -33,6 +33,11 @@ def test_a_run_measures_identifies_diagnoses_and_is_accepted(tmp_path: Path) -> 
         service.client.post(f"{location}/actions", json={"type": "arm"})
         seen = service.wait(location, "running")
         assert seen["simulated"] is True
+        answers, moves = (
+            os.getpriority(os.PRIO_PROCESS, p) for p in (service.process.pid, *service.runners())
+        )
+        assert answers == -10 if os.geteuid() == 0 else answers <= moves
+        assert moves >= 0, "the runner kept the precedence of the service"
         body = service.wait(location, "awaiting_accept")
         assert body["summary"]["verdict"] in set(Verdict)
         seen = body["measurement"]

@@ -20,6 +20,7 @@ from typing import IO, Any
 from invid.errors import InvidError, SafetyStop
 from invid_service.jobs.orphans import hold
 from invid_service.jobs.protocol import ErrorInfo, Job
+from invid_service.precedence import as_everyone, behind_parent
 
 _PROGRESS_PERIOD_S = 0.2
 _QUEUE = 200
@@ -179,6 +180,7 @@ def analyse(job: Job, line: Line, seen: Mapping[str, Any] | None) -> dict[str, A
     from invid.report import render_report
     from invid_service.jobs.plots import plot_data
 
+    behind_parent()
     line.progress(0.8, "reading the recording")
     # Model and report name the run, not a working folder that is gone when somebody reads them.
     path = job.folder / "recording.h5"
@@ -271,6 +273,7 @@ def _end_with_parent(line: Line, grace_s: float) -> None:
 
 def main() -> None:
     """Entry: keeps the pipe to itself, so that nothing a library prints breaks the protocol."""
+    as_everyone()  # the cycle process takes its own precedence
     sink = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     line = Line(sys.stdin.buffer, sink)

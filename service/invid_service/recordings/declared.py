@@ -13,6 +13,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from invid_service.precedence import as_everyone, behind_parent
+
 _MEMORY = 2 * 1024**3
 """Address space of the process; Python, numpy and HDF5 map half a gigabyte."""
 _CPU_S = 20
@@ -80,6 +82,8 @@ def _unpacked(data: Any) -> int:
 
 def main() -> None:
     """Entry of the process."""
+    as_everyone()
+    behind_parent()
     resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
     resource.setrlimit(resource.RLIMIT_CPU, (_CPU_S, _CPU_S))
     print(json.dumps(look(Path(sys.argv[1]))))
