@@ -16,11 +16,10 @@ import numpy as np
 from invid.arrays import Complex128, Float64
 from invid.discrepancy.inner import settled
 from invid.discrepancy.layout import Layout, acting_of, priors_of
-from invid.effects.base import Effect, Place, Record, View
+from invid.effects.base import Effect, ImpedanceEffect, Place, Record, View
 from invid.effects.torque_delay import ActuatorEffect
 from invid.refine.boundary import end_columns, end_derivative, end_forces, end_places, end_points
 from invid.refine.problem import condense_dense
-from invid.refine.structure import ChainStructure
 from invid.refine.whitening import factored, orthonormal, stack, unstack, unwhitener, whitener
 
 PASSES = 12
@@ -180,16 +179,19 @@ def evaluate(
             root = root * record.weight[:, None, None]
         basis = np.zeros((0, 0))
         white = stack(root @ r[..., None])[:, 0]
-        ends: _Ends | None = None
+        jumps, moved = np.zeros(0), np.zeros((0, 0, 0), dtype=complex)
         if record.transient:
             edges, forces, points = _boundary(view, layout, p)
+            moved = _moved(view, forces, points)
+            jumping, yielding = _of_jumps(view, candidate, moved)
+            edges = edges + jumping
             basis, back = factored(stack(root @ edges))
             within = basis.T @ white
             along = basis @ within
             white = white - along
             r = r - unstack(unwhitener(root), along, r.shape)
-            if jacobian:
-                ends = _Ends.of(-(back @ within), forces, points, structure)
+            jumps = -(back @ within)
+            view.of_ends = (moved + yielding) @ jumps
         view.remaining = r
         columns: Complex128 | None = None
         if jacobian:
@@ -201,18 +203,14 @@ def evaluate(
             position = record.position - noise[:, :motors] * np.einsum(
                 "fij,fi->fj", view.stiffness.conj(), gain
             )
-            if ends is not None:
-                position = position + ends.shift
-            q = np.einsum("fqm,fm->fq", view.motion, position) + view.feedback
-            if ends is not None:
-                q = q - np.einsum("fab,fb->fa", view.inner, ends.force)
+            q = np.einsum("fqm,fm->fq", view.motion, position) + view.feedback + view.of_ends
             sp = p[: structure.count]
             columns[..., : structure.count] = structure.torque_derivative(
                 sp, record.omega, view.motion, q[None]
             )[0]
-            if ends is not None:
+            if jumps.size:
                 columns[..., : structure.count] += end_derivative(
-                    structure, sp, record.omega, view.motion, ends.jumps, record.span
+                    structure, sp, record.omega, view.motion, jumps, record.span
                 )
             at = structure.count
             passed = _passed(view, candidate)
@@ -229,6 +227,8 @@ def evaluate(
                 columns[:, hold.axis, at + k] = -by_hold[:, k] * passed[:, hold.axis]
             at += len(layout.holds)
             _effect_columns(view, candidate, extra, columns, at)
+            if jumps.size:
+                _jump_columns(view, candidate, moved, jumps, columns, at)
             if thorough and _strong(view, candidate):
                 _law_columns(view, candidate, sp, q, columns)
         residuals.append(white)
@@ -289,18 +289,55 @@ def _effect_columns(
 
     reference = at_(candidate) if inner else extra
     for number, (term, x) in enumerate(zip(candidate.terms, candidate.x, strict=True)):
-        count = len(term.effect.coefficients)
         for k in range(x.size):
-            if k < count:
-                size = float(np.abs(x[:count]).max())
-                h = 1e-4 * size if size > 0 else 1e-9
-            else:
-                h = 1e-4 * (1.0 if term.effect.logarithmic[k - count] else max(abs(float(x[k])), 1e-6))
+            h = _step_of(term, x, k)
             moved = x.copy()
             moved[k] += h
             changed = Candidate(candidate.terms, (*candidate.x[:number], moved, *candidate.x[number + 1 :]))
             columns[..., at] = (at_(changed) - reference) / h
             at += 1
+
+
+def _of_jumps(view: View, candidate: Candidate, moved: Complex128) -> tuple[Complex128, Complex128]:
+    """(F, M, 2ΣN) missing torque and (F, ΣN, 2ΣN) motion for a unit jump of each coordinate.
+
+    Those of effects that are linear in motion; ``moved`` is what the jumps alone stand for.
+    """
+    torque = np.zeros((*view.acting.shape, moved.shape[-1]), dtype=complex)
+    motion = np.zeros_like(moved)
+    for term, x in zip(candidate.terms, candidate.x, strict=True):
+        if isinstance(term.effect, ImpedanceEffect):
+            pattern = term.place.pattern(view.structure)
+            force = term.effect.of_jumps(view, term.place, x.tolist(), moved)[:, None, :]
+            torque += view.push(pattern)[:, :, None] * force
+            motion -= view.yields(pattern)[:, :, None] * force
+    return torque, motion
+
+
+def _jump_columns(
+    view: View, candidate: Candidate, moved: Complex128, jumps: Float64, columns: Complex128, at: int
+) -> None:
+    """Adds to the effects' columns what they do at the ``jumps`` (2ΣN,) of a record that does not close."""
+    for term, x in zip(candidate.terms, candidate.x, strict=True):
+        for k in range(x.size):
+            if isinstance(term.effect, ImpedanceEffect):
+                h = _step_of(term, x, k)
+                more = x.copy()
+                more[k] += h
+                one, two = (
+                    _of_jumps(view, Candidate((term,), (own,)), moved)[0] @ jumps for own in (x, more)
+                )
+                columns[..., at] += (two - one) / h
+            at += 1
+
+
+def _step_of(term: Term, x: Float64, k: int) -> float:
+    """Step of a parameter for differences."""
+    count = len(term.effect.coefficients)
+    if k < count:
+        size = float(np.abs(x[:count]).max())
+        return 1e-4 * size if size > 0 else 1e-9
+    return 1e-4 * (1.0 if term.effect.logarithmic[k - count] else max(abs(float(x[k])), 1e-6))
 
 
 def _strong(view: View, candidate: Candidate) -> bool:
@@ -368,24 +405,6 @@ def noise_of(view: View, factor: Complex128, candidate: Candidate | None = None)
     return covariance
 
 
-@dataclass(frozen=True, eq=False)
-class _Ends:
-    """What the ends of a record that does not close do, at the jumps that fit best."""
-
-    jumps: Float64
-    """(2ΣN,) of every coordinate's position, then velocity."""
-    force: Complex128
-    """(F, ΣN) on every coordinate."""
-    shift: Complex128
-    """(F, M) of the motors' sampled spectra to their integrals."""
-
-    @classmethod
-    def of(cls, jumps: Float64, forces: Complex128, points: Complex128, structure: ChainStructure) -> _Ends:
-        """From the ``jumps`` (2ΣN,), the forces and the end points for a unit of each."""
-        shift = points @ jumps[end_places(structure)].reshape(2, -1)
-        return cls(jumps, forces @ jumps, shift)
-
-
 def _boundary(view: View, layout: Layout, p: Float64) -> tuple[Complex128, Complex128, Complex128]:
     """(F, M, 2ΣN) missing torque for a unit jump of each coordinate's position and velocity, 0 Hz first.
 
@@ -397,6 +416,15 @@ def _boundary(view: View, layout: Layout, p: Float64) -> tuple[Complex128, Compl
     points = end_points(view.omega, record.step, record.span, ends_in=record.ends_in)
     points[0] = 0.0  # positions carry no mean here
     return end_columns(structure, view.motion, view.stiffness, forces, points), forces, points
+
+
+def _moved(view: View, forces: Complex128, points: Complex128) -> Complex128:
+    """(F, ΣN, 2ΣN) motion of every coordinate besides that of the motors' sampled spectra, for a unit."""
+    moved: Complex128 = -(view.inner @ forces)
+    at_position, at_speed = end_places(view.structure).reshape(2, -1)
+    moved[:, :, at_position] += view.motion * points[:, 0, None, None]
+    moved[:, :, at_speed] += view.motion * points[:, 1, None, None]
+    return moved
 
 
 def without_boundary(

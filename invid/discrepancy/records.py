@@ -11,8 +11,10 @@ from scipy.fft import next_fast_len
 from invid.arrays import Complex128, Float64
 from invid.effects.base import Record
 from invid.model import Model
+from invid.periods import fold, without_drift
 from invid.recording.model import Experiment, Recording, Role
 from invid.spectra import LineSpectra, spectra_of
+from invid.timebase import uniform
 
 BAND = 1.2
 """Lines up to this times the highest excited one: distortion falls off above, noise does not."""
@@ -44,9 +46,11 @@ def record_of(
     used &= np.arange(used.size) < MOST_LINES
     step = 1.0 / s.sample_rate_hz
     index = np.round(s.frequency_hz[used] * count * step).astype(int)
-    wave = np.asarray(s.position_wave)
+    wave, torque_wave = np.asarray(s.position_wave), np.asarray(s.torque_wave)
+    if rows is not None:
+        wave, torque_wave = _own_waves(s, experiment, rows)
     ramp = np.zeros(motors)
-    if s.transient and s.periods <= 1:
+    if (s.transient and s.periods <= 1) or alone:
         ramp = (wave[-1] - wave[0]) / ((count - 1) * step)
     time = (np.arange(count) - (count - 1) / 2) * step
     closed = wave - time[:, None] * ramp
@@ -79,7 +83,7 @@ def record_of(
     noise[1:] = np.maximum(noise[1:], s.line_floor[used] * share)
     # A mean's variance is a quarter of a line's power, and real: half of it as a complex line.
     noise[0] = floor / 2.0
-    mean_torque = s.torque_wave.mean(axis=0)
+    mean_torque = torque_wave.mean(axis=0)
     zero = np.zeros((1, motors), dtype=complex)
     start, end = _span(s, experiment)
     span, transient = s.span_s, s.transient
@@ -109,7 +113,7 @@ def record_of(
         motor_wave=motor_wave,
         motor_velocity=velocity,
         velocity_noise=np.sqrt(left),
-        torque_wave=np.asarray(s.torque_wave),
+        torque_wave=torque_wave,
         wave_step=wave_step,
         ramp=ramp,
         staircase=np.asarray(s.staircase),
@@ -121,6 +125,13 @@ def record_of(
         ends_in=s.transient and s.periods <= 1 and rows is None,
         alone=alone and rows is not None,
     )
+
+
+def _own_waves(s: LineSpectra, experiment: Experiment, rows: slice) -> tuple[Float64, Float64]:
+    """(n, M) position and torque of some of the periods that the spectra come from: their mean."""
+    data, count = uniform(experiment), s.position_wave.shape[0]
+    position = without_drift(fold(data.position, count)[-s.periods :])
+    return position[rows].mean(axis=0), fold(data.torque, count)[-s.periods :][rows].mean(axis=0)
 
 
 def _span(s: LineSpectra, experiment: Experiment) -> tuple[float, float]:

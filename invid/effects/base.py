@@ -166,6 +166,8 @@ class View:
         self.origin = origin
         self.base = np.einsum("fqm,fm->fq", motion, record.filtered)
         self.feedback: Complex128 = np.zeros_like(self.base)
+        self.of_ends: Complex128 = np.zeros((1, 1), dtype=complex)
+        """(F, ΣN) motion besides ``base`` that the ends of a record that does not close stand for."""
         self.secants = Secants()
         self.missing: Complex128 | None = None
         """(F, M) missing torque of the linear model; None where forces cannot be read from it."""
@@ -447,21 +449,58 @@ class ImpedanceEffect(Effect):
     def basis(self, view: View, place: Place, shape: Sequence[float]) -> Complex128:
         pattern = place.pattern(view.structure)
         z = self.impedance(view, place, (1.0, *shape))
-        out: Complex128 = view.push(pattern)[:, :, None] * (z * view.spectrum(pattern))[:, None, None]
+        if view.record.transient:  # the wave that laws are read from closes; the motion does not
+            raw = np.einsum("fqm,fm->fq", view.motion, view.record.position)
+            moved = along(pattern, raw + view.feedback + view.of_ends)
+        else:
+            moved = view.spectrum(pattern)
+        force = z * moved
+        out: Complex128 = view.push(pattern)[:, :, None] * force[:, None, None]
         return out
 
     def contribution(
         self, view: View, place: Place, x: Sequence[float]
     ) -> tuple[Complex128, Complex128 | None]:
         pattern = place.pattern(view.structure)
-        z = self.impedance(view, place, x)
-        own = z * view.compliance(pattern)
-        free: Complex128 = np.zeros(view.omega.size, dtype=complex)
         raw = np.einsum("fqm,fm->fq", view.motion, view.record.position)
-        for at, sign in pattern:
-            free = free + sign * raw[:, at]
-        force = z * free / (1.0 + own)
+        force = self._force(view, place, x) * along(pattern, raw)
         return view.push(pattern) * force[:, None], -view.yields(pattern) * force[:, None]
+
+    def of_jumps(self, view: View, place: Place, x: Sequence[float], moved: Complex128) -> Complex128:
+        """(F, 2ΣN) force along the pattern for a unit jump of each coordinate's position and velocity.
+
+        ``moved`` (F, ΣN, 2ΣN): motion that the jumps stand for. What stores momentum or moves a damper has
+        ends of its own, (2/T)((d + jωm)Δx + mΔv).
+        """
+        pattern = place.pattern(view.structure)
+        force: Complex128 = self._force(view, place, x)[:, None] * along(pattern, moved)
+        mass, damper = self.carries(view, x)
+        yielding = 1.0 + self.impedance(view, place, x) * view.compliance(pattern)
+        own = np.stack((damper + 1j * view.omega * mass, np.full(view.omega.size, mass, dtype=complex)))
+        own *= 2.0 / view.record.span / yielding
+        own[:, 0] *= 0.5
+        for at, sign in pattern:
+            force[:, at] += sign * own[0]
+            force[:, view.base.shape[1] + at] += sign * own[1]
+        return force
+
+    def carries(self, view: View, x: Sequence[float]) -> tuple[float, float]:
+        """Mass and damper in it, as far as its impedance is theirs."""
+        return 0.0, 0.0
+
+    def _force(self, view: View, place: Place, x: Sequence[float]) -> Complex128:
+        """(F,) force per motion that the pattern would have without it."""
+        z = self.impedance(view, place, x)
+        out: Complex128 = z / (1.0 + z * view.compliance(place.pattern(view.structure)))
+        return out
+
+
+def along(pattern: Pattern, motion: Complex128) -> Complex128:
+    """(F, ...) of the (F, ΣN, ...) motion of every coordinate that along the pattern."""
+    total: Complex128 = np.zeros_like(motion[:, 0])
+    for at, sign in pattern:
+        total = total + sign * motion[:, at]
+    return total
 
 
 def mass_places(structure: ChainStructure) -> list[Place]:

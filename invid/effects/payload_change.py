@@ -42,5 +42,8 @@ class PayloadChange(ImpedanceEffect):
         out: Complex128 = (-(view.omega**2) * x[0] * view.record.after(float(x[1]))).astype(complex)
         return out
 
+    def carries(self, view: View, x: Sequence[float]) -> tuple[float, float]:
+        return float(x[0]) * view.record.after(float(x[1])), 0.0
+
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
         return {"mass": float(x[0]), "time": float(x[1])}

@@ -32,5 +32,8 @@ class ViscousFriction(ImpedanceEffect):
         out: Complex128 = (1j * view.omega * x[0]).astype(np.complex128)
         return out
 
+    def carries(self, view: View, x: Sequence[float]) -> tuple[float, float]:
+        return 0.0, float(x[0])
+
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
         return {"coefficient": float(x[0])}
