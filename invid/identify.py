@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from invid.apart import start_apart
 from invid.chains import CoupledChains
 from invid.crosscheck import compared, missed_by_structure, second_route, widened
 from invid.errors import InputError, InvidError, NotIdentifiableError
@@ -270,6 +271,9 @@ def _starts(
             *shared, equal = starts(measured.frequency_hz, measured.frf, measured.variance, sizes, axes=axes)
             yield from shared
             crude.insert(0, equal)
+            alone = start_apart(spectra, sizes, axes) if thorough and len(sizes) > 1 else None
+            if alone is not None:
+                yield alone
         count += 1
     if count and not thorough:
         return

@@ -88,7 +88,7 @@ def fit_structure(
             f"{sum(b.omega.size for b in problem.blocks)} lines give {rows} equations for "
             f"{rows - problem.dof} unknowns: lengthen the period, widen the band, or use fewer masses"
         )
-    solution = _best(problem, starts, 80 if thorough else 30, 4 if thorough else 2)
+    solution = _best(problem, starts, 80 if thorough else 30, 5 if thorough else 2)
     holds: dict[str, str] = {}
     if thorough:
         problem, solution = _boundary(problem, solution, spectra)

@@ -13,6 +13,7 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 import plant_oracle as oracle
 from bench_identify import estimate, measure, truth
 
+from invid.apart import start_apart
 from invid.chains import CoupledChains
 from invid.crosscheck import second_route
 from invid.identify import from_second_route, identify
@@ -81,3 +82,16 @@ def test_a_fit_in_a_wrong_minimum_is_led_out_by_the_papers_inverse_that_contradi
     assert found.noise_chi2 < 1.2
     assert found.chains.masses[0] == pytest.approx(plant.masses[0], rel=0.01)
     assert paper.named.keys() == second_route(spectra, found).named.keys()
+
+
+def test_two_branches_alike_that_do_not_move_one_another_are_each_found_on_their_own() -> None:
+    # The fourth mode is barely visible at the motor, and there are two of it.
+    branch = ([1.15, 1.47, 1.35, 1.78, 1.65], [1512.0, 4744.0, 5863.0, 4451.0], [0.6, 1.1, 1.3, 1.2])
+    plant = oracle.OraclePlant(*([part] * 2 for part in branch))
+    spectra = all_spectra(recorded(plant, 21.0))
+    start = start_apart(spectra, (5, 5), ("A1", "A2"))
+    assert start is not None
+    assert not start.couplings.any()
+    for masses, springs in zip(start.masses, start.springs, strict=True):
+        assert masses == pytest.approx(branch[0], rel=0.1)
+        assert springs == pytest.approx(branch[1], rel=0.1)
