@@ -76,6 +76,12 @@ class Page:
             assert time.monotonic() < deadline, f"#{identity}: {self.text(identity)!r}, not {text!r}"
             time.sleep(0.1)
 
+    def wait_focus(self, identity: str, timeout: float = 10.0) -> None:
+        deadline = time.monotonic() + timeout
+        while (at := self.driver.switch_to.active_element.get_attribute("id")) != identity:
+            assert time.monotonic() < deadline, f"the focus is on {at!r}, not {identity!r}"
+            time.sleep(0.1)
+
     def small_targets(self) -> list[str]:
         """Visible buttons, choices and links that a glove would miss."""
         script = """const names = 'button, select, .choices label, summary, .links a';
@@ -172,6 +178,13 @@ def test_a_person_sees_readiness_and_the_plan_arms_watches_and_accepts_on_the_pa
         asked = driver.execute_script("return performance.getEntriesByType('resource').map(e => e.name)")
         assert any("/changes?" in a and a.endswith("&averaged=true") for a in asked)
         assert page.mistakes() == []
+        # The next run does not begin with the picture of the last one.
+        driver.find_element("css selector", "[data-view=work]").click()
+        driver.find_element("id", "again").click()
+        location = service.start(arm=False)
+        page.wait_text("run-title", "Ready to move")
+        assert driver.find_element("id", "live").get_attribute("hidden") is not None
+        service.client.post(f"{location}/actions", json={"type": "cancel"})
     assert (tmp_path / "result-800.png").stat().st_size > 10_000
 
 
@@ -203,6 +216,11 @@ def test_the_page_says_so_when_the_service_is_gone(tmp_path: Path) -> None:
         page.wait_text("ready-title", "Ready")
         service.kill()
         assert "emergency stop" in page.shown("offline", 20).text
+        driver.execute_script("window.scrollTo(0, 1e5)")
+        driver.execute_script("document.getElementById('prepare').click()")
+        assert "cannot be reached" in page.shown("problem").text
+        top = driver.execute_script("return document.getElementById('problem').getBoundingClientRect().top")
+        assert 0 <= top < 400, "a button that does nothing says nothing"
         driver.find_element("id", "stop").click()
         page.wait_text("stop-note", "USE THE EMERGENCY STOP")
 
@@ -226,3 +244,11 @@ def test_everything_can_be_reached_by_keyboard_with_a_visible_focus(tmp_path: Pa
             reached.add(seen[0])
             assert seen[1] != "none" or seen[0] in ("BODY", "main"), seen
         assert {"cell", "work", "history", "upload", "mode", "axis", "prepare", "stop"} <= reached
+        driver.execute_script("document.getElementById('prepare').focus()")
+        ActionChains(driver).send_keys(Keys.ENTER).perform()
+        page.shown("arm")
+        # On from the headline: Enter pressed twice must not arm, and Tab need not begin at the top.
+        page.wait_focus("run-title")
+        ActionChains(driver).send_keys(Keys.ENTER, Keys.TAB, Keys.TAB).perform()
+        page.wait_focus("arm")
+        assert "Ready to move" in page.text("run-title")

@@ -1,7 +1,7 @@
 // The technician's page: one cell, one button, what will move, progress, stop, then the result.
 import { call, download, follow, get, onKeyNeeded, post, Problem } from "./api.js";
 import { showResult } from "./result.js";
-import { curves } from "./plots.js";
+import { curves, redraw } from "./plots.js";
 import { clear, el, fill, fmt, row, table, time } from "./dom.js";
 
 const $ = (id) => document.getElementById(id);
@@ -13,14 +13,15 @@ const WORDS = {
 };
 const state = { cells: [], cell: null, run: null, watch: 0, live: [], dismissed: null };
 
+// Over every view and wherever the page is scrolled to: whoever pressed a button looks at that button.
 function say(error) {
-  const box = $("run-error");
-  $("run-card").hidden = false;
+  const box = $("problem");
   box.hidden = false;
+  box.dataset.gone = String(!(error instanceof Problem));
   box.textContent = error instanceof Problem ? error.message : `The service cannot be reached: ${error.message}`;
 }
 const sentence = (text) => text.charAt(0).toUpperCase() + text.slice(1);
-const guarded = (work) => async (...given) => { try { await work(...given); } catch (error) { say(error); } };
+const guarded = (work) => async (...given) => { $("problem").hidden = true; try { await work(...given); } catch (error) { say(error); } };
 
 // --- stop: first of all, needs nothing but the cell's name -----------------------------------------
 async function stop() {
@@ -76,6 +77,7 @@ async function refresh() {
   try {
     const ready = await get(`/cells/${state.cell.id}/readiness`);
     $("offline").hidden = true;
+    if ($("problem").dataset.gone === "true") $("problem").hidden = true;
     const title = $("ready-title");
     title.textContent = ready.can_start ? "✓ Ready to measure" : "✗ Cannot start now";
     title.className = ready.can_start ? "good" : "bad";
@@ -97,13 +99,17 @@ $("start-card").addEventListener("submit", guarded(async (event) => {
   const form = new FormData(event.target), axes = form.getAll("axis");
   if (!axes.length) { $("prepare").setCustomValidity("Choose at least one axis."); event.target.reportValidity(); $("prepare").setCustomValidity(""); return; }
   const key = `page-${Date.now()}-${Math.random().toString(36).slice(2)}`;
-  watchRun(await post(`/cells/${state.cell.id}/identifications`, { mode: form.get("mode"), axes }, { "Idempotency-Key": key }));
+  $("prepare").disabled = true; // pressed twice is meant once
+  try {
+    watchRun(await post(`/cells/${state.cell.id}/identifications`, { mode: form.get("mode"), axes }, { "Idempotency-Key": key }));
+  } finally { $("prepare").disabled = false; }
 }));
 
 async function watchRun(run) {
   show(run);
   const mine = ++state.watch;
   state.live = [];
+  drawLive();
   await follow(run.links.events, (kind, data) => {
     if (mine !== state.watch) return;
     if (kind === "progress") showProgress({ ...state.run, ...data });
@@ -126,6 +132,7 @@ function show(run) {
   $("run-card").hidden = !run;
   $("start-card").hidden = Boolean(run);
   $("ready-card").hidden = Boolean(run);
+  if (before?.state !== run?.state) keepFocus(run ? "run-title" : "ready-title");
   if (!run) { state.watch++; $("result-card").hidden = true; refresh(); return; }
   $("run-title").textContent = WORDS[run.state] + (run.simulated ? " (simulated)" : "");
   const box = $("run-error");
@@ -137,11 +144,19 @@ function show(run) {
   $("cancel").hidden = ENDED.includes(run.state) || run.state === "awaiting_accept";
   $("again").hidden = !ENDED.includes(run.state) && run.state !== "awaiting_accept";
   $("plan").hidden = !(run.plan && ["awaiting_arm", "running"].includes(run.state));
+  // To be read before arming; while the robot moves it must not push the progress off a tablet.
+  if (before?.id !== run.id || before.state !== run.state) $("plan").open = run.state === "awaiting_arm";
   if (run.plan && before?.plan !== run.plan) showPlan(run);
   showProgress(run);
   if (["awaiting_accept", "succeeded", "cancelled"].includes(run.state) && run.summary) showResult(run, state.cell);
   else $("result-card").hidden = true;
   if (before?.state !== run.state) refresh();
+}
+
+// The button that was pressed may be gone: a keyboard goes on from the headline, not from the top of the page.
+// Never from the next button: Enter pressed twice must not arm.
+function keepFocus(heading) {
+  setTimeout(() => { if (document.activeElement === document.body) $(heading).focus({ preventScroll: true }); }, 100);
 }
 
 function showPlan(run) {
@@ -150,7 +165,7 @@ function showPlan(run) {
   // What cannot be foretold is bounded all the same: the sweep stops every axis at its limits.
   const limits = new Map((state.cell?.limits ?? []).map((l) => [l.axis, l]));
   table($("plan-table"), ["Axis", "Torque up to", "Moves up to", "Speed up to"], (plan.forecast ?? []).map((f) => {
-    const [unit, factor] = rotary(f), l = limits.get(f.axis), shown = (v) => `${fmt(v * factor, 2)} ${unit}`;
+    const [unit, factor] = rotary(f), l = limits.get(f.axis), shown = (v) => `${fmt(v * factor, 2)}${unit === "°" ? "" : " "}${unit}`;
     const most = (v, limit, sign, per) => (v != null && !(v > limit) ? `${sign}${shown(v)}${per}`
       : limit == null ? "not foreseen" : `${v == null ? "not foreseen; " : ""}stopped at ${sign}${shown(limit)}${per}`);
     const travel = most(f.travel, l?.position, "±", ""), speed = most(f.velocity, l?.velocity, "", "/s");
@@ -227,6 +242,7 @@ function setView(name) {
   for (const button of document.querySelectorAll("nav button")) button.setAttribute("aria-pressed", String(button.dataset.view === name));
   for (const view of ["work", "history", "upload"]) $(`view-${view}`).hidden = view !== name;
   if (name === "history") loadHistory();
+  redraw(); // what was drawn while its view was hidden had no width
 }
 for (const button of document.querySelectorAll("nav button")) button.addEventListener("click", () => setView(button.dataset.view));
 

@@ -6,7 +6,10 @@ const drawn = new Map();
 let pending = 0;
 function anew() {
   clearTimeout(pending);
-  pending = setTimeout(() => { for (const [target, draw] of drawn) target.isConnected ? draw() : drawn.delete(target); }, 150);
+  pending = setTimeout(redraw, 150);
+}
+export function redraw() {
+  for (const [target, draw] of drawn) target.isConnected ? draw() : drawn.delete(target);
 }
 window.addEventListener("resize", anew);
 // At dusk a tablet goes dark by itself: black lines on black would be left.
