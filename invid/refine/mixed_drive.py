@@ -32,10 +32,9 @@ def _acting(s: LineSpectra, experiment: Experiment) -> LineSpectra:
     if demand is None:
         return s
     demand = np.asarray(demand)
-    # A record that does not close keeps its last sample for the ends.
+    # A record that does not close keeps its last sample for the ends. Periods that still settle are averaged
+    # as they are, and so is the demand: the equations are linear.
     whole = s.transient and s.periods == 1
-    if s.transient and not whole:
-        return s  # periods that differ: a repeated demand is not what acted in each of them
     samples = s.periods * count + (1 if whole else 0)
     if s.periods < 1 or (demand.shape[0] != samples if whole else demand.shape[0] < samples):
         return s  # resampled, or cut

@@ -136,6 +136,27 @@ def test_a_demand_logged_beside_an_aperiodic_record_tells_when_the_hold_acts(lat
     assert abs(model.chains.masses[0][0] - 1.0) < 3.5 * model.std.masses[0][0]
 
 
+def test_a_demand_logged_in_periods_that_still_settle_tells_when_the_hold_acts() -> None:
+    plant = oracle.OraclePlant([[1.0, 2.0]], [[1500.0]], [[0.3]])
+    rng = np.random.default_rng(1)
+    wave, hz = oracle.multisine(rng, 2000, RATE, (0.5, 12.0), odd=False)
+    demand = 20.0 * np.tile(wave, 3)[:, None]
+    position, torque = oracle.simulate(  # from rest, and the hold swings for seconds
+        plant, demand, RATE, gain=np.array([300.0]), damping=np.array([1.5]), in_drive=True
+    )
+    experiment = Experiment(
+        "000", Kind.MULTISINE, Role.IDENTIFY, 0, np.array([np.nan]), 2000, hz, RATE, np.arange(6000) / RATE,
+        position + 1e-6 * rng.standard_normal((6000, 1)), torque + 0.1 * rng.standard_normal((6000, 1)),
+        torque_demand=demand,
+    )  # fmt: skip
+    recording = Recording("hard", ("A1",), "rad", "N·m", "2026-11-21T00:00:00Z", (experiment,))
+    assert any(s.transient for s in all_spectra(recording))  # else the case shows nothing
+    model = identify(recording, masses=(2,))
+    assert model.fit["trustworthy"]
+    assert not any("a hold works" in w for w in model.warnings)
+    assert worst(model, plant) < 0.003
+
+
 def test_too_few_masses_are_doubted_and_the_command_says_so_with_status_3(tmp_path: Path) -> None:
     plant = oracle.OraclePlant([[1.0, 2.0, 1.5]], [[3000.0, 2500.0]], [[1.0, 1.0]])
     recording = replace(record(plant, band=(0.5, 14.0)), masses_per_axis=(2,))
