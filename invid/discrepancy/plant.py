@@ -230,7 +230,7 @@ def evaluate(
             if jumps.size:
                 _jump_columns(view, candidate, moved, jumps, columns, at)
             if thorough and _strong(view, candidate):
-                _law_columns(view, candidate, sp, q, columns)
+                _law_columns(view, candidate, sp, q, columns, layout.count)
         residuals.append(white)
         bases.append(basis)
         roots.append(root)
@@ -355,10 +355,14 @@ def _strong(view: View, candidate: Candidate) -> bool:
     return False
 
 
-def _law_columns(view: View, candidate: Candidate, sp: Float64, q: Complex128, columns: Complex128) -> None:
+def _law_columns(
+    view: View, candidate: Candidate, sp: Float64, q: Complex128, columns: Complex128, linear: int
+) -> None:
     """Adds to the linear parameters' columns what the laws change by with the inner motion.
 
-    ``columns`` (F, M, n) holds the derivatives at fixed forces, ∂q/∂p = −Z_ii⁻¹ (∂Z/∂p) q.
+    The first ``linear`` of ``columns`` (F, M, n) hold the derivatives at fixed forces,
+    ∂q/∂p = −Z_ii⁻¹ (∂Z/∂p) q. What moves no inner mass, a motor's mass or the time the torque acts at, moves
+    the missing torque that forces are read from.
     """
     structure, base, feedback, missing = view.structure, view.base, view.feedback, view.missing
     springs, dampers = view.springs, view.dampers
@@ -366,17 +370,23 @@ def _law_columns(view: View, candidate: Candidate, sp: Float64, q: Complex128, c
     moves = -(view.inner @ structure.torque_derivative(sp, view.omega, every, q[None])[0])
     reference = contributions(view, candidate, passes=2, early=False)
     view.respond(feedback)
-    for k in range(structure.count):
-        largest = float(np.abs(moves[..., k]).max())
-        if largest == 0.0:
+    for k in range(linear):
+        largest = float(np.abs(moves[..., k]).max()) if k < structure.count else 0.0
+        own = float(np.abs(columns[..., k]).max())
+        if largest > 0.0:
+            h = 1e-4 * float(np.abs(base).max()) / largest
+            at = sp.copy()
+            at[k] += h
+            values = structure.physical(at)
+            view.base = base + h * moves[..., k]
+            view.springs = values[structure.slices["spring"]]
+            view.dampers = values[structure.slices["damper"]]
+        elif missing is not None and own > 0.0:
+            h = 1e-4 * float(np.abs(view.acting).max()) / own
+            view.base, view.springs, view.dampers = base, springs, dampers
+        else:
             continue
-        h = 1e-4 * float(np.abs(base).max()) / largest
-        at = sp.copy()
-        at[k] += h
-        values = structure.physical(at)
-        view.base = base + h * moves[..., k]
         view.missing = None if missing is None else missing + h * columns[..., k]
-        view.springs, view.dampers = values[structure.slices["spring"]], values[structure.slices["damper"]]
         view.respond(feedback)
         columns[..., k] += (contributions(view, candidate, passes=2, early=False) - reference) / h
     view.base, view.missing, view.springs, view.dampers = base, missing, springs, dampers
