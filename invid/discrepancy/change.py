@@ -12,6 +12,10 @@ from invid.discrepancy.trial import Step, attempted
 from invid.effects.base import Record
 from invid.recording.model import Recording
 
+NEAR = 0.25
+"""Share of a period beyond its ends within which a change found may be one of that period. A guess; where
+there is a choice the records that are left decide."""
+
 
 def around_change(selection: Selection, recording: Recording) -> tuple[list[Record], list[Record]] | None:
     """Training and held-out records without the period in which the load changes; none where none does.
@@ -22,11 +26,34 @@ def around_change(selection: Selection, recording: Recording) -> tuple[list[Reco
     time = change_of(selection)
     if time is None:
         return None
-    parts = [selection.final.fit.evaluation.records, selection.final.held.records]
-    kept = [[r for r in part if not _within(r, time)] for part in parts]
-    if kept == parts or not all(kept):
+    train, held = selection.final.fit.evaluation.records, selection.final.held.records
+    within = [r for r in (*train, *held) if _within(r, time)]
+    if not within:
         return None
-    return _both_sides(kept[0], kept[1], time, recording)
+    options = []
+    for odd in (*within, *(r for r in (*train, *held) if r.alone and _beside(r, time) and r not in within)):
+        kept = [[r for r in part if r is not odd] for part in (train, held)]
+        if all(kept):
+            options.append(_both_sides(kept[0], kept[1], time, recording))
+    if len(options) < 2:
+        return options[0] if options else None
+    return min(options, key=lambda parts: _left(selection, *parts))
+
+
+def _left(selection: Selection, train: Sequence[Record], held: Sequence[Record]) -> float:
+    """χ²/ν of other records with the causes found."""
+    final = selection.final.fit
+    trial = attempted(lambda: fit(final.layout, train, final.p, final.candidate, iterations=25), held)
+    return float("inf") if trial is None else trial.cost / trial.dof
+
+
+def _beside(record: Record, time: float) -> bool:
+    """Whether ``time`` is so near the record's end that the load may as well have changed in it.
+
+    Fitted with the period in it, a mixture of two plants, the time lies at its edge as often as inside.
+    """
+    reach = NEAR * (record.end_time - record.start_time)
+    return record.start_time - reach < time < record.end_time + reach
 
 
 def _both_sides(

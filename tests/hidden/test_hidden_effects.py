@@ -139,3 +139,45 @@ def test_a_simulation_that_ends_in_another_ripple_does_not_refuse_the_ripple() -
     assert torque.value == pytest.approx(truth.effects[0].parameters["torque"], rel=0.01)
     assert finding.confidence < 0.9  # it could not be confirmed over time, and a warning says so
     assert any("simulated over time" in w for w in found.warnings)
+
+
+def test_a_load_that_changes_inside_the_last_period_of_the_training_is_told_by_the_held_out_ones() -> None:
+    """Without that period no training record holds the other load; one of the two held-out periods does."""
+    recording, truth = make(
+        "payload_change",
+        (0, 2),
+        {"mass": 0.15, "time": 60.0},
+        seed=3,
+        masses=(2,),
+        periods=2,
+        moves=False,
+        noise=0.003,
+        drive="smooth",
+        from_rest=False,
+    )
+    assert any(e.time[0] < 60.0 < e.time[-1] for e in recording.experiments)
+    found = diagnose(recording)
+    result = score(truth, found)
+    assert result.outcome == "right", (result.named, truth.db)
+    assert found.findings[0].effect.parameters["mass"].value == pytest.approx(0.15, rel=0.01)
+
+
+def test_a_gear_error_is_named_though_the_identification_stands_in_a_wrong_minimum() -> None:
+    """Seed 720061: two axes of four masses; the linear model was off by so much that a mode was named."""
+    recording, truth = make_case(720061)
+    found = diagnose(recording)
+    assert score(truth, found).outcome == "right"
+    chains = found.model.chains
+    for own, true in zip(chains.springs, truth.chains.springs, strict=True):
+        assert own == pytest.approx(true, rel=0.01)
+
+
+def test_a_mode_above_the_band_is_told_from_a_mass_beside_a_gear_error() -> None:
+    """Seed 720016: the mode stands at 8 Hz, the highest excited line at 5.9 Hz."""
+    recording, truth = make_case(720016)
+    found = diagnose(recording)
+    assert score(truth, found).outcome == "right"
+    (mode,) = (f.effect for f in found.findings if f.effect.cause == "extra_mode")
+    true = next(e for e in truth.effects if e.cause == "extra_mode").parameters
+    assert mode.parameters["mass"].value == pytest.approx(true["mass"], rel=0.05)
+    assert mode.parameters["stiffness"].value == pytest.approx(true["stiffness"], rel=0.05)
