@@ -4,7 +4,8 @@
                                       [--first-seed 0] [--keep DIR]
 
 - Polling at 200 requests/s from 20 clients during a run: latency from each request's due time (a late
-  server cannot hide behind its clients); SYNC slots that a run in real time misses with and without it.
+  server cannot hide behind its clients); SYNC slots that a run in real time misses with and without it, in
+  pairs (``polled_realtime.py``).
 - kill -9 of the service at random moments of a run: every run ends ``interrupted`` or was stored whole, no
   runner is left, the store is consistent, the next run starts.
 - The change test on an unchanged simulated cell, each start with its own noise: measured, identified and
@@ -19,32 +20,26 @@ import argparse
 import hashlib
 import os
 import random
-import signal
 import sqlite3
-import subprocess
 import sys
 import tempfile
-import threading
 import time
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import httpx
 import numpy as np
 import yaml
 from scipy import special
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "system"))
-from bench_realtime import stolen
+from polled_realtime import realtime
+from polling import hammer
 from service_process import SMALL_CELL, serving
 
 from invid.compare import Comparison, Status, compare
 from invid.model import Model, model_from_json, model_to_json, parameter_vector
 
 ROOT = Path(__file__).parents[1]
-CLIENTS = 20
-RATE = 200.0
 HISTORY = 40
 EVERY = 4
 """Of the starts, those that are tried with a change too."""
@@ -61,58 +56,6 @@ def processor_s(process: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-@dataclass
-class Load:
-    """What twenty clients met."""
-
-    late: list[float] = field(default_factory=list)
-    failures: list[str] = field(default_factory=list)
-
-    def __str__(self) -> str:
-        p50, p99, worst = (1e3 * float(np.quantile(self.late, q)) for q in (0.5, 0.99, 1.0))
-        return (
-            f"{len(self.late)} requests from {CLIENTS} clients at {RATE:.0f}/s: p50 {p50:.1f} ms, "
-            f"p99 {p99:.1f} ms, worst {worst:.1f} ms, {len(self.failures)} failed"
-        )
-
-
-def hammer(url: str, location: str, seconds: float, ended: threading.Event | None = None) -> Load:
-    """Ask for the state of a run, until the time or the event has come."""
-    found, lock, start = Load(), threading.Lock(), 0.0
-
-    def go() -> None:
-        nonlocal start
-        start = time.perf_counter() + 0.1
-
-    # Making twenty clients takes the client process half a second: the clock starts when all are there.
-    ready = threading.Barrier(CLIENTS, action=go)
-
-    def client(k: int) -> None:
-        own: list[float] = []
-        with httpx.Client(base_url=url, trust_env=False, timeout=10) as http:
-            http.get(location)
-            ready.wait()
-            n = 0
-            while (due := start + (k + n * CLIENTS) / RATE) < start + seconds:
-                if ended is not None and ended.is_set():
-                    break
-                time.sleep(max(0.0, due - time.perf_counter()))
-                answer = http.get(location)
-                own.append(time.perf_counter() - due)
-                if answer.status_code != 200:
-                    found.failures.append(answer.text)
-                n += 1
-        with lock:
-            found.late.extend(own)
-
-    threads = [threading.Thread(target=client, args=(k,)) for k in range(CLIENTS)]
-    for t in threads:
-        t.start()
-    for t in threads:
-        t.join()
-    return found
-
-
 def poll(seconds: float) -> bool:
     """200 requests/s on the state of a run in progress."""
     with tempfile.TemporaryDirectory() as folder, serving(Path(folder)) as service:
@@ -125,83 +68,10 @@ def poll(seconds: float) -> bool:
         service.client.post("/api/v1/cells/small/stop")
     print(
         f"polling: {load}; run was {state} at the end; processor time of the service "
-        f"{1e3 * spent / len(load.late):.2f} ms a request; load of the machine {os.getloadavg()[0]:.1f} on "
-        f"{os.cpu_count()} cores"
+        f"{1e3 * spent / len(load.latencies):.2f} ms a request; load of the machine {os.getloadavg()[0]:.1f} "
+        f"on {os.cpu_count()} cores"
     )
-    return float(np.quantile(load.late, 0.99)) < 0.05 and not load.failures
-
-
-def realtime(runs: int) -> bool:
-    """Slots missed by a run in real time against `invid simcell` in its own process, polled and not."""
-    shares: dict[bool, list[float]] = {False: [], True: []}
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        config = realtime_cell(folder)
-        simcell = subprocess.Popen(
-            [
-                sys.executable,
-                "-c",
-                "from invid.cli import main; main()",
-                "simcell",
-                str(folder / "cell.yaml"),
-            ],
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            cwd=folder,
-        )
-        try:
-            with serving(folder, cell=config) as service:
-                for n in range(2 * runs):
-                    polled = n % 2 == 1
-                    location = service.start()
-                    service.wait(location, "running", timeout=400)
-                    ended = threading.Event()
-                    watcher = threading.Thread(
-                        target=lambda to=location, end=ended: (
-                            service.wait(to, "analysing", timeout=400),
-                            end.set(),
-                        )
-                    )
-                    watcher.start()
-                    began, taken = time.monotonic(), stolen()
-                    load = hammer(service.url, location, 400, ended) if polled else None
-                    watcher.join()
-                    host = (stolen() - taken) / (time.monotonic() - began) / (os.cpu_count() or 1)
-                    seen = service.client.get(location).json()["measurement"]
-                    service.client.post(f"{location}/actions", json={"type": "cancel"})
-                    skipped, slots = missed_slots(seen)
-                    shares[polled].append(skipped / slots)
-                    said = f"polled, {load}" if polled else "not polled"
-                    at = os.getloadavg()[0]
-                    print(
-                        f"real time, {said}: {skipped} of {slots} slots ({skipped / slots:.2%}) skipped; "
-                        f"load {at:.1f}, the host took {host:.1%} of the processors",
-                        flush=True,
-                    )
-        finally:
-            simcell.send_signal(signal.SIGINT)
-            simcell.wait(30)
-    without, polled_share = (float(np.mean(shares[k])) for k in (False, True))
-    print(f"real time: {without:.3%} of the slots skipped without polling, {polled_share:.3%} with it")
-    return polled_share <= max(shares[False])
-
-
-def realtime_cell(folder: Path) -> str:
-    """The case study over a socket, short; also written for the simulated cell."""
-    data = yaml.safe_load((ROOT / "configs" / "case-study-unix.yaml").read_text(encoding="utf-8"))
-    data["bus"]["channel"] = str(folder / "bus.sock")
-    data["experiments"] = [
-        {"kind": "multisine", "period_s": 8.192, "periods": 2, "seed": 1, "amplitude": 0.35, "axes": ["A1"]}
-    ]
-    text = yaml.safe_dump(data)
-    (folder / "cell.yaml").write_text(text, encoding="utf-8")
-    return text
-
-
-def missed_slots(measurement: dict[str, Any]) -> tuple[int, int]:
-    """SYNC slots without a SYNC, and all slots, as the cycle counted them: the recording fills its gaps."""
-    skipped = int(measurement["skipped_slots"])
-    return skipped, sum(measurement["jitter_histogram"].values()) + skipped
+    return load.p99 < 0.05 and not load.failures
 
 
 def consistent(folder: Path) -> list[str]:
