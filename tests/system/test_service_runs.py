@@ -36,7 +36,7 @@ def test_a_run_measures_identifies_diagnoses_and_is_accepted(tmp_path: Path) -> 
         answers, moves = (
             os.getpriority(os.PRIO_PROCESS, p) for p in (service.process.pid, *service.runners())
         )
-        assert answers == -10 if os.geteuid() == 0 else answers <= moves
+        assert answers <= moves
         assert moves >= 0, "the runner kept the precedence of the service"
         body = service.wait(location, "awaiting_accept")
         assert body["summary"]["verdict"] in set(Verdict)
