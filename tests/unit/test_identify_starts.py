@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,8 +16,8 @@ from bench_identify import estimate, measure, truth
 
 from invid.apart import start_apart
 from invid.chains import CoupledChains
-from invid.crosscheck import second_route
 from invid.identify import from_second_route, identify
+from invid.inverse import PaperResult
 from invid.pole_search import searched_modes
 from invid.recording.model import Recording
 from invid.refine import ChainStructure
@@ -36,11 +37,14 @@ def test_three_branches_alike_share_poles_and_are_found_without_a_search_under_t
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     searched = []
-    monkeypatch.setattr(
-        "invid.identify.searched_modes", lambda *a, **k: searched.append(a) or searched_modes(*a, **k)
-    )
+
+    def noted(*args: Any, **settings: Any) -> Any:
+        searched.append(args)
+        return searched_modes(*args, **settings)
+
+    monkeypatch.setattr("invid.identify.searched_modes", noted)
     branch = ([0.8, 1.1, 1.5], [1800.0, 4000.0], [1.0, 1.0])
-    plant = oracle.OraclePlant(*([part] * 3 for part in branch))
+    plant = oracle.OraclePlant([branch[0]] * 3, [branch[1]] * 3, [branch[2]] * 3)
     plant = replace(plant, couplings={(0, 1): 0.3, (0, 2): 0.3, (1, 2): 0.3})
     model = identify(recorded(plant, 20.0), masses=(3, 3, 3))
     values, std = estimate(model)
@@ -81,13 +85,14 @@ def test_a_fit_in_a_wrong_minimum_is_led_out_by_the_papers_inverse_that_contradi
     found, paper = from_second_route(spectra, fit)
     assert found.noise_chi2 < 1.2
     assert found.chains.masses[0] == pytest.approx(plant.masses[0], rel=0.01)
-    assert paper.named.keys() == second_route(spectra, found).named.keys()
+    assert isinstance(paper, PaperResult)
+    assert paper.chains.masses[0] == pytest.approx(plant.masses[0], rel=0.05)
 
 
 def test_two_branches_alike_that_do_not_move_one_another_are_each_found_on_their_own() -> None:
     # The fourth mode is barely visible at the motor, and there are two of it.
     branch = ([1.15, 1.47, 1.35, 1.78, 1.65], [1512.0, 4744.0, 5863.0, 4451.0], [0.6, 1.1, 1.3, 1.2])
-    plant = oracle.OraclePlant(*([part] * 2 for part in branch))
+    plant = oracle.OraclePlant([branch[0]] * 2, [branch[1]] * 2, [branch[2]] * 2)
     spectra = all_spectra(recorded(plant, 21.0))
     start = start_apart(spectra, (5, 5), ("A1", "A2"))
     assert start is not None
