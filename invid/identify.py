@@ -35,6 +35,9 @@ Method = Literal["paper", "refined"]
 MISFIT = 0.01
 """Relative FRF error granted to the modal fit that only gives a start: friction of a few per cent of the
 peak torque leaves about that, and a modal fit that chases it is slow and no better a start."""
+MODERATE = 300
+"""Modes times motors squared up to which the modes of the FRF matrix come before the search under the noise.
+Four branches of five masses take seconds; beyond, a guess: six of five were cut short after three minutes."""
 AT_NOISE = 1.5
 """χ²/ν up to which a fit is at its noise; the same at which no further start is tried."""
 LOCAL_MISFIT = 0.03
@@ -261,11 +264,12 @@ def _starts(
     yield from further
     crude: list[CoupledChains] = []
     count = 0
+    early = (sum(sizes) - len(sizes)) * len(sizes) ** 2 <= MODERATE and measured.frequency_hz.size > 0
     for modes, frf in _modal_starts(spectra, sizes, thorough):
         *physical, equal = starts(frf.frequency_hz, frf.frf, frf.variance, sizes, axes=axes, modes=modes)
         yield from physical
         crude.append(equal)
-        if not count and measured.frequency_hz.size:
+        if not count and early:
             # Branches alike share poles, which as many poles as modes cannot fit; the modes of the FRF matrix
             # can, and take less time than a search under the noise.
             *shared, equal = starts(measured.frequency_hz, measured.frf, measured.variance, sizes, axes=axes)
@@ -277,7 +281,7 @@ def _starts(
         count += 1
     if count and not thorough:
         return
-    if not count and measured.frequency_hz.size:
+    if (not count or not early) and measured.frequency_hz.size:
         yield from starts(measured.frequency_hz, measured.frf, measured.variance, sizes, axes=axes)
     yield from crude
 
