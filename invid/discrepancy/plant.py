@@ -20,6 +20,7 @@ from invid.effects.base import Effect, ImpedanceEffect, Place, Record, View
 from invid.effects.torque_delay import ActuatorEffect
 from invid.refine.boundary import end_columns, end_derivative, end_forces, end_places, end_points
 from invid.refine.problem import condense_dense
+from invid.refine.structure import ChainStructure
 from invid.refine.whitening import factored, orthonormal, stack, unstack, unwhitener, whitener
 
 PASSES = 12
@@ -170,22 +171,35 @@ def evaluate(
             view.respond(near[len(missing)].feedback)
             view.secants = near[len(missing)].secants
         view.certainty = np.asarray(np.linalg.inv(covariance), dtype=np.complex128)
-        if not record.transient:
-            view.missing = r
-        extra = contributions(view, candidate)
-        r = r + extra
         root = whitener(covariance)
         if record.weight.size:
             root = root * record.weight[:, None, None]
-        basis = np.zeros((0, 0))
-        white = stack(root @ r[..., None])[:, 0]
-        jumps, moved = np.zeros(0), np.zeros((0, 0, 0), dtype=complex)
+        basis, jumps = np.zeros((0, 0)), np.zeros(0)
+        moved = np.zeros((0, 0, 0), dtype=complex)
         if record.transient:
             edges, forces, points = _boundary(view, layout, p)
             moved = _moved(view, forces, points)
             jumping, yielding = _of_jumps(view, candidate, moved)
-            edges = edges + jumping
-            basis, back = factored(stack(root @ edges))
+            open_ = stack(root @ (edges + jumping))
+            basis, back = factored(open_)
+            if near and candidate.terms:
+                view.ends_of(near[len(missing)])
+        else:
+            view.missing = r
+        linear = r
+        # Laws of inner motion feel what the ends of a record do, which is known once their forces are.
+        for again in (False, True):
+            extra = contributions(view, candidate)
+            r = linear + extra
+            white = stack(root @ r[..., None])[:, 0]
+            if not record.transient or again:
+                break
+            inner = moved - view.motion @ _shifts(structure, points) + yielding
+            likely = _likely(view, open_, white)
+            view.ended(inner @ likely, likely)
+            if near or not any(t.inner for t in candidate.terms):
+                break
+        if record.transient:
             within = basis.T @ white
             along = basis @ within
             white = white - along
@@ -430,11 +444,32 @@ def _boundary(view: View, layout: Layout, p: Float64) -> tuple[Complex128, Compl
 
 def _moved(view: View, forces: Complex128, points: Complex128) -> Complex128:
     """(F, ΣN, 2ΣN) motion of every coordinate besides that of the motors' sampled spectra, for a unit."""
-    moved: Complex128 = -(view.inner @ forces)
-    at_position, at_speed = end_places(view.structure).reshape(2, -1)
-    moved[:, :, at_position] += view.motion * points[:, 0, None, None]
-    moved[:, :, at_speed] += view.motion * points[:, 1, None, None]
+    moved: Complex128 = view.motion @ _shifts(view.structure, points) - view.inner @ forces
     return moved
+
+
+def _shifts(structure: ChainStructure, points: Complex128) -> Complex128:
+    """(F, M, 2ΣN) what the motors' end ``points`` (F, 2) add to their sampled spectra, for a unit jump."""
+    motors = structure.motors
+    out = np.zeros((points.shape[0], motors, 2 * structure.dofs), dtype=complex)
+    at_position, at_speed = end_places(structure).reshape(2, -1)
+    out[:, np.arange(motors), at_position] = points[:, :1]
+    out[:, np.arange(motors), at_speed] = points[:, 1:]
+    return out
+
+
+def _likely(view: View, columns: Float64, white: Float64) -> Float64:
+    """(2ΣN,) jumps that leave least of ``white`` and are no larger than the motion itself.
+
+    Those that the motors hardly feel would else be noise many times the motion that laws are read from.
+    """
+    size = np.sqrt((np.abs(view.base) ** 2).sum(axis=0))
+    rate = np.sqrt((np.abs(view.omega[:, None] * view.base) ** 2).sum(axis=0))
+    scale = 2.0 * np.concatenate((size, rate)) + 1e-300
+    scaled = columns * scale
+    inverse = np.linalg.inv(scaled.T @ scaled + np.eye(scale.size))
+    out: Float64 = -scale * (inverse @ (scaled.T @ white))
+    return out
 
 
 def without_boundary(

@@ -168,6 +168,9 @@ class View:
         self.feedback: Complex128 = np.zeros_like(self.base)
         self.of_ends: Complex128 = np.zeros((1, 1), dtype=complex)
         """(F, ΣN) motion besides ``base`` that the ends of a record that does not close stand for."""
+        self._open: tuple[Complex128, Float64] | None = None
+        """Where a record does not close: what the waves of inner motion have besides ``base`` (F, ΣN), and
+        each coordinate's mean rate (ΣN,)."""
         self.secants = Secants()
         self.missing: Complex128 | None = None
         """(F, M) missing torque of the linear model; None where forces cannot be read from it."""
@@ -189,6 +192,22 @@ class View:
         """Sets what all effects do to the inner coordinates, (F, ΣN)."""
         self.feedback = feedback
         self._waves = {k: v for k, v in self._waves.items() if self._at_motor(k[0])}
+
+    def ended(self, of_ends: Complex128, jumps: Float64) -> None:
+        """Sets what the ``jumps`` (2ΣN,) of a record that does not close do to inner coordinates, (F, ΣN).
+
+        The motors' own wander is in their waves.
+        """
+        safe = np.where(self.omega > 0, self.omega, np.inf)
+        slope: Complex128 = (2j / safe)[:, None]  # lines of a straight line that rises by one a second
+        slopes = jumps[: self.base.shape[1]] / self.record.span
+        wander = np.einsum("fqm,fm->fq", self.motion, slope * self.record.ramp)
+        self._open = (of_ends + wander - slope * slopes, slopes)
+        self.respond(self.feedback)
+
+    def ends_of(self, other: View) -> None:
+        """Takes over what the ends do from a view close by."""
+        self.of_ends, self._open = other.of_ends, other._open
 
     def _at_motor(self, pattern: Pattern) -> bool:
         return len(pattern) == 1 and pattern[0][0] in self.structure.motor_dofs
@@ -218,10 +237,13 @@ class View:
             out: Float64 = (record.motor_velocity if rate else record.motor_wave)[:, i] * pattern[0][1]
         else:
             x = self.spectrum(pattern)
+            wander = sum(sign * record.ramp[self._axis(at)] for at, sign in pattern)
+            if self._open is not None:
+                x = x + along(pattern, self._open[0])
+                wander = sum(sign * self._open[1][at] for at, sign in pattern)
             out = record.to_wave(1j * self.omega * x if rate else x)
-            ramp = sum(sign * record.ramp[self._axis(at)] for at, sign in pattern)
-            if ramp:
-                out = out + (ramp if rate else ramp * record.wave_time)
+            if wander:
+                out = out + (wander if rate else wander * record.wave_time)
         self._waves[key] = out
         return out
 
@@ -454,16 +476,21 @@ class ImpedanceEffect(Effect):
             moved = along(pattern, raw + view.feedback + view.of_ends)
         else:
             moved = view.spectrum(pattern)
-        force = z * moved
+        force = z * moved + self.within(view, place, (1.0, *shape))
         out: Complex128 = view.push(pattern)[:, :, None] * force[:, None, None]
         return out
+
+    def within(self, view: View, place: Place, x: Sequence[float]) -> Complex128 | float:
+        """(F,) force beside the impedance, where that is only the mean of what changes over the record."""
+        return 0.0
 
     def contribution(
         self, view: View, place: Place, x: Sequence[float]
     ) -> tuple[Complex128, Complex128 | None]:
         pattern = place.pattern(view.structure)
         raw = np.einsum("fqm,fm->fq", view.motion, view.record.position)
-        force = self._force(view, place, x) * along(pattern, raw)
+        yielding = 1.0 + self.impedance(view, place, x) * view.compliance(pattern)
+        force = self._force(view, place, x) * along(pattern, raw) + self.within(view, place, x) / yielding
         return view.push(pattern) * force[:, None], -view.yields(pattern) * force[:, None]
 
     def of_jumps(self, view: View, place: Place, x: Sequence[float], moved: Complex128) -> Complex128:

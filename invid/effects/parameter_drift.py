@@ -34,5 +34,9 @@ class ParameterDrift(ImpedanceEffect):
         out: Complex128 = np.full(view.omega.size, x[0] * middle, dtype=complex)
         return out
 
+    def within(self, view: View, place: Place, x: Sequence[float]) -> Complex128:
+        wave = view.wave(place.pattern(view.structure)) * view.record.wave_time
+        return view.to_lines(x[0] * wave[:, None])[:, 0]
+
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
         return {"parameter": float(place.number), "rate": float(x[0])}
