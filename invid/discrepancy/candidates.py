@@ -9,10 +9,10 @@ import numpy as np
 
 from invid.arrays import Float64
 from invid.discrepancy.joint import JointFit, fit
-from invid.discrepancy.plant import Candidate, Term
 from invid.discrepancy.screen import Score, Screen
+from invid.discrepancy.terms import Candidate, Term
 from invid.discrepancy.trial import Trial, at_bound, attempted, finite, refit
-from invid.effects.base import Record, rms
+from invid.effects.view import Record, rms
 
 POLISHED, REFITTED, PLACES = 12, 6, 2
 """How many candidates are polished and refitted, and at most how many places of one cause."""

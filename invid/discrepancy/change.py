@@ -9,7 +9,7 @@ from invid.discrepancy.joint import fit
 from invid.discrepancy.records import by_period
 from invid.discrepancy.select import Selection
 from invid.discrepancy.trial import Step, attempted
-from invid.effects.base import Record
+from invid.effects.view import Record
 from invid.recording.model import Recording
 
 NEAR = 0.25

@@ -22,7 +22,8 @@ from invid.discrepancy.records import split, with_sticking
 from invid.discrepancy.replayed import REFUSED, Replay, replay, with_replay
 from invid.discrepancy.select import select
 from invid.discrepancy.tones import without_tones
-from invid.effects.base import Record, unit_of
+from invid.effects.base import unit_of
+from invid.effects.view import Record
 from invid.errors import InputError
 from invid.model import Model, model_to_json
 from invid.recording.model import Recording

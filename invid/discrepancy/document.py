@@ -18,7 +18,8 @@ from invid.discrepancy.missing_torque import NullTest, null_test, rms_torque
 from invid.discrepancy.select import Selection
 from invid.discrepancy.tones import Tone, power_of, said_of_tones
 from invid.discrepancy.trust import cautious, distrust_sentences, in_the_way, trust, untimed_holds
-from invid.effects.base import Record, unit_of
+from invid.effects.base import unit_of
+from invid.effects.view import Record
 from invid.model import Model
 from invid.recording.model import Recording
 

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from invid.arrays import Float64, frozen_float
-from invid.discrepancy.plant import Candidate, Term
+from invid.discrepancy.terms import Candidate, Term
 from invid.discrepancy.words import BY_CAUSE
-from invid.effects.base import Place
+from invid.effects.place import Place
 from invid.effects.sign import ROUNDING, DryLaw
 from invid.errors import ModelError
 from invid.model import EffectTerm, Model

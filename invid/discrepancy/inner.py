@@ -12,8 +12,8 @@ from collections.abc import Callable
 import numpy as np
 
 from invid.arrays import Complex128, Float64
-from invid.effects.base import View
 from invid.effects.secants import Secants
+from invid.effects.view import View
 
 CLOSE = 1e-4
 """Disagreement, over the largest line of what the forces do, at which there is agreement: the strongest

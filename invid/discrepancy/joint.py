@@ -10,8 +10,9 @@ import numpy as np
 from invid.arrays import Float64
 from invid.discrepancy.holds import SHARES
 from invid.discrepancy.layout import Layout
-from invid.discrepancy.plant import Candidate, Evaluation, evaluate
-from invid.effects.base import Record
+from invid.discrepancy.plant import Evaluation, evaluate
+from invid.discrepancy.terms import Candidate
+from invid.effects.view import Record
 
 LARGEST_STEP = 0.7
 """Largest step of a logarithm in one iteration: unguarded steps overflow."""

@@ -13,10 +13,10 @@ from invid.discrepancy.holds import HeldInside, holds_inside
 from invid.discrepancy.joint import JointFit, fit, held_out
 from invid.discrepancy.layout import Layout
 from invid.discrepancy.missing_torque import changing, with_scatter
-from invid.discrepancy.plant import Candidate
 from invid.discrepancy.records import by_period
+from invid.discrepancy.terms import Candidate
 from invid.discrepancy.tones import Tone, tones_of
-from invid.effects.base import Record
+from invid.effects.view import Record
 from invid.model import Model
 from invid.recording.model import Recording
 from invid.refine.structure import ChainStructure

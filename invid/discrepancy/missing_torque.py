@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from invid.arrays import Bool, Complex128, Float64
+from invid.discrepancy.ends import without_boundary
 from invid.discrepancy.layout import Layout
-from invid.discrepancy.plant import Evaluation, noise_of, views_of, without_boundary
+from invid.discrepancy.plant import Evaluation, noise_of, views_of
 from invid.distributions import f_sf
-from invid.effects.base import Record, View
+from invid.effects.view import Record, View
 from invid.spectra import LineSpectra
 
 FALSE_ALARM = 0.01

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.fft import next_fast_len
 
 from invid.arrays import Complex128, Float64
-from invid.effects.base import Record
+from invid.effects.view import Record
 from invid.model import Model
 from invid.periods import fold, without_drift
 from invid.recording.model import Experiment, Recording, Role

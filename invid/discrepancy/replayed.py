@@ -20,8 +20,9 @@ from invid.diagnosis import Diagnosis
 from invid.discrepancy.confidence import CONTESTED
 from invid.discrepancy.joint import JointFit
 from invid.discrepancy.missing_torque import rms_torque
-from invid.discrepancy.plant import Candidate, Evaluation, evaluate, views_of
-from invid.effects.base import Record
+from invid.discrepancy.plant import Evaluation, evaluate, views_of
+from invid.discrepancy.terms import Candidate
+from invid.effects.view import Record
 from invid.errors import InvidError
 from invid.model import Model
 from invid.periods import fold, without_drift

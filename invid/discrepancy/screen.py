@@ -10,9 +10,11 @@ from scipy.optimize import nnls
 
 from invid.arrays import Complex128, Float64
 from invid.discrepancy.joint import JointFit
-from invid.discrepancy.plant import Term
+from invid.discrepancy.terms import Term
 from invid.effects import CATALOGUE
-from invid.effects.base import Effect, Pattern, View
+from invid.effects.base import Effect
+from invid.effects.place import Pattern
+from invid.effects.view import View
 from invid.refine.structure import ChainStructure
 from invid.refine.whitening import stack
 

@@ -13,13 +13,13 @@ from invid.discrepancy.joint import JointFit, fit, held_out
 from invid.discrepancy.layout import Layout
 from invid.discrepancy.missing_torque import null_test
 from invid.discrepancy.moves import Move, judged_on_moves
-from invid.discrepancy.plant import Candidate
 from invid.discrepancy.rounding import rounded
 from invid.discrepancy.screen import Score, Screen, terms_for
+from invid.discrepancy.terms import Candidate
 from invid.discrepancy.trial import HELD_OUT, LARGER, Step, Trial, at_bound, attempted, extends, sized
 from invid.discrepancy.variants import delays, ladder, lags
 from invid.distributions import chi2_isf
-from invid.effects.base import Record
+from invid.effects.view import Record
 
 SIGNIFICANCE = 1e-3
 """Chance, over all candidates together, that noise passes the training gain; the held-out gain must pass as

@@ -14,10 +14,11 @@ import numpy as np
 
 from invid.arrays import Complex128, Float64
 from invid.diagnosis import Unexplained
+from invid.discrepancy.ends import without_boundary
 from invid.discrepancy.layout import Layout
 from invid.discrepancy.missing_torque import between_periods
-from invid.discrepancy.plant import Evaluation, without_boundary
-from invid.effects.base import Record, View
+from invid.discrepancy.plant import Evaluation
+from invid.effects.view import Record, View
 from invid.recording.model import Recording
 from invid.refine.problem import condense_dense
 from invid.spectra import LineSpectra

@@ -11,10 +11,11 @@ import numpy as np
 from invid.arrays import Bool, Float64
 from invid.discrepancy.joint import LARGEST_STEP, JointFit, fit, held_out, limits_of, pack, unpack
 from invid.discrepancy.layout import Layout
-from invid.discrepancy.plant import Candidate, Evaluation, Term, evaluate
+from invid.discrepancy.plant import Evaluation, evaluate
+from invid.discrepancy.terms import Candidate, Term
 from invid.distributions import chi2_isf
-from invid.effects.base import Record
 from invid.effects.extra_mode import frequency_told
+from invid.effects.view import Record
 
 HELD_OUT = 6.6
 """Held-out χ² gain of one degree of freedom that noise exceeds once in a hundred."""

@@ -9,11 +9,11 @@ import numpy as np
 
 from invid.arrays import Float64
 from invid.discrepancy.joint import JointFit, fit
-from invid.discrepancy.plant import Candidate, Term
+from invid.discrepancy.terms import Candidate, Term
 from invid.discrepancy.trial import Step, Trial, at_bound, attempted, refit
 from invid.discrepancy.words import BY_CAUSE
-from invid.effects.base import Record
 from invid.effects.sign import DryLaw
+from invid.effects.view import Record
 
 
 def ladder(step: Step, train: Sequence[Record], held: Sequence[Record]) -> tuple[Step, ...]:

@@ -2,7 +2,7 @@
 
 from invid.effects.asymmetric_friction import AsymmetricFriction
 from invid.effects.backlash import Backlash
-from invid.effects.base import Effect, Place, Record, View
+from invid.effects.base import Effect
 from invid.effects.cogging import Cogging
 from invid.effects.coulomb_friction import CoulombFriction
 from invid.effects.coupling_stiffness import CouplingStiffness
@@ -13,6 +13,7 @@ from invid.effects.extra_mode import ExtraMode
 from invid.effects.gravity import Gravity
 from invid.effects.parameter_drift import ParameterDrift
 from invid.effects.payload_change import PayloadChange
+from invid.effects.place import Place
 from invid.effects.presliding_friction import PreslidingFriction
 from invid.effects.spring_damping import SpringDamping
 from invid.effects.spring_hysteresis import SpringHysteresis
@@ -23,6 +24,7 @@ from invid.effects.torque_lag import TorqueLag
 from invid.effects.torque_offset import TorqueOffset
 from invid.effects.torque_saturation import TorqueSaturation
 from invid.effects.transmission_error import TransmissionError
+from invid.effects.view import Record, View
 from invid.effects.viscous_friction import ViscousFriction
 
 CATALOGUE: tuple[Effect, ...] = (

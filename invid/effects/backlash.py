@@ -8,8 +8,10 @@ from typing import ClassVar
 import numpy as np
 
 from invid.arrays import Complex128
-from invid.effects.base import Effect, Place, View, rms, spring_places
+from invid.effects.base import Effect
+from invid.effects.place import Place, spring_places
 from invid.effects.sign import clip_law
+from invid.effects.view import View, rms
 from invid.refine.structure import ChainStructure
 
 

@@ -1,4 +1,4 @@
-"""What every effect declares, and the view of one record that it works on.
+"""What every effect declares.
 
 An effect adds to the missing torque r = Z Θ − A T of the linear model a *contribution*: r plus the
 contributions of all effects is zero for a perfect model. A resistance f (a force −f on the pattern b of
@@ -11,332 +11,15 @@ shape parameters (logarithms where they must be positive).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import ClassVar
 
 import numpy as np
 
 from invid.arrays import Complex128, Float64
-from invid.effects.secants import Secants
+from invid.effects.place import Place
+from invid.effects.view import View, along
 from invid.refine.structure import ChainStructure
-
-Spectrum = Complex128
-Pattern = tuple[tuple[int, float], ...]
-"""Coordinates with their signs: ((a, 1),) on one mass, ((a, 1), (b, −1)) between two."""
-
-
-@dataclass(frozen=True)
-class Place:
-    """Where an effect may sit. ``number`` counts masses and springs from 1; ``axis``, ``other`` from 0."""
-
-    kind: str  # "mass", "spring", "axis", "pair"
-    axis: int
-    number: int = 0
-    other: int = -1
-
-    @property
-    def element(self) -> str | None:
-        """As the contract writes it."""
-        return f"{self.kind} {self.number}" if self.kind in ("mass", "spring") else None
-
-    def pattern(self, structure: ChainStructure) -> Pattern:
-        """The coordinates a force of the effect acts on."""
-        first = int(structure.motor_dofs[self.axis])
-        if self.kind == "mass":
-            return ((first + self.number - 1, 1.0),)
-        if self.kind == "spring":
-            return ((first + self.number - 1, 1.0), (first + self.number, -1.0))
-        if self.kind == "pair":
-            return (
-                (int(structure.end_dofs[self.axis]), 1.0),
-                (int(structure.end_dofs[self.other]), -1.0),
-            )
-        return ((first, 1.0),)
-
-
-@dataclass(frozen=True, eq=False)
-class Record:
-    """One record, prepared: lines (0 Hz first), noise, and what the motors did over time.
-
-    Attributes
-    ----------
-    omega, lines
-        (F,) [rad/s] and their index in the transform of the wave; the first is 0.
-    position, torque
-        (F, M) complex amplitudes; means at 0.
-    filtered
-        (F, M) positions with lines that are noise taken out: what effects are evaluated on.
-    noise
-        (F, 2M) noise power of [position; torque].
-    scatter
-        (F, M) variance of r [(N·m)² or N²] that the scatter between periods adds to the sensors' noise.
-    motor_wave, motor_velocity, velocity_noise
-        (n, M), (n, M), (M,): one period (or the whole record) of the motors, noise filtered out, on a grid
-        of interval ``wave_step`` that is no finer than the laws of motion need.
-    torque_wave
-        (samples, M): torque over the same time, as sampled.
-    ramp
-        (M,) speed of the line between the record's ends; zero for periodic records.
-    command
-        (F, M) spectrum of the logged demand where the torque is more than it (a hold beside it).
-    set_aside
-        (M,) True for axes whose torque in this record no law tells: held, they stand on their friction.
-    """
-
-    key: str
-    omega: Float64
-    lines: np.ndarray
-    position: Complex128
-    torque: Complex128
-    filtered: Complex128
-    noise: Float64
-    noise_dof: float
-    scatter: Float64
-    span: float
-    transient: bool
-    step: float
-    motor_wave: Float64
-    motor_velocity: Float64
-    velocity_noise: Float64
-    torque_wave: Float64
-    wave_step: float
-    ramp: Float64
-    staircase: Float64
-    start_time: float
-    end_time: float
-    period_time: float
-    excited: np.ndarray
-    command: Complex128 | None = None
-    set_aside: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
-    weight: Float64 = field(default_factory=lambda: np.zeros(0))
-    """(F,) 0 for lines that are left out; empty where all count."""
-    alone: bool = False
-    """Whether it is a single period of a machine that changes, at its own time."""
-    trend: bool = False
-    """Whether the missing torque changes over the record's periods."""
-    ends_in: bool = True
-    """Whether the spectra hold the end-point correction h/2·(x_n − x_0) that makes a sum the integral."""
-
-    @property
-    def samples(self) -> int:
-        """n, of the waves of motion."""
-        return int(self.motor_wave.shape[0])
-
-    @property
-    def wave_time(self) -> Float64:
-        """(n,) time of the waves of motion, zero in the record's middle [s]."""
-        middle = 0.5 * (self.torque_wave.shape[0] - 1) * self.step
-        out: Float64 = np.arange(self.samples, dtype=np.float64) * self.wave_step - middle
-        return out
-
-    def to_wave(self, lines: Complex128) -> Float64:
-        """(n,) wave of (F,) amplitudes, the mean first."""
-        half = np.zeros(self.samples // 2 + 1, dtype=complex)
-        half[self.lines] = lines * (self.samples / 2)
-        half[0] *= 2.0
-        out: Float64 = np.fft.irfft(half, self.samples)
-        return out
-
-    def after(self, time: float) -> float:
-        """Share of the record that lies after ``time``."""
-        return float(np.clip((self.end_time - time) / (self.end_time - self.start_time), 0.0, 1.0))
-
-
-class View:
-    """One record seen through one linear plant; time-domain waves are made once."""
-
-    def __init__(
-        self,
-        record: Record,
-        structure: ChainStructure,
-        motion: Complex128,
-        stiffness: Complex128,
-        inner: Complex128,
-        acting: Complex128,
-        springs: Float64,
-        dampers: Float64,
-        masses: Float64,
-        origin: float,
-    ) -> None:
-        self.record, self.structure = record, structure
-        self.motion, self.stiffness, self.inner = motion, stiffness, inner
-        self.acting = acting
-        self.springs, self.dampers, self.masses = springs, dampers, masses
-        self.origin = origin
-        self.base = np.einsum("fqm,fm->fq", motion, record.filtered)
-        self.feedback: Complex128 = np.zeros_like(self.base)
-        self.of_ends: Complex128 = np.zeros((1, 1), dtype=complex)
-        """(F, ΣN) motion besides ``base`` that the ends of a record that does not close stand for."""
-        self._open: tuple[Complex128, Float64] | None = None
-        """Where a record does not close: what the waves of inner motion have besides ``base`` (F, ΣN), and
-        each coordinate's mean rate (ΣN,)."""
-        self.secants = Secants()
-        self.missing: Complex128 | None = None
-        """(F, M) missing torque of the linear model; None where forces cannot be read from it."""
-        self.certainty: Complex128 = np.zeros((0, 0, 0), dtype=complex)
-        """(F, M, M) inverse covariance of ``missing`` and of ``remaining``."""
-        self.remaining: Complex128 | None = None
-        """(F, M) missing torque that the causes chosen so far and the record's ends leave."""
-        self._waves: dict[tuple[Pattern, bool], Float64] = {}
-        self._gains: dict[tuple[Pattern, ...], Complex128] = {}
-        self._pushes: dict[Pattern, Complex128] = {}
-        self._yields: dict[Pattern, Complex128] = {}
-
-    @property
-    def omega(self) -> Float64:
-        """(F,) [rad/s]."""
-        return self.record.omega
-
-    def respond(self, feedback: Complex128) -> None:
-        """Sets what all effects do to the inner coordinates, (F, ΣN)."""
-        self.feedback = feedback
-        self._waves = {k: v for k, v in self._waves.items() if self._at_motor(k[0])}
-
-    def ended(self, of_ends: Complex128, jumps: Float64) -> None:
-        """Sets what the ``jumps`` (2ΣN,) of a record that does not close do to inner coordinates, (F, ΣN).
-
-        The motors' own wander is in their waves.
-        """
-        safe = np.where(self.omega > 0, self.omega, np.inf)
-        slope: Complex128 = (2j / safe)[:, None]  # lines of a straight line that rises by one a second
-        slopes = jumps[: self.base.shape[1]] / self.record.span
-        wander = np.einsum("fqm,fm->fq", self.motion, slope * self.record.ramp)
-        self._open = (of_ends + wander - slope * slopes, slopes)
-        self.respond(self.feedback)
-
-    def ends_of(self, other: View) -> None:
-        """Takes over what the ends do from a view close by."""
-        self.of_ends, self._open = other.of_ends, other._open
-
-    def _at_motor(self, pattern: Pattern) -> bool:
-        return len(pattern) == 1 and pattern[0][0] in self.structure.motor_dofs
-
-    def spectrum(self, pattern: Pattern) -> Spectrum:
-        """(F,) motion along the pattern."""
-        total: Complex128 = np.zeros(self.omega.size, dtype=complex)
-        for at, sign in pattern:
-            total = total + sign * (self.base[:, at] + self.feedback[:, at])
-        return total
-
-    def wave(self, pattern: Pattern) -> Float64:
-        """(n,) motion along the pattern over time."""
-        return self._wave(pattern, False)
-
-    def velocity(self, pattern: Pattern) -> Float64:
-        """(n,) its derivative."""
-        return self._wave(pattern, True)
-
-    def _wave(self, pattern: Pattern, rate: bool) -> Float64:
-        key = (pattern, rate)
-        if key in self._waves:
-            return self._waves[key]
-        record = self.record
-        if self._at_motor(pattern):
-            i = self.structure.motor_dofs.index(pattern[0][0])
-            out: Float64 = (record.motor_velocity if rate else record.motor_wave)[:, i] * pattern[0][1]
-        else:
-            x = self.spectrum(pattern)
-            wander = sum(sign * record.ramp[self._axis(at)] for at, sign in pattern)
-            if self._open is not None:
-                x = x + along(pattern, self._open[0])
-                wander = sum(sign * self._open[1][at] for at, sign in pattern)
-            out = record.to_wave(1j * self.omega * x if rate else x)
-            if wander:
-                out = out + (wander if rate else wander * record.wave_time)
-        self._waves[key] = out
-        return out
-
-    def _axis(self, coordinate: int) -> int:
-        return int(np.searchsorted(np.asarray(self.structure.motor_dofs), coordinate, side="right") - 1)
-
-    def to_lines(self, basis: Float64, *, smeared: bool = False) -> Complex128:
-        """(F, L) amplitudes of (n, L) waves; ``smeared``: they are means over a triangle of two samples."""
-        record, count = self.record, basis.shape[0]
-        out: Complex128 = np.fft.rfft(basis, axis=0)[record.lines] * (2.0 / count)
-        if record.transient:
-            out = out + (basis[-1] - basis[0]) / count
-        out[0] *= 0.5
-        if smeared:
-            out = out / np.sinc(self.omega * record.wave_step / 2 / np.pi)[:, None] ** 2
-        return out
-
-    def push(self, pattern: Pattern) -> Complex128:
-        """(F, M) Wᵀ b: how a force along the pattern reaches the motors."""
-        if pattern not in self._pushes:
-            self._pushes[pattern] = sum(
-                (sign * self.motion[:, at] for at, sign in pattern[1:]),
-                start=pattern[0][1] * self.motion[:, pattern[0][0]],
-            )
-        return self._pushes[pattern]
-
-    def yields(self, pattern: Pattern) -> Complex128:
-        """(F, ΣN) Z_ii⁻¹ b: how the inner coordinates give way."""
-        if pattern not in self._yields:
-            self._yields[pattern] = sum(
-                (sign * self.inner[:, :, at] for at, sign in pattern[1:]),
-                start=pattern[0][1] * self.inner[:, :, pattern[0][0]],
-            )
-        return self._yields[pattern]
-
-    def inferred(self, pattern: Pattern, missing: Complex128) -> Complex128:
-        """(F,) force along the pattern that ``missing`` (F, M) would take, whatever its law.
-
-        r = −Wᵀ b f solved for f with the weights of the noise, shrunk by its own noise (Wiener) and zero
-        where noise alone could be all of it (once in 400 records on any of their lines).
-
-        The motors hardly feel a force on inner masses far below their resonance; there the least error of the
-        linear parameters reads as a huge one, which would move the inner masses by more than they move. So
-        on the half of the lines where it is felt least the force is no larger than the largest on the others.
-        """
-        push = self.push(pattern)
-        weighted = np.einsum("fij,fj->fi", self.certainty, push).conj()
-        information = np.einsum("fi,fi->f", weighted, push).real
-        safe = np.maximum(information, 1e-300)
-        force = -np.einsum("fi,fi->f", weighted, missing) / safe
-        power = np.abs(force) ** 2 * safe
-        # A pair of forces moves nothing at 0 Hz: what is left of its push there is rounding.
-        felt = np.abs(push).max(axis=1) > 1e-10
-        beyond = power > 6.0 + np.log(max(self.omega.size, 1))
-        keep = np.where(felt & beyond, 1.0 - 1.0 / np.maximum(power, 1e-300), 0.0)
-        out: Complex128 = keep * force
-        if felt.any():
-            well = felt & (information >= np.median(information[felt]))
-            most, size = float(np.abs(out[well]).max()), np.abs(out)
-            out = np.where(well | (size <= most), out, out * (most / np.maximum(size, 1e-300)))
-        return out
-
-    def correction(self, patterns: tuple[Pattern, ...], rest: Complex128) -> Complex128:
-        """(F, ΣN) what forces beyond the laws do to inner coordinates: the mean of what ``rest`` leaves open.
-
-        ``rest`` is the missing torque with the laws' contributions. A law at the wrong size reconstructs
-        the wrong inner motion, which near a clamped resonance feeds back and runs away; the measured
-        torque says what force there really was. Prior variance of the forces: what ``missing`` would
-        take at each place alone, so that nothing is corrected where noise is all there is.
-        """
-        if self.missing is None:
-            return np.zeros_like(self.base)
-        if patterns not in self._gains:
-            pushes = np.stack([self.push(p) for p in patterns], axis=-1)  # (F, M, T)
-            prior = np.stack([np.abs(self.inferred(p, self.missing)) ** 2 for p in patterns], axis=-1)
-            weighted = np.einsum("fmt,fmn->ftn", pushes.conj(), self.certainty)
-            inner = np.einsum("ftn,fnu->ftu", weighted, pushes) * prior[:, None, :]
-            inner = inner + np.eye(len(patterns))
-            # S Hᴴ(H S Hᴴ + C)⁻¹ = S (Hᴴ C⁻¹ H S + 1)⁻¹ Hᴴ C⁻¹
-            self._gains[patterns] = -prior[..., None] * np.linalg.solve(inner, weighted)
-        forces = np.einsum("ftm,fm->ft", self._gains[patterns], rest)
-        out: Complex128 = np.zeros_like(self.base)
-        for k, pattern in enumerate(patterns):
-            out = out - self.yields(pattern) * forces[:, k, None]
-        return out
-
-    def compliance(self, pattern: Pattern) -> Complex128:
-        """(F,) bᵀ Z_ii⁻¹ b."""
-        y = self.yields(pattern)
-        total: Complex128 = np.zeros(self.omega.size, dtype=complex)
-        for at, sign in pattern:
-            total = total + sign * y[:, at]
-        return total
 
 
 def unit_of(kind: str, linear: bool) -> str:
@@ -490,7 +173,10 @@ class ImpedanceEffect(Effect):
         pattern = place.pattern(view.structure)
         raw = np.einsum("fqm,fm->fq", view.motion, view.record.position)
         yielding = 1.0 + self.impedance(view, place, x) * view.compliance(pattern)
-        force = self._force(view, place, x) * along(pattern, raw) + self.within(view, place, x) / yielding
+        force = (
+            self.force_per_motion(view, place, x) * along(pattern, raw)
+            + self.within(view, place, x) / yielding
+        )
         return view.push(pattern) * force[:, None], -view.yields(pattern) * force[:, None]
 
     def of_jumps(self, view: View, place: Place, x: Sequence[float], moved: Complex128) -> Complex128:
@@ -500,7 +186,7 @@ class ImpedanceEffect(Effect):
         ends of its own, (2/T)((d + jωm)Δx + mΔv).
         """
         pattern = place.pattern(view.structure)
-        force: Complex128 = self._force(view, place, x)[:, None] * along(pattern, moved)
+        force: Complex128 = self.force_per_motion(view, place, x)[:, None] * along(pattern, moved)
         mass, damper = self.carries(view, x)
         yielding = 1.0 + self.impedance(view, place, x) * view.compliance(pattern)
         own = np.stack((damper + 1j * view.omega * mass, np.full(view.omega.size, mass, dtype=complex)))
@@ -515,51 +201,8 @@ class ImpedanceEffect(Effect):
         """Mass and damper in it, as far as its impedance is theirs."""
         return 0.0, 0.0
 
-    def _force(self, view: View, place: Place, x: Sequence[float]) -> Complex128:
+    def force_per_motion(self, view: View, place: Place, x: Sequence[float]) -> Complex128:
         """(F,) force per motion that the pattern would have without it."""
         z = self.impedance(view, place, x)
         out: Complex128 = z / (1.0 + z * view.compliance(place.pattern(view.structure)))
         return out
-
-
-def along(pattern: Pattern, motion: Complex128) -> Complex128:
-    """(F, ...) of the (F, ΣN, ...) motion of every coordinate that along the pattern."""
-    total: Complex128 = np.zeros_like(motion[:, 0])
-    for at, sign in pattern:
-        total = total + sign * motion[:, at]
-    return total
-
-
-def mass_places(structure: ChainStructure) -> list[Place]:
-    """Every mass of every axis."""
-    return [Place("mass", i, q + 1) for i, n in enumerate(structure.sizes) for q in range(n)]
-
-
-def motor_places(structure: ChainStructure) -> list[Place]:
-    """The motors."""
-    return [Place("mass", i, 1) for i in range(structure.motors)]
-
-
-def end_places(structure: ChainStructure) -> list[Place]:
-    """The final masses."""
-    return [Place("mass", i, n) for i, n in enumerate(structure.sizes)]
-
-
-def spring_places(structure: ChainStructure) -> list[Place]:
-    """Every spring of every axis."""
-    return [Place("spring", i, s + 1) for i, n in enumerate(structure.sizes) for s in range(n - 1)]
-
-
-def axis_places(structure: ChainStructure) -> list[Place]:
-    """The axes as such."""
-    return [Place("axis", i) for i in range(structure.motors)]
-
-
-def pair_places(structure: ChainStructure) -> list[Place]:
-    """Pairs of axes."""
-    return [Place("pair", i, other=j) for i, j in structure.coupling_pairs]
-
-
-def rms(values: Sequence[Float64]) -> float:
-    """Largest rms of several waves, their means taken out."""
-    return max((float(np.std(v)) for v in values), default=0.0)

@@ -8,8 +8,10 @@ from typing import ClassVar
 import numpy as np
 
 from invid.arrays import Float64
-from invid.effects.base import ForceEffect, Place, View, motor_places, rms
+from invid.effects.base import ForceEffect
 from invid.effects.cycles import cycle_grid, ripples
+from invid.effects.place import Place, motor_places
+from invid.effects.view import View, rms
 from invid.refine.structure import ChainStructure
 
 

@@ -8,7 +8,8 @@ import numpy as np
 from scipy.fft import next_fast_len
 
 from invid.arrays import Float64
-from invid.effects.base import Pattern, View, rms
+from invid.effects.place import Pattern
+from invid.effects.view import View, rms
 
 SLOW = 4.0
 """Phase [rad, rms] up to which cycles are tried one by one: a ripple whose phase hardly turns looks like any

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
-from invid.effects.base import Effect, Place
+from invid.effects.base import Effect
+from invid.effects.place import Place
 from invid.refine.structure import ChainStructure
 
 

@@ -15,7 +15,9 @@ import numpy as np
 from numba import njit
 
 from invid.arrays import Float64
-from invid.effects.base import ForceEffect, Place, View
+from invid.effects.base import ForceEffect
+from invid.effects.place import Place
+from invid.effects.view import View
 
 ROUNDING = "rounding"
 """Name of the further parameter that friction has in a model where its sign changes over gradually."""

@@ -8,7 +8,9 @@ from typing import ClassVar
 import numpy as np
 
 from invid.arrays import Complex128
-from invid.effects.base import ImpedanceEffect, Place, View
+from invid.effects.base import ImpedanceEffect
+from invid.effects.place import Place
+from invid.effects.view import View
 from invid.refine.structure import ChainStructure
 
 

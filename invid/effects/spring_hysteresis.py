@@ -8,8 +8,10 @@ from typing import ClassVar
 import numpy as np
 
 from invid.arrays import Float64
-from invid.effects.base import ForceEffect, Place, View, rms, spring_places
+from invid.effects.base import ForceEffect
+from invid.effects.place import Place, spring_places
 from invid.effects.slider import slide
+from invid.effects.view import View, rms
 from invid.refine.structure import ChainStructure
 
 

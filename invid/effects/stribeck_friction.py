@@ -8,8 +8,9 @@ from typing import ClassVar
 import numpy as np
 
 from invid.arrays import Float64
-from invid.effects.base import Place, View, mass_places, rms
+from invid.effects.place import Place, mass_places
 from invid.effects.sign import DryLaw, excess_law, sign_law
+from invid.effects.view import View, rms
 from invid.refine.structure import ChainStructure
 
 

@@ -8,7 +8,9 @@ from typing import ClassVar
 import numpy as np
 
 from invid.arrays import Complex128
-from invid.effects.base import Effect, Place, View, axis_places
+from invid.effects.base import Effect
+from invid.effects.place import Place, axis_places
+from invid.effects.view import View
 from invid.refine.structure import ChainStructure
 
 

@@ -8,7 +8,9 @@ from typing import ClassVar
 import numpy as np
 
 from invid.arrays import Float64
-from invid.effects.base import ForceEffect, Place, View, motor_places
+from invid.effects.base import ForceEffect
+from invid.effects.place import Place, motor_places
+from invid.effects.view import View
 from invid.refine.structure import ChainStructure
 
 

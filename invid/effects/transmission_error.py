@@ -9,8 +9,10 @@ import numpy as np
 
 from invid.arrays import Complex128, Float64
 from invid.effects.backlash import spring_index
-from invid.effects.base import Effect, Place, View, rms, spring_places
+from invid.effects.base import Effect
 from invid.effects.cycles import cycle_grid, ripples
+from invid.effects.place import Place, spring_places
+from invid.effects.view import View, rms
 from invid.refine.structure import ChainStructure
 
 

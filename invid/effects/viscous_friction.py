@@ -8,7 +8,9 @@ from typing import ClassVar
 import numpy as np
 
 from invid.arrays import Complex128
-from invid.effects.base import ImpedanceEffect, Place, View, mass_places
+from invid.effects.base import ImpedanceEffect
+from invid.effects.place import Place, mass_places
+from invid.effects.view import View
 from invid.refine.structure import ChainStructure
 
 

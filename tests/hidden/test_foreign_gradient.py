@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from invid.discrepancy.linear import layout_of
-from invid.discrepancy.plant import Candidate, Term, evaluate
+from invid.discrepancy.plant import evaluate
 from invid.discrepancy.records import split
+from invid.discrepancy.terms import Candidate, Term
 from invid.effects.backlash import Backlash
-from invid.effects.base import Place
+from invid.effects.place import Place
 from invid.refine.structure import ChainStructure
 from invid.spectra import all_spectra
 

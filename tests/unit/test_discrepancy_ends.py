@@ -8,11 +8,13 @@ from test_discrepancy_settling import from_rest
 from two_masses import recording as recording_of
 
 from invid.discrepancy.linear import layout_of
-from invid.discrepancy.plant import Candidate, Term, evaluate
+from invid.discrepancy.plant import evaluate
 from invid.discrepancy.records import by_period, record_of
-from invid.effects.base import Place, Record
+from invid.discrepancy.terms import Candidate, Term
 from invid.effects.parameter_drift import ParameterDrift
 from invid.effects.payload_change import PayloadChange
+from invid.effects.place import Place
+from invid.effects.view import Record
 from invid.effects.viscous_friction import ViscousFriction
 from invid.recording import Role
 from invid.refine.structure import ChainStructure

@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from invid.discrepancy.select import _ranked
-from invid.effects.base import Place
 from invid.effects.coulomb_friction import CoulombFriction
+from invid.effects.place import Place
 from invid.effects.stribeck_friction import StribeckFriction
 
 

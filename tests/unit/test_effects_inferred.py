@@ -5,7 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 
 from invid.arrays import Complex128
-from invid.effects.base import Pattern, View
+from invid.effects.place import Pattern
+from invid.effects.view import View
 
 PATTERN: Pattern = ((1, 1.0), (2, -1.0))
 
