@@ -17,6 +17,7 @@ from invid.arrays import Complex128, Float64
 from invid.discrepancy.ends import ends_of, likely_jumps
 from invid.discrepancy.gradient import (
     effect_columns,
+    impedance_columns,
     jump_columns,
     law_columns,
     strong_inside,
@@ -180,6 +181,7 @@ def evaluate(
             effect_columns(view, candidate, extra, columns, at)
             if jumps.size:
                 jump_columns(view, candidate, ends.moved, jumps, columns, at)
+            impedance_columns(view, candidate, sp, q, columns)
             if thorough and strong_inside(view, candidate):
                 law_columns(view, candidate, sp, q, columns, layout.count)
         residuals.append(white)

@@ -10,12 +10,15 @@ import pytest
 
 from invid.discrepancy.linear import layout_of
 from invid.discrepancy.plant import evaluate
-from invid.discrepancy.records import split
+from invid.discrepancy.records import by_period, record_of, split
 from invid.discrepancy.terms import Candidate, Term
 from invid.effects.backlash import Backlash
+from invid.effects.extra_mode import ExtraMode
 from invid.effects.place import Place
+from invid.effects.viscous_friction import ViscousFriction
+from invid.recording import Role
 from invid.refine.structure import ChainStructure
-from invid.spectra import all_spectra
+from invid.spectra import all_spectra, spectra_of
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from hidden.foreign import make_foreign
@@ -81,3 +84,53 @@ def test_the_gradient_knows_what_masses_and_springs_do_to_a_gap_of_the_last_spri
         # Inner motion and forces agree to a few per cent only after the fixed number of steps.
         expected = (costs[0] - costs[1]) / (2.0 * h)
         assert gradient[k] == pytest.approx(expected, rel=0.1, abs=0.01 * largest), layout.names[k]
+
+
+@pytest.mark.parametrize("from_rest", [False, True])
+@pytest.mark.parametrize("cause", ["extra_mode", "viscous_friction"])
+def test_the_gradient_knows_what_masses_and_springs_do_to_an_effect_linear_in_inner_motion(
+    cause: str, from_rest: bool
+) -> None:
+    recording, truth = make(
+        cause,
+        (0, 2),
+        seed=21,
+        masses=(3,),
+        target_db=25.0,
+        noise=0.003,
+        drive="smooth",
+        from_rest=from_rest,
+        moves=False,
+        periods=2,
+    )
+    spectra = [spectra_of(e, drop_transient=False) for e in recording.experiments if e.role is Role.IDENTIFY]
+    experiments = {e.key: e for e in recording.experiments}
+    whole = [record_of(s, experiments[s.key]) for s in spectra]
+    train = by_period(recording, whole, [s.key for s in spectra]) if from_rest else whole
+    structure = ChainStructure(truth.chains.masses_per_branch, truth.chains.axes, viscous=False)
+    layout = layout_of(structure, train, 0.0)
+    p = np.full(layout.count, 0.5)
+    p[: structure.count] = structure.vector(truth.chains)
+    p[structure.count : structure.count + 1] = 0.5 * layout.step
+    p[: structure.count] *= 1.0 + 2e-3 * np.random.default_rng(0).normal(size=structure.count)
+    size = truth.effects[0].parameters
+    effect, x = {
+        "extra_mode": lambda: (
+            ExtraMode(),
+            [size["mass"], 0.5 * np.log(size["stiffness"] / size["mass"]), np.log(0.01)],
+        ),
+        "viscous_friction": lambda: (ViscousFriction(), [size["coefficient"]]),
+    }[cause]()
+    candidate = Candidate((Term(effect, Place("mass", 0, 2)),), (np.array(x),))
+    here = evaluate(layout, train, p, candidate)
+    gradient = 2.0 * here.jacobian.T @ here.residual
+    chosen = [*range(structure.count), *range(layout.count, gradient.size)]
+    largest = np.abs(gradient[chosen]).max()
+    for k in chosen:
+        h, costs = 1e-5 * max(abs(float(np.append(p, x)[k])), 1e-2), []
+        for sign in (1.0, -1.0):
+            moved = np.append(p, x)
+            moved[k] += sign * h
+            changed = Candidate(candidate.terms, (moved[p.size :],))
+            costs.append(evaluate(layout, train, moved[: p.size], changed, jacobian=False).cost)
+        assert gradient[k] == pytest.approx((costs[0] - costs[1]) / (2 * h), rel=0.1, abs=0.01 * largest), k
