@@ -23,7 +23,7 @@ from invid.pole_search import searched_modes
 from invid.rational import FINE, TRUSTED, rational_modes
 from invid.recording.model import Recording, Role
 from invid.refine.bootstrap import bootstrap as bootstrap_of
-from invid.refine.fit import Fit, fit_structure
+from invid.refine.fit import Fit, fit_structure, large
 from invid.refine.mixed_drive import with_acting_torque
 from invid.refine.profile import profiles
 from invid.refine.structure import ChainStructure
@@ -35,9 +35,6 @@ Method = Literal["paper", "refined"]
 MISFIT = 0.01
 """Relative FRF error granted to the modal fit that only gives a start: friction of a few per cent of the
 peak torque leaves about that, and a modal fit that chases it is slow and no better a start."""
-MODERATE = 300
-"""Modes times motors squared up to which the modes of the FRF matrix come before the search under the noise.
-Four branches of five masses take seconds; beyond, a guess: six of five were cut short after three minutes."""
 AT_NOISE = 1.5
 """χ²/ν up to which a fit is at its noise; the same at which no further start is tried."""
 LOCAL_MISFIT = 0.03
@@ -264,7 +261,7 @@ def _starts(
     yield from further
     crude: list[CoupledChains] = []
     count = 0
-    early = (sum(sizes) - len(sizes)) * len(sizes) ** 2 <= MODERATE and measured.frequency_hz.size > 0
+    early = not large(sizes) and measured.frequency_hz.size > 0
     for modes, frf in _modal_starts(spectra, sizes, thorough):
         *physical, equal = starts(frf.frequency_hz, frf.frf, frf.variance, sizes, axes=axes, modes=modes)
         yield from physical

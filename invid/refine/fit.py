@@ -39,6 +39,10 @@ TEMPER = (0.1, 0.03, 0.01, 0.003)
 noise alone the valley is so narrow that a start 12 % off in one spring of a chain of five ends in
 another minimum; a tenth of the amplitude makes it wide, and each step starts within the next."""
 
+MODERATE = 300
+"""Modes times motors squared above which a plant is large. Four branches of five masses take seconds; beyond,
+a guess: six of five were cut short after six minutes."""
+
 
 @dataclass(frozen=True, eq=False)
 class Fit:
@@ -88,7 +92,9 @@ def fit_structure(
             f"{sum(b.omega.size for b in problem.blocks)} lines give {rows} equations for "
             f"{rows - problem.dof} unknowns: lengthen the period, widen the band, or use fewer masses"
         )
-    solution = _best(problem, starts, 80 if thorough else 30, 5 if thorough else 2)
+    # A large plant's further starts take longer than a search on from the first.
+    patience = 1 if large(structure.sizes) else 5 if thorough else 2
+    solution = _best(problem, starts, 80 if thorough else 30, patience)
     holds: dict[str, str] = {}
     if thorough:
         problem, solution = _boundary(problem, solution, spectra)
@@ -133,6 +139,11 @@ def fit_structure(
         explained,
         {**_facts(problem, solution, excess), "holds": holds, "hold_timing": timing},
     )
+
+
+def large(sizes: Sequence[int]) -> bool:
+    """Whether each start for a plant takes longer than a fit from it."""
+    return (sum(sizes) - len(sizes)) * len(sizes) ** 2 > MODERATE
 
 
 def _best(
