@@ -253,7 +253,7 @@ def _ranked(scored: Sequence[tuple[Trial, float]], contested: frozenset[int]) ->
         behind = trial.term.effect.cause == "torque_lag" and trial.term.place.axis in contested
         least = delays.get(trial.term.place.axis, score) if behind else score
         for smaller, s in scored:
-            if extends(trial, smaller) and smaller.fit.cost - trial.fit.cost < LARGER * smaller.dispersion:
+            if extends(trial, smaller) and smaller.fit.cost - trial.fit.cost < LARGER * trial.dispersion:
                 least, behind = max(least, s), True
         moved.append((trial, max(score, least), behind))
     return [(t, s) for t, s, _ in sorted(moved, key=lambda one: one[1:])]
