@@ -38,7 +38,8 @@ def _acting(s: LineSpectra, experiment: Experiment) -> LineSpectra:
     samples = s.periods * count + (1 if whole else 0)
     if s.periods < 1 or (demand.shape[0] != samples if whole else demand.shape[0] < samples):
         return s  # resampled, or cut
-    mixed = np.isnan(s.staircase) & np.any(demand != 0, axis=0)
+    # Without a hold there is nothing beside the demand: what differs is how the drive follows it.
+    mixed = np.isnan(s.staircase) & np.any(demand != 0, axis=0) & (experiment.hold_gain != 0.0)
     if not mixed.any():
         return s
     command = _command(s, demand, whole=whole)

@@ -53,6 +53,7 @@ def test_keys_pressed_in_the_terminal_are_the_parents_to_relay(number: signal.Si
 def test_the_command_stops_in_order_on_whatever_a_terminal_sends(
     number: signal.Signals, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)  # this run itself may be under nohup
     monkeypatch.setattr(sys, "stderr", Gone())  # a terminal that was closed takes no message either
     with stop_on_signals() as stop:
         os.kill(os.getpid(), number)
