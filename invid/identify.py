@@ -23,7 +23,7 @@ from invid.pole_search import searched_modes
 from invid.rational import FINE, TRUSTED, rational_modes
 from invid.recording.model import Recording, Role
 from invid.refine.bootstrap import bootstrap as bootstrap_of
-from invid.refine.fit import Fit, fit_structure, large
+from invid.refine.fit import AT_NOISE, Fit, fit_structure, large
 from invid.refine.mixed_drive import with_acting_torque
 from invid.refine.profile import profiles
 from invid.refine.structure import ChainStructure
@@ -35,8 +35,6 @@ Method = Literal["paper", "refined"]
 MISFIT = 0.01
 """Relative FRF error granted to the modal fit that only gives a start: friction of a few per cent of the
 peak torque leaves about that, and a modal fit that chases it is slow and no better a start."""
-AT_NOISE = 1.5
-"""χ²/ν up to which a fit is at its noise; the same at which no further start is tried."""
 LOCAL_MISFIT = 0.03
 """The same for the local regression, which blunts resonances narrower than its window."""
 

@@ -51,9 +51,10 @@ def linear_fit(
     first = fit(
         layout, with_scatter(train, spectra, layout, start), start, given, iterations=25, strict=False
     )
-    if not given.terms and (_vanishing(first) or _doubted(model, first)):
+    gone = _vanishing(first)
+    if not given.terms and (gone or _doubted(model, first)):
         again = _restarted(first, train)
-        if _vanishing(first) or again.cost < LOWER * first.cost:
+        if gone or again.cost < LOWER * first.cost:
             first = again
     train = with_scatter(train, spectra, layout, first.p)
     held = with_scatter(held, spectra, layout, first.p)

@@ -105,7 +105,7 @@ def evaluate(
     dof = 0
     for view in views:
         record = view.record
-        _, factor, by_stair, by_hold = acting_of(record, layout, p)
+        factor = acting_of(record, layout, p)[1]
         r: Complex128 = np.einsum("fij,fj->fi", view.stiffness, record.position) - view.acting
         covariance = noise_of(view, factor, candidate)
         if near and candidate.terms:
@@ -122,21 +122,18 @@ def evaluate(
             open_ = stack(root @ felt.torque)
             basis, back = factored(open_)
             if near and candidate.terms:
-                view.ends_of(near[len(missing)])
+                view.take_ends(near[len(missing)])
         else:
             view.missing = r
-        linear = r
-        # Laws of inner motion feel what the ends of a record do, which is known once their forces are.
-        for again in (False, True):
-            extra = contributions(view, candidate)
-            r = linear + extra
-            white = stack(root @ r[..., None])[:, 0]
-            if not record.transient or again:
-                break
-            likely = likely_jumps(view, open_, white)
+        extra = contributions(view, candidate)
+        if record.transient:
+            likely = likely_jumps(view, open_, stack(root @ (r + extra)[..., None])[:, 0])
             view.ended(felt.inner @ likely, likely)
-            if near or not any(t.inner for t in candidate.terms):
-                break
+            # Laws of inner motion feel what the ends of a record do, which is known once their forces are.
+            if not near and any(t.inner for t in candidate.terms):
+                extra = contributions(view, candidate)
+        r = r + extra
+        white = stack(root @ r[..., None])[:, 0]
         if record.transient:
             within = basis.T @ white
             along = basis @ within
@@ -145,53 +142,23 @@ def evaluate(
             jumps = -(back @ within)
             view.of_ends = felt.moved @ jumps
         view.remaining = r
-        columns: Complex128 | None = None
         if jacobian:
+            gain = np.asarray(np.linalg.solve(covariance, r[..., None])[..., 0], dtype=np.complex128)
             columns = np.zeros((*r.shape, layout.count + effects), dtype=complex)
-            gain = np.linalg.solve(covariance, r[..., None])[..., 0]
-            motors = structure.motors
-            noise = record.noise
-            # Only the sensors' noise moves the measurement: the scatter's share is in ``covariance``.
-            position = record.position - noise[:, :motors] * np.einsum(
-                "fij,fi->fj", view.stiffness.conj(), gain
+            columns[..., : layout.count], q = _linear_columns(
+                layout, p, view, gain, jumps, _passed(view, candidate)
             )
-            q = np.einsum("fqm,fm->fq", view.motion, position) + view.feedback + view.of_ends
-            sp = p[: structure.count]
-            columns[..., : structure.count] = structure.torque_derivative(
-                sp, record.omega, view.motion, q[None]
-            )[0]
-            if jumps.size:
-                columns[..., : structure.count] += end_derivative(
-                    structure, sp, record.omega, view.motion, jumps, record.span
-                )
-            at = structure.count
-            passed = _passed(view, candidate)
-            later = 1j * record.omega[:, None] * view.acting * passed
-            for k, i in enumerate(layout.free_delays):
-                columns[:, i, at + k] = later[:, i]
-            at += len(layout.free_delays)
-            for k, i in enumerate(layout.free_stairs):
-                columns[:, i, at + k] = -by_stair[:, i] * passed[:, i]
-                if i in layout.held_late and record.command is None:
-                    columns[:, i, at + k] += 0.5 * layout.step * later[:, i]
-            at += len(layout.free_stairs)
-            for k, hold in enumerate(layout.holds):
-                columns[:, hold.axis, at + k] = -by_hold[:, k] * passed[:, hold.axis]
-            at += len(layout.holds)
-            effect_columns(view, candidate, extra, columns, at)
-            if jumps.size:
-                jump_columns(view, candidate, ends.moved, jumps, columns, at)
-            impedance_columns(view, candidate, sp, q, columns)
+            effect_columns(view, candidate, extra, columns, layout.count)
+            if record.transient:
+                jump_columns(view, candidate, ends.moved, jumps, columns, layout.count)
+            impedance_columns(view, candidate, p[: structure.count], q, columns)
             if thorough and strong_inside(view, candidate):
-                law_columns(view, candidate, sp, q, columns, layout.count)
+                law_columns(view, candidate, p[: structure.count], q, columns, layout.count)
+            part = stack(root @ columns)
+            jacobians.append(part - basis @ (basis.T @ part) if record.transient else part)
         residuals.append(white)
         bases.append(basis)
         roots.append(root)
-        if columns is not None:
-            part = stack(root @ columns)
-            if record.transient:
-                part = part - basis @ (basis.T @ part)
-            jacobians.append(part)
         missing.append(r)
         covariances.append(covariance)
         lines = int(record.weight.sum()) if record.weight.size else record.omega.size
@@ -212,6 +179,41 @@ def evaluate(
         tuple(roots),
         dof,
     )
+
+
+def _linear_columns(
+    layout: Layout, p: Float64, view: View, gain: Complex128, jumps: Float64, passed: Complex128
+) -> tuple[Complex128, Complex128]:
+    """(F, M, parameters) derivative of r by those of the layout, and (F, ΣN) the motion it is taken at.
+
+    ``gain`` (F, M) is C_r⁻¹ r, ``jumps`` (2ΣN,) the ends of a record that does not close (empty for one that
+    does), ``passed`` (F, M) what actuators let through.
+    """
+    structure, record = layout.structure, view.record
+    sp, motors = p[: structure.count], structure.motors
+    _, _, by_stair, by_hold = acting_of(record, layout, p)
+    # Only the sensors' noise moves the measurement: the scatter's share is in the covariance.
+    expected = record.noise[:, :motors] * np.einsum("fij,fi->fj", view.stiffness.conj(), gain)
+    q = np.einsum("fqm,fm->fq", view.motion, record.position - expected) + view.feedback + view.of_ends
+    columns = np.zeros((*record.torque.shape, layout.count), dtype=complex)
+    columns[..., : structure.count] = structure.torque_derivative(sp, record.omega, view.motion, q[None])[0]
+    if jumps.size:
+        columns[..., : structure.count] += end_derivative(
+            structure, sp, record.omega, view.motion, jumps, record.span
+        )
+    at = structure.count
+    later = 1j * record.omega[:, None] * view.acting * passed
+    for k, i in enumerate(layout.free_delays):
+        columns[:, i, at + k] = later[:, i]
+    at += len(layout.free_delays)
+    for k, i in enumerate(layout.free_stairs):
+        columns[:, i, at + k] = -by_stair[:, i] * passed[:, i]
+        if i in layout.held_late and record.command is None:
+            columns[:, i, at + k] += 0.5 * layout.step * later[:, i]
+    at += len(layout.free_stairs)
+    for k, hold in enumerate(layout.holds):
+        columns[:, hold.axis, at + k] = -by_hold[:, k] * passed[:, hold.axis]
+    return columns, q
 
 
 def _passed(view: View, candidate: Candidate) -> Complex128:

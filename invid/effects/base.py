@@ -172,11 +172,8 @@ class ImpedanceEffect(Effect):
     ) -> tuple[Complex128, Complex128 | None]:
         pattern = place.pattern(view.structure)
         raw = np.einsum("fqm,fm->fq", view.motion, view.record.position)
-        yielding = 1.0 + self.impedance(view, place, x) * view.compliance(pattern)
-        force = (
-            self.force_per_motion(view, place, x) * along(pattern, raw)
-            + self.within(view, place, x) / yielding
-        )
+        z = self.impedance(view, place, x)
+        force = (z * along(pattern, raw) + self.within(view, place, x)) / (1.0 + z * view.compliance(pattern))
         return view.push(pattern) * force[:, None], -view.yields(pattern) * force[:, None]
 
     def of_jumps(self, view: View, place: Place, x: Sequence[float], moved: Complex128) -> Complex128:
@@ -186,16 +183,17 @@ class ImpedanceEffect(Effect):
         ends of its own, (2/T)((d + jωm)Δx + mΔv).
         """
         pattern = place.pattern(view.structure)
-        force: Complex128 = self.force_per_motion(view, place, x)[:, None] * along(pattern, moved)
+        z = self.impedance(view, place, x)
+        force: Complex128 = z[:, None] * along(pattern, moved)
         mass, damper = self.carries(view, x)
-        yielding = 1.0 + self.impedance(view, place, x) * view.compliance(pattern)
         own = np.stack((damper + 1j * view.omega * mass, np.full(view.omega.size, mass, dtype=complex)))
-        own *= 2.0 / view.record.span / yielding
+        own *= 2.0 / view.record.span
         own[:, 0] *= 0.5
         for at, sign in pattern:
             force[:, at] += sign * own[0]
             force[:, view.base.shape[1] + at] += sign * own[1]
-        return force
+        out: Complex128 = force / (1.0 + z * view.compliance(pattern))[:, None]
+        return out
 
     def carries(self, view: View, x: Sequence[float]) -> tuple[float, float]:
         """Mass and damper in it, as far as its impedance is theirs."""

@@ -124,7 +124,7 @@ class View:
         self.origin = origin
         self.base = np.einsum("fqm,fm->fq", motion, record.filtered)
         self.feedback: Complex128 = np.zeros_like(self.base)
-        self.of_ends: Complex128 = np.zeros((1, 1), dtype=complex)
+        self.of_ends: Complex128 = np.zeros_like(self.base)
         """(F, ΣN) motion besides ``base`` that the ends of a record that does not close stand for."""
         self._open: tuple[Complex128, Float64] | None = None
         """Where a record does not close: what the waves of inner motion have besides ``base`` (F, ΣN), and
@@ -163,7 +163,7 @@ class View:
         self._open = (of_ends + wander - slope * slopes, slopes)
         self.respond(self.feedback)
 
-    def ends_of(self, other: View) -> None:
+    def take_ends(self, other: View) -> None:
         """Takes over what the ends do from a view close by."""
         self.of_ends, self._open = other.of_ends, other._open
 
@@ -172,10 +172,7 @@ class View:
 
     def spectrum(self, pattern: Pattern) -> Complex128:
         """(F,) motion along the pattern."""
-        total: Complex128 = np.zeros(self.omega.size, dtype=complex)
-        for at, sign in pattern:
-            total = total + sign * (self.base[:, at] + self.feedback[:, at])
-        return total
+        return along(pattern, self.base) + along(pattern, self.feedback)
 
     def wave(self, pattern: Pattern) -> Float64:
         """(n,) motion along the pattern over time."""
@@ -290,11 +287,7 @@ class View:
 
     def compliance(self, pattern: Pattern) -> Complex128:
         """(F,) bᵀ Z_ii⁻¹ b."""
-        y = self.yields(pattern)
-        total: Complex128 = np.zeros(self.omega.size, dtype=complex)
-        for at, sign in pattern:
-            total = total + sign * y[:, at]
-        return total
+        return along(pattern, self.yields(pattern))
 
 
 def along(pattern: Pattern, motion: Complex128) -> Complex128:

@@ -39,6 +39,8 @@ TEMPER = (0.1, 0.03, 0.01, 0.003)
 noise alone the valley is so narrow that a start 12 % off in one spring of a chain of five ends in
 another minimum; a tenth of the amplitude makes it wide, and each step starts within the next."""
 
+AT_NOISE = 1.5
+"""χ²/ν up to which a fit counts as at its noise and no further start is tried."""
 MODERATE = 300
 """Modes times motors squared above which a plant is large. Four branches of five masses take seconds; beyond,
 a guess: six of five were cut short after six minutes."""
@@ -159,7 +161,7 @@ def _best(
         again = best is not None and abs(found.chi2 - best.chi2) < 1e-3 * best.chi2
         if best is None or found.chi2 < best.chi2:
             best = found
-        if again or best.reduced < 1.5:
+        if again or best.reduced < AT_NOISE:
             break
     if best is None:
         raise NotIdentifiableError(

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from invid.arrays import Float64
+from invid.chains import CoupledChains
+from invid.discrepancy.layout import Layout
 from invid.discrepancy.linear import layout_of
 from invid.discrepancy.plant import evaluate
 from invid.discrepancy.records import by_period, record_of, split
@@ -15,6 +19,7 @@ from invid.discrepancy.terms import Candidate, Term
 from invid.effects.backlash import Backlash
 from invid.effects.extra_mode import ExtraMode
 from invid.effects.place import Place
+from invid.effects.view import Record
 from invid.effects.viscous_friction import ViscousFriction
 from invid.recording import Role
 from invid.refine.structure import ChainStructure
@@ -25,25 +30,38 @@ from hidden.foreign import make_foreign
 from hidden.generator import make
 
 
+def near_the_truth(train: Sequence[Record], chains: CoupledChains, spread: float) -> tuple[Layout, Float64]:
+    """Layout, and its parameters off the true ones by a random share: at the minimum no gradient tells."""
+    structure = ChainStructure(chains.masses_per_branch, chains.axes, viscous=False)
+    layout = layout_of(structure, train, 0.0)
+    p = np.full(layout.count, 0.5)
+    p[: structure.count] = structure.vector(chains)
+    p[: structure.count] *= 1.0 + spread * np.random.default_rng(0).normal(size=structure.count)
+    p[structure.count : structure.count + structure.motors] = 0.5 * layout.step
+    return layout, p
+
+
+def central(cost: Callable[[Float64], float], at: Float64, k: int, h: float) -> float:
+    """Derivative of ``cost`` by the k-th of ``at``, by differences to both sides."""
+    up, down = at.copy(), at.copy()
+    up[k] += h
+    down[k] -= h
+    return (cost(up) - cost(down)) / (2.0 * h)
+
+
 @pytest.mark.parametrize(("seed", "motors"), [(540031, 1), (540044, 2)])
 def test_the_gradient_of_an_aperiodic_record_is_that_of_its_cost(seed: int, motors: int) -> None:
     recording, truth = make_foreign(seed, cause="null", excitation="noise", motors=motors)
     train, _, _ = split(recording, all_spectra(recording))
-    structure = ChainStructure(truth.chains.masses_per_branch, truth.chains.axes, viscous=False)
-    layout = layout_of(structure, train, 0.0)
-    p = np.full(layout.count, 0.5)
-    p[: structure.count] = structure.vector(truth.chains)
-    p[structure.count : structure.count + motors] = 0.5 * layout.step
-    p *= 1.0 + 1e-3 * np.random.default_rng(0).normal(size=p.size)  # away from the minimum
+    layout, p = near_the_truth(train, truth.chains, 1e-3)
     here = evaluate(layout, train, p, Candidate())
     gradient = 2.0 * here.jacobian.T @ here.residual
-    for k in range(structure.count):
-        costs = []
-        for sign in (1.0, -1.0):
-            moved = p.copy()
-            moved[k] += sign * 1e-6
-            costs.append(evaluate(layout, train, moved, Candidate(), jacobian=False).cost)
-        assert gradient[k] == pytest.approx((costs[0] - costs[1]) / 2e-6, rel=0.02, abs=2.0), layout.names[k]
+
+    def cost(at: Float64) -> float:
+        return evaluate(layout, train, at, Candidate(), jacobian=False).cost
+
+    for k in range(layout.structure.count):
+        assert gradient[k] == pytest.approx(central(cost, p, k, 1e-6), rel=0.02, abs=2.0), layout.names[k]
 
 
 @pytest.mark.parametrize(("seed", "masses"), [(11, 2), (12, 3)])
@@ -64,25 +82,20 @@ def test_the_gradient_knows_what_masses_and_springs_do_to_a_gap_of_the_last_spri
         periods=2,
     )
     train, _, _ = split(recording, all_spectra(recording))
-    structure = ChainStructure(truth.chains.masses_per_branch, truth.chains.axes, viscous=False)
-    layout = layout_of(structure, train, 0.0)
-    p = np.full(layout.count, 0.5)
-    p[: structure.count] = structure.vector(truth.chains)
-    p[: structure.count] *= 1.0 + 2e-3 * np.random.default_rng(0).normal(size=structure.count)
-    p[structure.count : structure.count + 1] = 0.5 * layout.step
+    layout, p = near_the_truth(train, truth.chains, 2e-3)
+    structure = layout.structure
     gap = np.array([np.log(truth.effects[0].parameters["gap"])])
     candidate = Candidate((Term(Backlash(), Place("spring", 0, masses - 1)),), (gap,))
     here = evaluate(layout, train, p, candidate, thorough=True)
     gradient = 2.0 * here.jacobian.T @ here.residual
     largest = np.abs(gradient[: structure.count]).max()
+
+    def cost(at: Float64) -> float:
+        return evaluate(layout, train, at, candidate, jacobian=False, near=here.views).cost
+
     for k in range(structure.count):
-        h, costs = 1e-4 * max(abs(float(p[k])), 1e-2), []
-        for sign in (1.0, -1.0):
-            moved = p.copy()
-            moved[k] += sign * h
-            costs.append(evaluate(layout, train, moved, candidate, jacobian=False, near=here.views).cost)
+        expected = central(cost, p, k, 1e-4 * max(abs(float(p[k])), 1e-2))
         # Inner motion and forces agree to a few per cent only after the fixed number of steps.
-        expected = (costs[0] - costs[1]) / (2.0 * h)
         assert gradient[k] == pytest.approx(expected, rel=0.1, abs=0.01 * largest), layout.names[k]
 
 
@@ -107,12 +120,7 @@ def test_the_gradient_knows_what_masses_and_springs_do_to_an_effect_linear_in_in
     experiments = {e.key: e for e in recording.experiments}
     whole = [record_of(s, experiments[s.key]) for s in spectra]
     train = by_period(recording, whole, [s.key for s in spectra]) if from_rest else whole
-    structure = ChainStructure(truth.chains.masses_per_branch, truth.chains.axes, viscous=False)
-    layout = layout_of(structure, train, 0.0)
-    p = np.full(layout.count, 0.5)
-    p[: structure.count] = structure.vector(truth.chains)
-    p[structure.count : structure.count + 1] = 0.5 * layout.step
-    p[: structure.count] *= 1.0 + 2e-3 * np.random.default_rng(0).normal(size=structure.count)
+    layout, p = near_the_truth(train, truth.chains, 2e-3)
     size = truth.effects[0].parameters
     effect, x = {
         "extra_mode": lambda: (
@@ -124,13 +132,14 @@ def test_the_gradient_knows_what_masses_and_springs_do_to_an_effect_linear_in_in
     candidate = Candidate((Term(effect, Place("mass", 0, 2)),), (np.array(x),))
     here = evaluate(layout, train, p, candidate)
     gradient = 2.0 * here.jacobian.T @ here.residual
-    chosen = [*range(structure.count), *range(layout.count, gradient.size)]
+    chosen = [*range(layout.structure.count), *range(layout.count, gradient.size)]
     largest = np.abs(gradient[chosen]).max()
+    both = np.append(p, x)
+
+    def cost(at: Float64) -> float:
+        changed = Candidate(candidate.terms, (at[p.size :],))
+        return evaluate(layout, train, at[: p.size], changed, jacobian=False).cost
+
     for k in chosen:
-        h, costs = 1e-5 * max(abs(float(np.append(p, x)[k])), 1e-2), []
-        for sign in (1.0, -1.0):
-            moved = np.append(p, x)
-            moved[k] += sign * h
-            changed = Candidate(candidate.terms, (moved[p.size :],))
-            costs.append(evaluate(layout, train, moved[: p.size], changed, jacobian=False).cost)
-        assert gradient[k] == pytest.approx((costs[0] - costs[1]) / (2 * h), rel=0.1, abs=0.01 * largest), k
+        expected = central(cost, both, k, 1e-5 * max(abs(float(both[k])), 1e-2))
+        assert gradient[k] == pytest.approx(expected, rel=0.1, abs=0.01 * largest), k
