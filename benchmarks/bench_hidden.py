@@ -30,7 +30,7 @@ def trial(job: tuple[int, dict[str, Any]]) -> dict[str, Any]:
     """One case, made and diagnosed."""
     from hidden.foreign import make_foreign
     from hidden.generator import make, make_case
-    from hidden.scoring import parameter_error, score
+    from hidden.scoring import bias, parameter_error, score
 
     from invid.discrepancy import diagnose
 
@@ -86,6 +86,7 @@ def trial(job: tuple[int, dict[str, Any]]) -> dict[str, Any]:
         "size_sigmas": result.size_sigmas,
         "over_floor": result.over_floor,
         "parameter_error": parameter_error(truth, diagnosis),
+        "bias": bias(truth, diagnosis),
     }
     return row
 
@@ -164,6 +165,13 @@ def report(rows: list[dict[str, Any]]) -> None:
         print(
             f"  worst mass or spring of the extended model: median error {100 * np.median(physical):.2g} %, "
             f"90th percentile {100 * np.quantile(physical, 0.9):.2g} %"
+        )
+    pairs = [r["bias"] for r in rows if r.get("bias") and r["outcome"] == "right"]
+    if pairs:
+        times = np.array([before / max(after, 1e-300) for before, after in pairs])
+        print(
+            f"  masses and springs that the effect had biased: rms error {np.median(times):.3g} times less "
+            f"(median), 5 times and more {_share(int((times >= 5.0).sum()), times.size)}"
         )
     shaken: dict[str, list[bool]] = defaultdict(list)
     for r in rows:

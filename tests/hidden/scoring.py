@@ -9,6 +9,7 @@ import numpy as np
 
 from hidden.generator import TrueEffect, Truth
 from invid.diagnosis import Diagnosis, Finding, Verdict
+from invid.model import model_from_json
 
 CONFIDENT = 0.9
 """A wrong name from here on is what the product must not do."""
@@ -186,6 +187,31 @@ def _size(e: TrueEffect, d: Diagnosis) -> tuple[float | None, float | None]:
             sigmas = error / found.std if found.std else None
             return float(error / true), None if sigmas is None else float(sigmas)
     return None, None
+
+
+BIASED = 15.0
+"""Linear error over the extended model's std from which five times less can be seen above three of them."""
+
+
+def bias(truth: Truth, d: Diagnosis) -> tuple[float, float] | None:
+    """Rms relative error of the masses and springs that the effect had biased: of the linear fit, and of the
+    extended model. None where none was (``BIASED``), nothing is named, or the structure is another."""
+    linear = d.details.get("linear_model")
+    if linear is None or d.model.chains.masses_per_branch != tuple(len(m) for m in truth.chains.masses):
+        return None
+    before = model_from_json(linear).chains
+
+    def flat(masses: Any, springs: Any) -> np.ndarray:
+        return np.concatenate([np.asarray(x, dtype=float) for x in (*masses, *springs)])
+
+    true = flat(truth.chains.masses, truth.chains.springs)
+    off = np.abs(flat(before.masses, before.springs) / true - 1.0)
+    left = np.abs(flat(d.model.chains.masses, d.model.chains.springs) / true - 1.0)
+    std = flat(d.model.std.masses, d.model.std.springs) / true
+    biased = off > BIASED * std  # False where the std is not known
+    if not biased.any():
+        return None
+    return float(np.sqrt((off[biased] ** 2).mean())), float(np.sqrt((left[biased] ** 2).mean()))
 
 
 def parameter_error(truth: Truth, d: Diagnosis) -> float | None:
