@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from invid.arrays import Complex128
+from invid.arrays import Complex128, Float64
 from invid.effects.base import Effect
 from invid.effects.place import Place, axis_places
 from invid.effects.view import View
@@ -15,6 +15,9 @@ from invid.refine.structure import ChainStructure
 
 CUTS = (0.3, 0.4, 0.5, 0.6, 0.7, 0.78, 0.85, 0.9, 0.94, 0.97)
 """Limits to start from over the peak torque: closer at the top, where a little more cuts nothing any more."""
+
+PARTS = 4
+"""Into how many parts a sample is taken where a hold goes on within it."""
 
 
 class TorqueSaturation(Effect):
@@ -50,14 +53,41 @@ class TorqueSaturation(Effect):
     ) -> tuple[Complex128, Complex128 | None]:
         limit = float(np.exp(x[0]))
         t = view.record.torque_wave[:, place.axis]
-        cut = view.to_lines((t - np.clip(t, -limit, limit))[:, None])[:, 0]
+        recorded = view.record.torque[:, place.axis]
+        if view.record.command is None:
+            cut = view.to_lines(_beyond(t, limit)[:, None])[:, 0]
+        else:
+            cut, recorded = _within_samples(view, place.axis, limit)
         out: Complex128 = np.zeros_like(view.acting)
-        ratio = view.acting[:, place.axis] / np.where(
-            np.abs(view.record.torque[:, place.axis]) > 0, view.record.torque[:, place.axis], 1.0
-        )
-        ratio = np.where(np.abs(view.record.torque[:, place.axis]) > 0, ratio, 1.0)
+        there = np.abs(recorded) > 0
+        ratio = np.where(there, view.acting[:, place.axis] / np.where(there, recorded, 1.0), 1.0)
         out[:, place.axis] = cut * ratio
         return out, None
 
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
         return {"limit": float(np.exp(x[0]))}
+
+
+def _beyond(torque: Float64, limit: float) -> Float64:
+    return torque - np.clip(torque, -limit, limit)
+
+
+def _within_samples(view: View, axis: int, limit: float) -> tuple[Complex128, Complex128]:
+    """(F,) what is cut off a demand held over each sample and a hold that goes on within it, and their sum.
+
+    At the samples alone the hold is what it was at the moment that the demand changed.
+    """
+    record, wave = view.record, view.record.torque_wave[:, axis]
+    command = np.zeros(0, dtype=complex) if record.command is None else record.command[:, axis]
+    half = np.zeros(wave.size // 2 + 1, dtype=complex)
+    half[record.lines] = command * (wave.size / 2)
+    half[0] *= 2.0
+    demand = np.fft.irfft(half, wave.size)
+    hold = wave - demand
+    change = np.append(np.diff(hold), 0.0 if record.transient else hold[0] - hold[-1])
+    cut: Complex128 = np.zeros(view.omega.size, dtype=complex)
+    for part in (np.arange(PARTS) + 0.5) / PARTS:
+        lines = view.to_lines(_beyond(demand + hold + part * change, limit)[:, None])[:, 0]
+        cut += lines * np.exp(-1j * view.omega * part * record.step) / PARTS
+    late = np.sinc(view.omega * record.step / 2 / np.pi) * np.exp(-0.5j * view.omega * record.step)
+    return cut, command * late + record.torque[:, axis] - command
