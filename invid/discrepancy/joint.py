@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from invid.arrays import Float64
+from invid.arrays import Bool, Float64
 from invid.discrepancy.holds import SHARES
 from invid.discrepancy.layout import Layout
 from invid.discrepancy.plant import Evaluation, evaluate
@@ -43,6 +43,12 @@ class JointFit:
     def dispersion(self) -> float:
         """χ²/ν, at least 1."""
         return max(1.0, self.cost / self.dof)
+
+    @property
+    def stuck(self) -> Bool:
+        """(n,) parameters at a bound that the cost would drive them past."""
+        low, high = limits_of(self.layout, self.candidate, self.evaluation, strict=True)
+        return _stuck(pack(self.p, self.candidate), low, high, self.evaluation)
 
     def covariance_of(self, number: int) -> Float64:
         """(k, k) of the parameters of one effect; negative numbers count from the last."""
@@ -116,9 +122,7 @@ def fit(
         at += term.size
     damping, converged = 1e-4, False
     for _ in range(iterations):
-        gradient = here.jacobian.T @ here.residual
-        stuck = ((v <= low) & (gradient > 0)) | ((v >= high) & (gradient < 0))
-        move = ~stuck
+        move = ~_stuck(v, low, high, here)
         jacobian = here.jacobian[:, move]
         scale = np.linalg.norm(jacobian, axis=0)
         scale[scale == 0] = 1.0
@@ -163,6 +167,37 @@ def fit(
             converged = True
             break
     return JointFit(layout, p, candidate, here, _covariance(here, v), converged)
+
+
+def reordered(found: JointFit, order: Sequence[int]) -> JointFit:
+    """The same fit with its effects in another order."""
+    candidate, count = found.candidate, found.layout.count
+    ends = count + np.cumsum([t.size for t in candidate.terms])
+    at = [np.arange(ends[k] - candidate.terms[k].size, ends[k]) for k in order]
+    columns = np.concatenate((np.arange(count), *at))
+    jacobian = found.evaluation.jacobian[:, columns] if found.evaluation.jacobian.size else np.zeros((0, 0))
+    return replace(
+        found,
+        candidate=Candidate(tuple(candidate.terms[k] for k in order), tuple(candidate.x[k] for k in order)),
+        covariance=found.covariance[np.ix_(columns, columns)],
+        evaluation=replace(found.evaluation, jacobian=jacobian),
+    )
+
+
+def without_last(found: JointFit, records: Sequence[Record]) -> JointFit:
+    """The fit without its last effect; a delay's axis has its time offset back."""
+    layout, p, term = found.layout, found.p, found.candidate.terms[-1]
+    if term.effect.cause == "torque_delay":
+        layout = layout.with_delay(term.place.axis)
+        p = np.insert(p, layout.structure.count + layout.free_delays.index(term.place.axis), 0.0)
+    candidate = Candidate(found.candidate.terms[:-1], found.candidate.x[:-1])
+    return fit(layout, records, p, candidate, iterations=25)
+
+
+def _stuck(v: Float64, low: Float64, high: Float64, here: Evaluation) -> Bool:
+    """(n,) at a bound, and the gradient points beyond it."""
+    gradient = here.jacobian.T @ here.residual
+    return ((v <= low) & (gradient > 0)) | ((v >= high) & (gradient < 0))
 
 
 def _covariance(here: Evaluation, v: Float64) -> Float64:

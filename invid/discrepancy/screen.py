@@ -69,10 +69,14 @@ class Screen:
         evaluation = fit.evaluation
         scale = np.linalg.norm(evaluation.jacobian, axis=0)
         scale[scale == 0] = 1.0
-        left, size, right = np.linalg.svd(evaluation.jacobian / scale, full_matrices=False)
+        # A parameter that stands at its bound and would go on takes nothing away: a hold that is all inside
+        # its drive is no more viscous friction than that, and the rest of it is there to be found.
+        free = ~fit.stuck
+        left, size, right = np.linalg.svd((evaluation.jacobian / scale)[:, free], full_matrices=False)
         seen = size > 1e-10 * size[0]
         self.basis = left[:, seen]
-        self._back = (right[seen].T / size[seen]) / scale[:, None]
+        self._back = np.zeros((scale.size, int(seen.sum())))
+        self._back[free] = (right[seen].T / size[seen]) / scale[free, None]
         self.residual = evaluation.residual - self.basis @ (self.basis.T @ evaluation.residual)
         self._feedback = [v.feedback for v in evaluation.views]
         self._at: Pattern | None = None
