@@ -114,6 +114,8 @@ def estimates(trial: Trial, number: int, linear: bool) -> dict[str, Estimate]:
     known = jacobian[:, seen]
     variance = np.einsum("ik,kl,il->i", known, covariance[np.ix_(seen, seen)], known)
     variance[(jacobian[:, ~seen] != 0).any(axis=1)] = np.inf
+    if term.effect.coefficients == ("sine", "cosine") and seen[:2].all():
+        variance[0] = max(variance[0], _of_amplitude(x[:2], covariance[:2, :2]))
     out = {}
     for (name, value), v in zip(values.items(), variance, strict=True):
         std = float(np.sqrt(v)) if np.isfinite(v) and v > 0 else None
@@ -121,6 +123,19 @@ def estimates(trial: Trial, number: int, linear: bool) -> dict[str, Estimate]:
             std = _gap(trial, value) / float(np.sqrt(12.0))
         out[name] = Estimate(value, std, unit_of(term.effect.parameters[name], linear))
     return out
+
+
+def _of_amplitude(x: Float64, covariance: Float64) -> float:
+    """Variance of √(sine² + cosine²), as far as it goes within three standard deviations of the two.
+
+    Where one of them is about zero and known much worse (a wave seen over a small part of its cycle), the
+    slope there says that it does not matter.
+    """
+    sizes, axes = np.linalg.eigh(covariance)
+    steps = 3.0 * np.sqrt(np.maximum(sizes, 0.0)) * axes
+    moved = np.hypot(*np.concatenate((x[:, None] + steps, x[:, None] - steps), axis=1))
+    change = np.abs(moved - np.hypot(*x)).reshape(2, -1).max(axis=0) / 3.0
+    return float(change @ change)
 
 
 def _gap(trial: Trial, time: float) -> float:
@@ -176,7 +191,7 @@ def _finding(selection: Selection, number: int, recording: Recording, explained:
     alternatives += _slow_friction(step, recording, alternatives)
     axis = term.place.axis
     before, after = _axis_rms(step.before, axis), _axis_rms(step.chosen, axis)
-    total = selection.base.cost - final.cost
+    total = sum(s.before.cost - s.chosen.cost for s in selection.steps)
     fraction = float(np.clip((step.before.cost - step.chosen.cost) / max(total, 1e-300), 0, 1)) * explained
     confidence = float(np.clip(share * (0.55 + 0.45 * _ramp(explained)), 0.01, 0.999))
     if alternatives or final.cost > AT_FLOOR * final.dof:

@@ -96,6 +96,11 @@ class Layout:
         delayed = tuple(sorted({*self.delayed, *axes}))
         return replace(self, free_delays=kept, delayed=delayed), stay
 
+    def with_delay(self, axis: int) -> Layout:
+        """The layout with an axis' time offset free again that was left to an effect."""
+        free = tuple(sorted((*self.free_delays, axis)))
+        return replace(self, free_delays=free, delayed=tuple(i for i in self.delayed if i != axis))
+
 
 def acting_of(
     record: Record, layout: Layout, p: Float64

@@ -17,6 +17,7 @@ from invid.discrepancy.records import by_period
 from invid.discrepancy.terms import Candidate
 from invid.discrepancy.tones import Tone, tones_of
 from invid.effects.view import Record
+from invid.forward import resonances
 from invid.model import Model
 from invid.recording.model import Recording
 from invid.refine.structure import ChainStructure
@@ -53,7 +54,7 @@ def linear_fit(
     )
     gone = _vanishing(first)
     if not given.terms and (gone or _doubted(model, first)):
-        again = _restarted(first, train)
+        again = restarted(first, train)
         if gone or again.cost < LOWER * first.cost:
             first = again
     train = with_scatter(train, spectra, layout, first.p)
@@ -112,13 +113,16 @@ def _doubted(model: Model, fitted: JointFit) -> bool:
     return model.fit.get("trustworthy", True) is False and fitted.cost > 3.0 * fitted.dof
 
 
-def _restarted(fitted: JointFit, train: Sequence[Record]) -> JointFit:
-    """The best of fits from evenly shared masses with springs that spread their modes over the band."""
+def restarted(fitted: JointFit, train: Sequence[Record]) -> JointFit:
+    """The best of fits from evenly shared masses with springs that spread their modes over the band.
+
+    Effects start as they are.
+    """
     layout, structure = fitted.layout, fitted.layout.structure
     best = fitted
     masses = structure.slices["mass"]
     totals = np.exp(fitted.p[masses])
-    top = max(float(r.omega[r.excited].max()) for r in train if r.excited.any())
+    top = _top(train)
     for part in (0.6, 0.35, 0.2, 0.85):
         p = fitted.p.copy()
         at = 0
@@ -130,12 +134,27 @@ def _restarted(fitted: JointFit, train: Sequence[Record]) -> JointFit:
             at += n
         p[structure.slices["spring"]] = springs
         p[structure.slices["damper"]] = 0.02 * np.exp(springs) / top
-        trial = fit(layout, train, p, Candidate(), iterations=60, strict=False)
+        trial = fit(layout, train, p, fitted.candidate, iterations=60, strict=False)
         if trial.cost < best.cost:
             best = trial
         if best.cost < 2.0 * best.dof:
             break
     return best
+
+
+def _top(records: Sequence[Record]) -> float:
+    """Highest excited line [rad/s]."""
+    return max(float(r.omega[r.excited].max()) for r in records if r.excited.any())
+
+
+def spare_mode(fitted: JointFit, records: Sequence[Record]) -> bool:
+    """Whether the chains have a resonance above all excited lines.
+
+    A mode that the records show beside them may be that one, the fit in another minimum.
+    """
+    structure = fitted.layout.structure
+    chains = structure.chains(fitted.p[: structure.count])
+    return float(np.max(resonances(chains), initial=0.0)) > _top(records)
 
 
 def tones_in(fitted: JointFit, held: Sequence[Record], spectra: Sequence[LineSpectra]) -> list[Tone]:

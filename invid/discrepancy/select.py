@@ -4,21 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
 from invid.arrays import Float64
 from invid.discrepancy.candidates import is_smaller_model, refitted, screened, with_those_from
-from invid.discrepancy.joint import JointFit, fit, held_out
+from invid.discrepancy.joint import JointFit, fit, held_out, reordered, without_last
 from invid.discrepancy.layout import Layout
+from invid.discrepancy.linear import restarted, spare_mode
 from invid.discrepancy.missing_torque import null_test
 from invid.discrepancy.moves import Move, judged_on_moves
 from invid.discrepancy.rounding import rounded
 from invid.discrepancy.screen import Score, Screen, terms_for
 from invid.discrepancy.terms import Candidate
 from invid.discrepancy.trial import HELD_OUT, LARGER, Step, Trial, at_bound, attempted, extends, sized
-from invid.discrepancy.variants import delays, ladder, lags
+from invid.discrepancy.variants import delays, elsewhere, ladder, lags
 from invid.distributions import chi2_isf
+from invid.effects.place import Place
 from invid.effects.view import Record
 
 SIGNIFICANCE = 1e-3
@@ -143,6 +146,10 @@ def _doubtful(found: Selection) -> list[int]:
     return out
 
 
+def _named(step: Step) -> tuple[str, Place]:
+    return step.chosen.term.effect.cause, step.chosen.term.place
+
+
 def _is(trial: Trial, cause: str, axis: int) -> bool:
     return trial.term.effect.cause == cause and trial.term.place.axis == axis
 
@@ -162,9 +169,16 @@ class _Asked:
 def _search(base: JointFit, train: Sequence[Record], held: Sequence[Record], asked: _Asked) -> Selection:
     """Causes added one by one."""
     start = Trial(base, held_out(base, held))
-    current = start
-    steps: list[Step] = []
-    rejected: tuple[Score, ...] = ()
+    found = _added(Selection(start, start), train, held, asked)
+    again = _reconsidered(found, train, held, asked)
+    if [_named(s) for s in again.steps] == [_named(s) for s in found.steps]:
+        return again
+    return _added(again, train, held, asked)  # beside another cause there may be more to find
+
+
+def _added(found: Selection, train: Sequence[Record], held: Sequence[Record], asked: _Asked) -> Selection:
+    """Causes added one by one to those found."""
+    start, current, steps, rejected = found.base, found.final, list(found.steps), found.rejected
     while len(steps) < MOST:
         rejects = _rejects(current, [*train, *held])
         if steps and not rejects:
@@ -179,6 +193,45 @@ def _search(base: JointFit, train: Sequence[Record], held: Sequence[Record], ask
     return _pruned(Selection(start, current, tuple(steps), rejected), train, held)
 
 
+def _reconsidered(
+    found: Selection, train: Sequence[Record], held: Sequence[Record], asked: _Asked
+) -> Selection:
+    """Every cause but the last sought anew beside all others.
+
+    It was chosen while those after it were missing, and may have stood for a part of them: a ripple for
+    gravity beside friction, one mass for the next. A mode may be the chain's own, which another cause hid
+    from the linear fit.
+    """
+    known, newest = len(found.base.fit.candidate.terms), len(found.steps) - 1
+    for number in reversed(range(len(found.steps))):
+        final, at, count = found.final, known + number, known + len(found.steps)
+        mode = found.steps[number].chosen.term.effect.cause == "extra_mode" and spare_mode(final.fit, train)
+        if number == newest and not mode:
+            continue
+        last = Trial(reordered(final.fit, [*range(at), *range(at + 1, count), at]), final.held)
+        rest = attempted(partial(without_last, last.fit, train), held)
+        if rest is None:
+            continue
+        if mode:
+            sizes = replace(rest.fit.candidate, x=last.fit.candidate.x[:-1])
+            other = attempted(partial(restarted, replace(rest.fit, candidate=sizes), train), held)
+            rest = rest if other is None or other.cost > rest.cost else other
+        rejects = _rejects(rest, [*train, *held])
+        if number == newest and rejects:
+            continue
+        step, _ = _step(rest, train, held, asked, found.base, first=True, rejects=rejects, known=(last,))
+        if step is None:
+            if not rejects:  # the others leave nothing to it
+                found = replace(found, final=rest, steps=(*found.steps[:number], *found.steps[number + 1 :]))
+            continue
+        step = judged_on_moves(step, asked.moves)
+        order = [*range(at), count - 1, *range(at, count - 1)]
+        chosen = Trial(reordered(step.chosen.fit, order), step.chosen.held)
+        steps = (*found.steps[:number], step, *found.steps[number + 1 :])
+        found = replace(found, final=chosen, steps=steps)
+    return found
+
+
 def _step(
     current: Trial,
     train: Sequence[Record],
@@ -188,7 +241,9 @@ def _step(
     *,
     first: bool,
     rejects: bool,
+    known: Sequence[Trial] = (),
 ) -> tuple[Step | None, tuple[Score, ...]]:
+    """The cause that is best beside those of ``current``; ``known``: fits that compete as they are."""
     here = current.fit
     screen = Screen(here)
     terms = [
@@ -212,10 +267,11 @@ def _step(
     least = _least_gain(here, current, count, first=first)
     reached = min((t.fit.cost for t in trials), default=np.inf)
     trials += refitted(here, train, held, scores, least, reached)
-    if first and rejects and asked.start is not None:
+    if first and rejects and asked.start is not None and not known:
         trials = with_those_from(asked.start, here, train, held, terms, trials)
     rounded_ = (_rounded(t, current, train, held) for t in trials)
     trials = [t for t in rounded_ if not is_smaller_model(t)]  # some were larger only for want of rounding
+    trials = with_known(trials, known)
     if not trials:
         return None, tuple(scores[:5])
     trials.sort(key=lambda t: t.score(1.0, rows))
@@ -238,7 +294,21 @@ def _step(
     best_of_all = ranked[0][0]
     if not _accepted(current, best_of_all, dispersion, count, start, first=first, rejects=rejects):
         return None, tuple(scores[:5])
-    return Step(current, best_of_all, tuple(ranked)), tuple(scores[:5])
+    if _rejects(best_of_all, [*train, *held]):
+        trials += elsewhere(best_of_all, train, held, terms, [t.term for t in trials])
+        dispersion = min(t.dispersion for t in trials)
+        ranked = _ranked([(t, t.score(dispersion, rows)) for t in trials], asked.contested)
+    return Step(current, ranked[0][0], tuple(ranked)), tuple(scores[:5])
+
+
+def with_known(trials: Sequence[Trial], known: Sequence[Trial]) -> list[Trial]:
+    """Trials and those known; of one cause at one place the better."""
+    found = {(t.term.effect.cause, t.term.place): t for t in trials}
+    for trial in known:
+        key = (trial.term.effect.cause, trial.term.place)
+        if key not in found or trial.fit.cost < found[key].fit.cost:
+            found[key] = trial
+    return list(found.values())
 
 
 def _ranked(scored: Sequence[tuple[Trial, float]], contested: frozenset[int]) -> list[tuple[Trial, float]]:

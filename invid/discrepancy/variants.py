@@ -64,6 +64,28 @@ def ladder(step: Step, train: Sequence[Record], held: Sequence[Record]) -> tuple
     )
 
 
+def elsewhere(
+    best: Trial, train: Sequence[Record], held: Sequence[Record], terms: Sequence[Term], tried: Sequence[Term]
+) -> list[Trial]:
+    """The cause of ``best`` at the places of its axis that were not ``tried``, from its fit.
+
+    The screen's order of places is that of linear parameters which the cause itself has bent; where the best
+    leaves more than noise, the next mass may be the one.
+    """
+    cause, place, here = best.term.effect.cause, best.term.place, best.fit
+    known = {t.place for t in tried if t.effect.cause == cause}
+    out = []
+    for term in terms:
+        if term.effect.cause != cause or term.place.axis != place.axis or term.place in known:
+            continue
+        moved = Term(best.term.effect, term.place)
+        candidate = Candidate((*here.candidate.terms[:-1], moved), here.candidate.x)
+        trial = attempted(partial(fit, here.layout, train, here.p, candidate, iterations=20), held)
+        if trial is not None and not at_bound(trial):
+            out.append(trial)
+    return out
+
+
 def delays(
     here: JointFit,
     train: Sequence[Record],

@@ -1,0 +1,47 @@
+"""Causes beside others: found again where those that were missing are in place."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from invid.discrepancy import diagnose
+from invid.discrepancy.confidence import _of_amplitude
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from hidden.generator import make_case
+from hidden.scoring import score
+
+
+def test_gravity_that_looked_like_a_ripple_while_friction_was_missing_is_no_ripple_beside_it() -> None:
+    recording, truth = make_case(750011)
+    diagnosis = diagnose(recording)
+    result = score(truth, diagnosis)
+    assert result.outcome == "right", diagnosis.sentences
+    # On so small a motion a constant torque is the same data, and that is said.
+    position = next(f for f in diagnosis.findings if f.effect.cause != "presliding_friction")
+    assert "torque_offset" in {a.cause for a in position.alternatives}
+
+
+def test_a_limit_that_cuts_a_held_demand_beside_a_hold_that_goes_on_is_known_as_well_as_it_is_said() -> None:
+    recording, truth = make_case(740022)
+    result = score(truth, diagnose(recording))
+    assert result.outcome == "right", result.named
+    assert result.size_sigmas is not None
+    assert abs(result.size_sigmas) < 3.0
+
+
+def test_the_deviation_of_an_amplitude_covers_what_its_unknown_quadrature_may_add() -> None:
+    covariance = np.array([[0.04, 0.001], [0.001, 1e-4]])
+    std = float(np.sqrt(_of_amplitude(np.array([0.0, 1.0]), covariance)))
+    drawn = np.random.default_rng(1).multivariate_normal([0.0, 1.0], covariance, size=20000)
+    away = np.abs(np.hypot(*drawn.T) - 1.0)
+    assert np.mean(away < 3.0 * std) > 0.99
+    assert std < 0.1  # three of them are 0.2, the quadrature's three deviations 0.17
+
+
+def test_the_deviation_of_an_amplitude_known_in_both_directions_is_that_along_it() -> None:
+    std = float(np.sqrt(_of_amplitude(np.array([0.0, 1.0]), np.diag([1e-6, 4e-6]))))
+    assert abs(std / 2e-3 - 1.0) < 1e-3
