@@ -14,7 +14,7 @@ from invid.discrepancy.document import document
 from invid.discrepancy.dropped import before_repair, find_dropped, repaired, with_dropped
 from invid.discrepancy.extended import extended_model
 from invid.discrepancy.given import folded
-from invid.discrepancy.joint import JointFit, fit, held_out
+from invid.discrepancy.joint import JointFit, fit
 from invid.discrepancy.linear import linear_fit, start_of, tones_in, without_effects
 from invid.discrepancy.missing_torque import null_test
 from invid.discrepancy.moves import moves_of
@@ -94,8 +94,7 @@ def diagnose(
     result = document(sound, model, selection, bare, train, held, tones, warnings)
     if result.findings:
         linear = extended_model(model, bare, ())
-        before = selection.base.held.cost if bare is selection.base.fit else held_out(bare, held).cost
-        answer = replay(sound, spectra, linear, result.model, selection.final.fit, held, before)
+        answer = replay(sound, spectra, linear, result.model, selection.final.fit, held)
         reached = not null_test(selection.final.held.cost, selection.final.held.dof, held).rejects
         if isinstance(answer, Replay) and answer.refused and not (answer.lost and reached):
             result = document(

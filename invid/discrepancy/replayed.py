@@ -108,11 +108,12 @@ def replay(
     extended: Model,
     fitted: JointFit,
     held: Sequence[Record],
-    before: float,
 ) -> Replay | str:
     """Simulates both models on the held-out records; a sentence where that cannot be done.
 
-    ``fitted`` gives Z and A of the extended model; ``before`` is the held-out χ² of the linear model.
+    ``fitted`` gives Z and A of the extended model. Like is compared with like: what a simulation from noisy
+    torque adds, and the ends of the records, are in what either model leaves. Against the regression of the
+    linear model an effect of half the noise was refused.
     """
     keys = tuple(dict.fromkeys(r.key for r in held))
     # Lost rows were put right before anything was fitted.
@@ -123,17 +124,12 @@ def replay(
         answer = simulate(_without_offsets(driving), driven, only=keys)
     except InvidError as error:
         return f"the extended model could not be simulated over time: {error}"
-    left = _differences(answer, spectra, held, fitted)
-    if left is None:
+    evaluation = _left_by(answer, spectra, held, fitted)
+    before = _left_by(plain, spectra, held, fitted)
+    if evaluation is None or before is None:
         return "the held-out records are not whole: the extension was not simulated over time"
-    structure = fitted.layout.structure
-    sampled = replace(
-        fitted.layout, free_delays=(), free_stairs=(), known_stairs=np.zeros(structure.motors), holds=()
-    )
-    evaluation = evaluate(sampled, left, fitted.p[: structure.count], Candidate(), jacobian=False)
-    evaluation = _rung_out(evaluation, fitted.candidate)
     shift = _shift(fitted, held, evaluation)
-    gain = before - evaluation.cost
+    gain = before.cost - evaluation.cost
     # χ² of two residuals with the same noise differs by ‖d‖² ± 2‖d‖, d their whitened difference.
     spread = max(1.0, evaluation.cost / max(evaluation.dof, 1))
     measured = [e for e in recording.experiments if e.key in keys]
@@ -149,6 +145,21 @@ def replay(
         extended=answer,
         shift=shift,
     )
+
+
+def _left_by(
+    answer: Recording, spectra: Sequence[LineSpectra], held: Sequence[Record], fitted: JointFit
+) -> Evaluation | None:
+    """What is left between the held-out records and a simulation of them, as torque."""
+    left = _differences(answer, spectra, held, fitted)
+    if left is None:
+        return None
+    structure = fitted.layout.structure
+    sampled = replace(
+        fitted.layout, free_delays=(), free_stairs=(), known_stairs=np.zeros(structure.motors), holds=()
+    )
+    evaluation = evaluate(sampled, left, fitted.p[: structure.count], Candidate(), jacobian=False)
+    return _rung_out(evaluation, fitted.candidate)
 
 
 def _shift(fitted: JointFit, held: Sequence[Record], replayed: Evaluation) -> Float64:

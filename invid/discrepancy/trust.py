@@ -8,7 +8,7 @@ import numpy as np
 
 from invid.diagnosis import Finding, Unexplained
 from invid.discrepancy.confidence import CONTESTED
-from invid.discrepancy.holds import HOLD_BAND, driven_hold
+from invid.discrepancy.holds import HOLD_BAND, SHARES, driven_hold
 from invid.discrepancy.joint import JointFit
 from invid.discrepancy.missing_torque import NullTest
 from invid.discrepancy.plant import Evaluation
@@ -126,7 +126,8 @@ def untimed_holds(
 
     A hold of gain P inside the drive that acts half a sample before the record says so looks like viscous
     friction of P·h/2, exactly. Demand beside the torque, or records that show the hold alone, tell. Friction
-    no larger than that is a sampling convention, and no finding.
+    no larger than that is a sampling convention, and no finding. Where the hold's share is fitted along, the
+    friction and what the share makes are known together better than either.
     """
     placed, train = model.fit.get("holds", {}), final.evaluation.records
     out, said = [], []
@@ -141,7 +142,8 @@ def untimed_holds(
             continue
         size = f.effect.parameters["coefficient"]
         gain, step = _stiffest_hold(declared, model, i, final), train[0].step
-        if size.value <= 0.5 * step * gain + 3.0 * (size.std or 0.0):
+        small = size.value <= 0.5 * step * gain + 3.0 * (size.std or 0.0)
+        if small and not _more_than_its_hold(final, i):
             said.append(
                 f"viscous friction of {size.value:.2g} {size.unit} on {axis} is what its hold makes by "
                 "acting up to half a sample before the record: a matter of sampling, so it is no finding; "
@@ -160,6 +162,27 @@ def untimed_holds(
         replace(f, confidence=min(f.confidence, CONTESTED)) if f.effect.axis in untimed else f for f in out
     )
     return tuple(kept), said
+
+
+def _more_than_its_hold(final: JointFit, axis: int) -> bool:
+    """Whether viscous friction at a motor, with what the fitted share of its hold makes of it, is more than
+    all of the hold could make, by three standard deviations."""
+    layout, terms = final.layout, final.candidate.terms
+    holds = [k for k, h in enumerate(layout.holds) if h.axis == axis and h.stiffness and not h.damping]
+    at = [
+        k
+        for k, t in enumerate(terms)
+        if t.effect.cause == "viscous_friction" and (t.place.axis, t.place.number) == (axis, 1)
+    ]
+    if not holds or not at:
+        return False
+    friction = layout.count + sum(t.size for t in terms[: at[0]])
+    share, makes = layout.holds_at.start + holds[0], 0.5 * layout.step * layout.holds[holds[0]].stiffness
+    variance = final.covariance[np.ix_([friction, share], [friction, share])]
+    weights = np.array([1.0, makes])
+    std = float(np.sqrt(max(weights @ variance @ weights, 0.0)))
+    total = float(final.candidate.x[at[0]][0]) + makes * float(final.p[share])
+    return total - 3.0 * std > SHARES[1] * makes
 
 
 def _stiffest_hold(declared: float | None, model: Model, axis: int, final: JointFit) -> float:

@@ -12,56 +12,79 @@ from invid.discrepancy.joint import JointFit, fit
 from invid.discrepancy.terms import Candidate, Term
 from invid.discrepancy.trial import Step, Trial, at_bound, attempted, refit
 from invid.discrepancy.words import BY_CAUSE
+from invid.effects.place import Place
 from invid.effects.sign import DryLaw
 from invid.effects.view import Record
 
 
 def ladder(step: Step, train: Sequence[Record], held: Sequence[Record]) -> tuple[Step, ...]:
-    """Friction that differs between the directions against dry and viscous friction at the same place.
+    """Friction that differs between the directions against laws that do not, beside each other.
 
-    Four parameters against two (Coulomb and viscous), four (Stribeck or presliding, and viscous): each as two
-    causes. The cheaper after the penalty is the answer; none where the four parameters are needed.
+    Four parameters against Coulomb and viscous friction (two), Stribeck or presliding and viscous (four),
+    each as two causes; and against Coulomb friction and a constant torque, which together are dry friction
+    that differs between the directions, without or with viscous friction. The cheapest after the penalty is
+    the answer; none where the four parameters are needed.
     """
-    place = step.chosen.term.place
     if step.chosen.term.effect.cause != "asymmetric_friction":
         return ()
-    x = step.chosen.x
-    dry, wet = 0.5 * float(x[0] + x[1]), 0.5 * float(x[2] + x[3])
-    views = step.chosen.fit.evaluation.views
-    best: tuple[Trial, Trial] | None = None
     here = step.chosen.fit
     rows, dispersion = here.dof, step.chosen.dispersion
-    limit = step.chosen.score(dispersion, rows)
-    for cause in ("coulomb_friction", "stribeck_friction", "presliding_friction"):
-        if dry <= 0 or wet <= 0:
-            break
-        effect = BY_CAUSE[cause]
-        if isinstance(effect, DryLaw) and isinstance(step.chosen.term.effect, DryLaw):
-            effect = effect.rounded(step.chosen.term.effect.rounding)
-        shape = min((abs(g[0]), g) for g in effect.grid(views, place))[1] if effect.shapes else ()
-        start = [dry, 0.2 * dry] if cause == "stribeck_friction" else [dry]
-        terms = (Term(effect, place), Term(BY_CAUSE["viscous_friction"], place))
-        candidate = Candidate(
-            (*here.candidate.terms[:-1], *terms),
-            (*here.candidate.x[:-1], np.array([*start, *shape]), np.array([wet])),
-        )
+    asymmetric = limit = step.chosen.score(dispersion, rows)
+    best: Trial | None = None
+    options = _without_asymmetry(step.chosen)
+    for terms, x in options:
+        candidate = Candidate((*here.candidate.terms[:-1], *terms), (*here.candidate.x[:-1], *x))
         trial = attempted(partial(fit, here.layout, train, here.p, candidate, iterations=20), held)
-        if trial is None or trial.score(dispersion, rows) >= limit:
-            continue
-        both = trial.fit
-        alone = Candidate(candidate.terms[:-1], both.candidate.x[:-1])
-        one = attempted(partial(fit, here.layout, train, both.p, alone, iterations=12), held)
-        if one is not None:
-            limit, best = trial.score(dispersion, rows), (one, trial)
+        if trial is not None and trial.score(dispersion, rows) < limit:
+            limit, best = trial.score(dispersion, rows), trial
     if best is None:
         return ()
-    first, second = best
-    kept = tuple((t, s) for t, s in step.ranked if t.term.place != place)
-    score = second.score(dispersion, rows)
-    return (
-        Step(step.before, first, ((first, score), *kept)),
-        Step(first, second, ((second, score),)),
-    )
+    place = step.chosen.term.place
+    kept = [(t, s) for t, s in step.ranked if t.term.place != place]
+    steps: list[Step] = []
+    first, count = len(here.candidate.terms) - 1, len(best.fit.candidate.terms)
+    for size in range(first + 1, count + 1):
+        trial = best if size == count else _first_of(best, size, train, held)
+        before = steps[-1].chosen if steps else step.before
+        if trial is None:
+            return ()
+        rivals = [(step.chosen, asymmetric), *kept] if not steps else []
+        steps.append(Step(before, trial, ((trial, limit), *rivals)))
+    return tuple(steps)
+
+
+def _without_asymmetry(chosen: Trial) -> list[tuple[tuple[Term, ...], tuple[Float64, ...]]]:
+    """Causes, with where they start, that together may be the friction that was chosen."""
+    place, x, rounded = chosen.term.place, chosen.x, chosen.term.effect
+    dry, wet, constant = 0.5 * float(x[0] + x[1]), 0.5 * float(x[2] + x[3]), 0.5 * float(x[0] - x[1])
+    if dry <= 0:
+        return []
+    views, viscous = chosen.fit.evaluation.views, Term(BY_CAUSE["viscous_friction"], place)
+    offset = Term(BY_CAUSE["torque_offset"], Place("mass", place.axis, 1))
+    out: list[tuple[tuple[Term, ...], tuple[Float64, ...]]] = []
+    for cause in ("coulomb_friction", "stribeck_friction", "presliding_friction"):
+        effect = BY_CAUSE[cause]
+        if isinstance(effect, DryLaw) and isinstance(rounded, DryLaw):
+            effect = effect.rounded(rounded.rounding)
+        shape = min((abs(g[0]), g) for g in effect.grid(views, place))[1] if effect.shapes else ()
+        size = np.array([dry, 0.2 * dry, *shape] if cause == "stribeck_friction" else [dry, *shape])
+        law = Term(effect, place)
+        if wet > 0:
+            out.append(((law, viscous), (size, np.array([wet]))))
+        if cause == "coulomb_friction":
+            # The constant torque first: it is sought again beside the others, and may be weight.
+            out.append(((offset, law), (np.array([constant]), size)))
+            if wet > 0:
+                start = (np.array([constant]), size, np.array([wet]))
+                out.append(((offset, law, viscous), start))
+    return out
+
+
+def _first_of(trial: Trial, count: int, train: Sequence[Record], held: Sequence[Record]) -> Trial | None:
+    """The fit with the first effects alone."""
+    whole = trial.fit
+    candidate = Candidate(whole.candidate.terms[:count], whole.candidate.x[:count])
+    return attempted(partial(fit, whole.layout, train, whole.p, candidate, iterations=12), held)
 
 
 def elsewhere(
