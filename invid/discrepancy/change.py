@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from invid.discrepancy.joint import fit
 from invid.discrepancy.records import by_period
-from invid.discrepancy.select import Selection
+from invid.discrepancy.selection import Selection
 from invid.discrepancy.trial import Step, attempted
 from invid.effects.view import Record
 from invid.recording.model import Recording

@@ -9,7 +9,7 @@ import numpy as np
 from invid.arrays import Float64
 from invid.diagnosis import Alternative, Finding
 from invid.discrepancy.missing_torque import NullTest, rms_torque
-from invid.discrepancy.select import Selection
+from invid.discrepancy.selection import Selection
 from invid.discrepancy.terms import Term
 from invid.discrepancy.trial import LARGER, Step, Trial, extends, sized, unearned
 from invid.discrepancy.words import BY_CAUSE, finding_sentence

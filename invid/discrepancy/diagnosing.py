@@ -4,30 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Literal
 
-from invid.arrays import Float64
 from invid.diagnosis import Diagnosis
-from invid.discrepancy.change import around_change, change_of, sooner
+from invid.discrepancy.again import looked_again
+from invid.discrepancy.beside import allowing_for_viscous, with_viscous
 from invid.discrepancy.document import document
 from invid.discrepancy.dropped import before_repair, find_dropped, repaired, with_dropped
 from invid.discrepancy.extended import extended_model
 from invid.discrepancy.given import folded
-from invid.discrepancy.joint import JointFit, fit
-from invid.discrepancy.linear import linear_fit, start_of, tones_in, without_effects
+from invid.discrepancy.joint import JointFit
+from invid.discrepancy.look import looked
 from invid.discrepancy.missing_torque import null_test
-from invid.discrepancy.moves import moves_of
-from invid.discrepancy.records import split, with_sticking
 from invid.discrepancy.replayed import REFUSED, Replay, replay, with_replay
-from invid.discrepancy.select import select
-from invid.discrepancy.tones import without_tones
 from invid.effects.base import unit_of
-from invid.effects.view import Record
 from invid.errors import InputError
 from invid.model import Model, model_to_json
 from invid.recording.model import Recording
-from invid.spectra import LineSpectra, all_spectra
 
 CLEARLY = 0.1
 """Share of a hold from which it is worth a word that it acts inside the drive."""
@@ -59,6 +52,7 @@ def diagnose(
         return diagnose_trajectory(recording, model=model)
     dropped = find_dropped(recording)
     sound = repaired(recording, dropped) if dropped else recording
+    own = model is None
     if model is None:
         from invid.identify import identify
 
@@ -68,33 +62,16 @@ def diagnose(
             f"the model has the axes {list(model.axes)}, the recording {list(recording.axes)}; diagnose with "
             "the model of this robot, or without one"
         )
-    model = folded(model)
-    spectra, warnings, (base, free, train, held) = _begun(sound, model)
-    tones = tones_in(base, held, spectra)
-    if tones:
-        sound = without_tones(sound, tones)
-        spectra, warnings, (base, free, train, held) = _begun(sound, model)
-    bare = without_effects(base, train)
-    search = partial(
-        select,
-        linear_axes=recording.linear,
-        free=free,
-        start=start_of(model, base.layout),
-        moves=moves_of(sound),
-    )
-    selection = search(base, train, held)
-    parts = around_change(selection, sound)
-    if parts is not None:
-        around = fit(base.layout, parts[0], base.p, base.candidate, iterations=25)
-        again = sooner(selection, search(around, *parts), *parts)
-        if change_of(again) is not None:
-            base, selection, (train, held) = around, again, parts
-            bare = without_effects(base, train)
-    warnings = [*warnings, *said_of_holds(selection.final.fit, recording)]
+    look = looked(sound, folded(model))
+    look = looked_again(look, masses if own else model.chains.masses_per_branch)
+    sound, model, tones, bare = look.recording, look.model, look.tones, look.bare
+    train, held = look.train, look.held
+    selection = allowing_for_viscous(with_viscous(look.selection, train, held))
+    warnings = [*look.warnings, *said_of_holds(selection.final.fit, recording)]
     result = document(sound, model, selection, bare, train, held, tones, warnings)
     if result.findings:
         linear = extended_model(model, bare, ())
-        answer = replay(sound, spectra, linear, result.model, selection.final.fit, held)
+        answer = replay(sound, look.spectra, linear, result.model, selection.final.fit, held)
         reached = not null_test(selection.final.held.cost, selection.final.held.dof, held).rejects
         if isinstance(answer, Replay) and answer.refused and not (answer.lost and reached):
             result = document(
@@ -106,21 +83,6 @@ def diagnose(
         result = with_replay(result, answer, sound)
         result = replace(result, details={**result.details, "linear_model": model_to_json(linear)})
     return with_dropped(result, recording, dropped, before_repair(recording, bare, result) if dropped else {})
-
-
-_Begun = tuple[JointFit, Float64, list[Record], list[Record]]
-
-
-def _begun(recording: Recording, model: Model) -> tuple[tuple[LineSpectra, ...], list[str], _Begun]:
-    """Spectra, what to warn about, and the linear fit with its records (``linear_fit``)."""
-    spectra = all_spectra(recording)
-    if not spectra:
-        raise InputError(f"{recording.source}: no experiment shakes an axis; nothing to compare with a model")
-    train, held, warnings = split(recording, spectra)
-    train, standing = with_sticking(train, spectra, model, recording)
-    held, _ = with_sticking(held, spectra, model, recording)
-    warnings = [*(w for s in spectra for w in s.warnings), *warnings, *standing]
-    return spectra, warnings, linear_fit(model, recording, spectra, train, held)
 
 
 def said_of_holds(final: JointFit, recording: Recording) -> list[str]:

@@ -15,7 +15,7 @@ from invid.discrepancy.extended import extended_model
 from invid.discrepancy.given import carried
 from invid.discrepancy.joint import JointFit, held_out
 from invid.discrepancy.missing_torque import NullTest, null_test, rms_torque
-from invid.discrepancy.select import Selection
+from invid.discrepancy.selection import Selection
 from invid.discrepancy.tones import Tone, power_of, said_of_tones
 from invid.discrepancy.trust import cautious, distrust_sentences, in_the_way, trust, untimed_holds
 from invid.effects.base import unit_of

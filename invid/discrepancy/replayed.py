@@ -8,7 +8,7 @@ of the regression and with the noise, line by line.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -274,17 +274,30 @@ def _driven(
 ) -> Recording:
     """The recording with the torque as it acts, A·T: later, held over the sample, holds inside the drives."""
     known = {s.key: s for s in spectra}
-    views = views_of(fitted.layout, held, fitted.p)
-    changes: dict[str, Float64] = {}
-    for view in views:
+    waves: dict[str, Float64] = {}
+    for view in views_of(fitted.layout, held, fitted.p):
         record = view.record
-        period = known[record.key].position_wave.shape[0]
-        half = np.zeros((period // 2 + 1, record.torque.shape[1]), dtype=complex)
-        half[record.lines[1:]] = (view.acting - record.torque)[1:] * (period / 2)
-        changes[record.key] = np.fft.irfft(half, period, axis=0)
+        waves[record.key] = wave_of(view.acting - record.torque, record, known[record.key])
+    return with_torque(recording, spectra, waves)
+
+
+def wave_of(lines: Complex128, record: Record, s: LineSpectra) -> Float64:
+    """(period, M) wave of (F, M) amplitudes as sampled, its mean left out."""
+    period = s.position_wave.shape[0]
+    half = np.zeros((period // 2 + 1, lines.shape[1]), dtype=complex)
+    half[record.lines[1:]] = lines[1:] * (period / 2)
+    out: Float64 = np.fft.irfft(half, period, axis=0)
+    return out
+
+
+def with_torque(
+    recording: Recording, spectra: Sequence[LineSpectra], waves: Mapping[str, Float64]
+) -> Recording:
+    """The recording with waves (period, M) added to the torque of the experiments that they are given for."""
+    known = {s.key: s for s in spectra}
     experiments = []
     for e in recording.experiments:
-        change = changes.get(e.key)
+        change = waves.get(e.key)
         if change is None:
             experiments.append(e)
             continue

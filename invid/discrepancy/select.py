@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
 from invid.arrays import Float64
+from invid.discrepancy.beside import with_viscous
 from invid.discrepancy.candidates import is_smaller_model, refitted, screened, with_those_from
 from invid.discrepancy.joint import JointFit, fit, held_out, reordered, without_last
 from invid.discrepancy.layout import Layout
@@ -17,8 +18,9 @@ from invid.discrepancy.missing_torque import null_test
 from invid.discrepancy.moves import Move, judged_on_moves
 from invid.discrepancy.rounding import rounded
 from invid.discrepancy.screen import Score, Screen, terms_for
+from invid.discrepancy.selection import Selection
 from invid.discrepancy.terms import Candidate
-from invid.discrepancy.trial import HELD_OUT, LARGER, Step, Trial, at_bound, attempted, extends, sized
+from invid.discrepancy.trial import HELD_OUT, LARGER, WEAK, Step, Trial, at_bound, attempted, extends, sized
 from invid.discrepancy.variants import delays, elsewhere, ladder, lags
 from invid.distributions import chi2_isf
 from invid.effects.place import Place
@@ -27,9 +29,6 @@ from invid.effects.view import Record
 SIGNIFICANCE = 1e-3
 """Chance, over all candidates together, that noise passes the training gain; the held-out gain must pass as
 well, so a false alarm by selection is rarer than the null test's 1 %."""
-WEAK = 1e-6
-"""The same where the null test finds no excess: then errors of the model far below the noise count as well,
-and they are coherent. Empirical (hidden plants): a torque scale 5 σ from one was named on data without it."""
 REMAINDER = 0.25
 """A further cause must remove this share of what the first left beyond noise. Empirical (hidden plants): an
 imperfect model of a strong first cause leaves a per cent of it, of which other causes fit some."""
@@ -40,24 +39,6 @@ SHARE, CLOSE = 0.05, 1.5
 """A further cause that does not bring χ²/ν below CLOSE must remove this share of the first excess. Empirical:
 on the flexible bench ripples of 2 % were named otherwise with a phase known to ten radians."""
 MOST = 3
-
-
-@dataclass(frozen=True, eq=False)
-class Selection:
-    """Where forward selection ended."""
-
-    base: Trial
-    final: Trial
-    steps: tuple[Step, ...] = ()
-    rejected: tuple[Score, ...] = field(default=())
-
-    def wider(self, shift: Float64) -> Selection:
-        """The same with parameters of the final fit that may be off by ``shift`` (n,) besides their noise."""
-        fit = self.final.fit
-        if not shift.size:
-            return self
-        covariance = fit.covariance + np.outer(shift, shift)
-        return replace(self, final=replace(self.final, fit=replace(fit, covariance=covariance)))
 
 
 def _rejects(trial: Trial, records: Sequence[Record]) -> bool:
@@ -169,7 +150,7 @@ class _Asked:
 def _search(base: JointFit, train: Sequence[Record], held: Sequence[Record], asked: _Asked) -> Selection:
     """Causes added one by one."""
     start = Trial(base, held_out(base, held))
-    found = _added(Selection(start, start), train, held, asked)
+    found = with_viscous(_added(Selection(start, start), train, held, asked), train, held)
     again = _reconsidered(found, train, held, asked)
     if [_named(s) for s in again.steps] == [_named(s) for s in found.steps]:
         return again
@@ -221,7 +202,8 @@ def _reconsidered(
             continue
         step, _ = _step(rest, train, held, asked, found.base, first=True, rejects=rejects, known=(last,))
         if step is None:
-            if not rejects:  # the others leave nothing to it
+            limit = chi2_isf(SIGNIFICANCE, last.term.size) * found.final.dispersion
+            if not rejects and rest.cost < found.final.cost + limit:  # the others leave nothing to it
                 found = replace(found, final=rest, steps=(*found.steps[:number], *found.steps[number + 1 :]))
             continue
         step = judged_on_moves(step, asked.moves)

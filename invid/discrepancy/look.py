@@ -1,0 +1,82 @@
+"""One look at a recording through one linear model: fit, and the causes that the records ask for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+
+from invid.arrays import Float64
+from invid.discrepancy.change import around_change, change_of, sooner
+from invid.discrepancy.joint import JointFit, fit
+from invid.discrepancy.linear import linear_fit, start_of, tones_in, without_effects
+from invid.discrepancy.moves import moves_of
+from invid.discrepancy.records import split, with_sticking
+from invid.discrepancy.select import select
+from invid.discrepancy.selection import Selection
+from invid.discrepancy.tones import Tone, without_tones
+from invid.effects.view import Record
+from invid.errors import InputError
+from invid.model import Model
+from invid.recording.model import Recording
+from invid.spectra import LineSpectra, all_spectra
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """What was seen, and in what.
+
+    ``recording`` is without the ``tones`` that repeat with no period; ``bare`` is the fit of the linear model
+    alone, ``selection`` starts from the model with the effects it came with.
+    """
+
+    recording: Recording
+    model: Model
+    spectra: tuple[LineSpectra, ...]
+    tones: Sequence[Tone]
+    train: Sequence[Record]
+    held: Sequence[Record]
+    bare: JointFit
+    selection: Selection
+    warnings: list[str]
+
+
+def looked(recording: Recording, model: Model) -> Look:
+    """The linear fit, and causes added while the records ask for them."""
+    spectra, warnings, (base, free, train, held) = _begun(recording, model)
+    tones = tones_in(base, held, spectra)
+    if tones:
+        recording = without_tones(recording, tones)
+        spectra, warnings, (base, free, train, held) = _begun(recording, model)
+    bare = without_effects(base, train)
+    search = partial(
+        select,
+        linear_axes=recording.linear,
+        free=free,
+        start=start_of(model, base.layout),
+        moves=moves_of(recording),
+    )
+    selection = search(base, train, held)
+    parts = around_change(selection, recording)
+    if parts is not None:
+        around = fit(base.layout, parts[0], base.p, base.candidate, iterations=25)
+        again = sooner(selection, search(around, *parts), *parts)
+        if change_of(again) is not None:
+            base, selection, (train, held) = around, again, parts
+            bare = without_effects(base, train)
+    return Look(recording, model, spectra, tones, train, held, bare, selection, warnings)
+
+
+_Begun = tuple[JointFit, Float64, list[Record], list[Record]]
+
+
+def _begun(recording: Recording, model: Model) -> tuple[tuple[LineSpectra, ...], list[str], _Begun]:
+    """Spectra, what to warn about, and the linear fit with its records (``linear_fit``)."""
+    spectra = all_spectra(recording)
+    if not spectra:
+        raise InputError(f"{recording.source}: no experiment shakes an axis; nothing to compare with a model")
+    train, held, warnings = split(recording, spectra)
+    train, standing = with_sticking(train, spectra, model, recording)
+    held, _ = with_sticking(held, spectra, model, recording)
+    warnings = [*(w for s in spectra for w in s.warnings), *warnings, *standing]
+    return spectra, warnings, linear_fit(model, recording, spectra, train, held)
