@@ -13,8 +13,9 @@ from invid.effects.place import Place, axis_places
 from invid.effects.view import View
 from invid.refine.structure import ChainStructure
 
-CUTS = (0.3, 0.4, 0.5, 0.6, 0.7, 0.78, 0.85, 0.9, 0.94, 0.97)
-"""Limits to start from over the peak torque: closer at the top, where a little more cuts nothing any more."""
+CUTS = (0.3, 0.4, 0.5, 0.6, 0.7, 0.78, 0.85, 0.9, 0.94, 0.97, 0.985, 0.992)
+"""Limits to start from over the peak torque. What is cut off halves from one to the next at the top: a limit
+that cuts more than twice of what is missing makes it worse, and would not be seen."""
 
 PARTS = 4
 """Into how many parts a sample is taken where a hold goes on within it."""
