@@ -16,6 +16,7 @@ from invid.frf import FrfMatrix, frf_matrix, local_frf_matrix
 from invid.grounded import with_ground_springs
 from invid.identified import BEATEN, SUSPECT, paper_model, refined_model
 from invid.inverse import PaperResult, identify_paper, starts
+from invid.lateness import timely
 from invid.model import Model
 from invid.modes import Modes
 from invid.modes.settle import settled_frf
@@ -148,8 +149,9 @@ def _chains(
         def starts_for(corrected: Sequence[LineSpectra]) -> Iterator[CoupledChains]:
             return _starts(corrected, sizes, recording.axes, measured_frf(corrected), (), False)
 
-        grounded = with_ground_springs(spectra, fit, starts_for)
-        fit, paper = grounded, paper if grounded is fit else second_route(spectra, grounded)
+        other = timely(spectra, fit, starts_for)
+        other = other if other is not fit else with_ground_springs(spectra, fit, starts_for)
+        fit, paper = other, paper if other is fit else second_route(spectra, other)
     model = refined_model(recording, spectra, fit, paper, warnings, order)
     further_facts: dict[str, Any] = {}
     if profile:
