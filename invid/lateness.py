@@ -15,8 +15,8 @@ from invid.refine.structure import ChainStructure
 from invid.spectra import LineSpectra
 
 PAYS = 0.5
-"""Share of χ² to which the fit from timely starts must come, a guess: a wrong minimum of a late machine was off
-40 000 times, while a machine that the model does not explain costs about the same from every start."""
+"""Share of χ² to which the fit from timely starts must come, a guess: a wrong minimum of a late machine was
+off 40 000 times, while one that the model does not explain costs about the same from every start."""
 
 
 def timely(
