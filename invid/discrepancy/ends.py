@@ -10,7 +10,7 @@ from invid.arrays import Complex128, Float64
 from invid.discrepancy.layout import Layout
 from invid.discrepancy.terms import Candidate
 from invid.effects.base import ImpedanceEffect
-from invid.effects.view import View
+from invid.effects.view import Closing, View
 from invid.refine.boundary import end_columns, end_forces, end_places, end_points
 from invid.refine.structure import ChainStructure
 from invid.refine.whitening import orthonormal, stack, unstack, unwhitener, whitener
@@ -63,18 +63,22 @@ def of_jumps(view: View, candidate: Candidate, moved: Complex128) -> tuple[Compl
     return torque, motion
 
 
-def likely_jumps(view: View, columns: Float64, white: Float64) -> Float64:
-    """(2ΣN,) jumps that leave least of ``white`` and are no larger than the motion itself.
+def closing_of(view: View, ends: Ends, root: Complex128, linear: Complex128) -> Closing:
+    """What jumps leave least of the whitened missing torque and are no larger than the motion itself.
 
     Those that the motors hardly feel would else be noise many times the motion that laws are read from.
+    ``linear`` (F, M) is the missing torque without effects.
     """
     size = np.sqrt((np.abs(view.base) ** 2).sum(axis=0))
     rate = np.sqrt((np.abs(view.omega[:, None] * view.base) ** 2).sum(axis=0))
     scale = 2.0 * np.concatenate((size, rate)) + 1e-300
-    scaled = columns * scale
+    felt: Complex128 = root @ (ends.torque * scale)
+    scaled = stack(felt)
     inverse = np.linalg.inv(scaled.T @ scaled + np.eye(scale.size))
-    out: Float64 = -scale * (inverse @ (scaled.T @ white))
-    return out
+    # Re(conj(a)·b) summed over lines is the product of stacked real numbers.
+    along: Complex128 = np.einsum("fmj,fmn->jfn", felt.conj(), root)
+    gain: Complex128 = -(scale[:, None] * inverse) @ along.reshape(scale.size, -1)
+    return Closing(ends.inner, gain.reshape(along.shape), ends.torque, linear)
 
 
 def without_boundary(

@@ -14,12 +14,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from invid.arrays import Complex128, Float64
-from invid.discrepancy.ends import ends_of, likely_jumps
+from invid.discrepancy.ends import closing_of, ends_of
 from invid.discrepancy.gradient import (
     effect_columns,
     impedance_columns,
     jump_columns,
     law_columns,
+    learn_answers,
     strong_inside,
 )
 from invid.discrepancy.layout import Layout, acting_of, priors_of
@@ -108,9 +109,6 @@ def evaluate(
         factor = acting_of(record, layout, p)[1]
         r: Complex128 = np.einsum("fij,fj->fi", view.stiffness, record.position) - view.acting
         covariance = noise_of(view, factor, candidate)
-        if near and candidate.terms:
-            view.respond(near[len(missing)].feedback)
-            view.secants = near[len(missing)].secants
         view.certainty = np.asarray(np.linalg.inv(covariance), dtype=np.complex128)
         root = whitener(covariance)
         if record.weight.size:
@@ -121,17 +119,18 @@ def evaluate(
             felt = ends.with_effects(view, candidate)
             open_ = stack(root @ felt.torque)
             basis, back = factored(open_)
-            if near and candidate.terms:
-                view.take_ends(near[len(missing)])
+            view.closing = closing_of(view, felt, root, r)
+            view.respond(view.feedback, view.closed(np.zeros_like(r)))
+            view.missing = view.left(np.zeros_like(r))
         else:
             view.missing = r
+        if near and candidate.terms:
+            before = near[len(missing)]
+            view.of_ends, view.secants = before.of_ends, before.secants
+            view.respond(before.feedback, before.jumps)
         extra = contributions(view, candidate)
-        if record.transient:
-            likely = likely_jumps(view, open_, stack(root @ (r + extra)[..., None])[:, 0])
-            view.ended(felt.inner @ likely, likely)
-            # Laws of inner motion feel what the ends of a record do, which is known once their forces are.
-            if not near and any(t.inner for t in candidate.terms):
-                extra = contributions(view, candidate)
+        if not any(t.inner for t in candidate.terms):
+            view.respond(view.feedback, view.closed(extra))
         r = r + extra
         white = stack(root @ r[..., None])[:, 0]
         if record.transient:
@@ -148,11 +147,14 @@ def evaluate(
             columns[..., : layout.count], q = _linear_columns(
                 layout, p, view, gain, jumps, _passed(view, candidate)
             )
+            strong = thorough and strong_inside(view, candidate)
+            if strong and record.transient:
+                learn_answers(view, candidate)
             effect_columns(view, candidate, extra, columns, layout.count)
             if record.transient:
                 jump_columns(view, candidate, ends.moved, jumps, columns, layout.count)
             impedance_columns(view, candidate, p[: structure.count], q, columns)
-            if thorough and strong_inside(view, candidate):
+            if strong:
                 law_columns(view, candidate, p[: structure.count], q, columns, layout.count)
             part = stack(root @ columns)
             jacobians.append(part - basis @ (basis.T @ part) if record.transient else part)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from invid.arrays import Complex128, Float64
-from invid.discrepancy.inner import settled
+from invid.discrepancy.inner import Forces, settled
 from invid.effects.base import Effect
 from invid.effects.place import Place
 from invid.effects.view import View
@@ -55,6 +55,14 @@ def contributions(
     """
     if not candidate.terms:
         return np.zeros_like(view.acting)
+    forces = forces_of(view, candidate)
+    if not any(t.inner for t in candidate.terms):
+        return forces()[0]
+    return settled(view, forces, passes, early=early)
+
+
+def forces_of(view: View, candidate: Candidate) -> Forces:
+    """What the effects contribute at the view's present inner motion, and the inner motion that follows."""
     inner = any(t.inner for t in candidate.terms)
     patterns = tuple(
         t.place.pattern(view.structure)
@@ -70,10 +78,9 @@ def contributions(
             total = total + own
             if yields is not None:
                 back = back + yields
-        if inner and view.missing is not None and patterns:
-            back = back + view.correction(patterns, view.missing + total)
+        rest = view.left(total) if inner and patterns else None
+        if rest is not None:
+            back = back + view.correction(patterns, rest)
         return total, back
 
-    if not inner:
-        return forces()[0]
-    return settled(view, forces, passes, early=early)
+    return forces

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -19,18 +21,39 @@ class Secants:
     moves: tuple[Float64, ...] = ()
     changes: tuple[Float64, ...] = ()
 
+    @classmethod
+    def of(cls, moves: Sequence[Float64], changes: Sequence[Float64]) -> Secants:
+        """All of these pairs, however many."""
+        found = cls()
+        pairs = [
+            (move / size, change / size)
+            for move, change in zip(moves, changes, strict=True)
+            if np.isfinite(size := float(np.linalg.norm(change))) and size > 0.0
+        ]
+        return found if not pairs else cls(tuple(m for m, _ in pairs), tuple(c for _, c in pairs))
+
     def plus(self, move: Float64, change: Float64) -> Secants:
         """One pair more, the oldest forgotten; a move that changed nothing tells nothing."""
         size = float(np.linalg.norm(change))
         if not np.isfinite(size) or size == 0.0:
             return self
-        return Secants((*self.moves, move / size)[-DEPTH:], (*self.changes, change / size)[-DEPTH:])
+        depth = max(DEPTH, len(self.moves))
+        return Secants((*self.moves, move / size)[-depth:], (*self.changes, change / size)[-depth:])
+
+    @cached_property
+    def _inverse(self) -> Float64:
+        """(k, n) pseudo-inverse of the changes."""
+        out: Float64 = np.linalg.pinv(np.column_stack(self.changes), rcond=1e-8)
+        return out
+
+    @cached_property
+    def _both(self) -> Float64:
+        """(n, k) moves and changes together."""
+        return np.column_stack(self.moves) + np.column_stack(self.changes)
 
     def step(self, rest: Float64) -> Float64:
         """The move that takes the disagreement ``rest`` away, as far as is known."""
         if not self.changes:
             return rest
-        changes = np.column_stack(self.changes)
-        share = np.linalg.lstsq(changes, rest, rcond=1e-8)[0]
-        out: Float64 = rest - (np.column_stack(self.moves) + changes) @ share
+        out: Float64 = rest - self._both @ (self._inverse @ rest)
         return out

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -101,6 +102,30 @@ class Record:
         return float(np.clip((self.end_time - time) / (self.end_time - self.start_time), 0.0, 1.0))
 
 
+@dataclass(frozen=True, eq=False)
+class Closing:
+    """How the ends of a record that does not close follow from what is missing."""
+
+    inner: Complex128
+    """(F, ΣN, 2ΣN) motion of every coordinate for a unit jump of each."""
+    gain: Complex128
+    """(2ΣN, F, M): jumps = Re(gain · missing torque)."""
+    torque: Complex128
+    """(F, M, 2ΣN) missing torque for a unit jump of each."""
+    linear: Complex128
+    """(F, M) missing torque of the linear model."""
+
+    def left(self, extra: Complex128) -> Complex128:
+        """(F, M) missing torque with ``extra`` (F, M) of effects, without what the ends explain."""
+        out: Complex128 = self.linear + extra + self.torque @ self.jumps(extra)
+        return out
+
+    def jumps(self, extra: Complex128) -> Float64:
+        """(2ΣN,) with ``extra`` (F, M) contributed by effects."""
+        out: Float64 = np.einsum("jfm,fm->j", self.gain, self.linear + extra).real
+        return out
+
+
 class View:
     """One record seen through one linear plant; time-domain waves are made once."""
 
@@ -129,6 +154,9 @@ class View:
         self._open: tuple[Complex128, Float64] | None = None
         """Where a record does not close: what the waves of inner motion have besides ``base`` (F, ΣN), and
         each coordinate's mean rate (ΣN,)."""
+        self.jumps: Float64 = np.zeros(0)
+        """(2ΣN,) positions, then velocities: how far the ends of a record that does not close are apart."""
+        self.closing: Closing | None = None
         self.secants = Secants()
         self.missing: Complex128 | None = None
         """(F, M) missing torque of the linear model; None where forces cannot be read from it."""
@@ -146,26 +174,40 @@ class View:
         """(F,) [rad/s]."""
         return self.record.omega
 
-    def respond(self, feedback: Complex128) -> None:
-        """Sets what all effects do to the inner coordinates, (F, ΣN)."""
-        self.feedback = feedback
-        self._waves = {k: v for k, v in self._waves.items() if self._at_motor(k[0])}
-
-    def ended(self, of_ends: Complex128, jumps: Float64) -> None:
-        """Sets what the ``jumps`` (2ΣN,) of a record that does not close do to inner coordinates, (F, ΣN).
+    def respond(self, feedback: Complex128, jumps: Float64 | None = None) -> None:
+        """Sets what all effects do to the inner coordinates, (F, ΣN), and what the ends of a record that does
+        not close are apart by, where given.
 
         The motors' own wander is in their waves.
         """
-        safe = np.where(self.omega > 0, self.omega, np.inf)
-        slope: Complex128 = (2j / safe)[:, None]  # lines of a straight line that rises by one a second
-        slopes = jumps[: self.base.shape[1]] / self.record.span
-        wander = np.einsum("fqm,fm->fq", self.motion, slope * self.record.ramp)
-        self._open = (of_ends + wander - slope * slopes, slopes)
-        self.respond(self.feedback)
+        self.feedback = feedback
+        self._waves = {k: v for k, v in self._waves.items() if self._at_motor(k[0])}
+        if self.closing is not None and jumps is not None:
+            self.jumps = jumps
+            slopes = jumps[: self.base.shape[1]] / self.record.span
+            self._open = (self.closing.inner @ jumps + self._wander - self._slope * slopes, slopes)
 
-    def take_ends(self, other: View) -> None:
-        """Takes over what the ends do from a view close by."""
-        self.of_ends, self._open = other.of_ends, other._open
+    @cached_property
+    def _slope(self) -> Complex128:
+        """(F, 1) lines of a straight line that rises by one a second."""
+        out: Complex128 = (2j / np.where(self.omega > 0, self.omega, np.inf))[:, None]
+        return out
+
+    @cached_property
+    def _wander(self) -> Complex128:
+        """(F, ΣN) motion that goes with the straight line between the motors' ends."""
+        out: Complex128 = np.einsum("fqm,fm->fq", self.motion, self._slope * self.record.ramp)
+        return out
+
+    def left(self, extra: Complex128) -> Complex128 | None:
+        """(F, M) missing torque with ``extra`` (F, M) of effects; ``None`` where it is not known."""
+        if self.closing is not None:
+            return self.closing.left(extra)
+        return None if self.missing is None else self.missing + extra
+
+    def closed(self, extra: Complex128) -> Float64:
+        """(2ΣN,) jumps that go with what effects contribute (F, M); none where the record closes."""
+        return np.zeros(0) if self.closing is None else self.closing.jumps(extra)
 
     def _at_motor(self, pattern: Pattern) -> bool:
         return len(pattern) == 1 and pattern[0][0] in self.structure.motor_dofs

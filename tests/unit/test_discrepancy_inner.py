@@ -12,13 +12,23 @@ from invid.effects.sign import clip_law
 
 
 class _View(SimpleNamespace):
-    def respond(self, feedback: np.ndarray) -> None:
+    def respond(self, feedback: np.ndarray, jumps: np.ndarray | None = None) -> None:
         self.feedback = feedback
+
+    def closed(self, extra: np.ndarray) -> np.ndarray:
+        return np.zeros(0)
 
 
 def _view(lines: int) -> _View:
     base = np.ones((lines, 1), dtype=complex)
-    return _View(base=base, feedback=np.zeros_like(base), acting=np.zeros_like(base), secants=Secants())
+    return _View(
+        base=base,
+        feedback=np.zeros_like(base),
+        acting=np.zeros_like(base),
+        secants=Secants(),
+        jumps=np.zeros(0),
+        closing=None,
+    )
 
 
 def test_a_few_directions_that_substitution_blows_up_are_settled() -> None:
@@ -60,3 +70,22 @@ def test_a_gap_that_is_crossed_within_a_sample_has_the_mean_of_what_happens_betw
     clipped = np.clip(fine, -0.5, 0.5)
     around = [np.mean(np.roll(clipped, 200 - 200 * k)[:400]) for k in range(6)]
     assert np.abs(clip_law(coarse, 0.5) - around).max() < 5e-3
+
+
+def test_more_directions_than_are_remembered_are_settled_by_newtons_steps() -> None:
+    """Every line below the resonance of a load behind a gap runs away, not one or two."""
+    rng = np.random.default_rng(2)
+    lines = 80
+    gain = np.full(lines, 0.05, dtype=complex)
+    gain[:40] = rng.uniform(1.5, 6.0, 40) * np.exp(2j * np.pi * rng.uniform(size=40))
+    driven = rng.normal(size=lines) + 1j * rng.normal(size=lines)
+    view = _view(lines)
+
+    def forces() -> tuple[np.ndarray, np.ndarray]:
+        motion = view.feedback[:, 0]
+        back = (driven + gain * motion + 0.02 * np.abs(motion) * motion)[:, None]
+        return back, back
+
+    settled(view, forces, 12)
+    rest = forces()[1] - view.feedback
+    assert np.abs(rest).max() < 1e-3 * np.abs(view.feedback).max()
