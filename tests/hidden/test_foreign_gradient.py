@@ -11,10 +11,12 @@ import pytest
 
 from invid.arrays import Float64
 from invid.chains import CoupledChains
+from invid.discrepancy.joint import fit
 from invid.discrepancy.layout import Layout
 from invid.discrepancy.linear import layout_of
 from invid.discrepancy.plant import evaluate
 from invid.discrepancy.records import by_period, record_of, split
+from invid.discrepancy.screen import Screen
 from invid.discrepancy.terms import Candidate, Term
 from invid.effects.backlash import Backlash
 from invid.effects.extra_mode import ExtraMode
@@ -97,6 +99,17 @@ def test_the_gradient_knows_what_masses_and_springs_do_to_a_gap_of_the_last_spri
         expected = central(cost, p, k, 1e-4 * max(abs(float(p[k])), 1e-2))
         # Inner motion and forces agree to a few per cent only after the fixed number of steps.
         assert gradient[k] == pytest.approx(expected, rel=0.1, abs=0.01 * largest), layout.names[k]
+
+
+def test_a_gap_is_seen_in_a_chirp_from_rest_whose_ends_move_the_load_within_it() -> None:
+    """Seed 670007: a mode, a gear error and eccentricity were screened before the gap, which took a tenth."""
+    recording, truth = make_foreign(670007)
+    train, _, _ = split(recording, all_spectra(recording))
+    layout, p = near_the_truth(train, truth.chains, 1e-3)
+    linear = fit(layout, train, p, Candidate(), iterations=25)
+    seen = Screen(linear).best(Term(Backlash(), Place("spring", 0, 1)), polish=True)
+    assert seen.gain > 0.8 * linear.cost
+    assert np.exp(seen.x[0]) == pytest.approx(truth.effects[0].parameters["gap"], rel=0.1)
 
 
 @pytest.mark.parametrize("from_rest", [False, True])

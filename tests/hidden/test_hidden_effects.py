@@ -181,3 +181,12 @@ def test_a_mode_above_the_band_is_told_from_a_mass_beside_a_gear_error() -> None
     true = next(e for e in truth.effects if e.cause == "extra_mode").parameters
     assert mode.parameters["mass"].value == pytest.approx(true["mass"], rel=0.05)
     assert mode.parameters["stiffness"].value == pytest.approx(true["stiffness"], rel=0.05)
+
+
+def test_a_limit_that_cuts_the_last_two_per_cent_of_the_peak_is_found() -> None:
+    """Seed 750055: every limit that was tried cut so much more that it made things worse."""
+    recording, truth = make_case(750055)
+    found = diagnose(recording)
+    assert score(truth, found).outcome == "right"
+    limit = found.findings[0].effect.parameters["limit"].value
+    assert limit == pytest.approx(truth.effects[0].parameters["limit"], rel=0.002)
