@@ -189,9 +189,12 @@ def demand_used(recording: Recording, spectra: Sequence[LineSpectra]) -> bool:
 
 
 def split(
-    recording: Recording, spectra: Sequence[LineSpectra]
+    recording: Recording, spectra: Sequence[LineSpectra], *, spare: bool = True
 ) -> tuple[list[Record], list[Record], list[str]]:
-    """Training and held-out records, and what to warn about."""
+    """Training and held-out records, and what to warn about.
+
+    ``spare``: a record that is more than the linear model needs may be kept out whole.
+    """
     experiments = {e.key: e for e in recording.experiments}
     prepared = partial(record_of, demand=demand_used(recording, spectra))
     train = [s for s in spectra if s.role is Role.IDENTIFY]
@@ -205,7 +208,7 @@ def split(
     motors = recording.axis_count
     everything = [s for s in train if s.driven.all()]
     # A record more than the linear model needs (each axis once, or M of all at once) can be kept out.
-    if len(train) > motors and (everything or motors == 1):
+    if spare and len(train) > motors and (everything or motors == 1):
         kept = (everything or train)[-1]
         return (
             [prepared(s, experiments[s.key]) for s in train if s is not kept],
