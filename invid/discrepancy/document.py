@@ -41,7 +41,8 @@ def document(
     without = base.held if bare is base.fit else held_out(bare, held)
     before_test = null_test(base.fit.cost + base.held.cost, base.fit.dof + base.held.dof, [*train, *held])
     after_test = null_test(final.fit.cost + final.held.cost, final.fit.dof + final.held.dof, [*train, *held])
-    coherent = bool(selection.steps) or before_test.rejects
+    # A cause below what the test of the whole sees is there if its extension gains anything.
+    coherent = before_test.rejects or (bool(selection.steps) and not refused)
     unit = unit_of("torque", recording.linear)
     judged = judge(selection, recording, after_test)
     full = extended_model(model, final.fit, ())
