@@ -88,7 +88,13 @@ def _first_of(trial: Trial, count: int, train: Sequence[Record], held: Sequence[
 
 
 def elsewhere(
-    best: Trial, train: Sequence[Record], held: Sequence[Record], terms: Sequence[Term], tried: Sequence[Term]
+    best: Trial,
+    train: Sequence[Record],
+    held: Sequence[Record],
+    terms: Sequence[Term],
+    tried: Sequence[Term],
+    *,
+    iterations: int = 20,
 ) -> list[Trial]:
     """The cause of ``best`` at the places of its axis that were not ``tried``, from its fit.
 
@@ -103,7 +109,7 @@ def elsewhere(
             continue
         moved = Term(best.term.effect, term.place)
         candidate = Candidate((*here.candidate.terms[:-1], moved), here.candidate.x)
-        trial = attempted(partial(fit, here.layout, train, here.p, candidate, iterations=20), held)
+        trial = attempted(partial(fit, here.layout, train, here.p, candidate, iterations=iterations), held)
         if trial is not None and not at_bound(trial):
             out.append(trial)
     return out
