@@ -150,6 +150,8 @@ class _Asked:
     moves: Sequence[Move]
     contested: frozenset[int] = frozenset()
     """Axes on which a delay goes before its lag."""
+    axis: int | None = None
+    """Where causes are looked for; everywhere where it is none."""
 
 
 def _search(base: JointFit, train: Sequence[Record], held: Sequence[Record], asked: _Asked) -> Selection:
@@ -205,7 +207,10 @@ def _reconsidered(
         rejects = _rejects(rest, [*train, *held])
         if number == newest and rejects:
             continue
-        step, _ = _step(rest, train, held, asked, found.base, first=True, rejects=rejects, known=(last,))
+        # What stands for a part of another axis' cause leaves the rest of that.
+        axis = None if _rejects(found.final, [*train, *held]) else last.term.place.axis
+        here = replace(asked, axis=axis)
+        step, _ = _step(rest, train, held, here, found.base, first=True, rejects=rejects, known=(last,))
         if step is None:
             limit = chi2_isf(SIGNIFICANCE, last.term.size) * found.final.dispersion
             if not rejects and rest.cost < found.final.cost + limit:  # the others leave nothing to it
@@ -236,7 +241,8 @@ def _step(
     terms = [
         t
         for t in terms_for(here.layout.structure, linear_axes=asked.linear_axes, chosen=here.candidate.terms)
-        if t.effect.cause != "torque_delay" or _late(here.layout, here.p, t.place.axis)
+        if (t.effect.cause != "torque_delay" or _late(here.layout, here.p, t.place.axis))
+        and asked.axis in (None, t.place.axis, t.place.other)
     ]
     scores = screened(screen, terms)
     count = max(len(terms), 1)
@@ -252,6 +258,7 @@ def _step(
         if s.term.effect.cause != "torque_delay" and (s.term.effect.cause, s.term.place) not in tried
     ]
     least = _least_gain(here, current, count, first=first)
+    least = max([least, *(here.cost - t.fit.cost for t in known)])  # a rival takes as much
     reached = min((t.fit.cost for t in trials), default=np.inf)
     trials += refitted(here, train, held, scores, least, reached)
     if first and rejects and asked.start is not None and not known:
