@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -218,7 +219,7 @@ def _cause(
     i, pattern, stiffness = _place(chains, term)
     s = _liveliest(spectra, i)
     others = [e for e in extended.effects if e is not term and e != term]
-    m = missing_beside(s, chains, extended.effects)
+    m, note = alone(missing_beside(s, chains, extended.effects), s, chains, others)
     force = _force_at(m, pattern)
     what = laws.ABSCISSA[term.cause]
     x = _abscissa(m, pattern, i, what, term)
@@ -241,23 +242,42 @@ def _cause(
         "element": term.element,
         "x_label": f"{what} [{_unit(recording, what)}]",
         "y_label": f"missing torque [{recording.torque_unit}]",
-        "note": f"with {len(others)} other cause(s) still in it" if others else "",
+        "note": note,
     }
 
 
 def missing_beside(s: LineSpectra, chains: CoupledChains, terms: Sequence[EffectTerm]) -> MissingTorque:
     """The missing torque of one record in which these causes are at work; it still holds theirs."""
     m = missing_torque(s, chains)
-    known = np.zeros_like(m.torque)
-    for term in terms:
-        own = laws.ABSCISSA.get(term.cause)
-        if own is None or term.axis not in chains.axes:
-            continue
-        i, pattern, stiffness = _place(chains, term)
-        wave = fitted_wave(m, pattern, i, term, own, stiffness)
-        if wave is not None:
-            known -= np.einsum("d,fdm,f->fm", pattern, m.motion, lines_of(s, wave))
+    known, _ = _taken(m, s, chains, terms)
     return missing_torque(s, chains, known) if known.any() else m
+
+
+def alone(
+    m: MissingTorque, s: LineSpectra, chains: CoupledChains, others: Sequence[EffectTerm]
+) -> tuple[MissingTorque, str]:
+    """What is left for one cause once the others have theirs, and a note of those that have no curve."""
+    known, curveless = _taken(m, s, chains, others)
+    note = f"with {curveless} other cause(s) still in it" if curveless else ""
+    if len(others) > curveless:
+        note = ", ".join(filter(None, ("what the other causes explain is taken out", note)))
+    return replace(m, torque=m.torque - known), note
+
+
+def _taken(
+    m: MissingTorque, s: LineSpectra, chains: CoupledChains, terms: Sequence[EffectTerm]
+) -> tuple[Complex128, int]:
+    """(F, M) the missing torque that these causes explain, and how many of them have no curve."""
+    known, curveless = np.zeros_like(m.torque), 0
+    for term in terms:
+        own, wave = laws.ABSCISSA.get(term.cause), None
+        if own is not None and term.axis in chains.axes:
+            i, pattern, stiffness = _place(chains, term)
+            wave = fitted_wave(m, pattern, i, term, own, stiffness)
+            if wave is not None:
+                known -= np.einsum("d,fdm,f->fm", pattern, m.motion, lines_of(s, wave))
+        curveless += wave is None
+    return known, curveless
 
 
 def fitted_wave(

@@ -27,6 +27,7 @@ from invid.report.data import (
     _place,
     _unit,
     _wave,
+    alone,
     fitted_wave,
     force_at,
     lines_of,
@@ -72,7 +73,8 @@ def _views(
 ) -> dict[str, Any]:
     i, pattern, stiffness = _place(chains, term)
     s = _liveliest(spectra, i)
-    m = missing_beside(s, chains, all_terms)
+    others = [e for e in all_terms if e is not term and e != term]
+    m, note = alone(missing_beside(s, chains, all_terms), s, chains, others)
     force, std = force_at(m, pattern)
     y = -_wave(s, _denoised(force, std))
     keep = _interior(s, y.size)
@@ -94,13 +96,12 @@ def _views(
         if fit is not None:
             picture["fit"] = {"x": picture["x"], "y": fit[keep][::step].tolist()}
         sides.append(picture)
-    others = len(all_terms) - 1
     return {
         "cause": term.cause or None,
         "axis": term.axis,
         "element": term.element if term.cause else None,
         "y_label": f"missing torque [{recording.torque_unit}]",
-        "note": f"with {others} other cause(s) still in it" if others > 0 else "",
+        "note": note,
         "own": own,
         "sides": sides,
         "spectrum": _spectrum(s, force, std, fit),

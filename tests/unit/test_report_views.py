@@ -88,6 +88,27 @@ def test_over_frequency_the_right_cause_takes_the_missing_torque_down_and_a_wron
     assert rms[-TORQUE][1] > 1.5 * missing
 
 
+def test_each_of_two_causes_is_shown_with_what_the_other_explains_taken_out(
+    friction: tuple[Recording, Truth, Model],
+) -> None:
+    recording, _, model = friction
+    both = (coulomb(recording.axes[1]), coulomb(recording.axes[0], 0.0))
+    right, wrong = cause_views(recording, model, diagnosed(recording, model, *both))
+    (only,) = cause_views(recording, model, diagnosed(recording, model, coulomb(recording.axes[0], 0.0)))
+
+    def over_velocity(view: dict) -> tuple[np.ndarray, np.ndarray]:
+        side = next(s for s in view["sides"] if s["what"] == "velocity")
+        return np.array(side["x"]), np.array(side["y"])
+
+    v, y = over_velocity(right)
+    fast = np.abs(v) > 0.3 * np.abs(v).max()
+    assert np.median(np.abs(y[fast])) == pytest.approx(TORQUE, rel=0.15)
+    # The other axis' friction reaches the motor of the axis without any; taken out, little is left there.
+    assert np.std(over_velocity(wrong)[1]) < 0.5 * np.std(over_velocity(only)[1])
+    assert "taken out" in wrong["note"]
+    assert "taken out" not in only["note"]
+
+
 def test_what_no_cause_explains_is_shown_without_a_fit(friction: tuple[Recording, Truth, Model]) -> None:
     recording, _, model = friction
     lost = Unexplained(axis=recording.axes[1], frequencies_hz=(1.0,), character=("odd",), sentence="there")
