@@ -234,9 +234,9 @@ def unearned(trial: Trial, rows: int) -> float:
     """What Schwarz' penalty asks too much for a phase of the effect added last that the data barely see.
 
     ln(rows) a parameter is the logarithm of prior over posterior variance where the prior is that of one row.
-    No phase is preferred, so sine and cosine have one prior: where only one direction of the two is known
-    (gravity on a small motion is a constant torque), the other's posterior is nearly its prior and costs
-    nothing.
+    No phase is preferred, so the quadrature that is known less is expected to be as large as the effect, half
+    its square on average, and pays ln(prior over posterior variance) of that: nothing where the data do not
+    see it (gravity on a small motion is a constant torque), and something where they see that it is none.
     """
     if trial.term.effect.coefficients != ("sine", "cosine"):
         return 0.0
@@ -244,5 +244,8 @@ def unearned(trial: Trial, rows: int) -> float:
     most = float(np.log(max(rows, 2)))
     if not np.isfinite(block).all():
         return most
-    small, large = np.linalg.eigvalsh(block)
-    return most if small <= 0 else float(min(np.log(large / small), most))
+    large = float(np.linalg.eigvalsh(block)[-1])
+    expected = 0.5 * float(trial.x[:2] @ trial.x[:2])
+    if large <= 0.0 or expected <= 0.0:
+        return 0.0
+    return float(np.clip(most - np.log(expected / large), 0.0, most))
