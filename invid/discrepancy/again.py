@@ -8,16 +8,12 @@ from typing import Literal
 
 from invid.arrays import Float64
 from invid.discrepancy.given import folded
-from invid.discrepancy.linear import LOWER
+from invid.discrepancy.linear import LOWER, doubted
 from invid.discrepancy.look import Look, looked
 from invid.discrepancy.replayed import wave_of, with_torque
 from invid.discrepancy.terms import contributions
 from invid.errors import InvidError
 from invid.recording.model import Recording
-
-FAR = 3.0
-"""χ²/ν from which causes leave so much that the linear model itself may be wrong, where its identification
-says so. A guess, as where a linear fit is doubted (``linear_fit``)."""
 
 
 def looked_again(look: Look, masses: Sequence[int] | Literal["auto"] | None) -> Look:
@@ -30,9 +26,8 @@ def looked_again(look: Look, masses: Sequence[int] | Literal["auto"] | None) -> 
     from invid.identify import identify
 
     final = look.selection.final
-    doubted = look.model.fit.get("trustworthy", True) is False
     known = look.selection.base.fit.candidate.terms
-    if known or not look.selection.steps or not doubted or final.cost < FAR * final.dof:
+    if known or not look.selection.steps or not doubted(look.model, final):
         return look
     try:
         model = identify(without_causes(look), masses=masses)

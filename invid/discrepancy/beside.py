@@ -13,15 +13,12 @@ from invid.discrepancy.joint import fit
 from invid.discrepancy.screen import Screen
 from invid.discrepancy.selection import Selection
 from invid.discrepancy.terms import Term
-from invid.discrepancy.trial import LARGER, WEAK, Step, Trial, attempted
+from invid.discrepancy.trial import CLOSE, LARGER, WEAK, Step, Trial, attempted
 from invid.discrepancy.words import BY_CAUSE
 from invid.distributions import chi2_isf
 from invid.effects.view import Record
 
 DRY = ("coulomb_friction", "stribeck_friction", "presliding_friction")
-NOISE = 1.5
-"""χ²/ν above which the rest is no matter of noise, and what the wrong law of dry friction leaves passes for
-viscous friction: a sliding law with other springs got 0.5 ± 1.5 N·m·s/rad. As in the search for causes."""
 
 
 def with_viscous(found: Selection, train: Sequence[Record], held: Sequence[Record]) -> Selection:
@@ -29,13 +26,18 @@ def with_viscous(found: Selection, train: Sequence[Record], held: Sequence[Recor
 
     What rubs is greased: the search for further causes asks a price for every place that each could sit at,
     and stops where the whole is no more than noise; this is one question, with one answer expected. Unasked,
-    the dry friction takes what the viscous one would: 10 % of it at seven of its standard deviations.
+    the dry friction takes what the viscous one would: 10 % of it at seven of its standard deviations. Far
+    from the noise what the wrong law of dry friction leaves passes for viscous friction (a sliding law with
+    other springs got 0.5 ± 1.5 N·m·s/rad), and it is not asked.
     """
+    screen: Screen | None = None
     for number in range(len(found.steps)):
         viscous, final = _beside(found, number), found.final
-        if viscous is None or final.cost > NOISE * final.dof:
+        if viscous is None or final.cost > CLOSE * final.dof:
             continue
-        gain, x = _score(final, viscous)
+        if screen is None or screen.fit is not final.fit:
+            screen = Screen(final.fit)
+        gain, x = _score(screen, viscous)
         if gain < 0.5 * chi2_isf(WEAK, 1) * final.dispersion:
             continue  # of what a score test promises a fit never makes twice as much
         candidate = final.fit.candidate.plus(viscous, x)
@@ -59,11 +61,11 @@ def _beside(found: Selection, number: int) -> Term | None:
 def allowing_for_viscous(found: Selection) -> Selection:
     """The selection with its sizes as uncertain as the viscous friction that was not named leaves them."""
     final, open_ = found.final, found
-    for number in range(len(found.steps)):
-        viscous = _beside(found, number)
-        if viscous is None:
-            continue
-        screen = Screen(final.fit)
+    asked = [t for t in (_beside(found, n) for n in range(len(found.steps))) if t is not None]
+    if not asked:
+        return found
+    screen = Screen(final.fit)
+    for viscous in asked:
         gain, x = screen.at(viscous, ())
         shift = screen.shift(viscous, x)
         screen.release()
@@ -73,9 +75,8 @@ def allowing_for_viscous(found: Selection) -> Selection:
     return open_
 
 
-def _score(trial: Trial, term: Term) -> tuple[float, Float64]:
+def _score(screen: Screen, term: Term) -> tuple[float, Float64]:
     """What a further term would gain, and its parameters."""
-    screen = Screen(trial.fit)
     out = screen.at(term, ())
     screen.release()
     return out
@@ -97,7 +98,7 @@ def _named(found: Selection, number: int, trial: Trial) -> Selection:
     place = step.chosen.term.place
     uneven = Term(BY_CAUSE["asymmetric_friction"], place)
     kept = step.ranked
-    if _score(trial, uneven)[0] < LARGER * trial.dispersion:
+    if _score(Screen(trial.fit), uneven)[0] < LARGER * trial.dispersion:
         kept = tuple((t, s) for t, s in kept if t.term != uneven)
     steps = (*found.steps[:number], replace(step, ranked=kept), *found.steps[number + 1 :])
     score = trial.score(trial.dispersion, trial.fit.dof)

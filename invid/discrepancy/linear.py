@@ -16,6 +16,7 @@ from invid.discrepancy.missing_torque import changing, with_scatter
 from invid.discrepancy.records import by_period
 from invid.discrepancy.terms import Candidate
 from invid.discrepancy.tones import Tone, tones_of
+from invid.discrepancy.trial import Trial
 from invid.effects.view import Record
 from invid.forward import resonances
 from invid.model import Model
@@ -23,6 +24,8 @@ from invid.recording.model import Recording
 from invid.refine.structure import ChainStructure
 from invid.spectra import LineSpectra
 
+FAR = 3.0
+"""χ²/ν from which a fit leaves so much that the linear model itself may be wrong. A guess."""
 LOWER = 0.5
 """Share of χ² to which another start must bring a fit that is doubted. A guess: a wrong minimum
 of a linear machine is off by far more (720061 of the hidden effects: 11 000 times), while what a strong
@@ -53,7 +56,7 @@ def linear_fit(
         layout, with_scatter(train, spectra, layout, start), start, given, iterations=25, strict=False
     )
     gone = _vanishing(first)
-    if not given.terms and (gone or _doubted(model, first)):
+    if not given.terms and (gone or doubted(model, first)):
         again = restarted(first, train)
         if gone or again.cost < LOWER * first.cost:
             first = again
@@ -105,12 +108,12 @@ def _vanishing(fitted: JointFit) -> bool:
     """A mass below a ten-thousandth of its branch in a fit that does not reach the noise: a wrong minimum."""
     chains = fitted.layout.structure.chains(fitted.p[: fitted.layout.structure.count])
     gone = any(bool((m < 1e-4 * m.sum()).any()) for m in chains.masses)
-    return gone and fitted.cost > 3.0 * fitted.dof
+    return gone and fitted.cost > FAR * fitted.dof
 
 
-def _doubted(model: Model, fitted: JointFit) -> bool:
+def doubted(model: Model, fitted: JointFit | Trial) -> bool:
     """Whether the identification does not trust its fit and that fit does not reach the noise."""
-    return model.fit.get("trustworthy", True) is False and fitted.cost > 3.0 * fitted.dof
+    return model.fit.get("trustworthy", True) is False and fitted.cost > FAR * fitted.dof
 
 
 def restarted(fitted: JointFit, train: Sequence[Record]) -> JointFit:

@@ -106,7 +106,7 @@ def evaluate(
     dof = 0
     for view in views:
         record = view.record
-        factor = acting_of(record, layout, p)[1]
+        _, factor, by_stair, by_hold = acting_of(record, layout, p)
         r: Complex128 = np.einsum("fij,fj->fi", view.stiffness, record.position) - view.acting
         covariance = noise_of(view, factor, candidate)
         view.certainty = np.asarray(np.linalg.inv(covariance), dtype=np.complex128)
@@ -145,7 +145,7 @@ def evaluate(
             gain = np.asarray(np.linalg.solve(covariance, r[..., None])[..., 0], dtype=np.complex128)
             columns = np.zeros((*r.shape, layout.count + effects), dtype=complex)
             columns[..., : layout.count], q = _linear_columns(
-                layout, p, view, gain, jumps, _passed(view, candidate)
+                layout, p, view, gain, jumps, (by_stair, by_hold, _passed(view, candidate))
             )
             strong = thorough and strong_inside(view, candidate)
             if strong and record.transient:
@@ -184,16 +184,21 @@ def evaluate(
 
 
 def _linear_columns(
-    layout: Layout, p: Float64, view: View, gain: Complex128, jumps: Float64, passed: Complex128
+    layout: Layout,
+    p: Float64,
+    view: View,
+    gain: Complex128,
+    jumps: Float64,
+    acting: tuple[Complex128, Complex128, Complex128],
 ) -> tuple[Complex128, Complex128]:
     """(F, M, parameters) derivative of r by those of the layout, and (F, ΣN) the motion it is taken at.
 
     ``gain`` (F, M) is C_r⁻¹ r, ``jumps`` (2ΣN,) the ends of a record that does not close (empty for one that
-    does), ``passed`` (F, M) what actuators let through.
+    does), ``acting`` the derivatives of the acting torque (``acting_of``) and what actuators let through.
     """
     structure, record = layout.structure, view.record
     sp, motors = p[: structure.count], structure.motors
-    _, _, by_stair, by_hold = acting_of(record, layout, p)
+    by_stair, by_hold, passed = acting
     # Only the sensors' noise moves the measurement: the scatter's share is in the covariance.
     expected = record.noise[:, :motors] * np.einsum("fij,fi->fj", view.stiffness.conj(), gain)
     q = np.einsum("fqm,fm->fq", view.motion, record.position - expected) + view.feedback + view.of_ends

@@ -14,6 +14,7 @@ from invid.effects.view import Record
 from invid.model import Model
 from invid.periods import fold, without_drift
 from invid.recording.model import Experiment, Recording, Role
+from invid.refine.mixed_drive import covers, mean_demand
 from invid.spectra import LineSpectra, spectra_of
 from invid.timebase import uniform
 
@@ -157,22 +158,15 @@ def _command(s: LineSpectra, experiment: Experiment, index: np.ndarray) -> tuple
     demand, count = experiment.torque_demand, s.position_wave.shape[0]
     if demand is None or not _whole_demand(s, experiment):
         return None
-    whole = s.transient and s.periods == 1
-    samples = s.periods * count
-    used = demand[demand.shape[0] - samples - int(whole) :][:samples]
-    wave = used.reshape(s.periods, count, -1).mean(axis=0)
+    wave, ends = mean_demand(s, demand)
     spectrum = np.fft.rfft(wave, axis=0)[index] * (2.0 / count)
-    ends: Float64 = (demand[-1] - demand[0]) / count if whole else np.zeros(s.axis_count)
     return np.concatenate((wave.mean(axis=0)[None].astype(complex), spectrum)), ends
 
 
 def _whole_demand(s: LineSpectra, experiment: Experiment) -> bool:
     """Whether the demand is logged over all that the spectra come from; not where that was resampled."""
-    demand, samples = experiment.torque_demand, s.periods * s.position_wave.shape[0]
-    if demand is None or s.periods < 1 or demand.shape[0] != experiment.samples:
-        return False
-    whole = s.transient and s.periods == 1
-    return bool(demand.shape[0] == samples + 1 if whole else demand.shape[0] >= samples)
+    demand = experiment.torque_demand
+    return demand is not None and demand.shape[0] == experiment.samples and covers(s, demand)
 
 
 def demand_used(recording: Recording, spectra: Sequence[LineSpectra]) -> bool:

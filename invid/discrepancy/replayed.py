@@ -22,7 +22,7 @@ from invid.discrepancy.joint import JointFit
 from invid.discrepancy.missing_torque import rms_torque
 from invid.discrepancy.plant import Evaluation, evaluate, views_of
 from invid.discrepancy.terms import Candidate
-from invid.effects.view import Record
+from invid.effects.view import Record, View
 from invid.errors import InvidError
 from invid.model import Model
 from invid.periods import fold, without_drift
@@ -118,14 +118,15 @@ def replay(
     keys = tuple(dict.fromkeys(r.key for r in held))
     # Lost rows were put right before anything was fitted.
     driving = replace(extended, effects=tuple(e for e in extended.effects if e.cause != "dropped_samples"))
-    driven = _driven(recording, spectra, held, fitted)
+    views = views_of(fitted.layout, held, fitted.p)
+    driven = _driven(recording, spectra, views)
     try:
         plain = simulate(_without_offsets(linear), driven, only=keys)
         answer = simulate(_without_offsets(driving), driven, only=keys)
     except InvidError as error:
         return f"the extended model could not be simulated over time: {error}"
-    evaluation = _left_by(answer, spectra, held, fitted)
-    before = _left_by(plain, spectra, held, fitted)
+    evaluation = _left_by(answer, spectra, views, fitted)
+    before = _left_by(plain, spectra, views, fitted)
     if evaluation is None or before is None:
         return "the held-out records are not whole: the extension was not simulated over time"
     shift = _shift(fitted, held, evaluation)
@@ -148,10 +149,10 @@ def replay(
 
 
 def _left_by(
-    answer: Recording, spectra: Sequence[LineSpectra], held: Sequence[Record], fitted: JointFit
+    answer: Recording, spectra: Sequence[LineSpectra], views: Sequence[View], fitted: JointFit
 ) -> Evaluation | None:
     """What is left between the held-out records and a simulation of them, as torque."""
-    left = _differences(answer, spectra, held, fitted)
+    left = _differences(answer, spectra, views)
     if left is None:
         return None
     structure = fitted.layout.structure
@@ -269,13 +270,11 @@ def _without_offsets(model: Model) -> Model:
     return replace(model, fit={**model.fit, "time_offset_s": {}})
 
 
-def _driven(
-    recording: Recording, spectra: Sequence[LineSpectra], held: Sequence[Record], fitted: JointFit
-) -> Recording:
+def _driven(recording: Recording, spectra: Sequence[LineSpectra], views: Sequence[View]) -> Recording:
     """The recording with the torque as it acts, A·T: later, held over the sample, holds inside the drives."""
     known = {s.key: s for s in spectra}
     waves: dict[str, Float64] = {}
-    for view in views_of(fitted.layout, held, fitted.p):
+    for view in views:
         record = view.record
         waves[record.key] = wave_of(view.acting - record.torque, record, known[record.key])
     return with_torque(recording, spectra, waves)
@@ -313,12 +312,12 @@ def with_torque(
 
 
 def _differences(
-    answer: Recording, spectra: Sequence[LineSpectra], held: Sequence[Record], fitted: JointFit
+    answer: Recording, spectra: Sequence[LineSpectra], views: Sequence[View]
 ) -> list[Record] | None:
     """Measured minus simulated, torque as it acts; ``None`` where the lines do not match."""
     known = {s.key: s for s in spectra}
     out = []
-    for view in views_of(fitted.layout, held, fitted.p):
+    for view in views:
         record = view.record
         motors = record.torque.shape[1]
         simulated = next(e for e in answer.experiments if e.key == record.key)

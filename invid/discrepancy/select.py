@@ -20,7 +20,18 @@ from invid.discrepancy.rounding import rounded
 from invid.discrepancy.screen import Score, Screen, terms_for
 from invid.discrepancy.selection import Selection
 from invid.discrepancy.terms import Candidate
-from invid.discrepancy.trial import HELD_OUT, LARGER, WEAK, Step, Trial, at_bound, attempted, extends, sized
+from invid.discrepancy.trial import (
+    CLOSE,
+    HELD_OUT,
+    LARGER,
+    WEAK,
+    Step,
+    Trial,
+    at_bound,
+    attempted,
+    extends,
+    sized,
+)
 from invid.discrepancy.variants import delays, elsewhere, ladder, lags
 from invid.distributions import chi2_isf
 from invid.effects.place import Place
@@ -35,7 +46,7 @@ imperfect model of a strong first cause leaves a per cent of it, of which other 
 NAMED_SHARE = 0.9
 """A further cause that takes this share of what is left and reaches the noise is there, however small beside
 the first: what an imperfect model of the first leaves has no such law. A guess, no campaign counted it."""
-SHARE, CLOSE = 0.05, 1.5
+SHARE = 0.05
 """A further cause that does not bring χ²/ν below CLOSE must remove this share of the first excess. Empirical:
 on the flexible bench ripples of 2 % were named otherwise with a phase known to ten radians."""
 REACHED = 2.0
@@ -294,9 +305,8 @@ def _step(
         trials = with_known(trials, others)
     elif _rejects(best_of_all, [*train, *held]):
         trials += elsewhere(best_of_all, train, held, terms, [t.term for t in trials])
-    if len(trials) > len(ranked) or best_of_all.term.effect.cause == "extra_mode":
-        dispersion = min(t.dispersion for t in trials)
-        ranked = _ranked([(t, t.score(dispersion, rows)) for t in trials], asked.contested)
+    dispersion = min(t.dispersion for t in trials)
+    ranked = _ranked([(t, t.score(dispersion, rows)) for t in trials], asked.contested)
     return Step(current, ranked[0][0], tuple(ranked)), tuple(scores[:5])
 
 

@@ -24,6 +24,9 @@ LARGER = 9.2
 """χ² gain of two degrees of freedom that noise exceeds once in a hundred: what a larger friction model must
 gain over a smaller one that it contains."""
 
+CLOSE = 1.5
+"""χ²/ν up to which a fit is close enough to the noise that what it leaves is a matter of that."""
+
 WEAK = 1e-6
 """The same where the null test finds no excess: then errors of the model far below the noise count as well,
 and they are coherent. Empirical (hidden plants): a torque scale 5 σ from one was named on data without it."""

@@ -24,13 +24,12 @@ class Secants:
     @classmethod
     def of(cls, moves: Sequence[Float64], changes: Sequence[Float64]) -> Secants:
         """All of these pairs, however many."""
-        found = cls()
         pairs = [
             (move / size, change / size)
             for move, change in zip(moves, changes, strict=True)
             if np.isfinite(size := float(np.linalg.norm(change))) and size > 0.0
         ]
-        return found if not pairs else cls(tuple(m for m, _ in pairs), tuple(c for _, c in pairs))
+        return cls(tuple(m for m, _ in pairs), tuple(c for _, c in pairs))
 
     def plus(self, move: Float64, change: Float64) -> Secants:
         """One pair more, the oldest forgotten; a move that changed nothing tells nothing."""

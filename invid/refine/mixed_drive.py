@@ -28,25 +28,23 @@ def with_acting_torque(
 
 
 def _acting(s: LineSpectra, experiment: Experiment) -> LineSpectra:
-    demand, count = experiment.torque_demand, s.position_wave.shape[0]
+    demand = experiment.torque_demand
     if demand is None:
         return s
     demand = np.asarray(demand)
     # A record that does not close keeps its last sample for the ends. Periods that still settle are averaged
     # as they are, and so is the demand: the equations are linear.
-    whole = s.transient and s.periods == 1
-    samples = s.periods * count + (1 if whole else 0)
-    if s.periods < 1 or (demand.shape[0] != samples if whole else demand.shape[0] < samples):
+    if not covers(s, demand):
         return s  # resampled, or cut
     # Without a hold there is nothing beside the demand: what differs is how the drive follows it.
     mixed = np.isnan(s.staircase) & np.any(demand != 0, axis=0) & (experiment.hold_gain != 0.0)
     if not mixed.any():
         return s
-    command = _command(s, demand, whole=whole)
+    command = _command(s, demand)
     late = _late(s, command[0] + command[1], mixed)
     if late:  # where the torque is recorded some samples after the demand, so is the demand within it
         demand = np.concatenate((np.repeat(demand[:1], late, axis=0), demand[:-late]))
-        command = _command(s, demand, whole=whole)
+        command = _command(s, demand)
     recorded, ends = command
     half = s.omega / (2 * s.sample_rate_hz)
     held = (np.sinc(half / np.pi) * np.exp(-1j * half))[:, None]
@@ -57,18 +55,33 @@ def _acting(s: LineSpectra, experiment: Experiment) -> LineSpectra:
     return replace(s, torque=torque, staircase=np.where(mixed, 0.0, s.staircase), hold_torque=hold)
 
 
-def _command(s: LineSpectra, demand: Float64, *, whole: bool) -> tuple[Complex128, Float64]:
+def covers(s: LineSpectra, demand: Float64) -> bool:
+    """Whether a demand (samples, M) holds all that the spectra come from; not where it was resampled."""
+    samples = s.periods * s.position_wave.shape[0]
+    if s.transient and s.periods == 1:
+        return bool(demand.shape[0] == samples + 1)
+    return bool(s.periods >= 1 and demand.shape[0] >= samples)
+
+
+def mean_demand(s: LineSpectra, demand: Float64) -> tuple[Float64, Float64]:
+    """(n, M) mean over the periods that the spectra come from, and (M,) what the trapezoid's correction of
+    its ends adds to every line of a record that does not close."""
+    whole, count = s.transient and s.periods == 1, s.position_wave.shape[0]
+    samples = s.periods * count
+    used = demand[demand.shape[0] - samples - int(whole) :][:samples]
+    ends: Float64 = (demand[-1] - demand[0]) / count if whole else np.zeros(demand.shape[1])
+    return used.reshape(s.periods, count, -1).mean(axis=0), ends
+
+
+def _command(s: LineSpectra, demand: Float64) -> tuple[Complex128, Float64]:
     """(F, M) spectrum of the demand, and (M,) what the trapezoid's correction of its ends adds to it.
 
     That correction stands in the spectra of a record that does not close; a torque held over the sample
     does not need it.
     """
     count = s.position_wave.shape[0]
-    samples = s.periods * count
-    used = demand[demand.shape[0] - samples - int(whole) :][:samples]
-    wave = used.reshape(s.periods, count, -1).mean(axis=0)
+    wave, ends = mean_demand(s, demand)
     index = np.rint(s.frequency_hz * count / s.sample_rate_hz).astype(int)
-    ends: Float64 = (demand[-1] - demand[0]) / count if whole else np.zeros(demand.shape[1])
     spectrum: Complex128 = np.fft.rfft(wave, axis=0)[index] * (2.0 / count)
     return spectrum, ends
 

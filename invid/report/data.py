@@ -218,8 +218,7 @@ def _cause(
 ) -> dict[str, Any] | None:
     i, pattern, stiffness = _place(chains, term)
     s = _liveliest(spectra, i)
-    others = [e for e in extended.effects if e is not term and e != term]
-    m, note = alone(missing_beside(s, chains, extended.effects), s, chains, others)
+    m, note = alone(s, chains, term, extended.effects)
     force = _force_at(m, pattern)
     what = laws.ABSCISSA[term.cause]
     x = _abscissa(m, pattern, i, what, term)
@@ -254,9 +253,10 @@ def missing_beside(s: LineSpectra, chains: CoupledChains, terms: Sequence[Effect
 
 
 def alone(
-    m: MissingTorque, s: LineSpectra, chains: CoupledChains, others: Sequence[EffectTerm]
+    s: LineSpectra, chains: CoupledChains, term: EffectTerm, terms: Sequence[EffectTerm]
 ) -> tuple[MissingTorque, str]:
-    """What is left for one cause once the others have theirs, and a note of those that have no curve."""
+    """What is left for one of the causes at work once the others have theirs, and a note on these."""
+    m, others = missing_beside(s, chains, terms), [e for e in terms if e is not term and e != term]
     known, curveless = _taken(m, s, chains, others)
     note = f"with {curveless} other cause(s) still in it" if curveless else ""
     if len(others) > curveless:

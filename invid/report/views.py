@@ -31,7 +31,6 @@ from invid.report.data import (
     fitted_wave,
     force_at,
     lines_of,
-    missing_beside,
 )
 from invid.report.spectra_data import MissingTorque, binned
 from invid.spectra import LineSpectra, all_spectra
@@ -73,8 +72,7 @@ def _views(
 ) -> dict[str, Any]:
     i, pattern, stiffness = _place(chains, term)
     s = _liveliest(spectra, i)
-    others = [e for e in all_terms if e is not term and e != term]
-    m, note = alone(missing_beside(s, chains, all_terms), s, chains, others)
+    m, note = alone(s, chains, term, all_terms)
     force, std = force_at(m, pattern)
     y = -_wave(s, _denoised(force, std))
     keep = _interior(s, y.size)
