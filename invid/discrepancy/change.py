@@ -5,16 +5,58 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from invid.discrepancy.joint import fit
 from invid.discrepancy.records import by_period
 from invid.discrepancy.selection import Selection
-from invid.discrepancy.trial import Step, attempted
+from invid.discrepancy.trial import HELD_OUT, Step, Trial, attempted
 from invid.effects.view import Record
 from invid.recording.model import Recording
 
 NEAR = 0.25
 """Share of a period beyond its ends within which a change found may be one of that period. A guess; where
 there is a choice the records that are left decide."""
+
+
+def between_records(selection: Selection) -> Selection:
+    """The selection with the time of a load's change in a gap between records, where they say no more.
+
+    A record taken whole that the change lies in is a mixture of both loads; only how far it is from the
+    records beside it is seen, and an earlier change of a larger load leaves it as far. What stands in a gap
+    is nothing special, and needs no record to be left out.
+    """
+    final, time = selection.final, change_of(selection)
+    if time is None:
+        return selection
+    records = [*final.fit.evaluation.records, *final.held.records]
+    for odd in records:
+        if odd.alone or not _within(odd, time):
+            continue
+        before = max((r.end_time for r in records if r.end_time <= odd.start_time), default=None)
+        after = min((r.start_time for r in records if r.start_time >= odd.end_time), default=None)
+        gaps = [0.5 * (before + odd.start_time)] if before is not None else []
+        gaps += [0.5 * (odd.end_time + after)] if after is not None else []
+        trials = [t for t in (_at_time(selection, gap) for gap in gaps) if t is not None]
+        best = min(trials, key=lambda t: t.cost, default=None)
+        if best is not None and best.cost < final.cost + HELD_OUT * final.dispersion:
+            steps = [replace(s, chosen=best) if s is selection.steps[-1] else s for s in selection.steps]
+            return replace(selection, final=best, steps=tuple(steps))
+    return selection
+
+
+def _at_time(selection: Selection, time: float) -> Trial | None:
+    """The final fit with the load changing at ``time``, between two records."""
+    final = selection.final
+    fitted, held = final.fit, final.held.records
+    candidate = fitted.candidate
+    x = tuple(
+        np.array([v[0], time]) if t.effect.cause == "payload_change" else v
+        for t, v in zip(candidate.terms, candidate.x, strict=True)
+    )
+    start = replace(candidate, x=x)
+    train = fitted.evaluation.records
+    return attempted(lambda: fit(fitted.layout, train, fitted.p, start, iterations=25), held)
 
 
 def around_change(selection: Selection, recording: Recording) -> tuple[list[Record], list[Record]] | None:

@@ -38,9 +38,14 @@ def linear_fit(
     spectra: Sequence[LineSpectra],
     train: Sequence[Record],
     held: Sequence[Record],
+    *,
+    apart: bool = False,
 ) -> tuple[JointFit, Float64, list[Record], list[Record]]:
     """The model, with the effects it came with, fitted to the training records, its parameters with unbounded
-    time offsets, and the records with their scatter."""
+    time offsets, and the records with their scatter.
+
+    ``apart``: every record is followed from period to period, the first that is held out joins the training.
+    """
     chains = model.chains
     grounded = tuple(int(i) for i in np.flatnonzero(chains.ground_springs > 0))
     structure = ChainStructure(chains.masses_per_branch, chains.axes, viscous=False, grounded=grounded)
@@ -62,10 +67,12 @@ def linear_fit(
             first = again
     train = with_scatter(train, spectra, layout, first.p)
     held = with_scatter(held, spectra, layout, first.p)
-    apart = changing([*train, *held])
+    keys = [r.key for r in (*train, *held)] if apart else changing([*train, *held])
     # A tone that repeats with no period looks like a change from one to the next.
-    if apart and not tones_in(first, held, spectra):
-        train, held = by_period(recording, train, apart), by_period(recording, held, apart)
+    if keys and not tones_in(first, held, spectra):
+        train, held = by_period(recording, train, keys), by_period(recording, held, keys)
+        if apart and len(held) > 1 and held[0].alone:
+            train, held = [*train, held[0]], held[1:]
     return fit(layout, train, first.p, first.candidate, iterations=25), first.p, train, held
 
 

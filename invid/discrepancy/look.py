@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from invid.arrays import Float64
-from invid.discrepancy.change import around_change, change_of, sooner
+from invid.discrepancy.change import around_change, between_records, change_of, sooner
 from invid.discrepancy.joint import JointFit, fit
 from invid.discrepancy.linear import linear_fit, start_of, tones_in, without_effects
 from invid.discrepancy.missing_torque import null_test
@@ -49,26 +49,31 @@ class Look:
 def looked(recording: Recording, model: Model) -> Look:
     """The linear fit, and causes added while the records ask for them.
 
-    Where no record is for validation one may be kept out that was measured after a change: the others are
-    free of it, and nothing in them says what it was. Then each record keeps a part of its own out.
+    What is kept out may have been measured after a change: the training is free of it, and little or nothing
+    there says what it was. Then each record without a role keeps a part of its own out; of records for
+    validation, all followed from period to period, the first period joins the training, for causes that
+    change with time alone.
     """
     look = _looked(recording, model)
     base = look.selection.base
-    if look.selection.steps or any(s.role is Role.VALIDATE for s in look.spectra):
+    if look.selection.steps:
         return look
     rejected = null_test(base.held.cost, base.held.dof, look.held).rejects
     if not rejected or base.held.cost / base.held.dof < ALIKE * base.fit.dispersion:
         return look
-    other = _looked(recording, model, spare=False)
-    return other if other.selection.steps else look
+    if not any(s.role is Role.VALIDATE for s in look.spectra):
+        other = _looked(recording, model, spare=False)
+        return other if other.selection.steps else look
+    other = _looked(recording, model, apart=True)
+    return other if any(s.chosen.term.effect.family == "time" for s in other.selection.steps) else look
 
 
-def _looked(recording: Recording, model: Model, *, spare: bool = True) -> Look:
-    spectra, warnings, (base, free, train, held) = _begun(recording, model, spare)
+def _looked(recording: Recording, model: Model, *, spare: bool = True, apart: bool = False) -> Look:
+    spectra, warnings, (base, free, train, held) = _begun(recording, model, spare, apart)
     tones = tones_in(base, held, spectra)
     if tones:
         recording = without_tones(recording, tones)
-        spectra, warnings, (base, free, train, held) = _begun(recording, model, spare)
+        spectra, warnings, (base, free, train, held) = _begun(recording, model, spare, apart)
     bare = without_effects(base, train)
     search = partial(
         select,
@@ -77,7 +82,7 @@ def _looked(recording: Recording, model: Model, *, spare: bool = True) -> Look:
         start=start_of(model, base.layout),
         moves=moves_of(recording),
     )
-    selection = search(base, train, held)
+    selection = between_records(search(base, train, held))
     parts = around_change(selection, recording)
     if parts is not None:
         around = fit(base.layout, parts[0], base.p, base.candidate, iterations=25)
@@ -92,7 +97,7 @@ _Begun = tuple[JointFit, Float64, list[Record], list[Record]]
 
 
 def _begun(
-    recording: Recording, model: Model, spare: bool
+    recording: Recording, model: Model, spare: bool, apart: bool
 ) -> tuple[tuple[LineSpectra, ...], list[str], _Begun]:
     """Spectra, what to warn about, and the linear fit with its records (``linear_fit``)."""
     spectra = all_spectra(recording)
@@ -102,4 +107,4 @@ def _begun(
     train, standing = with_sticking(train, spectra, model, recording)
     held, _ = with_sticking(held, spectra, model, recording)
     warnings = [*(w for s in spectra for w in s.warnings), *warnings, *standing]
-    return spectra, warnings, linear_fit(model, recording, spectra, train, held)
+    return spectra, warnings, linear_fit(model, recording, spectra, train, held, apart=apart)

@@ -151,32 +151,75 @@ def sharpened(trial: Trial, moves: Sequence[Move], axis: int) -> Trial:
 
 
 def _evidence(move: Move, rivals: Sequence[Trial], axis: int) -> Float64:
-    """(rivals,) −2 ln(likelihood) of the torque of one axis under each law, with its penalty."""
-    out = []
-    for trial in rivals:
-        columns, rest, _ = _regression(move, trial, axis)
-        left = float(rest @ rest)
-        if rest.size < columns.shape[1] + 3 or left <= 0.0:
-            return np.zeros(len(rivals))
-        size = trial.term.size
-        out.append(rest.size * np.log(left) + size * np.log(rest.size))
-    return np.array(out)
+    """(rivals,) −2 ln(likelihood) of the torque of one axis under each law as the excitation has it."""
+    free = [_regression(move, trial, axis) for trial in rivals]
+    if any(rest.size < columns.shape[1] + 3 or not rest.any() for columns, rest, _ in free):
+        return np.zeros(len(rivals))
+    noise = min(float(rest @ rest) / (rest.size - columns.shape[1]) for columns, rest, _ in free)
+    return np.array([_surprise(move, trial, axis, noise) for trial in rivals])
+
+
+def _surprise(move: Move, trial: Trial, axis: int, noise: float) -> float:
+    """−2 ln(likelihood) of a move under a law whose numbers the excitation knows as well as it does.
+
+    The move is no place to fit them anew: a constant torque known to a per cent was taken for weight whose
+    two parts cancel there by twenty times that. With their covariance Σ the stretches differ from what the
+    excitation foretells by noise + L Σ Lᵀ, inertia and friction of the move taken out; the evidence is
+    n·ln(residual), because the noise is not known beforehand, and ln(det) of what Σ adds to it.
+    """
+    known, torque = _known(move, axis)
+    apart = np.linalg.qr(known)[0]
+    best = np.inf
+    for cycles in _cycles(trial):
+        law = _law(move, trial, axis, cycles)
+        expected, covariance, far = _foretold(trial, cycles)
+        law, rest = (v - apart @ (apart.T @ v) for v in (law, torque - law @ expected))
+        total = noise * np.eye(rest.size) + law @ covariance @ law.T
+        left = noise * float(rest @ np.linalg.solve(total, rest))
+        wider = float(np.linalg.slogdet(total / noise)[1])
+        best = min(best, rest.size * np.log(left) + wider + far)
+    return best
+
+
+def _foretold(trial: Trial, cycles: float) -> tuple[Float64, Float64, float]:
+    """(L,) coefficients that the excitation foretells, their (L, L) covariance, and χ² of the ``cycles``."""
+    count = len(trial.term.effect.coefficients)
+    covariance = trial.fit.covariance_of(-1)
+    if not np.isfinite(covariance).all():
+        # Not seen: as large as the effect may be.
+        return np.zeros(count), float(trial.x[:count] @ trial.x[:count]) * np.eye(count), 0.0
+    expected, own = trial.x[:count], covariance[:count, :count]
+    if trial.x.size == count:
+        return expected, own, 0.0
+    away = float(np.log(cycles) - trial.x[count])
+    along = covariance[:count, count] / covariance[count, count]
+    own = own - np.outer(along, along) * covariance[count, count]
+    return expected + along * away, own, away**2 / float(covariance[count, count])
+
+
+def _known(move: Move, axis: int) -> tuple[Float64, Float64]:
+    """(n, M + 2) columns of what takes torque in a move whatever the law, sizes free, and the torque (n,)."""
+    v = move.velocity[:, axis]
+    slow = max(SLOW * float(np.abs(v).max()), 1e-300)
+    columns = np.concatenate([move.acceleration, np.tanh(v / slow)[:, None], v[:, None]], axis=1)
+    return columns, move.torque[:, axis]
+
+
+def _law(move: Move, trial: Trial, axis: int, cycles: float) -> Float64:
+    """(n, L) torque of the law for each coefficient at one."""
+    return _stretches(_LAWS[trial.term.effect.cause](move.path[:, axis], cycles), move.rows)
 
 
 def _regression(move: Move, trial: Trial, axis: int) -> tuple[Float64, Float64, Float64]:
     """Columns (n, k), residual (n,) and coefficients (k,), the law's last, of one axis' torque."""
-    v = move.velocity[:, axis]
-    slow = max(SLOW * float(np.abs(v).max()), 1e-300)
-    # Inertia and the friction of the move are there whatever the law; their sizes are free.
-    known = [move.acceleration, np.tanh(v / slow)[:, None], v[:, None]]
+    known, torque = _known(move, axis)
     best: tuple[Float64, Float64, Float64] | None = None
     for cycles in _cycles(trial):
-        law = _stretches(_LAWS[trial.term.effect.cause](move.path[:, axis], cycles), move.rows)
-        columns = np.concatenate([*known, law], axis=1)
+        columns = np.concatenate((known, _law(move, trial, axis, cycles)), axis=1)
         size = np.linalg.norm(columns, axis=0)
         size[size == 0.0] = 1.0
-        found = np.linalg.lstsq(columns / size, move.torque[:, axis], rcond=1e-9)[0] / size
-        rest = move.torque[:, axis] - columns @ found
+        found = np.linalg.lstsq(columns / size, torque, rcond=1e-9)[0] / size
+        rest = torque - columns @ found
         if best is None or float(rest @ rest) < float(best[1] @ best[1]):
             best = columns, rest, found
     return best if best is not None else (np.zeros((0, 0)), np.zeros(0), np.zeros(0))

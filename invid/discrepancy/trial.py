@@ -237,9 +237,10 @@ def unearned(trial: Trial, rows: int) -> float:
     """What Schwarz' penalty asks too much for a phase of the effect added last that the data barely see.
 
     ln(rows) a parameter is the logarithm of prior over posterior variance where the prior is that of one row.
-    No phase is preferred, so the quadrature that is known less is expected to be as large as the effect, half
-    its square on average, and pays ln(prior over posterior variance) of that: nothing where the data do not
-    see it (gravity on a small motion is a constant torque), and something where they see that it is none.
+    No phase is preferred and no order of size: beside the quadrature c that is seen the other one is then
+    distributed as 1/(π c (1 + s²/c²)), at none as dense as a normal one of variance c²·π/2. It pays ln(prior
+    over posterior variance) of that: nothing where the data do not see it (gravity on a small motion is a
+    constant torque), and something where they see that it is none.
     """
     if trial.term.effect.coefficients != ("sine", "cosine"):
         return 0.0
@@ -248,7 +249,7 @@ def unearned(trial: Trial, rows: int) -> float:
     if not np.isfinite(block).all():
         return most
     large = float(np.linalg.eigvalsh(block)[-1])
-    expected = 0.5 * float(trial.x[:2] @ trial.x[:2])
+    expected = 0.5 * np.pi * float(trial.x[:2] @ trial.x[:2])
     if large <= 0.0 or expected <= 0.0:
         return 0.0
     return float(np.clip(most - np.log(expected / large), 0.0, most))
