@@ -25,8 +25,7 @@ def effect_columns(view: View, candidate: Candidate, extra: Complex128, columns:
 
     def at_(trial: Candidate) -> Complex128:
         out = contributions(view, trial, passes=3, early=False)
-        if inner:
-            view.respond(feedback, jumps)
+        view.respond(feedback, jumps)
         return out
 
     reference = at_(candidate) if inner else extra

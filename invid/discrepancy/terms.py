@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from invid.arrays import Complex128, Float64
 from invid.discrepancy.inner import Forces, settled
-from invid.effects.base import Effect
+from invid.effects.base import Effect, ImpedanceEffect
 from invid.effects.place import Place
-from invid.effects.view import View
+from invid.effects.view import View, along
 
 PASSES = 12
 """Most steps of inner motion and the forces that depend on it; weak effects agree after two or three."""
@@ -56,9 +57,34 @@ def contributions(
     if not candidate.terms:
         return np.zeros_like(view.acting)
     forces = forces_of(view, candidate)
-    if not any(t.inner for t in candidate.terms):
-        return forces()[0]
+    if not any(t.inner for t in candidate.terms):  # nothing depends on what it moves
+        total, back = forces()
+        view.respond(back)
+        return total
     return settled(view, forces, passes, early=early)
+
+
+_Impedances = Sequence[tuple[ImpedanceEffect, Place, Float64]]
+
+
+def impedances(view: View, effects: _Impedances, back: Complex128) -> tuple[Complex128, Complex128]:
+    """(F, M) contributions of effects linear in motion and (F, ΣN) what they do to inner coordinates.
+
+    Exact, each in the motion that the others and the laws (``back``, (F, ΣN)) leave: friction at a mass moves
+    what a mode on it or a damper beside it feels.
+    """
+    moved = np.einsum("fqm,fm->fq", view.motion, view.record.position) + back
+    patterns = [place.pattern(view.structure) for _, place, _ in effects]
+    push = np.stack([view.push(p) for p in patterns], axis=-1)
+    yields = np.stack([view.yields(p) for p in patterns], axis=-1)
+    rows, asked = [], []
+    for (effect, place, x), pattern in zip(effects, patterns, strict=True):
+        size = effect.impedance(view, place, x.tolist())
+        rows.append(size[:, None] * along(pattern, yields))
+        asked.append(size * along(pattern, moved) + effect.within(view, place, x.tolist()))
+    meet = np.eye(len(effects)) + np.stack(rows, axis=1)
+    forces = np.linalg.solve(meet, np.stack(asked, axis=-1)[..., None])
+    return (push @ forces)[..., 0], -(yields @ forces)[..., 0]
 
 
 def forces_of(view: View, candidate: Candidate) -> Forces:
@@ -69,15 +95,21 @@ def forces_of(view: View, candidate: Candidate) -> Forces:
         for t in candidate.terms
         if t.place.kind != "axis" and t.effect.along_pattern
     )
+    every = list(zip(candidate.terms, candidate.x, strict=True))
+    laws = [(t, x) for t, x in every if not isinstance(t.effect, ImpedanceEffect)]
+    linear = [(t.effect, t.place, x) for t, x in every if isinstance(t.effect, ImpedanceEffect)]
 
     def forces() -> tuple[Complex128, Complex128]:
         total: Complex128 = np.zeros_like(view.acting)
         back: Complex128 = np.zeros_like(view.base)
-        for term, x in zip(candidate.terms, candidate.x, strict=True):
+        for term, x in laws:
             own, yields = term.effect.contribution(view, term.place, x.tolist())
             total = total + own
             if yields is not None:
                 back = back + yields
+        if linear:
+            own, moved = impedances(view, linear, back)
+            total, back = total + own, back + moved
         rest = view.left(total) if inner and patterns else None
         if rest is not None:
             back = back + view.correction(patterns, rest)

@@ -31,8 +31,8 @@ class EncoderEccentricity(Effect):
     def places(self, structure: ChainStructure) -> list[Place]:
         return axis_places(structure)
 
-    def _columns(self, view: View, place: Place, swing: Float64) -> Complex128:
-        """What errors of the reading (n, L) over time make of the missing torque.
+    def _lines(self, view: View, place: Place, swing: Float64) -> Complex128:
+        """(F, L) lines of errors of the reading (n, L) over time.
 
         Their part in proportion to the reading is that of the measured lines, noise and all: the wave has
         none on lines that it fills, so an error of scale would change the motion's size and not its noise's.
@@ -42,19 +42,21 @@ class EncoderEccentricity(Effect):
         power = float(centred @ centred)
         scale: Float64 = centred @ swing / power if power > 0 else np.zeros(swing.shape[1])
         error = view.to_lines(swing - wave[:, None] * scale)
-        error = error + view.record.position[:, place.axis, None] * scale
-        out: Complex128 = -view.stiffness[:, :, place.axis][:, :, None] * error[:, None, :]
-        return out
+        return error + view.record.position[:, place.axis, None] * scale
 
     def basis(self, view: View, place: Place, shape: Sequence[float]) -> Complex128:
         reading = view.record.motor_wave[:, place.axis]
-        return self._columns(view, place, np.stack([np.sin(reading), np.cos(reading)], axis=1))
+        error = self._lines(view, place, np.stack([np.sin(reading), np.cos(reading)], axis=1))
+        out: Complex128 = -view.stiffness[:, :, place.axis][:, :, None] * error[:, None, :]
+        return out
 
     def contribution(
         self, view: View, place: Place, x: Sequence[float]
     ) -> tuple[Complex128, Complex128 | None]:
         reading = view.record.motor_wave[:, place.axis]
-        return self._columns(view, place, (reading - _true(reading, x))[:, None])[:, :, 0], None
+        error = self._lines(view, place, (reading - _true(reading, x))[:, None])
+        # Every coordinate moves as the motor does, not as it reads.
+        return -view.stiffness[:, :, place.axis] * error, -view.motion[:, :, place.axis] * error
 
     def noise_power(self, view: View, place: Place, x: Sequence[float]) -> tuple[float, float]:
         true = _true(view.record.motor_wave[:, place.axis], x)
