@@ -12,6 +12,7 @@ from invid.apart import start_apart
 from invid.chains import CoupledChains
 from invid.crosscheck import compared, missed_by_structure, second_route, widened
 from invid.errors import InputError, InvidError, NotIdentifiableError
+from invid.fewer import FewerExplain, said_of_fewer, with_fewer_masses
 from invid.frf import FrfMatrix, frf_matrix, local_frf_matrix
 from invid.grounded import with_ground_springs
 from invid.identified import BEATEN, SUSPECT, paper_model, refined_model
@@ -142,16 +143,19 @@ def _chains(
     if method == "paper":
         result, measured = _by_paper(spectra, sizes, recording.axes)
         return paper_model(recording, result, measured, warnings, order)
-    fit = fit_sizes(spectra, sizes, recording.axes, measured_frf(spectra), further=further)
+    measured = measured_frf(spectra)
+    fit = fit_sizes(spectra, sizes, recording.axes, measured, further=further, declared=not order)
     fit, paper = from_second_route(spectra, fit)
     if fit.noise_chi2 > SUSPECT and min(missed_by_structure(spectra, fit)) > BEATEN:
 
         def starts_for(corrected: Sequence[LineSpectra]) -> Iterator[CoupledChains]:
             return _starts(corrected, sizes, recording.axes, measured_frf(corrected), (), False)
 
-        other = timely(spectra, fit, starts_for)
+        other = (None if order else fewer_masses(spectra, sizes, recording.axes)) or fit
+        other = other if other is not fit else timely(spectra, fit, starts_for)
         other = other if other is not fit else with_ground_springs(spectra, fit, starts_for)
         fit, paper = other, paper if other is fit else second_route(spectra, other)
+    warnings += said_of_fewer(sizes, fit)
     model = refined_model(recording, spectra, fit, paper, warnings, order)
     further_facts: dict[str, Any] = {}
     if profile:
@@ -242,11 +246,27 @@ def fit_sizes(
     *,
     thorough: bool = True,
     further: Sequence[CoupledChains] = (),
+    declared: bool = False,
 ) -> Fit:
-    """The fit of one order, from the paper's inverse and its fallbacks."""
+    """The fit of one order, from the paper's inverse and its fallbacks.
+
+    ``declared``: where the first starts fail a smaller order that explains the records takes its place.
+    """
     structure = ChainStructure(tuple(sizes), tuple(axes))
-    attempts = _starts(spectra, sizes, axes, measured, further, thorough)
-    return fit_structure(spectra, structure, attempts, thorough=thorough)
+    attempts = _starts(spectra, sizes, axes, measured, further, thorough, declared)
+    try:
+        return fit_structure(spectra, structure, attempts, thorough=thorough)
+    except FewerExplain as found:
+        return found.fit
+
+
+def fewer_masses(spectra: Sequence[LineSpectra], sizes: Sequence[int], axes: Sequence[str]) -> Fit | None:
+    """The fit of a smaller order, where one explains the records."""
+
+    def starts_for(fewer: tuple[int, ...]) -> Iterator[CoupledChains]:
+        return _starts(spectra, fewer, axes, measured_frf(spectra), (), False)
+
+    return with_fewer_masses(spectra, sizes, axes, starts_for)
 
 
 def _starts(
@@ -256,6 +276,7 @@ def _starts(
     measured: FrfMatrix,
     further: Sequence[CoupledChains],
     thorough: bool,
+    declared: bool = False,
 ) -> Iterator[CoupledChains]:
     """Starts, most trusted first; each is made only when those before it did not do."""
     yield from further
@@ -275,6 +296,9 @@ def _starts(
             alone = start_apart(spectra, sizes, axes) if thorough and len(sizes) > 1 else None
             if alone is not None:
                 yield alone
+        fewer = fewer_masses(spectra, sizes, axes) if declared and not count else None
+        if fewer is not None:
+            raise FewerExplain(fewer)
         count += 1
     if count and not thorough:
         return

@@ -190,3 +190,14 @@ def test_a_limit_that_cuts_the_last_two_per_cent_of_the_peak_is_found() -> None:
     assert score(truth, found).outcome == "right"
     limit = found.findings[0].effect.parameters["limit"].value
     assert limit == pytest.approx(truth.effects[0].parameters["limit"], rel=0.002)
+
+
+def test_a_mass_too_many_declared_is_left_out_and_said_so() -> None:
+    recording, truth = make(None, seed=890102, motors=1, declared=1)
+    assert recording.masses_per_axis == (3,)
+    diagnosis = diagnose(recording)
+    assert diagnosis.verdict is Verdict.CONSISTENT
+    assert any("masses 3 were declared" in w for w in diagnosis.warnings)
+    found = diagnosis.model.chains
+    assert found.masses_per_branch == (2,)
+    assert found.springs[0] == pytest.approx(truth.chains.springs[0], rel=1e-3)
