@@ -12,6 +12,9 @@ from invid.refine.fit import AT_NOISE, Fit, fit_structure
 from invid.refine.structure import ChainStructure
 from invid.spectra import LineSpectra
 
+SINGLY = 2
+"""Axes up to which one mass less is tried on each alone. A guess, for the time that it takes."""
+
 
 class FewerExplain(Exception):
     """Raised by starts for a structure when smaller chains turn out to explain the records."""
@@ -58,11 +61,14 @@ def said_of_fewer(sizes: Sequence[int], fit: Fit) -> list[str]:
 
 
 def _smaller(sizes: tuple[int, ...]) -> Iterator[tuple[int, ...]]:
-    """One mass less wherever there are two or more; then the same on each axis alone."""
+    """One mass less wherever there are two or more; of two axes then the same on each alone.
+
+    Of more axes that would be a fit of seconds each, in every case whose starts fail for another reason.
+    """
     every = tuple(max(n - 1, 1) for n in sizes)
     if every != sizes:
         yield every
-    for i, n in enumerate(sizes):
+    for i, n in enumerate(sizes if len(sizes) <= SINGLY else ()):
         one = (*sizes[:i], max(n - 1, 1), *sizes[i + 1 :])
         if one not in (sizes, every):
             yield one

@@ -151,8 +151,7 @@ def _chains(
         def starts_for(corrected: Sequence[LineSpectra]) -> Iterator[CoupledChains]:
             return _starts(corrected, sizes, recording.axes, measured_frf(corrected), (), False)
 
-        other = (None if order else fewer_masses(spectra, sizes, recording.axes)) or fit
-        other = other if other is not fit else timely(spectra, fit, starts_for)
+        other = timely(spectra, fit, starts_for)
         other = other if other is not fit else with_ground_springs(spectra, fit, starts_for)
         fit, paper = other, paper if other is fit else second_route(spectra, other)
     warnings += said_of_fewer(sizes, fit)
