@@ -91,6 +91,8 @@ class LineSpectra:
     hold_gain: Float64 = field(default_factory=lambda: np.zeros(0))
     hold_torque: Complex128 | None = None
     """(F, M) the part of the torque that a hold inside the drive gave, where the recording tells it apart."""
+    stepped: Complex128 | None = None
+    """(F, M) as recorded, the part held over each sample where ``torque`` has it as it acts (a demand)."""
 
     @property
     def omega(self) -> Float64:

@@ -10,6 +10,7 @@ import numpy as np
 from invid.arrays import Bool, Complex128, Float64
 from invid.discrepancy.holds import HeldInside
 from invid.effects.view import Record
+from invid.folding import folded
 from invid.refine.structure import ChainStructure
 
 
@@ -135,6 +136,20 @@ def acting_of(
     held = ((1.0 - smear) * np.exp(-0.5j * w * record.step)[:, None]).astype(complex)
     acting = z * (record.command * held + rest * (1.0 - stairs + stairs * held))
     return acting, factor, z * (held - 1.0) * rest, by_hold
+
+
+def folded_of(record: Record, layout: Layout, p: Float64) -> Complex128:
+    """(F, M) displacement of the motors that the images of held torque fold onto the lines (``folding``)."""
+    structure, stairs = layout.structure, layout.stairs(p)
+    late = layout.lateness(p, record)
+    if record.command is None:
+        stepped = stairs * record.torque
+        late = late - 0.5 * record.step  # the time offset holds the half sample by which holding is late
+    else:
+        stepped = record.command + stairs * (record.torque - record.command)
+    images = folded(record.omega, record.step, late) * stepped
+    result: Complex128 = images @ structure.inertance(p[: structure.count])
+    return result
 
 
 def priors_of(layout: Layout, p: Float64, effects: int) -> tuple[Float64, Float64]:

@@ -23,7 +23,7 @@ from invid.discrepancy.gradient import (
     learn_answers,
     strong_inside,
 )
-from invid.discrepancy.layout import Layout, acting_of, priors_of
+from invid.discrepancy.layout import Layout, acting_of, folded_of, priors_of
 from invid.discrepancy.terms import Candidate, contributions
 from invid.effects.torque_delay import ActuatorEffect
 from invid.effects.view import Record, View
@@ -77,6 +77,7 @@ def views_of(layout: Layout, records: Sequence[Record], p: Float64) -> list[View
                 values[structure.slices["damper"]],
                 values[structure.slices["mass"]],
                 layout.origin,
+                np.einsum("fij,fj->fi", stiffness, folded_of(record, layout, p)),
             )
         )
     return out
@@ -107,7 +108,7 @@ def evaluate(
     for view in views:
         record = view.record
         _, factor, by_stair, by_hold = acting_of(record, layout, p)
-        r: Complex128 = np.einsum("fij,fj->fi", view.stiffness, record.position) - view.acting
+        r: Complex128 = np.einsum("fij,fj->fi", view.stiffness, record.position) - view.acting - view.images
         covariance = noise_of(view, factor, candidate)
         view.certainty = np.asarray(np.linalg.inv(covariance), dtype=np.complex128)
         root = whitener(covariance)

@@ -276,7 +276,7 @@ def _driven(recording: Recording, spectra: Sequence[LineSpectra], views: Sequenc
     waves: dict[str, Float64] = {}
     for view in views:
         record = view.record
-        waves[record.key] = wave_of(view.acting - record.torque, record, known[record.key])
+        waves[record.key] = wave_of(view.acting + view.images - record.torque, record, known[record.key])
     return with_torque(recording, spectra, waves)
 
 
@@ -330,7 +330,7 @@ def _differences(
             replace(
                 record,
                 position=position,
-                torque=view.acting - lines[:, motors:],
+                torque=view.acting + view.images - lines[:, motors:],
                 command=None,
                 # Recorded torque noise acts in the simulation: its answer does not end as it began.
                 transient=True,

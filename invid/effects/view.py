@@ -141,12 +141,15 @@ class View:
         dampers: Float64,
         masses: Float64,
         origin: float,
+        images: Complex128,
     ) -> None:
         self.record, self.structure = record, structure
         self.motion, self.stiffness, self.inner = motion, stiffness, inner
         self.acting = acting
         self.springs, self.dampers, self.masses = springs, dampers, masses
         self.origin = origin
+        self.images = images
+        """(F, M) torque that the images of held torque look like on the lines (``invid.folding``)."""
         self.base = np.einsum("fqm,fm->fq", motion, record.filtered)
         self.feedback: Complex128 = np.zeros_like(self.base)
         self.of_ends: Complex128 = np.zeros_like(self.base)

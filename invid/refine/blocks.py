@@ -78,6 +78,7 @@ def problem_from_spectra(
                 staircase=np.nan_to_num(s.staircase, nan=0.0),
                 step=1.0 / s.sample_rate_hz,
                 columns=np.zeros((int(used.sum()), motors, 0), dtype=complex),
+                stepped=None if s.stepped is None else s.stepped[used],
             )
         )
     axes = structure.axes

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from invid.arrays import Complex128, Float64
+from invid.folding import folded
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +46,8 @@ class Block:
     lag_index
         (M,) which parameter among the delays is the lag of each axis' torque channel, as the square of its
         time constant [s²] (``low_passed``); empty where no channel has one.
+    stepped
+        (F, M) part of the torque that is held over each sample and stands in ``torque`` as it acts.
     """
 
     key: str
@@ -63,6 +66,7 @@ class Block:
     step: float
     columns: Complex128
     lag_index: tuple[int, ...] = ()
+    stepped: Complex128 | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +87,8 @@ class Acting:
     """(F, M, delays) derivative of ``hold``, over the hold law."""
     by_stair: Complex128
     """(F, M, staircase parameters) derivative of A."""
+    folded: Complex128
+    """(F, M) mass times displacement that the images of held torque fold onto the lines (``folding``)."""
 
 
 def acting(block: Block, delays: Float64, stairs: Float64) -> Acting:
@@ -95,6 +101,8 @@ def acting(block: Block, delays: Float64, stairs: Float64) -> Acting:
     by_delay = np.zeros((lines, motors, delays.size), dtype=complex)
     by_hold = np.zeros((lines, motors, delays.size), dtype=complex)
     by_stair = np.zeros((lines, motors, stairs.size), dtype=complex)
+    stepped = np.zeros((lines, motors), dtype=complex)
+    steps_at = np.zeros(motors)
     for i in range(motors):
         first, further = block.delay_index[i], block.further_index[i]
         own = delays[first] if first >= 0 else 0.0
@@ -104,6 +112,12 @@ def acting(block: Block, delays: Float64, stairs: Float64) -> Acting:
         stair = block.staircase_index[i]
         share = stairs[stair] if stair >= 0 else block.staircase[i]
         factor[:, i] = z * (1.0 - share * smear)
+        steps_at[i] = own if beside else late
+        if block.stepped is not None and block.stepped[:, i].any():
+            stepped[:, i] = block.stepped[:, i]
+        else:
+            stepped[:, i] = share * block.torque[:, i]
+            steps_at[i] -= block.step / 2  # the half sample by which holding is late is in the delay
         if stair >= 0:
             by_stair[:, i, stair] = -z * smear
         if first >= 0:
@@ -126,7 +140,8 @@ def acting(block: Block, delays: Float64, stairs: Float64) -> Acting:
             by_delay[:, i, lag] = slope * factor[:, i]
             if beside:
                 by_hold[:, i, lag] = slope * passed * (z1 - z2)
-    return Acting(factor, hold_part, by_delay, by_hold, by_stair)
+    images = folded(block.omega, block.step, steps_at) * stepped
+    return Acting(factor, hold_part, by_delay, by_hold, by_stair, images)
 
 
 def low_passed(omega: Float64, square: float) -> tuple[Complex128, Complex128]:

@@ -52,7 +52,10 @@ def _acting(s: LineSpectra, experiment: Experiment) -> LineSpectra:
     torque = np.where(mixed, hold + recorded * held, s.torque)
     # When the hold acts, not when it is recorded: the fit asks how much later than that it may act.
     hold = hold * np.exp(1j * s.omega * late / s.sample_rate_hz)[:, None]
-    return replace(s, torque=torque, staircase=np.where(mixed, 0.0, s.staircase), hold_torque=hold)
+    stairs = np.where(mixed, 0.0, s.staircase)
+    return replace(
+        s, torque=torque, staircase=stairs, hold_torque=hold, stepped=np.where(mixed, recorded, 0.0)
+    )
 
 
 def covers(s: LineSpectra, demand: Float64) -> bool:

@@ -148,6 +148,7 @@ class MissingTorqueProblem:
         factor = channel.factor
         effective = stiffness - _diagonal(channel.hold)
         residual = np.einsum("fij,fj->fi", effective, block.position) - factor * block.torque
+        residual = residual - np.einsum("fij,fj->fi", stiffness, channel.folded @ structure.inertance(sp))
         both = np.concatenate((effective, -_diagonal(factor)), axis=2)
         cross = block.covariance @ both.conj().transpose(0, 2, 1)  # C_nr (F, 2M, M)
         covariance = both @ cross

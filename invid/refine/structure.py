@@ -181,6 +181,11 @@ class ChainStructure:
             stiffness[self.motor_dofs[i], self.motor_dofs[i]] += value
         return mass, damping, stiffness
 
+    def inertance(self, p: Float64) -> Float64:
+        """(M, M) what the motors are worth far above all modes: acceleration over torque."""
+        motors = list(self.motor_dofs)
+        return np.asarray(np.linalg.inv(self.matrices(p)[0]), dtype=float)[np.ix_(motors, motors)]
+
     def moved(self, p: Float64, step: Float64) -> Float64:
         """(n,) parameters after a step, to first order p + step.
 
