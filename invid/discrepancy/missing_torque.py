@@ -129,18 +129,33 @@ def changing(records: Sequence[Record]) -> list[str]:
 
 
 def _trending(e: Complex128, single: Float64) -> bool:
-    """Whether the (P, F, M) scatter follows time: neighbours alike, the first and the last far apart.
+    """Whether the (P, F, M) scatter follows time: neighbours alike, the first and the last far apart, or all
+    alike before some period and all alike after it.
 
     Von Neumann's ratio of successive differences to the variance is 1 for scatter without memory and
-    P-dependent but below a half for a drift or a step. Needs four periods' worth of lines to say so.
+    P-dependent but below a half for a drift or a step between periods. A step within a period makes that one
+    unlike both sides; without it the variance about the means of the two is that of the noise.
     """
     periods = e.shape[0]
-    if periods < 3:
+    if periods < 3 or not _scatters(e, single):
         return False
     white = e / np.sqrt(single)
     variance = float((np.abs(white) ** 2).sum() / (periods - 1))
     successive = float((np.abs(np.diff(white, axis=0)) ** 2).sum() / (2 * (periods - 1)))
-    return _scatters(e, single) and successive < 0.65 * variance
+    return successive < 0.65 * variance or any(_steps(white, k, variance) for k in range(1, periods - 1))
+
+
+def _steps(white: Complex128, within: int, variance: float) -> bool:
+    """Whether the (P, F, M) periods before one differ no more among themselves, and those after it, than four
+    standard deviations below what periods that scatter would, and two thirds of that."""
+    dof = white.shape[0] - 3
+    if dof < 1:
+        return False
+    sides = (white[:within], white[within + 1 :])
+    left = sum(float((np.abs(side - side.mean(axis=0)) ** 2).sum()) for side in sides)
+    power = (np.abs(white - white.mean(axis=0)) ** 2).sum(axis=0)
+    lines = float(power.sum() ** 2 / (power**2).sum())  # as many as the scatter really has
+    return bool(left / dof < min(0.65, 1.0 - 4.0 / np.sqrt(dof * lines)) * variance)
 
 
 def _scatters(e: Complex128, single: Float64) -> bool:
