@@ -21,6 +21,7 @@ from invid.lateness import timely
 from invid.model import Model
 from invid.modes import Modes
 from invid.modes.settle import settled_frf
+from invid.plausible import check_plausible
 from invid.pole_search import searched_modes
 from invid.rational import FINE, TRUSTED, rational_modes
 from invid.recording.model import Recording, Role
@@ -347,6 +348,7 @@ def _check(recording: Recording, spectra: Sequence[LineSpectra]) -> None:
                 f"position rises above the noise in experiments {[s.key for s in driving]}; "
                 "raise the amplitude or measure longer"
             )
+    check_plausible(recording, spectra)
     if not any(s.excited.any() for s in spectra):
         raise NotIdentifiableError(f"{recording.source}: no excited line found in any experiment")
 

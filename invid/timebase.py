@@ -13,13 +13,17 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from invid.arrays import Float64
+from invid.arrays import Float64, Int64
 from invid.errors import RecordingError
 from invid.recording.model import Experiment
 
 EVEN = 1e-3
 """Timing error in samples below which instants count as even: at a tenth of the sample rate it moves
 a sample by 6e-4 of the amplitude, incoherently, so 1e-5 of a line of a thousand samples or more."""
+
+LONGEST = 3
+"""Steps between two samples up to which the spline is trusted: with two samples lost it is off by 0.4 % of
+the amplitude at a tenth of the sampling rate and by a fifth at a fifth, with five by 13 % and three times."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,8 +75,12 @@ def uniform(experiment: Experiment) -> Uniform:
         return Uniform(step, experiment.position, experiment.torque, experiment.torque_demand, jitter, 0, 1)
     grid = np.clip(origin + step * np.arange(int(index[-1]) + 1), time[0], time[-1])
 
+    gaps = _gaps(index.astype(int))
+
     def resample(values: Float64) -> Float64:
         result: Float64 = make_interp_spline(time, values, k=5)(grid)
+        for first, last in gaps:
+            _bridge(result, first, last, gaps, experiment.period_samples)
         return result
 
     demand = experiment.torque_demand
@@ -85,3 +93,31 @@ def uniform(experiment: Experiment) -> Uniform:
         lost,
         int(advance.max()),
     )
+
+
+def _gaps(index: Int64) -> list[tuple[int, int]]:
+    """First sample and the one after the last of every gap that is too long for a spline."""
+    ends = np.flatnonzero(np.diff(index) > LONGEST)
+    return [(int(index[k]) + 1, int(index[k + 1])) for k in ends]
+
+
+def _bridge(values: Float64, first: int, last: int, gaps: list[tuple[int, int]], period: int) -> None:
+    """Fill a gap of (n, M) values with what the other periods have there, or with a straight line.
+
+    A spline through nothing swings out. Of a record that repeats the other periods know what was lost; their
+    mean is put between the two ends.
+    """
+    count = values.shape[0]
+    at = np.arange(max(first - 1, 0), min(last + 1, count))  # with a sample on either side
+    shifts = [k * period for k in range(-(count // period), count // period + 1) if k] if period > 0 else []
+    whole = [
+        values[at + shift]
+        for shift in shifts
+        if at[0] + shift >= 0
+        and at[-1] + shift < count
+        and not any(at[0] + shift < b and a <= at[-1] + shift for a, b in gaps)
+    ]
+    shape = np.mean(whole, axis=0) if whole else np.zeros((at.size, values.shape[1]))
+    off = values[at[[0, -1]]] - shape[[0, -1]]
+    part = np.linspace(0.0, 1.0, at.size)[:, None]
+    values[at] = shape + off[0] + part * (off[1] - off[0])

@@ -19,6 +19,7 @@ from invid.discrepancy.tones import Tone, without_tones
 from invid.effects.view import Record
 from invid.errors import InputError
 from invid.model import Model
+from invid.plausible import check_plausible
 from invid.recording.model import Recording, Role
 from invid.spectra import LineSpectra, all_spectra
 
@@ -103,6 +104,7 @@ def _begun(
     spectra = all_spectra(recording)
     if not spectra:
         raise InputError(f"{recording.source}: no experiment shakes an axis; nothing to compare with a model")
+    check_plausible(recording, spectra)
     train, held, warnings = split(recording, spectra, spare=spare)
     train, standing = with_sticking(train, spectra, model, recording)
     held, _ = with_sticking(held, spectra, model, recording)

@@ -1,0 +1,36 @@
+"""Recordings of what no machine does are refused in words, before anything is fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hidden.generator import make
+from invid.errors import InputError
+from invid.identify import identify
+from invid.plausible import check_plausible
+from invid.recording.model import Experiment, Recording
+from invid.spectra import all_spectra
+
+
+def _changed(recording: Recording, change: Callable[[Experiment], Experiment]) -> Recording:
+    return replace(recording, experiments=tuple(change(e) for e in recording.experiments))
+
+
+@pytest.mark.parametrize(("seed", "motors"), [(1, 1), (4, 2)])
+def test_torque_of_the_wrong_sign_is_called_that(seed: int, motors: int) -> None:
+    recording, truth = make("coulomb_friction", seed=seed, target_db=20.0, motors=motors)
+    check_plausible(recording, all_spectra(recording))
+    turned = _changed(recording, lambda e: replace(e, torque=-e.torque, torque_demand=None))
+    with pytest.raises(InputError, match=f"axis {truth.chains.axes[0]} have opposite signs"):
+        identify(turned)
+
+
+def test_an_axis_that_never_moves_is_named() -> None:
+    recording, truth = make("coulomb_friction", seed=1, target_db=20.0, motors=1)
+    still = _changed(recording, lambda e: replace(e, position=np.zeros_like(e.position)))
+    with pytest.raises(InputError, match=f"position of axis {truth.chains.axes[0]} never changes"):
+        identify(still)
