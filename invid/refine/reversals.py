@@ -126,6 +126,7 @@ def fusion(
     effective = stiffness.copy()
     effective[:, np.arange(motors), np.arange(motors)] -= channel.hold
     missing = np.einsum("fij,fj->fi", effective, whole.position) - channel.factor * whole.torque
+    missing -= np.einsum("fij,fj->fi", stiffness, channel.folded @ structure.inertance(sp))
     for low in range(0, lines if whole.transient else 0, AT_ONCE):
         part = slice(low, min(low + AT_ONCE, lines))
         forces = end_forces(structure, sp, whole.omega[part], whole.span)
@@ -281,4 +282,5 @@ def whole_block(block: Block, s: LineSpectra) -> Block:
         covariance=np.zeros((0, 2 * motors, 2 * motors), dtype=complex),
         hold=law,
         columns=np.zeros((lines.size, motors, 0), dtype=complex),
+        stepped=None,
     )
