@@ -56,7 +56,7 @@ def _between(v: np.ndarray, phi: np.ndarray, plain: np.ndarray) -> np.ndarray:
         a = k if k >= 0 else count - 1
         b = k + 1 if k + 1 < count else 0
         dv = v[b] - v[a]
-        now = 0.5 * (plain[a] + plain[b]) if abs(dv) < small else (phi[b] - phi[a]) / dv
+        now = 0.5 * (plain[a] + plain[b]) if abs(dv) <= small else (phi[b] - phi[a]) / dv
         if k >= 0:
             out[k] = 0.5 * (before + now)
         before = now
