@@ -35,6 +35,7 @@ def extended_model(
     # A demand logged beside the torque has its half sample of being held by itself.
     logged = any(v.record.command is not None for v in fitted.evaluation.views)
     offsets = layout.delays(fitted.p) + (0.5 * layout.step if logged else 0.0)
+    offsets[list(layout.smoothed)] -= fitted.p[layout.smoothed_at]
     held = 0.5 * layout.step * layout.stairs(fitted.p)
     facts = {
         **dict(model.fit),
@@ -50,6 +51,14 @@ def extended_model(
         | {
             f"{structure.axes[i]}.time_offset": {"value": float(held[i]), "std": None}
             for i in layout.held_late
+        },
+        "torque_lag_s": dict(model.fit.get("torque_lag_s", {}))
+        | {
+            structure.axes[i]: {
+                "value": float(fitted.p[at]),
+                "std": _finite(float(np.sqrt(max(fitted.covariance[at, at], 0.0)))),
+            }
+            for i, at in zip(layout.smoothed, range(layout.smoothed_at.start, layout.count), strict=True)
         },
         "joint_with_effects": bool(effects),
     }

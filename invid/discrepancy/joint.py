@@ -70,6 +70,7 @@ def limits_of(
         high[at : at + len(layout.free_delays)] = 1.0 * layout.step
     low[layout.stairs_at], high[layout.stairs_at] = -0.5, 1.5
     low[layout.holds_at], high[layout.holds_at] = SHARES
+    low[layout.smoothed_at] = 0.0
     for term in candidate.terms:
         shapes = term.effect.limits(evaluation.views, term.place)
         low = np.concatenate((low, term.effect.lower, [s[0] for s in shapes]))

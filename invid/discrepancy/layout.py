@@ -17,7 +17,7 @@ from invid.refine.structure import ChainStructure
 @dataclass(frozen=True, eq=False)
 class Layout:
     """The parameter vector: structure, delay of each axis, share held over the sample of each axis, share of
-    each hold that works inside its drive."""
+    each hold that works inside its drive, time constant of each drive that smooths the torque it reports."""
 
     structure: ChainStructure
     step: float
@@ -28,6 +28,8 @@ class Layout:
     delayed: tuple[int, ...] = ()
     """Axes whose delay is an effect's."""
     holds: tuple[HeldInside, ...] = ()
+    smoothed: tuple[int, ...] = ()
+    """Axes whose recorded torque is low-passed, as the identification found."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -38,12 +40,14 @@ class Layout:
             *(f"{axes[i]}.time_offset" for i in self.free_delays),
             *(f"{axes[i]}.held_over_sample" for i in self.free_stairs),
             *(f"{axes[h.axis]}.{h.name}" for h in self.holds),
+            *(f"{axes[i]}.torque_smoothed" for i in self.smoothed),
         )
 
     @property
     def count(self) -> int:
         """n."""
-        return self.structure.count + len(self.free_delays) + len(self.free_stairs) + len(self.holds)
+        at = self.smoothed_at
+        return int(at.stop)
 
     @property
     def stairs_at(self) -> slice:
@@ -54,7 +58,18 @@ class Layout:
     @property
     def holds_at(self) -> slice:
         """Where the shares of the holds stand."""
-        return slice(self.stairs_at.stop, self.count)
+        return slice(self.stairs_at.stop, self.stairs_at.stop + len(self.holds))
+
+    @property
+    def smoothed_at(self) -> slice:
+        """Where the time constants of reported torque stand."""
+        return slice(self.holds_at.stop, self.holds_at.stop + len(self.smoothed))
+
+    def unsmoothed(self, p: Float64, omega: Float64) -> Complex128:
+        """(F, M) actual torque over one that the drive reports through a first-order lag."""
+        out = np.ones((omega.size, self.structure.motors), dtype=complex)
+        out[:, list(self.smoothed)] += 1j * omega[:, None] * p[self.smoothed_at]
+        return out
 
     def delays(self, p: Float64) -> Float64:
         """(M,) [s]."""
@@ -116,6 +131,8 @@ def acting_of(
     delays, stairs = layout.lateness(p, record), layout.stairs(p)
     smear = (1.0 - np.sinc(w * record.step / 2 / np.pi))[:, None]
     z = np.exp(-1j * w[:, None] * delays)
+    if record.command is None:
+        z = z * layout.unsmoothed(p, w)
     factor = z * (1.0 - stairs * smear)
     by_hold = np.zeros((w.size, len(layout.holds)), dtype=complex)
     if record.command is None:
@@ -154,7 +171,7 @@ def folded_of(record: Record, layout: Layout, p: Float64) -> Complex128:
 
 def priors_of(layout: Layout, p: Float64, effects: int) -> tuple[Float64, Float64]:
     """Torque is held over the sample (1), continuous (0), or smoothed in between; so is that of a hold."""
-    first, last = layout.stairs_at.start, layout.count
+    first, last = layout.stairs_at.start, layout.holds_at.stop
     expected = np.array([0.5] * len(layout.free_stairs) + [h.expected for h in layout.holds])
     rows = np.zeros((last - first, layout.count + effects))
     rows[:, first:last] = 2.0 * np.eye(last - first)

@@ -26,6 +26,8 @@ from invid.spectra import LineSpectra
 
 FAR = 3.0
 """χ²/ν from which a fit leaves so much that the linear model itself may be wrong. A guess."""
+LIGHTEST = 1e-8
+"""Share of its branch that a mass has at least where a fit starts: rounding is 1e-16 of the matrices."""
 LOWER = 0.5
 """Share of χ² to which another start must bring a fit that is doubted. A guess: a wrong minimum
 of a linear machine is off by far more (720061 of the hidden effects: 11 000 times), while what a strong
@@ -52,7 +54,7 @@ def linear_fit(
     origin = min(float(e.time[0]) for e in recording.experiments)
     logged = train[0].command is not None
     holds = holds_inside(spectra, model, recording, with_command=logged)
-    layout = layout_of(structure, train, origin, holds)
+    layout = layout_of(structure, train, origin, holds, () if logged else smoothed_in(model))
     given = given_effects(model, structure)
     late = [t.place.axis for t in given.terms if t.effect.cause == "torque_delay"]
     layout, _ = layout.without_delay(late)
@@ -87,25 +89,48 @@ def without_effects(base: JointFit, train: Sequence[Record]) -> JointFit:
 
 
 def layout_of(
-    structure: ChainStructure, records: Sequence[Record], origin: float, holds: tuple[HeldInside, ...] = ()
+    structure: ChainStructure,
+    records: Sequence[Record],
+    origin: float,
+    holds: tuple[HeldInside, ...] = (),
+    smoothed: tuple[int, ...] = (),
 ) -> Layout:
-    """Delay and hold-over-the-sample parameters that the records leave open, and the holds' shares."""
+    """Delay and hold-over-the-sample parameters that the records leave open, the holds' shares, and the time
+    constants of the axes whose reported torque is ``smoothed``."""
     motors = structure.motors
     stairs = np.array([r.staircase for r in records])
     unknown = tuple(i for i in range(motors) if np.isnan(stairs[:, i]).any())
     known = np.nan_to_num(stairs[0], nan=0.5)
-    return Layout(structure, records[0].step, unknown, known, tuple(range(motors)), origin, holds=holds)
+    free = tuple(range(motors))
+    return Layout(structure, records[0].step, unknown, known, free, origin, holds=holds, smoothed=smoothed)
+
+
+def smoothed_in(model: Model) -> tuple[int, ...]:
+    """Axes whose drive smooths the torque that it reports, by three standard deviations in ``fit``."""
+    found = []
+    for i, axis in enumerate(model.axes):
+        lag = model.fit.get("torque_lag_s", {}).get(axis, {})
+        value, std = lag.get("value"), lag.get("std")
+        if value is not None and std is not None and value > 3.0 * std:
+            found.append(i)
+    return tuple(found)
 
 
 def start_of(model: Model, layout: Layout) -> Float64:
     """(n,) parameters of the model as it came."""
     structure, start = layout.structure, np.zeros(layout.count)
-    start[: structure.count] = structure.vector(model.chains)
+    # A mass that vanished in the identification makes the chain's matrices singular.
+    masses = [np.maximum(m, LIGHTEST * m.sum()) for m in model.chains.masses]
+    start[: structure.count] = structure.vector(replace(model.chains, masses=tuple(masses)))
     offsets = model.fit.get("time_offset_s", {}) if isinstance(model.fit, dict) else {}
     for k, i in enumerate(layout.free_delays):
         found = offsets.get(f"{structure.axes[i]}.time_offset", {})
         value = found.get("value") if isinstance(found, dict) else None
         start[structure.count + k] = 0.5 * layout.step if value is None else float(value)
+    for k, i in enumerate(layout.smoothed):
+        time_constant = float(model.fit["torque_lag_s"][structure.axes[i]]["value"])
+        start[layout.smoothed_at.start + k] = time_constant
+        start[structure.count + layout.free_delays.index(i)] += time_constant  # which held the lag's delay
     start[layout.stairs_at] = 0.5
     start[layout.holds_at] = [h.expected for h in layout.holds]
     return start

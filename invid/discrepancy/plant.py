@@ -221,6 +221,11 @@ def _linear_columns(
     at += len(layout.free_stairs)
     for k, hold in enumerate(layout.holds):
         columns[:, hold.axis, at + k] = -by_hold[:, k] * passed[:, hold.axis]
+    at += len(layout.holds)
+    if record.command is None:
+        sharper = -later / layout.unsmoothed(p, record.omega)  # jω where 1 + jωτ was
+        for k, i in enumerate(layout.smoothed):
+            columns[:, i, at + k] = sharper[:, i]
     return columns, q
 
 

@@ -157,7 +157,12 @@ def _left_by(
         return None
     structure = fitted.layout.structure
     sampled = replace(
-        fitted.layout, free_delays=(), free_stairs=(), known_stairs=np.zeros(structure.motors), holds=()
+        fitted.layout,
+        free_delays=(),
+        free_stairs=(),
+        known_stairs=np.zeros(structure.motors),
+        holds=(),
+        smoothed=(),
     )
     evaluation = evaluate(sampled, left, fitted.p[: structure.count], Candidate(), jacobian=False)
     return _rung_out(evaluation, fitted.candidate)
