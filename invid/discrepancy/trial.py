@@ -187,8 +187,10 @@ def _logarithmic(current: JointFit) -> Bool:
 
 
 def at_bound(trial: Trial) -> bool:
-    """A shape at the edge of what it may be: the fit wants something else than this cause."""
+    """A shape at the edge of what it may be, a size beyond: the fit wants something else than this cause."""
     term, x = trial.term, trial.x
+    if term.effect.beyond(trial.fit.evaluation.views, term.place, x.tolist()):
+        return True
     if term.effect.cause == "payload_change":  # time is no part of the size
         return False
     shapes = x[len(term.effect.coefficients) :]

@@ -65,5 +65,9 @@ class Backlash(Effect):
         force = self.force(view, place, float(np.exp(x[0])))
         return view.push(pattern) * force[:, None], -view.yields(pattern) * force[:, None]
 
+    def beyond(self, views: Sequence[View], place: Place, x: Sequence[float]) -> bool:
+        most = max(float(np.abs(v.wave(place.pattern(v.structure))).max()) for v in views)
+        return bool(0.5 * np.exp(x[0]) >= most)
+
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
         return {"gap": float(np.exp(x[0]))}

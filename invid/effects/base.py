@@ -111,6 +111,14 @@ class Effect:
         """The contract's parameters."""
         raise NotImplementedError
 
+    def beyond(self, views: Sequence[View], place: Place, x: Sequence[float]) -> bool:
+        """Whether it is larger than what it works on, or than the motion in the records: then it is none.
+
+        A spring that drifts by more than itself stands for another spring, a gap that the deflection never
+        crosses for none.
+        """
+        return False
+
     def is_null(self, x: Sequence[float]) -> bool:
         """At a bound where nothing is left of the effect."""
         count = len(self.coefficients)

@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from invid.arrays import Float64
+from invid.effects.backlash import spring_index
 from invid.effects.base import ForceEffect
 from invid.effects.place import Place, spring_places
 from invid.effects.view import View
@@ -32,6 +33,11 @@ class CubicStiffness(ForceEffect):
 
     def law(self, view: View, place: Place, shape: Sequence[float]) -> Float64:
         return view.wave(place.pattern(view.structure))[:, None] ** 3
+
+    def beyond(self, views: Sequence[View], place: Place, x: Sequence[float]) -> bool:
+        most = max(float(np.abs(v.wave(place.pattern(v.structure))).max()) for v in views)
+        # One that softens pulls back less and less; beyond here it would push.
+        return bool(views[0].springs[spring_index(views[0].structure, place)] + x[0] * most**2 <= 0.0)
 
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
         return {"coefficient": float(x[0])}

@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from invid.arrays import Complex128
+from invid.effects.backlash import spring_index
 from invid.effects.base import ImpedanceEffect
 from invid.effects.place import Place, spring_places
 from invid.effects.view import View
@@ -39,6 +40,10 @@ class ParameterDrift(ImpedanceEffect):
     def within(self, view: View, place: Place, x: Sequence[float]) -> Complex128:
         wave = view.wave(place.pattern(view.structure)) * view.record.wave_time
         return view.to_lines(x[0] * wave[:, None])[:, 0]
+
+    def beyond(self, views: Sequence[View], place: Place, x: Sequence[float]) -> bool:
+        change = abs(x[0]) * max(v.record.end_time - v.origin for v in views)
+        return bool(change >= views[0].springs[spring_index(views[0].structure, place)])
 
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
         return {"parameter": float(place.number), "rate": float(x[0])}

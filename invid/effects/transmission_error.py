@@ -90,6 +90,10 @@ class TransmissionError(Effect):
         )
         return out
 
+    def beyond(self, views: Sequence[View], place: Place, x: Sequence[float]) -> bool:
+        # The gear would turn back while its motor turns on.
+        return bool(np.hypot(x[0], x[1]) * np.exp(x[2]) >= 1.0)
+
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
         return {
             "amplitude": float(np.hypot(x[0], x[1])),
