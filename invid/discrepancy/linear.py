@@ -16,7 +16,7 @@ from invid.discrepancy.missing_torque import changing, with_scatter
 from invid.discrepancy.records import by_period
 from invid.discrepancy.terms import Candidate
 from invid.discrepancy.tones import Tone, tones_of
-from invid.discrepancy.trial import Trial
+from invid.discrepancy.trial import Trial, finite
 from invid.effects.view import Record
 from invid.forward import resonances
 from invid.model import Model
@@ -86,6 +86,20 @@ def without_effects(base: JointFit, train: Sequence[Record]) -> JointFit:
     linear, rest = base.p[: layout.structure.count], base.p[base.layout.stairs_at.start :]
     p = np.concatenate((linear, base.layout.delays(base.p), rest))
     return fit(layout, train, p, Candidate(), iterations=25)
+
+
+def from_causes(base: JointFit, final: JointFit, train: Sequence[Record]) -> JointFit | None:
+    """The linear model started where the fit with causes ended, where that explains most of what they do.
+
+    Beside a linear model in a wrong minimum any cause may be what leads out of it: a drift that changed a
+    spring by more than itself left no more than noise, and so did the linear parameters found with it alone.
+    """
+    if base.cost < FAR * base.dof or final.p.size != base.p.size or final.candidate is base.candidate:
+        return None
+    alone = finite(lambda: fit(base.layout, train, final.p, base.candidate, iterations=25))
+    if alone is None or base.cost - alone.cost < alone.cost - final.cost:
+        return None
+    return alone
 
 
 def layout_of(

@@ -9,7 +9,7 @@ from functools import partial
 from invid.arrays import Float64
 from invid.discrepancy.change import around_change, between_records, change_of, sooner
 from invid.discrepancy.joint import JointFit, fit
-from invid.discrepancy.linear import linear_fit, start_of, tones_in, without_effects
+from invid.discrepancy.linear import from_causes, linear_fit, start_of, tones_in, without_effects
 from invid.discrepancy.missing_torque import null_test
 from invid.discrepancy.moves import moves_of
 from invid.discrepancy.records import split, with_sticking
@@ -75,7 +75,6 @@ def _looked(recording: Recording, model: Model, *, spare: bool = True, apart: bo
     if tones:
         recording = without_tones(recording, tones)
         spectra, warnings, (base, free, train, held) = _begun(recording, model, spare, apart)
-    bare = without_effects(base, train)
     search = partial(
         select,
         linear_axes=recording.linear,
@@ -83,7 +82,11 @@ def _looked(recording: Recording, model: Model, *, spare: bool = True, apart: bo
         start=start_of(model, base.layout),
         moves=moves_of(recording),
     )
-    selection = between_records(search(base, train, held))
+    selection = search(base, train, held)
+    settled = from_causes(base, selection.final.fit, train)
+    if settled is not None:
+        base, selection = settled, search(settled, train, held)
+    selection, bare = between_records(selection), without_effects(base, train)
     parts = around_change(selection, recording)
     if parts is not None:
         around = fit(base.layout, parts[0], base.p, base.candidate, iterations=25)
