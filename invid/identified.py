@@ -109,13 +109,15 @@ def refined_model(
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     blind = blind_directions(chains, names, values, covariance, (bottom, top), recording.linear)
     doubts: list[str] = []
+    unseen: list[str] = []
     if fit.solution.result != "converged":
         doubts.append(
             f"the fit did not converge ({fit.solution.result} after {fit.solution.iterations} iterations)"
         )
     if blind.unseen:
         std = np.where([n in blind.unseen for n in names], np.nan, std)
-        doubts += blind.sentences or [f"{', '.join(sorted(blind.unseen))}: not known from these data"]
+        unseen += blind.sentences or [f"{', '.join(sorted(blind.unseen))}: not known from these data"]
+        doubts += unseen
     if fit.explained < EXPLAINED:
         doubts.append(
             f"the model explains {fit.explained:.0%} of the torque only: another number of masses, a torque "
@@ -153,6 +155,7 @@ def refined_model(
     facts = {
         "trustworthy": not doubts,
         "doubts": doubts,
+        "unseen": unseen,
         "chi2": fit.solution.chi2,
         "dof": fit.solution.dof,
         "noise_chi2_per_dof": fit.noise_chi2,

@@ -101,6 +101,7 @@ def document(
             **extended.fit,
             "trustworthy": linear.trustworthy,
             "doubts": [*linear.reasons, *linear.unseen],
+            "unseen": list(linear.unseen),
         },
     )
     return Diagnosis(

@@ -61,8 +61,12 @@ def trust(
     before, after = (t.chi2 / max(t.dof, 1) for t in tests)
     if (after < REACHED or after - 1.0 < LEFT * (before - 1.0)) and not too_short:
         return Trust(unseen=unseen)
-    reasons = [str(r) for r in model.fit.get("doubts", ()) if isinstance(r, str)]
-    if not reasons and model.fit.get("trustworthy", True) is False:
+    doubts = [str(r) for r in model.fit.get("doubts", ()) if isinstance(r, str)]
+    # A parameter that the linear fit could not tell makes no wrong model: a strong cause blinds the fit
+    # without it, and what the extended one cannot tell is ``unseen``.
+    blind = model.fit.get("unseen", ())
+    reasons = [r for r in doubts if r not in blind]
+    if not doubts and model.fit.get("trustworthy", True) is False:
         reasons = list(model.warnings[:1]) or ["the identification does not trust its own fit"]
     reasons += too_short
     if not base.fit.converged and not reasons:
