@@ -231,6 +231,32 @@ class TestPromisesOfEveryDrive:
             Cia402Cell(drives._link.bus, wrong).check()
 
 
+def test_the_drives_own_windows_stand_around_where_the_axis_is_a_quarter_wider_than_the_masters() -> None:
+    bus = DurandBus({1: 1.0, 2: 2.0})
+    bus.drives[0].x = 3.0  # an absolute encoder: the window is of 1 rad
+    cell = Cia402Cell(bus, config())
+    cell.check()
+    cell.energise([Mode.HOLD, Mode.HOLD])
+    od, counts = bus.drives[0].od, (1 << 20) / (2 * np.pi)
+    found = [od.read(0x607D, 1), od.read(0x607D, 2), od.read(0x6065, 0), od.read(0x607F, 0)]
+    assert found == pytest.approx([1.75 * counts, 4.25 * counts, 1.25 * counts, 12.5 * counts], abs=2)
+    assert cell.close() == []
+
+
+def test_an_axis_whose_direction_is_turned_moves_forward_under_positive_torque_all_the_same() -> None:
+    bus = DurandBus({1: 1.0, 2: 2.0})
+    cell = Cia402Cell(bus, config(direction=-1))
+    cell.check()
+    cell.energise([Mode.TORQUE, Mode.HOLD])
+    first = cell.exchange([1.0, 0.0]).position[0]
+    for _ in range(200):
+        sample = cell.exchange([1.0, 0.0])
+    assert sample.position[0] - first == pytest.approx(0.5 * 0.4**2, rel=0.05)
+    assert sample.torque[0] == pytest.approx(1.0)
+    assert bus.drives[0].x < 0
+    assert cell.close() == []
+
+
 @pytest.mark.parametrize(("limit", "outcome"), [(9, ""), (200, "meant"), (5000, "unit")])
 def test_a_torque_limit_far_above_the_rated_one_is_asked_about_or_refused(limit: float, outcome: str) -> None:
     # rated 10 N·m: 200 N·m may be a peak that somebody knows of, 5000 cannot even be commanded

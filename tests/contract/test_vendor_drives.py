@@ -151,6 +151,61 @@ def simulated(cell: Cia402Cell) -> Any:
     return cell._link.bus.cell.drives[0].node.od  # type: ignore[attr-defined]
 
 
+def changed(name: str, tmp_path: Path, key: str = "DefaultValue", **values: int) -> Path:
+    """The file of a vendor with other values of some objects, named as their sections are: ``o3001sub1``."""
+    text = file(name).read_text(encoding="utf-8")
+    for section, value in values.items():
+        at = text.index("DefaultValue=", text.index(f"[{section[1:]}]"))
+        old = text[at : text.index("\n", at)] if key == "DefaultValue" else ""
+        text = text[:at] + f"{key}={value}" + ("" if old else "\n") + text[at + len(old) :]
+    path = tmp_path / "node.eds"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "speed"),
+    # 10 rad/s and the drive's quarter: in counts a second, and in revolutions a minute
+    [
+        ("zeroerr_erob", 12.5 / 1.1984e-5),
+        ("epos4", 12.5 * 60 / 6.283185),
+        ("nanotec_c5e", 12.5 * 60 / 6.283185),
+    ],
+)
+def test_the_speed_limit_reaches_every_drive_in_its_own_unit(name: str, speed: float) -> None:
+    cell = connect(config(file(name), file(name), name, allow_missing_heartbeat=True, **SCALES))
+    cell.energise([Mode.HOLD])
+    assert simulated(cell).number(0x607F) == pytest.approx(speed, abs=1)
+    assert cell.close() == []
+
+
+def test_a_drive_without_a_torque_limit_has_its_current_limited_to_the_same_share(tmp_path: Path) -> None:
+    node = changed("epos4", tmp_path, o3001sub1=3000)  # mA at the rated 100 N·m
+    cell = connect(config(node, node, "epos4", **SCALES))
+    cell.energise([Mode.HOLD])
+    assert simulated(cell).number(0x3001, 2) == 150  # 5 N·m
+    assert cell.close() == []
+
+
+def test_a_torque_limit_above_what_the_eds_allows_is_the_highest_that_it_allows(tmp_path: Path) -> None:
+    named = changed("generic", tmp_path, "HighLimit", o6072=40)
+    cell = connect(config(file("generic"), named, rated_torque_Nm=100))
+    (report,) = cell.check()
+    assert 5 / report.scaling.rated_torque > 0.040
+    cell.energise([Mode.HOLD])
+    assert simulated(cell).number(0x6072) == 40
+    assert cell.close() == []
+
+
+def test_a_feed_constant_of_the_shaft_behind_a_gear_is_taken_back_to_the_motor(tmp_path: Path) -> None:
+    # 360000 user units a turn of the shaft, for which the motor turns 50 times in 3 turns of the shaft
+    node = changed("generic", tmp_path, o6092sub1=360_000, o6091sub1=50, o6091sub2=3)
+    cell = connect(config(node, node))
+    (report,) = cell.check()
+    assert report.scaling.position_per_count == pytest.approx(6.283185307 * (50 / 3) / 360_000)
+    cell.close()
+
+
 REFUSED = [
     ("epos4", {}, "0x608F encoder resolution.*position_rad_per_count"),
     ("epos4", {"position_rad_per_count": 1.1984e-5}, "0x6076 motor rated torque.*rated_torque_Nm"),

@@ -11,9 +11,10 @@ import pytest
 from test_adapter_promises import config, held, simulated, zero
 
 from invid.errors import DriveError, SafetyStop
-from invid.sweep import Mode
+from invid.sweep import Mode, Sample
 from invid_drivers.cia402.bus import Cia402Cell
 from invid_drivers.cia402.journal import Entry
+from invid_drivers.cia402.runaway import RunawayGuard
 from invid_drivers.connect import connect
 from invid_drivers.simulated import VirtualTimeBus, open_virtual_bus
 
@@ -255,3 +256,59 @@ def test_a_cell_that_is_refused_leaves_the_bus_to_the_next(monkeypatch: pytest.M
     with pytest.raises(DriveError, match="not in the table"):
         connect(config(vendor="nobody"))
     assert len(closed) == 1
+
+
+def called_runaways(speeds: list[float], **axis: Any) -> list[int]:
+    """Samples, 0.01 s apart, at which A1 (limit 10 rad/s) is called a runaway; A2 stands."""
+    guard, place, called = RunawayGuard(config(**axis)), 0.0, []
+    guard.faster(Sample(0, 0.0, [0.0, 0.0], [0.0, 0.0], [7, 7], [True, True], []))
+    for k, speed in enumerate(speeds, start=1):
+        place += 0.01 * speed
+        if guard.faster(Sample(k, 0.01 * k, [place, 0.0], [0.0, 0.0], [7, 7], [True, True], [])) == [0]:
+            called.append(k)
+    return called
+
+
+def test_an_axis_that_a_quick_stop_makes_faster_is_called_a_runaway_at_once() -> None:
+    assert called_runaways([1.0, 1.1, 1.3]) == []  # a fifth, and two per cent of the limit, are noise
+    assert called_runaways([1.0, 1.5]) == [2]
+    assert called_runaways([-1.0, -0.5, -1.5]) == [3]
+    assert called_runaways([3.0, 2.0, 1.0, 0.0, 0.0, 0.0]) == []
+
+
+def test_a_loaded_axis_without_brake_is_let_go_only_after_five_samples_of_growing_speed() -> None:
+    loaded = {"gravity_loaded": True, "brake": "none"}
+    assert called_runaways([1.0, 2.0, 3.0, 4.0, 5.0], **loaded) == []
+    assert called_runaways([1.0, 2.0, 3.0, 4.0, 5.0, 6.0], **loaded) == [6]
+    assert called_runaways([1.0, 2.0, 3.0, 2.5, 4.0, 5.0, 6.0, 7.0], **loaded) == []
+    assert called_runaways([1.0, 2.0], gravity_loaded=True, brake="drive") == [2]
+
+
+def test_an_axis_that_says_nothing_for_three_samples_of_the_quick_stop_is_called_silent() -> None:
+    guard = RunawayGuard(config())
+    came = [True, False, False, True, False, False, False]
+    found = [
+        guard.silent(Sample(k, 0.01 * k, [0, 0], [0, 0], [7, 7], [c, True], [])) for k, c in enumerate(came)
+    ]
+    assert found == [[], [], [], [], [], [], [0]]
+
+
+def test_a_drive_whose_heartbeat_stays_away_is_reported_though_its_samples_come() -> None:
+    cell = simulated()
+    get = cell._link.get
+
+    def no_heartbeat(timeout: float) -> Any:
+        message = get(timeout)
+        return None if message is not None and message.arbitration_id == 0x701 else message
+
+    try:
+        running(cell)
+        for _ in range(100):  # 0.2 s: two periods
+            assert cell.exchange(zero(cell)).events == []
+        cell._link.get = no_heartbeat  # type: ignore[method-assign]
+        events = [e for _ in range(300) for e in cell.exchange(zero(cell)).events]
+    finally:
+        cell._link.get = get  # type: ignore[method-assign]
+        cell.close()
+    assert {e.axis for e in events} == {"A1"}
+    assert "no heartbeat" in events[0].text

@@ -92,7 +92,7 @@ def test_a_stop_in_mid_motion_stops_the_drives_and_keeps_the_recording(tmp_path:
         service.wait_for_motion(location)
         began = time.monotonic()
         answer = service.client.post("/api/v1/cells/small/stop")
-        assert time.monotonic() - began < 0.5
+        assert time.monotonic() - began < 2.0  # queued behind the run it would take tens of seconds
         assert answer.json()["stopping"] is True
         service.wait(location, "stopped", timeout=10)
         file = tmp_path / "stopped.h5"

@@ -190,7 +190,7 @@ def running(
         yield client, director
 
 
-def wait_for(client: TestClient, location: str, *states: str, timeout: float = 5.0) -> dict[str, Any]:
+def wait_for(client: TestClient, location: str, *states: str, timeout: float = 30.0) -> dict[str, Any]:
     """Poll until the run is in one of ``states``; fails with what it saw."""
     import time
 

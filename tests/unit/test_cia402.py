@@ -40,6 +40,7 @@ STEPS = {
 }
 
 
+@settings(deadline=None)
 @given(st.integers(0, 0xFFFF))
 def test_every_statusword_of_the_standards_table_is_read_as_its_state(word: int) -> None:
     matching = [state for state, (mask, value) in STANDARD.items() if word & mask == value]
@@ -50,6 +51,7 @@ def test_every_statusword_of_the_standards_table_is_read_as_its_state(word: int)
         assert state_of(word) is S.NOT_READY_TO_SWITCH_ON
 
 
+@settings(deadline=None)
 @given(st.integers(-1000, 70000))
 def test_any_number_is_some_state_and_none_of_them_crashes(word: int) -> None:
     assert is_energised(state_of(word & 0xFFFF)) in (True, False)
@@ -78,6 +80,7 @@ def test_only_enabled_stopping_and_reacting_drives_can_have_torque() -> None:
     }
 
 
+@settings(deadline=None)
 @given(st.integers(-(2**31), 2**31 - 1), st.integers(-(2**31) + 1, 2**31 - 1))
 def test_position_differences_survive_the_wrap_of_32_bits(start: int, moved: int) -> None:
     wrapped = (start + moved + 2**31) % 2**32 - 2**31

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from invid.chains import CoupledChains
 from invid.compare import Comparison, Status, compare
+from invid.compare_pooled import pooled
 from invid.compare_words import differing_number
 from invid.errors import InputError
 from invid.model import ChainStd, EffectTerm, Estimate, Model, parameter_vector, save_model
@@ -169,6 +170,53 @@ def test_another_number_of_masses_compares_the_whole_inertia() -> None:
     assert any("A1 had 3 masses and now has 2" in s for s in result.sentences)
     assert by_name(result, "A1.inertia") is Status.UNCHANGED
     assert not any(c.name == "A1.mass.1" for c in result.parameters)
+
+
+def test_a_whole_inertia_is_known_as_well_as_the_sum_of_its_masses() -> None:
+    """Two masses known to 0.2 apart and, taken together, to a hundredth of that."""
+    old = model()
+    names, values = parameter_vector(old.chains)
+    a, b = names.index("A1.mass.1"), names.index("A1.mass.2")
+    covariance = np.diag((0.002 * np.abs(values)) ** 2)
+    covariance[a, a] = covariance[b, b] = 0.2**2
+    covariance[a, b] = covariance[b, a] = 0.5 * 0.002**2 - 0.2**2
+    masses = tuple(m.copy() for m in old.std.masses)
+    masses[0][:2] = 0.2
+    std = replace(old.std, masses=masses)
+    old = replace(old, std=std, covariance=covariance, parameter_names=names)
+    new = model([[0.7, 5.0], [4.0, 5.0, 6.0]], [[900.0], [3000.0, 4000.0]])
+    (whole,) = (c for c in compare(old, new).parameters if c.name == "A1.inertia")
+    # ±0.002 and ±0.006 of the old model, ±0.0014 and ±0.01 of the new one
+    assert whole.std == pytest.approx(np.sqrt(0.002**2 + 0.006**2 + 0.0014**2 + 0.01**2), rel=1e-6)
+
+
+def test_repeatability_counts_for_both_measurements() -> None:
+    result = compare(model(relative=1e-9), model(relative=1e-9), repeatability=0.01)
+    (mass,) = (c for c in result.parameters if c.name == "A2.mass.3")
+    assert mass.std == pytest.approx(np.sqrt(2) * 0.01 * 6.0)
+
+
+def test_a_coupling_is_judged_against_the_final_masses_that_it_joins() -> None:
+    (coupling,) = (c for c in compare(model(), model(coupling=1.01)).parameters if c.kind == "coupling")
+    assert coupling.scale == pytest.approx(np.sqrt(3.0 * 6.0))
+
+
+def rippled(phase: float) -> Model:
+    """A model with cogging whose phase is known to 0.02 rad."""
+    values = {
+        "torque": Estimate(0.5, 0.01, "N·m"), "cycles_per_rev": Estimate(24.0, 0.01, "1"),
+        "phase": Estimate(phase, 0.02, "rad"),
+    }  # fmt: skip
+    return model(effects=(EffectTerm("cogging", "A1", values, "mass 1"),))
+
+
+def test_a_phase_that_went_past_half_a_turn_changed_by_the_short_way_round() -> None:
+    result = compare(rippled(3.13), rippled(-3.13))
+    (phase,) = (c for c in result.effects if c.name.endswith(".phase"))
+    assert phase.difference == pytest.approx(2 * np.pi - 6.26)
+    assert phase.status is not Status.CHANGED
+    (mean,) = pooled([rippled(3.13), rippled(-3.13)]).effects
+    assert abs(mean.value("phase")) == pytest.approx(np.pi, abs=1e-3)
 
 
 def test_axes_in_another_order_are_paired_by_name() -> None:

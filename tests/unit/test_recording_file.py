@@ -156,7 +156,8 @@ def test_a_measurement_killed_in_the_middle_loses_at_most_the_last_second(tmp_pa
     recording = read_recording(path)
     assert recording.outcome is None
     kept = recording.experiments[0].samples
-    assert written - 1000 <= kept <= written + 1000
+    assert written >= 3400
+    assert kept >= written - 1000  # it may have gone on between its last word and its end
     assert np.array_equal(recording.experiments[0].position[:, 0], np.arange(kept))
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import can
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from invid_drivers.simulated.unix_bus import UnixBus, UnixHub, pack_frame, unpack_frame
@@ -30,6 +30,7 @@ def message(can_id: int, data: bytes = b"") -> can.Message:
     return can.Message(arbitration_id=can_id, data=data, is_extended_id=False)
 
 
+@settings(deadline=None)
 @given(
     can_id=st.integers(0, 0x7FF),
     data=st.binary(max_size=8),
@@ -42,6 +43,7 @@ def test_a_frame_survives_packing(can_id: int, data: bytes, extended: bool) -> N
     assert got.equals(sent, timestamp_delta=None, check_direction=False)
 
 
+@settings(deadline=None)
 @given(st.binary(max_size=40))
 def test_a_packet_that_is_no_frame_is_nothing(packet: bytes) -> None:
     got = unpack_frame(packet, 0.0)

@@ -372,6 +372,81 @@ def test_a_drifting_spring_follows_its_rate() -> None:
     assert relative(simulate(model(plant(), term), record).experiments[0].position, truth) < 5e-3
 
 
+def shaken(begin: float = 0.0, motion: float = 0.02) -> Recording:
+    """Three seconds of torque beside a motion that is no model's: only models are compared on it."""
+    time = np.arange(round(3.0 * RATE)) / RATE
+    position = motion * np.sin(2 * np.pi * np.outer(time, [1.0, 1.5]))
+    return recording(time + begin, position, torque_at(time))
+
+
+@pytest.mark.parametrize(("element", "rate"), [("spring 1", -0.1), ("mass 1", 1e-4)])
+def test_a_drift_goes_on_from_one_experiment_to_the_next(element: str, rate: float) -> None:
+    """Twenty minutes later, in which little drifts within three seconds, it is another plant."""
+    chains = plant()
+    own = {"spring 1": {"springs": chains.springs}, "mass 1": {"masses": chains.masses}}[element]
+    ((name, (values, other)),) = own.items()
+    changed = values.copy()
+    changed[0] += 1201.5 * rate
+    drifted = dataclasses.replace(chains, **{name: (changed, other)})
+    truth = simulate(model(drifted), shaken(begin=1200.0)).experiments[0]
+    later = dataclasses.replace(truth, key="001")
+    both = dataclasses.replace(shaken(), experiments=(*shaken().experiments, later))
+    drift = effect("parameter_drift", "A1", element, rate=rate)
+    found = simulate(model(chains, drift), both, only=["001"]).experiments[0].position
+    assert relative(found, truth.position) < 0.01
+    without = simulate(model(chains), both, only=["001"]).experiments[0].position
+    assert relative(without, truth.position) > 0.05
+
+
+def test_an_extra_mode_has_the_damping_that_its_effect_says() -> None:
+    longer = CoupledChains.build(
+        [[1.0, 1.5, 0.3], [2.0, 3.0]],
+        [[800.0, 500.0], [1500.0]],
+        [[1.0, 2 * 0.1 * np.sqrt(500 * 0.3)], [1.5]],
+    )
+    short = CoupledChains.build([[1.0, 1.5], [2.0, 3.0]], [[800.0], [1500.0]], [[1.0], [1.5]])
+    mode = {"mass": 0.3, "stiffness": 500.0}
+    truth = simulate(model(longer), shaken()).experiments[0]
+    record = recording(truth.time, truth.position, truth.torque)
+    for ratio, least, most in ((0.1, 0.0, 1e-3), (0.01, 0.01, 1.0)):
+        term = effect("extra_mode", "A1", "mass 2", **mode, damping_ratio=ratio)
+        found = simulate(model(short, term), record).experiments[0].position
+        assert least <= relative(found, truth.position) < most
+
+
+def test_the_time_offset_of_an_identification_acts_as_a_delay_of_the_torque() -> None:
+    late = dataclasses.replace(model(plant()), fit={"time_offset_s": {"A1.time_offset": {"value": 0.006}}})
+    by_fit = simulate(late, shaken()).experiments[0].position
+    by_effect = simulate(model(plant(), effect("torque_delay", "A1", delay=0.006)), shaken()).experiments[0]
+    np.testing.assert_array_equal(by_fit, by_effect.position)
+
+
+def test_what_a_simulation_with_a_gain_writes_is_what_it_would_be_given_again() -> None:
+    """Torque that keeps the plant in its place acts through the gain as the record's own does."""
+    scaled = model(plant(), effect("torque_gain", "A1", gain=1.5))
+    once = simulate(scaled, shaken(motion=0.2)).experiments[0]
+    again = simulate(scaled, recording(once.time, once.position, once.torque)).experiments[0]
+    assert relative(again.position, once.position) < 1e-3
+
+
+def test_static_friction_of_the_one_direction_does_not_act_in_the_other() -> None:
+    time = np.arange(round(1.0 * RATE)) / RATE
+    forward = recording(time, np.outer(time, [1.0, 1.0]), 0.1 * torque_at(time))
+    known = {
+        "coulomb_positive": 0.2, "coulomb_negative": 0.1, "viscous_positive": 0.0, "viscous_negative": 0.0,
+        "low_speed_velocity": 2.0,
+    }  # fmt: skip
+
+    def position(up: float, down: float) -> np.ndarray:
+        more = {**known, "low_speed_positive": up, "low_speed_negative": down}
+        found = simulate(model(plant(), effect("asymmetric_friction", "A1", "mass 1", **more)), forward)
+        assert (np.diff(found.experiments[0].position[:, 0]) > 0).all()
+        return found.experiments[0].position
+
+    np.testing.assert_array_equal(position(0.5, 0.0), position(0.5, 1.0))
+    assert np.abs(position(0.5, 0.0) - position(0.0, 0.0)).max() > 1e-6
+
+
 def test_dropped_samples_repeat_rows_at_the_rate_asked_for() -> None:
     time, truth = reference(plant(), nothing)
     term = effect("dropped_samples", "A1", fraction=0.1)

@@ -13,7 +13,7 @@ from invid.plan import make_plan
 from invid.plan.model import PlannedExperiment
 from invid.sweep import Event, Mode, Progress, Sample, Severity, Sweep
 from invid.sweep.holds import least_damping, master_hold, require_stable_p
-from invid.sweep.recorder import fill_gaps
+from invid.sweep.recorder import Recorder, fill_gaps
 from invid.sweep.trials import response
 from invid.sweep.watch import AxisLimits, Watch
 
@@ -196,8 +196,26 @@ def test_a_light_axis_is_shaken_less_so_that_it_stays_in_its_window() -> None:
     rows, error, sweep = run(cell)
     assert error is None
     assert len(rows.kept) == 1
-    assert any("scaled" in w for w in sweep.warnings)
+    said = [w for w in sweep.warnings if "the travel would be" in w]
+    assert said
+    for words in said:
+        foretold, scale = float(words.split("would be ")[1].split(",")[0]), float(words.rsplit(" ", 1)[1])
+        assert scale == pytest.approx(0.8 * 0.5 / foretold, abs=0.01)  # four fifths of the window
     assert furthest[0] < 0.5
+
+
+def test_an_axis_that_would_be_too_fast_is_shaken_less_so_that_it_stays_below_its_limit() -> None:
+    cfg, stop = config(count=1), threading.Event()
+    limits = cfg.axes[0].limits.model_copy(update={"velocity": 0.5, "position": 5.0})
+    cfg = cfg.model_copy(update={"axes": [cfg.axes[0].model_copy(update={"limits": limits})]})
+
+    def after_the_trials(progress: Progress) -> None:
+        if progress.phase.startswith("experiment"):
+            stop.set()
+
+    _, error, sweep = run(RigidCell((1.0,)), cfg, stop=stop, progress=after_the_trials)
+    assert "on request" in str(error)
+    assert any("velocity would be" in w and "limit 0.5" in w for w in sweep.warnings)
 
 
 FAULTS: list[tuple[str, Callable[[RigidCell, Sample], None], type[InvidError], str]] = [
@@ -282,7 +300,7 @@ def test_growing_motion_of_held_axes_is_called_an_unstable_hold() -> None:
     cell.disturb = after(17.0, grow)
     _, error, _ = run(cell, axes=["A2"], cfg=config(count=2, limits=""))
     assert isinstance(error, SafetyStop)
-    assert "unstable" in str(error) or "velocity" in str(error)
+    assert "unstable" in str(error)  # long before its velocity is beyond any limit
 
 
 def test_a_stop_on_request_fades_out_and_counts_as_a_safety_stop() -> None:
@@ -350,6 +368,52 @@ def test_a_pd_hold_gets_at_least_the_damping_that_keeps_an_undamped_structure_st
     assert gains.damping == pytest.approx(least_damping(1000, 0.001)) == pytest.approx(3.0)
 
 
+def test_less_damping_than_that_is_raised_to_it_whatever_the_config_says() -> None:
+    gains = master_hold(axis("mode: master_pd, gain: 1000, damping: 0.1"), 0.001)
+    assert gains is not None
+    assert gains.damping == pytest.approx(3.0)
+
+
+def test_a_drive_that_cannot_hold_is_held_by_the_master_and_a_push_dies_away() -> None:
+    cell = RigidCell()
+    cell.can_hold = (False, True)
+
+    def kick(c: RigidCell, s: Sample) -> None:
+        if 17.0 < s.time <= 17.0 + CYCLE:
+            c.v[0] += 0.1
+
+    cell.disturb = kick
+    rows, error, sweep = run(cell, axes=["A2"])
+    assert error is None
+    assert rows.kept[0][1][0] == pytest.approx(0.5 * 10 / 0.5)  # half its torque at the edge of its window
+    assert sweep.statistics.peak_travel is not None
+    assert sweep.statistics.peak_travel[0] > 0.01
+    assert abs(cell.x[0]) < 3e-3
+    assert abs(cell.v[0]) < 1e-2
+
+
+class LoadedCell(RigidCell):
+    """A drive that holds its axis shows the torque that this takes."""
+
+    def exchange(self, torque: Sequence[float]) -> Sample:
+        held = [m is Mode.HOLD for m in self.modes]
+        sample = super().exchange(torque)
+        sample.torque[:] = [
+            float(-p) if h else t for h, p, t in zip(held, self.push, sample.torque, strict=True)
+        ]
+        return sample
+
+
+def test_a_loaded_axis_does_not_sag_when_the_master_takes_over_from_its_drive() -> None:
+    cell, stop = LoadedCell((1.0, 2.0)), threading.Event()
+    cell.push[:] = -3.0
+    cell.disturb = after(0.7, lambda c, s: stop.set())
+    _, error, sweep = run(cell, config(axis=", gravity_loaded: true, brake: none"), stop=stop)
+    assert "on request" in str(error)
+    assert sweep.statistics.peak_travel is not None
+    assert sweep.statistics.peak_travel[0] < 0.02  # 3 N·m on 1 kg·m² for a fifth of a second would be 0.06
+
+
 def test_an_unstable_hold_is_refused_before_anything_is_enabled() -> None:
     cell = RigidCell()
     _, error, _ = run(cell, config(axis=", hold: {mode: master_p, gain: 100000}"))
@@ -366,16 +430,31 @@ def test_other_excitations_run_to_the_end(kinds: str) -> None:
     assert len(rows.kept) == 2
 
 
+class Places(Rows):
+    """A sink that keeps where the first axis was."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.seen: list[float] = []
+
+    def row(self, sample: Sample, demand: Sequence[float]) -> None:
+        super().row(sample, demand)
+        self.seen.append(sample.position[0])
+
+
 def test_a_constant_velocity_move_follows_its_path() -> None:
-    cell = RigidCell()
-    path: list[float] = []
-    cell.disturb = lambda c, s: path.append(s.position[0])
-    _rows, error, _ = run(
-        cell, config("{kind: constant_velocity, velocities: [0.2], travel: 0.4, axes: [A1]}")
+    cfg, sink = (
+        config("{kind: constant_velocity, velocities: [0.2], travel: 0.4, axes: [A1]}"),
+        Places(),
     )
-    assert error is None
-    assert max(path) == pytest.approx(0.2, abs=0.02)
-    assert min(path) == pytest.approx(-0.2, abs=0.02)
+    plan = make_plan(cfg)
+    Sweep(plan, cfg, RigidCell(), sink).run()
+    ((experiment, _, _),) = sink.kept
+    assert experiment.reference is not None
+    path = experiment.reference[experiment.record_from : experiment.record_to, 0]
+    assert path.max() == pytest.approx(0.2, abs=1e-6)
+    assert path.min() == pytest.approx(-0.2, abs=1e-6)
+    assert np.abs(np.array(sink.seen) - path).max() < 0.02  # at 0.2 rad/s a hold alone would lag by 0.045
 
 
 def test_gaps_are_filled_from_their_neighbours() -> None:
@@ -404,6 +483,57 @@ def test_a_torque_that_follows_late_is_not_taken_for_one_of_the_wrong_sign(late:
     )
     assert found.torque_slope == pytest.approx(sign, rel=0.05)
     assert found.mobility * sign > 5 * found.mobility_std
+
+
+def watched(position: float, torque: float, speed: float) -> None:
+    """Forty cycles of one axis with limits of 1 rad/s and 10 N·m (rated 20) at a torque and a speed."""
+    limits = AxisLimits("A1", 10.0, 1.0, 1.0, 1e-9, 20.0, "rad", "N·m")
+    watch = Watch([limits], cycle_s=CYCLE, missed_tpdos=5, overrun_cycles=5)
+    watch.start([0.0])
+    for slot in range(40):
+        at = position + speed * slot * CYCLE
+        watch.check(Sample(slot, slot * CYCLE, [at], [torque], [0x27], [True], []))
+
+
+def test_each_limit_stops_just_beyond_what_its_sensor_may_be_wrong_by() -> None:
+    watched(0.999, 11.5, 0.0)
+    watched(0.0, -11.5, -1.04)
+    with pytest.raises(SafetyStop, match="window"):
+        watched(1.001, 0.0, 0.0)
+    with pytest.raises(SafetyStop, match=r"torque 11\.7"):  # a tenth, and 3 % of the rated torque: 11.6
+        watched(0.0, -11.7, 0.0)
+    with pytest.raises(SafetyStop, match="velocity"):  # SYNC is known to a fifth of four cycles: 1.05
+        watched(0.0, 0.0, 1.06)
+
+
+class Written:
+    """What a recorder hands to its writer."""
+
+    def __init__(self) -> None:
+        self.blocks: list[tuple[np.ndarray, ...]] = []
+
+    def begin(self, **header: object) -> None:
+        pass
+
+    def append(self, *block: np.ndarray) -> None:
+        self.blocks.append(block)
+
+    def end(self) -> None:
+        pass
+
+
+def test_in_a_skipped_slot_the_drive_went_on_with_the_demand_before_it() -> None:
+    written = Written()
+    recorder = Recorder(lambda: written, CYCLE, 1)  # type: ignore[arg-type, return-value]
+    recorder.begin(make_plan(config()).experiments[0], [0.0], 1.0)
+    for slot in (0, 1, 2, 5, 6, 7):
+        recorder.row(Sample(slot, CYCLE * slot, [0.1 * slot], [0.0], [7], [True], []), [float(slot)])
+    recorder.end()
+    time, position, _, demand, _ = (np.concatenate(part) for part in zip(*written.blocks, strict=True))
+    assert time == pytest.approx(CYCLE * np.arange(8))
+    assert position[:, 0] == pytest.approx(0.1 * np.arange(8))
+    assert demand[:, 0].tolist() == [0, 1, 2, 2, 2, 5, 6, 7]
+    assert recorder.skipped == 2
 
 
 def test_samples_that_do_not_come_are_not_a_still_encoder() -> None:

@@ -291,4 +291,4 @@ def _add_drive_profile(
     add(0x60FF, 0, "i", "rw", 0, "rw")
     # torque profile, cyclic synchronous position, cyclic synchronous torque
     add(0x6502, 0, "I", "ro", (1 << 3) | (1 << 7) | (1 << 9))
-    od.add_record(0x3001, ("I", "ro", counts), ("I", "rw", 5000))  # a vendor's area: current limits in mA
+    od.add_record(0x3001, ("I", "ro", 3000), ("I", "rw", 5000))  # a vendor's area: current limits in mA
