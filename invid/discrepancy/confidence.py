@@ -8,6 +8,7 @@ import numpy as np
 
 from invid.arrays import Float64
 from invid.diagnosis import Alternative, Finding
+from invid.discrepancy.joint import JointFit
 from invid.discrepancy.missing_torque import NullTest, rms_torque
 from invid.discrepancy.selection import Selection
 from invid.discrepancy.terms import Term
@@ -43,6 +44,11 @@ SLOW = 400.0
 """χ² gain of dry friction below which a Stribeck effect is not excluded, where none was fitted: forty per
 cent more torque in the sixth of the time that is slow is a fortieth of dry friction's power, and 9 (3 σ) of
 that needs 400. On paper; no campaign counted it."""
+SPRING = (
+    "It may as well be a spring to ground, such as a hose or a cable: no constant torque comes with it. Move "
+    "the axis by some tens of degrees and measure again."
+)
+"""Said of a weight in balance, which the catalogue knows and a spring from a load to ground it does not."""
 STICKS = 0.4
 """Static friction over the Coulomb level, less one, from where on a Stribeck effect is one: as in SLOW."""
 
@@ -199,6 +205,10 @@ def _finding(selection: Selection, number: int, recording: Recording, explained:
     if sized(final.fit, at) is False:
         confidence = min(confidence, UNSIZED)
     sizes = final.fit.layout.structure.sizes
+    sentence = finding_sentence(effect, fraction, confidence, alternatives, sizes, recording.axes)
+    if _like_a_spring(final.fit, at):
+        confidence = min(confidence, CONTESTED)
+        sentence = f"{sentence} {SPRING}"
     return Finding(
         effect=effect,
         confidence=confidence,
@@ -207,8 +217,16 @@ def _finding(selection: Selection, number: int, recording: Recording, explained:
         fraction=fraction,
         alternatives=alternatives,
         separating_experiment=_separating(step.chosen.term, rivals, bool(alternatives)),
-        sentence=finding_sentence(effect, fraction, confidence, alternatives, sizes, recording.axes),
+        sentence=sentence,
     )
+
+
+def _like_a_spring(fit: JointFit, at: int) -> bool:
+    """Whether a weight hangs in balance, as far as the records tell: only stiffness, no constant torque."""
+    if fit.candidate.terms[at].effect.cause != "gravity":
+        return False
+    constant, std = float(fit.candidate.x[at][1]), float(np.sqrt(fit.covariance_of(at)[1, 1]))
+    return abs(constant) < 3.0 * std
 
 
 def _slow_friction(

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import erfinv
 
 from invid.arrays import Bool, Float64
 from invid.diagnosis import Diagnosis, Finding, Verdict
@@ -21,6 +22,8 @@ from invid.spectra import all_spectra
 
 FALSE_ALARM = 1e-4
 """Chance, over all axes, that repeated rows of a sound recording are called dropped."""
+NODES = np.sqrt(2.0) * erfinv(np.linspace(-0.975, 0.975, 40))
+"""Standard normal deviates of equal weight."""
 
 
 @dataclass(frozen=True)
@@ -36,10 +39,11 @@ def _repeats(e: Experiment, axis: int) -> tuple[Bool, Float64]:
     """(n − 1,) rows whose position and torque both repeat exactly, and how likely that is by chance.
 
     Chance: the product of how often each channel alone repeats nearby (quantised channels do), over
-    a second either side, which leaves out that both were lost together.
+    a second either side, which leaves out that both were lost together; or of how often they do where both
+    turn round, as those of a slow sinusoid do at once.
     """
-    same_p = np.diff(e.position[:, axis]) == 0
-    same_t = np.diff(e.torque[:, axis]) == 0
+    steps_p, steps_t = np.diff(e.position[:, axis]), np.diff(e.torque[:, axis])
+    same_p, same_t = steps_p == 0, steps_t == 0
     both: Bool = same_p & same_t
     window = max(min(int(e.sample_rate_hz), both.size // 4), 8)
     kernel = np.ones(window) / window
@@ -54,7 +58,26 @@ def _repeats(e: Experiment, axis: int) -> tuple[Bool, Float64]:
     p, t = near(same_p), near(same_t)
     # P(both) = P(p)·P(t) for independent channels, from P(p and not t) = P(p)(1 − P(t)) and so on.
     chance: Float64 = np.clip(p * t / np.maximum(1.0 - p - t + p * t, 1e-6) * (1 + p + t), 0.0, 1.0)
-    return both, chance
+    return both, np.maximum(chance, _slow(steps_p) * _slow(steps_t))
+
+
+def _slow(steps: Float64) -> Float64:
+    """(n − 1,) chance that a rounded signal repeats, from how fast it goes around each row and its noise.
+
+    Rounded to q, a signal that moves by d from row to row stays in its step with the chance 1 − |d|/q.
+    """
+    moved = np.abs(steps)
+    if not moved.any():
+        return np.ones_like(steps)
+    unit = float(moved[moved > 0].min())
+    slope = np.convolve(steps, np.array([1.0, 1.0, 0.0, 1.0, 1.0]) / 4.0, mode="same")
+    # Of white noise of variance v the bend has 5 v, of which rounding is q²/12; a step has 2 v.
+    bend = 1.4826 * float(np.median(np.abs(steps[1:-1] - 0.5 * (steps[:-2] + steps[2:]))))
+    spread = np.sqrt(2.0 * max(bend**2 / 5.0 - unit**2 / 12.0, 0.0))
+    out = np.zeros_like(steps)
+    for node in NODES:
+        out += np.clip(1.0 - np.abs(slope + spread * node) / unit, 0.0, 1.0) / NODES.size
+    return out
 
 
 def find_dropped(recording: Recording) -> list[Dropped]:

@@ -57,9 +57,9 @@ def last_mass(branch_sum: float, others: Float64) -> float:
     return branch_sum - float(np.sum(others))
 
 
-def inverse_end_mass(rows: LanczosRows, mass: float, stiffness: float) -> float:
+def inverse_end_mass(rows: LanczosRows, mass: float, stiffness: float) -> np.float64:
     """(M_c⁻¹)_ii = B²_{N−1,N} m_{N−1}/K²_{N−1} [1/(kg·m²) or 1/kg]: eq. 19 at the coupled mass."""
-    return float(rows.off_diagonal[-1] ** 2 * mass / stiffness**2)
+    return np.float64((rows.off_diagonal[-1] / np.float64(stiffness)) ** 2 * mass)
 
 
 def check_positive(masses: Float64, springs: Float64, *, axis: str) -> None:
