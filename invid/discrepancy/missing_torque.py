@@ -142,7 +142,8 @@ def _trending(e: Complex128, single: Float64) -> bool:
     white = e / np.sqrt(single)
     variance = float((np.abs(white) ** 2).sum() / (periods - 1))
     successive = float((np.abs(np.diff(white, axis=0)) ** 2).sum() / (2 * (periods - 1)))
-    return successive < 0.65 * variance or any(_steps(white, k, variance) for k in range(1, periods - 1))
+    # One period before would be any that has not settled.
+    return successive < 0.65 * variance or any(_steps(white, k, variance) for k in range(2, periods - 1))
 
 
 def _steps(white: Complex128, within: int, variance: float) -> bool:
