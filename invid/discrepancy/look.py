@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 from invid.arrays import Float64
@@ -55,6 +55,17 @@ def looked(recording: Recording, model: Model) -> Look:
     validation, all followed from period to period, the first period joins the training, for causes that
     change with time alone.
     """
+    look = _over_changes(recording, model)
+    fitted = {r.key for r in look.train} & {s.key for s in look.spectra if s.role is Role.VALIDATE}
+    told = [
+        f"experiment {key} is for validation, but a period of it was fitted: nothing else shows the machine "
+        "on that side of the change; the gain is measured on the rest"
+        for key in sorted(fitted)
+    ]
+    return replace(look, warnings=[*look.warnings, *told])
+
+
+def _over_changes(recording: Recording, model: Model) -> Look:
     look = _looked(recording, model)
     base = look.selection.base
     if look.selection.steps:
