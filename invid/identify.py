@@ -14,6 +14,7 @@ from invid.crosscheck import compared, missed_by_structure, second_route, widene
 from invid.errors import InputError, InvidError, NotIdentifiableError
 from invid.fewer import FewerExplain, said_of_fewer, with_fewer_masses
 from invid.frf import FrfMatrix, frf_matrix, local_frf_matrix
+from invid.glitches import without_glitches
 from invid.grounded import with_ground_springs
 from invid.identified import BEATEN, SUSPECT, paper_model, refined_model
 from invid.inverse import PaperResult, identify_paper, starts
@@ -79,13 +80,22 @@ def identify(
     NotIdentifiableError
         Data from which no such model can be drawn at all; an excitation that drowns in the noise.
     """
+    recording, told = without_glitches(recording)
+    model = _model(recording, masses, method, profile, (bootstrap, workers))
+    return replace(model, warnings=(*model.warnings, *told)) if told else model
+
+
+def _model(
+    recording: Recording, masses: Masses, method: Method, profile: bool, draws: tuple[int, int]
+) -> Model:
+    """Rigid inertias or chains, as the recording is."""
     if method == "refined" and _may_be_rigid(recording, masses):
         # Only here: the import takes seconds, which elastic identification need not pay.
         from invid.trajectory import identify_trajectory, is_rigid_case
 
         if is_rigid_case(recording, masses):
             return _rigid_or_chains(recording, masses, lambda: identify_trajectory(recording))
-    return _chains(recording, masses, method, profile, (bootstrap, workers))
+    return _chains(recording, masses, method, profile, draws)
 
 
 def _rigid_or_chains(recording: Recording, masses: Masses, rigid: Callable[[], Model]) -> Model:

@@ -19,11 +19,15 @@ from invid.discrepancy.missing_torque import null_test
 from invid.discrepancy.replayed import REFUSED, Replay, replay, with_replay
 from invid.effects.base import unit_of
 from invid.errors import InputError
+from invid.glitches import without_glitches
 from invid.model import Model, model_to_json
 from invid.recording.model import Recording
 
 CLEARLY = 0.1
 """Share of a hold from which it is worth a word that it acts inside the drive."""
+
+OF_GIVEN = "the model given, of its own recording: "
+"""Before what the identification of a model warned of that was drawn from other data."""
 
 
 def diagnose(
@@ -46,6 +50,15 @@ def diagnose(
     InputError, NotIdentifiableError
         Data from which no model can be drawn, or a model that does not fit the recording's axes.
     """
+    recording, told = without_glitches(recording)
+    result = _diagnosed(recording, model, masses)
+    return replace(result, warnings=tuple(dict.fromkeys([*result.warnings, *told]))) if told else result
+
+
+def _diagnosed(
+    recording: Recording, model: Model | None, masses: Sequence[int] | Literal["auto"] | None
+) -> Diagnosis:
+    """The diagnosis of a recording without glitches."""
     from invid.trajectory import diagnose_trajectory, is_rigid_case
 
     if is_rigid_case(recording, masses if model is None else model.chains.masses_per_branch):
@@ -57,6 +70,9 @@ def diagnose(
         from invid.identify import identify
 
         model = identify(sound, masses=masses)
+    elif model.provenance.get("recorded") != recording.created:
+        said = (w.removeprefix(OF_GIVEN) for w in model.warnings)
+        model = replace(model, warnings=tuple(f"{OF_GIVEN}{w}" for w in said))
     if model.axes != recording.axes:
         raise InputError(
             f"the model has the axes {list(model.axes)}, the recording {list(recording.axes)}; diagnose with "

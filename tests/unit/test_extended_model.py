@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import sys
 from pathlib import Path
@@ -16,6 +17,7 @@ from hidden.generator import make
 from invid.chains import CoupledChains
 from invid.diagnosis import Verdict
 from invid.discrepancy import diagnose
+from invid.discrepancy.diagnosing import OF_GIVEN
 from invid.discrepancy.given import given_effects, place_of, vector_of
 from invid.effects import CATALOGUE
 from invid.errors import InputError, ModelError
@@ -186,8 +188,11 @@ def test_friction_that_has_gone_since_comes_out_as_nothing_and_nothing_takes_its
     wrong = diagnose(recording).model
     nothing = make(None, seed=11, motors=1)[0]
     # the friction that the model carries is gone: it comes out as nothing, and no other cause in its stead
-    d = diagnose(nothing, model=wrong)
+    d = diagnose(nothing, model=dataclasses.replace(wrong, warnings=("axis A1 jammed",), provenance={}))
     assert d.verdict is Verdict.CONSISTENT
+    assert [w for w in d.warnings if "jammed" in w] == [f"{OF_GIVEN}axis A1 jammed"]
+    again = diagnose(nothing, model=d.model)
+    assert [w for w in again.warnings if "jammed" in w] == [f"{OF_GIVEN}axis A1 jammed"]
     assert abs(d.model.effects[0].value("torque")) < 0.1 * truth.effects[0].parameters["torque"]
 
 
