@@ -13,6 +13,12 @@ PRACTICAL = 0.02
 """Below it a change gets no interpretation: a tool change of interest exceeds about 2 % (a convention)."""
 
 
+HELD = (
+    "A change in brackets that is not new − old is the change with all other parameters held equal: the "
+    "errors of the values go together, so it is better known than they are."
+)
+
+
 def differing_number(value: float, std: float) -> str:
     """A number with as many decimals as its standard deviation has meaning (one digit of it)."""
     if not (std > 0 and math.isfinite(std)):
@@ -60,7 +66,16 @@ def sentences(c: Comparison, *, joint_alpha: float) -> tuple[str, ...]:
     ]
     if means:
         said.append(f"Compared are means: {' and '.join(means)}.")
+    if any(_sharper(x) for x in changed):
+        said.append(HELD)
     return tuple(said)
+
+
+def _sharper(c: Change) -> bool:
+    """Whether the change differs from new − old by more than its deviation: a reader will subtract."""
+    if c.old is None or c.new is None or c.difference is None or c.std is None:
+        return False
+    return abs(c.difference - (c.new.value - c.old.value)) > c.std
 
 
 def _one_of(separate: Sequence[Change]) -> list[str]:

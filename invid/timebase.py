@@ -108,7 +108,7 @@ def _bridge(values: Float64, first: int, last: int, gaps: list[tuple[int, int]],
     mean is put between the two ends.
     """
     count = values.shape[0]
-    at = np.arange(max(first - 1, 0), min(last + 1, count))  # with a sample on either side
+    at = np.arange(first - 1, last + 1)  # with a sample on either side
     shifts = [k * period for k in range(-(count // period), count // period + 1) if k] if period > 0 else []
     whole = [
         values[at + shift]

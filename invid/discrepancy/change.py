@@ -40,8 +40,8 @@ def between_records(selection: Selection) -> Selection:
         trials = [t for t in (_at_time(selection, gap) for gap in gaps) if t is not None]
         best = min(trials, key=lambda t: t.cost, default=None)
         if best is not None and best.cost < final.cost + HELD_OUT * final.dispersion:
-            steps = [replace(s, chosen=best) if s is selection.steps[-1] else s for s in selection.steps]
-            return replace(selection, final=best, steps=tuple(steps))
+            steps = (*selection.steps[:-1], replace(selection.steps[-1], chosen=best))
+            return replace(selection, final=best, steps=steps)
     return selection
 
 

@@ -200,14 +200,14 @@ def _finding(selection: Selection, number: int, recording: Recording, explained:
     total = sum(s.before.cost - s.chosen.cost for s in selection.steps)
     fraction = float(np.clip((step.before.cost - step.chosen.cost) / max(total, 1e-300), 0, 1)) * explained
     confidence = float(np.clip(share * (0.55 + 0.45 * _ramp(explained)), 0.01, 0.999))
-    if alternatives or final.cost > AT_FLOOR * final.dof:
+    like_a_spring = _like_a_spring(final.fit, at)
+    if alternatives or like_a_spring or final.cost > AT_FLOOR * final.dof:
         confidence = min(confidence, CONTESTED)
     if sized(final.fit, at) is False:
         confidence = min(confidence, UNSIZED)
     sizes = final.fit.layout.structure.sizes
     sentence = finding_sentence(effect, fraction, confidence, alternatives, sizes, recording.axes)
-    if _like_a_spring(final.fit, at):
-        confidence = min(confidence, CONTESTED)
+    if like_a_spring:
         sentence = f"{sentence} {SPRING}"
     return Finding(
         effect=effect,

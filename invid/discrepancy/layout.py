@@ -46,8 +46,7 @@ class Layout:
     @property
     def count(self) -> int:
         """n."""
-        at = self.smoothed_at
-        return int(at.stop)
+        return int(self.smoothed_at.stop)
 
     @property
     def stairs_at(self) -> slice:
@@ -130,9 +129,7 @@ def acting_of(
     w = record.omega
     delays, stairs = layout.lateness(p, record), layout.stairs(p)
     smear = (1.0 - np.sinc(w * record.step / 2 / np.pi))[:, None]
-    z = np.exp(-1j * w[:, None] * delays)
-    if record.command is None:
-        z = z * layout.unsmoothed(p, w)
+    z = np.exp(-1j * w[:, None] * delays) * layout.unsmoothed(p, w)
     factor = z * (1.0 - stairs * smear)
     by_hold = np.zeros((w.size, len(layout.holds)), dtype=complex)
     if record.command is None:
@@ -155,9 +152,12 @@ def acting_of(
     return acting, factor, z * (held - 1.0) * rest, by_hold
 
 
-def folded_of(record: Record, layout: Layout, p: Float64) -> Complex128:
-    """(F, M) displacement of the motors that the images of held torque fold onto the lines (``folding``)."""
-    structure, stairs = layout.structure, layout.stairs(p)
+def folded_of(record: Record, layout: Layout, p: Float64, inertance: Float64) -> Complex128:
+    """(F, M) displacement of the motors that the images of held torque fold onto the lines (``folding``).
+
+    ``inertance`` (M, M) is the plant's at ``p``.
+    """
+    stairs = layout.stairs(p)
     late = layout.lateness(p, record)
     if record.command is None:
         stepped = stairs * record.torque
@@ -165,7 +165,7 @@ def folded_of(record: Record, layout: Layout, p: Float64) -> Complex128:
     else:
         stepped = record.command + stairs * (record.torque - record.command)
     images = folded(record.omega, record.step, late) * stepped
-    result: Complex128 = images @ structure.inertance(p[: structure.count])
+    result: Complex128 = images @ inertance
     return result
 
 

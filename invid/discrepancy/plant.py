@@ -58,6 +58,7 @@ def views_of(layout: Layout, records: Sequence[Record], p: Float64) -> list[View
     structure = layout.structure
     sp = p[: structure.count]
     values = structure.physical(sp)
+    inertance = structure.inertance(sp)
     plants: dict[bytes, tuple[Complex128, Complex128, Complex128]] = {}
     out = []
     for record in records:
@@ -77,7 +78,7 @@ def views_of(layout: Layout, records: Sequence[Record], p: Float64) -> list[View
                 values[structure.slices["damper"]],
                 values[structure.slices["mass"]],
                 layout.origin,
-                np.einsum("fij,fj->fi", stiffness, folded_of(record, layout, p)),
+                np.einsum("fij,fj->fi", stiffness, folded_of(record, layout, p, inertance)),
             )
         )
     return out
@@ -222,10 +223,9 @@ def _linear_columns(
     for k, hold in enumerate(layout.holds):
         columns[:, hold.axis, at + k] = -by_hold[:, k] * passed[:, hold.axis]
     at += len(layout.holds)
-    if record.command is None:
-        sharper = -later / layout.unsmoothed(p, record.omega)  # jω where 1 + jωτ was
-        for k, i in enumerate(layout.smoothed):
-            columns[:, i, at + k] = sharper[:, i]
+    sharper = -later / layout.unsmoothed(p, record.omega)  # jω where 1 + jωτ was
+    for k, i in enumerate(layout.smoothed):
+        columns[:, i, at + k] = sharper[:, i]
     return columns, q
 
 

@@ -20,6 +20,11 @@ def spring_index(structure: ChainStructure, place: Place) -> int:
     return sum(n - 1 for n in structure.sizes[: place.axis]) + place.number - 1
 
 
+def largest(views: Sequence[View], place: Place) -> float:
+    """Largest deflection of a spring over all records."""
+    return max(float(np.abs(v.wave(place.pattern(v.structure))).max()) for v in views)
+
+
 class Backlash(Effect):
     """Spring and damper act on the part of the deflection beyond ±gap/2."""
 
@@ -66,8 +71,7 @@ class Backlash(Effect):
         return view.push(pattern) * force[:, None], -view.yields(pattern) * force[:, None]
 
     def beyond(self, views: Sequence[View], place: Place, x: Sequence[float]) -> bool:
-        most = max(float(np.abs(v.wave(place.pattern(v.structure))).max()) for v in views)
-        return bool(0.5 * np.exp(x[0]) >= most)
+        return bool(0.5 * np.exp(x[0]) >= largest(views, place))
 
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
         return {"gap": float(np.exp(x[0]))}

@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from invid.arrays import Float64
-from invid.effects.backlash import spring_index
+from invid.effects.backlash import largest, spring_index
 from invid.effects.base import ForceEffect
 from invid.effects.place import Place, spring_places
 from invid.effects.view import View
@@ -35,7 +35,7 @@ class CubicStiffness(ForceEffect):
         return view.wave(place.pattern(view.structure))[:, None] ** 3
 
     def beyond(self, views: Sequence[View], place: Place, x: Sequence[float]) -> bool:
-        most = max(float(np.abs(v.wave(place.pattern(v.structure))).max()) for v in views)
+        most = largest(views, place)
         # One that softens pulls back less and less; beyond here it would push.
         return bool(views[0].springs[spring_index(views[0].structure, place)] + x[0] * most**2 <= 0.0)
 

@@ -130,16 +130,24 @@ class MissingTorqueProblem:
     def states(self, p: Float64) -> list[State]:
         """Unwhitened quantities of every block."""
         plants: dict[bytes, tuple[Complex128, Complex128, Complex128]] = {}
+        sp = p[self.slices["structure"]]
+        inertance = self.structure.inertance(sp)
         out = []
         for block in self.blocks:
             key = block.omega.tobytes()
             if key not in plants:
-                plants[key] = condense_dense(self.structure, p[self.slices["structure"]], block.omega)
-            out.append(self._state(block, p, *plants[key]))
+                plants[key] = condense_dense(self.structure, sp, block.omega)
+            out.append(self._state(block, p, inertance, *plants[key]))
         return out
 
     def _state(
-        self, block: Block, p: Float64, motion: Complex128, stiffness: Complex128, inner: Complex128
+        self,
+        block: Block,
+        p: Float64,
+        inertance: Float64,
+        motion: Complex128,
+        stiffness: Complex128,
+        inner: Complex128,
     ) -> State:
         structure, s = self.structure, self.slices
         sp = p[s["structure"]]
@@ -148,7 +156,7 @@ class MissingTorqueProblem:
         factor = channel.factor
         effective = stiffness - _diagonal(channel.hold)
         residual = np.einsum("fij,fj->fi", effective, block.position) - factor * block.torque
-        residual = residual - np.einsum("fij,fj->fi", stiffness, channel.folded @ structure.inertance(sp))
+        residual = residual - np.einsum("fij,fj->fi", stiffness, channel.folded @ inertance)
         both = np.concatenate((effective, -_diagonal(factor)), axis=2)
         cross = block.covariance @ both.conj().transpose(0, 2, 1)  # C_nr (F, 2M, M)
         covariance = both @ cross

@@ -4,6 +4,7 @@ Ctrl-C. Judged on the drives themselves, not on what the master believes."""
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -52,6 +53,17 @@ def drives_of(cell: Cia402Cell) -> Any:
     return bus.cell.drives
 
 
+def without(cell: Cia402Cell, lost: Callable[[int], bool]) -> Callable[[float], Any]:
+    """The link's ``get`` when frames of some identifiers never reach the master."""
+    get = cell._link.get
+
+    def heard(timeout: float) -> Any:
+        message = get(timeout)
+        return None if message is not None and lost(message.arbitration_id) else message
+
+    return heard
+
+
 def running(cell: Cia402Cell) -> None:
     cell.check()
     cell.energise(held(cell))
@@ -79,15 +91,9 @@ def test_drives_that_are_off_are_not_called_on_because_their_answers_come_late(s
 def test_a_drive_whose_samples_are_lost_but_that_answers_is_switched_off_and_known_to_be() -> None:
     cell = simulated()
     drives = drives_of(cell)
-    get = cell._link.get
-
-    def no_samples(timeout: float) -> Any:
-        message = get(timeout)
-        return None if message is not None and message.arbitration_id == 0x181 else message
-
     try:
         running(cell)
-        cell._link.get = no_samples  # type: ignore[method-assign]
+        cell._link.get = without(cell, lambda cob: cob == 0x181)  # type: ignore[method-assign]
         cell.stop()
         assert {d.state.name for d in drives} <= OFF
         assert cell.not_off == ()
@@ -127,14 +133,8 @@ def test_a_silent_drive_that_hears_is_told_to_switch_off() -> None:
     """Nothing of it arrives any more, not even heartbeats; what is sent to it does."""
     cell = simulated()
     drives = drives_of(cell)
-    get = cell._link.get
-
-    def deaf(timeout: float) -> Any:
-        message = get(timeout)
-        return None if message is not None and message.arbitration_id & 0x7F == 1 else message
-
     running(cell)
-    cell._link.get = deaf  # type: ignore[method-assign]
+    cell._link.get = without(cell, lambda cob: cob & 0x7F == 1)  # type: ignore[method-assign]
     cell.stop()
     assert cell.not_off == ("A1",)
     assert {d.state.name for d in drives} <= OFF
@@ -296,16 +296,11 @@ def test_an_axis_that_says_nothing_for_three_samples_of_the_quick_stop_is_called
 def test_a_drive_whose_heartbeat_stays_away_is_reported_though_its_samples_come() -> None:
     cell = simulated()
     get = cell._link.get
-
-    def no_heartbeat(timeout: float) -> Any:
-        message = get(timeout)
-        return None if message is not None and message.arbitration_id == 0x701 else message
-
     try:
         running(cell)
         for _ in range(100):  # 0.2 s: two periods
             assert cell.exchange(zero(cell)).events == []
-        cell._link.get = no_heartbeat  # type: ignore[method-assign]
+        cell._link.get = without(cell, lambda cob: cob == 0x701)  # type: ignore[method-assign]
         events = [e for _ in range(300) for e in cell.exchange(zero(cell)).events]
     finally:
         cell._link.get = get  # type: ignore[method-assign]

@@ -16,6 +16,7 @@ from invid.chains import case_study
 from invid.compare import Status, compare
 from invid.compare_joint import Whitened, shares
 from invid.compare_repeat import repeatability
+from invid.compare_words import HELD
 from invid.model import ChainStd, Model, model_from_json, model_to_json, parameter_vector
 
 TRUTH = case_study(damping_ratio=0.01)
@@ -318,3 +319,13 @@ def test_no_parameter_pays_more_than_half_of_its_equal_share() -> None:
     # Independent and alike: all the same.
     white, _ = Whitened.of(np.zeros(3), np.eye(3))
     assert shares(white, 0.008, (1, 1)) == pytest.approx(np.full(3, 1 / 3))
+
+
+def test_who_subtracts_new_and_old_is_told_why_the_change_is_another_number() -> None:
+    rng = np.random.default_rng(14)
+    for correlation, told in ((0.97, True), (0.0, False)):
+        matrix = covariance(rng, relative=5e-2, correlation=correlation)
+        truth = VALUES.copy()
+        truth[NAMES.index("A2.mass.3")] *= 2.0
+        runs = [compare(drawn(rng, matrix), drawn(rng, matrix, truth)) for _ in range(10)]
+        assert any(HELD in r.sentences for r in runs) == told

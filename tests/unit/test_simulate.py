@@ -31,6 +31,16 @@ def plant() -> CoupledChains:
     )
 
 
+def with_and_without_a_mode(damping_ratio: float) -> tuple[CoupledChains, CoupledChains]:
+    """Two axes, the first with 0.3 kg·m² on 500 N·m/rad behind its load, and without."""
+    longer = CoupledChains.build(
+        [[1.0, 1.5, 0.3], [2.0, 3.0]],
+        [[800.0, 500.0], [1500.0]],
+        [[1.0, 2 * damping_ratio * np.sqrt(500 * 0.3)], [1.5]],
+    )
+    return longer, CoupledChains.build([[1.0, 1.5], [2.0, 3.0]], [[800.0], [1500.0]], [[1.0], [1.5]])
+
+
 def torque_at(t: np.ndarray, amplitude: float = 3.0) -> np.ndarray:
     phases = np.random.default_rng(3).uniform(0, 2 * np.pi, (2, LINES.size))
     angle = 2 * np.pi * LINES * np.asarray(t)[..., None, None] + phases
@@ -273,12 +283,7 @@ def test_sliding_springs_agree_with_an_independent_event_free_scheme(where: str)
 
 
 def test_an_extra_mode_is_the_plant_with_one_more_mass() -> None:
-    longer = CoupledChains.build(
-        [[1.0, 1.5, 0.3], [2.0, 3.0]],
-        [[800.0, 500.0], [1500.0]],
-        [[1.0, 2 * 0.01 * np.sqrt(500 * 0.3)], [1.5]],
-    )
-    short = CoupledChains.build([[1.0, 1.5], [2.0, 3.0]], [[800.0], [1500.0]], [[1.0], [1.5]])
+    longer, short = with_and_without_a_mode(0.01)
     time, truth = reference(longer, nothing)
     term = effect("extra_mode", "A1", "mass 2", mass=0.3, stiffness=500.0)
     answer = simulate(model(short, term), recording(time, truth, torque_at(time)))
@@ -399,12 +404,7 @@ def test_a_drift_goes_on_from_one_experiment_to_the_next(element: str, rate: flo
 
 
 def test_an_extra_mode_has_the_damping_that_its_effect_says() -> None:
-    longer = CoupledChains.build(
-        [[1.0, 1.5, 0.3], [2.0, 3.0]],
-        [[800.0, 500.0], [1500.0]],
-        [[1.0, 2 * 0.1 * np.sqrt(500 * 0.3)], [1.5]],
-    )
-    short = CoupledChains.build([[1.0, 1.5], [2.0, 3.0]], [[800.0], [1500.0]], [[1.0], [1.5]])
+    longer, short = with_and_without_a_mode(0.1)
     mode = {"mass": 0.3, "stiffness": 500.0}
     truth = simulate(model(longer), shaken()).experiments[0]
     record = recording(truth.time, truth.position, truth.torque)
