@@ -7,8 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from invid.discrepancy.joint import fit
+from invid.discrepancy.candidates import refitted, screened
+from invid.discrepancy.joint import JointFit, fit, held_out
 from invid.discrepancy.records import by_period
+from invid.discrepancy.screen import Screen, terms_for
 from invid.discrepancy.selection import Selection
 from invid.discrepancy.trial import HELD_OUT, Step, Trial, attempted
 from invid.effects.view import Record
@@ -17,6 +19,24 @@ from invid.recording.model import Recording
 NEAR = 0.25
 """Share of a period beyond its ends within which a change found may be one of that period. A guess; where
 there is a choice the records that are left decide."""
+
+
+LARGER_PART = 0.5
+"""Share of what is missing that a change with time must take where it is looked for because records that are
+kept out miss ``look.ALIKE`` times as much as those fitted: what those miss is their difference."""
+
+
+def changes_with_time(base: JointFit, held: Sequence[Record], *, linear_axes: bool) -> bool:
+    """Whether a cause that changes with time takes the larger part of what the records miss.
+
+    The whole search takes a minute where they differ for another reason, as their amplitude.
+    """
+    candidate, train = base.candidate, base.evaluation.records
+    every = terms_for(base.layout.structure, linear_axes=linear_axes, chosen=candidate.terms)
+    terms = [t for t in every if t.effect.family == "time"]
+    trials = refitted(base, train, held, screened(Screen(base), terms), 0.0, np.inf)
+    now = Trial(base, held_out(base, held))
+    return any(t.excess < (1.0 - LARGER_PART) * now.excess for t in trials)
 
 
 def between_records(selection: Selection) -> Selection:

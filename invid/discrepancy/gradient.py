@@ -31,7 +31,7 @@ def effect_columns(view: View, candidate: Candidate, extra: Complex128, columns:
     reference = at_(candidate) if inner else extra
     for number, (term, x) in enumerate(zip(candidate.terms, candidate.x, strict=True)):
         for k in range(x.size):
-            h = _step_of(term, x, k)
+            h = _step_of(view, term, x, k)
             moved = x.copy()
             moved[k] += h
             changed = Candidate(candidate.terms, (*candidate.x[:number], moved, *candidate.x[number + 1 :]))
@@ -48,7 +48,7 @@ def learn_answers(view: View, candidate: Candidate) -> None:
     for term, own in zip(candidate.terms, candidate.x, strict=True):
         more = own.copy()
         for k in range(own.size):
-            more[k] += _step_of(term, own, k)
+            more[k] += _step_of(view, term, own, k)
         x.append(more)
     learned(view, forces_of(view, candidate), forces_of(view, Candidate(candidate.terms, tuple(x))))
 
@@ -60,7 +60,7 @@ def jump_columns(
     for term, x in zip(candidate.terms, candidate.x, strict=True):
         for k in range(x.size):
             if isinstance(term.effect, ImpedanceEffect):
-                h = _step_of(term, x, k)
+                h = _step_of(view, term, x, k)
                 more = x.copy()
                 more[k] += h
                 one, two = (of_jumps(view, Candidate((term,), (own,)), moved)[0] @ jumps for own in (x, more))
@@ -87,13 +87,13 @@ def impedance_columns(
             columns[..., : view.structure.count] += view.push(pattern)[:, :, None] * force[:, None, :]
 
 
-def _step_of(term: Term, x: Float64, k: int) -> float:
+def _step_of(view: View, term: Term, x: Float64, k: int) -> float:
     """Step of a parameter for differences."""
     count = len(term.effect.coefficients)
     if k < count:
         size = float(np.abs(x[:count]).max())
         return 1e-4 * size if size > 0 else 1e-9
-    return 1e-4 * (1.0 if term.effect.logarithmic[k - count] else max(abs(float(x[k])), 1e-6))
+    return term.effect.difference(view, k - count, float(x[k]))
 
 
 def strong_inside(view: View, candidate: Candidate) -> bool:

@@ -7,8 +7,14 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from invid.arrays import Float64
-from invid.discrepancy.change import around_change, between_records, change_of, sooner
-from invid.discrepancy.joint import JointFit, fit
+from invid.discrepancy.change import (
+    around_change,
+    between_records,
+    change_of,
+    changes_with_time,
+    sooner,
+)
+from invid.discrepancy.joint import JointFit, fit, held_out
 from invid.discrepancy.linear import from_causes, linear_fit, start_of, tones_in, without_effects
 from invid.discrepancy.missing_torque import null_test
 from invid.discrepancy.moves import moves_of
@@ -16,6 +22,7 @@ from invid.discrepancy.records import split, with_sticking
 from invid.discrepancy.select import select
 from invid.discrepancy.selection import Selection
 from invid.discrepancy.tones import Tone, without_tones
+from invid.discrepancy.trial import Trial
 from invid.effects.view import Record
 from invid.errors import InputError
 from invid.model import Model
@@ -86,6 +93,10 @@ def _looked(recording: Recording, model: Model, *, spare: bool = True, apart: bo
     if tones:
         recording = without_tones(recording, tones)
         spectra, warnings, (base, free, train, held) = _begun(recording, model, spare, apart)
+    if apart and not changes_with_time(base, held, linear_axes=recording.linear):
+        nothing = Trial(base, held_out(base, held))
+        unchanged = Selection(nothing, nothing)
+        return Look(recording, model, spectra, tones, train, held, base, unchanged, warnings)
     search = partial(
         select,
         linear_axes=recording.linear,

@@ -297,7 +297,10 @@ def _step(
     dispersion = min(t.dispersion for t in trials)
     ranked = _ranked([(t, t.score(dispersion, rows)) for t in trials], asked.contested)
     best_of_all = ranked[0][0]
-    if not _accepted(current, best_of_all, dispersion, count, start, first=first, rejects=rejects):
+    quiet = not null_test(here.cost, here.dof, train).rejects
+    if not _accepted(
+        current, best_of_all, dispersion, count, start, first=first, rejects=rejects, quiet=quiet
+    ):
         return None, tuple(scores[:5])
     if best_of_all.term.effect.cause == "extra_mode":
         # A mode on one mass is nearly one on the next with another size, and a fit creeps along that.
@@ -366,13 +369,29 @@ def _late(layout: Layout, p: Float64, axis: int) -> bool:
 
 
 def _accepted(
-    current: Trial, trial: Trial, dispersion: float, count: int, start: Trial, *, first: bool, rejects: bool
+    current: Trial,
+    trial: Trial,
+    dispersion: float,
+    count: int,
+    start: Trial,
+    *,
+    first: bool,
+    rejects: bool,
+    quiet: bool,
 ) -> bool:
+    """Whether a cause is there; ``rejects``: all records ask for one, ``quiet``: the training does not."""
     gain = (current.fit.cost - trial.fit.cost) / dispersion
     held_gain = (current.held.cost - trial.held.cost) / dispersion
     needed = chi2_isf((SIGNIFICANCE if rejects else WEAK) / count, max(trial.term.size, 1))
     # Where there is no excess to explain every record counts: noise that was fitted costs on the held-out
     # ones what it gained, so the sum passes no more often than the gain of a fit to all of them.
+    if rejects and quiet and gain < needed:
+        # The held-out records show it, being of another amplitude: what little the training says of it takes
+        # nearly all that they miss, which a cause fitted to noise does not.
+        left = trial.held.cost - trial.held.dof
+        if left > (1.0 - NAMED_SHARE) * (current.held.cost - current.held.dof):
+            return False
+        gain += held_gain
     if (gain if rejects else gain + held_gain) < needed or held_gain < HELD_OUT:
         return False
     if trial.term.effect.is_null(trial.x.tolist()):

@@ -86,6 +86,10 @@ class Effect:
         """Bounds of the shapes, as they move; not bounded by default."""
         return [(-np.inf, np.inf)] * len(self.shapes)
 
+    def difference(self, view: View, shape: int, value: float) -> float:
+        """Step of a shape for a derivative by differences."""
+        return 1e-4 * (1.0 if self.logarithmic[shape] else max(abs(value), 1e-6))
+
     def basis(self, view: View, place: Place, shape: Sequence[float]) -> Complex128:
         """(F, M, L) contribution for each coefficient at one."""
         raise NotImplementedError

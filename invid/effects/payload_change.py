@@ -40,6 +40,10 @@ class PayloadChange(ImpedanceEffect):
     def limits(self, views: Sequence[View], place: Place) -> list[tuple[float, float]]:
         return [(min(v.record.start_time for v in views), max(v.record.end_time for v in views))]
 
+    def difference(self, view: View, shape: int, value: float) -> float:
+        # Not of the time itself: it may count from 1970.
+        return 1e-4 * (view.record.end_time - view.record.start_time)
+
     def impedance(self, view: View, place: Place, x: Sequence[float]) -> Complex128:
         out: Complex128 = (-(view.omega**2) * x[0] * view.record.after(float(x[1]))).astype(complex)
         return out

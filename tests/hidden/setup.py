@@ -105,6 +105,7 @@ def draw_setup(
     bits: int | None = None,
     moves: bool | None = None,
     validate: bool = True,
+    validate_level: float | None = None,
     torque_quantised: bool | None = None,
     drive: str | None = None,
     periods: int | None = None,
@@ -188,7 +189,9 @@ def draw_setup(
         add(Role.IDENTIFY, 0 if count == 1 else -1, rng.uniform(0.3, 0.5) * peak[:, None] * waves, lines)
     if validate:
         waves = _multisine(rng, lines, hz, period, count)
-        add(Role.VALIDATE, 0 if count == 1 else -1, rng.uniform(0.6, 0.8) * peak[:, None] * waves, lines)
+        level = rng.uniform(0.6, 0.8)
+        level = level if validate_level is None else validate_level
+        add(Role.VALIDATE, 0 if count == 1 else -1, level * peak[:, None] * waves, lines)
     moves = bool(rng.uniform() < 0.6) if moves is None else moves
     if moves:
         samples = int(rate * 12)

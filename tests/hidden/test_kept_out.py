@@ -1,0 +1,68 @@
+"""Records kept out show what those fitted hardly do: another amplitude, another load."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from invid.diagnosis import Verdict
+from invid.discrepancy import diagnose
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from hidden.generator import make
+
+
+def test_a_spring_that_stiffens_below_the_noise_of_the_training_is_named_by_what_is_kept_out() -> None:
+    """Its size is the training's all the same: no validation record enters a fit."""
+    recording, truth = make(
+        "cubic_stiffness", seed=0, motors=1, target_db=-8, validate_level=3.0, moves=False
+    )
+    found = diagnose(recording)
+    (named,) = found.findings
+    assert (named.effect.cause, named.effect.element) == ("cubic_stiffness", "spring 1")
+    size = named.effect.parameters["coefficient"]
+    assert size.std is not None
+    assert 0.1 * size.value < size.std  # what the validation would tell is far better
+    assert abs(size.value - truth.effects[0].parameters["coefficient"]) < 3 * size.std
+    assert named.confidence < 0.95
+    assert found.residual[0].after < 0.2 * found.residual[0].before
+
+
+def test_a_mechanism_outside_the_catalogue_at_three_times_the_amplitude_is_not_named() -> None:
+    recording, _ = make(
+        "power_drag", seed=3, motors=1, masses=(2,), target_db=-8, validate_level=3.0, moves=False, periods=2
+    )
+    found = diagnose(recording)
+    assert found.verdict in (Verdict.UNEXPLAINED, Verdict.PARTLY_EXPLAINED)
+    assert all(f.confidence < 0.9 for f in found.findings)
+
+
+def test_a_load_that_changed_between_the_fitted_and_the_kept_out_records_is_found() -> None:
+    """One period of the record kept out is fitted, and a warning says so: only it knows the other load."""
+    plain = {"seed": 1, "motors": 1, "masses": (2,), "moves": False, "periods": 2, "from_rest": False}
+    times = [(e.time[0], e.time[-1]) for e in make(None, **plain)[0].experiments]
+    between = 0.5 * (times[-2][1] + times[-1][0])
+    recording, _ = make("payload_change", (0, 2), {"mass": 7.8, "time": between}, **plain)
+    found = diagnose(recording)
+    (named,) = found.findings
+    assert named.effect.cause == "payload_change"
+    assert named.effect.value("mass") == pytest.approx(7.8, rel=0.01)
+    assert times[-2][1] <= named.effect.value("time") <= times[-1][0]
+    assert any("a period of it was fitted" in w for w in found.warnings)
+
+
+def test_a_load_that_changes_is_found_in_times_that_count_from_1970() -> None:
+    recording, truth = make(
+        "payload_change", seed=3, motors=1, masses=(2,), target_db=25, moves=False, periods=2, from_rest=False
+    )
+    epoch = 1.7e9
+    later = tuple(replace(e, time=e.time + epoch) for e in recording.experiments)
+    (named,) = diagnose(replace(recording, experiments=later)).findings
+    assert named.effect.cause == "payload_change"
+    assert named.effect.value("mass") == pytest.approx(truth.effects[0].parameters["mass"], rel=0.05)
+    time = named.effect.parameters["time"]
+    assert time.std is not None
+    assert abs(time.value - epoch - truth.effects[0].parameters["time"]) < 3 * time.std < 30.0
