@@ -7,7 +7,7 @@ of D·h/2, to first order. Where nothing tells which it is, the share that works
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +16,7 @@ from invid.arrays import Complex128, Float64
 from invid.model import Model
 from invid.recording.model import Recording
 from invid.refine.blocks import driven_and_held, hold_laws, hold_offset
+from invid.refine.holds import INSIDE
 from invid.refine.smooth_command import seen_hold
 from invid.spectra import LineSpectra
 
@@ -69,7 +70,7 @@ def holds_inside(
         # Without effects the identification may find a time that no hold has: an effect's doing.
         expected = share if SHARES[0] <= share <= SHARES[1] else 0.5
         out.append(HeldInside(i, stiffness, damping, expected, _working(recording, spectra, i)))
-    return tuple(out) + unseen_holds(spectra, model, recording)
+    return tuple(out) + unseen_holds(spectra, model, recording, {h.axis for h in out})
 
 
 def _working(recording: Recording, spectra: Sequence[LineSpectra], axis: int) -> frozenset[str]:
@@ -89,26 +90,38 @@ guess."""
 
 
 def unseen_holds(
-    spectra: Sequence[LineSpectra], model: Model, recording: Recording
+    spectra: Sequence[LineSpectra], model: Model, recording: Recording, seen: Collection[int] = ()
 ) -> tuple[HeldInside, ...]:
-    """Holds that work whenever their axis is recorded, so that no record shows them alone.
+    """Holds that no record shows alone: they work whenever their axis is recorded, or rest while others move.
 
-    Their gains are read off the command where that is smooth over frequency; else P is that of the recording
-    or, where the hold is inside the drive, as stiff as it may well be, and D that of a critically damped one.
+    ``seen``: axes of which a record shows it. Of the others those count whose hold the identification left
+    open or placed inside the drive. Their gains are read off the command where that is smooth over frequency;
+    else P is that of the recording or, where the hold is inside the drive, as stiff as it may well be, and D
+    that of a critically damped one.
     """
     out = []
     for i in range(recording.axis_count):
         held, declared = driven_hold(recording, i)
-        if not held or not all(s.driven[i] for s in spectra) or any(s.staircase[i] == 1.0 for s in spectra):
+        axis = recording.axes[i]
+        inside = str(model.fit.get("holds", {}).get(axis, "")).startswith(INSIDE)
+        always = all(s.driven[i] for s in spectra)
+        if i in seen or not (always or inside or axis in model.fit.get("hold_timing", {})):
+            continue
+        if not held or any(s.staircase[i] == 1.0 for s in spectra):
             continue
         total = float(model.chains.masses[i].sum())
         bound = total * (HOLD_BAND * _begins(spectra, i)) ** 2 if declared is None else declared
         law = (bound, 2.0 * float(np.sqrt(bound * total)))
-        if declared is None:
-            law = seen_hold(spectra, i) or law
+        read = seen_hold(spectra, i) if declared is None else None
+        if read is not None:
+            # P is told by the lowest lines alone, where chirps ripple; holds are damped by half and more.
+            law = max(read[0], read[1] ** 2 / total), read[1]
         # A gain that the file states is the master's, by the contract: held over the sample as its command.
         expected = 0.5 if declared is None else 0.0
         keys = _working(recording, spectra, i)
+        if read and inside:
+            out.append(HeldInside(i, *read, 1.0, keys))
+            continue
         out.append(HeldInside(i, law[0], 0.0, expected, keys))
         out.append(HeldInside(i, 0.0, law[1], expected, keys))
     return tuple(out)

@@ -248,7 +248,7 @@ def noise_of(view: View, factor: Complex128, candidate: Candidate | None = None)
     noise = record.noise
     for term, x in () if candidate is None else zip(candidate.terms, candidate.x, strict=True):
         position, torque = term.effect.noise_power(view, term.place, x.tolist())
-        if (position, torque) != (1.0, 1.0):
+        if np.any(position != 1.0) or np.any(torque != 1.0):
             noise = noise.copy()
             noise[:, term.place.axis] *= position
             noise[:, motors + term.place.axis] *= torque

@@ -107,8 +107,12 @@ class Effect:
         """−2 ln of the odds, before any data, that this cause sits here and not where it usually does."""
         return 0.0
 
-    def noise_power(self, view: View, place: Place, x: Sequence[float]) -> tuple[float, float]:
-        """What taking a sensor's fault out multiplies the noise powers of its position and torque by."""
+    def noise_power(
+        self, view: View, place: Place, x: Sequence[float]
+    ) -> tuple[float | Float64, float | Float64]:
+        """What the effect multiplies the noise powers of position and torque by, as numbers or (F,): taking a
+        sensor's fault out scales its noise, and an actuator that lets less torque through less of its noise.
+        """
         return 1.0, 1.0
 
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:

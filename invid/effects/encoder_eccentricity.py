@@ -58,7 +58,9 @@ class EncoderEccentricity(Effect):
         # Every coordinate moves as the motor does, not as it reads.
         return -view.stiffness[:, :, place.axis] * error, -view.motion[:, :, place.axis] * error
 
-    def noise_power(self, view: View, place: Place, x: Sequence[float]) -> tuple[float, float]:
+    def noise_power(
+        self, view: View, place: Place, x: Sequence[float]
+    ) -> tuple[float | Float64, float | Float64]:
         true = _true(view.record.motor_wave[:, place.axis], x)
         # d(true)/d(reading): on a small motion the swing is a scale of the encoder, of its noise as well.
         return float(np.mean((1.0 + x[0] * np.cos(true) - x[1] * np.sin(true)) ** -2)), 1.0

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from invid.arrays import Complex128
+from invid.arrays import Complex128, Float64
 from invid.effects.base import Effect
 from invid.effects.place import Place, axis_places
 from invid.effects.view import View
@@ -84,6 +84,12 @@ class TorqueLag(ActuatorEffect):
     def response(self, view: View, place: Place, x: Sequence[float]) -> Complex128:
         out: Complex128 = 1.0 / (1.0 + 1j * view.omega * np.exp(x[0]))
         return out
+
+    def noise_power(
+        self, view: View, place: Place, x: Sequence[float]
+    ) -> tuple[float | Float64, float | Float64]:
+        # Or a lag that takes the torque's noise away would look like one that explains it.
+        return 1.0, np.abs(self.response(view, place, x)) ** 2
 
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
         return {"time_constant": float(np.exp(x[0]))}

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from invid.arrays import Complex128
+from invid.arrays import Complex128, Float64
 from invid.effects.base import Effect
 from invid.effects.place import Place, axis_places
 from invid.effects.view import View
@@ -36,7 +36,9 @@ class TorqueGain(Effect):
         out[:, place.axis, 0] = -view.acting[:, place.axis]
         return out
 
-    def noise_power(self, view: View, place: Place, x: Sequence[float]) -> tuple[float, float]:
+    def noise_power(
+        self, view: View, place: Place, x: Sequence[float]
+    ) -> tuple[float | Float64, float | Float64]:
         return 1.0, (1.0 + x[0]) ** 2
 
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:

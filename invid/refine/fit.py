@@ -117,7 +117,7 @@ def fit_structure(
             problem, solution, excess = _weighted(plain, again, base)
         problem, solution, excess = _drop_coulomb(problem, solution, base, excess)
         problem, solution = with_reversal_lags(problem, solution)
-    problem, solution, open_holds = with_open_holds(problem, solution, spectra, holds)
+    problem, solution, open_holds, early = with_open_holds(problem, solution, spectra, holds)
     free = physical_covariance(problem, solution)
     problem, solution = _physical(problem, solution)
     covariance = physical_covariance(problem, solution)
@@ -139,7 +139,7 @@ def fit_structure(
         noise_chi2,
         noise_cost,
         explained,
-        {**_facts(problem, solution, excess), "holds": holds, "hold_timing": timing},
+        {**_facts(problem, solution, excess), "holds": {**holds, **early}, "hold_timing": timing},
     )
 
 

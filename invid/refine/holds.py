@@ -23,6 +23,8 @@ from invid.refine.smooth_command import seen_hold
 from invid.refine.solver import Solution, gauss_newton
 from invid.spectra import LineSpectra
 
+INSIDE = "inside the drive"
+"""How the statement begins that a hold acts before its command."""
 OPEN = (".open_hold.stiffness", ".open_hold.damping")
 """Endings of the names of the gains of a hold of which nothing tells where it works."""
 
@@ -93,7 +95,7 @@ def placed_holds(
             for new, old in zip(blocks, problem.blocks, strict=True)
         )
         if within < tight and 0.0 < common < 0.55 * step:
-            found, text = known(-common, common_error), f"inside the drive, {common:.3g} s before the command"
+            found, text = known(-common, common_error), f"{INSIDE}, {common:.3g} s before the command"
         else:
             found, text = known(-step / 4, step / 4), "open: inside the drive or held over the sample"
         freed = replace(problem, blocks=blocks, priors={**problem.priors, **found})
@@ -109,7 +111,7 @@ def with_open_holds(
     solution: Solution,
     spectra: Sequence[LineSpectra],
     placed: Collection[str],
-) -> tuple[MissingTorqueProblem, Solution, tuple[str, ...]]:
+) -> tuple[MissingTorqueProblem, Solution, tuple[str, ...], dict[str, str]]:
     """The problem with the hold of each axis in the fit whose place is unknown while the axis is driven.
 
     A hold −(P + jωD)θ inside the drive acts half a sample before one that is held over the sample with
@@ -120,7 +122,9 @@ def with_open_holds(
     somewhere between nothing (held over the sample) and the whole gain (inside the drive), so that every
     parameter's standard deviation contains what they may cost. All axes are asked together: the holds of a
     cell run in its drives or in its master, and friction too small on two axes speaks for the third
-    (``sampled_together``); an axis whose friction stands out of its error stays open.
+    (``sampled_together``); an axis whose friction stands out of its error stays open. Where it is on several
+    axes what their holds make of it by acting earlier, by one time alike, they run in the drives
+    (``early_together``), and their gains count whole.
 
     Both gains are read off the command where that is smooth over frequency (``smooth_command``), also
     where the recording says that the axis is free. Otherwise P is that of the recording, or bounded by
@@ -130,8 +134,10 @@ def with_open_holds(
     structure = problem.structure
     values, spread = structure.physical(solution.p[: structure.count]), spread_of(solution)
     first = structure.slices["viscous"].start
+    step = 1.0 / spectra[0].sample_rate_hz
     at = {name: k for k, name in enumerate(problem.names)}
     laws: dict[int, tuple[float, float]] = {}
+    seen: set[int] = set()
     rubs: dict[int, tuple[float, float, float]] = {}
     for i, (dof, size) in enumerate(zip(structure.motor_dofs, structure.sizes, strict=True)):
         known = any(s.staircase[i] == 1.0 or s.hold_torque is not None for s in spectra)
@@ -150,11 +156,14 @@ def with_open_holds(
             if gain <= 0:
                 continue
             law = gain, 2.0 * float(np.sqrt(gain * values[dof : dof + size].sum()))
+        else:
+            seen.add(i)
         laws[i] = law
         rubs[i] = friction, error, law[0] * half
     together = sampled_together(list(rubs.values()))
     gains: dict[int, tuple[float, float]] = {}
     shares: dict[int, float] = {}
+    common = early_together([rubs[i] for i in rubs if i in seen])
     for i, (friction, error, whole) in rubs.items():
         # Where it acts, the hold's P makes friction of at most what there is: it bounds the share of the
         # half sample. Below a half of it, friction that does not stand out of its error speaks for none.
@@ -162,15 +171,17 @@ def with_open_holds(
         if friction < 3.0 * error and (together or share < 0.5):
             continue
         gains[i] = laws[i]
-        shares[i] = share
+        shares[i] = share if common is None or i not in seen else common[0]
     if not gains:
-        return problem, solution, ()
+        return problem, solution, (), {}
     names: list[str] = []
     priors: dict[str, tuple[float, float]] = {}
     for i, law in gains.items():
         for ending, gain in zip(OPEN, law, strict=True):
             names.append(structure.axes[i] + ending)
-            priors[names[-1]] = (gain / 2, gain / 2)
+            priors[names[-1]] = gain / 2, gain / 2
+            if common is not None and i in seen:
+                priors[names[-1]] = gain, gain * common[1] / common[0]
     columns = []
     for block, s in zip(problem.blocks, spectra, strict=True):
         part = np.zeros((block.omega.size, structure.motors, len(names)), dtype=complex)
@@ -188,7 +199,31 @@ def with_open_holds(
     larger = with_columns(problem, columns, (*problem.column_names, *names))
     larger = replace(larger, priors={**problem.priors, **priors})
     found = gauss_newton(larger, carried(problem, solution.p, larger))
-    return larger, found, tuple(structure.axes[i] for i in gains)
+    inside = {i for i in gains if common and i in seen}
+    text = f"{INSIDE}, {common[0] * step / 2:.3g} s before the command" if common else ""
+    return (
+        larger,
+        found,
+        tuple(structure.axes[i] for i in gains if i not in inside),
+        {structure.axes[i]: text for i in inside},
+    )
+
+
+def early_together(axes: Sequence[tuple[float, float, float]]) -> tuple[float, float] | None:
+    """Share of half a sample by which holds act early on all axes alike, with its standard deviation.
+
+    ``axes`` as in ``sampled_together``. ``None`` of a single axis, where friction is not the same share of
+    P·h/2 on all of them (wrong once in 370), where it is no more than its error, or more than holds make.
+    """
+    if len(axes) < 2 or any(error <= 0 for _, error, _ in axes):
+        return None
+    friction, error, whole = np.array(axes).T
+    weight = float(np.sum((whole / error) ** 2))
+    share, std = float(np.sum(friction * whole / error**2)) / weight, 1.0 / float(np.sqrt(weight))
+    apart = float(np.sum(((friction - share * whole) / error) ** 2))
+    if apart > chi2_isf(0.0027, len(axes) - 1) or share < 3.0 * std or share > 1.0 + 3.0 * std:
+        return None
+    return share, std
 
 
 def sampled_together(axes: Sequence[tuple[float, float, float]]) -> bool:
