@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
@@ -41,21 +41,28 @@ def screened(screen: Screen, terms: Sequence[Term]) -> list[Score]:
     return polished
 
 
+def any_gain(_: Term) -> float:
+    """No least gain."""
+    return 0.0
+
+
 def refitted(
     here: JointFit,
     train: Sequence[Record],
     held: Sequence[Record],
     scores: Sequence[Score],
-    least: float,
+    least: Callable[[Term], float],
     reached: float,
 ) -> list[Trial]:
-    """Joint fits of the best screened; ``least``: training gain below which none is accepted, ``reached``:
-    what others came to."""
+    """Joint fits of the best screened; ``least``: training gain below which a cause is not accepted,
+    ``reached``: what others came to."""
     trials: list[Trial] = []
     for s in scores[:REFITTED]:
         # Far from what the best could reach, or from what would be accepted: no refit.
-        if s.gain < 0.05 * scores[0].gain or REACH * s.gain < least:
+        if s.gain < 0.05 * scores[0].gain:
             break
+        if REACH * s.gain < least(s.term):
+            continue
         trial = attempted(partial(_joined, here, train, s, reached), held)
         if trial is not None and not at_bound(trial) and not is_smaller_model(trial):
             trials.append(trial)
@@ -84,7 +91,7 @@ def with_those_from(
     if there is None:
         return list(trials)
     scores = [s for s in screened(Screen(there.fit), terms) if s.term.effect.cause != "torque_delay"]
-    others = refitted(there.fit, train, held, scores, 0.0, best)
+    others = refitted(there.fit, train, held, scores, any_gain, best)
     if not others:
         return list(trials)
     # Where the linear parameters alone gain more than the cause, it is no cause's doing.

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from invid.discrepancy.candidates import refitted, screened
+from invid.discrepancy.candidates import any_gain, refitted, screened
 from invid.discrepancy.joint import JointFit, fit, held_out
 from invid.discrepancy.records import by_period
 from invid.discrepancy.screen import Screen, terms_for
@@ -34,7 +34,7 @@ def changes_with_time(base: JointFit, held: Sequence[Record], *, linear_axes: bo
     candidate, train = base.candidate, base.evaluation.records
     every = terms_for(base.layout.structure, linear_axes=linear_axes, chosen=candidate.terms)
     terms = [t for t in every if t.effect.family == "time"]
-    trials = refitted(base, train, held, screened(Screen(base), terms), 0.0, np.inf)
+    trials = refitted(base, train, held, screened(Screen(base), terms), any_gain, np.inf)
     now = Trial(base, held_out(base, held))
     return any(t.excess < (1.0 - LARGER_PART) * now.excess for t in trials)
 

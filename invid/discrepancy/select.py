@@ -19,7 +19,7 @@ from invid.discrepancy.moves import Move, judged_on_moves
 from invid.discrepancy.rounding import rounded
 from invid.discrepancy.screen import Score, Screen, terms_for
 from invid.discrepancy.selection import Selection
-from invid.discrepancy.terms import Candidate
+from invid.discrepancy.terms import Candidate, Term
 from invid.discrepancy.trial import (
     CLOSE,
     HELD_OUT,
@@ -29,6 +29,7 @@ from invid.discrepancy.trial import (
     Trial,
     at_bound,
     attempted,
+    excess_in,
     extends,
     sized,
 )
@@ -41,20 +42,23 @@ SIGNIFICANCE = 1e-3
 """Chance, over all candidates together, that noise passes the training gain; the held-out gain must pass as
 well, so a false alarm by selection is rarer than the null test's 1 %."""
 REMAINDER = 0.25
-"""A further cause must remove this share of what the first left beyond noise. Empirical (hidden plants): an
-imperfect model of a strong first cause leaves a per cent of it, of which other causes fit some."""
+"""A further cause must remove this share of what the first left beyond noise on its own axes. Empirical
+(hidden plants): an imperfect model of a strong first cause leaves a per cent of it, of which other causes fit
+some."""
 NAMED_SHARE = 0.9
 """A further cause that takes this share of what is left and reaches the noise is there, however small beside
 the first: what an imperfect model of the first leaves has no such law. A guess, no campaign counted it."""
 SHARE = 0.05
 """A further cause that does not bring χ²/ν below CLOSE must remove this share of the first excess. Empirical:
-on the flexible bench ripples of 2 % were named otherwise with a phase known to ten radians."""
+on the flexible bench ripples of 2 % were named otherwise with a phase known to ten radians. Of the excess in
+motion: a constant torque, as a robot arm's weight, is a thousand times all friction, and leaves nothing."""
 REACHED = 2.0
 """χ²/ν up to which NAMED_SHARE counts: at the noise as far as causes go whose own models are right to a few
 per mille. As in ``trust``; a hidden pair (800704) has 1.46 at its true parameters."""
 MODE = 150
 """Iterations for a mode moved to another mass of its axis; 20 left it at χ² 2036, 150 at 2003 (830051)."""
 MOST = 3
+"""Causes sought at most, or two an axis if that is more: a weight and dry friction on each."""
 
 
 def _rejects(trial: Trial, records: Sequence[Record]) -> bool:
@@ -178,7 +182,8 @@ def _search(base: JointFit, train: Sequence[Record], held: Sequence[Record], ask
 def _added(found: Selection, train: Sequence[Record], held: Sequence[Record], asked: _Asked) -> Selection:
     """Causes added one by one to those found."""
     start, current, steps, rejected = found.base, found.final, list(found.steps), found.rejected
-    while len(steps) < MOST:
+    most = max(MOST, 2 * start.fit.layout.structure.motors)
+    while len(steps) < most:
         rejects = _rejects(current, [*train, *held])
         if steps and not rejects:
             break  # what the causes leave is noise; what else fits it says how imperfect their models are
@@ -268,8 +273,12 @@ def _step(
         for s in scores
         if s.term.effect.cause != "torque_delay" and (s.term.effect.cause, s.term.place) not in tried
     ]
-    least = _least_gain(here, current, count, first=first)
-    least = max([least, *(here.cost - t.fit.cost for t in known)])  # a rival takes as much
+    # A rival of those known takes as much.
+    known_gain = max((here.cost - t.fit.cost for t in known), default=0.0)
+
+    def least(term: Term) -> float:
+        return max(_least_gain(here, term, count, first=first), known_gain)
+
     reached = min((t.fit.cost for t in trials), default=np.inf)
     trials += refitted(here, train, held, scores, least, reached)
     if first and rejects and asked.start is not None and not known:
@@ -341,12 +350,17 @@ def _ranked(scored: Sequence[tuple[Trial, float]], contested: frozenset[int]) ->
     return [(t, s) for t, s, _ in sorted(moved, key=lambda one: one[1:])]
 
 
-def _least_gain(here: JointFit, current: Trial, count: int, *, first: bool) -> float:
-    """Gain of training χ² below which no cause can be accepted."""
+def _least_gain(here: JointFit, term: Term, count: int, *, first: bool) -> float:
+    """Gain of training χ² below which a cause cannot be accepted."""
     significant = chi2_isf(SIGNIFICANCE / count, 1)
     if first:
         return significant
-    return max(significant, REMAINDER * max(here.cost - here.dof, 0.0))
+    return max(significant, REMAINDER * excess_in(here.evaluation, _axes(term.place)))
+
+
+def _axes(place: Place) -> set[int]:
+    """The axes that a cause is between, or sits on."""
+    return {place.axis} if place.other < 0 else {place.axis, place.other}
 
 
 def _rounded(trial: Trial, current: Trial, train: Sequence[Record], held: Sequence[Record]) -> Trial:
@@ -399,7 +413,7 @@ def _accepted(
     if first:
         return True
     excess, gained = current.excess, current.cost - trial.cost
-    if gained < REMAINDER * max(excess, 0.0):
+    if gained < REMAINDER * current.excess_on(_axes(trial.term.place)):
         return False
     # Where the model stays far from the noise, what little a further cause removes may be any cause's.
     if trial.cost < REACHED * trial.dof and gained > NAMED_SHARE * excess:
@@ -407,4 +421,4 @@ def _accepted(
     reached = trial.cost < CLOSE * trial.dof
     # What an imperfect model of the first cause leaves was up to 0.3 % of it on hidden plants.
     share = 0.01 if reached else SHARE
-    return gained > share * max(start.excess, 0.0)
+    return gained > share * start.excess_in_motion
