@@ -139,6 +139,11 @@ def delays(
     return out
 
 
+MORE_THAN_HELD = 1.2
+"""Share held over the sample above which something else takes the torque's amplitude; its bound is 1.5. A
+guess."""
+
+
 def lags(
     here: JointFit,
     train: Sequence[Record],
@@ -146,15 +151,22 @@ def lags(
     delays: Sequence[Trial],
     terms: Sequence[Term],
 ) -> list[Trial]:
-    """A lag beside every delay, as late: with another cause still missing the screen may not see it, and
-    then the delay would stand without its nearest rival."""
+    """Lags that the screen may not see.
+
+    One beside every delay, as late: with another cause still missing the delay would stand without its nearest
+    rival. And one where the torque loses more amplitude with frequency than holding it over the sample takes:
+    the share held makes up for that until it stands at its bound, and would have to fall for the lag.
+    """
+    starts = {d.term.place.axis: abs(float(d.x[0])) for d in delays}
+    for i, share in enumerate(here.layout.stairs(here.p)):
+        if share > MORE_THAN_HELD:  # as much amplitude as the rest takes
+            starts.setdefault(i, here.layout.step * float(np.sqrt((share - 1.0) / 12.0)))
     out = []
-    for delay in delays:
-        late = abs(float(delay.x[0]))
-        for term in terms:
-            if term.effect.cause != "torque_lag" or term.place.axis != delay.term.place.axis or not late:
-                continue
-            trial = attempted(partial(refit, here, train, term, np.array([np.log(late)]), 20), held)
-            if trial is not None and not at_bound(trial):
-                out.append(trial)
+    for term in terms:
+        late = starts.get(term.place.axis, 0.0) if term.effect.cause == "torque_lag" else 0.0
+        if not late:
+            continue
+        trial = attempted(partial(refit, here, train, term, np.array([np.log(late)]), 20), held)
+        if trial is not None and not at_bound(trial):
+            out.append(trial)
     return out
