@@ -33,11 +33,32 @@ def check_plausible(recording: Recording, spectra: Sequence[LineSpectra]) -> Non
         # A late torque turns the phase as well, but not where frequencies are low.
         lowest = all(own[0] < 0 for own in slopes if own.size)
         if every.size >= SEEN and lowest and np.mean(every < 0) > AGAINST:
-            raise InputError(
+            said = (
                 f"{recording.source}: torque and position of axis {axis} have opposite signs: its reactance "
                 f"falls with frequency in {int((every < 0).sum())} of {every.size} stretches of lines, and "
-                "that of a machine rises (Foster). Turn one of the two round (in an import map: sign: -1)"
+                "that of a machine rises (Foster). "
             )
+            other = _shaken_instead(spectra, i)
+            if other is None:
+                raise InputError(said + "Turn one of the two round (in an import map: sign: -1)")
+            raise InputError(
+                f"{said}So it is where an axis is held: the experiments that name it as excited_axis shake "
+                f"{recording.axes[other]} more; see that they name the axis that was shaken"
+            )
+
+
+def _shaken_instead(spectra: Sequence[LineSpectra], axis: int) -> int | None:
+    """Another axis that moves more in every record that names ``axis`` than in those that name itself."""
+    moved = {
+        j: [float(np.sum(np.abs(s.position[s.excited, j]) ** 2)) for s in spectra if s.driven[axis]]
+        for j in range(spectra[0].axis_count)
+        if j != axis
+    }
+    for j, here in moved.items():
+        own = [float(np.sum(np.abs(s.position[s.excited, j]) ** 2)) for s in spectra if s.driven[j]]
+        if here and own and min(here) > max(own):
+            return j
+    return None
 
 
 def _slopes(s: LineSpectra, axis: int) -> Float64:

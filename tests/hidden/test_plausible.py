@@ -34,3 +34,27 @@ def test_an_axis_that_never_moves_is_named() -> None:
     still = _changed(recording, lambda e: replace(e, position=np.zeros_like(e.position)))
     with pytest.raises(InputError, match=f"position of axis {truth.chains.axes[0]} never changes"):
         identify(still)
+
+
+def _with_spring_holds(recording: Recording) -> Recording:
+    """Torque of the axes that are not shaken as a stiff hold records it, spread over the lines."""
+
+    def held(e: Experiment) -> Experiment:
+        torque = e.torque.copy()
+        others = [i for i in range(recording.axis_count) if i != e.excited_axis]
+        torque[:, others] = -1e3 * e.position[:, others]
+        return replace(e, torque=torque, torque_demand=None)
+
+    return _changed(recording, held)
+
+
+def test_experiments_that_name_the_wrong_axis_are_told_from_torque_of_the_wrong_sign() -> None:
+    recording, truth = make(None, seed=4, motors=2, masses=(2, 2), from_rest=False, moves=False, noise=1e-3)
+    alone = _with_spring_holds(
+        replace(recording, experiments=tuple(e for e in recording.experiments if e.excited_axis >= 0))
+    )
+    assert alone.experiments
+    swapped = _changed(alone, lambda e: replace(e, excited_axis=1 - e.excited_axis))
+    second = truth.chains.axes[1]
+    with pytest.raises(InputError, match=f"name it as excited_axis shake {second} more"):
+        check_plausible(swapped, all_spectra(swapped))
