@@ -46,7 +46,8 @@ def linear_fit(
     """The model, with the effects it came with, fitted to the training records, its parameters with unbounded
     time offsets, and the records with their scatter.
 
-    ``apart``: every record is followed from period to period, the first that is held out joins the training.
+    ``apart``: every record is followed from period to period, the first that is held out joins the training;
+    nothing is a tone then.
     """
     chains = model.chains
     grounded = tuple(int(i) for i in np.flatnonzero(chains.ground_springs > 0))
@@ -71,7 +72,7 @@ def linear_fit(
     held = with_scatter(held, spectra, layout, first.p)
     keys = [r.key for r in (*train, *held)] if apart else changing([*train, *held])
     # A tone that repeats with no period looks like a change from one to the next.
-    if keys and not tones_in(first, held, spectra):
+    if keys and (apart or not tones_in(first, held, spectra)):
         train, held = by_period(recording, train, keys), by_period(recording, held, keys)
         if apart and len(held) > 1 and held[0].alone:
             train, held = [*train, held[0]], held[1:]

@@ -22,7 +22,7 @@ from invid.discrepancy.records import split, with_sticking
 from invid.discrepancy.select import select
 from invid.discrepancy.selection import Selection
 from invid.discrepancy.tones import Tone, without_tones
-from invid.discrepancy.trial import Trial
+from invid.discrepancy.trial import CLOSE, Trial
 from invid.effects.view import Record
 from invid.errors import InputError
 from invid.model import Model
@@ -60,7 +60,8 @@ def looked(recording: Recording, model: Model) -> Look:
     What is kept out may have been measured after a change: the training is free of it, and little or nothing
     there says what it was. Then each record without a role keeps a part of its own out; of records for
     validation, all followed from period to period, the first period joins the training, for causes that
-    change with time alone.
+    change with time alone. Or it moves less than the others and shows nothing of what they do, a torque limit
+    that it stays below: then it cannot be asked, and a part of each of the others is kept out as well.
     """
     look = _over_changes(recording, model)
     fitted = {r.key for r in look.train} & {s.key for s in look.spectra if s.role is Role.VALIDATE}
@@ -78,21 +79,46 @@ def _over_changes(recording: Recording, model: Model) -> Look:
     if look.selection.steps:
         return look
     rejected = null_test(base.held.cost, base.held.dof, look.held).rejects
+    if not rejected and null_test(base.fit.cost, base.fit.dof, look.train).rejects:
+        other = _looked(recording, model, within=True)
+        return other if other.selection.steps else look
     if not rejected or base.held.cost / base.held.dof < ALIKE * base.fit.dispersion:
         return look
     if not any(s.role is Role.VALIDATE for s in look.spectra):
         other = _looked(recording, model, spare=False)
         return other if other.selection.steps else look
-    other = _looked(recording, model, apart=True)
-    return other if any(s.chosen.term.effect.family == "time" for s in other.selection.steps) else look
+    other = _looked(look.recording, model, apart=True)
+    return other if _changes(other) else look
 
 
-def _looked(recording: Recording, model: Model, *, spare: bool = True, apart: bool = False) -> Look:
-    spectra, warnings, (base, free, train, held) = _begun(recording, model, spare, apart)
+def _explained_by_a_change(recording: Recording, model: Model) -> bool:
+    """Whether a change alone leaves no more than the sensors' noise in every single period of every record.
+
+    What a spring that drifts changes in a light resonance from one period to the next is nearly a sinusoid
+    between two lines, and so the same as a tone; of two periods exactly. With that taken out the rest of the
+    drift fits no law. A law of one or two numbers that explains all periods is no chance, and a tone is none.
+    """
+    _, _, (base, free, train, held) = _begun(recording, model, spare=True, apart=True, within=False)
+    found = select(base, train, held, linear_axes=recording.linear, free=free, family="time")
+    return bool(found.steps) and found.final.cost < CLOSE * found.final.dof
+
+
+def _changes(look: Look) -> bool:
+    """Whether a cause was found that changes with time alone."""
+    return any(s.chosen.term.effect.family == "time" for s in look.selection.steps)
+
+
+def _looked(
+    recording: Recording, model: Model, *, spare: bool = True, apart: bool = False, within: bool = False
+) -> Look:
+    begun = partial(_begun, model=model, spare=spare, apart=apart, within=within)
+    spectra, warnings, (base, free, train, held) = begun(recording)
     tones = tones_in(base, held, spectra)
+    if tones and not apart and _explained_by_a_change(recording, model):
+        return _looked(recording, model, apart=True)
     if tones:
         recording = without_tones(recording, tones)
-        spectra, warnings, (base, free, train, held) = _begun(recording, model, spare, apart)
+        spectra, warnings, (base, free, train, held) = begun(recording)
     if apart and not changes_with_time(base, held, linear_axes=recording.linear):
         nothing = Trial(base, held_out(base, held))
         unchanged = Selection(nothing, nothing)
@@ -108,6 +134,10 @@ def _looked(recording: Recording, model: Model, *, spare: bool = True, apart: bo
     settled = from_causes(base, selection.final.fit, train)
     if settled is not None:
         base, selection = settled, search(settled, train, held)
+    if (
+        not selection.steps and selection.final.fit is not base
+    ):  # a chain that has in it what was found beside
+        base, selection = selection.final.fit, replace(selection, base=selection.final)
     selection, bare = between_records(selection), without_effects(base, train)
     parts = around_change(selection, recording)
     if parts is not None:
@@ -123,14 +153,14 @@ _Begun = tuple[JointFit, Float64, list[Record], list[Record]]
 
 
 def _begun(
-    recording: Recording, model: Model, spare: bool, apart: bool
+    recording: Recording, model: Model, spare: bool, apart: bool, within: bool
 ) -> tuple[tuple[LineSpectra, ...], list[str], _Begun]:
     """Spectra, what to warn about, and the linear fit with its records (``linear_fit``)."""
     spectra = all_spectra(recording)
     if not spectra:
         raise InputError(f"{recording.source}: no experiment shakes an axis; nothing to compare with a model")
     check_plausible(recording, spectra)
-    train, held, warnings = split(recording, spectra, spare=spare)
+    train, held, warnings = split(recording, spectra, spare=spare, within=within)
     train, standing = with_sticking(train, spectra, model, recording)
     held, _ = with_sticking(held, spectra, model, recording)
     warnings = [*(w for s in spectra for w in s.warnings), *warnings, *standing]

@@ -183,26 +183,28 @@ def demand_used(recording: Recording, spectra: Sequence[LineSpectra]) -> bool:
 
 
 def split(
-    recording: Recording, spectra: Sequence[LineSpectra], *, spare: bool = True
+    recording: Recording, spectra: Sequence[LineSpectra], *, spare: bool = True, within: bool = False
 ) -> tuple[list[Record], list[Record], list[str]]:
     """Training and held-out records, and what to warn about.
 
-    ``spare``: a record that is more than the linear model needs may be kept out whole.
+    ``spare``: a record that is more than the linear model needs may be kept out whole. ``within``: a part of
+    every other record is kept out beside those for validation.
     """
     experiments = {e.key: e for e in recording.experiments}
     prepared = partial(record_of, demand=demand_used(recording, spectra))
     train = [s for s in spectra if s.role is Role.IDENTIFY]
-    held = [s for s in spectra if s.role is Role.VALIDATE]
-    if held:
-        return (
-            [prepared(s, experiments[s.key]) for s in train],
-            [prepared(s, experiments[s.key]) for s in held],
-            [],
-        )
+    held = [prepared(s, experiments[s.key]) for s in spectra if s.role is Role.VALIDATE]
+    if held and not within:
+        return [prepared(s, experiments[s.key]) for s in train], held, []
+    missing = (
+        "validation does not show what the others do"
+        if held
+        else "no validation experiment (role 'validate')"
+    )
     motors = recording.axis_count
     everything = [s for s in train if s.driven.all()]
     # A record more than the linear model needs (each axis once, or M of all at once) can be kept out.
-    if spare and len(train) > motors and (everything or motors == 1):
+    if spare and not within and len(train) > motors and (everything or motors == 1):
         kept = (everything or train)[-1]
         return (
             [prepared(s, experiments[s.key]) for s in train if s is not kept],
@@ -215,10 +217,10 @@ def split(
     if all(s.periods >= 2 and s.deviations.shape[0] == s.periods for s in train):
         return (
             [prepared(s, experiments[s.key], slice(0, s.periods - 1)) for s in train],
-            [prepared(s, experiments[s.key], slice(s.periods - 1, None)) for s in train],
+            [*(prepared(s, experiments[s.key], slice(s.periods - 1, None)) for s in train), *held],
             [
-                "no validation experiment (role 'validate'): the last period of each experiment is kept out "
-                "of every fit instead, which repeats the same motion; record one with another realisation"
+                f"{missing}: the last period of each experiment is kept out of every fit instead, which "
+                "repeats the same motion; record one with another realisation"
             ],
         )
     training, kept_out = [], []
@@ -230,10 +232,10 @@ def split(
         kept_out.append(_lines(record, last))
     return (
         training,
-        kept_out,
+        [*kept_out, *held],
         [
-            "no validation experiment (role 'validate') and no whole period to spare: every fifth line is "
-            "kept out of every fit instead; record an experiment of its own for validation"
+            f"{missing} and no whole period to spare: every fifth line is kept out of every fit instead; "
+            "record an experiment of its own for validation"
         ],
     )
 

@@ -13,12 +13,12 @@ from invid.discrepancy.beside import with_viscous
 from invid.discrepancy.candidates import is_smaller_model, refitted, screened, with_those_from
 from invid.discrepancy.joint import JointFit, fit, held_out, reordered, without_last
 from invid.discrepancy.layout import Layout
-from invid.discrepancy.linear import restarted, spare_mode
 from invid.discrepancy.missing_torque import null_test
 from invid.discrepancy.moves import Move, judged_on_moves
 from invid.discrepancy.rounding import rounded
 from invid.discrepancy.screen import Score, Screen, terms_for
 from invid.discrepancy.selection import Selection
+from invid.discrepancy.side_modes import modes_moved, with_the_mode_in_the_chain
 from invid.discrepancy.terms import Candidate, Term
 from invid.discrepancy.trial import (
     CLOSE,
@@ -75,18 +75,20 @@ def select(
     free: Float64 | None = None,
     start: Float64 | None = None,
     moves: Sequence[Move] = (),
+    family: str | None = None,
 ) -> Selection:
     """Adds causes while both the training and the held-out gain are significant.
 
     ``free``: linear parameters of the fit whose time offsets were not bounded; where delays start. ``start``:
     those of the model, tried for a first cause where those of the fit lead nowhere. ``moves``: slow
-    moves beside the records, which tell laws of position apart.
+    moves beside the records, which tell laws of position apart. ``family``: of
+    causes, where only those of one are asked for.
 
     A lag keeps the time offset of its axis beside it: two timings, where a delay is one. Where what the lag's
     model leaves is more than the difference between the two, the data do not ask for the second timing, and
     the delay leads; the lag stays its rival.
     """
-    asked = _Asked(linear_axes, free, start, moves)
+    asked = _Asked(linear_axes, free, start, moves, family=family)
     found = _search(base, train, held, asked)
     contested = frozenset(
         s.chosen.term.place.axis
@@ -167,6 +169,8 @@ class _Asked:
     """Axes on which a delay goes before its lag."""
     axis: int | None = None
     """Where causes are looked for; everywhere where it is none."""
+    family: str | None = None
+    """Which causes are looked for; all where it is none."""
 
 
 def _search(base: JointFit, train: Sequence[Record], held: Sequence[Record], asked: _Asked) -> Selection:
@@ -209,7 +213,7 @@ def _reconsidered(
     known, newest = len(found.base.fit.candidate.terms), len(found.steps) - 1
     for number in reversed(range(len(found.steps))):
         final, at, count = found.final, known + number, known + len(found.steps)
-        mode = found.steps[number].chosen.term.effect.cause == "extra_mode" and spare_mode(final.fit, train)
+        mode = found.steps[number].chosen.term.effect.cause == "extra_mode"
         if number == newest and not mode:
             continue
         last = Trial(reordered(final.fit, [*range(at), *range(at + 1, count), at]), final.held)
@@ -217,9 +221,10 @@ def _reconsidered(
         if rest is None:
             continue
         if mode:
-            sizes = replace(rest.fit.candidate, x=last.fit.candidate.x[:-1])
-            other = attempted(partial(restarted, replace(rest.fit, candidate=sizes), train), held)
-            rest = rest if other is None or other.cost > rest.cost else other
+            other = with_the_mode_in_the_chain(last, rest, train, held)
+            if other is None and number == newest:
+                continue
+            rest = other or rest
         rejects = _rejects(rest, [*train, *held])
         if number == newest and rejects:
             continue
@@ -259,6 +264,7 @@ def _step(
         for t in terms_for(here.layout.structure, linear_axes=asked.linear_axes, chosen=here.candidate.terms)
         if (t.effect.cause != "torque_delay" or _late(here.layout, here.p, t.place.axis))
         and asked.axis in (None, t.place.axis, t.place.other)
+        and asked.family in (None, t.effect.family)
     ]
     scores = screened(screen, terms)
     count = max(len(terms), 1)
@@ -303,6 +309,8 @@ def _step(
     # Where the fit went on it may have reached an edge.
     polished = [t for t in polished if not at_bound(t)] or polished
     trials = polished + [t for t in trials if t not in best[:4]]
+    if _rejects(trials[0], [*train, *held]):
+        trials = with_known(trials, modes_moved(current, trials, train, held, terms))
     dispersion = min(t.dispersion for t in trials)
     ranked = _ranked([(t, t.score(dispersion, rows)) for t in trials], asked.contested)
     best_of_all = ranked[0][0]

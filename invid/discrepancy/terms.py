@@ -101,10 +101,13 @@ def forces_of(view: View, candidate: Candidate) -> Forces:
 
     def forces() -> tuple[Complex128, Complex128]:
         total: Complex128 = np.zeros_like(view.acting)
+        outside: Complex128 = np.zeros_like(view.acting)
         back: Complex128 = np.zeros_like(view.base)
         for term, x in laws:
             own, yields = term.effect.contribution(view, term.place, x.tolist())
             total = total + own
+            if term.place.kind == "axis":  # a drive's or a sensor's: no force at any mass
+                outside = outside + own
             if yields is not None:
                 back = back + yields
         if linear:
@@ -112,7 +115,7 @@ def forces_of(view: View, candidate: Candidate) -> Forces:
             total, back = total + own, back + moved
         rest = view.left(total) if inner and patterns else None
         if rest is not None:
-            back = back + view.correction(patterns, rest)
+            back = back + view.correction(patterns, rest, view.left(outside))
         return total, back
 
     return forces

@@ -154,8 +154,8 @@ def lags(
     """Lags that the screen may not see.
 
     One beside every delay, as late: with another cause still missing the delay would stand without its
-    nearest rival. And one where the torque loses more amplitude with frequency than holding it over the sample
-    takes: the share held makes up for that until it stands at its bound, and would have to fall for the lag.
+    nearest rival. And one where the torque loses more amplitude with frequency than holding it over the
+    sample takes: the share held makes up for that until it stands at its bound, and would fall for the lag.
     """
     starts = {d.term.place.axis: abs(float(d.x[0])) for d in delays}
     for i, share in enumerate(here.layout.stairs(here.p)):

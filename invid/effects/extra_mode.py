@@ -77,19 +77,20 @@ def frequency_told(views: Sequence[View], frequency: float, std: float) -> bool:
 
 
 def _peaks(views: Sequence[View], pattern: Pattern) -> list[float]:
-    """Frequencies [rad/s] at which most is missing that a force along the pattern would account for.
+    """Frequencies [rad/s] at which most is still missing that a force along the pattern would account for.
 
     Lines are taken three neighbours (of every record) together, and none within a twentieth of a larger one.
     """
     omega, power, records = [], [], 0
     for view in views:
-        if view.missing is None:
+        missing = view.missing if view.remaining is None else view.remaining
+        if missing is None:
             continue
         used = np.flatnonzero(np.asarray(view.record.excited, dtype=bool))
         push = view.push(pattern)[used]
         weighted = np.einsum("fij,fj->fi", view.certainty[used], push).conj()
         information = np.einsum("fi,fi->f", weighted, push).real
-        force = np.einsum("fi,fi->f", weighted, view.missing[used])
+        force = np.einsum("fi,fi->f", weighted, missing[used])
         omega.append(view.omega[used])
         power.append(np.abs(force) ** 2 / np.maximum(information, 1e-300))
         records += 1

@@ -1,0 +1,43 @@
+"""Causes that the usual records of a fit do not show: between periods, and above a validation's amplitude."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from invid.discrepancy import diagnose
+from invid.discrepancy.look import looked
+from invid.model import Model
+from invid.named import std_by_name
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from hidden.generator import make, make_case
+from hidden.scoring import score
+
+
+def test_a_drift_of_two_periods_is_no_tone_between_two_lines() -> None:
+    recording, truth = make(
+        "parameter_drift", (0, 1), {"rate": -0.3}, seed=11, masses=(2,), noise=0.003, drive="smooth",
+        periods=2, moves=False, from_rest=False, torque_quantised=False,
+    )  # fmt: skip
+    chains = truth.chains
+    # A start of the linear parameters, as an identification would give it.
+    found = looked(recording, Model("test", "refined", chains, std_by_name(chains, {})))
+    assert not found.tones
+    assert all(record.alone for record in found.train)
+    (step,) = found.selection.steps
+    assert step.chosen.term.effect.cause == "parameter_drift"
+    assert float(step.chosen.x[0]) == pytest.approx(-0.3, rel=0.01)
+    assert step.chosen.cost < 1.2 * step.chosen.dof
+
+
+def test_a_limit_that_the_validation_stays_below_is_named() -> None:
+    recording, truth = make_case(930040)
+    found = diagnose(recording)
+    result = score(truth, found)
+    assert result.outcome == "right", result.named
+    assert result.size_error is not None
+    assert abs(result.size_error) < 0.01
+    assert any("validation does not show" in w for w in found.warnings)
