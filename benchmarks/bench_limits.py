@@ -1,7 +1,7 @@
 """What the limits of the diagnosis decide: each is moved both ways on hidden cases where it is near.
 
     python benchmarks/bench_limits.py [--trials N] [--start SEED] [--jobs 2] [--kind pair]
-                                      [--limit select.REMAINDER] [--json ROWS.jsonl]
+                                      [--limit acceptance.REMAINDER] [--json ROWS.jsonl]
 
 A limit that is a guess, or was read off other data, is worth what this prints: in how many cases it was
 compared with something between it and its other value, and of how many that value changes the outcome, for
@@ -29,10 +29,10 @@ LIMITS: dict[str, tuple[float, float]] = {
     "linear.FAR": (2.0, 6.0),
     "linear.LOWER": (0.25, 0.8),
     "look.ALIKE": (2.5, 10.0),
-    "select.REMAINDER": (0.12, 0.5),
-    "select.NAMED_SHARE": (0.8, 0.95),
-    "select.SHARE": (0.025, 0.1),
-    "select.REACHED": (1.5, 3.0),
+    "acceptance.REMAINDER": (0.12, 0.5),
+    "acceptance.NAMED_SHARE": (0.8, 0.95),
+    "acceptance.SHARE": (0.025, 0.1),
+    "acceptance.REACHED": (1.5, 3.0),
     "trial.CLOSE": (1.25, 2.0),
     "trial.HELD_OUT": (3.8, 10.8),
     "trial.LARGER": (6.0, 13.8),

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 
 from invid.arrays import Float64
+from invid.discrepancy.acceptance import SIGNIFICANCE, accepted, least_gain
 from invid.discrepancy.beside import with_viscous
 from invid.discrepancy.candidates import is_smaller_model, refitted, screened, with_those_from
 from invid.discrepancy.joint import JointFit, fit, held_out, reordered, without_last
@@ -22,14 +23,12 @@ from invid.discrepancy.side_modes import modes_moved, with_the_mode_in_the_chain
 from invid.discrepancy.terms import Candidate, Term
 from invid.discrepancy.trial import (
     CLOSE,
-    HELD_OUT,
     LARGER,
     WEAK,
     Step,
     Trial,
     at_bound,
     attempted,
-    excess_in,
     extends,
     sized,
 )
@@ -38,23 +37,6 @@ from invid.distributions import chi2_isf
 from invid.effects.place import Place
 from invid.effects.view import Record
 
-SIGNIFICANCE = 1e-3
-"""Chance, over all candidates together, that noise passes the training gain; the held-out gain must pass as
-well, so a false alarm by selection is rarer than the null test's 1 %."""
-REMAINDER = 0.25
-"""A further cause must remove this share of what the first left beyond noise on its own axes. Empirical
-(hidden plants): an imperfect model of a strong first cause leaves a per cent of it, of which other causes fit
-some."""
-NAMED_SHARE = 0.9
-"""A further cause that takes this share of what is left and reaches the noise is there, however small beside
-the first: what an imperfect model of the first leaves has no such law. A guess, no campaign counted it."""
-SHARE = 0.05
-"""A further cause that does not bring χ²/ν below CLOSE must remove this share of the first excess. Empirical:
-on the flexible bench ripples of 2 % were named otherwise with a phase known to ten radians. Of the excess in
-motion: a constant torque, as a robot arm's weight, is a thousand times all friction, and leaves nothing."""
-REACHED = 2.0
-"""χ²/ν up to which NAMED_SHARE counts: at the noise as far as causes go whose own models are right to a few
-per mille. As in ``trust``; a hidden pair (800704) has 1.46 at its true parameters."""
 MODE = 150
 """Iterations for a mode moved to another mass of its axis; 20 left it at χ² 2036, 150 at 2003 (830051)."""
 MOST = 3
@@ -283,7 +265,7 @@ def _step(
     known_gain = max((here.cost - t.fit.cost for t in known), default=0.0)
 
     def least(term: Term) -> float:
-        return max(_least_gain(here, term, count, first=first), known_gain)
+        return max(least_gain(here, term, count, first=first), known_gain)
 
     reached = min((t.fit.cost for t in trials), default=np.inf)
     trials += refitted(here, train, held, scores, least, reached)
@@ -315,7 +297,7 @@ def _step(
     ranked = _ranked([(t, t.score(dispersion, rows)) for t in trials], asked.contested)
     best_of_all = ranked[0][0]
     quiet = not null_test(here.cost, here.dof, train).rejects
-    if not _accepted(
+    if not accepted(
         current, best_of_all, dispersion, count, start, first=first, rejects=rejects, quiet=quiet
     ):
         return None, tuple(scores[:5])
@@ -358,19 +340,6 @@ def _ranked(scored: Sequence[tuple[Trial, float]], contested: frozenset[int]) ->
     return [(t, s) for t, s, _ in sorted(moved, key=lambda one: one[1:])]
 
 
-def _least_gain(here: JointFit, term: Term, count: int, *, first: bool) -> float:
-    """Gain of training χ² below which a cause cannot be accepted."""
-    significant = chi2_isf(SIGNIFICANCE / count, 1)
-    if first:
-        return significant
-    return max(significant, REMAINDER * excess_in(here.evaluation, _axes(term.place)))
-
-
-def _axes(place: Place) -> set[int]:
-    """The axes that a cause is between, or sits on."""
-    return {place.axis} if place.other < 0 else {place.axis, place.other}
-
-
 def _rounded(trial: Trial, current: Trial, train: Sequence[Record], held: Sequence[Record]) -> Trial:
     """Friction whose sign changes gradually, where it takes half of the excess but ends above the noise."""
     here = trial.fit
@@ -388,45 +357,3 @@ def _rounded(trial: Trial, current: Trial, train: Sequence[Record], held: Sequen
 def _late(layout: Layout, p: Float64, axis: int) -> bool:
     """The time offset stands at one sample: more than sampling convention."""
     return axis in layout.free_delays and abs(layout.delays(p)[axis]) > 0.98 * layout.step
-
-
-def _accepted(
-    current: Trial,
-    trial: Trial,
-    dispersion: float,
-    count: int,
-    start: Trial,
-    *,
-    first: bool,
-    rejects: bool,
-    quiet: bool,
-) -> bool:
-    """Whether a cause is there; ``rejects``: all records ask for one, ``quiet``: the training does not."""
-    gain = (current.fit.cost - trial.fit.cost) / dispersion
-    held_gain = (current.held.cost - trial.held.cost) / dispersion
-    needed = chi2_isf((SIGNIFICANCE if rejects else WEAK) / count, max(trial.term.size, 1))
-    # Where there is no excess to explain every record counts: noise that was fitted costs on the held-out
-    # ones what it gained, so the sum passes no more often than the gain of a fit to all of them.
-    if rejects and quiet and gain < needed:
-        # The held-out records show it, being of another amplitude: what little the training says of it takes
-        # nearly all that they miss, which a cause fitted to noise does not.
-        left = trial.held.cost - trial.held.dof
-        if left > (1.0 - NAMED_SHARE) * (current.held.cost - current.held.dof):
-            return False
-        gain += held_gain
-    if (gain if rejects else gain + held_gain) < needed or held_gain < HELD_OUT:
-        return False
-    if trial.term.effect.is_null(trial.x.tolist()):
-        return False
-    if first:
-        return True
-    excess, gained = current.excess, current.cost - trial.cost
-    if gained < REMAINDER * current.excess_on(_axes(trial.term.place)):
-        return False
-    # Where the model stays far from the noise, what little a further cause removes may be any cause's.
-    if trial.cost < REACHED * trial.dof and gained > NAMED_SHARE * excess:
-        return True
-    reached = trial.cost < CLOSE * trial.dof
-    # What an imperfect model of the first cause leaves was up to 0.3 % of it on hidden plants.
-    share = 0.01 if reached else SHARE
-    return gained > share * start.excess_in_motion

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from invid.discrepancy import diagnose
 from invid.discrepancy.confidence import _of_amplitude
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from hidden.generator import make_case
+from hidden.generator import make, make_case
 from hidden.scoring import score
 
 
@@ -46,3 +48,30 @@ def test_the_deviation_of_an_amplitude_covers_what_its_unknown_quadrature_may_ad
 def test_the_deviation_of_an_amplitude_known_in_both_directions_is_that_along_it() -> None:
     std = float(np.sqrt(_of_amplitude(np.array([0.0, 1.0]), np.diag([1e-6, 4e-6]))))
     assert abs(std / 2e-3 - 1.0) < 1e-3
+
+
+def test_a_weight_a_thousand_times_the_noise_hides_no_friction() -> None:
+    """A robot arm: what its constant torque took away was the measure of every further cause."""
+    recording, truth = make(
+        "coulomb_friction",
+        second="coulomb_friction",
+        seed=3,
+        target_db=15,
+        masses=(2, 2),
+        periods=2,
+        moves=False,
+        from_rest=False,
+        noise=0.003,
+    )
+    weight = 8.0 * max(float(e.torque.std(axis=0).max()) for e in recording.experiments)
+    borne = tuple(
+        replace(e, torque=e.torque + weight * np.array([0.0, 1.0]), torque_demand=None)
+        for e in recording.experiments
+    )
+    findings = diagnose(replace(recording, experiments=borne)).findings
+    named = {(f.effect.cause, f.effect.axis) for f in findings}
+    assert named == {("torque_offset", "Y"), ("coulomb_friction", "X"), ("coulomb_friction", "Y")}
+    for f in findings:
+        if f.effect.cause == "coulomb_friction":
+            (true,) = (e for e in truth.effects if e.axis == f.effect.axis)
+            assert f.effect.value("torque") == pytest.approx(true.parameters["torque"], rel=0.1)

@@ -12,9 +12,11 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 from linear_cell import LinearCell, deviations, record
 
+from invid.discrepancy import diagnose
 from invid.identify import identify
 from invid.recording.model import Experiment, Kind, Role
 from invid.refine.blocks import carried, problem_from_spectra
+from invid.refine.holds import INSIDE, early_together
 from invid.refine.lags import with_coulomb, with_torque_lags
 from invid.refine.reversals import with_sharp_reversals
 from invid.refine.smooth_command import seen_hold
@@ -75,6 +77,60 @@ def test_the_gains_of_a_hold_are_read_off_a_smooth_command() -> None:
         assert found is not None
         assert found[0] == pytest.approx(gain[i], rel=0.05)
         assert found[1] == pytest.approx(damping[i], rel=0.05)
+
+
+def test_a_command_that_falls_with_frequency_is_smooth_where_its_lines_are_far_apart() -> None:
+    """Between 0.7 and 2 Hz f^−½ bends; taken for roughness it made P 2.6 times too large."""
+    gain, damping = hold(1.0, 0.7, SUMS)
+    spectra = all_spectra(
+        record(TWO, seed=8, rate=1000.0, gain=gain, damping=damping, said=np.zeros(2), period=1500)
+    )
+    for i in range(2):
+        found = seen_hold(spectra, i)
+        assert found is not None
+        assert found[0] == pytest.approx(gain[i], rel=0.1)
+        assert found[1] == pytest.approx(damping[i], rel=0.02)
+
+
+def test_holds_that_no_record_shows_cost_the_motors_of_uncoupled_axes_nothing_unsaid() -> None:
+    """A held axis rests while others are shaken; D·h/2 of its hold was in its motor's mass, 45 deviations."""
+    apart = LinearCell(TWO.masses, TWO.springs, TWO.dampers)
+    gain, damping = hold(1.0, 0.7, SUMS)
+    recording = record(
+        apart,
+        seed=8,
+        rate=500.0,
+        gain=gain,
+        damping=damping,
+        said=np.full(2, np.nan),
+        together=False,
+        period=3000,
+    )
+    experiments = tuple(replace(e, excited_axis=i) for i, e in enumerate(recording.experiments))
+    recording = replace(recording, experiments=experiments)
+    model = identify(recording)
+    assert worst(deviations(model, apart)) < 4.5
+    assert all(text.startswith(INSIDE) for text in model.fit["holds"].values())
+    found = diagnose(recording, model=model)
+    assert found.findings == ()
+    assert worst(deviations(found.model, apart)) < 4.5
+    assert found.model.std.masses[0][0] < 0.005 * apart.masses[0][0]
+
+
+def test_holds_are_early_together_where_friction_is_one_share_of_what_they_make() -> None:
+    share, std = early_together(
+        [(0.0170, 0.0012, 0.0186), (0.0409, 0.0028, 0.0400), (0.0295, 0.0021, 0.0314)]
+    ) or (0, 0)
+    assert share == pytest.approx(0.96, abs=0.02)
+    assert std == pytest.approx(0.04, abs=0.01)
+    for others in (
+        [(0.017, 0.0012, 0.0186)],  # one axis may rub as much
+        [(0.017, 0.0012, 0.0186), (0.010, 0.0028, 0.040)],  # not alike
+        [(0.001, 0.0012, 0.0186), (0.003, 0.0028, 0.040)],  # no more than the errors
+        [(0.037, 0.0012, 0.0186), (0.080, 0.0028, 0.040)],  # more than holds make
+        [(0.017, 0.0, 0.0186), (0.041, 0.0028, 0.040)],
+    ):
+        assert early_together(others) is None
 
 
 def test_the_gains_of_a_hold_are_read_off_the_lines_of_the_other_axes() -> None:
