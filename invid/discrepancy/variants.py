@@ -62,10 +62,12 @@ def _without_asymmetry(chosen: Trial) -> list[tuple[tuple[Term, ...], tuple[Floa
     views, viscous = chosen.fit.evaluation.views, Term(BY_CAUSE["viscous_friction"], place)
     offset = Term(BY_CAUSE["torque_offset"], Place("mass", place.axis, 1))
     out: list[tuple[tuple[Term, ...], tuple[Float64, ...]]] = []
-    for cause in ("coulomb_friction", "stribeck_friction", "presliding_friction"):
-        effect = BY_CAUSE[cause]
-        if isinstance(effect, DryLaw) and isinstance(rounded, DryLaw):
-            effect = effect.rounded(rounded.rounding)
+    laws = [BY_CAUSE[c] for c in ("coulomb_friction", "stribeck_friction", "presliding_friction")]
+    if isinstance(rounded, DryLaw) and rounded.rounding > 0:
+        # The rounding is that of a wrong law: the constant torque in it needs none.
+        laws += [law.rounded(rounded.rounding) for law in laws if isinstance(law, DryLaw)]
+    for effect in laws:
+        cause = effect.cause
         shape = min((abs(g[0]), g) for g in effect.grid(views, place))[1] if effect.shapes else ()
         size = np.array([dry, 0.2 * dry, *shape] if cause == "stribeck_friction" else [dry, *shape])
         law = Term(effect, place)
