@@ -32,7 +32,7 @@ from invid.discrepancy.trial import (
     extends,
     sized,
 )
-from invid.discrepancy.variants import delays, elsewhere, ladder, lags
+from invid.discrepancy.variants import delays, elsewhere, ladder, lags, retimed
 from invid.distributions import chi2_isf
 from invid.effects.place import Place
 from invid.effects.view import Record
@@ -271,6 +271,7 @@ def _step(
     trials += refitted(here, train, held, scores, least, reached)
     if first and rejects and asked.start is not None and not known:
         trials = with_those_from(asked.start, here, train, held, terms, trials)
+    trials = [retimed(t, train, held) for t in trials]
     rounded_ = (_rounded(t, current, train, held) for t in trials)
     trials = [t for t in rounded_ if not is_smaller_model(t)]  # some were larger only for want of rounding
     trials = with_known(trials, known)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from invid.arrays import Float64
 from invid.discrepancy.joint import JointFit, fit
 from invid.discrepancy.terms import Candidate, Term
-from invid.discrepancy.trial import Step, Trial, at_bound, attempted, refit
+from invid.discrepancy.trial import CLOSE, Step, Trial, at_bound, attempted, refit
 from invid.discrepancy.words import BY_CAUSE
 from invid.effects.place import Place
 from invid.effects.sign import DryLaw
@@ -115,6 +116,24 @@ def elsewhere(
         if trial is not None and not at_bound(trial):
             out.append(trial)
     return out
+
+
+def retimed(trial: Trial, train: Sequence[Record], held: Sequence[Record]) -> Trial:
+    """A load's change from the time that all records together ask for.
+
+    In a period of the training that is half of one load, half of the other, a small change early and a large
+    one late are alike: the fit ends at either, and a record kept out tells. Other causes as they are.
+    """
+    here, term = trial.fit, trial.term
+    if term.effect.cause != "payload_change" or trial.held.cost < CLOSE * trial.held.dof:
+        return trial
+    best = trial
+    for (time,) in term.effect.grid([*here.evaluation.views, *trial.held.views], term.place):
+        start = replace(here.candidate, x=(*here.candidate.x[:-1], np.array([trial.x[0], time])))
+        other = attempted(partial(fit, here.layout, train, here.p, start, iterations=20), held)
+        if other is not None and other.cost < best.cost:
+            best = other
+    return best
 
 
 def delays(
