@@ -20,7 +20,16 @@ def _march(x: np.ndarray, most: float, passes: int) -> np.ndarray:
     return out
 
 
+CLOSED = 0.01
+"""Distance between start and end, over the range of the motion, up to which a record is as good as periodic. A
+guess: of one that settles for two periods and more what is left is a thousandth, one from rest is anywhere."""
+
+
 def slide(x: Float64, most: float, *, periodic: bool) -> Float64:
-    """(n,) displacement of a slider that gives way at ``most``; the periodic state where there is one."""
-    out: Float64 = _march(np.ascontiguousarray(x), most, 2 if periodic else 1)
+    """(n,) displacement of a slider that gives way at ``most``; the periodic state where there is one.
+
+    A record that still settles a little has the state of its last period at its start, not that of rest.
+    """
+    closed = periodic or abs(float(x[-1] - x[0])) < CLOSED * float(np.ptp(x))
+    out: Float64 = _march(np.ascontiguousarray(x), most, 2 if closed else 1)
     return out

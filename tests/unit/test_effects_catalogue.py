@@ -93,6 +93,13 @@ def test_a_gain_is_no_candidate_on_a_single_axis() -> None:
 def test_a_slider_walks_the_loop_worked_out_by_hand() -> None:
     x = np.array([0.0, 1.0, 2.0, 1.5, 0.5, -1.0])
     np.testing.assert_allclose(slide(x, 1.0, periodic=False), [0.0, 1.0, 1.0, 0.5, -0.5, -1.0])
+    # A record that still settles comes from motion like its own, and so does the slider.
+    swing = 2.0 * np.sin(np.linspace(0.3, 0.3 + 6 * np.pi, 601))
+    settled = slide(swing, 1.0, periodic=True)
+    assert settled[0] > 0.5
+    for drift, begun in ((1e-3, settled[0]), (0.5, 0.0)):
+        moved = slide(swing + np.linspace(0, drift, 601), 1.0, periodic=False)
+        assert moved[0] == pytest.approx(begun, abs=1e-2)
 
 
 def test_the_averaged_sign_has_the_fundamental_of_a_square_wave() -> None:
