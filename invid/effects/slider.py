@@ -21,8 +21,8 @@ def _march(x: np.ndarray, most: float, passes: int) -> np.ndarray:
 
 
 CLOSED = 0.01
-"""Distance between start and end, over the range of the motion, up to which a record is as good as periodic. A
-guess: of one that settles for two periods and more what is left is a thousandth, one from rest is anywhere."""
+"""Distance between start and end, over the range of the motion, up to which a record is as good as periodic.
+A guess: of one that settled for two periods a thousandth is left, one from rest may end anywhere."""
 
 
 def slide(x: Float64, most: float, *, periodic: bool) -> Float64:
