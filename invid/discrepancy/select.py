@@ -271,7 +271,8 @@ def _step(
     trials += refitted(here, train, held, scores, least, reached)
     if first and rejects and asked.start is not None and not known:
         trials = with_those_from(asked.start, here, train, held, terms, trials)
-    trials = [retimed(t, train, held) for t in trials]
+    least_left = min((t.fit.cost for t in trials), default=np.inf)
+    trials = [retimed(t, train, held) if t.fit.cost <= least_left else t for t in trials]
     rounded_ = (_rounded(t, current, train, held) for t in trials)
     trials = [t for t in rounded_ if not is_smaller_model(t)]  # some were larger only for want of rounding
     trials = with_known(trials, known)

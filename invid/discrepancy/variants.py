@@ -122,7 +122,8 @@ def retimed(trial: Trial, train: Sequence[Record], held: Sequence[Record]) -> Tr
     """A load's change from the time that all records together ask for.
 
     In a period of the training that is half of one load, half of the other, a small change early and a large
-    one late are alike: the fit ends at either, and a record kept out tells. Other causes as they are.
+    one late are alike: the fit ends at either, and a record kept out tells. For the cause that leaves the
+    training least; other causes come back as they are.
     """
     here, term = trial.fit, trial.term
     if term.effect.cause != "payload_change" or trial.held.cost < CLOSE * trial.held.dof:
