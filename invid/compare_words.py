@@ -11,8 +11,6 @@ if TYPE_CHECKING:
 
 PRACTICAL = 0.02
 """Below it a change gets no interpretation: a tool change of interest exceeds about 2 % (a convention)."""
-
-
 HELD = (
     "A change in brackets that is not new − old is the change with all other parameters held equal: the "
     "errors of the values go together, so it is better known than they are."

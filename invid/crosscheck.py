@@ -10,7 +10,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import scipy.linalg
 
 from invid.arrays import Float64
 from invid.chains import CoupledChains
@@ -19,7 +18,7 @@ from invid.forward import frf
 from invid.frf import FrfMatrix, frf_matrix
 from invid.inverse import PaperResult, identify_paper
 from invid.modes import Modes
-from invid.modes.model import high_gain_pairs, pairs
+from invid.modes.model import high_gain_pairs, modes_of_matrices, pairs
 from invid.pole_search import unstructured
 from invid.refine.fit import Fit
 from invid.spectra import LineSpectra
@@ -130,29 +129,19 @@ def widened(paper: PaperResult, measured: FrfMatrix) -> PaperResult:
 
 def modes_of_chains(chains: CoupledChains) -> Modes:
     """The modes that a plant shows at its motors; no covariance."""
-    squares, vectors = scipy.linalg.eigh(chains.stiffness_matrix, chains.mass_matrix)
-    count = chains.branches
-    omega = np.sqrt(np.maximum(squares[count:], 1e-12))
-    vectors = vectors[:, count:]
-    loss = np.einsum("ar,ab,br->r", vectors, chains.damping_matrix, vectors)
-    inverse = np.linalg.inv(chains.mass_matrix)[np.ix_(chains.motor_dofs, chains.motor_dofs)]
-    rows, columns = pairs(count)
-    allowed = high_gain_pairs(chains.masses_per_branch)
-    high = np.zeros((count, count))
-    keep = (rows[allowed], columns[allowed])
-    high[keep] = high[keep[1], keep[0]] = inverse[keep]
-    return Modes(
-        omega=omega,
-        damping=np.maximum(loss / (2 * omega), 1e-4),
-        shapes=np.ascontiguousarray(vectors[chains.motor_dofs].T),
-        high_gain=high,
-        friction=np.zeros((count, count)),
-        masses=chains.masses_per_branch,
-        covariance=np.zeros((0, 0)),
-        chi2=0.0,
-        dof=1,
-        model_error=0.0,
+    modes = modes_of_matrices(
+        chains.mass_matrix,
+        chains.damping_matrix,
+        chains.stiffness_matrix,
+        chains.motor_dofs.tolist(),
+        chains.masses_per_branch,
     )
+    rows, columns = pairs(chains.branches)
+    allowed = high_gain_pairs(chains.masses_per_branch)
+    high = np.zeros_like(modes.high_gain)
+    keep = (rows[allowed], columns[allowed])
+    high[keep] = high[keep[1], keep[0]] = modes.high_gain[keep]
+    return replace(modes, high_gain=high)
 
 
 def compared(

@@ -49,14 +49,13 @@ def check_plausible(recording: Recording, spectra: Sequence[LineSpectra]) -> Non
 
 def _shaken_instead(spectra: Sequence[LineSpectra], axis: int) -> int | None:
     """Another axis that moves more in every record that names ``axis`` than in those that name itself."""
-    moved = {
-        j: [float(np.sum(np.abs(s.position[s.excited, j]) ** 2)) for s in spectra if s.driven[axis]]
-        for j in range(spectra[0].axis_count)
-        if j != axis
-    }
-    for j, here in moved.items():
-        own = [float(np.sum(np.abs(s.position[s.excited, j]) ** 2)) for s in spectra if s.driven[j]]
-        if here and own and min(here) > max(own):
+
+    def moved(j: int, named: int) -> list[float]:
+        return [float(np.sum(np.abs(s.position[s.excited, j]) ** 2)) for s in spectra if s.driven[named]]
+
+    for j in range(spectra[0].axis_count):
+        here, own = moved(j, axis), moved(j, j)
+        if j != axis and here and own and min(here) > max(own):
             return j
     return None
 

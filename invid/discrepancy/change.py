@@ -19,8 +19,6 @@ from invid.recording.model import Recording
 NEAR = 0.25
 """Share of a period beyond its ends within which a change found may be one of that period. A guess; where
 there is a choice the records that are left decide."""
-
-
 LARGER_PART = 0.5
 """Share of what is missing that a change with time must take where it is looked for because records that are
 kept out miss ``look.ALIKE`` times as much as those fitted: what those miss is their difference."""

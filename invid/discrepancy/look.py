@@ -134,9 +134,8 @@ def _looked(
     settled = from_causes(base, selection.final.fit, train)
     if settled is not None:
         base, selection = settled, search(settled, train, held)
-    if (
-        not selection.steps and selection.final.fit is not base
-    ):  # a chain that has in it what was found beside
+    if not selection.steps and selection.final.fit is not base:
+        # A chain that has in it what was found beside.
         base, selection = selection.final.fit, replace(selection, base=selection.final)
     selection, bare = between_records(selection), without_effects(base, train)
     parts = around_change(selection, recording)

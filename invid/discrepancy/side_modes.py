@@ -19,7 +19,7 @@ from invid.discrepancy.variants import elsewhere
 from invid.effects.view import Record
 from invid.errors import InvidError
 from invid.inverse import chains_of, gains_of
-from invid.modes import Modes
+from invid.modes.model import modes_of_matrices
 
 MOVED, HALF = 40, 0.5
 """Iterations of a mode moved to another mass of its axis before any is accepted, and the share of what is
@@ -88,27 +88,18 @@ def with_the_mode_in_it(fitted: JointFit, records: Sequence[Record]) -> Float64 
     damping, stiffness = (
         _joined(matrix, at, size) for matrix, size in ((damping, damper), (stiffness, found["stiffness"]))
     )
-    squares, vectors = scipy.linalg.eigh(stiffness, mass)
-    motors, count = list(structure.motor_dofs), structure.motors
-    omega, vectors = np.sqrt(np.maximum(squares[count:], 1e-12)), vectors[:, count:]
-    shapes = np.ascontiguousarray(vectors[motors].T)
-    loss = np.einsum("ar,ab,br->r", vectors, damping, vectors) / (2.0 * omega)
-    ratio = np.maximum(loss, 1e-4)
+    shown = modes_of_matrices(mass, damping, stiffness, structure.motor_dofs, structure.sizes)
+    omega, ratio, shapes = shown.omega, shown.damping, shown.shapes
     every = np.concatenate([r.omega[r.excited] for r in records])[:, None]
-    shown = np.abs(every**2 / (omega**2 - every**2 + 2j * ratio * omega * every)) ** 2
-    kept = np.arange(omega.size) != int(np.argmin(shown.sum(axis=0) * (shapes**2).sum(axis=1) ** 2))
-    rigid = np.linalg.inv(mass)[np.ix_(motors, motors)] - shapes.T @ shapes
-    modes = Modes(
+    gain = np.abs(every**2 / (omega**2 - every**2 + 2j * ratio * omega * every)) ** 2
+    kept = np.arange(omega.size) != int(np.argmin(gain.sum(axis=0) * (shapes**2).sum(axis=1) ** 2))
+    rigid = shown.high_gain - shapes.T @ shapes
+    modes = replace(
+        shown,
         omega=omega[kept],
         damping=ratio[kept],
         shapes=shapes[kept],
         high_gain=rigid + shapes[kept].T @ shapes[kept],
-        friction=np.zeros((count, count)),
-        masses=structure.sizes,
-        covariance=np.zeros((0, 0)),
-        chi2=0.0,
-        dof=1,
-        model_error=0.0,
     )
     try:
         with np.errstate(all="ignore"):

@@ -115,7 +115,7 @@ def forces_of(view: View, candidate: Candidate) -> Forces:
             total, back = total + own, back + moved
         rest = view.left(total) if inner and patterns else None
         if rest is not None:
-            back = back + view.correction(patterns, rest, view.left(outside))
+            back = back + view.correction(patterns, rest, outside)
         return total, back
 
     return forces

@@ -306,21 +306,20 @@ class View:
             out = np.where(well | (size <= most), out, out * (most / np.maximum(size, 1e-300)))
         return out
 
-    def correction(
-        self, patterns: tuple[Pattern, ...], rest: Complex128, asking: Complex128 | None = None
-    ) -> Complex128:
+    def correction(self, patterns: tuple[Pattern, ...], rest: Complex128, outside: Complex128) -> Complex128:
         """(F, ΣN) what forces beyond the laws do to inner coordinates: the mean of what ``rest`` leaves open.
 
         ``rest`` is the missing torque with the laws' contributions. A law at the wrong size reconstructs
         the wrong inner motion, which near a clamped resonance feeds back and runs away; the measured
-        torque says what force there really was. Prior variance of the forces: what ``asking`` (``missing``
-        where not given) would take at each place alone, so that nothing is corrected where noise is all there
-        is. What a late torque leaves is no force at any mass, and as a prior it lets all noise through.
+        torque says what force there really was. Prior variance of the forces: what is missing would take at
+        each place alone, so that nothing is corrected where noise is all there is; without what ``outside``
+        (F, M) of drives and sensors explains: a late torque is no force at any mass, and as a prior it lets
+        all noise through.
         """
-        asking = self.missing if asking is None else asking
-        if asking is None:
-            return np.zeros_like(self.base)
         if patterns not in self._gains:
+            asking = self.left(outside)
+            if asking is None:
+                return np.zeros_like(self.base)
             pushes = np.stack([self.push(p) for p in patterns], axis=-1)  # (F, M, T)
             prior = np.stack([np.abs(self.inferred(p, asking)) ** 2 for p in patterns], axis=-1)
             weighted = np.einsum("fmt,fmn->ftn", pushes.conj(), self.certainty)
