@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from invid.discrepancy.joint import JointFit
 from invid.discrepancy.terms import Term
-from invid.discrepancy.trial import CLOSE, HELD_OUT, WEAK, Trial, excess_in
+from invid.discrepancy.trial import CLOSE, HELD_OUT, WEAK, Trial, excess_in, sized
 from invid.distributions import chi2_isf
 from invid.effects.place import Place
 
@@ -67,6 +67,10 @@ def accepted(
     if (gain if rejects else gain + held_gain) < needed or held_gain < HELD_OUT:
         return False
     if trial.term.effect.is_null(trial.x.tolist()):
+        return False
+    # An encoder of few counts errs alike in every period, on a handful of lines, which χ² takes for noise. By
+    # the scatter over the lines, which does not, the size has to differ from none as well.
+    if not rejects and sized(trial.fit, -1, SIGNIFICANCE / count) is False:
         return False
     if first:
         return True

@@ -21,6 +21,7 @@ from invid.discrepancy.screen import Score, Screen, terms_for
 from invid.discrepancy.selection import Selection
 from invid.discrepancy.side_modes import modes_moved, with_the_mode_in_the_chain
 from invid.discrepancy.terms import Candidate, Term
+from invid.discrepancy.tied import tied_loads
 from invid.discrepancy.trial import (
     CLOSE,
     LARGER,
@@ -271,6 +272,8 @@ def _step(
     trials += refitted(here, train, held, scores, least, reached)
     if first and rejects and asked.start is not None and not known:
         trials = with_those_from(asked.start, here, train, held, terms, trials)
+    if first and rejects and not known:
+        trials = with_known(trials, tied_loads(here, train, held, terms))
     least_left = min((t.fit.cost for t in trials), default=np.inf)
     trials = [retimed(t, train, held) if t.fit.cost <= least_left else t for t in trials]
     rounded_ = (_rounded(t, current, train, held) for t in trials)

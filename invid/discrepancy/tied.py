@@ -1,0 +1,148 @@
+"""A spring between two loads so strong that the linear fit without it is lost: sought from where it shows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from invid.arrays import Complex128, Float64
+from invid.discrepancy.joint import JointFit, fit
+from invid.discrepancy.terms import Candidate, Term
+from invid.discrepancy.trial import CLOSE, Trial, attempted
+from invid.effects.view import Record
+
+HEAVY = 2.0
+"""How many times the inertia that the lowest lines show a branch must have to count as lost. A guess: tied
+loads had 200 times theirs, and flexibility makes the lowest lines show too much, not too little."""
+LOWEST = 3
+"""Lines of each record, from the lowest, on which a machine is taken for rigid."""
+LEFT_OVER = 0.2
+"""Share of a branch that a final mass has at least where it is the rest of the others."""
+SPREAD = (0.6, 0.85, 0.35, 0.2)
+"""Where a split load's own mode starts, over the highest excited line; as ``linear.restarted``."""
+SHARES = (0.1, 1.0)
+"""Of the stiffness that the lowest lines show, which is too large by what the branches bend."""
+ROUGH = (0.1, 0.01, 0.001, 0.0)
+"""Share of every amplitude that counts as noise, fit after fit. By the sensors' noise a resonance a line
+beside its place is as wrong as none, and the way there is uphill; by a tenth of the torque it is not."""
+
+
+def tied_loads(
+    here: JointFit, train: Sequence[Record], held: Sequence[Record], terms: Sequence[Term]
+) -> list[Trial]:
+    """Springs between loads that a linear fit answered with loads many times as heavy as they are.
+
+    Two heavy loads whose inertia is coupled nearly in full can move together only, which is the nearest that
+    a linear model comes to a spring between them. Then all of their chains is wrong. The lowest lines still
+    say what the machine weighs and what ties it, and what the chains bend above them is kept where it can be.
+    """
+    if here.candidate.terms:
+        return []
+    out = []
+    for term in terms:
+        if term.effect.cause != "coupling_stiffness":
+            continue
+        pair = (term.place.axis, term.place.other)
+        inertia, stiffness = _at_low_lines(train, here.layout.structure.motors, pair)
+        heavy = [i for i in pair if _masses(here, i).sum() > HEAVY * inertia[i] > 0.0]
+        if not heavy or stiffness <= 0.0:
+            continue
+        best: Trial | None = None
+        for p, share in _starts(here, inertia, heavy, train):
+            start = Candidate((term,), (np.array([share * stiffness]),))
+            trial = attempted(partial(graduated, here, train, p, start), held)
+            if trial is not None and (best is None or trial.fit.cost < best.fit.cost):
+                best = trial
+            if best is not None and best.fit.cost < CLOSE * best.fit.dof:
+                break
+        if best is not None and best.fit.cost < here.cost:
+            out.append(best)
+    return out
+
+
+def graduated(here: JointFit, train: Sequence[Record], p: Float64, candidate: Candidate) -> JointFit:
+    """A fit from ``p`` (n,) through noise that is a share of the torque, less and less of it."""
+    for share in ROUGH:
+        records = [_with_error(r, share) for r in train]
+        found = fit(here.layout, records, p, candidate, iterations=60, strict=share == 0.0)
+        p, candidate = found.p, found.candidate
+    return found
+
+
+def _with_error(record: Record, share: float) -> Record:
+    if share == 0.0:
+        return record
+    error: Float64 = share**2 * np.abs(record.torque) ** 2
+    return replace(record, scatter=record.scatter + error)
+
+
+def _masses(here: JointFit, axis: int) -> Float64:
+    structure = here.layout.structure
+    masses: Float64 = structure.chains(here.p[: structure.count]).masses[axis]
+    return masses
+
+
+def _at_low_lines(train: Sequence[Record], motors: int, pair: tuple[int, int]) -> tuple[Float64, float]:
+    """(M,) inertia of every branch and the stiffness between a pair, as if nothing bent on the low lines."""
+    rows, columns = np.triu_indices(motors)
+    left: list[Complex128] = []
+    right: list[Complex128] = []
+    for record in train:
+        for k in np.flatnonzero(record.excited & (record.omega > 0))[:LOWEST]:
+            position = record.position[k]
+            inertia = np.zeros((motors, rows.size + 1), dtype=complex)
+            for column, (i, j) in enumerate(zip(rows, columns, strict=True)):
+                inertia[i, column] = -(record.omega[k] ** 2) * position[j]
+                inertia[j, column] = -(record.omega[k] ** 2) * position[i]
+            between = position[pair[0]] - position[pair[1]]
+            inertia[pair[0], -1], inertia[pair[1], -1] = between, -between
+            left.append(inertia)
+            right.append(record.torque[k])
+    if not left:
+        return np.zeros(motors), 0.0
+    a, b = np.concatenate(left), np.concatenate(right)
+    found = np.linalg.lstsq(np.concatenate((a.real, a.imag)), np.concatenate((b.real, b.imag)), rcond=None)[0]
+    return np.asarray(found[:-1][rows == columns]), float(found[-1])
+
+
+def _starts(
+    here: JointFit, inertia: Float64, heavy: Sequence[int], train: Sequence[Record]
+) -> Iterator[tuple[Float64, float]]:
+    """(n,) parameters whose heavy branches weigh what the lowest lines show, and shares of the stiffness.
+
+    The final mass is what the others leave. Where they leave next to nothing, the one before stands for both,
+    and is split.
+    """
+    structure = here.layout.structure
+    top = max(float(r.omega[r.excited].max()) for r in train if r.excited.any())
+    chains = structure.chains(here.p[: structure.count])
+    for part in SPREAD:
+        masses, springs = [m.copy() for m in chains.masses], [k.copy() for k in chains.springs]
+        split = False
+        for i in heavy:
+            rest = inertia[i] - masses[i][:-1].sum()
+            if rest > LEFT_OVER * inertia[i] or masses[i].size < 3:
+                masses[i][-1] = max(rest, LEFT_OVER * inertia[i])
+                continue
+            split = True
+            half = 0.5 * max(inertia[i] - masses[i][:-2].sum(), LEFT_OVER * inertia[i])
+            masses[i][-2:] = half
+            springs[i][-1] = half * (part * top) ** 2 / 2
+        p = here.p.copy()
+        loose = replace(
+            chains,
+            masses=tuple(masses),
+            springs=tuple(springs),
+            couplings=np.zeros_like(chains.couplings),
+        )
+        p[: structure.count] = structure.vector(loose)
+        for share in SHARES:
+            yield p, share
+        if not split:
+            return
+
+
+__all__ = ["graduated", "tied_loads"]
