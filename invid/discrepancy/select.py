@@ -88,9 +88,10 @@ def select(
 
 
 def _pruned(found: Selection, train: Sequence[Record], held: Sequence[Record]) -> Selection:
-    """Without the causes that those found after them leave nothing to.
+    """Without the causes that the others leave nothing to.
 
-    The first cause named is the one that alone explains most; beside the true ones it may vanish.
+    The first cause named is the one that alone explains most; beside the true ones it may vanish. The last
+    may have led linear parameters on that had come to rest too early, and be nothing itself.
     """
     for number in _doubtful(found):
         smaller = _without(found, number, train, held)
@@ -114,17 +115,18 @@ def _without(
         return None
     steps = list(found.steps)
     gone = steps.pop(number)
-    steps[number] = replace(steps[number], before=gone.before)
+    if number < len(steps):
+        steps[number] = replace(steps[number], before=gone.before)
     steps[-1] = replace(steps[-1], chosen=trial)
     return replace(found, final=trial, steps=tuple(steps))
 
 
 def _doubtful(found: Selection) -> list[int]:
-    """Steps before the last whose cause may be superfluous: its size is not told from none, or it is a shape
-    alone (a gap)."""
+    """Steps of several whose cause may be superfluous: its size is not told from none, or it is a shape alone
+    (a gap)."""
     final, known = found.final.fit, len(found.base.fit.candidate.terms)
-    out = []
-    for number in range(len(found.steps) - 1):
+    out: list[int] = []
+    for number in range(len(found.steps) if len(found.steps) > 1 else 0):
         term = final.candidate.terms[known + number]
         told = sized(final, known + number, WEAK)
         if told is False or (told is None and not term.effect.coefficients):
