@@ -74,6 +74,8 @@ def accepted(
         return False
     if first:
         return True
+    if sized(trial.fit, -1) is False:
+        return False  # beside a weight a thousand times all else what is left has a shape, and no size
     excess, gained = current.excess, current.cost - trial.cost
     if gained < REMAINDER * current.excess_on(_axes(trial.term.place)):
         return False

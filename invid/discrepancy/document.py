@@ -15,6 +15,7 @@ from invid.discrepancy.extended import extended_model
 from invid.discrepancy.given import carried
 from invid.discrepancy.joint import JointFit, held_out
 from invid.discrepancy.missing_torque import NullTest, null_test, rms_torque
+from invid.discrepancy.scattering import said_of_scatter
 from invid.discrepancy.selection import Selection
 from invid.discrepancy.tones import Tone, power_of, said_of_tones
 from invid.discrepancy.trust import cautious, distrust_sentences, in_the_way, trust, untimed_holds
@@ -66,7 +67,12 @@ def document(
     if named or known:
         explained = float(np.clip(1.0 - (a2 - n2) / max(b2 - n2, 1e-300), 0.0, 1.0))
     humming = unexplained = said_of_tones(tones, recording, unit)
+    scattered = None
     if not coherent and not tones:
+        scattered = said_of_scatter((base.fit.evaluation, base.held), recording, unit)
+    if scattered is not None:
+        verdict, unexplained = Verdict.UNEXPLAINED, scattered
+    elif not coherent and not tones:
         verdict = Verdict.CONSISTENT
     elif not named:
         verdict = Verdict.UNEXPLAINED

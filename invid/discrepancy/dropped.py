@@ -40,7 +40,8 @@ def _repeats(e: Experiment, axis: int) -> tuple[Bool, Float64]:
 
     Chance: the product of how often each channel alone repeats nearby (quantised channels do), over
     a second either side, which leaves out that both were lost together; or of how often they do where both
-    turn round, as those of a slow sinusoid do at once.
+    turn round, as those of a slow sinusoid do at once. The torque of an axis that is held follows from its
+    position and repeats with it: there the position alone counts.
     """
     steps_p, steps_t = np.diff(e.position[:, axis]), np.diff(e.torque[:, axis])
     same_p, same_t = steps_p == 0, steps_t == 0
@@ -58,7 +59,8 @@ def _repeats(e: Experiment, axis: int) -> tuple[Bool, Float64]:
     p, t = near(same_p), near(same_t)
     # P(both) = P(p)·P(t) for independent channels, from P(p and not t) = P(p)(1 − P(t)) and so on.
     chance: Float64 = np.clip(p * t / np.maximum(1.0 - p - t + p * t, 1e-6) * (1 + p + t), 0.0, 1.0)
-    return both, np.maximum(chance, _slow(steps_p) * _slow(steps_t))
+    with_it = _slow(steps_t) if e.excited_axis in (-1, axis) else 1.0
+    return both, np.maximum(chance, _slow(steps_p) * with_it)
 
 
 def _slow(steps: Float64) -> Float64:

@@ -21,7 +21,7 @@ def effect_columns(view: View, candidate: Candidate, extra: Complex128, columns:
     yet would be divided by the difference.
     """
     feedback, jumps = view.feedback, view.jumps
-    inner = any(t.inner for t in candidate.terms)
+    inner = any(t.feels(view) for t in candidate.terms)
 
     def at_(trial: Candidate) -> Complex128:
         out = contributions(view, trial, passes=3, early=False)
@@ -103,6 +103,8 @@ def strong_inside(view: View, candidate: Candidate) -> bool:
     Along the pattern and not beside the motors: a gap that is most of a spring's deflection moves the load by
     a hundredth of what the axis moves, and a fit without the term stands still far from its minimum.
     """
+    if any(t.effect.stands(view, t.place) for t in candidate.terms):
+        return True
     for pattern in {t.place.pattern(view.structure) for t in candidate.terms if t.inner}:
         at, signs = [q for q, _ in pattern], np.array([sign for _, sign in pattern])
         base, moved = view.base[:, at] @ signs, view.feedback[:, at] @ signs

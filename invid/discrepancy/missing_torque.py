@@ -17,6 +17,11 @@ from invid.spectra import LineSpectra
 
 FALSE_ALARM = 0.01
 """Share of null recordings that may be called anything but consistent."""
+DIFFERS = 9.0
+"""Power of the scatter between periods over the sensors' from which a record is followed from period to
+period, as one that changes is. A machine that is not linear and does not settle (a ripple, a gap, an axis held
+softly) does another thing in each, by laws that hold in all; taken for noise that hides them. Three times in
+amplitude is a guess; empty records have one."""
 LINES = 40
 """Lines over which the scatter between periods is pooled: 80 real degrees of freedom a period."""
 
@@ -75,7 +80,7 @@ def with_scatter(
         if record.transient and (periods <= 3 or _trending(e, single)):
             e, left = without_boundary(plain, layout, p, e, covariance)
         ratio = (np.abs(e) ** 2).sum(axis=0) / (periods - 1) / single / left
-        trend = _trending(e, single)
+        trend = _trending(e, single) or float(ratio.mean()) > DIFFERS
         scattering.append((len(out), periods, _scatters(e, single)))
         scatter = np.ones_like(record.scatter)
         window = min(LINES, lines)

@@ -131,7 +131,7 @@ def evaluate(
             view.of_ends, view.secants = before.of_ends, before.secants
             view.respond(before.feedback, before.jumps)
         extra = contributions(view, candidate)
-        if not any(t.inner for t in candidate.terms):
+        if not any(t.feels(view) for t in candidate.terms):
             view.respond(view.feedback, view.closed(extra))
         r = r + extra
         white = stack(root @ r[..., None])[:, 0]

@@ -34,6 +34,10 @@ class Term:
         """Whether it depends on inner motion, which forces change."""
         return self.place.kind in ("spring", "pair") or (self.place.kind == "mass" and self.place.number > 1)
 
+    def feels(self, view: View) -> bool:
+        """Whether it does in a record."""
+        return self.inner or self.effect.stands(view, self.place)
+
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
@@ -57,7 +61,7 @@ def contributions(
     if not candidate.terms:
         return np.zeros_like(view.acting)
     forces = forces_of(view, candidate)
-    if not any(t.inner for t in candidate.terms):  # nothing depends on what it moves
+    if not any(t.feels(view) for t in candidate.terms):  # nothing depends on what it moves
         total, back = forces()
         view.respond(back)
         return total
@@ -89,7 +93,7 @@ def impedances(view: View, effects: _Impedances, back: Complex128) -> tuple[Comp
 
 def forces_of(view: View, candidate: Candidate) -> Forces:
     """What the effects contribute at the view's present inner motion, and the inner motion that follows."""
-    inner = any(t.inner for t in candidate.terms)
+    inner = any(t.feels(view) for t in candidate.terms)
     patterns = tuple(
         t.place.pattern(view.structure)
         for t in candidate.terms

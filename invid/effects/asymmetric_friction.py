@@ -41,5 +41,8 @@ class AsymmetricFriction(DryLaw):
         sign = sign_law(v, self.softness(view, place))
         return np.stack([0.5 * (1 + sign), -0.5 * (1 - sign), np.maximum(v, 0.0), np.minimum(v, 0.0)], axis=1)
 
+    def held(self, x: Sequence[float]) -> tuple[float, float]:
+        return -x[1], x[0]
+
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
         return {name: float(value) for name, value in zip(self.coefficients, x, strict=True)}

@@ -103,6 +103,10 @@ class Effect:
         out: Complex128 = columns @ np.asarray(x[:count])
         return out, None
 
+    def stands(self, view: View, place: Place) -> bool:
+        """Whether its force at a motor depends on inner motion, as friction does while the motor stands."""
+        return False
+
     def rarity(self, place: Place, structure: ChainStructure) -> float:
         """−2 ln of the odds, before any data, that this cause sits here and not where it usually does."""
         return 0.0

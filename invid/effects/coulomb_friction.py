@@ -35,5 +35,8 @@ class CoulombFriction(DryLaw):
         v = view.velocity(place.pattern(view.structure))
         return sign_law(v, self.softness(view, place))[:, None]
 
+    def held(self, x: Sequence[float]) -> tuple[float, float]:
+        return -x[0], x[0]
+
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
         return {"torque": float(x[0])}

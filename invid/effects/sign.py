@@ -8,15 +8,17 @@ antiderivative (antiderivative antialiasing); a sample gets the mean of the inte
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from math import erf, exp, log1p, pi, sqrt, tanh
 from typing import Self
 
 import numpy as np
 from numba import njit
 
-from invid.arrays import Float64
+from invid.arrays import Complex128, Float64
 from invid.effects.base import ForceEffect
 from invid.effects.place import Place
+from invid.effects.standing import Standing, softness
 from invid.effects.view import View
 
 ROUNDING = "rounding"
@@ -41,8 +43,45 @@ class DryLaw(ForceEffect):
     def softness(self, view: View, place: Place) -> float:
         """Velocity over which the sign changes over: the rounding, or the velocity's noise if larger."""
         v = view.velocity(place.pattern(view.structure))
-        noise = float(view.record.velocity_noise[place.axis])
-        return max(1.5 * noise, 1e-3 * float(np.sqrt(np.mean(v**2))), self.rounding, 1e-300)
+        return max(softness(v, float(view.record.velocity_noise[place.axis])), self.rounding)
+
+    def stands(self, view: View, place: Place) -> bool:
+        return self._standing(view, place) is not None
+
+    def held(self, x: Sequence[float]) -> tuple[float, float]:
+        """Least and largest resistance of what does not move."""
+        raise NotImplementedError
+
+    def contribution(
+        self, view: View, place: Place, x: Sequence[float]
+    ) -> tuple[Complex128, Complex128 | None]:
+        still = self._standing(view, place)
+        if still is None:
+            return super().contribution(view, place, x)
+        count, pattern = len(self.coefficients), place.pattern(view.structure)
+        moving = self.law(view, place, x[count:]) @ np.asarray(x[:count])
+        wave = still.held(moving, _acting(view, place), *self.held(x))
+        total = view.to_lines(wave[:, None], smeared=self.smeared)
+        return view.push(pattern) * total, -view.yields(pattern) * total
+
+    def _standing(self, view: View, place: Place) -> Standing | None:
+        """When the motor stands; none for inner masses, for contacts that creep, and for a motor that is a
+        load as well, which feels the other loads."""
+        sizes = view.structure.sizes
+        told = place.kind == "mass" and place.number == 1 and (sizes[place.axis] > 1 or len(sizes) == 1)
+        return view.record.standing[place.axis] if told and self.rounding == 0.0 else None
+
+
+def _acting(view: View, place: Place) -> Float64:
+    """(n,) torque on a motor by its drive and its spring."""
+    at = view.structure.motor_dofs[place.axis]
+    torque = view.record.to_wave(view.acting[:, place.axis])
+    if view.structure.sizes[place.axis] == 1:
+        return torque
+    spring, pattern = view.structure.spring_pairs.index((at, at + 1)), ((at + 1, 1.0), (at, -1.0))
+    k, d = float(view.springs[spring]), float(view.dampers[spring])
+    out: Float64 = torque + k * view.wave(pattern) + d * view.velocity(pattern)
+    return out
 
 
 @njit(cache=True)

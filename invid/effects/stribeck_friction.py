@@ -50,5 +50,8 @@ class StribeckFriction(DryLaw):
         vs = float(np.exp(shape[0]))
         return np.stack([sign_law(v, soft), excess_law(v, soft, vs)], axis=1)
 
+    def held(self, x: Sequence[float]) -> tuple[float, float]:
+        return -x[0] - x[1], x[0] + x[1]
+
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
         return {"static": float(x[0] + x[1]), "coulomb": float(x[0]), "velocity": float(np.exp(x[2]))}

@@ -11,6 +11,7 @@ import numpy as np
 from invid.arrays import Complex128, Float64
 from invid.effects.place import Pattern
 from invid.effects.secants import Secants
+from invid.effects.standing import Standing, standing
 from invid.refine.structure import ChainStructure
 
 
@@ -96,6 +97,12 @@ class Record:
         half[0] *= 2.0
         out: Float64 = np.fft.irfft(half, self.samples)
         return out
+
+    @cached_property
+    def standing(self) -> tuple[Standing | None, ...]:
+        """When each motor stands; none for those that never do, or whose noise hides it."""
+        noise = self.velocity_noise
+        return tuple(standing(v, float(noise[i])) for i, v in enumerate(self.motor_velocity.T))
 
     def after(self, time: float) -> float:
         """Share of the record that lies after ``time``."""
