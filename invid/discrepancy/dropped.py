@@ -22,6 +22,9 @@ from invid.spectra import all_spectra
 
 FALSE_ALARM = 1e-4
 """Chance, over all axes, that repeated rows of a sound recording are called dropped."""
+FAST = 0.05
+"""Chance that a position repeats below which it is too fast for that. A guess: what is slower is left out, so
+nothing but sensitivity on held axes depends on it."""
 NODES = np.sqrt(2.0) * erfinv(np.linspace(-0.975, 0.975, 40))
 """Standard normal deviates of equal weight."""
 
@@ -41,7 +44,8 @@ def _repeats(e: Experiment, axis: int) -> tuple[Bool, Float64]:
     Chance: the product of how often each channel alone repeats nearby (quantised channels do), over
     a second either side, which leaves out that both were lost together; or of how often they do where both
     turn round, as those of a slow sinusoid do at once. The torque of an axis that is held follows from its
-    position and repeats with it: there the position alone counts.
+    position and repeats with it: there only rows count at which the position is too fast to repeat, the
+    others have no chance (NaN).
     """
     steps_p, steps_t = np.diff(e.position[:, axis]), np.diff(e.torque[:, axis])
     same_p, same_t = steps_p == 0, steps_t == 0
@@ -59,8 +63,10 @@ def _repeats(e: Experiment, axis: int) -> tuple[Bool, Float64]:
     p, t = near(same_p), near(same_t)
     # P(both) = P(p)·P(t) for independent channels, from P(p and not t) = P(p)(1 − P(t)) and so on.
     chance: Float64 = np.clip(p * t / np.maximum(1.0 - p - t + p * t, 1e-6) * (1 + p + t), 0.0, 1.0)
-    with_it = _slow(steps_t) if e.excited_axis in (-1, axis) else 1.0
-    return both, np.maximum(chance, _slow(steps_p) * with_it)
+    slow = _slow(steps_p)
+    if e.excited_axis in (-1, axis):
+        return both, np.maximum(chance, slow * _slow(steps_t))
+    return both, np.where(slow > FAST, np.nan, np.maximum(chance, slow))
 
 
 def _slow(steps: Float64) -> Float64:
@@ -92,9 +98,10 @@ def find_dropped(recording: Recording) -> list[Dropped]:
             if not moving:
                 continue
             both, chance = _repeats(e, axis)
-            repeated += int(both.sum())
-            expected += float(chance.sum())
-            rows += both.size
+            told = np.isfinite(chance)
+            repeated += int(both[told].sum())
+            expected += float(chance[told].sum())
+            rows += int(told.sum())
         if rows == 0 or repeated < 5:
             continue
         p0 = min(max(1.5 * expected / rows, 1e-9), 1.0)

@@ -19,9 +19,9 @@ FALSE_ALARM = 0.01
 """Share of null recordings that may be called anything but consistent."""
 DIFFERS = 9.0
 """Power of the scatter between periods over the sensors' from which a record is followed from period to
-period, as one that changes is. A machine that is not linear and does not settle (a ripple, a gap, an axis held
-softly) does another thing in each, by laws that hold in all; taken for noise that hides them. Three times in
-amplitude is a guess; empty records have one."""
+period, as one that changes is. A machine that is not linear and does not settle (a ripple, a gap, an axis
+held softly) does another thing in each, by laws that hold in all; taken for noise that hides them. Three
+times in amplitude is a guess; empty records have one."""
 LINES = 40
 """Lines over which the scatter between periods is pooled: 80 real degrees of freedom a period."""
 

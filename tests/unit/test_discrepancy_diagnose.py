@@ -85,10 +85,10 @@ def test_dropped_samples_are_found_with_their_share_and_sound_ones_are_not() -> 
 def test_a_held_axis_whose_torque_follows_from_its_coarse_position_has_lost_no_rows() -> None:
     """Position and torque repeat together there, at every sample in which it moves less than a count."""
     recording, _ = make(None, seed=5, motors=2, drive="sampled", moves=False, noise=2e-3)
-    (first, *others) = [e for e in recording.experiments if e.role is Role.IDENTIFY]
+    first, *others = (e for e in recording.experiments if e.role is Role.IDENTIFY)
     count = 2 * np.pi / 2.0**12
     position, torque = first.position.copy(), first.torque.copy()
-    position[:, 1] = count * np.round(3.0 * np.sin(np.linspace(0.0, 60.0, position.shape[0])))
+    position[:, 1] = count * np.round(3.0 * np.sin(0.2 * np.arange(position.shape[0])))
     torque[:, 1] = -50.0 * position[:, 1]
     held = replace(first, excited_axis=0, position=position, torque=torque)
     assert find_dropped(replace(recording, experiments=(held, *others))) == []
