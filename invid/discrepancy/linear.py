@@ -42,12 +42,13 @@ def linear_fit(
     held: Sequence[Record],
     *,
     apart: bool = False,
+    each: bool = False,
 ) -> tuple[JointFit, Float64, list[Record], list[Record]]:
     """The model, with the effects it came with, fitted to the training records, its parameters with unbounded
     time offsets, and the records with their scatter.
 
     ``apart``: every record is followed from period to period, the first that is held out joins the training;
-    nothing is a tone then.
+    nothing is a tone then. ``each``: so are records whose periods differ far beyond the sensors' noise.
     """
     chains = model.chains
     grounded = tuple(int(i) for i in np.flatnonzero(chains.ground_springs > 0))
@@ -70,9 +71,12 @@ def linear_fit(
             first = again
     train = with_scatter(train, spectra, layout, first.p)
     held = with_scatter(held, spectra, layout, first.p)
-    keys = [r.key for r in (*train, *held)] if apart else changing([*train, *held])
+    every = [*train, *held]
+    keys = [r.key for r in every] if apart else changing(every)
+    if each:
+        keys = [r.key for r in every if r.key in keys or r.differs]
     # A tone that repeats with no period looks like a change from one to the next.
-    if keys and (apart or not tones_in(first, held, spectra)):
+    if keys and (apart or each or not tones_in(first, held, spectra)):
         train, held = by_period(recording, train, keys), by_period(recording, held, keys)
         if apart and len(held) > 1 and held[0].alone:
             train, held = [*train, held[0]], held[1:]

@@ -63,7 +63,7 @@ def looked(recording: Recording, model: Model) -> Look:
     change with time alone. Or it moves less than the others and shows nothing of what they do, a torque limit
     that it stays below: then it cannot be asked, and a part of each of the others is kept out as well.
     """
-    look = _over_changes(recording, model)
+    look = _over_periods(recording, model)
     fitted = {r.key for r in look.train} & {s.key for s in look.spectra if s.role is Role.VALIDATE}
     told = [
         f"experiment {key} is for validation, but a period of it was fitted: nothing else shows the machine "
@@ -71,6 +71,16 @@ def looked(recording: Recording, model: Model) -> Look:
         for key in sorted(fitted)
     ]
     return replace(look, warnings=[*look.warnings, *told])
+
+
+def _over_periods(recording: Recording, model: Model) -> Look:
+    """The look at the mean of each record's periods. Where it finds nothing and they differ far beyond the
+    sensors' noise, one at every period: what repeats in none may have a law that holds in all."""
+    look = _over_changes(recording, model)
+    if look.selection.steps or look.tones or not any(r.differs for r in (*look.train, *look.held)):
+        return look
+    other = _looked(look.recording, model, each=True)
+    return other if other.selection.steps else look
 
 
 def _over_changes(recording: Recording, model: Model) -> Look:
@@ -109,11 +119,17 @@ def _changes(look: Look) -> bool:
 
 
 def _looked(
-    recording: Recording, model: Model, *, spare: bool = True, apart: bool = False, within: bool = False
+    recording: Recording,
+    model: Model,
+    *,
+    spare: bool = True,
+    apart: bool = False,
+    within: bool = False,
+    each: bool = False,
 ) -> Look:
-    begun = partial(_begun, model=model, spare=spare, apart=apart, within=within)
+    begun = partial(_begun, model=model, spare=spare, apart=apart, within=within, each=each)
     spectra, warnings, (base, free, train, held) = begun(recording)
-    tones = tones_in(base, held, spectra)
+    tones = [] if each else tones_in(base, held, spectra)
     if tones and not apart and _explained_by_a_change(recording, model):
         return _looked(recording, model, apart=True)
     if tones:
@@ -152,7 +168,7 @@ _Begun = tuple[JointFit, Float64, list[Record], list[Record]]
 
 
 def _begun(
-    recording: Recording, model: Model, spare: bool, apart: bool, within: bool
+    recording: Recording, model: Model, spare: bool, apart: bool, within: bool, each: bool = False
 ) -> tuple[tuple[LineSpectra, ...], list[str], _Begun]:
     """Spectra, what to warn about, and the linear fit with its records (``linear_fit``)."""
     spectra = all_spectra(recording)
@@ -163,4 +179,4 @@ def _begun(
     train, standing = with_sticking(train, spectra, model, recording)
     held, _ = with_sticking(held, spectra, model, recording)
     warnings = [*(w for s in spectra for w in s.warnings), *warnings, *standing]
-    return spectra, warnings, linear_fit(model, recording, spectra, train, held, apart=apart)
+    return spectra, warnings, linear_fit(model, recording, spectra, train, held, apart=apart, each=each)

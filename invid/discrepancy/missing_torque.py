@@ -18,10 +18,9 @@ from invid.spectra import LineSpectra
 FALSE_ALARM = 0.01
 """Share of null recordings that may be called anything but consistent."""
 DIFFERS = 9.0
-"""Power of the scatter between periods over the sensors' from which a record is followed from period to
-period, as one that changes is. A machine that is not linear and does not settle (a ripple, a gap, an axis
-held softly) does another thing in each, by laws that hold in all; taken for noise that hides them. Three
-times in amplitude is a guess; empty records have one."""
+"""Power of the scatter between periods over the sensors' from which it may be the machine's own. One that is
+not linear and does not settle (a ripple, a gap, an axis held softly) does another thing in each period, by
+laws that hold in all. Three times in amplitude is a guess; empty records have one."""
 LINES = 40
 """Lines over which the scatter between periods is pooled: 80 real degrees of freedom a period."""
 
@@ -80,7 +79,7 @@ def with_scatter(
         if record.transient and (periods <= 3 or _trending(e, single)):
             e, left = without_boundary(plain, layout, p, e, covariance)
         ratio = (np.abs(e) ** 2).sum(axis=0) / (periods - 1) / single / left
-        trend = _trending(e, single) or float(ratio.mean()) > DIFFERS
+        trend, differs = _trending(e, single), float(ratio.mean()) > DIFFERS
         scattering.append((len(out), periods, _scatters(e, single)))
         scatter = np.ones_like(record.scatter)
         window = min(LINES, lines)
@@ -103,7 +102,8 @@ def with_scatter(
         part = float(np.mean(1.0 - 1.0 / scatter))
         told = 2.0 * (periods - 1) * lines * left
         dof = 1.0 / ((1.0 - part) ** 2 / max(record.noise_dof, 1.0) + part**2 / told)
-        out.append(replace(record, scatter=added, trend=trend, noise_dof=min(dof, record.noise_dof)))
+        dof = min(dof, record.noise_dof)
+        out.append(replace(record, scatter=added, trend=trend, differs=differs, noise_dof=dof))
     # Two or three periods are too few to follow time. A process that scatters does so in every record; what
     # comes in one and leaves the others quiet happened once.
     if not all(scatters for *_, scatters in scattering):

@@ -295,9 +295,11 @@ def _step(
             continue
         more = fit(t.fit.layout, train, t.fit.p, t.fit.candidate, iterations=40)
         polished.append(Trial(more, held_out(more, held)))
-    # Where the fit went on it may have reached an edge.
-    polished = [t for t in polished if not at_bound(t)] or polished
+    # Where the fit went on it may have reached an edge, and then wants something else than this cause.
+    polished = [t for t in polished if not at_bound(t)]
     trials = polished + [t for t in trials if t not in best[:4]]
+    if not trials:
+        return None, tuple(scores[:5])
     if _rejects(trials[0], [*train, *held]):
         trials = with_known(trials, modes_moved(current, trials, train, held, terms))
     dispersion = min(t.dispersion for t in trials)

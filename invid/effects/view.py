@@ -75,6 +75,8 @@ class Record:
     """Whether it is a single period of a machine that changes, at its own time."""
     trend: bool = False
     """Whether the missing torque changes over the record's periods."""
+    differs: bool = False
+    """Whether it scatters from period to period far beyond the sensors' noise."""
     ends_in: bool = True
     """Whether the spectra hold the end-point correction h/2·(x_n − x_0) that makes a sum the integral."""
 
