@@ -30,9 +30,7 @@ def test_a_spring_that_chains_answered_with_heavy_loads_is_found_where_the_lowes
     true = truth.effects[0].parameters["stiffness"]
     assert abs(finding.effect.value("stiffness") / true - 1.0) < 0.01
     for axis in (0, 1):
-        np.testing.assert_allclose(
-            found.model.chains.masses[axis], truth.chains.masses[axis], rtol=0.01
-        )
+        np.testing.assert_allclose(found.model.chains.masses[axis], truth.chains.masses[axis], rtol=0.01)
 
 
 def _model(robot: str, chains: CoupledChains) -> Model:
