@@ -17,10 +17,11 @@ from invid.spectra import LineSpectra
 
 FALSE_ALARM = 0.01
 """Share of null recordings that may be called anything but consistent."""
-DIFFERS = 9.0
-"""Power of the scatter between periods over the sensors' from which it may be the machine's own. One that is
-not linear and does not settle (a ripple, a gap, an axis held softly) does another thing in each period, by
-laws that hold in all. Three times in amplitude is a guess; empty records have one."""
+DIFFERS, WANDERS = 9.0, 0.1
+"""Power of the scatter between periods over the sensors', and of what the motion differs by over the motion
+itself (rms), from which the scatter may be the machine's own. One that is not linear and does not settle (a
+ripple, a gap, an axis held softly) does another thing in each period, by laws that hold in all. Both guesses:
+six machines that wandered moved 13 to 120 % otherwise, one shaken by random torque of a tenth 3 %."""
 LINES = 40
 """Lines over which the scatter between periods is pooled: 80 real degrees of freedom a period."""
 
@@ -79,7 +80,8 @@ def with_scatter(
         if record.transient and (periods <= 3 or _trending(e, single)):
             e, left = without_boundary(plain, layout, p, e, covariance)
         ratio = (np.abs(e) ** 2).sum(axis=0) / (periods - 1) / single / left
-        trend, differs = _trending(e, single), float(ratio.mean()) > DIFFERS
+        trend = _trending(e, single)
+        differs = float(ratio.mean()) > DIFFERS and _wander(record, s) > WANDERS
         scattering.append((len(out), periods, _scatters(e, single)))
         scatter = np.ones_like(record.scatter)
         window = min(LINES, lines)
@@ -126,6 +128,16 @@ def between_periods(view: View, s: LineSpectra) -> tuple[Complex128, Complex128,
     # ``noise`` is of the mean over the periods used in this record.
     share = 2.0 * float(record.noise[0, 0] / max(s.floor[0], 1e-300))
     return e, noise_of(view, factor)[1:], max(round(s.deviations.shape[0] / share), 1)
+
+
+def _wander(record: Record, s: LineSpectra) -> float:
+    """How much the motion of a single period differs from the mean of all, over that mean; of the driven axes
+    the largest, for those that are held hardly move."""
+    lines, motors = record.omega.size - 1, record.position.shape[1]
+    apart = (np.abs(s.deviations[:, :lines, :motors]) ** 2).sum(axis=(0, 1)) / s.deviations.shape[0]
+    moved = (np.abs(record.position[1:]) ** 2).sum(axis=0)
+    share = apart / np.maximum(moved, 1e-300)
+    return float(np.sqrt(np.max(share[s.driven] if s.driven.size else share, initial=0.0)))
 
 
 def changing(records: Sequence[Record]) -> list[str]:

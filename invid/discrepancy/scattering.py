@@ -11,14 +11,10 @@ from invid.discrepancy.missing_torque import informative
 from invid.discrepancy.plant import Evaluation
 from invid.recording.model import Recording
 
-CLEAR = 3.0
-"""How many times what the sensors' noise leaves the missing torque must differ by from period to period. It
-counts from three standard errors on; three times are a guess at what a technician should hear of. Twelve
-empty records of three kinds of drives had 1.00."""
-
 
 def said_of_scatter(parts: Sequence[Evaluation], recording: Recording, unit: str) -> Unexplained | None:
-    """Where the missing torque does not repeat; none where it does as well as the sensors let it.
+    """Where the missing torque does not repeat; none where it does, or where what differs may be
+    noise of a torque that the sensors do not show (``Record.differs``).
 
     A torque that differs from period to period is noise to every test of what repeats: beside a ripple over
     which the axis wanders χ² was half its expectation, with a model that explained nothing of it.
@@ -27,6 +23,8 @@ def said_of_scatter(parts: Sequence[Evaluation], recording: Recording, unit: str
     for part in parts:
         for number, view in enumerate(part.views):
             record, covariance = view.record, part.covariance[number]
+            if not record.differs:
+                continue
             good = informative(covariance, record)
             good[0] = False
             for axis in range(recording.axis_count):
@@ -36,7 +34,7 @@ def said_of_scatter(parts: Sequence[Evaluation], recording: Recording, unit: str
                 added = np.where(good[:, axis], record.scatter[:, axis], 0.0)
                 sensors = float((whole - added).sum())
                 ratio = float(np.sqrt(whole.sum() / max(sensors, 1e-300)))
-                if ratio > max(CLEAR, 0.0 if best is None else best[0]):
+                if best is None or ratio > best[0]:
                     strongest = np.sort(np.argsort(-added)[:6])
                     hz = tuple(float(v) for v in record.omega[strongest] / (2 * np.pi))
                     best = (ratio, float(np.sqrt(0.5 * added.sum())), axis, hz)

@@ -2,22 +2,14 @@
 
 from __future__ import annotations
 
-import sys
-from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from hidden.generator import make
-
-from invid.diagnosis import Verdict
-from invid.discrepancy import diagnose
+from invid.discrepancy.missing_torque import _wander
 from invid.discrepancy.scattering import said_of_scatter
-from invid.recording.model import Recording
 
 
 def _part(scatter: float) -> Any:
@@ -27,6 +19,7 @@ def _part(scatter: float) -> Any:
         scatter=np.full((lines, 1), scatter),
         weight=np.zeros(0),
         set_aside=np.zeros(0, dtype=bool),
+        differs=scatter > 9.0,
     )
     covariance = np.full((lines, 1, 1), 1.0 + scatter, dtype=complex)
     return SimpleNamespace(views=[SimpleNamespace(record=record)], covariance=(covariance,))
@@ -42,19 +35,13 @@ def test_what_differs_between_periods_by_far_more_than_noise_is_said(scatter: fl
         assert found.character == ("time-dependent",)
 
 
-def _disturbed(recording: Recording, size: float) -> Recording:
-    """The machine under a slow random torque that its drives report: its periods differ."""
-    rng = np.random.default_rng(3)
-    out = []
-    for e in recording.experiments:
-        wave = np.convolve(rng.standard_normal(e.samples), np.hanning(25), mode="same")[:, None]
-        out.append(replace(e, torque=e.torque + size * wave * float(np.std(e.torque)), torque_demand=None))
-    return replace(recording, experiments=tuple(out))
-
-
-def test_torque_that_never_repeats_is_not_called_consistent() -> None:
-    recording, _ = make(None, seed=11, motors=1, periods=4, from_rest=False, moves=False)
-    assert diagnose(recording).verdict is Verdict.CONSISTENT
-    found = diagnose(_disturbed(recording, 0.1))
-    assert found.verdict is Verdict.UNEXPLAINED
-    assert found.findings == ()
+def test_a_held_axis_that_hardly_moves_does_not_wander() -> None:
+    motion = np.zeros((5, 2), dtype=complex)
+    motion[1:] = [1.0, 1e-6]
+    deviations = np.zeros((3, 4, 4), dtype=complex)
+    deviations[:, :, 1] = 1e-6 * np.array([1.0, -1.0, 0.0])[:, None]
+    record: Any = SimpleNamespace(omega=np.arange(5.0), position=motion)
+    driven: Any = SimpleNamespace(deviations=deviations, driven=np.array([True, False]))
+    assert _wander(record, driven) == 0.0
+    deviations[:, :, 0] = 0.3 * np.array([1.0, -1.0, 0.0])[:, None]
+    assert _wander(record, driven) == pytest.approx(0.3 * np.sqrt(2.0 / 3.0))
