@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from invid.discrepancy.joint import JointFit
 from invid.discrepancy.terms import Term
-from invid.discrepancy.trial import CLOSE, HELD_OUT, WEAK, Trial, excess_in, sized
+from invid.discrepancy.trial import CLOSE, HELD_OUT, WEAK, Trial, excess_in, told
 from invid.distributions import chi2_isf
 from invid.effects.place import Place
 
@@ -70,11 +70,11 @@ def accepted(
         return False
     # An encoder of few counts errs alike in every period, on a handful of lines, which χ² takes for noise. By
     # the scatter over the lines, which does not, the size has to differ from none as well.
-    if not rejects and sized(trial.fit, -1, SIGNIFICANCE / count) is False:
+    if not rejects and told(trial.fit, -1, SIGNIFICANCE / count) is False:
         return False
     if first:
         return True
-    if sized(trial.fit, -1) is False:
+    if told(trial.fit, -1) is False:
         return False  # beside a weight a thousand times all else what is left has a shape, and no size
     excess, gained = current.excess, current.cost - trial.cost
     if gained < REMAINDER * current.excess_on(_axes(trial.term.place)):

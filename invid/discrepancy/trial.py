@@ -240,6 +240,25 @@ def sized(found: JointFit, number: int, chance: float = 0.01) -> bool | None:
     return wald > chi2_isf(chance, count)
 
 
+def told(found: JointFit, number: int, chance: float = 0.01) -> bool | None:
+    """Whether a coefficient of an effect differs from zero at the shapes that were found; ``None`` where none
+    is known.
+
+    With none of the effect there are no shapes: that cycles are not told, and the phase with them, says
+    nothing of the size (997019: a gear error of 215 in χ² whose sine and cosine are 2.6 std from none).
+    """
+    term, x = found.candidate.terms[number], found.candidate.x[number]
+    count = len(term.effect.coefficients)
+    block = found.covariance_of(number)
+    if not count or not np.isfinite(block).all():
+        return None
+    scale = np.sqrt(np.maximum(np.diag(block), 1e-300))
+    information = np.linalg.pinv(block / scale[:, None] / scale, hermitian=True)[:count, :count]
+    size = x[:count] / scale[:count]
+    wald = float(size @ information @ size)
+    return wald > chi2_isf(chance, count)
+
+
 def penalty(trial: Trial, rows: int) -> float:
     """Schwarz' penalty of the parameters of the effects, and how rare their places are."""
     terms, structure = trial.fit.candidate.terms, trial.fit.layout.structure

@@ -10,6 +10,7 @@ import pytest
 
 from invid.discrepancy.acceptance import accepted
 from invid.discrepancy.terms import Candidate, Term
+from invid.discrepancy.trial import sized, told
 from invid.discrepancy.words import BY_CAUSE
 from invid.effects.place import Place
 
@@ -35,3 +36,19 @@ def test_a_gain_that_a_few_lines_make_is_no_cause_where_nothing_is_missing(std: 
     before, after = _trial(1990.0, 990.0), _trial(1940.0, 966.0, size=-0.19, std=std)
     state = {"first": True, "rejects": False, "quiet": True}
     assert accepted(before, after, 1.0, 60, before, **state) is there
+
+
+def test_a_size_is_told_where_only_its_phase_is_not() -> None:
+    """Cycles that are not told turn sine and cosine into each other; how large they are together is known."""
+    term = Term(BY_CAUSE["transmission_error"], Place("spring", 0, 1))
+    size, turn = np.array([6e-5, 2e-5, np.log(15.0)]), np.array([-2e-5, 6e-5, 0.1])
+    covariance = np.diag([1.6e-11, 1.6e-11, 1e-6]) + np.outer(turn, turn)
+    fit: Any = SimpleNamespace(
+        candidate=Candidate((term,), (size,)), covariance_of=lambda _: covariance, layout=None
+    )
+    assert told(fit, -1, 1e-6)
+    covariance[:2, :2] *= 1e4
+    covariance[:2, 2] *= 1e2
+    covariance[2, :2] *= 1e2
+    assert told(fit, -1, 1e-6) is False
+    assert sized(fit, -1, 1e-6) is False
