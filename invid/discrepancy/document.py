@@ -67,13 +67,9 @@ def document(
     if named or known:
         explained = float(np.clip(1.0 - (a2 - n2) / max(b2 - n2, 1e-300), 0.0, 1.0))
     humming = unexplained = said_of_tones(tones, recording, unit)
-    scattered = None
     if not coherent and not tones:
-        scattered = said_of_scatter((base.fit.evaluation, base.held), recording, unit)
-    if scattered is not None:
-        verdict, unexplained = Verdict.UNEXPLAINED, scattered
-    elif not coherent and not tones:
-        verdict = Verdict.CONSISTENT
+        unexplained = said_of_scatter((base.fit.evaluation, base.held), recording, unit)
+        verdict = Verdict.CONSISTENT if unexplained is None else Verdict.UNEXPLAINED
     elif not named:
         verdict = Verdict.UNEXPLAINED
         if coherent:

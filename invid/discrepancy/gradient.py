@@ -101,7 +101,8 @@ def strong_inside(view: View, candidate: Candidate) -> bool:
     below, what the laws gain by a change of that is a hundredth of a column.
 
     Along the pattern and not beside the motors: a gap that is most of a spring's deflection moves the load by
-    a hundredth of what the axis moves, and a fit without the term stands still far from its minimum.
+    a hundredth of what the axis moves, and a fit without the term stands still far from its minimum. What
+    holds a motor that stands is the spring beside it, whatever that moves.
     """
     if any(t.effect.stands(view, t.place) for t in candidate.terms):
         return True

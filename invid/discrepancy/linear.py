@@ -12,7 +12,7 @@ from invid.discrepancy.given import given_effects
 from invid.discrepancy.holds import HeldInside, holds_inside
 from invid.discrepancy.joint import JointFit, fit, held_out
 from invid.discrepancy.layout import Layout
-from invid.discrepancy.missing_torque import changing, with_scatter
+from invid.discrepancy.missing_torque import with_scatter
 from invid.discrepancy.records import by_period
 from invid.discrepancy.terms import Candidate
 from invid.discrepancy.tones import Tone, tones_of
@@ -71,10 +71,7 @@ def linear_fit(
             first = again
     train = with_scatter(train, spectra, layout, first.p)
     held = with_scatter(held, spectra, layout, first.p)
-    every = [*train, *held]
-    keys = [r.key for r in every] if apart else changing(every)
-    if each:
-        keys = [r.key for r in every if r.key in keys or r.differs]
+    keys = [r.key for r in (*train, *held) if apart or r.trend or (each and r.differs)]
     # A tone that repeats with no period looks like a change from one to the next.
     if keys and (apart or each or not tones_in(first, held, spectra)):
         train, held = by_period(recording, train, keys), by_period(recording, held, keys)
@@ -176,7 +173,7 @@ def restarted(fitted: JointFit, train: Sequence[Record]) -> JointFit:
     best = fitted
     masses = structure.slices["mass"]
     totals = np.exp(fitted.p[masses])
-    top = _top(train)
+    top = highest_line(train)
     for part in (0.6, 0.35, 0.2, 0.85):
         p = fitted.p.copy()
         at = 0
@@ -196,7 +193,7 @@ def restarted(fitted: JointFit, train: Sequence[Record]) -> JointFit:
     return best
 
 
-def _top(records: Sequence[Record]) -> float:
+def highest_line(records: Sequence[Record]) -> float:
     """Highest excited line [rad/s]."""
     return max(float(r.omega[r.excited].max()) for r in records if r.excited.any())
 
@@ -208,7 +205,7 @@ def spare_mode(fitted: JointFit, records: Sequence[Record]) -> bool:
     """
     structure = fitted.layout.structure
     chains = structure.chains(fitted.p[: structure.count])
-    return float(np.max(resonances(chains), initial=0.0)) > _top(records)
+    return float(np.max(resonances(chains), initial=0.0)) > highest_line(records)
 
 
 def tones_in(fitted: JointFit, held: Sequence[Record], spectra: Sequence[LineSpectra]) -> list[Tone]:

@@ -140,11 +140,6 @@ def _wander(record: Record, s: LineSpectra) -> float:
     return float(np.sqrt(np.max(share[s.driven] if s.driven.size else share, initial=0.0)))
 
 
-def changing(records: Sequence[Record]) -> list[str]:
-    """Experiments whose missing torque changes from period to period in one direction or at one time."""
-    return [r.key for r in records if r.trend]
-
-
 def _trending(e: Complex128, single: Float64) -> bool:
     """Whether the (P, F, M) scatter follows time: neighbours alike, the first and the last far apart, or all
     alike before some period and all alike after it.

@@ -10,6 +10,7 @@ import numpy as np
 
 from invid.arrays import Complex128, Float64
 from invid.discrepancy.joint import JointFit, fit
+from invid.discrepancy.linear import highest_line
 from invid.discrepancy.terms import Candidate, Term
 from invid.discrepancy.trial import CLOSE, Trial, attempted
 from invid.effects.view import Record
@@ -117,7 +118,7 @@ def _starts(
     and is split.
     """
     structure = here.layout.structure
-    top = max(float(r.omega[r.excited].max()) for r in train if r.excited.any())
+    top = highest_line(train)
     chains = structure.chains(here.p[: structure.count])
     for part in SPREAD:
         masses, springs = [m.copy() for m in chains.masses], [k.copy() for k in chains.springs]

@@ -74,7 +74,7 @@ class Record:
     alone: bool = False
     """Whether it is a single period of a machine that changes, at its own time."""
     trend: bool = False
-    """Whether the missing torque changes over the record's periods."""
+    """Whether the missing torque changes over the record's periods, in one direction or at one time."""
     differs: bool = False
     """Whether it scatters from period to period far beyond the sensors' noise."""
     ends_in: bool = True

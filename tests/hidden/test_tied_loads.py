@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,11 +18,14 @@ from hidden.generator import make_case
 def test_a_spring_that_chains_answered_with_heavy_loads_is_found_where_the_lowest_lines_put_it() -> None:
     """33 dB: the identification ends at loads of a thousand times their mass that move together only."""
     recording, truth = make_case(970048)
-    first, second = (m.copy() for m in truth.chains.masses)
-    between = np.array([[0.0, -3.57e4], [-3.57e4, 0.0]])
-    first[1], first[2], second[2] = 93.9, 3.26e4, 3.91e4  # what it comes out with
-    springs = (np.array([truth.chains.springs[0][0], 82.0]), truth.chains.springs[1])
-    lost = replace(truth.chains, masses=(first, second), springs=springs, couplings=between)
+    # What it comes out with, in 28 s.
+    lost = CoupledChains.build(
+        [[24.24, 93.87, 3.263e4], [32.19, 62.54, 3.915e4]],
+        [[8168.0, 82.12], [31423.0, 23404.0]],
+        [[0.0, 0.0], [0.0, 0.0]],
+        np.array([[0.0, -3.572e4], [-3.572e4, 0.0]]),
+        axes=truth.chains.axes,
+    )
     found = diagnose(recording, model=_model(recording.robot, lost))
     (finding,) = found.findings
     assert finding.effect.cause == "coupling_stiffness"
