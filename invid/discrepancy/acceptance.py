@@ -43,7 +43,7 @@ def _axes(place: Place) -> set[int]:
 def accepted(
     current: Trial,
     trial: Trial,
-    dispersion: float,
+    dispersion: tuple[float, float],
     count: int,
     start: Trial,
     *,
@@ -51,9 +51,13 @@ def accepted(
     rejects: bool,
     quiet: bool,
 ) -> bool:
-    """Whether a cause is there; ``rejects``: all records ask for one, ``quiet``: the training does not."""
-    gain = (current.fit.cost - trial.fit.cost) / dispersion
-    held_gain = (current.held.cost - trial.held.cost) / dispersion
+    """Whether a cause is there; ``rejects``: all records ask for one, ``quiet``: the training does not.
+
+    ``dispersion``: χ²/ν of the best candidate on the training records and on those held out. Each part by its
+    own: what a record far finer than the rest misses says nothing of the gain on those.
+    """
+    gain = (current.fit.cost - trial.fit.cost) / dispersion[0]
+    held_gain = (current.held.cost - trial.held.cost) / dispersion[1]
     needed = chi2_isf((SIGNIFICANCE if rejects else WEAK) / count, max(trial.term.size, 1))
     # Where there is no excess to explain every record counts: noise that was fitted costs on the held-out
     # ones what it gained, so the sum passes no more often than the gain of a fit to all of them.

@@ -306,9 +306,8 @@ def _step(
     ranked = _ranked([(t, t.score(dispersion, rows)) for t in trials], asked.contested)
     best_of_all = ranked[0][0]
     quiet = not null_test(here.cost, here.dof, train).rejects
-    if not accepted(
-        current, best_of_all, dispersion, count, start, first=first, rejects=rejects, quiet=quiet
-    ):
+    apart = min(t.fit.dispersion for t in trials), min(t.held_dispersion for t in trials)
+    if not accepted(current, best_of_all, apart, count, start, first=first, rejects=rejects, quiet=quiet):
         return None, tuple(scores[:5])
     if best_of_all.term.effect.cause == "extra_mode":
         # A mode on one mass is nearly one on the next with another size, and a fit creeps along that.

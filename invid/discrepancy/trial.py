@@ -101,6 +101,11 @@ class Trial:
         """χ²/ν of both, at least 1."""
         return max(1.0, self.cost / self.dof)
 
+    @property
+    def held_dispersion(self) -> float:
+        """χ²/ν of the held-out records, at least 1."""
+        return max(1.0, self.held.cost / max(self.held.dof, 1))
+
     def score(self, dispersion: float, rows: int) -> float:
         """−2 ln(likelihood) and Schwarz' penalty of all effects: what candidates are ranked by."""
         return self.cost / dispersion + penalty(self, rows)

@@ -35,7 +35,7 @@ def test_a_gain_that_a_few_lines_make_is_no_cause_where_nothing_is_missing(std: 
     """A 12-bit encoder without dither: a torque scale of 0.81 gained 74, 3.4 deviations by the scatter."""
     before, after = _trial(1990.0, 990.0), _trial(1940.0, 966.0, size=-0.19, std=std)
     state = {"first": True, "rejects": False, "quiet": True}
-    assert accepted(before, after, 1.0, 60, before, **state) is there
+    assert accepted(before, after, (1.0, 1.0), 60, before, **state) is there
 
 
 def test_a_size_is_told_where_only_its_phase_is_not() -> None:
