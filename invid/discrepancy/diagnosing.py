@@ -89,14 +89,15 @@ def _diagnosed(
         linear = extended_model(model, bare, ())
         answer = replay(sound, look.spectra, linear, result.model, selection.final.fit, held)
         reached = not null_test(selection.final.held.cost, selection.final.held.dof, held).rejects
-        if isinstance(answer, Replay) and answer.refused and not (answer.lost and reached):
+        lost = isinstance(answer, Replay) and answer.lost and reached
+        if isinstance(answer, Replay) and answer.refused and not lost:
             result = document(
                 sound, model, selection, bare, train, held, tones, [*warnings, REFUSED], refused=True
             )
-        elif isinstance(answer, Replay) and not answer.refused:
+        elif isinstance(answer, Replay) and not lost:
             selection = selection.wider(answer.shift)
             result = document(sound, model, selection, bare, train, held, tones, warnings)
-        result = with_replay(result, answer, sound)
+        result = with_replay(result, answer, sound, lost=lost)
         result = replace(result, details={**result.details, "linear_model": model_to_json(linear)})
     return with_dropped(result, recording, dropped, before_repair(recording, bare, result) if dropped else {})
 

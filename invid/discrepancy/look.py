@@ -74,10 +74,11 @@ def looked(recording: Recording, model: Model) -> Look:
 
 
 def _over_periods(recording: Recording, model: Model) -> Look:
-    """The look at the mean of each record's periods. Where it finds nothing and they differ far beyond the
-    sensors' noise, one at every period: what repeats in none may have a law that holds in all."""
+    """The look at the mean of each record's periods. Where they differ far beyond the sensors' noise, one at
+    every period: what repeats in none may have a law that holds in all. What the mean shows beside that is
+    measured by what differs, and any cause may pass (presliding friction, of a ripple)."""
     look = _over_changes(recording, model)
-    if look.selection.steps or look.tones or not any(r.differs for r in (*look.train, *look.held)):
+    if look.tones or not any(r.differs for r in (*look.train, *look.held)):
         return look
     other = _looked(look.recording, model, each=True)
     return other if other.selection.steps else look

@@ -56,7 +56,7 @@ def record_of(
     index = np.round(s.frequency_hz[used] * count * step).astype(int)
     wave, torque_wave = np.asarray(s.position_wave), np.asarray(s.torque_wave)
     if rows is not None:
-        wave, torque_wave = _own_waves(s, experiment, rows)
+        wave, torque_wave = _own_waves(s, experiment, rows, alone)
     ramp = np.zeros(motors)
     if (s.transient and s.periods <= 1) or alone:
         ramp = (wave[-1] - wave[0]) / ((count - 1) * step)
@@ -135,10 +135,14 @@ def record_of(
     )
 
 
-def _own_waves(s: LineSpectra, experiment: Experiment, rows: slice) -> tuple[Float64, Float64]:
-    """(n, M) position and torque of some of the periods that the spectra come from: their mean."""
+def _own_waves(s: LineSpectra, experiment: Experiment, rows: slice, alone: bool) -> tuple[Float64, Float64]:
+    """(n, M) position and torque of some of the periods that the spectra come from: their mean.
+
+    What all of them drift has no place in a mean; a period ``alone`` is where the motor was.
+    """
     data, count = uniform(experiment), s.position_wave.shape[0]
-    position = without_drift(fold(data.position, count)[-s.periods :])
+    position = fold(data.position, count)[-s.periods :]
+    position = position if alone else without_drift(position)
     return position[rows].mean(axis=0), fold(data.torque, count)[-s.periods :][rows].mean(axis=0)
 
 

@@ -36,6 +36,10 @@ REFUSED = (
     "simulated over time on held-out data the extended model gains no more than the uncertainty of that "
     "gain: the extension is refused"
 )
+LOST = (
+    "simulated over time the motion ends among other ripples than the measured one, at the least difference: "
+    "the extension is judged by the missing torque alone"
+)
 AGREES = 2.0
 """How many times the residual of the regression, or the noise, the simulation over time may leave. Empirical:
 on hidden plants it leaves 1.0 to 1.5 times either; more means that one of the two has the physics wrong."""
@@ -51,8 +55,8 @@ class Replay:
 
     ``torque_after`` (M,) [N·m or N] missing torque between the simulated and the measured record;
     ``position_before``, ``position_after`` (M,) [rad or m] rms error of the simulated motion with the linear
-    and with the extended model, ``motion`` (M,) that of the measured one about its mean. ``gain`` is how much
-    χ² falls, ``std`` its standard deviation.
+    and with the extended model, ``motion`` (M,) that of the measured one about its mean, ``reach`` (M,) what
+    it may be off and still feel the same forces. ``gain`` is how much χ² falls, ``std`` its standard deviation.
     """
 
     keys: tuple[str, ...]
@@ -60,6 +64,7 @@ class Replay:
     position_before: Float64
     position_after: Float64
     motion: Float64
+    reach: Float64
     gain: float
     std: float
     linear: Recording
@@ -74,11 +79,12 @@ class Replay:
 
     @property
     def lost(self) -> bool:
-        """The simulated motion of an axis is off by more than the measured one moves: no judge of the law.
+        """The simulated motion of an axis is off by more than the measured one moves, or so far that a
+        ripple found there pushes elsewhere: no judge of the law.
 
-        A free axis among ripples ends in another one at the least difference.
+        A soft axis among ripples ends in another one at the least difference.
         """
-        return bool((self.position_after > self.motion).any())
+        return bool((self.position_after > self.reach).any())
 
     def to_json(self, recording: Recording) -> dict[str, Any]:
         """Plain values."""
@@ -134,18 +140,34 @@ def replay(
     # χ² of two residuals with the same noise differs by ‖d‖² ± 2‖d‖, d their whitened difference.
     spread = max(1.0, evaluation.cost / max(evaluation.dof, 1))
     measured = [e for e in recording.experiments if e.key in keys]
+    motion = np.sqrt(np.mean([e.position.var(axis=0) for e in measured], axis=0))
     return Replay(
         keys=keys,
         torque_after=np.array([rms_torque(evaluation, i)[0] for i in range(recording.axis_count)]),
         position_before=_error(measured, plain),
         position_after=_error(measured, answer),
-        motion=np.sqrt(np.mean([e.position.var(axis=0) for e in measured], axis=0)),
+        motion=motion,
+        reach=np.minimum(motion, _ripples(extended)),
         gain=gain,
         std=float(2.0 * np.sqrt(abs(gain) * spread)),
         linear=plain,
         extended=answer,
         shift=shift,
     )
+
+
+def _ripples(model: Model) -> Float64:
+    """(M,) a third of a radian of the finest ripple of each axis [rad]; infinite where there is none.
+
+    Farther away the force is not that at the measured motion plus what is linear in the error: a twentieth of
+    it is not.
+    """
+    out = np.full(len(model.axes), np.inf)
+    for effect in model.effects:
+        if "cycles_per_rev" in effect.parameters:
+            at = model.axes.index(effect.axis)
+            out[at] = min(out[at], 1.0 / 3.0 / effect.parameters["cycles_per_rev"].value)
+    return out
 
 
 def _left_by(
@@ -194,14 +216,18 @@ def _shift(fitted: JointFit, held: Sequence[Record], replayed: Evaluation) -> Fl
     return np.where(np.isfinite(out), out, 0.0)
 
 
-def with_replay(result: Diagnosis, answer: Replay | str, recording: Recording) -> Diagnosis:
-    """The diagnosis with what the simulation over time says of its extension."""
+def with_replay(
+    result: Diagnosis, answer: Replay | str, recording: Recording, *, lost: bool = False
+) -> Diagnosis:
+    """The diagnosis with what the simulation over time says of its extension; none where it is ``lost``."""
     if isinstance(answer, str):
         return replace(result, warnings=(*result.warnings, answer))
     details = {**result.details, "replay": answer.to_json(recording)}
     result = replace(result, details=details)
     if answer.refused and not result.findings:
         return result
+    if lost:
+        return replace(result, warnings=(*result.warnings, LOST))
     doubtful = [
         r
         for r, torque in zip(result.residual, answer.torque_after, strict=True)

@@ -47,6 +47,7 @@ def test_an_extension_that_gains_less_than_its_uncertainty_over_time_is_refused(
             found.position_before,
             found.position_after,
             found.motion,
+            found.reach,
             gain=3.0,
             std=3.5,
             linear=found.linear,
@@ -59,6 +60,31 @@ def test_an_extension_that_gains_less_than_its_uncertainty_over_time_is_refused(
     assert d.verdict is Verdict.UNEXPLAINED
     assert d.model.effects == ()
     assert any("refused" in w for w in d.warnings)
+
+
+def test_a_simulation_that_ends_among_other_ripples_judges_nothing(monkeypatch) -> None:
+    """Off by a third of a radian of the ripple found, with the missing torque at the held-out noise."""
+    from dataclasses import replace
+
+    recording, _ = make("cogging", target_db=20, **QUICK)
+    honest = diagnosing.replay
+
+    def astray(*given, **named):
+        found = honest(*given, **named)
+        assert isinstance(found, Replay)
+        assert (found.reach < found.motion).any() or not found.lost
+        return replace(found, gain=-1.0, position_after=1.1 * found.reach, shift=1e3 + found.shift)
+
+    before = diagnose(recording)
+    monkeypatch.setattr(diagnosing, "replay", astray)
+    d = diagnose(recording)
+    (finding,), (own,) = d.findings, before.findings
+    assert finding.effect.cause == own.effect.cause == "cogging"
+    torque, known = finding.effect.parameters["torque"], own.effect.parameters["torque"]
+    assert torque.std is not None
+    assert known.std is not None
+    assert torque.std <= known.std
+    assert any("among other ripples" in w for w in d.warnings)
 
 
 def test_a_wrong_extension_does_not_pass_the_simulation_over_time(monkeypatch) -> None:
