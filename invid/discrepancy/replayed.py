@@ -56,7 +56,7 @@ class Replay:
     ``torque_after`` (M,) [N·m or N] missing torque between the simulated and the measured record;
     ``position_before``, ``position_after`` (M,) [rad or m] rms error of the simulated motion with the linear
     and with the extended model, ``motion`` (M,) that of the measured one about its mean, ``reach`` (M,) what
-    it may be off and still feel the same forces. ``gain`` is how much χ² falls, ``std`` its standard deviation.
+    it may be off and still feel the same forces. ``gain`` is how much χ² falls, ``std`` its own.
     """
 
     keys: tuple[str, ...]
