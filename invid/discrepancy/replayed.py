@@ -219,21 +219,19 @@ def _shift(fitted: JointFit, held: Sequence[Record], replayed: Evaluation) -> Fl
 def with_replay(
     result: Diagnosis, answer: Replay | str, recording: Recording, *, lost: bool = False
 ) -> Diagnosis:
-    """The diagnosis with what the simulation over time says of its extension; none where it is ``lost``."""
+    """The diagnosis with what the simulation over time says of its extension: where it is ``lost``, nothing."""
     if isinstance(answer, str):
         return replace(result, warnings=(*result.warnings, answer))
     details = {**result.details, "replay": answer.to_json(recording)}
     result = replace(result, details=details)
     if answer.refused and not result.findings:
         return result
-    if lost:
-        return replace(result, warnings=(*result.warnings, LOST))
     doubtful = [
         r
         for r, torque in zip(result.residual, answer.torque_after, strict=True)
         if torque > AGREES * max(r.after, r.noise_floor) and torque > 0.1 * r.before
     ]
-    if not doubtful:
+    if not doubtful and not lost:
         return result
     warning = (
         "simulated over time the extended model leaves more on "
@@ -242,7 +240,7 @@ def with_replay(
     )
     return replace(
         result,
-        warnings=(*result.warnings, warning),
+        warnings=(*result.warnings, LOST if lost else warning),
         findings=tuple(replace(f, confidence=min(f.confidence, CONTESTED)) for f in result.findings),
     )
 

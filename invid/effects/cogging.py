@@ -31,7 +31,6 @@ class Cogging(ForceEffect):
     coefficients = ("sine", "cosine")
     lower, upper = (-np.inf,) * 2, (np.inf,) * 2
     shapes, logarithmic = ("cycles_per_rev",), (True,)
-    rotary = True
     main = "torque"
 
     def places(self, structure: ChainStructure) -> list[Place]:

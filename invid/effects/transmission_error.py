@@ -35,7 +35,6 @@ class TransmissionError(Effect):
     coefficients = ("sine", "cosine")
     lower, upper = (-np.inf,) * 2, (np.inf,) * 2
     shapes, logarithmic = ("cycles_per_rev",), (True,)
-    rotary = True
     main = "amplitude"
     along_pattern = False  # the motor's side feels the slope of the error as well
 

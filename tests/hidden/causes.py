@@ -368,7 +368,6 @@ CATALOGUE: dict[str, Cause] = {
             _law(Law.RIPPLE, "torque", "cycles_per_rev", "phase"),
             ("torque",),
             (1e-4, 5.0),
-            rotary=True,
         ),
         Cause(
             "torque_delay",
@@ -463,7 +462,6 @@ CATALOGUE: dict[str, Cause] = {
             _pair_law(Law.TRANSMISSION_ERROR, "amplitude", "cycles_per_rev", "phase", "K"),
             ("amplitude",),
             (1e-4, 6.0),
-            rotary=True,
         ),
         Cause(
             "gravity",
