@@ -219,7 +219,7 @@ def _shift(fitted: JointFit, held: Sequence[Record], replayed: Evaluation) -> Fl
 def with_replay(
     result: Diagnosis, answer: Replay | str, recording: Recording, *, lost: bool = False
 ) -> Diagnosis:
-    """The diagnosis with what the simulation over time says of its extension: where it is ``lost``, nothing."""
+    """The diagnosis with what the simulation over time says of its extension; none where it is ``lost``."""
     if isinstance(answer, str):
         return replace(result, warnings=(*result.warnings, answer))
     details = {**result.details, "replay": answer.to_json(recording)}
