@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from invid.arrays import Bool, Complex128, Float64, frozen, frozen_float
+from invid.chatter import own_share
 from invid.driven import driven_axes
 from invid.lines import band_of, excited_lines, held_torque, highest_excited
 from invid.noise import flat_covariance, pooled_covariance, quantum, quiet_power
@@ -230,9 +231,8 @@ def _periodic(
         spectra = _amplitudes(np.concatenate((position, torque[first:]), axis=2), nyquist)
     used = spectra.shape[0]
     mean = spectra.mean(axis=0)
-    # Quantisation error of a motion that repeats exactly repeats too: averaging does not remove it,
-    # the spread between periods does not show it, the quiet lines of the mean do. A motion of odd lines
-    # alone is half-wave symmetric, and then so is that error: all of it on odd lines, none on even ones.
+    # Quantisation error of a motion that repeats exactly repeats too: the quiet lines of the mean show it,
+    # the spread between periods does not. Of odd lines alone it is half-wave symmetric: all on odd lines.
     odd = np.arange(1, nyquist + 1) % 2 == 1
     repeating = floor / used
     if settling.settled:
@@ -243,6 +243,8 @@ def _periodic(
     rounding = _rounding(single, np.abs(mean) ** 2, step, band)
     floor = np.maximum(floor, step**2 / 12 * 4 / period)
     averaged = np.maximum(np.maximum(repeating, floor / used), 1e-300)
+    shares = [own_share(part[:, quiet], hz[quiet], data.step) for part in (mean[None], spectra)]
+    own = np.maximum(repeating * shares[0], floor / used * shares[1])
     deviations = (spectra - mean)[:, band]
     least = np.maximum(np.maximum(floor, averaged * used), rounding * used)
     covariance, dof = pooled_covariance(deviations, least)
@@ -260,7 +262,7 @@ def _periodic(
         wave=np.concatenate((position.mean(0), torque[first:].mean(0)), axis=1),
         span=used * period * data.step,
         deviations=deviations,
-        floor=averaged,
+        floor=np.maximum(np.maximum(own, step**2 / 12 * 4 / period / used), 1e-300),
         rounding=rounding,
         warnings=warnings,
     )
@@ -273,8 +275,7 @@ def _whole(
     motors = data.position.shape[1]
     count = data.samples - 1
     wave = np.concatenate((data.position, data.torque), axis=1)
-    # A constant and a slope carry no line of their own; without them the endpoint correction and
-    # the leakage of drift into the quiet lines are small.
+    # A constant and a slope carry no line of their own; without them the ends and leakage are small.
     nyquist = (count - 1) // 2
     mean = _amplitudes(wave[:count], nyquist)
     ends = (wave[count] - wave[0]) / count
@@ -286,10 +287,12 @@ def _whole(
     quiet = (hz > 1.5 * hz[top]) & (hz < 0.45 / data.step)
     if quiet.sum() < 16:
         quiet = hz > 0.9 * hz[-1]
-    floor, dof = quiet_power(_windowed(wave[:count], nyquist), quiet)
+    windowed = _windowed(wave[:count], nyquist)
+    floor, dof = quiet_power(windowed, quiet)
+    floor *= own_share(windowed[None, quiet], hz[quiet], data.step)
     step = quantum(wave)
     band = band_of(hz, top, band_hz)
-    single = np.abs(_windowed(wave[:count], nyquist)) ** 2
+    single = np.abs(windowed) ** 2
     rounding = _rounding(single, single, step, band)
     floor = np.maximum(np.maximum(floor, step**2 / 12 * 4 / count), 1e-300)
     covariance = flat_covariance(np.maximum(floor, rounding), int(band.sum()))

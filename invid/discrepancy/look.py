@@ -18,6 +18,7 @@ from invid.discrepancy.joint import JointFit, fit, held_out
 from invid.discrepancy.linear import from_causes, linear_fit, start_of, tones_in, without_effects
 from invid.discrepancy.missing_torque import null_test
 from invid.discrepancy.moves import moves_of
+from invid.discrepancy.quieted import quieted
 from invid.discrepancy.records import split, with_sticking
 from invid.discrepancy.select import select
 from invid.discrepancy.selection import Selection
@@ -148,6 +149,12 @@ def _looked(
         moves=moves_of(recording),
     )
     selection = search(base, train, held)
+    if selection.steps:
+        less = quieted(selection.final.fit.evaluation), quieted(selection.final.held)
+        if any(a is not b for a, b in zip((*less[0], *less[1]), (*train, *held), strict=True)):
+            train, held = less
+            base = fit(base.layout, train, base.p, base.candidate, iterations=25)
+            selection = search(base, train, held)
     settled = from_causes(base, selection.final.fit, train)
     if settled is not None:
         base, selection = settled, search(settled, train, held)
