@@ -9,6 +9,7 @@ from typing import Literal
 from invid.diagnosis import Diagnosis
 from invid.discrepancy.again import looked_again
 from invid.discrepancy.beside import allowing_for_viscous, with_viscous
+from invid.discrepancy.declared import with_the_declared_mass
 from invid.discrepancy.document import document
 from invid.discrepancy.dropped import before_repair, find_dropped, repaired, with_dropped
 from invid.discrepancy.extended import extended_model
@@ -80,6 +81,8 @@ def _diagnosed(
         )
     look = looked(sound, folded(model))
     look = looked_again(look, masses if own else model.chains.masses_per_branch)
+    if own:
+        look = with_the_declared_mass(look, recording.masses_per_axis if masses is None else masses)
     sound, model, tones, bare = look.recording, look.model, look.tones, look.bare
     train, held = look.train, look.held
     selection = allowing_for_viscous(with_viscous(look.selection, train, held))
