@@ -105,8 +105,7 @@ def settle(spectra: Complex128, floor: Float64, floor_dof: float) -> Settling:
     periods, lines, _ = spectra.shape
     if periods == 1:
         return Settling(0, False)
-    last = (np.abs(spectra[-1] - spectra[-2]) ** 2).mean(0) / 2
-    settled = bool(np.all(last <= _limit(lines, floor_dof) * np.maximum(floor, 1e-300)))
+    settled = _alike(spectra[-2:], floor, floor_dof)
     used = periods - 2
     for first in range(periods - 3, -1, -1):
         later = spectra[first + 1 :]
@@ -118,7 +117,19 @@ def settle(spectra: Complex128, floor: Float64, floor_dof: float) -> Settling:
         if np.any(power > _limit(lines, 2.0 * lines * (count - 1)) * yardstick):
             break
         used = first
+    if used > 1 and _alike(spectra[:2], floor, floor_dof):
+        return Settling(0, settled)
     return Settling(used, settled)
+
+
+def _alike(pair: Complex128, floor: Float64, dof: float) -> bool:
+    """Whether two (F, C) spectra differ by noise only.
+
+    What settles changes most at first: periods alike before another are a machine that changed, and its first
+    load was thrown away with them.
+    """
+    power = (np.abs(pair[1] - pair[0]) ** 2).mean(0) / 2
+    return bool(np.all(power <= _limit(pair.shape[1], dof) * np.maximum(floor, 1e-300)))
 
 
 def _limit(lines: int, dof: float) -> float:

@@ -1,0 +1,31 @@
+"""Which periods are used: a machine that changed has not settled."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from invid.arrays import Complex128
+from invid.periods import Settling, settle
+
+LINES, FLOOR = 60, np.array([1e-4])
+
+
+def _periods(*shapes: float) -> Complex128:
+    """Periods that are off the last by some size, with noise."""
+    rng = np.random.default_rng(1)
+    off = rng.standard_normal((LINES, 1)) + 1j * rng.standard_normal((LINES, 1))
+    noise = rng.standard_normal((2, len(shapes), LINES, 1)) * np.sqrt(FLOOR / 2)
+    out: Complex128 = np.array(shapes)[:, None, None] * off + noise[0] + 1j * noise[1]
+    return out
+
+
+def test_periods_that_come_nearer_are_a_transient_and_left_out() -> None:
+    assert settle(_periods(1.0, 0.3, 0.09, 0.0, 0.0, 0.0), FLOOR, 1e4) == Settling(3, True)
+
+
+def test_periods_alike_before_others_are_a_machine_that_changed() -> None:
+    assert settle(_periods(1.0, 1.0, 0.4, 0.0, 0.0, 0.0), FLOOR, 1e4) == Settling(0, True)
+
+
+def test_one_period_off_may_be_either_and_is_left_out() -> None:
+    assert settle(_periods(1.0, 0.0, 0.0, 0.0), FLOOR, 1e4) == Settling(1, True)
