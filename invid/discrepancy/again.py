@@ -11,7 +11,7 @@ from invid.discrepancy.given import folded
 from invid.discrepancy.linear import LOWER, doubted
 from invid.discrepancy.look import Look, looked
 from invid.discrepancy.replayed import wave_of, with_torque
-from invid.discrepancy.terms import contributions
+from invid.discrepancy.terms import contributions, rattling
 from invid.errors import InvidError
 from invid.recording.model import Recording
 
@@ -28,6 +28,8 @@ def looked_again(look: Look, masses: Sequence[int] | Literal["auto"] | None) -> 
     final = look.selection.final
     known = look.selection.base.fit.candidate.terms
     if known or not look.selection.steps or not doubted(look.model, final):
+        return look
+    if rattling(final.fit.candidate) is not None:  # found from the lowest lines, whatever the first model was
         return look
     try:
         model = identify(without_causes(look), masses=masses)

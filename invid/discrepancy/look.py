@@ -19,6 +19,7 @@ from invid.discrepancy.linear import from_causes, linear_fit, start_of, tones_in
 from invid.discrepancy.missing_torque import null_test
 from invid.discrepancy.moves import moves_of
 from invid.discrepancy.quieted import quieted
+from invid.discrepancy.rattling import lost, rattles
 from invid.discrepancy.records import split, with_sticking
 from invid.discrepancy.select import select
 from invid.discrepancy.selection import Selection
@@ -79,10 +80,32 @@ def _over_periods(recording: Recording, model: Model) -> Look:
     every period: what repeats in none may have a law that holds in all. What the mean shows beside that is
     measured by what differs, and any cause may pass (presliding friction, of a ripple)."""
     look = _over_changes(recording, model)
-    if look.tones or not any(r.differs for r in (*look.train, *look.held)):
+    differs = any(r.differs for r in (*look.train, *look.held))
+    if look.tones or not (differs or lost(look.selection)):
         return look
-    other = _looked(look.recording, model, each=True)
+    other = _looked(look.recording, model, each=True) if differs else look
+    if other.selection.steps and other.selection.final.cost < CLOSE * other.selection.final.dof:
+        return other
+    rattling = _rattling(look, differs)
+    if rattling is not None:
+        return rattling
     return other if other.selection.steps else look
+
+
+def _rattling(look: Look, differs: bool) -> Look | None:
+    """The look with a gap as wide as its spring deflects, period by period where those differ: a load that
+    rattles seldom does the same in all of them."""
+    base, train, held = look.selection.base, look.train, look.held
+    if differs:
+        _, _, (fitted, _, train, held) = _begun(
+            look.recording, look.model, spare=True, apart=False, within=False, each=True
+        )
+        base = Trial(fitted, held_out(fitted, held))
+    step = rattles(base, train, held)
+    if step is None:
+        return None
+    selection = Selection(base, step.chosen, (step,))
+    return replace(look, train=train, held=held, bare=base.fit, selection=selection)
 
 
 def _over_changes(recording: Recording, model: Model) -> Look:

@@ -128,7 +128,7 @@ def evaluate(
             view.missing = r
         if near and candidate.terms:
             before = near[len(missing)]
-            view.of_ends, view.secants = before.of_ends, before.secants
+            view.of_ends, view.secants, view.read = before.of_ends, before.secants, before.read
             view.respond(before.feedback, before.jumps)
         extra = contributions(view, candidate)
         if not any(t.feels(view) for t in candidate.terms):
@@ -150,7 +150,7 @@ def evaluate(
                 layout, p, view, gain, jumps, (by_stair, by_hold, _passed(view, candidate))
             )
             strong = thorough and strong_inside(view, candidate)
-            if strong and record.transient:
+            if strong and record.transient and view.read is None:
                 learn_answers(view, candidate)
             effect_columns(view, candidate, extra, columns, layout.count)
             if record.transient:

@@ -9,6 +9,8 @@ import numpy as np
 
 from invid.arrays import Complex128, Float64
 from invid.discrepancy.inner import Forces, settled
+from invid.discrepancy.loose import Gap, law_of, read
+from invid.effects.backlash import RattlingBacklash, spring_index
 from invid.effects.base import Effect, ImpedanceEffect
 from invid.effects.place import Place
 from invid.effects.view import View, along
@@ -60,12 +62,39 @@ def contributions(
     """
     if not candidate.terms:
         return np.zeros_like(view.acting)
+    rattles = rattling(candidate)
+    if rattles is not None:
+        return _read(view, rattles, early=early)
     forces = forces_of(view, candidate)
     if not any(t.feels(view) for t in candidate.terms):  # nothing depends on what it moves
         total, back = forces()
         view.respond(back)
         return total
     return settled(view, forces, passes, early=early)
+
+
+def rattling(candidate: Candidate) -> tuple[Term, Float64] | None:
+    """A gap whose motion is read from the torque, with its parameters; it stands alone."""
+    found = [
+        (t, x)
+        for t, x in zip(candidate.terms, candidate.x, strict=True)
+        if isinstance(t.effect, RattlingBacklash)
+    ]
+    if found and len(candidate.terms) > 1:
+        raise ValueError("a gap that is read from the torque stands alone")
+    return found[0] if found else None
+
+
+def _read(view: View, rattles: tuple[Term, Float64], *, early: bool) -> Complex128:
+    """(F, M) of such a gap; ``early``: the motion is read, else it stays as it is."""
+    term, x = rattles
+    pattern, at = term.place.pattern(view.structure), spring_index(view.structure, term.place)
+    gap = Gap(float(view.springs[at]), float(view.dampers[at]), float(np.exp(x[0])))
+    if early:
+        force, view.read = read(view, pattern, gap, view.read)
+    else:
+        force = law_of(view, view.wave(pattern), gap)
+    return view.push(pattern) * force[:, None]
 
 
 _Impedances = Sequence[tuple[ImpedanceEffect, Place, Float64]]

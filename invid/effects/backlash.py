@@ -75,3 +75,11 @@ class Backlash(Effect):
 
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
         return {"gap": float(np.exp(x[0]))}
+
+
+class RattlingBacklash(Backlash):
+    """The same where the gap is as wide as the spring deflects: the motion behind it is read from the torque.
+
+    Of all motions that follow such a law behind given motors the measured torque tells which it was; left to
+    the law alone the load may be found in another (``invid.discrepancy.loose``).
+    """

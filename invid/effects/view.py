@@ -170,6 +170,8 @@ class View:
         """(2ΣN,) positions, then velocities: how far the ends of a record that does not close are apart."""
         self.closing: Closing | None = None
         self.secants = Secants()
+        self.read: Float64 | None = None
+        """What was read from the measured torque of a load that rattles (``invid.discrepancy.loose``)."""
         self.missing: Complex128 | None = None
         """(F, M) missing torque of the linear model; None where forces cannot be read from it."""
         self.certainty: Complex128 = np.zeros((0, 0, 0), dtype=complex)
