@@ -39,7 +39,11 @@ def rattles(base: Trial, train: Sequence[Record], held: Sequence[Record]) -> Ste
     if base.fit.candidate.terms or base.fit.cost < FAR * base.fit.dof:
         return None
     terms = [Term(RattlingBacklash(), place) for place in spring_places(structure)]
-    found = widest_gap(base.fit, train, terms) if terms else None
+    with np.errstate(all="ignore"):
+        try:
+            found = widest_gap(base.fit, train, terms) if terms else None
+        except (np.linalg.LinAlgError, ValueError):  # nothing finite follows from any start
+            return None
     if found is None:
         return None
     term, free = found
