@@ -222,7 +222,7 @@ def _periodic(
     hz = np.arange(1, nyquist + 1) / (period * data.step)
     top = highest_excited(experiment, hz, spectra)
     quiet = (hz > 1.5 * hz[top]) & (hz < 0.45 / data.step)
-    floor, floor_dof = _floor(data, quiet, hz, period)
+    floor, floor_dof, share = _floor(data, quiet, hz, period)
     band = band_of(hz, top, band_hz)
     settling = settle(spectra[:, : top + 1], floor, floor_dof)
     first = settling.first if drop_transient else 0
@@ -234,17 +234,16 @@ def _periodic(
     # Quantisation error of a motion that repeats exactly repeats too: the quiet lines of the mean show it,
     # the spread between periods does not. Of odd lines alone it is half-wave symmetric: all on odd lines.
     odd = np.arange(1, nyquist + 1) % 2 == 1
-    repeating = floor / used
+    repeating, own = floor / used, floor / used * share
     if settling.settled:
         parities = [quiet & odd, quiet & ~odd]
         repeating = np.max([quiet_power(mean, p)[0] for p in parities if p.any()], axis=0)
+        own = np.maximum(own, repeating * own_share(mean[None, quiet], hz[quiet], data.step))
     step = quantum(np.concatenate((data.position, data.torque), axis=1))
     single = (np.abs(spectra) ** 2).mean(axis=0)
     rounding = _rounding(single, np.abs(mean) ** 2, step, band)
     floor = np.maximum(floor, step**2 / 12 * 4 / period)
     averaged = np.maximum(np.maximum(repeating, floor / used), 1e-300)
-    shares = [own_share(part[:, quiet], hz[quiet], data.step) for part in (mean[None], spectra)]
-    own = np.maximum(repeating * shares[0], floor / used * shares[1])
     deviations = (spectra - mean)[:, band]
     least = np.maximum(np.maximum(floor, averaged * used), rounding * used)
     covariance, dof = pooled_covariance(deviations, least)
@@ -316,17 +315,18 @@ def _whole(
     )
 
 
-def _floor(data: Uniform, quiet: Bool, hz: Float64, period: int) -> tuple[Float64, float]:
-    """(2M,) noise power of one line of one period, from the quiet band of the whole record, windowed:
-    what is left of a transient leaks there otherwise."""
+def _floor(data: Uniform, quiet: Bool, hz: Float64, period: int) -> tuple[Float64, float, Float64]:
+    """(2M,) noise power of one line of one period, its dof, and the sensors' own share of it; from the quiet
+    band of the whole record, windowed: what is left of a transient leaks there otherwise."""
     wave = np.concatenate((data.position, data.torque), axis=1)
     count = wave.shape[0]
     lines = (count - 1) // 2
     fine = np.arange(1, lines + 1) / (count * data.step)
     band = hz[quiet]
     inside = (fine >= band[0]) & (fine <= band[-1]) if band.size else fine > 0.9 * fine[-1]
-    power, dof = quiet_power(_windowed(wave, lines), inside)
-    return power * (count / period), dof
+    windowed = _windowed(wave, lines)
+    power, dof = quiet_power(windowed, inside)
+    return power * (count / period), dof, own_share(windowed[None, inside], fine[inside], data.step)
 
 
 def _rounding(single: Float64, mean: Float64, step: Float64, band: Bool) -> Float64:

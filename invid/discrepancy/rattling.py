@@ -62,7 +62,8 @@ def rattles(base: Trial, train: Sequence[Record], held: Sequence[Record]) -> Ste
     if trial.held.cost - trial.held.dof > LEFT * (base.held.cost - base.held.dof):
         return None
     count = len(terms_for(structure, linear_axes=False))
-    if not accepted(base, trial, trial.dispersion, count, base, first=True, rejects=True, quiet=False):
+    apart = trial.fit.dispersion, trial.held_dispersion
+    if not accepted(base, trial, apart, count, base, first=True, rejects=True, quiet=False):
         return None
     # Where the linear parameters alone gain more than the gap, it is no gap's doing.
     alone = finite(lambda: fit(base.fit.layout, train, free.p, Candidate(), iterations=20))
