@@ -29,3 +29,7 @@ def test_periods_alike_before_others_are_a_machine_that_changed() -> None:
 
 def test_one_period_off_may_be_either_and_is_left_out() -> None:
     assert settle(_periods(1.0, 0.0, 0.0, 0.0), FLOOR, 1e4) == Settling(1, True)
+
+
+def test_a_change_after_a_remainder_of_settling_is_one() -> None:
+    assert settle(_periods(1.04, 1.0, 1.0, 0.3, 0.0, 0.0), FLOOR, 1e4) == Settling(1, True)
