@@ -109,7 +109,14 @@ def _without(
     candidate = Candidate(
         tuple(final.candidate.terms[k] for k in kept), tuple(final.candidate.x[k] for k in kept)
     )
-    trial = attempted(lambda: fit(final.layout, train, final.p, candidate, iterations=40), held)
+
+    def less() -> JointFit:
+        # Beside a cubic spring a gap of nothing leaves a valley in which the thorough steps alone stand still
+        # (600036: χ² 742, where it is 708).
+        began = fit(final.layout, train, final.p, candidate, iterations=40, quick=True)
+        return fit(final.layout, train, began.p, began.candidate, iterations=40)
+
+    trial = attempted(less, held)
     limit = chi2_isf(SIGNIFICANCE, final.candidate.terms[at].size) * found.final.dispersion
     if trial is None or trial.cost > found.final.cost + limit:
         return None
