@@ -42,7 +42,7 @@ def test_the_last_cause_goes_where_the_others_do_as_well_from_where_it_led_them(
     base, first, last = _trial(4e5), _trial(1900.0, SPRING), _trial(1552.0, SPRING, RIPPLE)
     steps = (Step(base, first, ((first, 0.0),)), Step(first, last, ((last, 0.0),)))
 
-    def fit(layout: Any, records: Any, p: Any, candidate: Candidate, *, iterations: int) -> Any:
+    def fit(layout: Any, records: Any, p: Any, candidate: Candidate, **_: Any) -> Any:
         return _trial(without if candidate.terms == (SPRING,) else 4e5, *candidate.terms).fit
 
     monkeypatch.setattr(select, "fit", fit)
