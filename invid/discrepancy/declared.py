@@ -10,7 +10,9 @@ from scipy.linalg import hessenberg
 
 from invid.arrays import Float64
 from invid.chains import CoupledChains
+from invid.discrepancy.acceptance import SIGNIFICANCE
 from invid.discrepancy.look import Look, looked
+from invid.distributions import chi2_isf
 from invid.effects.extra_mode import ExtraMode
 from invid.errors import InvidError
 
@@ -42,7 +44,7 @@ def with_the_declared_mass(look: Look, declared: Sequence[int] | str | None) -> 
     except (InvidError, np.linalg.LinAlgError, ValueError):
         return look
     # A mode has three numbers, a mass with its spring and damper as many.
-    as_good = other.selection.final.cost < final.cost + final.dispersion * len(chains.axes) * 10.0
+    as_good = other.selection.final.cost < final.cost + chi2_isf(SIGNIFICANCE, 3) * final.dispersion
     return other if as_good and len(other.selection.steps) < len(look.selection.steps) else look
 
 
