@@ -27,14 +27,14 @@ def own_share(spectra: Complex128, hz: Float64, step: float) -> Float64:
     spectra, hz = spectra[:, ::every], hz[::every]
     motors = spectra.shape[2] // 2
     out = np.ones(2 * motors)
-    turn = np.exp(-2j * np.pi * hz * step)
+    turn = np.exp(-2j * np.pi * hz * step)[:, None] ** np.arange(TAPS)
     for i in range(motors):
         reading, torque = spectra[:, :, i], spectra[:, :, motors + i]
         quiet = _quiet(reading) & _quiet(torque)
         level = float(np.median(np.abs(torque) ** 2)) if torque.size else 0.0
         if quiet.sum() < 10 * TAPS or level <= 0.0:
             continue
-        taps = reading[..., None] * turn[:, None] ** np.arange(TAPS)
+        taps = reading[..., None] * turn
         rows, target = taps[quiet], torque[quiet]
         stacked = np.concatenate((rows.real, rows.imag))
         scale = np.linalg.norm(stacked, axis=0)

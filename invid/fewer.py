@@ -12,6 +12,8 @@ from invid.refine.fit import AT_NOISE, Fit, fit_structure
 from invid.refine.structure import ChainStructure
 from invid.spectra import LineSpectra
 
+BUT = "were declared, but"
+"""What the warning about masses that are not seen is known by."""
 SINGLY = 2
 """Axes up to which one mass less is tried on each alone. A guess, for the time that it takes."""
 
@@ -55,7 +57,7 @@ def said_of_fewer(sizes: Sequence[int], fit: Fit) -> list[str]:
         return []
     declared, fewer = (", ".join(str(n) for n in each) for each in (sizes, found))
     return [
-        f"masses {declared} were declared, but {fewer} explain the records to their noise and no further one "
+        f"masses {declared} {BUT} {fewer} explain the records to their noise and no further one "
         "is seen, so these are what the model has: declare them, or excite higher frequencies to see more"
     ]
 

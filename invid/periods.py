@@ -110,7 +110,10 @@ def settle(spectra: Complex128, floor: Float64, floor_dof: float) -> Settling:
     periods, lines, _ = spectra.shape
     if periods == 1:
         return Settling(0, False)
-    settled = _alike(spectra[-2:], floor, floor_dof)
+    # Power of what neighbours differ by; noise alone stays below the limit.
+    steps = (np.abs(np.diff(spectra, axis=0)) ** 2).mean(1) / 2 / np.maximum(floor, 1e-300)
+    limit = _limit(lines, floor_dof)
+    settled = bool(np.all(steps[-1] <= limit))
     used = periods - 2
     for first in range(periods - 3, -1, -1):
         later = spectra[first + 1 :]
@@ -122,29 +125,21 @@ def settle(spectra: Complex128, floor: Float64, floor_dof: float) -> Settling:
         if np.any(power > _limit(lines, 2.0 * lines * (count - 1)) * yardstick):
             break
         used = first
-    return Settling(_before_a_change(spectra[: used + 2], floor, floor_dof, used), settled)
+    return Settling(_before_a_change(steps[: used + 1], limit), settled)
 
 
-def _before_a_change(spectra: Complex128, floor: Float64, dof: float, used: int) -> int:
-    """First period used of the (P, F, C) up to one past ``used``; sooner where the machine changed between.
+def _before_a_change(steps: Float64, limit: float) -> int:
+    """First period used of those with ``steps`` (used + 1, C) to the next; sooner where the machine changed.
 
     What settles changes most at first. Neighbours that differ more than those before them, ten times in
     power, are a machine that changed, whose first load was thrown away with the periods before.
     """
-    floor = np.maximum(floor, 1e-300)
-    steps = (np.abs(np.diff(spectra, axis=0)) ** 2).mean(1) / 2 / floor
-    limit = _limit(spectra.shape[1], dof)
+    used = len(steps) - 1
     for k in range(1, used):
         if np.any(steps[k] > GROWS * np.maximum(steps[:k].max(axis=0), limit)):
             alike = np.flatnonzero((steps[:k] <= limit).all(axis=1))
             return int(alike[0]) if alike.size else 0
     return used
-
-
-def _alike(pair: Complex128, floor: Float64, dof: float) -> bool:
-    """Whether two (F, C) spectra differ by noise only."""
-    power = (np.abs(pair[1] - pair[0]) ** 2).mean(0) / 2
-    return bool(np.all(power <= _limit(pair.shape[1], dof) * np.maximum(floor, 1e-300)))
 
 
 def _limit(lines: int, dof: float) -> float:

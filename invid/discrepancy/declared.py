@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.linalg import hessenberg
 
 from invid.arrays import Float64
 from invid.chains import CoupledChains
@@ -15,6 +14,8 @@ from invid.discrepancy.look import Look, looked
 from invid.distributions import chi2_isf
 from invid.effects.extra_mode import ExtraMode
 from invid.errors import InvidError
+from invid.fewer import BUT
+from invid.inverse import lanczos, last_mass, springs_and_masses
 
 
 def with_the_declared_mass(look: Look, declared: Sequence[int] | str | None) -> Look:
@@ -38,7 +39,7 @@ def with_the_declared_mass(look: Look, declared: Sequence[int] | str | None) -> 
             chains = _longer(chains, axis, term.place.number - 1, values["mass"], values["stiffness"])
     if chains is look.model.chains:
         return look
-    warnings = tuple(w for w in look.model.warnings if "were declared, but" not in w)
+    warnings = tuple(w for w in look.model.warnings if BUT not in w)
     try:
         other = looked(look.recording, replace(look.model, chains=chains, covariance=None, warnings=warnings))
     except (InvidError, np.linalg.LinAlgError, ValueError):
@@ -51,28 +52,23 @@ def with_the_declared_mass(look: Look, declared: Sequence[int] | str | None) -> 
 def _longer(chains: CoupledChains, axis: int, at: int, mass: float, stiffness: float) -> CoupledChains:
     """The chains with a mass on a spring at mass ``at`` of an axis taken into its chain.
 
-    Free chains that answer alike at the motor: the tridiagonal form of M^−½ K M^−½ that starts at it.
+    Of a free chain alone: the one that answers alike at the motor, by the paper's inverse (eqs. 14 to 22).
     """
     masses: Float64 = np.append(chains.masses[axis], mass)
     springs, n = chains.springs[axis], masses.size
     stiff = np.zeros((n, n))
-    pairs = [(j, j + 1, float(k)) for j, k in enumerate(springs)]
-    for i, j, k in (*pairs, (at, n - 1, stiffness)):
-        stiff[[i, j], [i, j]] += k
-        stiff[i, j] -= k
-        stiff[j, i] -= k
+    stiff[:-1, :-1] = CoupledChains.build([masses[:-1]], [springs]).stiffness_matrix
+    stiff[np.ix_([at, n - 1], [at, n - 1])] += stiffness * np.array([[1.0, -1.0], [-1.0, 1.0]])
     root = np.sqrt(masses)
-    form = hessenberg(stiff / root[:, None] / root)
-    own: list[float] = [float(masses[0])]
-    other: list[float] = []
-    for j in range(n - 1):
-        other.append(form[j, j] * own[j] - (other[j - 1] if j else 0.0))
-        own.append(other[j] ** 2 / (form[j, j + 1] ** 2 * own[j]))
+    poles, vectors = np.linalg.eigh(stiff / root[:, None] / root)
+    rows = lanczos(np.maximum(poles, 0.0), vectors[0], n - 1)
+    own, other = springs_and_masses(rows, float(masses[0]), n)
+    own = np.append(own, last_mass(float(masses.sum()), own))
     loss = float(np.mean(chains.dampers[axis] / springs)) if springs.size else 0.0
     return CoupledChains.build(
         [own if i == axis else m for i, m in enumerate(chains.masses)],
         [other if i == axis else k for i, k in enumerate(chains.springs)],
-        [loss * np.array(other) if i == axis else d for i, d in enumerate(chains.dampers)],
+        [loss * other if i == axis else d for i, d in enumerate(chains.dampers)],
         chains.couplings,
         ground_springs=chains.ground_springs,
         ground_dampers=chains.ground_dampers,

@@ -69,9 +69,7 @@ def closing_of(view: View, ends: Ends, root: Complex128, linear: Complex128) -> 
     Those that the motors hardly feel would else be noise many times the motion that laws are read from.
     ``linear`` (F, M) is the missing torque without effects.
     """
-    size = np.sqrt((np.abs(view.base) ** 2).sum(axis=0))
-    rate = np.sqrt((np.abs(view.omega[:, None] * view.base) ** 2).sum(axis=0))
-    scale = 2.0 * np.concatenate((size, rate)) + 1e-300
+    scale = view.farthest
     felt: Complex128 = root @ (ends.torque * scale)
     scaled = stack(felt)
     inverse = np.linalg.inv(scaled.T @ scaled + np.eye(scale.size))

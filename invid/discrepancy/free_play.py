@@ -18,7 +18,9 @@ from invid.arrays import Complex128, Float64
 from invid.discrepancy.ends import closing_of, ends_of
 from invid.discrepancy.joint import LARGEST_STEP, JointFit, limits_of
 from invid.discrepancy.layout import Layout, acting_of, priors_of
+from invid.discrepancy.linear import highest_line
 from invid.discrepancy.loose import PASSES, STAGES, Gap, Reading, law_of, resistance
+from invid.discrepancy.low_lines import rigid
 from invid.discrepancy.plant import noise_of, views_of
 from invid.discrepancy.terms import Term
 from invid.effects.backlash import spring_index
@@ -314,8 +316,8 @@ def starts_of(here: JointFit, records: Sequence[Record], term: Term) -> Iterator
     the spring; each side as the linear fit has it, or all masses alike."""
     structure, axis, at = here.layout.structure, term.place.axis, term.place.number
     chains = structure.chains(here.p[: structure.count])
-    total = inertia(records, structure.motors)[axis]
-    top = max(float(r.omega[r.excited].max()) for r in records if r.excited.any())
+    total = rigid(records, structure.motors)[0][axis]
+    top = highest_line(records)
     yield here.p.copy()
     if not total > 0.0:
         return
@@ -362,23 +364,3 @@ def _left_by(columns: Float64, force: Float64) -> tuple[float, Float64]:
 
 def _with(parts: tuple[Float64, ...], axis: int, own: Float64) -> tuple[Float64, ...]:
     return (*parts[:axis], own, *parts[axis + 1 :])
-
-
-def inertia(records: Sequence[Record], motors: int, lowest: int = 3) -> Float64:
-    """(M,) of every axis, as if nothing bent on the lowest excited lines of each record."""
-    pairs = [(i, j) for i in range(motors) for j in range(i, motors)]
-    left, right = [], []
-    for record in records:
-        for k in np.flatnonzero(record.excited & (record.omega > 0))[:lowest]:
-            rows = np.zeros((motors, len(pairs)), dtype=complex)
-            moved = -(record.omega[k] ** 2) * record.position[k]
-            for column, (i, j) in enumerate(pairs):
-                rows[i, column] = moved[j]
-                rows[j, column] = moved[i]
-            left.append(rows)
-            right.append(record.torque[k])
-    if not left:
-        return np.zeros(motors)
-    a, b = np.concatenate(left), np.concatenate(right)
-    found = np.linalg.lstsq(np.concatenate((a.real, a.imag)), np.concatenate((b.real, b.imag)), rcond=None)[0]
-    return np.array([found[pairs.index((i, i))] for i in range(motors)])

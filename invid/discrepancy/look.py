@@ -86,26 +86,21 @@ def _over_periods(recording: Recording, model: Model) -> Look:
     other = _looked(look.recording, model, each=True) if differs else look
     if other.selection.steps and other.selection.final.cost < CLOSE * other.selection.final.dof:
         return other
-    rattling = _rattling(look, differs)
+    rattling = _rattling(look, other)
     if rattling is not None:
         return rattling
     return other if other.selection.steps else look
 
 
-def _rattling(look: Look, differs: bool) -> Look | None:
-    """The look with a gap as wide as its spring deflects, period by period where those differ: a load that
-    rattles seldom does the same in all of them."""
-    base, train, held = look.selection.base, look.train, look.held
-    if differs:
-        _, _, (fitted, _, train, held) = _begun(
-            look.recording, look.model, spare=True, apart=False, within=False, each=True
-        )
-        base = Trial(fitted, held_out(fitted, held))
-    step = rattles(base, train, held)
+def _rattling(look: Look, other: Look) -> Look | None:
+    """The look with a gap as wide as its spring deflects, in the records of the ``other``, period by period
+    where those differ: a load that rattles seldom does the same in all of them."""
+    base = other.selection.base
+    step = rattles(base, other.train, other.held)
     if step is None:
         return None
     selection = Selection(base, step.chosen, (step,))
-    return replace(look, train=train, held=held, bare=base.fit, selection=selection)
+    return replace(look, train=other.train, held=other.held, bare=base.fit, selection=selection)
 
 
 def _over_changes(recording: Recording, model: Model) -> Look:

@@ -73,7 +73,7 @@ class Reading:
         self.felt = np.einsum("fij,fj->fi", root, view.push(pattern))
         self.scale, self.ends = np.zeros(0), np.zeros((*linear.shape, 0), dtype=complex)
         if view.closing is not None:
-            self.scale = scale_of(view)
+            self.scale = view.farthest
             self.ends = np.einsum("fij,fjk->fik", root, view.closing.torque * self.scale)
 
     @property
@@ -133,7 +133,7 @@ class Reading:
         even[:, 0], odd[:, 0] = 2.0 * spread[at % samples], 0.0
         even[0] *= 0.5
         odd[0] *= 0.5
-        resists = (gap.stiffness + 1j * view.omega * gap.damper) / smear(view)
+        resists = (gap.stiffness + 1j * view.omega * gap.damper) / view.smear
         even, odd = even * resists[:, None], odd * resists[:, None]
         rows = np.zeros((lines, self.count), dtype=complex)
         rows[:, :lines] = even * self.across.real + odd * self.across.imag
@@ -203,20 +203,6 @@ class Reading:
         return u
 
 
-def scale_of(view: View) -> Float64:
-    """(2ΣN,) twice the motion and its rate: what the ends of a record are apart by at most."""
-    size = np.sqrt((np.abs(view.base) ** 2).sum(axis=0))
-    rate = np.sqrt((np.abs(view.omega[:, None] * view.base) ** 2).sum(axis=0))
-    out: Float64 = 2.0 * np.concatenate((size, rate)) + 1e-300
-    return out
-
-
-def smear(view: View) -> Float64:
-    """(F,) what the mean over a triangle of two samples takes of a wave."""
-    out: Float64 = np.sinc(view.omega * view.record.wave_step / 2 / np.pi) ** 2
-    return out
-
-
 def law_of(view: View, wave: Float64, gap: Gap) -> Complex128:
     """(F,) force beside the linear spring and damper at a deflection (n,): both lose what is in the gap."""
     return resistance(view, np.clip(wave, -0.5 * gap.width, 0.5 * gap.width), gap)
@@ -249,4 +235,4 @@ def read(view: View, pattern: Pattern, gap: Gap, start: Float64 | None = None) -
     return law_of(view, view.wave(pattern), gap), np.asarray(u)
 
 
-__all__ = ["STAGES", "Gap", "Reading", "law_of", "read", "resistance", "scale_of"]
+__all__ = ["STAGES", "Gap", "Reading", "law_of", "read", "resistance"]

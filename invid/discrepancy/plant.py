@@ -238,6 +238,13 @@ def _passed(view: View, candidate: Candidate) -> Complex128:
     return out
 
 
+def numbers_on(record: Record, root: Complex128) -> Float64:
+    """(F,) real numbers that every line of a record gives each axis: none where ``root`` (F, M, M) leaves it
+    out, and one at 0 Hz."""
+    out: Float64 = np.where(record.omega == 0.0, 1.0, 2.0) * (np.abs(root).sum(axis=(1, 2)) > 0)
+    return out
+
+
 def noise_of(view: View, factor: Complex128, candidate: Candidate | None = None) -> Complex128:
     """(F, M, M) covariance of r; a sensor whose scale is wrong shows its noise at that scale.
 

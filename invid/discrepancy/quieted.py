@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.optimize import brentq
 
 from invid.arrays import Float64
-from invid.discrepancy.plant import Evaluation
+from invid.discrepancy.plant import Evaluation, numbers_on
 from invid.effects.view import Record
 
 LOW = 6.0
@@ -38,8 +39,9 @@ def quieted(part: Evaluation) -> list[Record]:
 def _share(part: Evaluation, number: int) -> float:
     """Of the scatter of a record, so that χ² is what is expected; one where it is not far below."""
     record, missing = part.views[number].record, part.missing[number]
-    seen = np.abs(part.roots[number]).sum(axis=(1, 2)) > 0
-    rows = np.where(record.omega == 0.0, 1.0, 2.0)[seen]
+    rows = numbers_on(record, part.roots[number])
+    seen = rows > 0
+    rows = rows[seen]
     count = float(rows.sum()) * missing.shape[1] - part.bases[number].shape[1]
     added = record.scatter[seen]
     sensors = part.covariance[number][seen] - added[:, :, None] * np.eye(missing.shape[1])
@@ -54,11 +56,7 @@ def _share(part: Evaluation, number: int) -> float:
         return 1.0
     if cost(0.0) <= count:
         return 0.0
-    low, high = 0.0, 1.0
-    for _ in range(30):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if cost(middle) > count else (low, middle)
-    return high
+    return float(brentq(lambda share: cost(share) - count, 0.0, 1.0, xtol=1e-9))
 
 
 __all__ = ["quieted"]

@@ -28,20 +28,25 @@ gaps that were found it was a hundredth and less."""
 def lost(selection: Selection) -> bool:
     """Whether a search ended far from the noise, as ``trust`` has it, on a linear fit that is far from it."""
     base, final = selection.base, selection.final
-    if base.fit.candidate.terms or base.fit.cost < FAR * base.fit.dof:
+    if not _far(base):
         return False
     return final.cost > REACHED * final.dof and final.excess > LEFT * base.excess
 
 
+def _far(base: Trial) -> bool:
+    """Whether a linear fit, without effects that the model came with, is far from the noise."""
+    return not base.fit.candidate.terms and base.fit.cost >= FAR * base.fit.dof
+
+
 def rattles(base: Trial, train: Sequence[Record], held: Sequence[Record]) -> Step | None:
     """A gap beside which less is left than of any other cause that may be named; none where there is none."""
-    structure = base.fit.layout.structure
-    if base.fit.candidate.terms or base.fit.cost < FAR * base.fit.dof:
+    if not _far(base):
         return None
+    structure = base.fit.layout.structure
     terms = [Term(RattlingBacklash(), place) for place in spring_places(structure)]
     with np.errstate(all="ignore"):
         try:
-            found = widest_gap(base.fit, train, terms) if terms else None
+            found = widest_gap(base.fit, train, terms)
         except (np.linalg.LinAlgError, ValueError):  # nothing finite follows from any start
             return None
     if found is None:

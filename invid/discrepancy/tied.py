@@ -8,9 +8,10 @@ from functools import partial
 
 import numpy as np
 
-from invid.arrays import Complex128, Float64
+from invid.arrays import Float64
 from invid.discrepancy.joint import JointFit, fit
 from invid.discrepancy.linear import highest_line
+from invid.discrepancy.low_lines import rigid
 from invid.discrepancy.terms import Candidate, Term
 from invid.discrepancy.trial import CLOSE, Trial, attempted
 from invid.effects.view import Record
@@ -18,8 +19,6 @@ from invid.effects.view import Record
 HEAVY = 2.0
 """How many times the inertia that the lowest lines show a branch must have to count as lost. A guess: tied
 loads had 200 times theirs, and flexibility makes the lowest lines show too much, not too little."""
-LOWEST = 3
-"""Lines of each record, from the lowest, on which a machine is taken for rigid."""
 LEFT_OVER = 0.2
 """Share of a branch that a final mass has at least where it is the rest of the others."""
 SPREAD = (0.6, 0.85, 0.35, 0.2)
@@ -47,7 +46,7 @@ def tied_loads(
         if term.effect.cause != "coupling_stiffness":
             continue
         pair = (term.place.axis, term.place.other)
-        inertia, stiffness = _at_low_lines(train, here.layout.structure.motors, pair)
+        inertia, stiffness = rigid(train, here.layout.structure.motors, pair)
         heavy = [i for i in pair if _masses(here, i).sum() > HEAVY * inertia[i] > 0.0]
         if not heavy or stiffness <= 0.0:
             continue
@@ -84,29 +83,6 @@ def _masses(here: JointFit, axis: int) -> Float64:
     structure = here.layout.structure
     masses: Float64 = structure.chains(here.p[: structure.count]).masses[axis]
     return masses
-
-
-def _at_low_lines(train: Sequence[Record], motors: int, pair: tuple[int, int]) -> tuple[Float64, float]:
-    """(M,) inertia of every branch and the stiffness between a pair, as if nothing bent on the low lines."""
-    rows, columns = np.triu_indices(motors)
-    left: list[Complex128] = []
-    right: list[Complex128] = []
-    for record in train:
-        for k in np.flatnonzero(record.excited & (record.omega > 0))[:LOWEST]:
-            position = record.position[k]
-            inertia = np.zeros((motors, rows.size + 1), dtype=complex)
-            for column, (i, j) in enumerate(zip(rows, columns, strict=True)):
-                inertia[i, column] = -(record.omega[k] ** 2) * position[j]
-                inertia[j, column] = -(record.omega[k] ** 2) * position[i]
-            between = position[pair[0]] - position[pair[1]]
-            inertia[pair[0], -1], inertia[pair[1], -1] = between, -between
-            left.append(inertia)
-            right.append(record.torque[k])
-    if not left:
-        return np.zeros(motors), 0.0
-    a, b = np.concatenate(left), np.concatenate(right)
-    found = np.linalg.lstsq(np.concatenate((a.real, a.imag)), np.concatenate((b.real, b.imag)), rcond=None)[0]
-    return np.asarray(found[:-1][rows == columns]), float(found[-1])
 
 
 def _starts(

@@ -11,7 +11,7 @@ import numpy as np
 from invid.arrays import Bool, Float64
 from invid.discrepancy.joint import LARGEST_STEP, JointFit, fit, held_out, limits_of, pack, unpack
 from invid.discrepancy.layout import Layout
-from invid.discrepancy.plant import Evaluation, evaluate
+from invid.discrepancy.plant import Evaluation, evaluate, numbers_on
 from invid.discrepancy.terms import Candidate, Term
 from invid.distributions import chi2_isf
 from invid.effects.extra_mode import frequency_told
@@ -37,8 +37,7 @@ def excess_in(part: Evaluation, axes: Collection[int], *, moving: bool = False) 
     chosen, out = sorted(axes), 0.0
     for view, root, missing in zip(part.views, part.roots, part.missing, strict=True):
         white = np.abs(np.einsum("fij,fj->fi", root, missing)) ** 2
-        rests = view.record.omega == 0.0
-        rows = np.where(rests, 1.0, 2.0) * (np.abs(root).sum(axis=(1, 2)) > 0)
+        rows, rests = numbers_on(view.record, root), view.record.omega == 0.0
         counted = ~rests if moving else np.ones(rests.size, dtype=bool)
         out += float((white[:, chosen] - rows[:, None])[counted].sum())
     return out

@@ -188,6 +188,20 @@ class View:
         """(F,) [rad/s]."""
         return self.record.omega
 
+    @cached_property
+    def farthest(self) -> Float64:
+        """(2ΣN,) twice the motion and its rate: what the ends of the record are apart by at most."""
+        size = np.sqrt((np.abs(self.base) ** 2).sum(axis=0))
+        rate = np.sqrt((np.abs(self.omega[:, None] * self.base) ** 2).sum(axis=0))
+        out: Float64 = 2.0 * np.concatenate((size, rate)) + 1e-300
+        return out
+
+    @cached_property
+    def smear(self) -> Float64:
+        """(F,) what the mean over a triangle of two samples takes of a wave."""
+        out: Float64 = np.sinc(self.omega * self.record.wave_step / 2 / np.pi) ** 2
+        return out
+
     def respond(self, feedback: Complex128, jumps: Float64 | None = None) -> None:
         """Sets what all effects do to the inner coordinates, (F, ΣN), and what the ends of a record that does
         not close are apart by, where given.
@@ -269,7 +283,7 @@ class View:
             out = out + (basis[-1] - basis[0]) / count
         out[0] *= 0.5
         if smeared:
-            out = out / np.sinc(self.omega * record.wave_step / 2 / np.pi)[:, None] ** 2
+            out = out / self.smear[:, None]
         return out
 
     def push(self, pattern: Pattern) -> Complex128:

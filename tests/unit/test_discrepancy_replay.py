@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from hidden.generator import make
 from invid.diagnosis import Verdict
 from invid.discrepancy import diagnose, diagnosing
 from invid.discrepancy.replayed import Replay
+from invid.model import Estimate
 
 QUICK = {"seed": 11, "motors": 1}
 
@@ -41,18 +43,7 @@ def test_an_extension_that_gains_less_than_its_uncertainty_over_time_is_refused(
     def useless(*given, **named):
         found = honest(*given, **named)
         assert isinstance(found, Replay)
-        return Replay(
-            found.keys,
-            found.torque_after,
-            found.position_before,
-            found.position_after,
-            found.motion,
-            found.reach,
-            gain=3.0,
-            std=3.5,
-            linear=found.linear,
-            extended=found.extended,
-        )
+        return replace(found, gain=3.0, std=3.5)
 
     monkeypatch.setattr(diagnosing, "replay", useless)
     d = diagnose(recording)
@@ -64,8 +55,6 @@ def test_an_extension_that_gains_less_than_its_uncertainty_over_time_is_refused(
 
 def test_a_simulation_that_ends_among_other_ripples_judges_nothing(monkeypatch) -> None:
     """Off by a third of a radian of the ripple found, with the missing torque at the held-out noise."""
-    from dataclasses import replace
-
     recording, _ = make("cogging", target_db=20, **QUICK)
     honest = diagnosing.replay
 
@@ -89,10 +78,6 @@ def test_a_simulation_that_ends_among_other_ripples_judges_nothing(monkeypatch) 
 
 def test_a_wrong_extension_does_not_pass_the_simulation_over_time(monkeypatch) -> None:
     """Friction with its sign turned: the regression says so here, the simulation knows better."""
-    from dataclasses import replace
-
-    from invid.model import Estimate
-
     recording, _ = make("coulomb_friction", target_db=20, **QUICK)
     honest = diagnosing.replay
 
