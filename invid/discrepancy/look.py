@@ -21,8 +21,10 @@ from invid.discrepancy.moves import moves_of
 from invid.discrepancy.quieted import quieted
 from invid.discrepancy.rattling import lost, rattles
 from invid.discrepancy.records import split, with_sticking
+from invid.discrepancy.screen import terms_for
 from invid.discrepancy.select import select
 from invid.discrepancy.selection import Selection
+from invid.discrepancy.strong_mode import strong_modes
 from invid.discrepancy.tones import Tone, without_tones
 from invid.discrepancy.trial import CLOSE, Trial
 from invid.effects.view import Record
@@ -86,10 +88,27 @@ def _over_periods(recording: Recording, model: Model) -> Look:
     other = _looked(look.recording, model, each=True) if differs else look
     if other.selection.steps and other.selection.final.cost < CLOSE * other.selection.final.dof:
         return other
+    strong = _with_a_strong_mode(other)
+    if strong is not None:
+        return strong
     rattling = _rattling(look, other)
     if rattling is not None:
         return rattling
     return other if other.selection.steps else look
+
+
+def _with_a_strong_mode(look: Look) -> Look | None:
+    """The look with a mode that the linear fit without it was lost for, and what else there is beside it."""
+    base, linear = look.selection.base, look.recording.linear
+    modes = strong_modes(
+        base.fit, look.train, look.held, terms_for(base.fit.layout.structure, linear_axes=linear)
+    )
+    if not modes:
+        return None
+    found = select(
+        base.fit, look.train, look.held, linear_axes=linear, moves=moves_of(look.recording), begun=modes
+    )
+    return replace(look, selection=found) if found.steps else None
 
 
 def _rattling(look: Look, other: Look) -> Look | None:

@@ -24,7 +24,7 @@ from invid.discrepancy.gradient import (
     strong_inside,
 )
 from invid.discrepancy.layout import Layout, acting_of, folded_of, priors_of
-from invid.discrepancy.terms import Candidate, contributions
+from invid.discrepancy.terms import Candidate, at_once, contributions
 from invid.effects.torque_delay import ActuatorEffect
 from invid.effects.view import Record, View
 from invid.refine.boundary import end_derivative
@@ -149,7 +149,7 @@ def evaluate(
             columns[..., : layout.count], q = _linear_columns(
                 layout, p, view, gain, jumps, (by_stair, by_hold, _passed(view, candidate))
             )
-            strong = thorough and strong_inside(view, candidate)
+            strong = thorough and not at_once(candidate) and strong_inside(view, candidate)
             if strong and record.transient and view.read is None:
                 learn_answers(view, candidate)
             effect_columns(view, candidate, extra, columns, layout.count)

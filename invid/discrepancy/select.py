@@ -59,19 +59,21 @@ def select(
     start: Float64 | None = None,
     moves: Sequence[Move] = (),
     family: str | None = None,
+    begun: Sequence[Trial] = (),
 ) -> Selection:
     """Adds causes while both the training and the held-out gain are significant.
 
     ``free``: linear parameters of the fit whose time offsets were not bounded; where delays start. ``start``:
     those of the model, tried for a first cause where those of the fit lead nowhere. ``moves``: slow
     moves beside the records, which tell laws of position apart. ``family``: of
-    causes, where only those of one are asked for.
+    causes, where only those of one are asked for. ``begun``: what the first cause is chosen from, in place of
+    a screen.
 
     A lag keeps the time offset of its axis beside it: two timings, where a delay is one. Where what the lag's
     model leaves is more than the difference between the two, the data do not ask for the second timing, and
     the delay leads; the lag stays its rival.
     """
-    asked = _Asked(linear_axes, free, start, moves, family=family)
+    asked = _Asked(linear_axes, free, start, moves, family=family, begun=begun)
     found = _search(base, train, held, asked)
     contested = frozenset(
         s.chosen.term.place.axis
@@ -163,6 +165,8 @@ class _Asked:
     """Where causes are looked for; everywhere where it is none."""
     family: str | None = None
     """Which causes are looked for; all where it is none."""
+    begun: Sequence[Trial] = ()
+    """What the first cause is chosen from, in place of a screen."""
 
 
 def _search(base: JointFit, train: Sequence[Record], held: Sequence[Record], asked: _Asked) -> Selection:
@@ -250,7 +254,6 @@ def _step(
 ) -> tuple[Step | None, tuple[Score, ...]]:
     """The cause that is best beside those of ``current``; ``known``: fits that compete as they are."""
     here = current.fit
-    screen = Screen(here)
     terms = [
         t
         for t in terms_for(here.layout.structure, linear_axes=asked.linear_axes, chosen=here.candidate.terms)
@@ -258,31 +261,14 @@ def _step(
         and asked.axis in (None, t.place.axis, t.place.other)
         and asked.family in (None, t.effect.family)
     ]
-    scores = screened(screen, terms)
-    count = max(len(terms), 1)
-    rows = here.dof
-    trials: list[Trial] = delays(
-        here, train, held, [t for t in terms if t.effect.cause == "torque_delay"], asked.free
-    )
-    trials += lags(here, train, held, trials, terms)
-    tried = {(t.term.effect.cause, t.term.place) for t in trials}
-    scores = [
-        s
-        for s in scores
-        if s.term.effect.cause != "torque_delay" and (s.term.effect.cause, s.term.place) not in tried
-    ]
-    # A rival of those known takes as much.
-    known_gain = max((here.cost - t.fit.cost for t in known), default=0.0)
-
-    def least(term: Term) -> float:
-        return max(least_gain(here, term, count, first=first), known_gain)
-
-    reached = min((t.fit.cost for t in trials), default=np.inf)
-    trials += refitted(here, train, held, scores, least, reached)
-    if first and rejects and asked.start is not None and not known:
-        trials = with_those_from(asked.start, here, train, held, terms, trials)
-    if first and rejects and not known:
-        trials = with_known(trials, tied_loads(here, train, held, terms))
+    count, rows = max(len(terms), 1), here.dof
+    scores: list[Score] = []
+    if asked.begun and first and not known:
+        trials = list(asked.begun)
+    else:
+        trials, scores = _candidates(
+            here, train, held, asked, terms, first=first, rejects=rejects, known=known
+        )
     least_left = min((t.fit.cost for t in trials), default=np.inf)
     trials = [retimed(t, train, held) if t.fit.cost <= least_left else t for t in trials]
     rounded_ = (_rounded(t, current, train, held) for t in trials)
@@ -325,6 +311,42 @@ def _step(
     dispersion = min(t.dispersion for t in trials)
     ranked = _ranked([(t, t.score(dispersion, rows)) for t in trials], asked.contested)
     return Step(current, ranked[0][0], tuple(ranked)), tuple(scores[:5])
+
+
+def _candidates(
+    here: JointFit,
+    train: Sequence[Record],
+    held: Sequence[Record],
+    asked: _Asked,
+    terms: Sequence[Term],
+    *,
+    first: bool,
+    rejects: bool,
+    known: Sequence[Trial],
+) -> tuple[list[Trial], list[Score]]:
+    """Joint fits of what the screen promises, and the screen's other answers."""
+    scores = screened(Screen(here), terms)
+    trials = delays(here, train, held, [t for t in terms if t.effect.cause == "torque_delay"], asked.free)
+    trials += lags(here, train, held, trials, terms)
+    tried = {(t.term.effect.cause, t.term.place) for t in trials}
+    scores = [
+        s
+        for s in scores
+        if s.term.effect.cause != "torque_delay" and (s.term.effect.cause, s.term.place) not in tried
+    ]
+    # A rival of those known takes as much.
+    known_gain = max((here.cost - t.fit.cost for t in known), default=0.0)
+
+    def least(term: Term) -> float:
+        return max(least_gain(here, term, len(terms), first=first), known_gain)
+
+    reached = min((t.fit.cost for t in trials), default=np.inf)
+    trials += refitted(here, train, held, scores, least, reached)
+    if first and rejects and asked.start is not None and not known:
+        trials = with_those_from(asked.start, here, train, held, terms, trials)
+    if first and rejects and not known:
+        trials = with_known(trials, tied_loads(here, train, held, terms))
+    return trials, scores
 
 
 def with_known(trials: Sequence[Trial], known: Sequence[Trial]) -> list[Trial]:

@@ -9,7 +9,8 @@ from functools import partial
 import numpy as np
 
 from invid.arrays import Float64
-from invid.discrepancy.joint import JointFit, fit
+from invid.discrepancy.graduated import graduated
+from invid.discrepancy.joint import JointFit
 from invid.discrepancy.linear import highest_line
 from invid.discrepancy.low_lines import rigid
 from invid.discrepancy.terms import Candidate, Term
@@ -25,9 +26,6 @@ SPREAD = (0.6, 0.85, 0.35, 0.2)
 """Where a split load's own mode starts, over the highest excited line; as ``linear.restarted``."""
 SHARES = (0.1, 1.0)
 """Of the stiffness that the lowest lines show, which is too large by what the branches bend."""
-ROUGH = (0.1, 0.01, 0.001, 0.0)
-"""Share of every amplitude that counts as noise, fit after fit. By the sensors' noise a resonance a line
-beside its place is as wrong as none, and the way there is uphill; by a tenth of the torque it is not."""
 
 
 def tied_loads(
@@ -61,22 +59,6 @@ def tied_loads(
         if best is not None and best.fit.cost < here.cost:
             out.append(best)
     return out
-
-
-def graduated(here: JointFit, train: Sequence[Record], p: Float64, candidate: Candidate) -> JointFit:
-    """A fit from ``p`` (n,) through noise that is a share of the torque, less and less of it."""
-    for share in ROUGH:
-        records = [_with_error(r, share) for r in train]
-        found = fit(here.layout, records, p, candidate, iterations=60, strict=share == 0.0)
-        p, candidate = found.p, found.candidate
-    return found
-
-
-def _with_error(record: Record, share: float) -> Record:
-    if share == 0.0:
-        return record
-    error: Float64 = share**2 * np.abs(record.torque) ** 2
-    return replace(record, scatter=record.scatter + error)
 
 
 def _masses(here: JointFit, axis: int) -> Float64:
@@ -122,4 +104,4 @@ def _starts(
             return
 
 
-__all__ = ["graduated", "tied_loads"]
+__all__ = ["tied_loads"]

@@ -167,6 +167,9 @@ class ForceEffect(Effect):
 class ImpedanceEffect(Effect):
     """A resistance linear in the motion along its pattern: exact, whatever its size."""
 
+    steady: ClassVar[bool] = True
+    """Whether it is the same all through a record: then its force follows from the motors' spectra alone."""
+
     def impedance(self, view: View, place: Place, x: Sequence[float]) -> Complex128:
         """(F,) force per motion."""
         raise NotImplementedError

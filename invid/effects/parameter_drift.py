@@ -27,6 +27,7 @@ class ParameterDrift(ImpedanceEffect):
     coefficients = ("rate",)
     lower, upper = (-np.inf,), (np.inf,)
     main = "rate"
+    steady = False
 
     def places(self, structure: ChainStructure) -> list[Place]:
         return spring_places(structure)
