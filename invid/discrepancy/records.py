@@ -10,6 +10,7 @@ import numpy as np
 from scipy.fft import next_fast_len
 
 from invid.arrays import Complex128, Float64
+from invid.effects.standing import SLOW, softness
 from invid.effects.view import Record
 from invid.model import Model
 from invid.periods import fold, without_drift
@@ -275,25 +276,29 @@ a sinusoid of that size is below the friction for a fifth of each period, and th
 def with_sticking(
     records: Sequence[Record], spectra: Sequence[LineSpectra], model: Model, recording: Recording
 ) -> tuple[list[Record], list[str]]:
-    """Records in which held axes that stand on their own friction have no say, and what to warn about.
+    """Records in which axes that stand on their own friction have no say, and what to warn about.
 
-    Static friction takes any value up to its limit, so no law of the motion gives it.
+    Static friction takes any value up to its limit, so no law of the motion gives it. Held axes stand where
+    the torque stays below it, driven ones where they hardly move for it.
     """
     friction = model.fit.get("friction", {})
     driven = {s.key: s.driven for s in spectra}
-    out, axes = [], set()
+    out: list[Record] = []
+    axes: set[str] = set()
+    hardly: set[str] = set()
     for record in records:
         aside = np.zeros(recording.axis_count, dtype=bool)
         noise = record.noise.copy()
         for i, axis in enumerate(recording.axes):
             entry = friction.get(f"{axis}.coulomb") if isinstance(friction, dict) else None
-            if not isinstance(entry, dict) or driven[record.key][i]:
+            if not isinstance(entry, dict):
                 continue
             level, std = float(entry.get("value") or 0.0), float(entry.get("std") or np.inf)
             wave = record.torque_wave[:, i]
-            if level > 4.0 * std and np.abs(wave - wave.mean()).max() < STICKING * level:
+            small = bool(np.abs(wave - wave.mean()).max() < STICKING * level)
+            if level > 4.0 * std and (_hardly_moves(record, i) if driven[record.key][i] else small):
                 aside[i] = True
-                axes.add(axis)
+                (hardly if driven[record.key][i] else axes).add(axis)
                 noise[:, recording.axis_count + i] += (1e3 * level) ** 2
         out.append(replace(record, noise=noise, set_aside=aside) if aside.any() else record)
     warnings = [
@@ -301,7 +306,20 @@ def with_sticking(
         "out; excite all axes at once, or hold it with a slow creep"
         for axis in sorted(axes)
     ]
+    warnings += [
+        f"axis {axis} hardly moves for its friction in one experiment or more: its torque there says nothing "
+        "and is left out; shake it harder"
+        for axis in sorted(hardly)
+    ]
     return out, warnings
+
+
+def _hardly_moves(record: Record, axis: int) -> bool:
+    """Whether the sign of a motor's velocity is lost in its noise for more than half of a record: so is that
+    of its friction."""
+    v = record.motor_velocity[:, axis]
+    slow = SLOW * softness(v, float(record.velocity_noise[axis]))
+    return record.standing[axis] is None and float(np.mean(np.abs(v) < slow)) > 0.5
 
 
 def _lines(record: Record, chosen: np.ndarray) -> Record:
