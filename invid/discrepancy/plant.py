@@ -10,10 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
 from invid.arrays import Complex128, Float64
+from invid.discrepancy.began import begun
 from invid.discrepancy.ends import closing_of, ends_of
 from invid.discrepancy.gradient import (
     effect_columns,
@@ -129,8 +131,13 @@ def evaluate(
         if near and candidate.terms:
             before = near[len(missing)]
             view.of_ends, view.secants, view.read = before.of_ends, before.secants, before.read
+            view.starts = dict(before.starts)
             view.respond(before.feedback, before.jumps)
         extra = contributions(view, candidate)
+        if record.transient:
+            extra, starting = begun(view, candidate, extra, partial(_left, root, basis, r))
+            if starting.shape[-1]:
+                basis, back = factored(np.column_stack((open_, stack(root @ starting))))
         if not any(t.feels(view) for t in candidate.terms):
             view.respond(view.feedback, view.closed(extra))
         r = r + extra
@@ -140,7 +147,7 @@ def evaluate(
             along = basis @ within
             white = white - along
             r = r - unstack(unwhitener(root), along, r.shape)
-            jumps = -(back @ within)
+            jumps = -(back @ within)[: open_.shape[1]]
             view.of_ends = felt.moved @ jumps
         view.remaining = r
         if jacobian:
@@ -183,6 +190,13 @@ def evaluate(
         tuple(roots),
         dof,
     )
+
+
+def _left(root: Complex128, basis: Float64, r: Complex128, extra: Complex128) -> float:
+    """χ² of the missing torque ``r`` (F, M) with ``extra`` (F, M), without what the ends explain."""
+    white = stack(root @ (r + extra)[..., None])[:, 0]
+    along = basis.T @ white
+    return float(white @ white - along @ along)
 
 
 def _linear_columns(

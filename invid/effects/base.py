@@ -73,6 +73,8 @@ class Effect:
     main: str = ""
     along_pattern: bool = True
     """Whether its force lies along the pattern of its place and can be read from the missing torque."""
+    remembers: ClassVar[bool] = False
+    """Whether its force at the start of a record depends on what was before."""
 
     def places(self, structure: ChainStructure) -> list[Place]:
         """Everywhere it may sit."""

@@ -28,6 +28,7 @@ class PreslidingFriction(ForceEffect):
     lower, upper = (0.0,), (np.inf,)
     shapes, logarithmic = ("most",), (True,)
     main = "torque"
+    remembers = True
 
     def places(self, structure: ChainStructure) -> list[Place]:
         return mass_places(structure)
@@ -43,7 +44,8 @@ class PreslidingFriction(ForceEffect):
     def law(self, view: View, place: Place, shape: Sequence[float]) -> Float64:
         most = float(np.exp(shape[0]))
         x = view.wave(place.pattern(view.structure))
-        return slide(x, most, periodic=not view.record.transient)[:, None] / most
+        start = view.starts.get(place.pattern(view.structure), 0.0)
+        return slide(x, most, periodic=not view.record.transient, start=start)[:, None] / most
 
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
         return {"stiffness": float(x[0] / np.exp(x[1])), "torque": float(x[0])}

@@ -9,9 +9,9 @@ from invid.arrays import Float64
 
 
 @njit(cache=True)
-def _march(x: np.ndarray, most: float, passes: int) -> np.ndarray:
+def _march(x: np.ndarray, most: float, passes: int, start: float) -> np.ndarray:
     out = np.empty(x.size)
-    z, last = 0.0, x[0]
+    z, last = start, x[0]
     for _ in range(passes):
         for k in range(x.size):
             z = min(max(z + x[k] - last, -most), most)
@@ -25,11 +25,17 @@ CLOSED = 0.01
 A guess: of one that settled for two periods a thousandth is left, one from rest may end anywhere."""
 
 
-def slide(x: Float64, most: float, *, periodic: bool) -> Float64:
-    """(n,) displacement of a slider that gives way at ``most``; the periodic state where there is one.
+def closes(x: Float64) -> bool:
+    """Whether a motion (n,) ends where it began, so nearly that it is as good as periodic."""
+    return abs(float(x[-1] - x[0])) < CLOSED * float(np.ptp(x))
+
+
+def slide(x: Float64, most: float, *, periodic: bool, start: float = 0.0) -> Float64:
+    """(n,) displacement of a slider that gives way at ``most``; the periodic state where there is one, or
+    from ``start`` (a share of ``most``).
 
     A record that still settles a little has the state of its last period at its start, not that of rest.
     """
-    closed = periodic or abs(float(x[-1] - x[0])) < CLOSED * float(np.ptp(x))
-    out: Float64 = _march(np.ascontiguousarray(x), most, 2 if closed else 1)
+    passes = 2 if periodic or closes(x) else 1
+    out: Float64 = _march(np.ascontiguousarray(x), most, passes, start * most)
     return out
