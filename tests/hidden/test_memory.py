@@ -11,7 +11,6 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from hidden.generator import make_case
-
 from invid.discrepancy import diagnose
 from invid.effects.slider import slide
 
