@@ -1,4 +1,4 @@
-"""What a contact remembers from before a record that does not close: unknown, and found with the rest."""
+"""What a contact remembers from before a record: unknown, and found with the rest."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from invid.arrays import Complex128
-from invid.discrepancy.terms import Candidate, Term, contributions
+from invid.discrepancy.terms import Candidate, contributions
 from invid.effects.place import Pattern
-from invid.effects.slider import closes
 from invid.effects.view import View
 
 LOOKED = (-1.0, -0.5, 0.0, 0.5, 1.0)
@@ -28,21 +27,15 @@ def begun(view: View, candidate: Candidate, extra: Complex128, cost: Cost) -> tu
     """(F, M) contributions from the starts that leave least, and (F, M, k) what they change by with each.
 
     A slider in a weak motion may never give way in both directions: then all of a record feels where it
-    stood before. At half the amplitude presliding friction of 37 dB left 480 times the noise from rest, and
-    none from where it had stood (1007016). ``view.starts`` keeps the answer.
+    stood before, be it as a constant torque. At half the amplitude presliding friction of 37 dB left 480
+    times the noise from rest, and none from where it had stood (1007016). ``view.starts`` keeps the answer.
     """
     columns = []
-    for term in candidate.terms:
-        pattern = term.place.pattern(view.structure)
-        if not _remembers(view, term, pattern):
-            continue
-        extra, column = _best(view, candidate, pattern, cost)
-        columns.append(column)
+    for term, x in zip(candidate.terms, candidate.x, strict=True):
+        if term.effect.remembers(view, term.place, x.tolist()):
+            extra, column = _best(view, candidate, term.place.pattern(view.structure), cost)
+            columns.append(column)
     return extra, np.stack(columns, axis=-1) if columns else np.zeros((*extra.shape, 0), dtype=complex)
-
-
-def _remembers(view: View, term: Term, pattern: Pattern) -> bool:
-    return term.effect.remembers and view.record.transient and not closes(view.wave(pattern))
 
 
 def _best(view: View, candidate: Candidate, pattern: Pattern, cost: Cost) -> tuple[Complex128, Complex128]:

@@ -117,7 +117,8 @@ def evaluate(
         root = whitener(covariance)
         if record.weight.size:
             root = root * record.weight[:, None, None]
-        basis, jumps = np.zeros((0, 0)), np.zeros(0)
+        rows = 2 * r.size
+        open_, basis, jumps = np.zeros((rows, 0)), np.zeros((rows, 0)), np.zeros(0)
         if record.transient:
             ends = ends_of(view, layout, p)
             felt = ends.with_effects(view, candidate)
@@ -134,20 +135,20 @@ def evaluate(
             view.starts = dict(before.starts)
             view.respond(before.feedback, before.jumps)
         extra = contributions(view, candidate)
-        if record.transient:
-            extra, starting = begun(view, candidate, extra, partial(_left, root, basis, r))
-            if starting.shape[-1]:
-                basis, back = factored(np.column_stack((open_, stack(root @ starting))))
+        extra, starting = begun(view, candidate, extra, partial(_left, root, basis, r))
+        if starting.any():
+            basis, back = factored(np.column_stack((open_, stack(root @ starting))))
         if not any(t.feels(view) for t in candidate.terms):
             view.respond(view.feedback, view.closed(extra))
         r = r + extra
         white = stack(root @ r[..., None])[:, 0]
-        if record.transient:
+        if basis.size:
             within = basis.T @ white
             along = basis @ within
             white = white - along
             r = r - unstack(unwhitener(root), along, r.shape)
             jumps = -(back @ within)[: open_.shape[1]]
+        if record.transient:
             view.of_ends = felt.moved @ jumps
         view.remaining = r
         if jacobian:
@@ -166,7 +167,7 @@ def evaluate(
             if strong:
                 law_columns(view, candidate, p[: structure.count], q, columns, layout.count)
             part = stack(root @ columns)
-            jacobians.append(part - basis @ (basis.T @ part) if record.transient else part)
+            jacobians.append(part - basis @ (basis.T @ part) if basis.size else part)
         residuals.append(white)
         bases.append(basis)
         roots.append(root)

@@ -73,8 +73,6 @@ class Effect:
     main: str = ""
     along_pattern: bool = True
     """Whether its force lies along the pattern of its place and can be read from the missing torque."""
-    remembers: ClassVar[bool] = False
-    """Whether its force at the start of a record depends on what was before."""
 
     def places(self, structure: ChainStructure) -> list[Place]:
         """Everywhere it may sit."""
@@ -107,6 +105,10 @@ class Effect:
 
     def stands(self, view: View, place: Place) -> bool:
         """Whether its force at a motor depends on inner motion, as friction does while the motor stands."""
+        return False
+
+    def remembers(self, view: View, place: Place, x: Sequence[float]) -> bool:
+        """Whether its force in a record depends on what was before (``view.starts``)."""
         return False
 
     def rarity(self, place: Place, structure: ChainStructure) -> float:

@@ -79,7 +79,8 @@ def frequency_told(views: Sequence[View], frequency: float, std: float) -> bool:
 def _peaks(views: Sequence[View], pattern: Pattern) -> list[float]:
     """Frequencies [rad/s] at which most is still missing that a force along the pattern would account for.
 
-    Lines are taken three neighbours (of every record) together, and none within a twentieth of a larger one.
+    Lines are taken three neighbours (of every record) together, where their power is centred: a light mode is
+    narrower than the lines are apart. None within a twentieth of a larger one.
     """
     omega, power, records = [], [], 0
     for view in views:
@@ -99,7 +100,10 @@ def _peaks(views: Sequence[View], pattern: Pattern) -> list[float]:
     w, p = np.concatenate(omega), np.concatenate(power)
     order = np.argsort(w)
     window = min(3 * records, w.size)
-    w, p = w[order], np.convolve(p[order], np.ones(window) / window, mode="same")
+    together = np.ones(window) / window
+    centred = np.convolve(w[order] * p[order], together, mode="same")
+    p = np.convolve(p[order], together, mode="same")
+    w = centred / np.maximum(p, 1e-300)
     found: list[float] = []
     for k in np.argsort(-p):
         if all(abs(w[k] / f - 1.0) > 0.05 for f in found):

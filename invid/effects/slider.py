@@ -30,6 +30,12 @@ def closes(x: Float64) -> bool:
     return abs(float(x[-1] - x[0])) < CLOSED * float(np.ptp(x))
 
 
+def remembers(x: Float64, most: float, *, periodic: bool) -> bool:
+    """Whether where a slider stood before shows in a motion (n,): one that gives way in both directions again
+    and again forgets it."""
+    return float(np.ptp(x)) < 2.0 * most or not (periodic or closes(x))
+
+
 def slide(x: Float64, most: float, *, periodic: bool, start: float = 0.0) -> Float64:
     """(n,) displacement of a slider that gives way at ``most``; the periodic state where there is one, or
     from ``start`` (a share of ``most``).

@@ -10,7 +10,7 @@ import numpy as np
 from invid.arrays import Float64
 from invid.effects.base import ForceEffect
 from invid.effects.place import Place, spring_places
-from invid.effects.slider import slide
+from invid.effects.slider import remembers, slide
 from invid.effects.view import View, rms
 from invid.refine.structure import ChainStructure
 
@@ -28,7 +28,6 @@ class SpringHysteresis(ForceEffect):
     lower, upper = (0.0,), (np.inf,)
     shapes, logarithmic = ("most",), (True,)
     main = "torque"
-    remembers = True
 
     def places(self, structure: ChainStructure) -> list[Place]:
         return spring_places(structure)
@@ -40,6 +39,10 @@ class SpringHysteresis(ForceEffect):
     def limits(self, views: Sequence[View], place: Place) -> list[tuple[float, float]]:
         size = max(rms([v.wave(place.pattern(v.structure)) for v in views]), 1e-300)
         return [(float(np.log(1e-3 * size)), float(np.log(3.0 * size)))]
+
+    def remembers(self, view: View, place: Place, x: Sequence[float]) -> bool:
+        wave = view.wave(place.pattern(view.structure))
+        return remembers(wave, float(np.exp(x[1])), periodic=not view.record.transient)
 
     def law(self, view: View, place: Place, shape: Sequence[float]) -> Float64:
         most = float(np.exp(shape[0]))

@@ -173,7 +173,7 @@ class View:
         self.read: Float64 | None = None
         """What was read from the measured torque of a load that rattles (``invid.discrepancy.loose``)."""
         self.starts: dict[Pattern, float] = {}
-        """Where sliders stood when a record that does not close began, over what they give way at."""
+        """Where sliders stood when the record began, over what they give way at."""
         self.missing: Complex128 | None = None
         """(F, M) missing torque of the linear model; None where forces cannot be read from it."""
         self.certainty: Complex128 = np.zeros((0, 0, 0), dtype=complex)

@@ -41,3 +41,14 @@ def test_a_limit_that_the_validation_stays_below_is_named() -> None:
     assert result.size_error is not None
     assert abs(result.size_error) < 0.01
     assert any("validation does not show" in w for w in found.warnings)
+
+
+def test_a_mode_narrower_than_the_lines_are_apart_is_looked_for_between_them() -> None:
+    """0.7 g·m² at 6.95 Hz among lines at 6.9 and 7.1 Hz: neither is near enough for a step to lead there."""
+    recording, truth = make_case(1007045)
+    d = diagnose(recording)
+    assert score(truth, d).outcome == "right"
+    mass = d.findings[0].effect.parameters["mass"].value
+    stiffness = d.findings[0].effect.parameters["stiffness"].value
+    true = truth.effects[0].parameters
+    assert stiffness / mass == pytest.approx(true["stiffness"] / true["mass"], rel=0.01)
