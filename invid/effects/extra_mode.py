@@ -103,7 +103,7 @@ def _peaks(views: Sequence[View], pattern: Pattern) -> list[float]:
     together = np.ones(window) / window
     centred = np.convolve(w[order] * p[order], together, mode="same")
     p = np.convolve(p[order], together, mode="same")
-    w = centred / np.maximum(p, 1e-300)
+    w = np.divide(centred, p, out=w[order], where=p > 0.0)
     found: list[float] = []
     for k in np.argsort(-p):
         if all(abs(w[k] / f - 1.0) > 0.05 for f in found):
