@@ -185,6 +185,16 @@ def report(rows: list[dict[str, Any]]) -> None:
     print(f"\nNot right ({len(failed)}):")
     for r in sorted(failed, key=lambda r: (r["outcome"], -r["db"])):
         print("  " + _line(r))
+    off = [
+        r for r in rows if abs(r.get("size_error") or 0.0) >= 0.1 or abs(r.get("size_sigmas") or 0.0) >= 3.0
+    ]
+    print(f"\nSize off by a tenth or by three std ({len(off)}):")
+    for r in off:
+        print(f"  {_line(r)}: {100 * r['size_error']:.1f} %, {r['size_sigmas'] or np.nan:.1f} std")
+    high = [r for r in singles if r["outcome"] == "right" and (r.get("over_floor") or 0.0) > 1.2]
+    print(f"\nMore than 1.2 times the floor left ({len(high)}):")
+    for r in high:
+        print(f"  {_line(r)}: {r['over_floor']:.2f}")
 
 
 def _line(r: dict[str, Any]) -> str:
