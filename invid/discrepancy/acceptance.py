@@ -58,7 +58,8 @@ def accepted(
     """
     gain = (current.fit.cost - trial.fit.cost) / dispersion[0]
     held_gain = (current.held.cost - trial.held.cost) / dispersion[1]
-    needed = chi2_isf((SIGNIFICANCE if rejects else WEAK) / count, max(trial.term.size, 1))
+    unknowns = max(trial.term.size + trial.starts - current.starts, 1)
+    needed = chi2_isf((SIGNIFICANCE if rejects else WEAK) / count, unknowns)
     # Where there is no excess to explain every record counts: noise that was fitted costs on the held-out
     # ones what it gained, so the sum passes no more often than the gain of a fit to all of them.
     if rejects and quiet and gain < needed:

@@ -35,6 +35,8 @@ def begun(view: View, candidate: Candidate, extra: Complex128, cost: Cost) -> tu
         if term.effect.remembers(view, term.place, x.tolist()):
             extra, column = _best(view, candidate, term.place.pattern(view.structure), cost)
             columns.append(column)
+        elif view.starts:
+            view.starts.pop(term.place.pattern(view.structure), None)
     return extra, np.stack(columns, axis=-1) if columns else np.zeros((*extra.shape, 0), dtype=complex)
 
 

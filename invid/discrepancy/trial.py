@@ -96,6 +96,11 @@ class Trial:
         return max(float(self.excess - 3.0 * np.sqrt(2.0 * self.dof)), 0.0)
 
     @property
+    def starts(self) -> int:
+        """Unknowns of the records that effects remember (``began``)."""
+        return sum(len(v.starts) for part in (self.fit.evaluation, self.held) for v in part.views)
+
+    @property
     def dispersion(self) -> float:
         """χ²/ν of both, at least 1."""
         return max(1.0, self.cost / self.dof)
@@ -264,10 +269,11 @@ def told(found: JointFit, number: int, chance: float = 0.01) -> bool | None:
 
 
 def penalty(trial: Trial, rows: int) -> float:
-    """Schwarz' penalty of the parameters of the effects, and how rare their places are."""
+    """Schwarz' penalty of the parameters of the effects and of what they remember, and how rare their places
+    are."""
     terms, structure = trial.fit.candidate.terms, trial.fit.layout.structure
     rare = sum(t.effect.rarity(t.place, structure) for t in terms)
-    return float(np.log(max(rows, 2))) * sum(t.size for t in terms) + rare
+    return float(np.log(max(rows, 2))) * (sum(t.size for t in terms) + trial.starts) + rare
 
 
 def extends(larger: Trial, smaller: Trial) -> bool:
