@@ -15,8 +15,9 @@ export OPENBLAS_NUM_THREADS ?= 1
 demo: $(STAMP)
 	$(BIN)/invid demo --out invid-demo
 
+# Three workers on two cores: tests of the service and the bus wait for real time more than they compute.
 test: $(STAMP) system-packages
-	$(BIN)/python -m pytest -n 2 --dist loadgroup --timeout 600
+	$(BIN)/python -m pytest -n 3 --dist loadgroup --timeout 600
 
 check: $(STAMP)
 	$(BIN)/ruff check .

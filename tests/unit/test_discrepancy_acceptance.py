@@ -27,6 +27,7 @@ def _trial(cost: float, held: float, *, size: float = 0.0, std: float = 1.0) -> 
         dof=3000,
         x=np.array([size]),
         term=term,
+        starts=0,
     )
 
 
@@ -52,3 +53,11 @@ def test_a_size_is_told_where_only_its_phase_is_not() -> None:
     covariance[2, :2] *= 1e2
     assert told(fit, -1, 1e-6) is False
     assert sized(fit, -1, 1e-6) is False
+
+
+def test_what_a_slider_remembers_raises_what_its_cause_has_to_gain() -> None:
+    before, after = _trial(1990.0, 990.0), _trial(1975.0, 981.0, size=1.0, std=0.1)
+    state = {"first": True, "rejects": True, "quiet": False}
+    assert accepted(before, after, (1.0, 1.0), 1, before, **state)
+    after.starts = 5
+    assert not accepted(before, after, (1.0, 1.0), 1, before, **state)
