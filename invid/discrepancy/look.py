@@ -99,6 +99,8 @@ def _over_periods(recording: Recording, model: Model) -> Look:
 
 def _with_a_strong_mode(look: Look) -> Look | None:
     """The look with a mode that the linear fit without it was lost for, and what else there is beside it."""
+    if not lost(look.selection):
+        return None
     base, linear = look.selection.base, look.recording.linear
     modes = strong_modes(
         base.fit, look.train, look.held, terms_for(base.fit.layout.structure, linear_axes=linear)
