@@ -27,13 +27,13 @@ def graduated(
 ) -> JointFit:
     """A fit from ``p`` (n,) at one share of the torque after the other."""
     for share in shares:
-        records = [with_error(r, share) for r in train]
+        records = [_with_error(r, share) for r in train]
         found = fit(here.layout, records, p, candidate, iterations=iterations, strict=share == 0.0)
         p, candidate = found.p, found.candidate
     return found
 
 
-def with_error(record: Record, share: float) -> Record:
+def _with_error(record: Record, share: float) -> Record:
     """The record with a share of its torque as noise."""
     if share == 0.0:
         return record
@@ -41,4 +41,4 @@ def with_error(record: Record, share: float) -> Record:
     return replace(record, scatter=record.scatter + error)
 
 
-__all__ = ["ROUGH", "graduated", "with_error"]
+__all__ = ["ROUGH", "graduated"]

@@ -21,7 +21,6 @@ from invid.discrepancy.moves import moves_of
 from invid.discrepancy.quieted import quieted
 from invid.discrepancy.rattling import lost, rattles
 from invid.discrepancy.records import split, with_sticking
-from invid.discrepancy.screen import terms_for
 from invid.discrepancy.select import select
 from invid.discrepancy.selection import Selection
 from invid.discrepancy.strong_mode import strong_modes
@@ -102,9 +101,7 @@ def _with_a_strong_mode(look: Look) -> Look | None:
     if not lost(look.selection):
         return None
     base, linear = look.selection.base, look.recording.linear
-    modes = strong_modes(
-        base.fit, look.train, look.held, terms_for(base.fit.layout.structure, linear_axes=linear)
-    )
+    modes = strong_modes(base.fit, look.train, look.held)
     if not modes:
         return None
     found = select(

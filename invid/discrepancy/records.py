@@ -10,7 +10,7 @@ import numpy as np
 from scipy.fft import next_fast_len
 
 from invid.arrays import Complex128, Float64
-from invid.effects.standing import SLOW, softness
+from invid.effects.standing import slow_of
 from invid.effects.view import Record
 from invid.model import Model
 from invid.periods import fold, without_drift
@@ -294,11 +294,10 @@ def with_sticking(
             if not isinstance(entry, dict):
                 continue
             level, std = float(entry.get("value") or 0.0), float(entry.get("std") or np.inf)
-            wave = record.torque_wave[:, i]
-            small = bool(np.abs(wave - wave.mean()).max() < STICKING * level)
-            if level > 4.0 * std and (_hardly_moves(record, i) if driven[record.key][i] else small):
+            stands, told = (_hardly_moves, hardly) if driven[record.key][i] else (_stays_below, axes)
+            if level > 4.0 * std and stands(record, i, level):
                 aside[i] = True
-                (hardly if driven[record.key][i] else axes).add(axis)
+                told.add(axis)
                 noise[:, recording.axis_count + i] += (1e3 * level) ** 2
         out.append(replace(record, noise=noise, set_aside=aside) if aside.any() else record)
     warnings = [
@@ -314,11 +313,17 @@ def with_sticking(
     return out, warnings
 
 
-def _hardly_moves(record: Record, axis: int) -> bool:
+def _stays_below(record: Record, axis: int, level: float) -> bool:
+    """Whether the torque of a held axis never gets near where its friction of a ``level`` gives way."""
+    wave = record.torque_wave[:, axis]
+    return bool(np.abs(wave - wave.mean()).max() < STICKING * level)
+
+
+def _hardly_moves(record: Record, axis: int, _: float) -> bool:
     """Whether the sign of a motor's velocity is lost in its noise for more than half of a record: so is that
     of its friction."""
     v = record.motor_velocity[:, axis]
-    slow = SLOW * softness(v, float(record.velocity_noise[axis]))
+    slow = slow_of(v, float(record.velocity_noise[axis]))
     return record.standing[axis] is None and float(np.mean(np.abs(v) < slow)) > 0.5
 
 

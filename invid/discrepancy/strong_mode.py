@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
@@ -12,6 +12,7 @@ from invid.discrepancy.joint import JointFit
 from invid.discrepancy.linear import highest_line
 from invid.discrepancy.terms import Candidate, Term
 from invid.discrepancy.trial import CLOSE, Trial, attempted, finite
+from invid.discrepancy.words import BY_CAUSE
 from invid.effects.view import Record
 
 MASS = 0.1
@@ -25,9 +26,7 @@ FEW = 3
 """Places that are followed down to the sensors' noise."""
 
 
-def strong_modes(
-    here: JointFit, train: Sequence[Record], held: Sequence[Record], terms: Sequence[Term]
-) -> list[Trial]:
+def strong_modes(here: JointFit, train: Sequence[Record], held: Sequence[Record]) -> list[Trial]:
     """Modes beside the chains from starts at every mass, those that end close to the noise.
 
     A heavy mode is a resonance of its own, and a chain without it puts one of its own there: then the screen,
@@ -35,9 +34,8 @@ def strong_modes(
     chains and mode are fitted together from the first, roughly at first, the better half of a place's starts
     going on (successive halving).
     """
-    if here.candidate.terms:
-        return []
-    places = [_at_place(here, train, t) for t in terms if t.effect.cause == "extra_mode"]
+    effect = BY_CAUSE["extra_mode"]
+    places = [_at_place(here, train, Term(effect, p)) for p in effect.places(here.layout.structure)]
     best = sorted((found[0] for found in places if found), key=lambda f: f.cost)[:FEW]
     out: list[Trial] = []
     for rough in best:
@@ -49,10 +47,12 @@ def strong_modes(
 
 def _at_place(here: JointFit, train: Sequence[Record], term: Term) -> list[JointFit]:
     """The best rough fit with a mode at one place; none where no start leads anywhere."""
-    starts = [
-        (here.p, Candidate((term,), (np.array([mass, np.log(omega), np.log(DAMPING)]),)))
-        for mass, omega in _starts(here, term, train)
-    ]
+    structure, top = here.layout.structure, highest_line(train)
+    branch = structure.chains(here.p[: structure.count]).masses[term.place.axis]
+    starts = []
+    for part in PLACES:
+        x = np.array([MASS * float(branch.sum()), np.log(part * top), np.log(DAMPING)])
+        starts.append((here.p, Candidate((term,), (x,))))
     going: list[JointFit] = []
     for number, steps in enumerate(STEPS):
         tried = (finite(partial(graduated, here, train, p, x, ROUGH[:1], steps)) for p, x in starts)
@@ -60,14 +60,6 @@ def _at_place(here: JointFit, train: Sequence[Record], term: Term) -> list[Joint
         going = going[: max(len(PLACES) >> (number + 1), 1)]
         starts = [(t.p, t.candidate) for t in going]
     return going
-
-
-def _starts(here: JointFit, term: Term, train: Sequence[Record]) -> Iterator[tuple[float, float]]:
-    """Masses [kg·m² or kg] and frequencies [rad/s]."""
-    structure, top = here.layout.structure, highest_line(train)
-    branch = structure.chains(here.p[: structure.count]).masses[term.place.axis]
-    for part in PLACES:
-        yield MASS * float(branch.sum()), part * top
 
 
 __all__ = ["strong_modes"]

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
+
 import numpy as np
 from numba import njit
 
 from invid.arrays import Float64
+from invid.effects.base import ForceEffect
+from invid.effects.place import Place
+from invid.effects.view import View
 
 
 @njit(cache=True)
@@ -45,3 +51,25 @@ def slide(x: Float64, most: float, *, periodic: bool, start: float = 0.0) -> Flo
     passes = 2 if periodic or closes(x) else 1
     out: Float64 = _march(np.ascontiguousarray(x), most, passes, start * most)
     return out
+
+
+class SliderEffect(ForceEffect):
+    """A slider along a pattern: ``torque`` times its displacement over the ``most`` that it gives way at."""
+
+    parameters: ClassVar[Mapping[str, str]] = {"stiffness": "stiffness", "torque": "torque"}
+    coefficients = ("torque",)
+    lower, upper = (0.0,), (np.inf,)
+    shapes, logarithmic = ("most",), (True,)
+    main = "torque"
+
+    def remembers(self, view: View, place: Place, x: Sequence[float]) -> bool:
+        wave = view.wave(place.pattern(view.structure))
+        return remembers(wave, float(np.exp(x[1])), periodic=not view.record.transient)
+
+    def law(self, view: View, place: Place, shape: Sequence[float]) -> Float64:
+        most, pattern = float(np.exp(shape[0])), place.pattern(view.structure)
+        periodic, start = not view.record.transient, view.starts.get(pattern, 0.0)
+        return slide(view.wave(pattern), most, periodic=periodic, start=start)[:, None] / most
+
+    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
+        return {"stiffness": float(x[0] / np.exp(x[1])), "torque": float(x[0])}

@@ -48,9 +48,14 @@ def softness(velocity: Float64, noise: float) -> float:
     return max(1.5 * noise, 1e-3 * float(np.sqrt(np.mean(velocity**2))), 1e-300)
 
 
+def slow_of(velocity: Float64, noise: float) -> float:
+    """Velocity within which a motor of ``velocity`` (n,) with ``noise`` may stand."""
+    return SLOW * softness(velocity, noise)
+
+
 def standing(velocity: Float64, noise: float) -> Standing | None:
     """When a motor of ``velocity`` (n,) with ``noise`` stands; none where it never does or noise hides it."""
-    slow = SLOW * softness(velocity, noise)
+    slow = slow_of(velocity, noise)
     if slow > SEEN * float(np.sqrt(np.mean(velocity**2))):
         return None
     inside = np.abs(velocity) < slow
