@@ -2,39 +2,48 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from invid.arrays import Complex128, Float64
 
 IMAGES = 6
 """Images kept on each side: they fall off with the third power, so the rest is 0.2 % of what they do."""
+_ORDERS = np.array([*range(-IMAGES, 0), *range(1, IMAGES + 1)])
 
 
-def folded(omega: Float64, step: float, late: Float64) -> Complex128:
-    """(F, M) mass times displacement, over the torque, that folds onto each line.
+@dataclass(frozen=True, eq=False)
+class Images:
+    """What the images of a held torque are made of on given lines, whenever it steps.
 
     A torque held over samples of length h from t = kh + late has images at ω + kω_s, k ≠ 0. There a chain is
     no more than its motor's mass, the motion is −1/(mΩ²) times the torque, and sampling folds it back:
     E = −(1/m) (1 − e^{−jωh})/(jh) e^{−jω·late} Σ e^{−jkω_s·late}/(ω + kω_s)³. Beside the line's own motion
     it is (ω/ω_s)⁴·6.5: a hundred-thousandth at a thirtieth of the sampling rate, a quarter of a per cent at
     a seventh.
-
-    Parameters
-    ----------
-    omega
-        (F,) lines [rad/s].
-    step
-        h [s].
-    late
-        (M,) how much later than the position's samples each axis' torque steps [s].
     """
-    rate = 2 * np.pi / step
-    k = np.array([*range(-IMAGES, 0), *range(1, IMAGES + 1)])
-    each = (omega[:, None] + k * rate) ** -3.0
-    turned = np.exp(-1j * rate * k[:, None] * late)
-    stepping = (1.0 - np.exp(-1j * omega * step)) / (1j * step)
-    result: Complex128 = -stepping[:, None] * np.exp(-1j * omega[:, None] * late) * (each @ turned)
-    return result
+
+    omega: Float64
+    step: float
+    each: Complex128
+    """(F, images) of every image on every line."""
+
+    @classmethod
+    def of(cls, omega: Float64, step: float) -> Images:
+        """Those of samples of length ``step`` [s] on the lines ``omega`` (F,) [rad/s]."""
+        cubes = (omega[:, None] + _ORDERS * (2 * np.pi / step)) ** -3.0
+        stepping = (1.0 - np.exp(-1j * omega * step)) / (1j * step)
+        return cls(omega, step, -stepping[:, None] * cubes)
+
+    def at(self, late: Float64) -> Complex128:
+        """(F, M) mass times displacement, over the torque, that folds onto each line.
+
+        ``late`` (M,): how much later than the position's samples each axis' torque steps [s].
+        """
+        turned = np.exp(-1j * (2 * np.pi / self.step) * _ORDERS[:, None] * late)
+        result: Complex128 = np.exp(-1j * self.omega[:, None] * late) * (self.each @ turned)
+        return result
 
 
-__all__ = ["folded"]
+__all__ = ["Images"]

@@ -35,6 +35,12 @@ def least_gain(here: JointFit, term: Term, count: int, *, first: bool) -> float:
     return max(significant, REMAINDER * excess_in(here.evaluation, _axes(term.place)))
 
 
+def needed_gain(current: Trial, trial: Trial, count: int, *, rejects: bool) -> float:
+    """Gain of χ² that a cause needs of ``count`` to be there; ``rejects``: the records ask for one."""
+    unknowns = max(trial.term.size + trial.starts - current.starts, 1)
+    return chi2_isf((SIGNIFICANCE if rejects else WEAK) / count, unknowns)
+
+
 def _axes(place: Place) -> set[int]:
     """The axes that a cause is between, or sits on."""
     return {place.axis} if place.other < 0 else {place.axis, place.other}
@@ -58,8 +64,7 @@ def accepted(
     """
     gain = (current.fit.cost - trial.fit.cost) / dispersion[0]
     held_gain = (current.held.cost - trial.held.cost) / dispersion[1]
-    unknowns = max(trial.term.size + trial.starts - current.starts, 1)
-    needed = chi2_isf((SIGNIFICANCE if rejects else WEAK) / count, unknowns)
+    needed = needed_gain(current, trial, count, rejects=rejects)
     # Where there is no excess to explain every record counts: noise that was fitted costs on the held-out
     # ones what it gained, so the sum passes no more often than the gain of a fit to all of them.
     if rejects and quiet and gain < needed:

@@ -112,7 +112,7 @@ def _joined(here: JointFit, train: Sequence[Record], score: Score, reached: floa
     found = refit(here, train, score.term, score.x, 4, score.shift)
     # Four steps away from a start that is right to first order: what is far behind stays there.
     if not found.converged and found.cost - reached < 0.5 * (here.cost - reached):
-        found = fit(found.layout, train, found.p, found.candidate, iterations=10)
+        found = fit(found.layout, train, found.p, found.candidate, iterations=10, known=found.evaluation)
     return found
 
 

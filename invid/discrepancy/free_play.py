@@ -77,7 +77,7 @@ class FreePlay:
         """Every record at parameters (n,)."""
         out = []
         for view in views_of(self.layout, self.records, p):
-            factor = acting_of(view.record, self.layout, p)[1]
+            factor = acting_of(view.record, self.layout, p).factor
             missing: Complex128 = (
                 np.einsum("fij,fj->fi", view.stiffness, view.record.position) - view.acting - view.images
             )

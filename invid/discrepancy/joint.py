@@ -10,7 +10,7 @@ import numpy as np
 from invid.arrays import Bool, Float64
 from invid.discrepancy.holds import SHARES
 from invid.discrepancy.layout import Layout
-from invid.discrepancy.plant import Evaluation, evaluate
+from invid.discrepancy.plant import Evaluation, evaluate, with_jacobian
 from invid.discrepancy.terms import Candidate
 from invid.effects.view import Record
 
@@ -102,13 +102,17 @@ def fit(
     tolerance: float = 1e-2,
     strict: bool = True,
     quick: bool = False,
+    known: Evaluation | None = None,
 ) -> JointFit:
     """Minimise the cost; converged when the predicted decrease is below ``tolerance``·χ²/ν.
 
     ``quick``: a first look, with a Jacobian that takes the effects' forces on inner masses as given.
+    ``known``: the evaluation where it starts, if there is one.
     """
     structure, thorough = layout.structure, not quick
-    here = evaluate(layout, records, p, candidate, thorough=thorough)
+    if known is None:
+        known = evaluate(layout, records, p, candidate, jacobian=False)
+    here = with_jacobian(known, layout, p, candidate, thorough=thorough)
     low, high = limits_of(layout, candidate, here, strict)
     v = np.clip(pack(p, candidate), low, high)
     if not np.array_equal(v, pack(p, candidate)):
@@ -162,7 +166,7 @@ def fit(
             break
         gained = here.cost - accepted.cost
         v, p, candidate = trial, tp, tc
-        here = evaluate(layout, records, p, candidate, near=accepted.views, thorough=thorough)
+        here = with_jacobian(accepted, layout, p, candidate, thorough=thorough)
         damping = max(damping / 8.0, 1e-12)
         if gained < 0.1 * tolerance * here.cost / max(here.dof, 1):
             converged = True

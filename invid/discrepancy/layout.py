@@ -10,7 +10,6 @@ import numpy as np
 from invid.arrays import Bool, Complex128, Float64
 from invid.discrepancy.holds import HeldInside
 from invid.effects.view import Record
-from invid.folding import folded
 from invid.refine.structure import ChainStructure
 
 
@@ -117,10 +116,22 @@ class Layout:
         return replace(self, free_delays=free, delayed=tuple(i for i in self.delayed if i != axis))
 
 
-def acting_of(
-    record: Record, layout: Layout, p: Float64
-) -> tuple[Complex128, Complex128, Complex128, Complex128]:
-    """Torque that acts (F, M), factor A, its derivative by the stairs, and by each hold's share (F, holds).
+@dataclass(frozen=True, eq=False)
+class Acting:
+    """Torque that acts in a record, and how it changes."""
+
+    torque: Complex128
+    """(F, M)."""
+    factor: Complex128
+    """(F, M) what recorded torque is multiplied by."""
+    by_stair: Complex128
+    """(F, M) its derivative by the share held over the sample."""
+    by_hold: Complex128
+    """(F, holds) its derivative by each hold's share."""
+
+
+def acting_of(record: Record, layout: Layout, p: Float64) -> Acting:
+    """The torque that acts.
 
     Holding a sample takes amplitude away and acts half a sample late. The time offset takes up the
     latter where all torque is alike. Where the demand is logged beside a hold, the demand is held over
@@ -128,7 +139,7 @@ def acting_of(
     """
     w = record.omega
     delays, stairs = layout.lateness(p, record), layout.stairs(p)
-    smear = (1.0 - np.sinc(w * record.step / 2 / np.pi))[:, None]
+    smear = record.smear[:, None]
     z = np.exp(-1j * w[:, None] * delays) * layout.unsmoothed(p, w)
     factor = z * (1.0 - stairs * smear)
     by_hold = np.zeros((w.size, len(layout.holds)), dtype=complex)
@@ -145,11 +156,11 @@ def acting_of(
             by_hold[:, k] = (factor[:, i] - z[:, i] * np.exp(0.5j * w * record.step)) * torque
             acting[:, i] += share * by_hold[:, k]
             by_stair[:, i] -= share * (z * smear)[:, i] * torque
-        return acting, factor, by_stair, by_hold
+        return Acting(acting, factor, by_stair, by_hold)
     rest = record.torque - record.command
     held = ((1.0 - smear) * np.exp(-0.5j * w * record.step)[:, None]).astype(complex)
     acting = z * (record.command * held + rest * (1.0 - stairs + stairs * held))
-    return acting, factor, z * (held - 1.0) * rest, by_hold
+    return Acting(acting, factor, z * (held - 1.0) * rest, by_hold)
 
 
 def folded_of(record: Record, layout: Layout, p: Float64, inertance: Float64) -> Complex128:
@@ -164,7 +175,7 @@ def folded_of(record: Record, layout: Layout, p: Float64, inertance: Float64) ->
         late = late - 0.5 * record.step  # the time offset holds the half sample by which holding is late
     else:
         stepped = record.command + stairs * (record.torque - record.command)
-    images = folded(record.omega, record.step, late) * stepped
+    images = record.folding.at(late) * stepped
     result: Complex128 = images @ inertance
     return result
 

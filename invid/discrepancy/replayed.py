@@ -278,7 +278,8 @@ def _rung_out(evaluation: Evaluation, candidate: Candidate) -> Evaluation:
         residual[rows] -= rung
         missing[number] = missing[number] - unstack(unwhitener(root), rung, missing[number].shape)
         at = rows.stop
-    return replace(evaluation, residual=residual, missing=tuple(missing), cost=float(residual @ residual))
+    seen = tuple(replace(s, missing=m) for s, m in zip(evaluation.seen, missing, strict=True))
+    return replace(evaluation, residual=residual, seen=seen, cost=float(residual @ residual))
 
 
 def _error(measured: Sequence[Experiment], simulated: Recording) -> Float64:

@@ -206,7 +206,10 @@ def _regress(effect: Effect, columns: Float64, residual: Float64) -> tuple[float
     q, r = np.linalg.qr(columns[:, good] / scale[good])
     target = -(q.T @ residual)
     positive = np.array([low == 0.0 for low in effect.lower])[good]
-    if positive.all():
+    if target.size == 1:
+        found = target / r[0]
+        found = np.maximum(found, 0.0) if positive[0] else found
+    elif positive.all():
         found, _ = nnls(r, target)
     else:
         found = np.linalg.lstsq(r, target, rcond=1e-9)[0]

@@ -9,9 +9,15 @@ from functools import partial
 import numpy as np
 
 from invid.arrays import Float64
-from invid.discrepancy.acceptance import SIGNIFICANCE, accepted, least_gain
+from invid.discrepancy.acceptance import SIGNIFICANCE, accepted, least_gain, needed_gain
 from invid.discrepancy.beside import with_viscous
-from invid.discrepancy.candidates import is_smaller_model, refitted, screened, with_those_from
+from invid.discrepancy.candidates import (
+    REACH,
+    is_smaller_model,
+    refitted,
+    screened,
+    with_those_from,
+)
 from invid.discrepancy.joint import JointFit, fit, held_out, reordered, without_last
 from invid.discrepancy.layout import Layout
 from invid.discrepancy.missing_torque import null_test
@@ -81,12 +87,20 @@ def select(
         if s.chosen.term.effect.cause == "torque_lag"
         and any(_is(t, "torque_delay", s.chosen.term.place.axis) for t, _ in s.ranked)
     )
-    if not contested:
+    if not contested or _alone(found, [*train, *held]):
         return found
     other = _search(base, train, held, replace(asked, contested=contested))
     if any(_is(s.chosen, "torque_lag", i) for s in other.steps for i in contested):
         return found  # a delay that needs the lag beside it takes nothing's place
     return other if other.final.cost - found.final.cost < found.final.beyond_noise else found
+
+
+def _alone(found: Selection, records: Sequence[Record]) -> bool:
+    """Whether one lag leaves nothing but noise and its delay more: beside others that is the larger model."""
+    if len(found.steps) > 1 or _rejects(found.final, records):
+        return False
+    delay = next((t for t, _ in found.steps[0].ranked if t.term.effect.cause == "torque_delay"), None)
+    return delay is not None and delay.cost - found.final.cost > found.final.beyond_noise + LARGER
 
 
 def _pruned(found: Selection, train: Sequence[Record], held: Sequence[Record]) -> Selection:
@@ -283,7 +297,11 @@ def _step(
     ]
     polished = []
     for t in best[:4]:
-        if t.fit.converged:
+        # Noise alone has had its best by now: what little more there is makes no cause of it.
+        hopeless = not rejects and REACH * (current.cost - t.cost) < needed_gain(
+            current, t, count, rejects=rejects
+        )
+        if t.fit.converged or hopeless:
             polished.append(t)
             continue
         more = fit(t.fit.layout, train, t.fit.p, t.fit.candidate, iterations=40)

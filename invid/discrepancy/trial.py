@@ -162,14 +162,15 @@ def refit(
     shift: Float64 | None = None,
 ) -> JointFit:
     """Joint fit with one effect more; ``shift``: step of the parameters so far that goes with it."""
-    layout, p, candidate = _start(current, records, term, x, shift)
-    return fit(layout, records, p, candidate, iterations=iterations, quick=True)
+    layout, p, candidate, known = _start(current, records, term, x, shift)
+    return fit(layout, records, p, candidate, iterations=iterations, quick=True, known=known)
 
 
 def _start(
     current: JointFit, records: Sequence[Record], term: Term, x: Float64, shift: Float64 | None
-) -> tuple[Layout, Float64, Candidate]:
-    """Where the joint fit starts: the cheapest of the screen's joint step, shares of it, and of sizes alone.
+) -> tuple[Layout, Float64, Candidate, Evaluation | None]:
+    """Where the joint fit starts, with its evaluation if finite: the cheapest of the screen's joint step,
+    shares of it, and of sizes alone.
 
     A strong effect biases the linear parameters, so its size alone makes things worse; a linearised step
     overshoots where the bias is large.
@@ -178,7 +179,8 @@ def _start(
     if term.effect.cause == "torque_delay":
         layout, stay = layout.without_delay([term.place.axis])
     count = len(term.effect.coefficients)
-    best, chosen = np.inf, (layout, current.p[stay], current.candidate.plus(term, x))
+    best, known = np.inf, None
+    chosen = layout, current.p[stay], current.candidate.plus(term, x)
     tries = [(0.0, 1.0), (0.0, 0.4), (0.0, 0.1), (0.0, 0.01)]
     if shift is not None and shift.size and np.isfinite(shift).all():
         tries = [(1.0, 1.0), (0.5, 1.0), *tries[:1], (0.4, 0.4), *tries[1:]]
@@ -196,14 +198,14 @@ def _start(
         candidate = before.plus(term, trial)
         with np.errstate(all="ignore"):
             try:
-                cost = evaluate(layout, records, p[stay], candidate, jacobian=False).cost
+                there = evaluate(layout, records, p[stay], candidate, jacobian=False)
             except np.linalg.LinAlgError:
                 continue
-        if np.isfinite(cost) and cost < best:
-            best, chosen = cost, (layout, p[stay], candidate)
-        if cost < current.cost:
+        if np.isfinite(there.cost) and there.cost < best:
+            best, known, chosen = there.cost, there, (layout, p[stay], candidate)
+        if there.cost < current.cost:
             break
-    return chosen
+    return *chosen, known
 
 
 def _logarithmic(current: JointFit) -> Bool:

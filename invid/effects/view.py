@@ -12,6 +12,7 @@ from invid.arrays import Complex128, Float64
 from invid.effects.place import Pattern
 from invid.effects.secants import Secants
 from invid.effects.standing import Standing, standing
+from invid.folding import Images
 from invid.refine.structure import ChainStructure
 
 
@@ -105,6 +106,17 @@ class Record:
         """When each motor stands; none for those that never do, or whose noise hides it."""
         noise = self.velocity_noise
         return tuple(standing(v, float(noise[i])) for i, v in enumerate(self.motor_velocity.T))
+
+    @cached_property
+    def smear(self) -> Float64:
+        """(F,) share of a torque's amplitude that holding it over the sample takes away."""
+        out: Float64 = 1.0 - np.sinc(self.omega * self.step / 2 / np.pi)
+        return out
+
+    @cached_property
+    def folding(self) -> Images:
+        """What a torque that is held over the sample folds onto the lines."""
+        return Images.of(self.omega, self.step)
 
     def after(self, time: float) -> float:
         """Share of the record that lies after ``time``."""

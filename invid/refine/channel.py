@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from invid.arrays import Complex128, Float64
-from invid.folding import folded
+from invid.folding import Images
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +68,11 @@ class Block:
     columns: Complex128
     lag_index: tuple[int, ...] = ()
     stepped: Complex128 | None = None
+
+    @cached_property
+    def images(self) -> Images:
+        """What a torque that is held over the sample folds onto the lines."""
+        return Images.of(self.omega, self.step)
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +146,7 @@ def acting(block: Block, delays: Float64, stairs: Float64) -> Acting:
             by_delay[:, i, lag] = slope * factor[:, i]
             if beside:
                 by_hold[:, i, lag] = slope * passed * (z1 - z2)
-    images = folded(block.omega, block.step, steps_at) * stepped
+    images = block.images.at(steps_at) * stepped
     return Acting(factor, hold_part, by_delay, by_hold, by_stair, images)
 
 

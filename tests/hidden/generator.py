@@ -141,7 +141,7 @@ def make(
             active.append(calibrated(rng, setup, chosen, axis, element, other, goal))
     db = excess_db(setup, tuple(active)) if active else -np.inf
     true_sizes = [len(m) for m in plant.chains.masses]
-    recording, lost_db = record(rng, setup, tuple(active), [n + declared for n in true_sizes])
+    recording, lost_db, gone = record(rng, setup, tuple(active), [n + declared for n in true_sizes])
     db = max(db, lost_db)
     axes = plant.chains.axes
     effects = tuple(
@@ -150,7 +150,7 @@ def make(
             axes[a.axis],
             a.cause.element_name(plant, a.axis, a.element),
             axes[a.other] if a.other >= 0 else None,
-            a.parameters,
+            {"fraction": gone[a.axis]} if a.cause.name == "dropped_samples" else a.parameters,
             a.cause.name in CATALOGUE,
             a.cause.name == "torque_gain" and plant.count == 2,
         )

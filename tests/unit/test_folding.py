@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from invid.folding import folded
+from invid.folding import Images
 
 STEP = 1e-3
 MASSES, SPRING, DAMPER = (0.02, 0.05), 300.0, 0.05
@@ -39,7 +39,7 @@ def test_sampled_motion_under_a_held_torque_is_the_continuous_one_and_its_images
     stiffness = MASSES[0] * s**2 + link - link**2 / (MASSES[1] * s**2 + link)
     held = np.sinc(hz * STEP) * np.exp(-s * (STEP / 2 + late))
     plain = _sampled(omega, late)
-    images = folded(omega, STEP, np.array([late]))[:, 0] / MASSES[0]
+    images = Images.of(omega, STEP).at(np.array([late]))[:, 0] / MASSES[0]
     left = np.abs(stiffness * (plain - images) - held)
     missed = np.abs(stiffness * plain - held)
     assert missed[-1] > 5e-3
