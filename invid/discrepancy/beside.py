@@ -16,7 +16,7 @@ from invid.discrepancy.terms import Term
 from invid.discrepancy.trial import CLOSE, LARGER, WEAK, Step, Trial, attempted
 from invid.discrepancy.words import BY_CAUSE
 from invid.distributions import chi2_isf
-from invid.effects.view import Record
+from invid.effects.record import Record
 
 DRY = ("coulomb_friction", "stribeck_friction", "presliding_friction")
 

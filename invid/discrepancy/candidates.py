@@ -12,7 +12,8 @@ from invid.discrepancy.joint import JointFit, fit
 from invid.discrepancy.screen import Score, Screen
 from invid.discrepancy.terms import Candidate, Term
 from invid.discrepancy.trial import Trial, at_bound, attempted, finite, refit
-from invid.effects.view import Record, rms
+from invid.effects.record import Record
+from invid.effects.view import rms
 
 POLISHED, REFITTED, PLACES = 12, 6, 2
 """How many candidates are polished and refitted, and at most how many places of one cause."""

@@ -13,7 +13,7 @@ from invid.discrepancy.records import by_period
 from invid.discrepancy.screen import Screen, terms_for
 from invid.discrepancy.selection import Selection
 from invid.discrepancy.trial import HELD_OUT, Step, Trial, attempted
-from invid.effects.view import Record
+from invid.effects.record import Record
 from invid.recording.model import Recording
 
 NEAR = 0.25

@@ -20,7 +20,7 @@ from invid.discrepancy.selection import Selection
 from invid.discrepancy.tones import Tone, power_of, said_of_tones
 from invid.discrepancy.trust import cautious, distrust_sentences, in_the_way, trust, untimed_holds
 from invid.effects.base import unit_of
-from invid.effects.view import Record
+from invid.effects.record import Record
 from invid.model import Model
 from invid.recording.model import Recording
 

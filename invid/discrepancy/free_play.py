@@ -24,7 +24,7 @@ from invid.discrepancy.low_lines import rigid
 from invid.discrepancy.plant import noise_of, views_of
 from invid.discrepancy.terms import Term
 from invid.effects.backlash import spring_index
-from invid.effects.view import Record
+from invid.effects.record import Record
 from invid.refine.whitening import whitener
 
 LOOSEST = 10.0

@@ -10,7 +10,7 @@ import numpy as np
 from invid.arrays import Float64
 from invid.discrepancy.joint import JointFit, fit
 from invid.discrepancy.terms import Candidate
-from invid.effects.view import Record
+from invid.effects.record import Record
 
 ROUGH = (0.1, 0.01, 0.001, 0.0)
 """Share of every amplitude that counts as noise, fit after fit. By the sensors' noise a resonance a line

@@ -12,7 +12,7 @@ from invid.discrepancy.holds import SHARES
 from invid.discrepancy.layout import Layout
 from invid.discrepancy.plant import Evaluation, evaluate, with_jacobian
 from invid.discrepancy.terms import Candidate
-from invid.effects.view import Record
+from invid.effects.record import Record
 
 LARGEST_STEP = 0.7
 """Largest step of a logarithm in one iteration: unguarded steps overflow."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from invid.arrays import Bool, Complex128, Float64
 from invid.discrepancy.holds import HeldInside
-from invid.effects.view import Record
+from invid.effects.record import Record
 from invid.refine.structure import ChainStructure
 
 

@@ -17,7 +17,7 @@ from invid.discrepancy.records import by_period
 from invid.discrepancy.terms import Candidate
 from invid.discrepancy.tones import Tone, tones_of
 from invid.discrepancy.trial import Trial, finite
-from invid.effects.view import Record
+from invid.effects.record import Record
 from invid.forward import resonances
 from invid.model import Model
 from invid.recording.model import Recording

@@ -26,7 +26,7 @@ from invid.discrepancy.selection import Selection
 from invid.discrepancy.strong_mode import strong_modes
 from invid.discrepancy.tones import Tone, without_tones
 from invid.discrepancy.trial import CLOSE, Trial
-from invid.effects.view import Record
+from invid.effects.record import Record
 from invid.errors import InputError
 from invid.model import Model
 from invid.plausible import check_plausible

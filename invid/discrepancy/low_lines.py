@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from invid.arrays import Complex128, Float64
-from invid.effects.view import Record
+from invid.effects.record import Record
 
 LOWEST = 3
 """Lines of each record, from the lowest, on which a machine is taken for rigid."""

@@ -12,7 +12,8 @@ from invid.discrepancy.ends import without_boundary
 from invid.discrepancy.layout import Layout
 from invid.discrepancy.plant import Evaluation, noise_of, views_of
 from invid.distributions import f_sf
-from invid.effects.view import Record, View
+from invid.effects.record import Record
+from invid.effects.view import View
 from invid.spectra import LineSpectra
 
 FALSE_ALARM = 0.01

@@ -27,8 +27,9 @@ from invid.discrepancy.gradient import (
 )
 from invid.discrepancy.layout import Acting, Layout, acting_of, folded_of, priors_of
 from invid.discrepancy.terms import Candidate, at_once, contributions
+from invid.effects.record import Record
 from invid.effects.torque_delay import ActuatorEffect
-from invid.effects.view import Record, View
+from invid.effects.view import View
 from invid.refine.boundary import end_derivative
 from invid.refine.problem import condense_dense
 from invid.refine.whitening import factored, stack, unstack, unwhitener, whitener
@@ -126,6 +127,7 @@ def views_of(
                 values[structure.slices["mass"]],
                 layout.origin,
                 np.einsum("fij,fj->fi", stiffness, folded_of(record, layout, p, inertance)),
+                inertance,
             )
         )
     return out

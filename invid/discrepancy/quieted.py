@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 
 from invid.arrays import Float64
 from invid.discrepancy.plant import Evaluation, numbers_on
-from invid.effects.view import Record
+from invid.effects.record import Record
 
 LOW = 6.0
 """Standard deviations of χ² by which a record has to stay below its expectation; chance does not."""

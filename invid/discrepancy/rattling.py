@@ -18,7 +18,7 @@ from invid.discrepancy.trial import Step, Trial, at_bound, attempted, finite
 from invid.discrepancy.trust import LEFT, REACHED
 from invid.effects.backlash import RattlingBacklash
 from invid.effects.place import spring_places
-from invid.effects.view import Record
+from invid.effects.record import Record
 
 CUBIC = 0.1
 """Share of what the best cubic spring leaves of the force that a gap may leave at most. A guess: of hidden

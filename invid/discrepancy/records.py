@@ -10,8 +10,8 @@ import numpy as np
 from scipy.fft import next_fast_len
 
 from invid.arrays import Complex128, Float64
+from invid.effects.record import Record
 from invid.effects.standing import slow_of
-from invid.effects.view import Record
 from invid.model import Model
 from invid.periods import fold, without_drift
 from invid.recording.model import Experiment, Recording, Role
@@ -76,6 +76,9 @@ def record_of(
     coarse = clean[:kept] * (grid / count)
     if grid < count and grid % 2 == 0:
         coarse[-1] = 0.0
+    unseen = np.where(np.arange(kept)[:, None] > index[-1], 1.0 - keep[:kept], 0.0)
+    if grid % 2 == 0:
+        unseen[-1] = 0.0
     wave_step = count * step / grid
     wave_time = np.arange(grid) * wave_step - (count - 1) / 2 * step
     velocity = np.fft.irfft(1j * omega_all[:kept, None] * coarse, grid, axis=0) + ramp
@@ -131,6 +134,7 @@ def record_of(
         period_time=s.span_s / max(s.periods, 1),
         excited=np.concatenate(([False], s.excited[used])),
         command=None if command is None else command[0],
+        unseen=unseen,
         ends_in=s.transient and s.periods <= 1 and rows is None,
         alone=alone and rows is not None,
     )

@@ -22,7 +22,8 @@ from invid.discrepancy.joint import JointFit
 from invid.discrepancy.missing_torque import rms_torque
 from invid.discrepancy.plant import Evaluation, evaluate, views_of
 from invid.discrepancy.terms import Candidate
-from invid.effects.view import Record, View
+from invid.effects.record import Record
+from invid.effects.view import View
 from invid.errors import InvidError
 from invid.model import Model
 from invid.periods import fold, without_drift

@@ -11,8 +11,9 @@ from collections.abc import Callable, Sequence
 from invid.discrepancy.joint import JointFit, fit
 from invid.discrepancy.terms import Candidate, Term
 from invid.discrepancy.trial import finite
+from invid.effects.record import Record
 from invid.effects.sign import DryLaw
-from invid.effects.view import Record, rms
+from invid.effects.view import rms
 
 SHARES = (0.02, 0.05, 0.12, 0.3)
 """Roundings tried, of the rms velocity. Below the first the jump is as good (1 % of the friction's power is

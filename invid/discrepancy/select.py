@@ -22,27 +22,26 @@ from invid.discrepancy.joint import JointFit, fit, held_out, reordered, without_
 from invid.discrepancy.layout import Layout
 from invid.discrepancy.missing_torque import null_test
 from invid.discrepancy.moves import Move, judged_on_moves
+from invid.discrepancy.pruning import pruned
 from invid.discrepancy.rounding import rounded
 from invid.discrepancy.screen import Score, Screen, terms_for
 from invid.discrepancy.selection import Selection
 from invid.discrepancy.side_modes import modes_moved, with_the_mode_in_the_chain
-from invid.discrepancy.terms import Candidate, Term
+from invid.discrepancy.terms import Term
 from invid.discrepancy.tied import tied_loads
 from invid.discrepancy.trial import (
     CLOSE,
     LARGER,
-    WEAK,
     Step,
     Trial,
     at_bound,
     attempted,
     extends,
-    sized,
 )
 from invid.discrepancy.variants import delays, elsewhere, ladder, lags, retimed
 from invid.distributions import chi2_isf
 from invid.effects.place import Place
-from invid.effects.view import Record
+from invid.effects.record import Record
 
 MODE = 150
 """Iterations for a mode moved to another mass of its axis; 20 left it at χ² 2036, 150 at 2003 (830051)."""
@@ -103,60 +102,6 @@ def _alone(found: Selection, records: Sequence[Record]) -> bool:
     return delay is not None and delay.cost - found.final.cost > found.final.beyond_noise + LARGER
 
 
-def _pruned(found: Selection, train: Sequence[Record], held: Sequence[Record]) -> Selection:
-    """Without the causes that the others leave nothing to.
-
-    The first cause named is the one that alone explains most; beside the true ones it may vanish. The last
-    may have led linear parameters on that had come to rest too early, and be nothing itself.
-    """
-    for number in _doubtful(found):
-        smaller = _without(found, number, train, held)
-        if smaller is not None:
-            return _pruned(smaller, train, held)
-    return found
-
-
-def _without(
-    found: Selection, number: int, train: Sequence[Record], held: Sequence[Record]
-) -> Selection | None:
-    """One cause less, the others refitted; none where that costs more than the cause's parameters may."""
-    final, at = found.final.fit, len(found.base.fit.candidate.terms) + number
-    kept = [k for k in range(len(final.candidate.terms)) if k != at]
-    candidate = Candidate(
-        tuple(final.candidate.terms[k] for k in kept), tuple(final.candidate.x[k] for k in kept)
-    )
-
-    def less() -> JointFit:
-        # Beside a cubic spring a gap of nothing leaves a valley in which the thorough steps alone stand still
-        # (600036: χ² 742, where it is 708).
-        began = fit(final.layout, train, final.p, candidate, iterations=40, quick=True)
-        return fit(final.layout, train, began.p, began.candidate, iterations=40)
-
-    trial = attempted(less, held)
-    limit = chi2_isf(SIGNIFICANCE, final.candidate.terms[at].size) * found.final.dispersion
-    if trial is None or trial.cost > found.final.cost + limit:
-        return None
-    steps = list(found.steps)
-    gone = steps.pop(number)
-    if number < len(steps):
-        steps[number] = replace(steps[number], before=gone.before)
-    steps[-1] = replace(steps[-1], chosen=trial)
-    return replace(found, final=trial, steps=tuple(steps))
-
-
-def _doubtful(found: Selection) -> list[int]:
-    """Steps of several whose cause may be superfluous: its size is not told from none, or it is a shape alone
-    (a gap)."""
-    final, known = found.final.fit, len(found.base.fit.candidate.terms)
-    out: list[int] = []
-    for number in range(len(found.steps) if len(found.steps) > 1 else 0):
-        term = final.candidate.terms[known + number]
-        told = sized(final, known + number, WEAK)
-        if told is False or (told is None and not term.effect.coefficients):
-            out.append(number)
-    return out
-
-
 def _named(step: Step) -> tuple[str, Place]:
     return step.chosen.term.effect.cause, step.chosen.term.place
 
@@ -208,7 +153,7 @@ def _added(found: Selection, train: Sequence[Record], held: Sequence[Record], as
         added = ladder(step, train, held) or (step,)
         steps.extend(added)
         current = added[-1].chosen
-    return _pruned(Selection(start, current, tuple(steps), rejected), train, held)
+    return pruned(Selection(start, current, tuple(steps), rejected), train, held)
 
 
 def _reconsidered(

@@ -16,7 +16,7 @@ from invid.discrepancy.linear import restarted, spare_mode
 from invid.discrepancy.terms import Term
 from invid.discrepancy.trial import Trial, attempted
 from invid.discrepancy.variants import elsewhere
-from invid.effects.view import Record
+from invid.effects.record import Record
 from invid.errors import InvidError
 from invid.inverse import chains_of, gains_of
 from invid.modes.model import modes_of_matrices

@@ -13,7 +13,7 @@ from invid.discrepancy.linear import highest_line
 from invid.discrepancy.terms import Candidate, Term
 from invid.discrepancy.trial import CLOSE, Trial, attempted, finite
 from invid.discrepancy.words import BY_CAUSE
-from invid.effects.view import Record
+from invid.effects.record import Record
 
 MASS = 0.1
 """Of its branch, that a mode starts with. A guess: from a fiftieth few starts moved at all."""

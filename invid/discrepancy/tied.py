@@ -15,7 +15,7 @@ from invid.discrepancy.linear import highest_line
 from invid.discrepancy.low_lines import rigid
 from invid.discrepancy.terms import Candidate, Term
 from invid.discrepancy.trial import CLOSE, Trial, attempted
-from invid.effects.view import Record
+from invid.effects.record import Record
 
 HEAVY = 2.0
 """How many times the inertia that the lowest lines show a branch must have to count as lost. A guess: tied

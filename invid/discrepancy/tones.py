@@ -18,7 +18,8 @@ from invid.discrepancy.ends import without_boundary
 from invid.discrepancy.layout import Layout
 from invid.discrepancy.missing_torque import between_periods
 from invid.discrepancy.plant import Evaluation
-from invid.effects.view import Record, View
+from invid.effects.record import Record
+from invid.effects.view import View
 from invid.recording.model import Recording
 from invid.refine.problem import condense_dense
 from invid.spectra import LineSpectra

@@ -15,7 +15,7 @@ from invid.discrepancy.plant import Evaluation, evaluate, numbers_on
 from invid.discrepancy.terms import Candidate, Term
 from invid.distributions import chi2_isf
 from invid.effects.extra_mode import frequency_told
-from invid.effects.view import Record
+from invid.effects.record import Record
 
 HELD_OUT = 6.6
 """Held-out χ² gain of one degree of freedom that noise exceeds once in a hundred."""

@@ -14,8 +14,8 @@ from invid.discrepancy.terms import Candidate, Term
 from invid.discrepancy.trial import CLOSE, Step, Trial, at_bound, attempted, finite, refit
 from invid.discrepancy.words import BY_CAUSE
 from invid.effects.place import Place
+from invid.effects.record import Record
 from invid.effects.sign import DryLaw
-from invid.effects.view import Record
 
 FAR_BEHIND = 0.1
 """Share of the gain of friction that differs between the directions that a smaller model may lack after a

@@ -15,6 +15,7 @@ from invid.effects.parameter_drift import ParameterDrift
 from invid.effects.payload_change import PayloadChange
 from invid.effects.place import Place
 from invid.effects.presliding_friction import PreslidingFriction
+from invid.effects.record import Record
 from invid.effects.spring_damping import SpringDamping
 from invid.effects.spring_hysteresis import SpringHysteresis
 from invid.effects.stribeck_friction import StribeckFriction
@@ -24,7 +25,7 @@ from invid.effects.torque_lag import TorqueLag
 from invid.effects.torque_offset import TorqueOffset
 from invid.effects.torque_saturation import TorqueSaturation
 from invid.effects.transmission_error import TransmissionError
-from invid.effects.view import Record, View
+from invid.effects.view import View
 from invid.effects.viscous_friction import ViscousFriction
 
 CATALOGUE: tuple[Effect, ...] = (

@@ -10,7 +10,6 @@ import numpy as np
 from invid.arrays import Float64
 from invid.effects.place import Place, mass_places
 from invid.effects.sign import DryLaw, sign_law
-from invid.effects.view import View
 from invid.refine.structure import ChainStructure
 
 
@@ -36,9 +35,8 @@ class AsymmetricFriction(DryLaw):
     def places(self, structure: ChainStructure) -> list[Place]:
         return mass_places(structure)
 
-    def law(self, view: View, place: Place, shape: Sequence[float]) -> Float64:
-        v = view.velocity(place.pattern(view.structure))
-        sign = sign_law(v, self.softness(view, place))
+    def of(self, v: Float64, soft: float, shape: Sequence[float], turn: float) -> Float64:
+        sign = sign_law(v, soft, turn)
         return np.stack([0.5 * (1 + sign), -0.5 * (1 - sign), np.maximum(v, 0.0), np.minimum(v, 0.0)], axis=1)
 
     def held(self, x: Sequence[float]) -> tuple[float, float]:

@@ -10,7 +10,6 @@ import numpy as np
 from invid.arrays import Float64
 from invid.effects.place import Place, mass_places
 from invid.effects.sign import DryLaw, sign_law
-from invid.effects.view import View
 from invid.refine.structure import ChainStructure
 
 
@@ -31,9 +30,8 @@ class CoulombFriction(DryLaw):
     def places(self, structure: ChainStructure) -> list[Place]:
         return mass_places(structure)
 
-    def law(self, view: View, place: Place, shape: Sequence[float]) -> Float64:
-        v = view.velocity(place.pattern(view.structure))
-        return sign_law(v, self.softness(view, place))[:, None]
+    def of(self, v: Float64, soft: float, shape: Sequence[float], turn: float) -> Float64:
+        return sign_law(v, soft, turn)[:, None]
 
     def held(self, x: Sequence[float]) -> tuple[float, float]:
         return -x[0], x[0]

@@ -44,11 +44,9 @@ class StribeckFriction(DryLaw):
         size = max(rms([v.velocity(place.pattern(v.structure)) for v in views]), 1e-300)
         return [(float(np.log(0.02 * size)), float(np.log(1.5 * size)))]
 
-    def law(self, view: View, place: Place, shape: Sequence[float]) -> Float64:
-        v = view.velocity(place.pattern(view.structure))
-        soft = self.softness(view, place)
+    def of(self, v: Float64, soft: float, shape: Sequence[float], turn: float) -> Float64:
         vs = float(np.exp(shape[0]))
-        return np.stack([sign_law(v, soft), excess_law(v, soft, vs)], axis=1)
+        return np.stack([sign_law(v, soft, turn), excess_law(v, soft, vs, turn)], axis=1)
 
     def held(self, x: Sequence[float]) -> tuple[float, float]:
         return -x[0] - x[1], x[0] + x[1]

@@ -1,126 +1,18 @@
-"""One record, prepared for a diagnosis, and seen through one linear plant."""
+"""One record, seen through one linear plant."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from invid.arrays import Complex128, Float64
 from invid.effects.place import Pattern
+from invid.effects.record import Record
 from invid.effects.secants import Secants
-from invid.effects.standing import Standing, standing
-from invid.folding import Images
 from invid.refine.structure import ChainStructure
-
-
-@dataclass(frozen=True, eq=False)
-class Record:
-    """One record, prepared: lines (0 Hz first), noise, and what the motors did over time.
-
-    Attributes
-    ----------
-    omega, lines
-        (F,) [rad/s] and their index in the transform of the wave; the first is 0.
-    position, torque
-        (F, M) complex amplitudes; means at 0.
-    filtered
-        (F, M) positions with lines that are noise taken out: what effects are evaluated on.
-    noise
-        (F, 2M) noise power of [position; torque].
-    scatter
-        (F, M) variance of r [(N·m)² or N²] that the scatter between periods adds to the sensors' noise.
-    motor_wave, motor_velocity, velocity_noise
-        (n, M), (n, M), (M,): one period (or the whole record) of the motors, noise filtered out, on a grid
-        of interval ``wave_step`` that is no finer than the laws of motion need.
-    torque_wave
-        (samples, M): torque over the same time, as sampled.
-    ramp
-        (M,) speed of the line between the record's ends; zero for periodic records.
-    command
-        (F, M) spectrum of the logged demand where the torque is more than it (a hold beside it).
-    set_aside
-        (M,) True for axes whose torque in this record no law tells: held, they stand on their friction.
-    """
-
-    key: str
-    omega: Float64
-    lines: np.ndarray
-    position: Complex128
-    torque: Complex128
-    filtered: Complex128
-    noise: Float64
-    noise_dof: float
-    scatter: Float64
-    span: float
-    transient: bool
-    step: float
-    motor_wave: Float64
-    motor_velocity: Float64
-    velocity_noise: Float64
-    torque_wave: Float64
-    wave_step: float
-    ramp: Float64
-    staircase: Float64
-    start_time: float
-    end_time: float
-    period_time: float
-    excited: np.ndarray
-    command: Complex128 | None = None
-    set_aside: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
-    weight: Float64 = field(default_factory=lambda: np.zeros(0))
-    """(F,) 0 for lines that are left out; empty where all count."""
-    alone: bool = False
-    """Whether it is a single period of a machine that changes, at its own time."""
-    trend: bool = False
-    """Whether the missing torque changes over the record's periods, in one direction or at one time."""
-    differs: bool = False
-    """Whether it scatters from period to period far beyond the sensors' noise."""
-    ends_in: bool = True
-    """Whether the spectra hold the end-point correction h/2·(x_n − x_0) that makes a sum the integral."""
-
-    @property
-    def samples(self) -> int:
-        """n, of the waves of motion."""
-        return int(self.motor_wave.shape[0])
-
-    @property
-    def wave_time(self) -> Float64:
-        """(n,) time of the waves of motion, zero in the record's middle [s]."""
-        middle = 0.5 * (self.torque_wave.shape[0] - 1) * self.step
-        out: Float64 = np.arange(self.samples, dtype=np.float64) * self.wave_step - middle
-        return out
-
-    def to_wave(self, lines: Complex128) -> Float64:
-        """(n,) wave of (F,) amplitudes, the mean first."""
-        half = np.zeros(self.samples // 2 + 1, dtype=complex)
-        half[self.lines] = lines * (self.samples / 2)
-        half[0] *= 2.0
-        out: Float64 = np.fft.irfft(half, self.samples)
-        return out
-
-    @cached_property
-    def standing(self) -> tuple[Standing | None, ...]:
-        """When each motor stands; none for those that never do, or whose noise hides it."""
-        noise = self.velocity_noise
-        return tuple(standing(v, float(noise[i])) for i, v in enumerate(self.motor_velocity.T))
-
-    @cached_property
-    def smear(self) -> Float64:
-        """(F,) share of a torque's amplitude that holding it over the sample takes away."""
-        out: Float64 = 1.0 - np.sinc(self.omega * self.step / 2 / np.pi)
-        return out
-
-    @cached_property
-    def folding(self) -> Images:
-        """What a torque that is held over the sample folds onto the lines."""
-        return Images.of(self.omega, self.step)
-
-    def after(self, time: float) -> float:
-        """Share of the record that lies after ``time``."""
-        return float(np.clip((self.end_time - time) / (self.end_time - self.start_time), 0.0, 1.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,6 +55,7 @@ class View:
         masses: Float64,
         origin: float,
         images: Complex128,
+        inertance: Float64,
     ) -> None:
         self.record, self.structure = record, structure
         self.motion, self.stiffness, self.inner = motion, stiffness, inner
@@ -171,6 +64,8 @@ class View:
         self.origin = origin
         self.images = images
         """(F, M) torque that the images of held torque look like on the lines (``invid.folding``)."""
+        self.inertance = inertance
+        """(M, M) acceleration of the motors over their torque, far above all modes."""
         self.base = np.einsum("fqm,fm->fq", motion, record.filtered)
         self.feedback: Complex128 = np.zeros_like(self.base)
         self.of_ends: Complex128 = np.zeros_like(self.base)

@@ -21,7 +21,7 @@ from invid.discrepancy.terms import Candidate, Term
 from invid.effects.backlash import Backlash
 from invid.effects.extra_mode import ExtraMode
 from invid.effects.place import Place
-from invid.effects.view import Record
+from invid.effects.record import Record
 from invid.effects.viscous_friction import ViscousFriction
 from invid.recording import Role
 from invid.refine.structure import ChainStructure

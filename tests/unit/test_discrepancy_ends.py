@@ -14,7 +14,7 @@ from invid.discrepancy.terms import Candidate, Term
 from invid.effects.parameter_drift import ParameterDrift
 from invid.effects.payload_change import PayloadChange
 from invid.effects.place import Place
-from invid.effects.view import Record
+from invid.effects.record import Record
 from invid.effects.viscous_friction import ViscousFriction
 from invid.recording import Role
 from invid.refine.structure import ChainStructure

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from invid.discrepancy import select
+from invid.discrepancy import pruning
 from invid.discrepancy.selection import Selection
 from invid.discrepancy.terms import Candidate, Term
 from invid.discrepancy.trial import Step, Trial
@@ -45,9 +45,9 @@ def test_the_last_cause_goes_where_the_others_do_as_well_from_where_it_led_them(
     def fit(layout: Any, records: Any, p: Any, candidate: Candidate, **_: Any) -> Any:
         return _trial(without if candidate.terms == (SPRING,) else 4e5, *candidate.terms).fit
 
-    monkeypatch.setattr(select, "fit", fit)
+    monkeypatch.setattr(pruning, "fit", fit)
     monkeypatch.setattr("invid.discrepancy.trial.held_out", lambda *_: base.held)
-    found = select._pruned(Selection(base, last, steps), [], [])
+    found = pruning.pruned(Selection(base, last, steps), [], [])
     assert [s.chosen.term.effect.cause for s in found.steps] == ["coupling_stiffness", "transmission_error"][
         :kept
     ]

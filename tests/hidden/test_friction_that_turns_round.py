@@ -1,0 +1,29 @@
+"""Dry friction turns round while the motor does, and bends its velocity there."""
+
+from __future__ import annotations
+
+import pytest
+
+from hidden.generator import make, make_case
+from hidden.scoring import score
+from invid.discrepancy import diagnose
+from invid.discrepancy.dropped import find_dropped
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_strong_dry_friction_of_a_motor_leaves_nothing_but_noise(seed: int) -> None:
+    """With straight velocities, cut at the noise, these left 1.14 and 1.16 times the floor on other data."""
+    recording, truth = make("coulomb_friction", seed=seed, target_db=35, motors=1)
+    result = score(truth, diagnose(recording))
+    assert result.outcome == "right"
+    assert result.over_floor is not None
+    assert result.over_floor < 1.08
+
+
+def test_the_share_of_lost_rows_is_right_where_many_repeat_by_chance() -> None:
+    """A rounded torque and a coarse encoder repeat together: 0.9 % were said of 1.4 %."""
+    recording, truth = make_case(1010072)
+    (found,) = find_dropped(recording)
+    true = truth.effects[0].parameters["fraction"]
+    assert abs(found.fraction - true) < 3.0 * found.std
+    assert found.fraction == pytest.approx(true, rel=0.1)
