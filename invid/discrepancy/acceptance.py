@@ -84,9 +84,12 @@ def accepted(
         return False
     if first:
         return True
-    if told(trial.fit, -1) is False:
-        return False  # beside a weight a thousand times all else what is left has a shape, and no size
     excess, gained = current.excess, current.cost - trial.cost
+    if (
+        not (trial.cost < CLOSE * trial.dof and gained > NAMED_SHARE * excess)
+        and told(trial.fit, -1) is False
+    ):
+        return False  # beside a weight a thousand times all else what is left has a shape, and no size
     if gained < REMAINDER * current.excess_on(_axes(trial.term.place)):
         return False
     # Where the model stays far from the noise, what little a further cause removes may be any cause's.

@@ -311,6 +311,8 @@ def _competes(step: Step, rival: Trial) -> bool:
     if rival.term.effect.is_null(rival.x.tolist()):
         return False
     chosen = step.chosen
+    if len(rival.fit.candidate.terms) < len(chosen.fit.candidate.terms):
+        return True  # one cause for two: a constant torque with it
     return not (extends(rival, chosen) and chosen.cost - rival.cost < LARGER)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from invid.arrays import Float64
 from invid.discrepancy.acceptance import SIGNIFICANCE, accepted, least_gain, needed_gain
+from invid.discrepancy.asymmetry import with_asymmetry
 from invid.discrepancy.beside import with_viscous
 from invid.discrepancy.candidates import (
     REACH,
@@ -133,9 +134,9 @@ def _search(base: JointFit, train: Sequence[Record], held: Sequence[Record], ask
     start = Trial(base, held_out(base, held))
     found = with_viscous(_added(Selection(start, start), train, held, asked), train, held)
     again = _reconsidered(found, train, held, asked)
-    if [_named(s) for s in again.steps] == [_named(s) for s in found.steps]:
-        return again
-    return _added(again, train, held, asked)  # beside another cause there may be more to find
+    if [_named(s) for s in again.steps] != [_named(s) for s in found.steps]:
+        again = _added(again, train, held, asked)  # beside another cause there may be more to find
+    return with_asymmetry(again, train, held)
 
 
 def _added(found: Selection, train: Sequence[Record], held: Sequence[Record], asked: _Asked) -> Selection:

@@ -10,12 +10,14 @@ import numpy as np
 
 from invid.arrays import Float64
 from invid.discrepancy.joint import JointFit, fit
+from invid.discrepancy.screen import terms_for
 from invid.discrepancy.terms import Candidate, Term
 from invid.discrepancy.trial import CLOSE, Step, Trial, at_bound, attempted, finite, refit
 from invid.discrepancy.words import BY_CAUSE
 from invid.effects.place import Place
 from invid.effects.record import Record
 from invid.effects.sign import DryLaw
+from invid.refine.structure import ChainStructure
 
 FAR_BEHIND = 0.1
 """Share of the gain of friction that differs between the directions that a smaller model may lack after a
@@ -28,7 +30,7 @@ def ladder(step: Step, train: Sequence[Record], held: Sequence[Record]) -> tuple
     Four parameters against Coulomb and viscous friction (two), Stribeck or presliding and viscous (four),
     each as two causes; and against Coulomb friction and a constant torque, which together are dry friction
     that differs between the directions, without or with viscous friction. The cheapest after the penalty is
-    the answer; none where the four parameters are needed.
+    the answer; where the four parameters are needed the step comes back with those that are nearly as good.
     """
     if step.chosen.term.effect.cause != "asymmetric_friction":
         return ()
@@ -36,6 +38,7 @@ def ladder(step: Step, train: Sequence[Record], held: Sequence[Record]) -> tuple
     rows, dispersion = here.dof, step.chosen.dispersion
     asymmetric = limit = step.chosen.score(dispersion, rows)
     best: Trial | None = None
+    beside: list[tuple[Trial, float]] = []
     options = _without_asymmetry(step.chosen)
     lost = here.cost + FAR_BEHIND * max(step.before.fit.cost - here.cost, 0.0)
     for terms, x in options:
@@ -44,10 +47,17 @@ def ladder(step: Step, train: Sequence[Record], held: Sequence[Record]) -> tuple
         if near is None or near.cost > lost:
             continue
         trial = attempted(partial(fit, near.layout, train, near.p, near.candidate, iterations=20), held)
-        if trial is not None and trial.score(dispersion, rows) < limit:
-            limit, best = trial.score(dispersion, rows), trial
+        if trial is None:
+            continue
+        score = trial.score(dispersion, rows)
+        if any(t.effect.cause == "torque_offset" for t in terms):
+            score += of_its_own(trial.fit.layout.structure)
+            beside.append((trial, step.ranked[0][1] + score - asymmetric))
+        if score < limit:
+            limit, best = score, trial
     if best is None:
-        return ()
+        # Friction that two causes make nearly as well is no certain one.
+        return (replace(step, ranked=(step.ranked[0], *sorted((*step.ranked[1:], *beside), key=_score))),)
     place = step.chosen.term.place
     kept = [(t, s) for t, s in step.ranked if t.term.place != place]
     steps: list[Step] = []
@@ -60,6 +70,19 @@ def ladder(step: Step, train: Sequence[Record], held: Sequence[Record]) -> tuple
         rivals = [(step.chosen, asymmetric), *kept] if not steps else []
         steps.append(Step(before, trial, ((trial, limit), *rivals)))
     return tuple(steps)
+
+
+def _score(ranked: tuple[Trial, float]) -> float:
+    return ranked[1]
+
+
+def of_its_own(structure: ChainStructure) -> float:
+    """What a cause costs for being one more of all that might be there (Chen and Chen 2008): −2 ln of the
+    share of one among every cause at every place.
+
+    A constant torque beside friction is a second cause; friction that differs between the directions is one.
+    """
+    return 2.0 * float(np.log(len(terms_for(structure, linear_axes=False))))
 
 
 def _without_asymmetry(chosen: Trial) -> list[tuple[tuple[Term, ...], tuple[Float64, ...]]]:
