@@ -46,3 +46,12 @@ def test_a_constant_torque_and_dry_friction_are_named_and_may_be_one_cause() -> 
     for finding in diagnosis.findings:
         assert "asymmetric_friction" in {a.cause for a in finding.alternatives}
         assert finding.confidence < 0.9
+
+
+def test_viscous_friction_whose_size_a_hold_hides_is_named_without_certainty() -> None:
+    """It takes nine tenths of what an eccentric encoder leaves, down to the noise."""
+    recording, truth = make_case(1040062)
+    diagnosis = diagnose(recording)
+    assert score(truth, diagnosis).outcome == "right"
+    (viscous,) = (f for f in diagnosis.findings if f.effect.cause == "viscous_friction")
+    assert viscous.confidence <= 0.5
