@@ -13,7 +13,7 @@ from invid.discrepancy.joint import fit
 from invid.discrepancy.selection import Selection
 from invid.discrepancy.terms import Candidate, Term
 from invid.discrepancy.trial import attempted
-from invid.discrepancy.variants import of_its_own
+from invid.discrepancy.variants import NEAR, of_its_own
 from invid.discrepancy.words import BY_CAUSE
 from invid.effects.record import Record
 
@@ -48,11 +48,14 @@ def with_asymmetry(found: Selection, train: Sequence[Record], held: Sequence[Rec
         rows = found.base.fit.dof
         behind = trial.score(final.dispersion, rows) - final.score(final.dispersion, rows)
         behind -= of_its_own(final.fit.layout.structure)
+        if behind >= NEAR and trial.cost - final.cost >= final.beyond_noise:
+            continue
         steps = list(found.steps)
         for k in parts:
             step = steps[k - known]
             rival = (trial, step.ranked[0][1] + max(behind, 0.0))
-            ranked = sorted((*step.ranked[1:], rival), key=lambda r: r[1])
+            others = [r for r in step.ranked[1:] if r[0].term != whole]
+            ranked = sorted((*others, rival), key=lambda r: r[1])
             steps[k - known] = replace(step, ranked=(step.ranked[0], *ranked))
         found = replace(found, steps=tuple(steps))
     return found

@@ -19,6 +19,8 @@ from invid.effects.record import Record
 from invid.effects.sign import DryLaw
 from invid.refine.structure import ChainStructure
 
+NEAR = 9.0
+"""Difference of −2 ln(likelihood) within which a rival counts (``confidence.COMPETES``)."""
 FAR_BEHIND = 0.1
 """Share of the gain of friction that differs between the directions that a smaller model may lack after a
 first look, and be looked at closely. A guess that saves fits; such looks end within a few per cent."""
@@ -40,7 +42,9 @@ def ladder(step: Step, train: Sequence[Record], held: Sequence[Record]) -> tuple
     best: Trial | None = None
     beside: list[tuple[Trial, float]] = []
     options = _without_asymmetry(step.chosen)
-    lost = here.cost + FAR_BEHIND * max(step.before.fit.cost - here.cost, 0.0)
+    # Never less than what the fewer parameters may cost, and what leaves a rival a doubt.
+    fewer = (2.0 * float(np.log(max(rows, 2))) + NEAR) * dispersion
+    lost = here.cost + max(FAR_BEHIND * (step.before.fit.cost - here.cost), fewer)
     for terms, x in options:
         candidate = Candidate((*here.candidate.terms[:-1], *terms), (*here.candidate.x[:-1], *x))
         near = finite(partial(fit, here.layout, train, here.p, candidate, iterations=10, quick=True))

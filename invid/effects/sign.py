@@ -112,8 +112,9 @@ def _acting(view: View, place: Place) -> Float64:
 
 
 @njit(cache=True)
-def _between(v: np.ndarray, phi: np.ndarray, plain: np.ndarray, turn: float) -> np.ndarray:
-    """(n,) mean over the intervals around each sample of a wave that closes; ``turn`` see ``sign_law``."""
+def _between(v: np.ndarray, phi: np.ndarray, plain: np.ndarray, turn: float, rest: float) -> np.ndarray:
+    """(n,) mean over the intervals around each sample of a wave that closes; ``turn`` see ``sign_law``,
+    ``rest`` is the antiderivative at zero."""
     count = v.size
     small = 1e-9 * np.abs(v).max()
     out = np.empty(count)
@@ -127,8 +128,10 @@ def _between(v: np.ndarray, phi: np.ndarray, plain: np.ndarray, turn: float) -> 
             # Zero is not where the straight line has it: turn·s² − (|v_a| + |v_b| + turn)·s + |v_a| = 0.
             slow, fast = abs(v[a]), abs(v[b])
             both = slow + fast + turn
-            earlier = slow / (slow + fast) - 2.0 * slow / (both + sqrt(both * both - 4.0 * slow * turn))
-            now += 2.0 * earlier if v[b] > 0.0 else -2.0 * earlier
+            share = 2.0 * slow / (both + sqrt(both * both - 4.0 * slow * turn))
+            # Before and after it a straight line each, from and to zero.
+            bent = (1.0 - share) * (phi[b] - rest) / fast - share * (phi[a] - rest) / slow
+            now = bent if v[b] > 0.0 else -bent
         if k >= 0:
             out[k] = 0.5 * (before + now)
         before = now
@@ -144,7 +147,7 @@ def _sign(v: np.ndarray, soft: float, turn: float) -> np.ndarray:
         phi[k] = soft * (u + (log1p(exp(-2.0 * u)) if near else 0.0))
         size = tanh(u) if near else 1.0
         plain[k] = size if v[k] > 0 else -size
-    return _between(v, phi, plain, turn)
+    return _between(v, phi, plain, turn, soft * log1p(1.0))
 
 
 @njit(cache=True)
@@ -155,7 +158,7 @@ def _excess(v: np.ndarray, soft: float, width: float, turn: float) -> np.ndarray
         phi[k] = width * sqrt(pi) / 2 * erf(w)
         size = (tanh(u) if u < FAR else 1.0) * exp(-w * w)
         plain[k] = size if v[k] > 0 else -size
-    return _between(v, phi, plain, turn)
+    return _between(v, phi, plain, turn, 0.0)
 
 
 @njit(cache=True)
@@ -165,7 +168,7 @@ def _clipped(d: np.ndarray, half: float) -> np.ndarray:
         u = abs(d[k])
         phi[k] = 0.5 * u * u if u < half else half * (u - 0.5 * half)
         plain[k] = min(max(d[k], -half), half)
-    return _between(d, phi, plain, 0.0)
+    return _between(d, phi, plain, 0.0, 0.0)
 
 
 def clip_law(d: Float64, half: float) -> Float64:

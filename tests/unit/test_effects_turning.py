@@ -22,3 +22,14 @@ def test_zero_comes_earlier_where_friction_bends_the_velocity(up: float) -> None
 def test_a_velocity_that_does_not_turn_round_feels_nothing_of_it() -> None:
     v = 2.0 + np.cos(np.linspace(0.0, 2.0 * np.pi, 40, endpoint=False))
     assert np.array_equal(sign_law(v, 1e-6, 0.4), sign_law(v, 1e-6))
+
+
+def test_an_excess_of_friction_is_over_before_the_interval_is() -> None:
+    """The velocity of the test above, and a Stribeck effect gone at a fifth of it."""
+    v = np.array([-2.0, -1.7, -0.7, 0.18, 0.78, 1.4])
+    time = np.linspace(0.0, 1.0, 200_001)
+    path = np.where(time < 0.7, time - 0.7, 0.6 * (time - 0.7))
+    turning = np.mean(np.sign(path) * np.exp(-((path / 0.1) ** 2)))
+    plain = np.linspace(-1.7, -0.7, 200_001)
+    before = -np.mean(np.exp(-((plain / 0.1) ** 2)))
+    assert excess_law(v, 1e-9, 0.1, 0.4)[2] == pytest.approx(0.5 * (before + turning), abs=1e-4)
