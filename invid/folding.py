@@ -26,6 +26,8 @@ class Images:
 
     omega: Float64
     step: float
+    smear: Float64
+    """(F,) share of a torque's amplitude that holding it over the sample takes away."""
     each: Complex128
     """(F, images) of every image on every line."""
 
@@ -34,7 +36,7 @@ class Images:
         """Those of samples of length ``step`` [s] on the lines ``omega`` (F,) [rad/s]."""
         cubes = (omega[:, None] + _ORDERS * (2 * np.pi / step)) ** -3.0
         stepping = (1.0 - np.exp(-1j * omega * step)) / (1j * step)
-        return cls(omega, step, -stepping[:, None] * cubes)
+        return cls(omega, step, 1.0 - np.sinc(omega * step / 2 / np.pi), -stepping[:, None] * cubes)
 
     def at(self, late: Float64) -> Complex128:
         """(F, M) mass times displacement, over the torque, that folds onto each line.

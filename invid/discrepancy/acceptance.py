@@ -85,17 +85,14 @@ def accepted(
     if first:
         return True
     excess, gained = current.excess, current.cost - trial.cost
-    if (
-        not (trial.cost < CLOSE * trial.dof and gained > NAMED_SHARE * excess)
-        and told(trial.fit, -1) is False
-    ):
+    reached, takes_all = trial.cost < CLOSE * trial.dof, gained > NAMED_SHARE * excess
+    if not (reached and takes_all) and told(trial.fit, -1) is False:
         return False  # beside a weight a thousand times all else what is left has a shape, and no size
     if gained < REMAINDER * current.excess_on(_axes(trial.term.place)):
         return False
     # Where the model stays far from the noise, what little a further cause removes may be any cause's.
-    if trial.cost < REACHED * trial.dof and gained > NAMED_SHARE * excess:
+    if trial.cost < REACHED * trial.dof and takes_all:
         return True
-    reached = trial.cost < CLOSE * trial.dof
     # What an imperfect model of the first cause leaves was up to 0.3 % of it on hidden plants.
     share = 0.01 if reached else SHARE
     return gained > share * start.excess_in_motion

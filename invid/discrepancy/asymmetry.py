@@ -11,9 +11,9 @@ import numpy as np
 from invid.arrays import Float64
 from invid.discrepancy.joint import fit
 from invid.discrepancy.selection import Selection
-from invid.discrepancy.terms import Candidate, Term
-from invid.discrepancy.trial import attempted
-from invid.discrepancy.variants import NEAR, of_its_own
+from invid.discrepancy.terms import Term
+from invid.discrepancy.trial import COMPETES, attempted
+from invid.discrepancy.variants import of_its_own
 from invid.discrepancy.words import BY_CAUSE
 from invid.effects.record import Record
 
@@ -29,34 +29,31 @@ def with_asymmetry(found: Selection, train: Sequence[Record], held: Sequence[Rec
     known = len(found.base.fit.candidate.terms)
     final, terms = found.final, found.final.fit.candidate.terms
     for dry in terms[known:]:
+        if dry.effect.cause != "coulomb_friction":
+            continue
         parts = [
             k for k, t in enumerate(terms) if k >= known and t.effect.cause in PARTS and _belongs(t, dry)
         ]
-        causes = [terms[k].effect.cause for k in parts]
-        if dry.effect.cause != "coulomb_friction" or "torque_offset" not in causes:
+        size = {terms[k].effect.cause: final.fit.candidate.x[k] for k in parts}
+        if "torque_offset" not in size:
             continue
-        kept = [k for k in range(len(terms)) if k not in parts]
-        size = {c: final.fit.candidate.x[k] for c, k in zip(causes, parts, strict=True)}
         start = _start(size["coulomb_friction"], size["torque_offset"], size.get("viscous_friction"))
         whole = Term(BY_CAUSE["asymmetric_friction"], dry.place)
-        candidate = Candidate(
-            (*(terms[k] for k in kept), whole), (*(final.fit.candidate.x[k] for k in kept), start)
-        )
+        kept = final.fit.candidate.only(k for k in range(len(terms)) if k not in parts)
+        candidate = kept.plus(whole, start)
         trial = attempted(partial(fit, final.fit.layout, train, final.fit.p, candidate, iterations=20), held)
         if trial is None:
             continue
         rows = found.base.fit.dof
         behind = trial.score(final.dispersion, rows) - final.score(final.dispersion, rows)
         behind -= of_its_own(final.fit.layout.structure)
-        if behind >= NEAR and trial.cost - final.cost >= final.beyond_noise:
+        if behind >= COMPETES and trial.cost - final.cost >= final.beyond_noise:
             continue
         steps = list(found.steps)
         for k in parts:
             step = steps[k - known]
-            rival = (trial, step.ranked[0][1] + max(behind, 0.0))
-            others = [r for r in step.ranked[1:] if r[0].term != whole]
-            ranked = sorted((*others, rival), key=lambda r: r[1])
-            steps[k - known] = replace(step, ranked=(step.ranked[0], *ranked))
+            others = replace(step, ranked=tuple(r for r in step.ranked if r[0].term != whole))
+            steps[k - known] = others.against([(trial, step.ranked[0][1] + max(behind, 0.0))])
         found = replace(found, steps=tuple(steps))
     return found
 

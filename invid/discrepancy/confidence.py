@@ -12,7 +12,7 @@ from invid.discrepancy.joint import JointFit
 from invid.discrepancy.missing_torque import NullTest, rms_torque
 from invid.discrepancy.selection import Selection
 from invid.discrepancy.terms import Term
-from invid.discrepancy.trial import LARGER, Step, Trial, extends, sized, unearned
+from invid.discrepancy.trial import COMPETES, LARGER, Step, Trial, extends, sized, unearned
 from invid.discrepancy.words import BY_CAUSE, finding_sentence
 from invid.effects.base import unit_of
 from invid.effects.sign import ROUNDING, DryLaw
@@ -25,9 +25,6 @@ MOST_OF_CHI2 = 0.5
 """Share of the excess χ² that must go at least where the share of the missing torque's power says NAMED. On
 long periodic records of a real machine a few lines stand thousands of times above their noise and hold the
 excess χ² (antiresonances, where the motor hardly moves), while next to no torque is missing there."""
-COMPETES = 9.0
-"""Difference of −2 ln(likelihood) within which two causes are called indistinguishable (about 3 σ)."""
-
 UNSIZED = 0.5
 """Most that is claimed of a cause whose size cannot be told from none: something is there, and it fits."""
 

@@ -112,12 +112,12 @@ def fit(
     structure, thorough = layout.structure, not quick
     if known is None:
         known = evaluate(layout, records, p, candidate, jacobian=False)
-    here = with_jacobian(known, layout, p, candidate, thorough=thorough)
-    low, high = limits_of(layout, candidate, here, strict)
+    low, high = limits_of(layout, candidate, known, strict)
     v = np.clip(pack(p, candidate), low, high)
     if not np.array_equal(v, pack(p, candidate)):
         p, candidate = unpack(layout, candidate, v)
-        here = evaluate(layout, records, p, candidate, thorough=thorough)
+        known = evaluate(layout, records, p, candidate, jacobian=False)
+    here = with_jacobian(known, layout, p, candidate, thorough=thorough)
     limited = np.zeros(v.size, dtype=bool)
     limited[: structure.count] = structure.logarithmic
     at = layout.count
@@ -183,7 +183,7 @@ def reordered(found: JointFit, order: Sequence[int]) -> JointFit:
     jacobian = found.evaluation.jacobian[:, columns] if found.evaluation.jacobian.size else np.zeros((0, 0))
     return replace(
         found,
-        candidate=Candidate(tuple(candidate.terms[k] for k in order), tuple(candidate.x[k] for k in order)),
+        candidate=candidate.only(order),
         covariance=found.covariance[np.ix_(columns, columns)],
         evaluation=replace(found.evaluation, jacobian=jacobian),
     )
@@ -195,7 +195,7 @@ def without_last(found: JointFit, records: Sequence[Record]) -> JointFit:
     if term.effect.cause == "torque_delay":
         layout = layout.with_delay(term.place.axis)
         p = np.insert(p, layout.structure.count + layout.free_delays.index(term.place.axis), 0.0)
-    candidate = Candidate(found.candidate.terms[:-1], found.candidate.x[:-1])
+    candidate = found.candidate.only(range(len(found.candidate.terms) - 1))
     return fit(layout, records, p, candidate, iterations=25)
 
 

@@ -139,7 +139,7 @@ def acting_of(record: Record, layout: Layout, p: Float64) -> Acting:
     """
     w = record.omega
     delays, stairs = layout.lateness(p, record), layout.stairs(p)
-    smear = record.smear[:, None]
+    smear = record.folding.smear[:, None]
     z = np.exp(-1j * w[:, None] * delays) * layout.unsmoothed(p, w)
     factor = z * (1.0 - stairs * smear)
     by_hold = np.zeros((w.size, len(layout.holds)), dtype=complex)

@@ -8,7 +8,6 @@ from dataclasses import replace
 from invid.discrepancy.acceptance import SIGNIFICANCE
 from invid.discrepancy.joint import JointFit, fit
 from invid.discrepancy.selection import Selection
-from invid.discrepancy.terms import Candidate
 from invid.discrepancy.trial import WEAK, attempted, sized
 from invid.distributions import chi2_isf
 from invid.effects.record import Record
@@ -32,10 +31,7 @@ def _without(
 ) -> Selection | None:
     """One cause less, the others refitted; none where that costs more than the cause's parameters may."""
     final, at = found.final.fit, len(found.base.fit.candidate.terms) + number
-    kept = [k for k in range(len(final.candidate.terms)) if k != at]
-    candidate = Candidate(
-        tuple(final.candidate.terms[k] for k in kept), tuple(final.candidate.x[k] for k in kept)
-    )
+    candidate = final.candidate.only(k for k in range(len(final.candidate.terms)) if k != at)
 
     def less() -> JointFit:
         # Beside a cubic spring a gap of nothing leaves a valley in which the thorough steps alone stand still

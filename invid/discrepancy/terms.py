@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,6 +47,11 @@ class Candidate:
 
     terms: tuple[Term, ...] = ()
     x: tuple[Float64, ...] = ()
+
+    def only(self, numbers: Iterable[int]) -> Candidate:
+        """The effects of these numbers, in this order."""
+        chosen = list(numbers)
+        return Candidate(tuple(self.terms[k] for k in chosen), tuple(self.x[k] for k in chosen))
 
     def plus(self, term: Term, x: Float64) -> Candidate:
         """One effect more."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol, TypeVar
 
 import numpy as np
@@ -23,6 +23,9 @@ HELD_OUT = 6.6
 LARGER = 9.2
 """χ² gain of two degrees of freedom that noise exceeds once in a hundred: what a larger friction model must
 gain over a smaller one that it contains."""
+
+COMPETES = 9.0
+"""Difference of −2 ln(likelihood) within which two causes are called indistinguishable (about 3 σ)."""
 
 CLOSE = 1.5
 """χ²/ν up to which a fit is close enough to the noise that what it leaves is a matter of that."""
@@ -123,6 +126,11 @@ class Step:
     chosen: Trial
     ranked: tuple[tuple[Trial, float], ...]
     """Candidates with −2 ln(likelihood) plus penalty, over the dispersion, best first."""
+
+    def against(self, rivals: Sequence[tuple[Trial, float]]) -> Step:
+        """The same step with more that compete; the chosen one stays first."""
+        others = sorted((*self.ranked[1:], *rivals), key=lambda r: r[1])
+        return replace(self, ranked=(self.ranked[0], *others))
 
 
 class _Costly(Protocol):

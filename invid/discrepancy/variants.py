@@ -12,15 +12,13 @@ from invid.arrays import Float64
 from invid.discrepancy.joint import JointFit, fit
 from invid.discrepancy.screen import terms_for
 from invid.discrepancy.terms import Candidate, Term
-from invid.discrepancy.trial import CLOSE, Step, Trial, at_bound, attempted, finite, refit
+from invid.discrepancy.trial import CLOSE, COMPETES, Step, Trial, at_bound, attempted, finite, refit
 from invid.discrepancy.words import BY_CAUSE
 from invid.effects.place import Place
 from invid.effects.record import Record
 from invid.effects.sign import DryLaw
 from invid.refine.structure import ChainStructure
 
-NEAR = 9.0
-"""Difference of −2 ln(likelihood) within which a rival counts (``confidence.COMPETES``)."""
 FAR_BEHIND = 0.1
 """Share of the gain of friction that differs between the directions that a smaller model may lack after a
 first look, and be looked at closely. A guess that saves fits; such looks end within a few per cent."""
@@ -43,7 +41,7 @@ def ladder(step: Step, train: Sequence[Record], held: Sequence[Record]) -> tuple
     beside: list[tuple[Trial, float]] = []
     options = _without_asymmetry(step.chosen)
     # Never less than what the fewer parameters may cost, and what leaves a rival a doubt.
-    fewer = (2.0 * float(np.log(max(rows, 2))) + NEAR) * dispersion
+    fewer = (2.0 * float(np.log(max(rows, 2))) + COMPETES) * dispersion
     lost = here.cost + max(FAR_BEHIND * (step.before.fit.cost - here.cost), fewer)
     for terms, x in options:
         candidate = Candidate((*here.candidate.terms[:-1], *terms), (*here.candidate.x[:-1], *x))
@@ -61,7 +59,7 @@ def ladder(step: Step, train: Sequence[Record], held: Sequence[Record]) -> tuple
             limit, best = score, trial
     if best is None:
         # Friction that two causes make nearly as well is no certain one.
-        return (replace(step, ranked=(step.ranked[0], *sorted((*step.ranked[1:], *beside), key=_score))),)
+        return (step.against(beside),)
     place = step.chosen.term.place
     kept = [(t, s) for t, s in step.ranked if t.term.place != place]
     steps: list[Step] = []
@@ -74,10 +72,6 @@ def ladder(step: Step, train: Sequence[Record], held: Sequence[Record]) -> tuple
         rivals = [(step.chosen, asymmetric), *kept] if not steps else []
         steps.append(Step(before, trial, ((trial, limit), *rivals)))
     return tuple(steps)
-
-
-def _score(ranked: tuple[Trial, float]) -> float:
-    return ranked[1]
 
 
 def of_its_own(structure: ChainStructure) -> float:
@@ -121,7 +115,7 @@ def _without_asymmetry(chosen: Trial) -> list[tuple[tuple[Term, ...], tuple[Floa
 def _first_of(trial: Trial, count: int, train: Sequence[Record], held: Sequence[Record]) -> Trial | None:
     """The fit with the first effects alone."""
     whole = trial.fit
-    candidate = Candidate(whole.candidate.terms[:count], whole.candidate.x[:count])
+    candidate = whole.candidate.only(range(count))
     return attempted(partial(fit, whole.layout, train, whole.p, candidate, iterations=12), held)
 
 

@@ -106,12 +106,6 @@ class Record:
         return tuple(standing(v, float(noise[i])) for i, v in enumerate(self.motor_velocity.T))
 
     @cached_property
-    def smear(self) -> Float64:
-        """(F,) share of a torque's amplitude that holding it over the sample takes away."""
-        out: Float64 = 1.0 - np.sinc(self.omega * self.step / 2 / np.pi)
-        return out
-
-    @cached_property
     def folding(self) -> Images:
         """What a torque that is held over the sample folds onto the lines."""
         return Images.of(self.omega, self.step)

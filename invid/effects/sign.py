@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
+from functools import partial
 from math import erf, exp, log1p, pi, sqrt, tanh
 from typing import Self
 
@@ -77,15 +78,16 @@ class DryLaw(ForceEffect):
         low, high = self.held(x)
         lightness = float(view.inertance[place.axis, place.axis])
         turn = (high - low) * lightness * record.wave_step
-        turns = turn > TURNS * soft
+        turn = turn if turn > TURNS * soft else 0.0
+        held = None if still is None else partial(still.held, acting=_acting(view, place), low=low, high=high)
 
         def resisting(v: Float64) -> Float64:
-            moving: Float64 = self.of(v, soft, x[count:], turn if turns else 0.0) @ np.asarray(x[:count])
-            return moving if still is None else still.held(moving, _acting(view, place), low, high)
+            moving: Float64 = self.of(v, soft, x[count:], turn) @ np.asarray(x[:count])
+            return moving if held is None else held(moving)
 
         v = view.velocity(pattern)
         wave = resisting(v)
-        for _ in range(PASSES if turns and not record.transient else 0):
+        for _ in range(PASSES if turn and not record.transient else 0):
             unseen = lightness * record.unseen_speed(wave, place.axis)
             wave = 0.5 * (wave + resisting(v - unseen))
         total = view.to_lines(wave[:, None], smeared=self.smeared)
@@ -123,7 +125,6 @@ def _between(v: np.ndarray, phi: np.ndarray, plain: np.ndarray, turn: float, res
         a = k if k >= 0 else count - 1
         b = k + 1 if k + 1 < count else 0
         dv = v[b] - v[a]
-        now = 0.5 * (plain[a] + plain[b]) if abs(dv) <= small else (phi[b] - phi[a]) / dv
         if turn > 0.0 and v[a] * v[b] < 0.0:
             # Zero is not where the straight line has it: turn·s² − (|v_a| + |v_b| + turn)·s + |v_a| = 0.
             slow, fast = abs(v[a]), abs(v[b])
@@ -132,6 +133,10 @@ def _between(v: np.ndarray, phi: np.ndarray, plain: np.ndarray, turn: float, res
             # Before and after it a straight line each, from and to zero.
             bent = (1.0 - share) * (phi[b] - rest) / fast - share * (phi[a] - rest) / slow
             now = bent if v[b] > 0.0 else -bent
+        elif abs(dv) <= small:
+            now = 0.5 * (plain[a] + plain[b])
+        else:
+            now = (phi[b] - phi[a]) / dv
         if k >= 0:
             out[k] = 0.5 * (before + now)
         before = now

@@ -101,7 +101,7 @@ def acting(block: Block, delays: Float64, stairs: Float64) -> Acting:
     """The torque channels of ``block`` under delays [s] (and squares of lags [s²]) and staircase shares."""
     motors, lines = block.position.shape[1], block.omega.size
     jw = 1j * block.omega
-    smear = 1.0 - np.sinc(block.omega * block.step / 2 / np.pi)  # what holding a sample takes away
+    smear = block.images.smear
     factor = np.ones((lines, motors), dtype=complex)
     hold_part = np.zeros((lines, motors), dtype=complex)
     by_delay = np.zeros((lines, motors, delays.size), dtype=complex)

@@ -186,7 +186,7 @@ def with_open_holds(
     for block, s in zip(problem.blocks, spectra, strict=True):
         part = np.zeros((block.omega.size, structure.motors, len(names)), dtype=complex)
         jw, half = 1j * block.omega, block.step / 2
-        smear = 1.0 - np.sinc(block.omega * half / np.pi)  # what holding over the sample takes away
+        smear = block.images.smear
         for number, i in enumerate(gains):
             if not s.driven[i]:
                 continue
