@@ -18,6 +18,7 @@ import numpy as np
 from invid.arrays import Complex128, Float64
 from invid.frf import FrfMatrix
 from invid.modes import Modes
+from invid.processes import at_once
 from invid.rational import (
     DAMPING,
     TRUSTED,
@@ -65,8 +66,7 @@ def searched_modes(
     search = _Search(spectra, raw, motors, float(np.sqrt(low * high)), model_error)
     best: tuple[float, Complex128, Float64] | None = None
     late = 0.0
-    for delay in DELAYS:
-        found = search.run(_even(low, high, modes, search.scale), spare, modes, delay, (low, high))
+    for delay, found in search.each_delay(spare, modes, (low, high)):
         if found is not None and (best is None or found[0] < best[0]):
             best, late = found, delay / spectra[0].sample_rate_hz
     if best is None:
@@ -104,8 +104,7 @@ def unstructured(
     high = max(float(w[-1]) for w, *_ in raw)
     search = _Search(spectra, raw, motors, float(np.sqrt(low * high)), model_error)
     best: Unstructured | None = None
-    for delay in DELAYS:
-        found = search.run(_even(low, high, modes, search.scale), 0, modes, delay, (low, high))
+    for delay, found in search.each_delay(0, modes, (low, high)):
         if found is None:
             continue
         free = rows * motors - motors * (motors * (2 * modes + 1))
@@ -134,16 +133,22 @@ class _Search:
         self.spectra, self.raw = spectra, raw
         self.motors, self.scale, self.model_error = motors, scale, model_error
 
+    def each_delay(
+        self, spare: int, modes: int, band: tuple[float, float]
+    ) -> list[tuple[float, tuple[float, Complex128, Float64] | None]]:
+        """What the search comes to for every delay that is tried."""
+        return list(zip(DELAYS, at_once(lambda d: self.run(spare, modes, d, band), DELAYS), strict=True))
+
     def run(
-        self, poles: Complex128, spare: int, modes: int, delay: float, band: tuple[float, float]
+        self, spare: int, modes: int, delay: float, band: tuple[float, float]
     ) -> tuple[float, Complex128, Float64] | None:
         """Cost, poles and residues after the spare poles are gone."""
-        first = self._relocated(self.raw, poles, 15)
+        first = self._relocated(self.raw, _even(*band, modes, self.scale), 15)
         if first is None:
             return None
         residues = residues_of(self.raw, first, self.motors, self.scale)
         model = (first, residues)
-        poles = _even(band[0], band[1], modes + spare, self.scale)
+        poles = _even(*band, modes + spare, self.scale)
         while True:
             for _ in range(ROUNDS):
                 data = self.weighted(delay, *model)

@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 
 from invid.arrays import Float64
+from invid.discrepancy.each import each
 from invid.discrepancy.joint import JointFit, fit
 from invid.discrepancy.screen import Score, Screen
 from invid.discrepancy.terms import Candidate, Term
@@ -26,7 +27,7 @@ UNEXPLAINED = 1.5
 
 def screened(screen: Screen, terms: Sequence[Term]) -> list[Score]:
     """The likeliest candidates with their best shapes, best first."""
-    scores = [screen.best(t) for t in terms]
+    scores = each(screen.best, terms, screen.fit, [])
     scores = [s for s in scores if np.isfinite(s.gain) and s.gain > 0]
     scores.sort(key=lambda s: -s.gain)
     count: dict[str, int] = {}
@@ -36,7 +37,7 @@ def screened(screen: Screen, terms: Sequence[Term]) -> list[Score]:
         count[cause] = count.get(cause, 0) + 1
         if count[cause] <= PLACES:
             out.append(s)
-    polished = [screen.best(s.term, polish=True) for s in out[:POLISHED]]
+    polished = each(lambda s: screen.best(s.term, polish=True), out[:POLISHED], screen.fit, [])
     screen.release()
     polished.sort(key=lambda s: -s.gain)
     return polished
@@ -57,18 +58,25 @@ def refitted(
 ) -> list[Trial]:
     """Joint fits of the best screened; ``least``: training gain below which a cause is not accepted,
     ``reached``: what others came to."""
-    trials: list[Trial] = []
-    for s in scores[:REFITTED]:
-        # Far from what the best could reach, or from what would be accepted: no refit.
-        if s.gain < 0.05 * scores[0].gain:
-            break
-        if REACH * s.gain < least(s.term):
-            continue
-        trial = attempted(partial(_joined, here, train, s, reached), held)
-        if trial is not None and not at_bound(trial) and not is_smaller_model(trial):
-            trials.append(trial)
-            reached = min(reached, trial.fit.cost)
-    return trials
+    # Far from what the best could reach, or from what would be accepted: no refit.
+    far = 0.05 * max((s.gain for s in scores), default=0.0)
+    worth = [s for s in scores[:REFITTED] if s.gain >= far and REACH * s.gain >= least(s.term)]
+
+    def begin(score: Score) -> JointFit | None:
+        return finite(partial(refit, here, train, score.term, score.x, 4, score.shift))
+
+    begun = [f for f in each(begin, worth, here, train) if f is not None]
+    near = min([reached, *(f.cost for f in begun if not at_bound(f))])
+
+    def go_on(found: JointFit) -> Trial | None:
+        # Four steps away from a start that is right to first order: what is far behind stays there.
+        if found.converged or found.cost - near >= 0.5 * (here.cost - near):
+            return attempted(lambda: found, held)
+        further = partial(fit, found.layout, train, found.p, found.candidate, known=found.evaluation)
+        return attempted(partial(further, iterations=10), held)
+
+    trials = each(go_on, begun, here, [*train, *held])
+    return [t for t in trials if t is not None and not at_bound(t.fit) and not is_smaller_model(t)]
 
 
 def with_those_from(
@@ -106,15 +114,6 @@ def with_those_from(
         if trial.fit.cost < (found[key].fit.cost if key in found else here.cost):
             found[key] = trial
     return list(found.values())
-
-
-def _joined(here: JointFit, train: Sequence[Record], score: Score, reached: float) -> JointFit:
-    """The joint fit of a screened candidate, gone on with while it may still come near ``reached``."""
-    found = refit(here, train, score.term, score.x, 4, score.shift)
-    # Four steps away from a start that is right to first order: what is far behind stays there.
-    if not found.converged and found.cost - reached < 0.5 * (here.cost - reached):
-        found = fit(found.layout, train, found.p, found.candidate, iterations=10, known=found.evaluation)
-    return found
 
 
 def is_smaller_model(trial: Trial) -> bool:

@@ -60,7 +60,7 @@ def rattles(base: Trial, train: Sequence[Record], held: Sequence[Record]) -> Ste
         return replace(there, covariance=play.covariance(free), converged=True)
 
     trial = attempted(joined, held)
-    if trial is None or at_bound(trial):
+    if trial is None or at_bound(trial.fit):
         return None
     if trial.fit.cost - trial.fit.dof > LEFT * (base.fit.cost - base.fit.dof):
         return None

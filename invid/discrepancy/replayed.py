@@ -27,6 +27,7 @@ from invid.effects.view import View
 from invid.errors import InvidError
 from invid.model import Model
 from invid.periods import fold, without_drift
+from invid.processes import at_once
 from invid.recording.model import Experiment, Recording
 from invid.refine.whitening import orthonormal, stack, unstack, unwhitener
 from invid.simulate import simulate
@@ -128,8 +129,8 @@ def replay(
     views = views_of(fitted.layout, held, fitted.p)
     driven = _driven(recording, spectra, views)
     try:
-        plain = simulate(_without_offsets(linear), driven, only=keys)
-        answer = simulate(_without_offsets(driving), driven, only=keys)
+        models = [_without_offsets(m) for m in (linear, driving)]
+        plain, answer = at_once(lambda m: simulate(m, driven, only=keys), models, known=[driven])
     except InvidError as error:
         return f"the extended model could not be simulated over time: {error}"
     evaluation = _left_by(answer, spectra, views, fitted)
@@ -382,8 +383,7 @@ def _lines_as(simulated: Experiment, s: LineSpectra, record: Record) -> Complex1
         if not np.array_equal(own.frequency_hz, s.frequency_hz):
             return None
         wave = np.concatenate((own.position_wave, own.torque_wave), axis=1)
-        used = np.arange(record.omega.size - 1)
-        rest = np.concatenate((own.position[used], own.torque[used]), axis=1)
+        rest = np.concatenate((own.position, own.torque), axis=1)[: record.omega.size - 1]
     else:
         if s.periods * period > data.samples:
             return None

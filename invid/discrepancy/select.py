@@ -19,6 +19,7 @@ from invid.discrepancy.candidates import (
     screened,
     with_those_from,
 )
+from invid.discrepancy.each import each
 from invid.discrepancy.joint import JointFit, fit, held_out, reordered, without_last
 from invid.discrepancy.layout import Layout
 from invid.discrepancy.missing_torque import null_test
@@ -194,9 +195,10 @@ def _reconsidered(
                 found = replace(found, final=rest, steps=(*found.steps[:number], *found.steps[number + 1 :]))
             continue
         step = judged_on_moves(step, asked.moves)
-        order = [*range(at), count - 1, *range(at, count - 1)]
-        chosen = Trial(reordered(step.chosen.fit, order), step.chosen.held)
-        steps = (*found.steps[:number], step, *found.steps[number + 1 :])
+        added = ladder(step, train, held) or (step,)
+        order = [*range(at), *range(count - 1, count - 1 + len(added)), *range(at, count - 1)]
+        chosen = Trial(reordered(added[-1].chosen.fit, order), added[-1].chosen.held)
+        steps = (*found.steps[:number], *added, *found.steps[number + 1 :])
         found = replace(found, final=chosen, steps=steps)
     return found
 
@@ -231,8 +233,8 @@ def _step(
         )
     least_left = min((t.fit.cost for t in trials), default=np.inf)
     trials = [retimed(t, train, held) if t.fit.cost <= least_left else t for t in trials]
-    rounded_ = (_rounded(t, current, train, held) for t in trials)
-    trials = [t for t in rounded_ if not is_smaller_model(t)]  # some were larger only for want of rounding
+    trials = _rounded(trials, current, train, held)
+    trials = [t for t in trials if not is_smaller_model(t)]  # some were larger only for want of rounding
     trials = with_known(trials, known)
     if not trials:
         return None, tuple(scores[:5])
@@ -241,19 +243,20 @@ def _step(
         trials[0],
         *(t for t in trials[1:] if t.cost - trials[0].cost < 0.3 * (current.cost - trials[0].cost)),
     ]
-    polished = []
-    for t in best[:4]:
+
+    def polish(t: Trial) -> Trial:
         # Noise alone has had its best by now: what little more there is makes no cause of it.
         hopeless = not rejects and REACH * (current.cost - t.cost) < needed_gain(
             current, t, count, rejects=rejects
         )
         if t.fit.converged or hopeless:
-            polished.append(t)
-            continue
+            return t
         more = fit(t.fit.layout, train, t.fit.p, t.fit.candidate, iterations=40)
-        polished.append(Trial(more, held_out(more, held)))
+        return Trial(more, held_out(more, held))
+
     # Where the fit went on it may have reached an edge, and then wants something else than this cause.
-    polished = [t for t in polished if not at_bound(t)]
+    polished = each(polish, best[:4], here, [*train, *held])
+    polished = [t for t in polished if not at_bound(t.fit)]
     trials = polished + [t for t in trials if t not in best[:4]]
     if not trials:
         return None, tuple(scores[:5])
@@ -345,18 +348,25 @@ def _ranked(scored: Sequence[tuple[Trial, float]], contested: frozenset[int]) ->
     return [(t, s) for t, s, _ in sorted(moved, key=lambda one: one[1:])]
 
 
-def _rounded(trial: Trial, current: Trial, train: Sequence[Record], held: Sequence[Record]) -> Trial:
+def _rounded(
+    trials: Sequence[Trial], current: Trial, train: Sequence[Record], held: Sequence[Record]
+) -> list[Trial]:
     """Friction whose sign changes gradually, where it takes half of the excess but ends above the noise."""
-    here = trial.fit
-    if trial.cost > 0.5 * current.cost or trial.cost < CLOSE * trial.dof:
-        return trial
-    found = rounded(
-        here, train, lambda new, old: (old.cost - new.cost) / new.dispersion > np.log(max(new.dof, 2))
-    )
-    if found is here:
-        return trial
-    more = Trial(found, held_out(found, held))
-    return more if more.held.cost < trial.held.cost else trial
+
+    def one(trial: Trial) -> Trial:
+        found = rounded(
+            trial.fit,
+            train,
+            lambda new, old: (old.cost - new.cost) / new.dispersion > np.log(max(new.dof, 2)),
+        )
+        if found is trial.fit:
+            return trial
+        more = Trial(found, held_out(found, held))
+        return more if more.held.cost < trial.held.cost else trial
+
+    asked = [t.cost <= 0.5 * current.cost and t.cost >= CLOSE * t.dof for t in trials]
+    some = iter(each(one, [t for t, a in zip(trials, asked, strict=True) if a], current.fit, [*train, *held]))
+    return [next(some) if a else t for t, a in zip(trials, asked, strict=True)]
 
 
 def _late(layout: Layout, p: Float64, axis: int) -> bool:

@@ -227,22 +227,23 @@ def _logarithmic(current: JointFit) -> Bool:
     return out
 
 
-def at_bound(trial: Trial) -> bool:
-    """A shape at the edge of what it may be, a size beyond: the fit wants something else than this cause."""
-    term, x = trial.term, trial.x
-    if term.effect.beyond(trial.fit.evaluation.views, term.place, x.tolist()):
+def at_bound(found: JointFit) -> bool:
+    """A shape at the edge of what it may be, a size beyond: the fit wants something else than the cause that
+    was added last."""
+    term, x, views = found.candidate.terms[-1], found.candidate.x[-1], found.evaluation.views
+    if term.effect.beyond(views, term.place, x.tolist()):
         return True
     if term.effect.cause == "payload_change":  # time is no part of the size
         return False
     shapes = x[len(term.effect.coefficients) :]
-    limits = term.effect.limits(trial.fit.evaluation.views, term.place)
+    limits = term.effect.limits(views, term.place)
     if term.effect.cause == "extra_mode":
         # Nor is damping; but a mode beside all lines is none, and one that wants more damping than any has is
         # what a hold with other gains leaves (three of fifteen empty records), or friction.
         if shapes[1] >= limits[1][1] - 1e-3:
             return True
-        variance = float(trial.fit.covariance_of(-1)[1, 1])
-        if not frequency_told(trial.fit.evaluation.views, float(np.exp(shapes[0])), float(np.sqrt(variance))):
+        variance = float(found.covariance_of(-1)[1, 1])
+        if not frequency_told(views, float(np.exp(shapes[0])), float(np.sqrt(variance))):
             return True
         shapes, limits = shapes[:1], limits[:1]
     return any(v <= low + 1e-9 or v >= high - 1e-9 for v, (low, high) in zip(shapes, limits, strict=True))

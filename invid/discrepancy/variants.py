@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 
 from invid.arrays import Float64
+from invid.discrepancy.each import each
 from invid.discrepancy.joint import JointFit, fit
 from invid.discrepancy.screen import terms_for
 from invid.discrepancy.terms import Candidate, Term
@@ -43,12 +44,17 @@ def ladder(step: Step, train: Sequence[Record], held: Sequence[Record]) -> tuple
     # Never less than what the fewer parameters may cost, and what leaves a rival a doubt.
     fewer = (2.0 * float(np.log(max(rows, 2))) + COMPETES) * dispersion
     lost = here.cost + max(FAR_BEHIND * (step.before.fit.cost - here.cost), fewer)
-    for terms, x in options:
+
+    def tried(option: tuple[tuple[Term, ...], tuple[Float64, ...]]) -> Trial | None:
+        terms, x = option
         candidate = Candidate((*here.candidate.terms[:-1], *terms), (*here.candidate.x[:-1], *x))
         near = finite(partial(fit, here.layout, train, here.p, candidate, iterations=10, quick=True))
         if near is None or near.cost > lost:
-            continue
-        trial = attempted(partial(fit, near.layout, train, near.p, near.candidate, iterations=20), held)
+            return None
+        return attempted(partial(fit, near.layout, train, near.p, near.candidate, iterations=20), held)
+
+    trials = each(tried, options, here, [*train, *held])
+    for (terms, _), trial in zip(options, trials, strict=True):
         if trial is None:
             continue
         score = trial.score(dispersion, rows)
@@ -137,14 +143,15 @@ def elsewhere(
     known = {t.place for t in tried if t.effect.cause == cause}
     out = []
     for term in terms:
-        if term.effect.cause != cause or term.place.axis != place.axis or term.place in known:
-            continue
-        moved = Term(best.term.effect, term.place)
-        candidate = Candidate((*here.candidate.terms[:-1], moved), here.candidate.x)
-        trial = attempted(partial(fit, here.layout, train, here.p, candidate, iterations=iterations), held)
-        if trial is not None and not at_bound(trial):
-            out.append(trial)
-    return out
+        if term.effect.cause == cause and term.place.axis == place.axis and term.place not in known:
+            moved = Term(best.term.effect, term.place)
+            out.append(Candidate((*here.candidate.terms[:-1], moved), here.candidate.x))
+
+    def tried_there(candidate: Candidate) -> Trial | None:
+        return attempted(partial(fit, here.layout, train, here.p, candidate, iterations=iterations), held)
+
+    trials = each(tried_there, out, here, [*train, *held])
+    return [t for t in trials if t is not None and not at_bound(t.fit)]
 
 
 def retimed(trial: Trial, train: Sequence[Record], held: Sequence[Record]) -> Trial:
@@ -212,12 +219,11 @@ def lags(
     for i, share in enumerate(here.layout.stairs(here.p)):
         if share > MORE_THAN_HELD:  # as much amplitude as the rest takes
             starts.setdefault(i, here.layout.step * float(np.sqrt((share - 1.0) / 12.0)))
-    out = []
-    for term in terms:
-        late = starts.get(term.place.axis, 0.0) if term.effect.cause == "torque_lag" else 0.0
-        if not late:
-            continue
-        trial = attempted(partial(refit, here, train, term, np.array([np.log(late)]), 20), held)
-        if trial is not None and not at_bound(trial):
-            out.append(trial)
-    return out
+    late = [t for t in terms if t.effect.cause == "torque_lag" and starts.get(t.place.axis, 0.0)]
+
+    def tried(term: Term) -> Trial | None:
+        size = np.array([np.log(starts[term.place.axis])])
+        return attempted(partial(refit, here, train, term, size, 20), held)
+
+    trials = each(tried, late, here, [*train, *held])
+    return [t for t in trials if t is not None and not at_bound(t.fit)]
