@@ -15,7 +15,9 @@ from invid.discrepancy.terms import Term
 from invid.discrepancy.trial import COMPETES, attempted
 from invid.discrepancy.variants import of_its_own
 from invid.discrepancy.words import BY_CAUSE
+from invid.effects.base import Effect
 from invid.effects.record import Record
+from invid.effects.sign import DryLaw
 
 PARTS = ("torque_offset", "coulomb_friction", "viscous_friction")
 
@@ -38,7 +40,7 @@ def with_asymmetry(found: Selection, train: Sequence[Record], held: Sequence[Rec
         if "torque_offset" not in size:
             continue
         start = _start(size["coulomb_friction"], size["torque_offset"], size.get("viscous_friction"))
-        whole = Term(BY_CAUSE["asymmetric_friction"], dry.place)
+        whole = Term(_as_sharp_as(dry.effect), dry.place)
         kept = final.fit.candidate.only(k for k in range(len(terms)) if k not in parts)
         candidate = kept.plus(whole, start)
         trial = attempted(partial(fit, final.fit.layout, train, final.fit.p, candidate, iterations=20), held)
@@ -52,7 +54,7 @@ def with_asymmetry(found: Selection, train: Sequence[Record], held: Sequence[Rec
         steps = list(found.steps)
         for k in parts:
             step = steps[k - known]
-            others = replace(step, ranked=tuple(r for r in step.ranked if r[0].term != whole))
+            others = replace(step, ranked=tuple(r for r in step.ranked if not _is(r[0].term, whole)))
             steps[k - known] = others.against([(trial, step.ranked[0][1] + max(behind, 0.0))])
         found = replace(found, steps=tuple(steps))
     return found
@@ -63,6 +65,18 @@ def _belongs(part: Term, dry: Term) -> bool:
     return part.place == dry.place or (
         part.effect.cause == "torque_offset" and part.place.axis == dry.place.axis
     )
+
+
+def _is(one: Term, other: Term) -> bool:
+    return one.effect.cause == other.effect.cause and one.place == other.place
+
+
+def _as_sharp_as(dry: Effect) -> Effect:
+    """Asymmetric friction whose sign changes as gradually as that of ``dry``."""
+    law = BY_CAUSE["asymmetric_friction"]
+    if isinstance(dry, DryLaw) and isinstance(law, DryLaw) and dry.rounding > 0:
+        return law.rounded(dry.rounding)
+    return law
 
 
 def _start(dry: Float64, constant: Float64, wet: Float64 | None) -> Float64:

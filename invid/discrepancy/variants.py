@@ -10,7 +10,7 @@ import numpy as np
 
 from invid.arrays import Float64
 from invid.discrepancy.each import each
-from invid.discrepancy.joint import JointFit, fit
+from invid.discrepancy.joint import JointFit, fit, reordered
 from invid.discrepancy.screen import terms_for
 from invid.discrepancy.terms import Candidate, Term
 from invid.discrepancy.trial import CLOSE, COMPETES, Step, Trial, at_bound, attempted, finite, refit
@@ -60,7 +60,7 @@ def ladder(step: Step, train: Sequence[Record], held: Sequence[Record]) -> tuple
         score = trial.score(dispersion, rows)
         if any(t.effect.cause == "torque_offset" for t in terms):
             score += of_its_own(trial.fit.layout.structure)
-            beside.append((trial, step.ranked[0][1] + score - asymmetric))
+            beside.append((_led_by(trial, terms[1]), step.ranked[0][1] + score - asymmetric))
         if score < limit:
             limit, best = score, trial
     if best is None:
@@ -78,6 +78,14 @@ def ladder(step: Step, train: Sequence[Record], held: Sequence[Record]) -> tuple
         rivals = [(step.chosen, asymmetric), *kept] if not steps else []
         steps.append(Step(before, trial, ((trial, limit), *rivals)))
     return tuple(steps)
+
+
+def _led_by(trial: Trial, term: Term) -> Trial:
+    """The same fit with ``term`` as its last effect, after which a rival is called."""
+    terms = trial.fit.candidate.terms
+    at = terms.index(term)
+    order = [*(k for k in range(len(terms)) if k != at), at]
+    return Trial(reordered(trial.fit, order), trial.held)
 
 
 def of_its_own(structure: ChainStructure) -> float:
