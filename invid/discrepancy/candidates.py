@@ -18,6 +18,9 @@ from invid.effects.view import rms
 
 POLISHED, REFITTED, PLACES = 12, 6, 2
 """How many candidates are polished and refitted, and at most how many places of one cause."""
+NEARLY = 0.5
+"""Share of the gain at its cause's best place from which a place is polished as well. A guess: of a mode with
+2 % damping, the shape of the grid next to it takes two thirds."""
 REACH = 3.0
 """How much more a refit may gain than its screen promised: shapes between the grid's, inner motion. A guess
 that saves refits; it only skips what could not be accepted at three times its promise."""
@@ -30,6 +33,19 @@ def screened(screen: Screen, terms: Sequence[Term]) -> list[Score]:
     scores = each(screen.best, terms, screen.fit, [])
     scores = [s for s in scores if np.isfinite(s.gain) and s.gain > 0]
     scores.sort(key=lambda s: -s.gain)
+    asked = _few_of_a_cause(scores)[:POLISHED]
+    # The best may lie between a grid's shapes: a sharp mode, of which the next shape takes two thirds.
+    least = {cause: NEARLY * s.gain for s in reversed(scores) if (cause := s.term.effect.cause)}
+    further = [s for s in scores if s.term.effect.shapes and s.gain >= least[s.term.effect.cause]]
+    asked += [s for s in further if s not in asked and s.gain >= asked[-1].gain]
+    polished = each(lambda s: screen.best(s.term, polish=True), asked, screen.fit, [])
+    screen.release()
+    polished.sort(key=lambda s: -s.gain)
+    return _few_of_a_cause(polished)
+
+
+def _few_of_a_cause(scores: Sequence[Score]) -> list[Score]:
+    """At most ``PLACES`` of each cause, in the order given."""
     count: dict[str, int] = {}
     out = []
     for s in scores:
@@ -37,10 +53,7 @@ def screened(screen: Screen, terms: Sequence[Term]) -> list[Score]:
         count[cause] = count.get(cause, 0) + 1
         if count[cause] <= PLACES:
             out.append(s)
-    polished = each(lambda s: screen.best(s.term, polish=True), out[:POLISHED], screen.fit, [])
-    screen.release()
-    polished.sort(key=lambda s: -s.gain)
-    return polished
+    return out
 
 
 def any_gain(_: Term) -> float:

@@ -2,8 +2,8 @@
 neither aliases.
 
 With the velocity linear between samples, the mean of a law over an interval is ΔΦ/Δv, Φ the law's
-antiderivative (antiderivative antialiasing); a sample gets the mean of the intervals around it. Friction that turns its motor
-round bends that line at zero, where it changes its sign: the interval then has two of them.
+antiderivative (antiderivative antialiasing); a sample gets the mean of the intervals around it. Friction that
+turns its motor round bends that line at zero, where it changes its sign: the interval then has two of them.
 """
 
 from __future__ import annotations
