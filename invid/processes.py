@@ -11,6 +11,7 @@ import sys
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
 from typing import Any, TypeVar
 
 A = TypeVar("A")
@@ -19,8 +20,9 @@ B = TypeVar("B")
 MOST = 4
 """Processes at most: candidates are a handful, and other programs want a core too."""
 _NUMBER = 4
-"""Bytes of a call's number: all numbers fit into a pipe (64 KiB), and none lies across two of its pages."""
-MOST_CALLS = 65536 // _NUMBER
+"""Bytes of a call's number: none lies across two pages of a pipe."""
+MOST_CALLS = 4096 // _NUMBER
+"""As many as the smallest pipe takes at once, that of a user who has used up what the kernel allows."""
 
 
 def at_once(run: Callable[[A], B], items: Sequence[A], known: Sequence[object] = ()) -> list[B]:
@@ -37,27 +39,50 @@ def at_once(run: Callable[[A], B], items: Sequence[A], known: Sequence[object] =
     if helpers < 1 or len(items) > MOST_CALLS:
         return [run(item) for item in items]
     context = multiprocessing.get_context("fork")
-    numbers, told = os.pipe()
-    os.write(told, b"".join(k.to_bytes(_NUMBER, "little") for k in range(len(items))))
-    os.close(told)  # whoever finds the pipe empty is done
-    working = []
+    try:
+        numbers = _numbered(len(items))
+    except OSError:  # no more files
+        return [run(item) for item in items]
+    caller = os.getpid()
+    working: list[tuple[BaseProcess, Connection]] = []
     try:
         for _ in range(helpers):
-            mine, theirs = context.Pipe(duplex=False)
-            process = context.Process(target=_help, args=(run, items, numbers, known, theirs), daemon=True)
-            process.start()
-            theirs.close()
+            try:
+                mine, theirs = context.Pipe(duplex=False)
+            except OSError:  # as below, where there are no more processes: with those that there are
+                break
+            # A helper with the caller's ends open would never learn that the caller is gone.
+            idle = [mine, *(m for _, m in working)]
+            arguments = (run, items, numbers, known, theirs, idle, caller)
+            process = context.Process(target=_help, args=arguments, daemon=True)
+            try:
+                process.start()
+            except OSError:
+                mine.close()
+                break
+            finally:
+                theirs.close()
             working.append((process, mine))
         done = _taken(run, items, numbers)
-        for _, mine in working:
-            done.update(_received(mine, known))
+        for _, answer in working:
+            done.update(_received(answer, known))
     finally:
         os.close(numbers)
-        for process, mine in working:
-            process.kill()
-            process.join()
-            mine.close()
+        for helper, answer in working:
+            helper.kill()
+            helper.join()
+            answer.close()
     return [done[k] if k in done else run(items[k]) for k in range(len(items))]
+
+
+def _numbered(count: int) -> int:
+    """A pipe with the numbers of all calls in it; whoever finds it empty is done."""
+    numbers, told = os.pipe()
+    try:
+        os.write(told, b"".join(k.to_bytes(_NUMBER, "little") for k in range(count)))
+    finally:
+        os.close(told)
+    return numbers
 
 
 def _cores() -> int:
@@ -68,34 +93,46 @@ def _cores() -> int:
     return min(MOST, len(os.sched_getaffinity(0)))
 
 
-def _taken(run: Callable[[A], B], items: Sequence[A], numbers: int) -> dict[int, B]:
-    """The answers to the calls that nobody else took."""
+def _taken(
+    run: Callable[[A], B], items: Sequence[A], numbers: int, caller: int | None = None
+) -> dict[int, B]:
+    """The answers to the calls that nobody else took; a helper ends where its ``caller`` is gone."""
     done = {}
     while number := os.read(numbers, _NUMBER):
+        if caller is not None and os.getppid() != caller:
+            os._exit(1)
         k = int.from_bytes(number, "little")
         done[k] = run(items[k])
     return done
 
 
 def _help(
-    run: Callable[[A], B], items: Sequence[A], numbers: int, known: Sequence[object], answer: Connection
+    run: Callable[[A], B],
+    items: Sequence[A],
+    numbers: int,
+    known: Sequence[object],
+    answer: Connection,
+    idle: Sequence[Connection],
+    caller: int,
 ) -> None:
     """What a helper does: it takes calls, and says nothing where it fails."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the caller, who ends the helper
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    for end in idle:
+        end.close()
     try:
         packed = io.BytesIO()
-        _Pickler(packed, known).dump(_taken(run, items, numbers))
+        _Pickler(packed, known).dump(_taken(run, items, numbers, caller))
         answer.send_bytes(packed.getbuffer())
     except Exception:
         os._exit(1)
 
 
 def _received(answer: Connection, known: Sequence[object]) -> Mapping[int, Any]:
-    """What a helper answered; nothing where it died."""
+    """What a helper answered; nothing where it died, or where its answer cannot be read."""
     try:
         found: Mapping[int, Any] = _Unpickler(io.BytesIO(answer.recv_bytes()), known).load()
-    except (EOFError, OSError):
+    except Exception:  # whatever an object's own unpickling raises
         return {}
     return found
 

@@ -99,7 +99,9 @@ def _named(found: Selection, number: int, trial: Trial) -> Selection:
     uneven = Term(BY_CAUSE["asymmetric_friction"], place)
     kept = step.ranked
     if _score(Screen(trial.fit), uneven)[0] < LARGER * trial.dispersion:
-        kept = tuple((t, s) for t, s in kept if t.term != uneven)
+        kept = tuple(
+            r for r in kept if (r[0].term.effect.cause, r[0].term.place) != (uneven.effect.cause, place)
+        )
     steps = (*found.steps[:number], replace(step, ranked=kept), *found.steps[number + 1 :])
     score = trial.score(trial.dispersion, trial.fit.dof)
     return replace(found, final=trial, steps=(*steps, Step(found.final, trial, ((trial, score),))))

@@ -244,18 +244,19 @@ def _step(
         *(t for t in trials[1:] if t.cost - trials[0].cost < 0.3 * (current.cost - trials[0].cost)),
     ]
 
-    def polish(t: Trial) -> Trial:
+    def hopeless(t: Trial) -> bool:
         # Noise alone has had its best by now: what little more there is makes no cause of it.
-        hopeless = not rejects and REACH * (current.cost - t.cost) < needed_gain(
-            current, t, count, rejects=rejects
-        )
-        if t.fit.converged or hopeless:
-            return t
+        least = needed_gain(current, t, count, rejects=rejects)
+        return not rejects and REACH * (current.cost - t.cost) < least
+
+    def polish(t: Trial) -> Trial:
         more = fit(t.fit.layout, train, t.fit.p, t.fit.candidate, iterations=40)
         return Trial(more, held_out(more, held))
 
+    open_ = [t for t in best[:4] if not t.fit.converged and not hopeless(t)]
+    gone_on = iter(each(polish, open_, here, [*train, *held]))
     # Where the fit went on it may have reached an edge, and then wants something else than this cause.
-    polished = each(polish, best[:4], here, [*train, *held])
+    polished = [next(gone_on) if t in open_ else t for t in best[:4]]
     polished = [t for t in polished if not at_bound(t.fit)]
     trials = polished + [t for t in trials if t not in best[:4]]
     if not trials:

@@ -60,7 +60,12 @@ def ladder(step: Step, train: Sequence[Record], held: Sequence[Record]) -> tuple
         score = trial.score(dispersion, rows)
         if any(t.effect.cause == "torque_offset" for t in terms):
             score += of_its_own(trial.fit.layout.structure)
-            beside.append((_led_by(trial, terms[1]), step.ranked[0][1] + score - asymmetric))
+            beside.append(
+                (
+                    _led_by(trial, len(here.candidate.terms)),
+                    step.ranked[0][1] + score - asymmetric,
+                )
+            )
         if score < limit:
             limit, best = score, trial
     if best is None:
@@ -80,11 +85,10 @@ def ladder(step: Step, train: Sequence[Record], held: Sequence[Record]) -> tuple
     return tuple(steps)
 
 
-def _led_by(trial: Trial, term: Term) -> Trial:
-    """The same fit with ``term`` as its last effect, after which a rival is called."""
-    terms = trial.fit.candidate.terms
-    at = terms.index(term)
-    order = [*(k for k in range(len(terms)) if k != at), at]
+def _led_by(trial: Trial, at: int) -> Trial:
+    """The same fit with effect ``at`` as its last one, after which a rival is called."""
+    count = len(trial.fit.candidate.terms)
+    order = [*(k for k in range(count) if k != at), at]
     return Trial(reordered(trial.fit, order), trial.held)
 
 
@@ -117,7 +121,7 @@ def _without_asymmetry(chosen: Trial) -> list[tuple[tuple[Term, ...], tuple[Floa
         law = Term(effect, place)
         if wet > 0:
             out.append(((law, viscous), (size, np.array([wet]))))
-        if cause == "coulomb_friction":
+        if cause == "coulomb_friction" and offset not in chosen.fit.candidate.terms[:-1]:
             # The constant torque first: it is sought again beside the others, and may be weight.
             out.append(((offset, law), (np.array([constant]), size)))
             if wet > 0:

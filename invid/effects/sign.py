@@ -49,6 +49,13 @@ class DryLaw(ForceEffect):
         other.rounding = velocity
         return other
 
+    def __eq__(self, other: object) -> bool:
+        """A law has no state but its rounding: two that round alike are one, wherever they were made."""
+        return isinstance(other, DryLaw) and (type(self), self.rounding) == (type(other), other.rounding)
+
+    def __hash__(self) -> int:
+        return hash((type(self), self.rounding))
+
     def softness(self, view: View, place: Place) -> float:
         """Velocity over which the sign changes over: the rounding, or the velocity's noise if larger."""
         v = view.velocity(place.pattern(view.structure))

@@ -95,6 +95,60 @@ def test_what_raises_is_raised_here_and_no_helper_outlives_it():
     """)
 
 
+def test_helpers_end_with_a_caller_that_was_killed():
+    """One with a long answer would wait for ever for somebody to read it."""
+    assert "gone" in ran("""
+        import signal, subprocess, sys
+        text = '''
+        import os, time
+        os.sched_getaffinity = lambda _: set(range(3))
+        from invid.processes import at_once
+        me = os.getpid()
+        def run(k):
+            if os.getpid() == me:
+                time.sleep(60)
+            os.write(1, b"%d%c" % (os.getpid(), 10))  # a line at once, whoever else writes
+            return bytes(1_000_000)
+        at_once(run, range(6))
+        '''
+        import textwrap
+        caller = subprocess.Popen([sys.executable, "-c", textwrap.dedent(text)], stdout=subprocess.PIPE)
+        helpers = {int(caller.stdout.readline()) for _ in range(5)}
+        caller.kill()
+        caller.wait()
+        deadline = time.monotonic() + 20
+        while any(os.path.exists(f"/proc/{pid}") for pid in helpers) and time.monotonic() < deadline:
+            time.sleep(0.05)
+        left = [pid for pid in helpers if os.path.exists(f"/proc/{pid}")]
+        assert not left, left
+        print("gone")
+    """)
+
+
+def test_where_no_more_processes_are_to_be_had_the_caller_does_it_all():
+    assert "all" in ran("""
+        def refused():
+            raise BlockingIOError(11, "Resource temporarily unavailable")
+        os.fork = refused
+        assert at_once(lambda k: k, range(6)) == list(range(6))
+        print("all")
+    """)
+
+
+def test_laws_that_round_alike_are_one_wherever_they_were_made():
+    """A helper's answer has a law of its own; candidates are told apart by their laws."""
+    from invid.effects import CATALOGUE
+    from invid.effects.sign import DryLaw
+
+    laws = [e for e in CATALOGUE if isinstance(e, DryLaw)]
+    assert len({*laws}) == len(laws) > 1
+    for law in laws:
+        assert law.rounded(0.1) == law.rounded(0.1)
+        assert hash(law.rounded(0.1)) == hash(law.rounded(0.1))
+        assert law.rounded(0.1) != law
+        assert law.rounded(0.1) != law.rounded(0.2)
+
+
 @pytest.mark.parametrize(
     "begin",
     [
@@ -113,13 +167,31 @@ def test_no_helper_where_forking_is_not_safe_or_not_worth_it(begin: str):
 
 
 def test_a_diagnosis_is_the_same_on_one_core_and_on_two():
+    """And every answer of a helper arrives: one that could not be packed would be found twice, unnoticed."""
     program = """
         import json, sys
         sys.path.insert(0, "tests")
         from hidden.generator import make
         from invid.diagnosis import diagnosis_to_json
         from invid.discrepancy import diagnose
+
+        calls, answered = [], []
+        taken, received = processes._taken, processes._received
+        def counted(run, items, numbers, caller=None):
+            done = taken(run, items, numbers, caller)
+            if caller is None:
+                calls.append(len(items) - len(done))
+            return done
+        def read(answer, known):
+            done = received(answer, known)
+            answered.append(len(done))
+            return done
+        processes._taken, processes._received = counted, read
         recording, _ = make("coulomb_friction", seed=3, target_db=20.0, motors=2)
-        print(json.dumps(diagnosis_to_json(diagnose(recording)), default=str, sort_keys=True))
+        diagnosis = diagnose(recording)
+        assert answered == calls, (answered, calls)
+        print(json.dumps(diagnosis_to_json(diagnosis), default=str, sort_keys=True))
     """
-    assert ran(program, cores=1) == ran(program)
+    alone = ran(program, cores=1)
+    assert "coulomb_friction" in alone
+    assert alone == ran(program)
