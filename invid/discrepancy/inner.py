@@ -34,6 +34,7 @@ Forces = Callable[[], tuple[Complex128, Complex128]]
 """Contributions (F, M), and the inner motion (F, dofs) that follows from the view's present one."""
 
 
+@np.errstate(over="ignore", invalid="ignore")  # a step too far is told by its size, and taken back
 def settled(view: View, forces: Forces, passes: int, *, early: bool = True) -> Complex128:
     """(F, M) contributions at the inner motion that ``forces`` and the plant agree on.
 

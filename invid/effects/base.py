@@ -17,6 +17,7 @@ from typing import ClassVar
 import numpy as np
 
 from invid.arrays import Complex128, Float64
+from invid.effects.beyond import answered, beyond_band
 from invid.effects.place import Place
 from invid.effects.view import View, along
 from invid.refine.structure import ChainStructure
@@ -145,6 +146,8 @@ class ForceEffect(Effect):
     """A resistance that is a law of motion over time: basis forces on the pattern."""
 
     smeared = False
+    answered: ClassVar[bool] = False
+    """Whether the law goes on with the motion beyond the band that its own force makes (``beyond_band``)."""
 
     def law(self, view: View, place: Place, shape: Sequence[float]) -> Float64:
         """(n, L) resistance for each coefficient at one."""
@@ -164,7 +167,16 @@ class ForceEffect(Effect):
     ) -> tuple[Complex128, Complex128 | None]:
         count = len(self.coefficients)
         pattern = place.pattern(view.structure)
-        total = self.force(view, place, x[count:]) @ np.asarray(x[:count])
+        if self.answered and (compliance := beyond_band(view, place)) is not None:
+
+            def resisting() -> Float64:
+                out: Float64 = self.law(view, place, x[count:]) @ np.asarray(x[:count])
+                return out
+
+            wave = answered(view, pattern, compliance, resisting)
+            total = view.to_lines(wave[:, None], smeared=self.smeared)[:, 0]
+        else:
+            total = self.force(view, place, x[count:]) @ np.asarray(x[:count])
         return view.push(pattern) * total[:, None], -view.yields(pattern) * total[:, None]
 
 

@@ -25,6 +25,7 @@ class CubicStiffness(ForceEffect):
     family = "spring"
     parameters: ClassVar[Mapping[str, str]] = {"coefficient": "cubic"}
     coefficients = ("coefficient",)
+    answered = True
     lower, upper = (-np.inf,), (np.inf,)
     main = "coefficient"
 

@@ -84,6 +84,12 @@ class Record:
         """n, of the waves of motion."""
         return int(self.motor_wave.shape[0])
 
+    @cached_property
+    def wave_omega(self) -> Float64:
+        """(n//2 + 1,) [rad/s] of the waves' own lines."""
+        omega = 2 * np.pi * np.fft.rfftfreq(self.samples, self.wave_step)
+        return np.asarray(omega, dtype=np.float64)
+
     @property
     def wave_time(self) -> Float64:
         """(n,) time of the waves of motion, zero in the record's middle [s]."""
@@ -119,7 +125,7 @@ class Record:
         if not self.unseen.size:
             return np.zeros(self.samples)
         lines = np.fft.rfft(torque)
-        omega = 2 * np.pi * np.fft.rfftfreq(self.samples, self.wave_step)
+        omega = self.wave_omega
         out: Float64 = np.fft.irfft(
             self.unseen[:, axis] * lines / np.where(omega > 0, 1j * omega, 1.0), self.samples
         )

@@ -39,6 +39,7 @@ too far where friction takes more than half of a motor's change of pace."""
 class DryLaw(ForceEffect):
     """A friction law that changes over with the sign of the velocity, at once or over a range of it."""
 
+    answered = True
     rounding: float = 0.0
     """Velocity over which the sign changes over, tanh(v/rounding) [rad/s or m/s]; 0: at once. No contact
     reverses at once: creep, lubricant and the simulation of others round the corner."""

@@ -61,6 +61,7 @@ class SliderEffect(ForceEffect):
     lower, upper = (0.0,), (np.inf,)
     shapes, logarithmic = ("most",), (True,)
     main = "torque"
+    answered = True
 
     def remembers(self, view: View, place: Place, x: Sequence[float]) -> bool:
         wave = view.wave(place.pattern(view.structure))

@@ -89,6 +89,7 @@ class View:
         """(F, M) missing torque that the causes chosen so far and the record's ends leave."""
         self._waves: dict[tuple[Pattern, bool], Float64] = {}
         self._gains: dict[tuple[Pattern, ...], Complex128] = {}
+        self._hidden: dict[Pattern, Complex128] = {}
         self._pushes: dict[Pattern, Complex128] = {}
         self._yields: dict[Pattern, Complex128] = {}
 
@@ -155,11 +156,26 @@ class View:
 
     def wave(self, pattern: Pattern) -> Float64:
         """(n,) motion along the pattern over time."""
-        return self._wave(pattern, False)
+        return self._with_hidden(pattern, False)
 
     def velocity(self, pattern: Pattern) -> Float64:
         """(n,) its derivative."""
-        return self._wave(pattern, True)
+        return self._with_hidden(pattern, True)
+
+    def hide(self, pattern: Pattern, lines: Complex128 | None) -> None:
+        """Adds (n//2 + 1,) of the waves' own lines to the motion along the pattern, instead of what was added
+        before; None for none."""
+        if lines is None:
+            self._hidden.pop(pattern, None)
+        else:
+            self._hidden[pattern] = lines
+
+    def _with_hidden(self, pattern: Pattern, rate: bool) -> Float64:
+        out, lines = self._wave(pattern, rate), self._hidden.get(pattern)
+        if lines is None:
+            return out
+        more: Float64 = np.fft.irfft(1j * self.record.wave_omega * lines if rate else lines, out.size)
+        return out + more
 
     def _wave(self, pattern: Pattern, rate: bool) -> Float64:
         key = (pattern, rate)
