@@ -110,15 +110,21 @@ class CoupledChains:
             if m.ndim != 1 or m.size == 0:
                 raise ModelError(f"branch {axis}: masses must be a list of at least one value")
             if k.shape != (m.size - 1,):
-                raise ModelError(f"branch {axis}: {m.size} masses need {m.size - 1} springs, found {k.size}")
+                raise ModelError(
+                    f"branch {axis}: {m.size} masses have one spring between neighbours, {m.size - 1} in "
+                    f"all; found {k.size}"
+                )
             if d.shape != k.shape:
-                raise ModelError(f"branch {axis}: {k.size} springs need {k.size} dampers, found {d.size}")
+                raise ModelError(
+                    f"branch {axis}: each spring has a damper (0 for none): found {k.size} springs and "
+                    f"{d.size} dampers"
+                )
             for what, values, floor_ok in (("mass", m, False), ("spring", k, False), ("damper", d, True)):
                 bad = ~np.isfinite(values) | (values < 0) | ((values == 0) & (not floor_ok))
                 if bad.any():
                     q = int(np.flatnonzero(bad)[0])
                     raise ModelError(
-                        f"branch {axis}: {what} {q + 1} is {values[q]!r}; it must be a finite number "
+                        f"branch {axis}: {what} {q + 1} is {float(values[q])!r}; it must be a finite number "
                         f"{'≥' if floor_ok else '>'} 0"
                     )
         if self.couplings.shape != (count, count):

@@ -438,9 +438,9 @@ def load_json(path: Path) -> Any:
         raise InputError(f"{path}: not JSON: {error}") from None
 
 
-def load_model(path: Path) -> Model:
+def load_model(path: str | Path) -> Model:
     """Model from an ``invid-model`` file."""
-    return model_from_json(load_json(path), source=str(path))
+    return model_from_json(load_json(Path(path)), source=str(path))
 
 
 def save_text(path: Path, text: str) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 
 from invid.arrays import Float64
 from invid.errors import InputError
+from invid.model import Model
 from invid.recording.model import Recording
 from invid.spectra import LineSpectra
 
@@ -20,13 +21,29 @@ AGAINST = 0.9
 """Share of them that has to fall for the wrong sign."""
 
 
+def check_units(model: Model, recording: Recording) -> None:
+    """InputError where one is rotary and the other linear."""
+    if model.linear != recording.linear:
+        raise InputError(
+            f"{recording.source}: positions are in {recording.position_unit}, the model's masses in "
+            f"{'kg' if model.linear else 'kg·m²'}; one is rotary, the other linear"
+        )
+
+
 def check_plausible(recording: Recording, spectra: Sequence[LineSpectra]) -> None:
-    """InputError for an axis whose position never changes, or whose torque pushes the wrong way."""
+    """InputError for an axis whose position or torque never changes, or whose torque pushes the wrong
+    way."""
     for i, axis in enumerate(recording.axes):
         if spectra and not any(np.ptp(s.position_wave[:, i]) > 0 for s in spectra):
             raise InputError(
                 f"{recording.source}: the position of axis {axis} never changes in any experiment; see that "
                 "its encoder counts and its brake is open, or leave the axis out of the recording"
+            )
+        driven = [s for s in spectra if s.driven[i]]
+        if driven and not any(np.ptp(s.torque_wave[:, i]) > 0 for s in driven):
+            raise InputError(
+                f"{recording.source}: the torque of axis {axis} never changes, not even where the axis is "
+                "shaken; see that the drive reports it (0x6077 in a PDO) and that it is the column meant"
             )
         slopes = [_slopes(s, i) for s in spectra]
         every = np.concatenate(slopes) if slopes else np.zeros(0)

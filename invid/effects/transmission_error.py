@@ -90,8 +90,11 @@ class TransmissionError(Effect):
         return out
 
     def beyond(self, views: Sequence[View], place: Place, x: Sequence[float]) -> bool:
-        # The gear would turn back while its motor turns on.
-        return bool(np.hypot(x[0], x[1]) * np.exp(x[2]) >= 1.0)
+        # The gear would turn back while its motor turns on; or be off by more than the motor ever turned: a
+        # bend of the motion's own size is that of a spring (0.4 m on a travel of 0.09 m, for a cubic one).
+        amplitude = float(np.hypot(x[0], x[1]))
+        turned = max((float(np.abs(self._motor_side(v, place)).max()) for v in views), default=np.inf)
+        return amplitude * float(np.exp(x[2])) >= 1.0 or amplitude > turned
 
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
         return {

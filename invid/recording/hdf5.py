@@ -101,7 +101,7 @@ def read_recording(path: str | Path, *, max_values: int = MAX_VALUES) -> Recordi
 def _damage(path: Path, source: str, error: BaseException) -> str:
     first = " ".join(str(error).split())[:200]
     lowered = first.lower()
-    if "lock" in lowered:
+    if "unable to lock" in lowered:  # "block" is in most of what HDF5 says of damage
         return f"{source}: another program is writing this file; wait until it is done"
     try:
         with path.open("rb") as raw:

@@ -12,6 +12,7 @@ from scipy.interpolate import CubicHermiteSpline
 from invid.arrays import Float64
 from invid.errors import InputError
 from invid.model import Model
+from invid.plausible import check_units
 from invid.recording.model import Experiment, Recording
 from invid.simulate.kernel import march
 from invid.simulate.laws import Laws, law_table, laws_of
@@ -103,11 +104,7 @@ def _axis_order(model: Model, recording: Recording) -> np.ndarray:
             f"{recording.source}: its axes are {list(recording.axes)}, the model's are {list(model.axes)}; "
             "they must have the same names"
         )
-    if model.linear != recording.linear:
-        raise InputError(
-            f"{recording.source}: positions are in {recording.position_unit}, the model's masses in "
-            f"{'kg' if model.linear else 'kg·m²'}; one is rotary, the other linear"
-        )
+    check_units(model, recording)
     return np.array([recording.axes.index(a) for a in model.axes])
 
 

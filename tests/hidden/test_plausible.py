@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from hidden.generator import make
+from invid.discrepancy import diagnose
 from invid.errors import InputError
 from invid.identify import identify
 from invid.plausible import check_plausible
@@ -34,6 +35,22 @@ def test_an_axis_that_never_moves_is_named() -> None:
     still = _changed(recording, lambda e: replace(e, position=np.zeros_like(e.position)))
     with pytest.raises(InputError, match=f"position of axis {truth.chains.axes[0]} never changes"):
         identify(still)
+
+
+def test_a_torque_that_nobody_mapped_is_named() -> None:
+    """All zeros: LAPACK complained, and the command line called it an internal error."""
+    recording, truth = make("coulomb_friction", seed=1, target_db=20.0, motors=1)
+    none = _changed(recording, lambda e: replace(e, torque=np.zeros_like(e.torque), torque_demand=None))
+    for ask in (identify, diagnose):
+        with pytest.raises(InputError, match=f"torque of axis {truth.chains.axes[0]} never changes"):
+            ask(none)
+
+
+def test_a_model_of_a_linear_machine_is_refused_for_a_rotary_one() -> None:
+    recording, _ = make("coulomb_friction", seed=1, target_db=20.0, motors=1)
+    other = replace(identify(recording), linear=True)
+    with pytest.raises(InputError, match="one is rotary, the other linear"):
+        diagnose(recording, model=other)
 
 
 def _with_spring_holds(recording: Recording) -> Recording:

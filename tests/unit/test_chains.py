@@ -62,7 +62,7 @@ def test_holds_add_to_the_motors_alone() -> None:
         (([[1.0, -2.0]], [[10.0]]), r"branch A1: mass 2 is .*-2\.0.*> 0"),
         (([[1.0, 2.0]], [[0.0]]), "branch A1: spring 1"),
         (([[1.0, 2.0]], [[10.0]], [[-1.0]]), "branch A1: damper 1.*≥ 0"),
-        (([[1.0, 2.0]], [[10.0, 20.0]]), "2 masses need 1 springs, found 2"),
+        (([[1.0, 2.0]], [[10.0, 20.0]]), "2 masses have one spring between neighbours, 1 in all; found 2"),
         (([[1.0, np.nan]], [[10.0]]), "mass 2"),
         (([[1.0], [1.0]], [[], []], None, [[0, 2.0], [2.0, 0]]), "between A1 and A2 is too large"),
         (([[1.0], [1.0]], [[], []], None, [[0, 0.2], [0.1, 0]]), "symmetric"),

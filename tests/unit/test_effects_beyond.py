@@ -36,10 +36,13 @@ def views(*amplitudes: float) -> list[SimpleNamespace]:
         ("parameter_drift", [-5.1], True),
         ("backlash", [np.log(0.038)], False),  # ±0.019 rad of ±0.02 in the larger motion
         ("backlash", [np.log(0.042)], True),
+        ("transmission_error", [0.019, 0.0, np.log(2.0)], False),
+        ("transmission_error", [0.021, 0.0, np.log(2.0)], True),  # more than the motor ever turned
+        ("transmission_error", [0.019, 0.0, np.log(60.0)], True),  # the gear turns back
         ("cubic_stiffness", [-2.4e6], False),  # 960 of 1000 N·m/rad gone at 0.02 rad
         ("cubic_stiffness", [-2.6e6], True),
         ("cubic_stiffness", [1e8], False),  # forty times as stiff is stiff
-        ("transmission_error", [0.03, 0.04, np.log(19.0)], False),
+        ("transmission_error", [0.0114, 0.0152, np.log(50.0)], False),
         ("transmission_error", [0.03, 0.04, np.log(21.0)], True),  # slope 1.05: it would turn back
     ],
 )

@@ -106,6 +106,14 @@ def test_a_violation_is_one_sentence_that_says_what_and_where(tmp_path, spoil, s
     assert "\n" not in str(caught.value)
 
 
+def test_a_cut_file_is_called_truncated(tmp_path):
+    """HDF5 says "… stored_eof … sblock->base_addr": there is no lock in that."""
+    path = foreign(tmp_path / "r.h5")
+    path.write_bytes(path.read_bytes()[:-200])
+    with pytest.raises(RecordingError, match="is truncated; copy it again"):
+        read_recording(path)
+
+
 def test_flipped_bytes_and_cut_files_raise_nothing_but_recording_errors(tmp_path):
     whole = foreign(tmp_path / "r.h5").read_bytes()
     rng = np.random.default_rng(3)

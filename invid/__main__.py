@@ -1,0 +1,5 @@
+"""``python -m invid`` is ``invid``."""
+
+from invid.cli import main
+
+main()
