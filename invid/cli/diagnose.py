@@ -10,9 +10,10 @@ import typer
 from invid.cli.identify import parse_masses
 from invid.cli.output import EXIT_NOT_TRUSTWORTHY, EXIT_OK, emit, note
 from invid.diagnosis import Diagnosis, diagnosis_to_json
-from invid.errors import InputError
+from invid.errors import InputError, ModelError
 from invid.model import dump_json
 from invid.recording.model import Recording
+from invid.separate import BY_HAND
 
 
 def register(app: typer.Typer) -> None:
@@ -62,7 +63,12 @@ def register(app: typer.Typer) -> None:
 
             data = joined([data, *(read_recording(p) for p in further)])
         given = None if model is None else load_model(model)
-        diagnosis = diagnose(data, model=given, masses=wanted)
+        try:
+            diagnosis = diagnose(data, model=given, masses=wanted)
+        except ModelError as error:  # an effect that this robot cannot have
+            if given is None or not given.effects:
+                raise
+            raise ModelError(f"{model}: {error}") from None
         document = diagnosis_to_json(diagnosis)
         if output is not None:
             _write(output, dump_json(document))
@@ -130,10 +136,12 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
         if f.separating_experiment is not None:
             planned = f.separating_experiment
             lines.append(f"  to separate them: {planned.get('description') or planned.get('text', '')}")
-            lines.append(
-                "  (invid measure CONFIG --separate DIAGNOSIS.json -o NEW.h5 runs it; then diagnose with "
-                "--with NEW.h5)"
-            )
+            causes = {*planned.get("separates", ()), *(a.cause for a in f.alternatives)}
+            if causes - BY_HAND:
+                lines.append(
+                    "  (invid measure CONFIG --separate DIAGNOSIS.json -o NEW.h5 runs it; then diagnose with "
+                    "--with NEW.h5)"
+                )
     lines += [f"warning: {w}" for w in diagnosis.warnings]
     return "\n".join(lines)
 

@@ -37,6 +37,8 @@ AT_FLOOR = 1.44
 """χ²/ν up to which the extended model is at the noise: a residual of 1.2 times the floor, the product's bar.
 Above it something is left that no cause took, the cause named may be a disguise of another (a delay of a lag
 beside friction left χ²/ν at 300 and a hundredth of the excess), and nobody may be certain."""
+BROUGHT_DOWN = 0.98
+"""Share of what was missing that causes explain at least where the rest stands out of the noise."""
 SLOW = 400.0
 """χ² gain of dry friction below which a Stribeck effect is not excluded, where none was fitted: forty per
 cent more torque in the sixth of the time that is slow is a fortieth of dry friction's power, and 9 (3 σ) of
@@ -46,6 +48,18 @@ SPRING = (
     "the axis by some tens of degrees and measure again."
 )
 """Said of a weight in balance, which the catalogue knows and a spring from a load to ground it does not."""
+GRADUAL = 0.1
+"""Rounding over Stribeck velocity above which friction still rises where a Stribeck effect falls: nothing of
+it is static. On paper, and from a tester's eddy-current brakes, named Stribeck friction at 0.97."""
+FADES = 5.0
+"""Static friction over the Coulomb level from where on it is no contact that begins to slide: those of the
+literature lose up to two thirds. On paper."""
+BRAKE = (
+    "It may as well be a resistance that no contact makes, such as an eddy-current brake: it hardly starts "
+    "at rest, or hardly anything of it stays at speed. Move the axis slowly at constant speeds: dry friction "
+    "stays at the slowest."
+)
+"""Said of Stribeck friction without one of the two levels that it is named for."""
 STICKS = 0.4
 """Static friction over the Coulomb level, less one, from where on a Stribeck effect is one: as in SLOW."""
 
@@ -77,14 +91,16 @@ def judge(selection: Selection, recording: Recording, after: NullTest) -> Judgem
     findings = tuple(
         _finding(selection, number, recording, explained) for number in range(len(selection.steps))
     )
-    at_floor = final.cost <= AT_FLOOR * final.dof or _rms_at_floor(final)
-    complete = not after.rejects or (explained > 0.98 and at_floor)
+    complete = not after.rejects or (explained > BROUGHT_DOWN and at_floor(final))
     named = explained >= NAMED or (explained >= MOST_OF_CHI2 and _power_explained(base, final) >= NAMED)
     return Judgement(findings, named, complete, explained)
 
 
-def _rms_at_floor(final: Trial) -> bool:
-    """Whether every axis' held-out missing torque is within 1.2 times its floor."""
+def at_floor(final: Trial) -> bool:
+    """Whether every axis' held-out missing torque is within 1.2 times its floor: what ``residual`` shows.
+
+    χ² says less: a rest on a few lines weighs little among many, and is what the torque still lacks.
+    """
     motors = final.fit.layout.structure.motors
     pairs = [rms_torque(final.held, i) for i in range(motors)]
     return all(r <= 1.2 * n for r, n in pairs)
@@ -197,15 +213,13 @@ def _finding(selection: Selection, number: int, recording: Recording, explained:
     total = sum(s.before.cost - s.chosen.cost for s in selection.steps)
     fraction = float(np.clip((step.before.cost - step.chosen.cost) / max(total, 1e-300), 0, 1)) * explained
     confidence = float(np.clip(share * (0.55 + 0.45 * _ramp(explained)), 0.01, 0.999))
-    like_a_spring = _like_a_spring(final.fit, at)
-    if alternatives or like_a_spring or final.cost > AT_FLOOR * final.dof:
+    said = [SPRING] if _like_a_spring(final.fit, at) else [BRAKE] if like_a_brake(effect) else []
+    if alternatives or said or final.cost > AT_FLOOR * final.dof:
         confidence = min(confidence, CONTESTED)
     if sized(final.fit, at) is False:
         confidence = min(confidence, UNSIZED)
     sizes = final.fit.layout.structure.sizes
     sentence = finding_sentence(effect, fraction, confidence, alternatives, sizes, recording.axes)
-    if like_a_spring:
-        sentence = f"{sentence} {SPRING}"
     return Finding(
         effect=effect,
         confidence=confidence,
@@ -214,7 +228,7 @@ def _finding(selection: Selection, number: int, recording: Recording, explained:
         fraction=fraction,
         alternatives=alternatives,
         separating_experiment=_separating(step.chosen.term, rivals, bool(alternatives)),
-        sentence=sentence,
+        sentence=" ".join([sentence, *said]),
     )
 
 
@@ -224,6 +238,16 @@ def _like_a_spring(fit: JointFit, at: int) -> bool:
         return False
     constant, std = float(fit.candidate.x[at][1]), float(np.sqrt(fit.covariance_of(at)[1, 1]))
     return abs(constant) < 3.0 * std
+
+
+def like_a_brake(effect: EffectTerm) -> bool:
+    """Whether Stribeck friction lacks its static part, or a Coulomb level by three standard deviations."""
+    if effect.cause != "stribeck_friction":
+        return False
+    at = effect.parameters
+    gradual = ROUNDING in at and at[ROUNDING].value > GRADUAL * at["velocity"].value
+    level = at["coulomb"].value + 3.0 * (at["coulomb"].std or 0.0)
+    return gradual or at["static"].value > FADES * level
 
 
 def _slow_friction(

@@ -22,6 +22,7 @@ from invid.effects.base import unit_of
 from invid.errors import InputError
 from invid.glitches import without_glitches
 from invid.model import Model, model_to_json
+from invid.plausible import check_units
 from invid.recording.model import Recording
 
 CLEARLY = 0.1
@@ -79,13 +80,14 @@ def _diagnosed(
             f"the model has the axes {list(model.axes)}, the recording {list(recording.axes)}; diagnose with "
             "the model of this robot, or without one"
         )
+    check_units(model, recording)
     look = looked(sound, folded(model))
     look = looked_again(look, masses if own else model.chains.masses_per_branch)
     if own:
         look = with_the_declared_mass(look, recording.masses_per_axis if masses is None else masses)
     sound, model, tones, bare = look.recording, look.model, look.tones, look.bare
     train, held = look.train, look.held
-    selection = allowing_for_viscous(with_viscous(look.selection, train, held))
+    selection = allowing_for_viscous(with_viscous(look.selection, train, held)).as_far_as_explained()
     warnings = [*look.warnings, *said_of_holds(selection.final.fit, recording)]
     result = document(sound, model, selection, bare, train, held, tones, warnings)
     if result.findings:

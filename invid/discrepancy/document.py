@@ -10,7 +10,7 @@ import numpy as np
 
 from invid.diagnosis import AxisResidual, Diagnosis, Finding, Verdict
 from invid.discrepancy.character import unexplained_of
-from invid.discrepancy.confidence import effect_term, judge
+from invid.discrepancy.confidence import BROUGHT_DOWN, at_floor, effect_term, judge
 from invid.discrepancy.extended import extended_model
 from invid.discrepancy.given import carried
 from invid.discrepancy.joint import JointFit, held_out
@@ -67,7 +67,10 @@ def document(
     if named or known:
         explained = float(np.clip(1.0 - (a2 - n2) / max(b2 - n2, 1e-300), 0.0, 1.0))
     humming = unexplained = said_of_tones(tones, recording, unit)
-    if not coherent and not tones:
+    # A model with causes in it is as right as where they were found: what is called explained there is here.
+    as_found = not selection.steps and not linear.broken and at_floor(base)
+    as_found = as_found and explained is not None and explained > BROUGHT_DOWN
+    if not tones and (not coherent or as_found):
         unexplained = said_of_scatter((base.fit.evaluation, base.held), recording, unit)
         verdict = Verdict.CONSISTENT if unexplained is None else Verdict.UNEXPLAINED
     elif not named:
@@ -88,7 +91,9 @@ def document(
         sentences.append(
             "The model"
             + (", with the causes it already contains," if known else "")
-            + " explains the measurement to within its noise: nothing is missing."
+            + " explains the measurement to within "
+            + ("1.2 times " if coherent else "")
+            + "its noise: nothing is missing."
         )
     if unexplained is not None:
         sentences.append(unexplained.sentence)

@@ -207,9 +207,10 @@ def distrust_sentences(found: Trust, masses: tuple[int, ...]) -> list[str]:
         sizes = ", ".join(str(n) for n in masses)
         return [
             f"The linear model itself cannot be trusted, so no cause is named: {found.reasons[0]}.",
-            f"Put that right first: try another number of masses than {sizes} (--masses auto lets the data "
-            "choose), see that every axis is excited and that the torque channel is the motor's, and record "
-            "more periods or a wider band.",
+            "Put that right first: see that every axis is excited and hits nothing, and that the torque "
+            f"channel is the motor's; try another number of masses than {sizes} (--masses auto lets the data "
+            "choose); record more periods, a wider band, or a smaller amplitude, at which a strong effect is "
+            "a weak one.",
         ]
     if found.unseen:
         return [

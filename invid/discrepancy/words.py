@@ -25,7 +25,8 @@ def number(estimate: Estimate) -> str:
 
     digits = max(0, min(8, 1 - floor(log10(estimate.std))))
     if abs(estimate.value) >= 1e5 or abs(estimate.value) < 1e-3:
-        return f"{estimate.value:.3g} ± {estimate.std:.1g}{unit}"
+        more = floor(log10(max(abs(estimate.value), estimate.std))) - floor(log10(estimate.std))
+        return f"{estimate.value:.{min(more + 2, 9)}g} ± {estimate.std:.2g}{unit}"
     return f"{estimate.value:.{digits}f} ± {estimate.std:.{digits}f}{unit}"
 
 

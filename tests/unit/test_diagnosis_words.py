@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import pytest
+
 from invid.diagnosis import Alternative
-from invid.discrepancy.words import finding_sentence
+from invid.discrepancy.confidence import like_a_brake
+from invid.discrepancy.words import finding_sentence, number
 from invid.model import EffectTerm, Estimate
 
 
@@ -23,3 +26,41 @@ def test_alternatives_and_what_would_separate_them_are_in_the_sentence() -> None
     assert "cannot tell" in said
     assert "constant-velocity" in said
     assert said.endswith("Check brake release and lubrication.")
+
+
+@pytest.mark.parametrize(
+    ("static", "coulomb", "rounding", "brake"),
+    [
+        (0.043, (0.011, 0.011), 0.0847, True),  # c v/(1 + (v/v0)²), as fitted to a tester's record of one
+        (0.187, (0.002, 0.004), None, True),  # hardly anything stays at speed
+        (0.187, (0.02, 0.02), None, False),  # as much as one contact may lose, within its uncertainty
+        (0.5, (0.3, 0.01), 0.02, False),  # a contact that turns round a little gradually
+        (0.5, (0.3, 0.01), None, False),
+    ],
+)
+def test_stribeck_friction_without_one_of_its_levels_may_be_a_brake(
+    static: float, coulomb: tuple[float, float], rounding: float | None, brake: bool
+) -> None:
+    parameters = {
+        "static": Estimate(static, 0.001, "N·m"),
+        "coulomb": Estimate(*coulomb, "N·m"),
+        "velocity": Estimate(0.6, 0.05, "rad/s"),
+    }
+    if rounding is not None:
+        parameters["rounding"] = Estimate(rounding, None, "rad/s")
+    assert like_a_brake(EffectTerm("stribeck_friction", "A1", parameters, "mass 1")) == brake
+    assert not like_a_brake(EffectTerm("coulomb_friction", "A1", {"torque": Estimate(1.0, 0.1, "N·m")}))
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "said"),
+    [
+        (561084.0, 147700.0, "5.6e+05 ± 1.5e+05"),
+        (561084.0, 5120.0, "5.611e+05 ± 5.1e+03"),
+        (1.2345e-4, 3.1e-8, "0.00012345 ± 3.1e-08"),
+        (3.1e-5, 4.4e-5, "3.1e-05 ± 4.4e-05"),
+        (2.0, 0.1, "2.00 ± 0.10"),
+    ],
+)
+def test_a_number_has_the_digits_that_its_deviation_leaves(value: float, std: float, said: str) -> None:
+    assert number(Estimate(value, std, "1")) == said

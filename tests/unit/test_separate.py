@@ -15,8 +15,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from hidden.generator import make
 
 from invid.cli.app import run
+from invid.cli.diagnose import diagnosis_text
 from invid.config import load_config
+from invid.diagnosis import Alternative, Diagnosis, Finding, Verdict
 from invid.errors import InputError
+from invid.model import ChainStd, EffectTerm, Model
 from invid.plan import make_plan
 from invid.recording.model import Kind, Role
 from invid.separate import joined, to_separate
@@ -125,3 +128,39 @@ def test_two_recordings_of_one_robot_are_diagnosed_as_one() -> None:
     assert all(a > b for a, b in zip(starts[half:], ends[:half], strict=False))
     with pytest.raises(InputError, match="not the same robot"):
         joined([recording, replace(recording, axes=("other",))])
+
+
+@pytest.mark.parametrize(
+    ("planned", "rival", "offered"),
+    [
+        ({"text": "repeat it with another payload"}, "viscous_friction", True),  # of a rigid robot
+        ({"description": "move it", "separates": ["gravity", "torque_offset"]}, "torque_offset", True),
+        ({"description": "hang a weight on it", "separates": ["torque_gain"]}, "torque_gain", False),
+    ],
+)
+def test_the_terminal_offers_only_experiments_that_run(planned: dict, rival: str, offered: bool) -> None:
+    """A finding of a rigid robot lists no causes beside its experiment: reading them ended the command."""
+    chains = make(seed=3, motors=1)[1].chains
+    model = Model(robot="cell", method="by hand", chains=chains, std=ChainStd.unknown(chains))
+    said = diagnosis_text(
+        Diagnosis(
+            verdict=Verdict.PARTLY_EXPLAINED,
+            residual=(),
+            explained_fraction=None,
+            findings=(
+                Finding(
+                    effect=EffectTerm("gravity", "A1", {}),
+                    confidence=0.5,
+                    before=1.0,
+                    after=0.1,
+                    fraction=0.9,
+                    alternatives=(Alternative(rival, "A1", None, 0.1),),
+                    separating_experiment=planned,
+                ),
+            ),
+            unexplained=None,
+            model=model,
+        )
+    )
+    assert (planned.get("description") or planned["text"]) in said
+    assert ("--separate" in said) == offered
