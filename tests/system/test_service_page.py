@@ -192,7 +192,9 @@ def test_a_person_sees_readiness_and_the_plan_arms_watches_and_accepts_on_the_pa
 def test_the_stop_button_and_the_escape_key_stop_the_robot_at_once(tmp_path: Path) -> None:
     from selenium.webdriver.common.keys import Keys
 
-    with serving(tmp_path) as service, browser(tmp_path / "profile", 800, 1100) as driver:
+    # The page asks every three seconds; on a fast machine the whole small run is over by then.
+    cell = SMALL_CELL.replace("periods: 3}", "periods: 60}")
+    with serving(tmp_path, cell=cell) as service, browser(tmp_path / "profile", 800, 1100) as driver:
         page = Page(driver)
         driver.get(service.url + "/")
         page.shown("stop").click()
