@@ -13,7 +13,7 @@ from invid_service import health, problems
 from invid_service.cells.router import router as cells
 from invid_service.jobs.launcher import Launcher, launch_process
 from invid_service.jobs.router import router as identifications
-from invid_service.jobs.schema import API
+from invid_service.links import API
 from invid_service.middleware import Guard
 from invid_service.problems import ProblemDocument
 from invid_service.recordings.router import router as recordings

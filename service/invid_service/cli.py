@@ -1,12 +1,13 @@
-"""``invid serve``: the REST service and the technician's page."""
+"""``invid serve``: the REST service and the technician's page; ``invid keys``: who may use it."""
 
 from __future__ import annotations
 
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import typer
 
-from invid.cli.output import note
+from invid.cli.output import emit, note
 from invid.errors import ConfigError
 
 
@@ -26,6 +27,12 @@ def register(app: typer.Typer) -> None:
             None, metavar="NAME:SCOPES", help="Add a key to --key-file, print it once and end."
         ),
         database_url: str = typer.Option(None, help="SQLAlchemy URL instead of SQLite in the data folder."),
+        root_path: str = typer.Option(
+            None, help="Path under which a reverse proxy shows the service: /invid."
+        ),
+        trusted_proxy: list[str] = typer.Option(
+            None, help="Address or network of a reverse proxy whose X-Forwarded-… headers are believed."
+        ),
         json_logs: bool = typer.Option(False, "--json-logs", help="Logs as JSON lines."),
     ) -> None:
         if add_key is not None:
@@ -40,17 +47,76 @@ def register(app: typer.Typer) -> None:
             "data_dir": data_dir,
             "key_file": key_file,
             "database_url": database_url,
+            "root_path": root_path,
+            "trusted_proxies": trusted_proxy or None,
         }
         settings = settings_from({k: v for k, v in given.items() if v is not None})
         serve_forever(settings, json_logs=json_logs)
 
 
-def _add_key(key_file: Path | None, text: str) -> None:
-    from invid_service.auth import add_key
+def register_keys(app: typer.Typer) -> None:
+    """Add the commands that change a key file; a running service follows within a second."""
+    keys = typer.Typer(help="List, add and revoke the keys of the service.", no_args_is_help=True)
+    file = typer.Option(..., "--key-file", help="File with the hashed keys.")
+
+    @keys.command("add")
+    def add(
+        key: str = typer.Argument(
+            ..., metavar="NAME:SCOPES", help="As plc:read,run; read, run, accept, admin."
+        ),
+        key_file: Path = file,
+        days: float = typer.Option(None, min=0.001, help="The key ends after so many days."),
+    ) -> None:
+        """Add a key and print it, this once."""
+        _add_key(key_file, key, days)
+
+    @keys.command("list")
+    def show(
+        key_file: Path = file,
+        as_json: bool = typer.Option(False, "--json", help="One JSON document on stdout."),
+    ) -> None:
+        """Id, name, scopes and end of every key; never the key itself."""
+        from invid_service.keys import read_keys
+
+        now = datetime.now(UTC)
+        rows = [
+            {**k.model_dump(mode="json", exclude={"sha256"}), "expired": k.expired(now)}
+            for k in read_keys(key_file)
+        ]
+        lines = [
+            f"{r['id']}  {r['name']}  {','.join(r['scopes'])}  "
+            + (
+                "without end"
+                if r["expires"] is None
+                else f"{'expired' if r['expired'] else 'until'} {r['expires']}"
+            )
+            for r in rows
+        ]
+        emit({"keys": rows}, "\n".join(lines) or f"{key_file}: no keys", as_json=as_json)
+
+    @keys.command("revoke")
+    def revoke(
+        key: str = typer.Argument(
+            ..., metavar="ID", help="Id of the key, or its name where only one has it."
+        ),
+        key_file: Path = file,
+    ) -> None:
+        """Take a key out of the file."""
+        from invid_service.keys import revoke_key
+
+        gone = revoke_key(key_file, key)
+        note(f"revoked {gone.id} ({gone.name}); a running service refuses it within a second")
+
+    app.add_typer(keys, name="keys")
+
+
+def _add_key(key_file: Path | None, text: str, days: float | None = None) -> None:
+    from invid_service.keys import add_key
 
     if key_file is None:
         raise ConfigError("--add-key needs --key-file: the file the key's hash is added to")
     name, _, scopes = text.partition(":")
-    token = add_key(key_file, name, [s.strip() for s in scopes.split(",") if s.strip()])
+    expires = None if days is None else datetime.now(UTC) + timedelta(days=days)
+    token = add_key(key_file, name, [s.strip() for s in scopes.split(",") if s.strip()], expires=expires)
     note(f"added {name!r} to {key_file}; the key is shown this once:")
     typer.echo(token)

@@ -9,6 +9,7 @@ from typing import Any
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from invid_service.links import set_root
 from invid_service.metrics import Metrics
 from invid_service.problems import Problem
 from invid_service.settings import Settings
@@ -19,6 +20,14 @@ _HEADERS = [
     (b"referrer-policy", b"no-referrer"),
     (b"x-frame-options", b"DENY"),
 ]
+
+
+def _under(root: str, scope: Scope) -> Scope:
+    """The request with the whole path, whether or not the reverse proxy cut ``root`` off it."""
+    path = scope["path"]
+    if root and path != root and not path.startswith(f"{root}/"):
+        path = root + path
+    return {**scope, "path": path, "root_path": root}
 
 
 class Guard:
@@ -32,6 +41,8 @@ class Guard:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
+        scope = _under(self._settings.root_path, scope)
+        set_root(self._settings.root_path)
         started, method = time.monotonic(), scope["method"]
 
         async def answer(message: Message) -> None:
@@ -41,7 +52,7 @@ class Guard:
                 message["headers"] = [*message["headers"], *(h for h in _HEADERS if h[0] not in present)]
             await send(message)
 
-        upload = scope["path"].rstrip("/") == UPLOADS
+        upload = scope["path"].rstrip("/") == self._settings.root_path + UPLOADS
         limit = self._settings.max_upload_bytes if upload else self._settings.max_body_bytes
         refusal = self._refusal(dict(scope["headers"]), limit)
         if refusal is not None:

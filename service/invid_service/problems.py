@@ -33,6 +33,7 @@ CATALOGUE: dict[str, tuple[int, str]] = {
     "run-in-progress": (409, "Another identification is in progress on this cell"),
     "not-ready": (409, "The cell cannot start"),
     "wrong-state": (409, "Not possible in this state"),
+    "override-needed": (409, "This result is not to be trusted"),
     "not-simulated": (409, "The cell has hardware behind it"),
     "no-comparison": (409, "There are not two models to compare"),
     "artefact-expired": (410, "This file was deleted after its time of retention"),

@@ -14,7 +14,7 @@ from datetime import UTC, datetime, timedelta
 from sqlalchemy.exc import SQLAlchemyError
 
 from invid_service.audit import AuditLog
-from invid_service.auth import Keys, check_bind
+from invid_service.auth import check_bind
 from invid_service.cells.readiness import Readiness, Situation, readiness
 from invid_service.cells.registry import Cell, load_cells
 from invid_service.jobs.launcher import Launcher
@@ -22,7 +22,10 @@ from invid_service.jobs.live import LiveRun
 from invid_service.jobs.manager import JobManager, Limits
 from invid_service.jobs.orphans import settle
 from invid_service.jobs.results import Results
+from invid_service.jobs.schema import view
 from invid_service.jobs.states import State
+from invid_service.keys import Keys
+from invid_service.links import set_root
 from invid_service.metrics import Metrics
 from invid_service.problems import Problem
 from invid_service.settings import Settings
@@ -30,11 +33,14 @@ from invid_service.store.blobs import Blobs
 from invid_service.store.database import open_engine, upgrade
 from invid_service.store.lock import DataLock
 from invid_service.store.store import RunRecord, Store
+from invid_service.webhook import Webhook, open_webhook
 
 log = logging.getLogger(__name__)
 Clock = Callable[[], datetime]
 _RETENTION_PERIOD_S = 3600.0
 _STORE_PROBE_S = 1.0
+_KEY_PERIOD_S = 1.0
+"""A key added, or revoked, counts within this time."""
 _ORPHAN_S = 3.0
 """Beyond the grace of a runner: what it takes to close its recording."""
 
@@ -55,14 +61,17 @@ class Service:
     cells: dict[str, Cell]
     metrics: Metrics
     start_locks: dict[str, asyncio.Lock] = field(default_factory=lambda: defaultdict(asyncio.Lock))
+    webhook: Webhook | None = None
     uploads: int = 0
     """Uploads that are being received."""
     shutting_down: bool = False
     _housekeeping: asyncio.Task[None] | None = None
+    _key_watch: asyncio.Task[None] | None = None
 
     # --- life ----------------------------------------------------------------------------------
     async def start(self) -> None:
         """Settle what the last process left, then keep house."""
+        set_root(self.settings.root_path)  # for what tells of a run outside any request
         await asyncio.to_thread(settle, self.blobs.work, self.settings.stop_grace_s + _ORPHAN_S)
         now = self.clock()
         cut = await asyncio.to_thread(self.store.interrupt_unfinished, now)
@@ -73,6 +82,7 @@ class Service:
         for record in await asyncio.to_thread(self.store.runs, state=State.AWAITING_ACCEPT, limit=500):
             self.jobs.restore(record, await asyncio.to_thread(self.store.events, record.id))
         self._housekeeping = asyncio.create_task(self._keep_house())
+        self._key_watch = asyncio.create_task(self._watch_keys())
 
     def begin_shutdown(self) -> None:
         """Stop motion and end the streams; called as soon as the signal is there."""
@@ -82,9 +92,12 @@ class Service:
     async def close(self) -> None:
         """Motion first, then the rest."""
         self.begin_shutdown()
-        if self._housekeeping is not None:
-            self._housekeeping.cancel()
+        for task in (self._housekeeping, self._key_watch):
+            if task is not None:
+                task.cancel()
         await self.jobs.shutdown()
+        if self.webhook is not None:
+            await self.webhook.close()
         self.store.close()
         self.lock.release()
 
@@ -95,6 +108,11 @@ class Service:
             except (OSError, SQLAlchemyError) as error:
                 log.error("retention: %s", error)
             await asyncio.sleep(_RETENTION_PERIOD_S)
+
+    async def _watch_keys(self) -> None:
+        while self.keys.configured:
+            await asyncio.sleep(_KEY_PERIOD_S)
+            await asyncio.to_thread(self.keys.reload)
 
     def expire(self) -> int:
         """Delete files past their retention; how many."""
@@ -174,8 +192,9 @@ def utc_now() -> datetime:
 
 def build(settings: Settings, launcher: Launcher, clock: Clock) -> Service:
     """Parts from settings; ConfigError where something cannot be."""
-    keys = Keys.load(settings.key_file) if settings.key_file is not None else Keys()
+    keys = Keys(settings.key_file)
     check_bind(settings, keys)
+    webhook = open_webhook(settings, clock)
     lock = DataLock(settings.data_dir)
     try:
         cells = load_cells(settings.cells, settings.data_dir)
@@ -193,7 +212,13 @@ def build(settings: Settings, launcher: Launcher, clock: Clock) -> Service:
         )
         jobs = JobManager(store, results, launcher, limits, clock, parallel_uploads=settings.parallel_uploads)
         metrics = Metrics(lambda: len([c for c in cells if jobs.occupying(c) is not None]))
-        jobs.on_end = lambda run: metrics.ended(str(run.record.state), run.record.mode)
+
+        def ended(run: LiveRun) -> None:
+            metrics.ended(str(run.record.state), run.record.mode)
+            if webhook is not None:
+                webhook.send(run.record.id, {"type": "identification.ended", "data": _ending(run.record)})
+
+        jobs.on_end = ended
         audit = AuditLog(settings.data_dir / "audit.jsonl")
     except BaseException:
         lock.release()
@@ -210,6 +235,14 @@ def build(settings: Settings, launcher: Launcher, clock: Clock) -> Service:
         jobs=jobs,
         cells=cells,
         metrics=metrics,
+        webhook=webhook,
+    )
+
+
+def _ending(record: RunRecord) -> dict[str, object]:
+    """What a webhook tells of a run: the facts that a list would show, and nothing secret."""
+    return view(record, None).model_dump(
+        mode="json", include={"id", "cell", "robot", "mode", "state", "simulated", "ended", "error", "links"}
     )
 
 

@@ -67,6 +67,8 @@ def serve_forever(settings: Settings, *, json_logs: bool = False) -> None:
             access_log=False,
             timeout_graceful_shutdown=_GRACE_S,
             server_header=False,
+            proxy_headers=bool(settings.trusted_proxies),
+            forwarded_allow_ips=settings.trusted_proxies or None,
         )
         _Server(config).run(sockets=[bound])
     finally:

@@ -33,7 +33,15 @@ class Settings(BaseSettings):
     database_url: str | None = None
     """SQLAlchemy URL; default SQLite in ``data_dir``."""
     key_file: Path | None = None
-    """Hashed keys; needed for every bind beyond loopback."""
+    """Hashed keys; needed for every bind beyond loopback. With it everyone is asked for a key."""
+    root_path: str = Field(default="", pattern=r"^(/[A-Za-z0-9._~-]+)*$")
+    """Path under which a reverse proxy shows the service, as ``/invid``."""
+    trusted_proxies: list[str] = []
+    """Addresses or networks of reverse proxies whose ``X-Forwarded-For`` and ``-Proto`` are believed."""
+    webhook_url: str | None = Field(default=None, pattern=r"^https?://[^\s@]+$")
+    """Told of every run's end; see ``invid_service.webhook``."""
+    webhook_secret_file: Path | None = None
+    """Secret that the messages are signed with: one line, 24 bytes or more."""
     max_upload_bytes: int = Field(default=512 * MEBIBYTE, gt=0)
     max_unpacked_bytes: int = Field(default=1024 * MEBIBYTE, gt=0)
     """An uploaded recording may unpack to this: eight axes at 1 kHz for an hour are 720 MB."""

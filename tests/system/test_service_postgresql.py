@@ -117,3 +117,31 @@ def test_the_database_keeps_the_promises_of_the_store(server: str) -> None:
     store.approve("pg", "pg-1", by="x", how="accept", now=now)
     assert [a.model for a in store.approvals("pg")] == ["pg-1"]
     store.close()
+
+
+def test_a_dump_restored_into_another_database_serves_what_was_there(server: str, tmp_path: Path) -> None:
+    programs, address = SERVERS[-1].parent, server.replace("postgresql+psycopg", "postgresql")
+    other = address.replace("/postgres?", "/restored?")
+    with running(tmp_path, database_url=server) as (client, _):
+        location = client.post(
+            "/api/v1/cells/cell/identifications", json={"mode": "full", "arm": True}
+        ).headers["Location"]
+        wait_for(client, location, "awaiting_accept")
+        client.post(f"{location}/actions", json={"type": "accept"})
+        kept = client.get("/api/v1/cells/cell/model").json()
+        dump = tmp_path / "store.dump"
+        # while the service runs: a dump is a snapshot
+        command = [programs / "pg_dump", "--format=custom", f"--file={dump}", f"--dbname={address}"]
+        subprocess.run(command, check=True, timeout=60)
+        files = tmp_path / "backup"
+        shutil.copytree(tmp_path / "data" / "files", files)
+    subprocess.run([programs / "psql", address, "-qc", "CREATE DATABASE restored"], check=True, timeout=60)
+    restore = [programs / "pg_restore", "--clean", "--if-exists", f"--dbname={other}", dump]
+    subprocess.run(restore, check=True, timeout=60)
+    fresh = tmp_path / "fresh"
+    fresh.mkdir()
+    shutil.copytree(files, fresh / "data" / "files")
+    restored = server.replace("/postgres?", "/restored?")
+    with running(fresh, database_url=restored, cells=[tmp_path / "cell.yaml"]) as (client, _):
+        assert client.get("/api/v1/cells/cell/model").json() == kept
+        assert client.get(f"{location}/report").text.startswith("<html")

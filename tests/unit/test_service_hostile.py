@@ -13,7 +13,7 @@ from service_doubles import Director, running, settings_in, wait_for
 
 from invid.errors import ConfigError
 from invid_service.app import create_app
-from invid_service.auth import add_key
+from invid_service.keys import add_key
 from invid_service.recordings.declared import look
 
 START = "/api/v1/cells/cell/identifications"

@@ -10,7 +10,7 @@ from fastapi import APIRouter, Query, Request
 from fastapi.responses import JSONResponse
 
 from invid.errors import InputError
-from invid_service.auth import Accepter, Anyone, Reader, Require, Scope
+from invid_service.auth import Accepter, Anyone, Reader, Require
 from invid_service.cells.changes import changes_view
 from invid_service.cells.readiness import Readiness
 from invid_service.cells.registry import Cell, merged
@@ -27,7 +27,9 @@ from invid_service.cells.schema import (
     StopAnswer,
 )
 from invid_service.context import Context
-from invid_service.jobs.schema import API, view
+from invid_service.jobs.schema import view
+from invid_service.keys import Scope
+from invid_service.links import address
 from invid_service.problems import EVERYWHERE, Problem, problem_responses
 from invid_service.service import Service
 from invid_service.store.store import Approval, StoredModel
@@ -54,7 +56,6 @@ async def _cell_view(service: Service, cell: Cell) -> CellView:
     approvals = await asyncio.to_thread(service.store.approvals, cell.id)
     last = await asyncio.to_thread(service.store.runs, cell=cell.id, limit=1)
     torque, position = ("N", "m") if config.linear else ("N·m", "rad")
-    base = f"{API}/cells/{cell.id}"
     return CellView(
         id=cell.id,
         name=config.robot,
@@ -82,7 +83,7 @@ async def _cell_view(service: Service, cell: Cell) -> CellView:
         model=_accepted(approvals[0]) if approvals else None,
         last_identification=view(last[0], service.jobs.live(last[0].id)) if last else None,
         links={
-            name: f"{base}/{name}"
+            name: address("cells", cell.id, name)
             for name in ("readiness", "identifications", "stop", "model", "models", "changes")
         },
     )

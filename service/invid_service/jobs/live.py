@@ -96,7 +96,12 @@ class LiveRun:
         """Tell of progress; it never runs backwards."""
         fraction = min(max(progress.fraction, self.progress.fraction), 1.0)
         self.progress = replace(progress, fraction=fraction)
-        self.events.append("progress", {"state": str(self.record.state), **self.progress.to_json()})
+        data = {
+            "state": str(self.record.state),
+            "simulated": self.record.simulated,
+            **self.progress.to_json(),
+        }
+        self.events.append("progress", data)
         self._wake()
 
     def _wake(self) -> None:

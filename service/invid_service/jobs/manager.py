@@ -127,13 +127,18 @@ class JobManager:
             await self._persist(run, run.set(State.RUNNING, self._clock()))
         await run.worker.send({"type": "arm"})
 
-    async def decide(self, run: LiveRun, *, accept: bool, by: str) -> None:
-        """Accept or reject the result; WrongStateError where there is none to decide on."""
+    async def decide(self, run: LiveRun, *, accept: bool, by: str, override: str | None = None) -> None:
+        """Accept or reject the result; WrongStateError where there is none to decide on.
+
+        ``override``: why a result that is not to be trusted was accepted all the same.
+        """
         async with run.lock:
             if run.record.state is not State.AWAITING_ACCEPT:
                 raise WrongStateError(str(run.record.state))
             now = self._clock()
             decision = {"type": "accepted" if accept else "rejected", "by": by, "at": now.isoformat()}
+            if accept and override is not None:
+                decision["override"] = override
             if accept and run.record.cell is not None:
                 how = "auto" if by == "auto" else "accept"
                 await asyncio.to_thread(

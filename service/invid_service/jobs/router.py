@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import AsyncIterator
+from datetime import UTC, datetime
 from typing import Annotated, Any
+from urllib.parse import urlencode
 
 from fastapi import APIRouter, Header, Query, Request, Response
 from fastapi.responses import FileResponse, StreamingResponse
 
-from invid_service.auth import Reader, Require, Scope
+from invid_service.auth import Reader, Require
 from invid_service.context import Context
 from invid_service.events import EventLog, sse
 from invid_service.jobs.live import LiveRun, WrongStateError
 from invid_service.jobs.schema import (
-    API,
     RETRY_AFTER_S,
     ActionBody,
     Identification,
@@ -22,9 +23,12 @@ from invid_service.jobs.schema import (
     StartBody,
     polling_headers,
     view,
+    why_untrusted,
 )
 from invid_service.jobs.start import start_identification
 from invid_service.jobs.states import ENDED, State
+from invid_service.keys import Scope
+from invid_service.links import address
 from invid_service.problems import EVERYWHERE, Problem, problem_responses
 from invid_service.service import Service
 from invid_service.store.blobs import KINDS
@@ -55,7 +59,7 @@ async def start(
     """
     caller = await Require(Scope.RUN)(request)
     record = await start_identification(service, cell, body, caller.name, idempotency_key)
-    response.headers["Location"] = f"{API}/identifications/{record.id}"
+    response.headers["Location"] = address("identifications", record.id)
     response.headers["Retry-After"] = str(RETRY_AFTER_S)
     return view(record, service.jobs.live(record.id))
 
@@ -65,12 +69,45 @@ async def list_identifications(
     service: Context,
     _caller: Reader,
     cell: Annotated[str | None, Query(max_length=64, pattern=r"^[A-Za-z0-9_-]+$")] = None,
+    state: Annotated[State | None, Query()] = None,
+    since: Annotated[
+        datetime | None, Query(description="Started at or after this time (UTC without a zone)")
+    ] = None,
+    until: Annotated[
+        datetime | None, Query(description="Started before this time (UTC without a zone)")
+    ] = None,
+    cursor: Annotated[str | None, Query(max_length=40, pattern=r"^[A-Za-z0-9-]+$")] = None,
     limit: Annotated[int, Query(ge=1, le=500)] = 50,
 ) -> IdentificationList:
-    """Identifications, newest first."""
-    records = await asyncio.to_thread(service.store.runs, cell=cell, limit=limit)
-    items = [view(record, service.jobs.live(record.id)) for record in records]
-    return IdentificationList(identifications=items, simulated=any(i.simulated for i in items))
+    """Identifications, newest first. ``next`` is where a longer list goes on, with the same filters."""
+    since, until = _in_utc(since), _in_utc(until)
+    try:
+        records = await asyncio.to_thread(
+            service.store.runs,
+            cell=cell,
+            state=state,
+            since=since,
+            until=until,
+            after=cursor,
+            limit=limit + 1,
+        )
+    except KeyError:
+        raise Problem("invalid-request", f"query.cursor: there is no identification {cursor!r}") from None
+    items = [view(record, service.jobs.live(record.id)) for record in records[:limit]]
+    following = None
+    if len(records) > limit:
+        given = {"cell": cell, "state": state, "since": since, "until": until, "limit": limit}
+        query = {
+            k: v.isoformat() if isinstance(v, datetime) else v for k, v in given.items() if v is not None
+        }
+        following = f"{address('identifications')}?{urlencode({**query, 'cursor': items[-1].id})}"
+    return IdentificationList(
+        identifications=items, simulated=any(i.simulated for i in items), next=following
+    )
+
+
+def _in_utc(instant: datetime | None) -> datetime | None:
+    return instant if instant is None or instant.tzinfo else instant.replace(tzinfo=UTC)
 
 
 @router.get("/identifications/{identification}", response_model=Identification)
@@ -88,18 +125,31 @@ async def get_identification(identification: str, service: Context, _caller: Rea
     responses=problem_responses(409, 507),
 )
 async def act(identification: str, body: ActionBody, request: Request, service: Context) -> Identification:
-    """Arm, cancel, accept or reject. Repeating what was already done is no error."""
+    """Arm, cancel, accept or reject. Repeating what was already done is no error.
+
+    A result that is not to be trusted (its ``untrusted`` says why) is accepted only with ``override``, a
+    reason; it is kept with the decision.
+    """
     scope = Scope.RUN if body.type in ("arm", "cancel") else Scope.ACCEPT
     caller = await Require(scope)(request)
     record, live = await service.run(identification)
     facts = {"identification": record.id, "cell": record.cell, "state": str(record.state)}
+    doubt = why_untrusted(record)
+    if body.type == "accept" and record.state is State.AWAITING_ACCEPT and doubt is not None:
+        if body.override is None:
+            raise Problem(
+                "override-needed",
+                f"{doubt}. To accept it all the same, say why in 'override'",
+                simulated=record.simulated,
+            )
+        facts["override"] = body.override
     if body.type in ("arm", "accept"):
         try:
             await asyncio.to_thread(service.audit.write, body.type, caller=caller.name, **facts)
         except OSError as error:
             raise Problem("disk-full", f"the audit log cannot be written: {error.strerror}") from None
     try:
-        await _apply(service, body.type, record, live, caller.name)
+        await _apply(service, body, record, live, caller.name)
     except WrongStateError:
         record, _ = await service.run(identification)
         raise Problem(
@@ -114,7 +164,10 @@ async def act(identification: str, body: ActionBody, request: Request, service: 
     return view(record, live)
 
 
-async def _apply(service: Service, action: str, record: RunRecord, live: LiveRun | None, caller: str) -> None:
+async def _apply(
+    service: Service, body: ActionBody, record: RunRecord, live: LiveRun | None, caller: str
+) -> None:
+    action = body.type
     if record.state in ENDED or live is None:
         decided = (record.facts.get("decision") or {}).get("type", "nothing")
         repeated = decided == {"accept": "accepted", "reject": "rejected"}.get(action)
@@ -135,7 +188,8 @@ async def _apply(service: Service, action: str, record: RunRecord, live: LiveRun
         case "cancel":
             await service.jobs.cancel(live)
         case _:
-            await service.jobs.decide(live, accept=action == "accept", by=caller)
+            override = body.override if why_untrusted(record) is not None else None
+            await service.jobs.decide(live, accept=action == "accept", by=caller, override=override)
 
 
 @router.get(

@@ -10,9 +10,9 @@ from pydantic import BaseModel, ConfigDict, Field
 from invid_service.jobs.live import LiveRun, Progress
 from invid_service.jobs.protocol import ErrorInfo
 from invid_service.jobs.states import ENDED, State
+from invid_service.links import address
 from invid_service.store.store import RunRecord
 
-API = "/api/v1"
 RETRY_AFTER_S = 1
 
 
@@ -37,6 +37,8 @@ class ActionBody(BaseModel):
 
     model_config = ConfigDict(extra="forbid", strict=True, json_schema_extra={"examples": [{"type": "arm"}]})
     type: Literal["arm", "cancel", "accept", "reject"]
+    override: str | None = Field(default=None, min_length=3, max_length=500)
+    """With ``accept`` of a result that is not to be trusted: the reason, which is stored."""
 
 
 class Identification(BaseModel):
@@ -68,6 +70,8 @@ class Identification(BaseModel):
     decision: dict[str, Any] | None
     summary: dict[str, Any] | None
     """verdict, sentences, warnings and changes against the accepted model."""
+    untrusted: str | None
+    """Why the result is accepted only with an ``override``; ``null`` where it needs none."""
     links: dict[str, str]
 
 
@@ -76,6 +80,8 @@ class IdentificationList(BaseModel):
 
     identifications: list[Identification]
     simulated: bool
+    next: str | None
+    """Where the list goes on; ``null`` at its end."""
 
 
 def view(record: RunRecord, live: LiveRun | None) -> Identification:
@@ -85,7 +91,7 @@ def view(record: RunRecord, live: LiveRun | None) -> Identification:
     else:
         done = record.state in (State.SUCCEEDED, State.AWAITING_ACCEPT)
         progress = Progress(1.0 if done else record.facts.get("progress", 0.0), str(record.state))
-    base = f"{API}/identifications/{record.id}"
+    base = address("identifications", record.id)
     names = ["events", "recording", "model", "diagnosis", "report", "plots"]
     return Identification(
         id=record.id,
@@ -109,8 +115,25 @@ def view(record: RunRecord, live: LiveRun | None) -> Identification:
         measurement=record.facts.get("measurement"),
         decision=record.facts.get("decision"),
         summary=record.facts.get("summary"),
+        untrusted=why_untrusted(record),
         links={"self": base, **{name: f"{base}/{name}" for name in names}},
     )
+
+
+def why_untrusted(record: RunRecord) -> str | None:
+    """Why this result is no model to run a robot with, in words; ``None`` where nothing speaks against it."""
+    summary = record.facts.get("summary")
+    if summary is None:
+        return None
+    if record.mode == "test":
+        return "it was measured with a test's small torques: friction and noise weigh more than in a full run"
+    if not summary.get("trustworthy", True):
+        return "the model is not to be trusted: " + next(
+            iter(summary.get("warnings", [])), "see the warnings"
+        )
+    if summary.get("verdict") == "unexplained":
+        return "the model misses torque on the measured data, and no known cause explains it"
+    return None
 
 
 def polling_headers(record: RunRecord) -> dict[str, str]:

@@ -208,6 +208,7 @@ def analyse(job: Job, line: Line, seen: Mapping[str, Any] | None) -> dict[str, A
         "verdict": str(diagnosis.verdict),
         "sentences": list(diagnosis.sentences),
         "explained_fraction": diagnosis.explained_fraction,
+        "trustworthy": bool(best.fit.get("trustworthy", True)),
         "warnings": list(dict.fromkeys([*said, *model.warnings, *diagnosis.warnings])),
     }
 

@@ -16,7 +16,8 @@ from starlette.requests import ClientDisconnect
 from invid_service.auth import Runner
 from invid_service.context import Context
 from invid_service.jobs.protocol import Job
-from invid_service.jobs.schema import API, RETRY_AFTER_S, Identification, view
+from invid_service.jobs.schema import RETRY_AFTER_S, Identification, view
+from invid_service.links import address
 from invid_service.problems import EVERYWHERE, Problem, problem_responses
 from invid_service.recordings.claims import check_claims
 from invid_service.service import Service
@@ -74,7 +75,7 @@ async def upload(request: Request, response: Response, service: Context, caller:
     except BaseException:
         service.blobs.clear_scratch(record.id)
         raise
-    response.headers["Location"] = f"{API}/identifications/{record.id}"
+    response.headers["Location"] = address("identifications", record.id)
     response.headers["Retry-After"] = str(RETRY_AFTER_S)
     return view(record, service.jobs.live(record.id))
 

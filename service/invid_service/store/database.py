@@ -33,7 +33,12 @@ def open_engine(url: str) -> Engine:
             event.listen(engine, "connect", _configure_sqlite)
         else:
             engine = create_engine(parsed, pool_pre_ping=True, pool_timeout=5)
-    except (ImportError, SQLAlchemyError) as error:
+    except ImportError as error:
+        extra = "pip install 'invid[postgres]'" if parsed.get_backend_name() == "postgresql" else "install it"
+        raise ConfigError(
+            f"database_url: the driver of {parsed.drivername} is not installed ({error}); {extra}"
+        ) from None
+    except SQLAlchemyError as error:
         raise ConfigError(f"database_url: {parsed.render_as_string()}: {error}") from None
     return engine
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
 
-from sqlalchemy import Engine, delete, func, select, text, update
+from sqlalchemy import Engine, and_, delete, func, or_, select, text, update
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
@@ -217,15 +217,41 @@ class Store:
             return None if row is None else _run(row)
 
     def runs(
-        self, *, cell: str | None = None, state: State | None = None, limit: int = 50
+        self,
+        *,
+        cell: str | None = None,
+        state: State | None = None,
+        since: datetime | None = None,
+        until: datetime | None = None,
+        after: str | None = None,
+        limit: int = 50,
     ) -> list[RunRecord]:
-        """Runs, the last started first."""
+        """Runs, the last started first.
+
+        Parameters
+        ----------
+        since, until
+            Bounds of the time of start, the first within, the second not.
+        after
+            Id of the run behind which the list goes on; KeyError where there is none.
+        """
         query = select(RunRow).order_by(RunRow.number.desc(), RunRow.id.desc()).limit(limit)
         if cell is not None:
             query = query.where(RunRow.cell == cell)
         if state is not None:
             query = query.where(RunRow.state == str(state))
+        if since is not None:
+            query = query.where(RunRow.created >= since)
+        if until is not None:
+            query = query.where(RunRow.created < until)
         with Session(self.engine) as session:
+            if after is not None:
+                last = session.get(RunRow, after)
+                if last is None:
+                    raise KeyError(after)
+                query = query.where(
+                    or_(RunRow.number < last.number, and_(RunRow.number == last.number, RunRow.id < last.id))
+                )
             return [_run(row) for row in session.scalars(query)]
 
     def events(self, run_id: str, after: int = 0) -> list[StoredEvent]:

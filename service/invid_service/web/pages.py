@@ -25,7 +25,9 @@ async def page(request: Request) -> HTMLResponse:
     """The page for the technician; it holds no data, so it needs no key."""
     service = request.app.state.service
     simulated = all(cell.simulated for cell in service.cells.values())
-    html = _TEMPLATES.get_template("page.html").render(version=__version__, simulated=simulated)
+    html = _TEMPLATES.get_template("page.html").render(
+        version=__version__, simulated=simulated, root=service.settings.root_path
+    )
     return HTMLResponse(html, headers={"Content-Security-Policy": _POLICY, "Cache-Control": "no-cache"})
 
 

@@ -1,5 +1,5 @@
 // Calls to the service. The key, where one is needed, stays in this tab and never goes into an address.
-const BASE = "/api/v1";
+const BASE = new URL("../api/v1", import.meta.url).pathname; // a reverse proxy may show the service under a path
 
 export class Problem extends Error {
   constructor(document) { super(document.detail || document.title || "the service refused"); this.document = document; }
@@ -15,7 +15,7 @@ function headers(extra) {
 
 export async function call(method, path, body, extra = {}) {
   const raw = body instanceof Blob;
-  const response = await fetch(path.startsWith("/api") ? path : BASE + path, {
+  const response = await fetch(path.startsWith(BASE) ? path : BASE + path, {
     method, cache: "no-store",
     headers: headers({ ...(body && !raw ? { "Content-Type": "application/json" } : {}), ...extra }),
     body: body === undefined ? undefined : raw ? body : JSON.stringify(body),

@@ -150,6 +150,9 @@ function show(run) {
   showProgress(run);
   if (["awaiting_accept", "succeeded", "cancelled"].includes(run.state) && run.summary) showResult(run, state.cell);
   else $("result-card").hidden = true;
+  // A result that is not to be trusted does not invite.
+  $("accept").classList.toggle("primary", !run.untrusted);
+  $("accept").textContent = run.untrusted ? "Accept all the same…" : "✓ Accept this model";
   if (before?.state !== run.state) refresh();
 }
 
@@ -192,8 +195,20 @@ function drawLive() {
   if (series.length) curves($("live-plot"), { x: "frequency [Hz]", y: "position per torque [dB]", series, logY: false });
 }
 
+// A result that is not to be trusted is accepted for a reason or not at all.
+function reason(why) {
+  const dialog = $("override-dialog");
+  $("override-why").textContent = `${sentence(why)}.`;
+  $("override").value = "";
+  dialog.returnValue = "no"; // Escape is no yes
+  dialog.showModal();
+  return new Promise((resolve) => dialog.addEventListener("close", () => resolve(dialog.returnValue === "yes" ? $("override").value.trim() : null), { once: true }));
+}
+
 const act = (type) => guarded(async () => {
-  const run = await post(`${state.run.links.self}/actions`, { type });
+  const body = { type };
+  if (type === "accept" && state.run.untrusted) { body.override = await reason(state.run.untrusted); if (!body.override) return; }
+  const run = await post(`${state.run.links.self}/actions`, body);
   show(run);
   if (type === "accept") { state.cell = await get(`/cells/${state.cell.id}`); $("in-force").textContent = `Model in force: ${state.cell.model?.id}, accepted just now.`; }
 });
