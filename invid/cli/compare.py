@@ -26,9 +26,9 @@ def register(app: typer.Typer) -> None:
         as_json: bool = typer.Option(False, "--json", help="One JSON document on stdout."),
     ) -> int:
         """Which parameters changed beyond their uncertainty, in words and numbers."""
-        from invid.compare import compare
-        from invid.compare_words import table
-        from invid.model import load_model
+        from invid.comparison.compare import compare
+        from invid.comparison.sentences import table
+        from invid.model.document import load_model
 
         result = compare(
             load_model(old),

@@ -9,11 +9,11 @@ import typer
 
 from invid.cli.identify import parse_masses
 from invid.cli.output import EXIT_NOT_TRUSTWORTHY, EXIT_OK, emit, note
-from invid.diagnosis import Diagnosis, diagnosis_to_json
 from invid.errors import InputError, ModelError
-from invid.model import dump_json
+from invid.model.diagnosis_document import Diagnosis, diagnosis_to_json
+from invid.model.document import dump_json
+from invid.planning.separating_experiments import BY_HAND
 from invid.recording.model import Recording
-from invid.separate import BY_HAND
 
 
 def register(app: typer.Typer) -> None:
@@ -48,8 +48,8 @@ def register(app: typer.Typer) -> None:
         as_json: Annotated[bool, typer.Option("--json", help="Print the diagnosis as JSON.")] = False,
     ) -> int:
         """Name what the model gets wrong, with the extended model and the gain on held-out data."""
-        from invid.discrepancy import diagnose
-        from invid.model import load_model
+        from invid.diagnosis.diagnose import diagnose
+        from invid.model.document import load_model
         from invid.recording import read_recording
 
         wanted = parse_masses(masses)
@@ -59,7 +59,7 @@ def register(app: typer.Typer) -> None:
             )
         data = read_recording(recording)
         if further:
-            from invid.separate import joined
+            from invid.planning.separating_experiments import joined
 
             data = joined([data, *(read_recording(p) for p in further)])
         given = None if model is None else load_model(model)

@@ -10,10 +10,10 @@ import typer
 
 from invid.cli.output import EXIT_NOT_TRUSTWORTHY, EXIT_OK, emit, note
 from invid.errors import InputError, NotIdentifiableError
-from invid.model import FORMAT, FORMAT_VERSION, Model, model_to_json, save_model, units
+from invid.model.document import FORMAT, FORMAT_VERSION, Model, model_to_json, save_model, units
 
 if TYPE_CHECKING:
-    from invid.identify import Masses
+    from invid.identification.identify import Masses
     from invid.recording import Recording
 
 
@@ -44,7 +44,7 @@ def register(app: typer.Typer) -> None:
         as_json: Annotated[bool, typer.Option("--json", help="Print the model as JSON.")] = False,
     ) -> int:
         """Masses, springs, dampers and inertia couplings from a recording, with their uncertainty."""
-        from invid.identify import identify
+        from invid.identification.identify import identify
         from invid.recording import read_recording
 
         if method not in ("refined", "paper"):

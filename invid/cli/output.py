@@ -6,7 +6,7 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
-from invid.model import dump_json
+from invid.model.document import dump_json
 
 EXIT_OK = 0
 EXIT_NOT_TRUSTWORTHY = 3

@@ -9,10 +9,10 @@ import numpy as np
 import typer
 
 from invid.cli.output import EXIT_NOT_TRUSTWORTHY, EXIT_OK, emit, note
-from invid.model import load_model
+from invid.model.document import load_model
 from invid.recording import read_recording, write_recording
 from invid.recording.model import Recording
-from invid.simulate import simulate
+from invid.simulation.run import simulate
 
 _USELESS = 1.0  # an error as large as the motion itself: the model predicts nothing
 

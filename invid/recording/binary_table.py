@@ -13,8 +13,8 @@ from typing import Any
 import h5py
 import numpy as np
 
-from invid.arrays import Float64, frozen_float
 from invid.errors import InputError
+from invid.numerics.arrays import Float64, frozen_float
 from invid.recording.tables import Table
 
 MAX_VALUES = 200_000_000

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from invid.arrays import Bool, Float64, UInt16, frozen, frozen_float
 from invid.errors import InputError
+from invid.numerics.arrays import Bool, Float64, UInt16, frozen, frozen_float
 from invid.recording.binary_table import read_hdf5_table, read_mat_table, read_parquet_table
 from invid.recording.check import check_recording
 from invid.recording.import_map import AxisMap, Channel, ExperimentMap, ImportMap, Source

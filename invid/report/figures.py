@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from invid.diagnosis import Diagnosis
-from invid.model import Model
+from invid.model.diagnosis_document import Diagnosis
+from invid.model.document import Model
 from invid.recording.model import Recording
 from invid.report.data import figure_data
 from invid.report.style import AFTER, BEFORE, INK, MEASURED, NOISE, label, powers_of_ten, svg

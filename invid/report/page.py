@@ -14,9 +14,9 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from invid import __version__
-from invid.compare_words import differing_number
-from invid.diagnosis import Diagnosis, Verdict
-from invid.model import EffectTerm, Model, units
+from invid.comparison.sentences import differing_number
+from invid.model.diagnosis_document import Diagnosis, Verdict
+from invid.model.document import EffectTerm, Model, units
 from invid.recording.model import Recording
 from invid.report.data import figure_data
 from invid.report.dependence import replay_data

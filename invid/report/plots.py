@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from invid.diagnosis import Diagnosis
-from invid.model import dump_json
+from invid.model.diagnosis_document import Diagnosis
+from invid.model.document import dump_json
 from invid.recording.model import Recording
 from invid.report.dependence import dependence_data, linear_model_of, replay_data
 from invid.report.figures import figures, plain_hz

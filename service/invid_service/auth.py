@@ -23,7 +23,7 @@ from fastapi import Depends, Request
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from invid.errors import ConfigError
-from invid.model import save_text
+from invid.model.document import save_text
 from invid_service.problems import Problem
 from invid_service.settings import Settings, is_loopback
 

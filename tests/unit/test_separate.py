@@ -17,12 +17,12 @@ from hidden.generator import make
 from invid.cli.app import run
 from invid.cli.diagnose import diagnosis_text
 from invid.config import load_config
-from invid.diagnosis import Alternative, Diagnosis, Finding, Verdict
 from invid.errors import InputError
-from invid.model import ChainStd, EffectTerm, Model
-from invid.plan import make_plan
+from invid.model.diagnosis_document import Alternative, Diagnosis, Finding, Verdict
+from invid.model.document import ChainStd, EffectTerm, Model
+from invid.planning import make_plan
+from invid.planning.separating_experiments import joined, to_separate
 from invid.recording.model import Kind, Role
-from invid.separate import joined, to_separate
 
 CONFIG = Path(__file__).resolve().parents[2] / "configs" / "case-study.yaml"
 
