@@ -17,11 +17,14 @@ from invid.diagnosis.time_domain_check import REFUSED, Replay, replay, with_repl
 from invid.diagnosis.verdict import document
 from invid.effects.effect import unit_of
 from invid.errors import InputError
+from invid.identification.identify import identify
 from invid.likelihood.joint_fit import JointFit
 from invid.likelihood.null_test import null_test
 from invid.model.diagnosis_document import Diagnosis
 from invid.model.document import Model, model_to_json
 from invid.recording.model import Recording
+from invid.rigid_motion.diagnosis import diagnose_trajectory
+from invid.rigid_motion.record_kind import is_rigid_case
 from invid.signals.encoder_glitches import without_glitches
 from invid.signals.plausibility import check_units
 
@@ -61,17 +64,12 @@ def _diagnosed(
     recording: Recording, model: Model | None, masses: Sequence[int] | Literal["auto"] | None
 ) -> Diagnosis:
     """The diagnosis of a recording without glitches."""
-    from invid.rigid_motion.diagnosis import diagnose_trajectory
-    from invid.rigid_motion.record_kind import is_rigid_case
-
     if is_rigid_case(recording, masses if model is None else model.chains.masses_per_branch):
         return diagnose_trajectory(recording, model=model)
     dropped = find_dropped(recording)
     sound = repaired(recording, dropped) if dropped else recording
     own = model is None
     if model is None:
-        from invid.identification.identify import identify
-
         model = identify(sound, masses=masses)
     elif model.provenance.get("recorded") != recording.created:
         said = (w.removeprefix(OF_GIVEN) for w in model.warnings)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from math import floor, log10
 
 from invid.effects.effect import Effect
 from invid.effects.registry import CATALOGUE
@@ -21,8 +22,6 @@ def number(estimate: Estimate) -> str:
     unit = f" {estimate.unit}" if estimate.unit and estimate.unit != "1" else ""
     if estimate.std is None or not estimate.std > 0:
         return f"{estimate.value:.4g}{unit}"
-    from math import floor, log10
-
     digits = max(0, min(8, 1 - floor(log10(estimate.std))))
     if abs(estimate.value) >= 1e5 or abs(estimate.value) < 1e-3:
         more = floor(log10(max(abs(estimate.value), estimate.std))) - floor(log10(estimate.std))

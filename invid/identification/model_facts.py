@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from importlib.metadata import version
 from typing import Any
 
 import numpy as np
 
-from invid import __version__
 from invid.errors import InvidError
 from invid.identification.crosscheck import compared, missed_by_structure
 from invid.identification.identifiability import Blind, blind_directions
@@ -32,7 +32,7 @@ EXPLAINED = 0.9
 
 def _provenance(recording: Recording) -> dict[str, Any]:
     return {
-        "software": f"invid {__version__}",
+        "software": f"invid {version('invid')}",
         "recording": recording.source,
         "recorded": recording.created,
         "experiments": [e.key for e in recording.experiments if e.role is Role.IDENTIFY],

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from invid.errors import InvidError
+from invid.identification.starts import fit_sizes, measured_frf
 from invid.likelihood.fit import Fit
 from invid.model.chains import CoupledChains
 from invid.numerics.distributions import chi2_isf
@@ -41,8 +42,6 @@ def choose_order(spectra: Sequence[LineSpectra], axes: Sequence[str], *, most: i
     Equal numbers for all branches grow until χ² falls no further; then masses are taken away branch
     by branch while it does not rise.
     """
-    from invid.identification.identify import fit_sizes, measured_frf
-
     measured = measured_frf(spectra)
     costs: dict[tuple[int, ...], float] = {}
     dofs: dict[tuple[int, ...], int] = {}

@@ -6,16 +6,22 @@ import warnings
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
+try:
+    import numba
+except Exception as error:  # numba lags new Python and numpy releases
+    _MISSING: Exception | None = error
+else:
+    _MISSING = None
+
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
 def compiled(function: _Function) -> _Function:
     """``numba.njit`` with its cache on disk, without the cache where that cannot be written."""
-    try:
-        import numba
-    except Exception as error:  # numba lags new Python and numpy releases
+    if _MISSING is not None:
         warnings.warn(
-            f"numba cannot be used here ({error}); simulation runs uncompiled, about a hundred times slower",
+            f"numba cannot be used here ({_MISSING}); simulation runs uncompiled, about a hundred times "
+            "slower",
             RuntimeWarning,
             stacklevel=2,
         )

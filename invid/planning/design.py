@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from invid.likelihood.residual import condense_dense
 from invid.model.parameters import ChainStructure, structure_of
 from invid.numerics.arrays import Complex128, Float64, Int64
 from invid.planning.belief import Belief
@@ -131,8 +132,6 @@ def _normalised(power: Float64, axis: Int64, cost: Float64 | None = None) -> Flo
 
 
 def _condensed(structure: ChainStructure, belief: Belief, omega: Float64) -> tuple[Complex128, Complex128]:
-    from invid.likelihood.residual import condense_dense
-
     motion, plant, _ = condense_dense(structure, _vector(structure, belief), omega)
     return motion, plant
 

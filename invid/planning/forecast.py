@@ -9,6 +9,7 @@ import numpy as np
 
 from invid.config import CellConfig
 from invid.model.chains import CoupledChains
+from invid.model.forward import frf
 from invid.numerics.arrays import Float64
 from invid.planning.belief import Belief
 from invid.planning.model import AxisForecast, PlannedExperiment
@@ -116,8 +117,6 @@ def _motion(config: CellConfig, e: PlannedExperiment, model: CoupledChains | Non
     if not omega.size:
         return np.zeros(count), np.zeros(count)
     if model is not None:
-        from invid.model.forward import frf
-
         response = np.abs(np.einsum("fij,fj->fi", frf(model, omega), spectrum))
     else:
         inertia = np.array([a.inertia if a.inertia is not None else np.inf for a in config.axes])

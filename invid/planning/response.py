@@ -16,6 +16,7 @@ from invid.config import CellConfig
 from invid.model.chains import CoupledChains
 from invid.numerics.arrays import Complex128, Float64
 from invid.planning.belief import Belief
+from invid.planning.hold_laws import centring, following, master_hold
 from invid.planning.model import PlannedExperiment
 from invid.recording.model import Kind
 
@@ -49,8 +50,6 @@ def lowest_line(experiment: PlannedExperiment) -> float:
 
 def hold_gains(config: CellConfig, experiment: PlannedExperiment, belief: Belief) -> tuple[Float64, Float64]:
     """(M,) stiffness and (M,) damping of the hold of every axis, as the sweep sets them."""
-    from invid.planning.hold_laws import centring, following, master_hold
-
     cycle = config.bus.cycle_s
     stiffness, damping = np.zeros(len(config.axes)), np.zeros(len(config.axes))
     for i, axis in enumerate(config.axes):

@@ -18,6 +18,7 @@ from invid.simulation.kernel import march
 from invid.simulation.laws import Laws, law_table, laws_of
 from invid.simulation.plant import Matrices, Step, add_link, discretise, matrices
 from invid.simulation.replay import Drive, drift_torque, drive
+from invid.simulation.rigid import simulate_motion
 
 _DRIFT_PIECES = 200  # a drifting parameter is constant within 1/200 of the record
 _START_ROUNDS = 3
@@ -64,8 +65,6 @@ def simulate(
     """
     order = _axis_order(model, recording)
     if model.method == "trajectory":
-        from invid.simulation.rigid import simulate_motion
-
         return simulate_motion(model, recording)
     laws = laws_of(model.chains, model.effects)
     for i, offset in _time_offsets(model).items():

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from invid.identification.identify import fit_sizes, measured_frf
+from invid.identification.starts import fit_sizes, measured_frf
 from invid.identification.torque_timing import timely
 from invid.model.chains import CoupledChains
 from invid.recording import Role

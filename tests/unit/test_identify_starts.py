@@ -42,7 +42,7 @@ def test_three_branches_alike_share_poles_and_are_found_without_a_search_under_t
         searched.append(args)
         return searched_modes(*args, **settings)
 
-    monkeypatch.setattr("invid.identification.identify.searched_modes", noted)
+    monkeypatch.setattr("invid.identification.starts.searched_modes", noted)
     branch = ([0.8, 1.1, 1.5], [1800.0, 4000.0], [1.0, 1.0])
     plant = oracle.OraclePlant([branch[0]] * 3, [branch[1]] * 3, [branch[2]] * 3)
     plant = replace(plant, couplings={(0, 1): 0.3, (0, 2): 0.3, (1, 2): 0.3})

@@ -36,7 +36,7 @@ def test_a_further_mass_that_is_none_ends_the_growth(
             noise_cost=COSTS[n], problem=problem, chains=chains, structure=structure, covariance=covariance
         )
 
-    monkeypatch.setattr("invid.identification.identify.fit_sizes", fit_sizes)
-    monkeypatch.setattr("invid.identification.identify.measured_frf", lambda _: None)
+    monkeypatch.setattr("invid.identification.model_order.fit_sizes", fit_sizes)
+    monkeypatch.setattr("invid.identification.model_order.measured_frf", lambda _: None)
     found = choose_order([], ("A1",))
     assert found.sizes == (chosen,)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 from scipy.ndimage import uniform_filter1d
 from scipy.special import erfinv
 
@@ -171,8 +172,6 @@ def repaired(recording: Recording, dropped: Sequence[Dropped]) -> Recording:
 
 
 def _interpolated(time: Float64, values: Float64, kept: np.ndarray, at: np.ndarray) -> Float64:
-    from scipy.interpolate import CubicSpline
-
     out: Float64 = CubicSpline(time[kept], values[kept])(time[at])
     return out
 

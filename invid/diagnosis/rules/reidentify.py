@@ -11,6 +11,7 @@ from invid.diagnosis.linear_fit import LOWER, doubted
 from invid.diagnosis.search_pass import Look, looked
 from invid.diagnosis.time_domain_check import wave_of, with_torque
 from invid.errors import InvidError
+from invid.identification.identify import identify
 from invid.likelihood.placed_effect import contributions, rattling
 from invid.numerics.arrays import Float64
 from invid.recording.model import Recording
@@ -23,8 +24,6 @@ def looked_again(look: Look, masses: Sequence[int] | Literal["auto"] | None) -> 
     step leads back from, and what causes are found on such a model never reaches the noise. What they
     contribute is known well enough to take most of it out: the rest is a linear machine again.
     """
-    from invid.identification.identify import identify
-
     final = look.selection.final
     known = look.selection.base.fit.candidate.terms
     if known or not look.selection.steps or not doubted(look.model, final):
