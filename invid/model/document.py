@@ -122,6 +122,10 @@ class Model:
         """The same model with further effects."""
         return replace(self, effects=self.effects + effects)
 
+    def save(self, path: str | Path) -> None:
+        """Write the ``invid-model`` file; InputError where that cannot be."""
+        save_model(self, Path(path))
+
 
 def parameter_vector(chains: CoupledChains) -> tuple[tuple[str, ...], Float64]:
     """Names and values of all linear parameters, in one fixed order.
@@ -447,6 +451,9 @@ def save_text(path: Path, text: str) -> None:
     """Write to a temporary name beside ``path``, then rename: a crash leaves the old file whole."""
     temporary = path.with_name(path.name + ".part")
     try:
+        if path.exists() and not path.is_file():  # /dev/stdout stays what it is
+            path.write_text(text, encoding="utf-8")
+            return
         path.parent.mkdir(parents=True, exist_ok=True)
         temporary.write_text(text, encoding="utf-8")
         temporary.replace(path)

@@ -7,12 +7,11 @@ measurement, with its forecast, trial and limits.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from invid.config import CellConfig, ConstantVelocitySpec, MultisineSpec
 from invid.errors import InputError
-from invid.recording.model import Experiment, Recording
 
 Spec = MultisineSpec | ConstantVelocitySpec
 
@@ -68,7 +67,7 @@ def to_separate(document: Mapping[str, Any], config: CellConfig) -> Separation:
     specs: list[Spec] = []
     runs: list[list[Spec]] = []
     sentences: list[str] = []
-    open_ = [f for f in findings if _causes(f)] if isinstance(findings, list) else []
+    open_ = [f for f in findings if _causes(f)] if isinstance(findings, list | tuple) else []
     if not open_:
         raise InputError(
             "the diagnosis has nothing to separate: no finding has alternatives that these data cannot "
@@ -96,7 +95,7 @@ def _causes(finding: Any) -> set[str]:
     planned = finding.get("separating_experiment")
     rivals = finding.get("alternatives") or []
     named = {str(r.get("cause")) for r in rivals if isinstance(r, Mapping)}
-    if isinstance(planned, Mapping) and isinstance(planned.get("separates"), list):
+    if isinstance(planned, Mapping) and isinstance(planned.get("separates"), list | tuple):
         named |= {str(c) for c in planned["separates"]}
     if not named:
         return set()
@@ -197,34 +196,3 @@ def _travel(limits: Any, speeds: Sequence[float], seconds: float) -> float:
     """Long enough for the fastest move to last, short enough for the window."""
     longest = 2.0 * ROOM * float(limits.position)
     return round(min(longest, max(10 * seconds * max(speeds), 1e-6)), 9)
-
-
-def joined(recordings: Sequence[Recording]) -> Recording:
-    """Recordings of one robot as one, one after another in time, keys numbered through.
-
-    Raises
-    ------
-    InputError
-        Recordings of other axes or in other units.
-    """
-    first = recordings[0]
-    experiments: list[Experiment] = []
-    clock = 0.0
-    for number, r in enumerate(recordings):
-        if (
-            r.axes != first.axes
-            or r.position_unit != first.position_unit
-            or r.torque_unit != first.torque_unit
-        ):
-            raise InputError(
-                f"{r.source}: axes {list(r.axes)} in {r.position_unit}, {r.torque_unit}; the first recording "
-                f"has {list(first.axes)} in {first.position_unit}, {first.torque_unit}: not the same robot"
-            )
-        starts = [float(e.time[0]) for e in r.experiments]
-        # The clocks are not one: what lies between the recordings is unknown, a minute stands for it.
-        shift = 0.0 if number == 0 else clock + 60.0 - min(starts, default=0.0)
-        for e in r.experiments:
-            experiments.append(replace(e, key=f"{len(experiments):03d}", time=e.time + shift))
-        clock = max((float(e.time[-1]) for e in experiments), default=0.0)
-    sources = " + ".join(r.source for r in recordings)
-    return replace(first, experiments=tuple(experiments), source=sources)

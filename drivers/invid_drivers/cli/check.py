@@ -1,4 +1,4 @@
-"""``invid check``: preflight; moves nothing."""
+"""``invid check``: preflight of config, bus budget, drives and limits; moves nothing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``invid measure``: run a config's experiments on its bus."""
+"""``invid measure``: shake the axes and record position and torque."""
 
 from __future__ import annotations
 
