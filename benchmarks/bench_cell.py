@@ -22,8 +22,8 @@ import numpy as np
 from canopen.objectdictionary import ODArray, ODVariable
 from scipy.integrate import solve_ivp
 
-from invid.chains import case_study
 from invid.config import load_config
+from invid.model.chains import case_study
 from invid_drivers.simulated import CASE_STUDY, VirtualTimeBus, kernel, open_virtual_bus
 from invid_drivers.simulated.config import AxisSimulation
 from invid_drivers.simulated.plant import Plant

@@ -30,7 +30,7 @@ import yaml
 
 from invid.config import CellConfig, parse_config
 from invid.errors import InvidError
-from invid.plan import make_plan
+from invid.planning import make_plan
 from invid.recording import Outcome, read_recording
 from invid.sweep.recorder import Recorder
 from invid_drivers.cia402.bus import Cia402Cell

@@ -8,11 +8,11 @@ from collections.abc import Callable
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from invid.chains import CoupledChains, case_study
-from invid.forward import dynamic_stiffness
-from invid.simulate.kernel import march
-from invid.simulate.laws import Laws
-from invid.simulate.plant import discretise, matrices
+from invid.model.chains import CoupledChains, case_study
+from invid.model.forward import dynamic_stiffness
+from invid.simulation.kernel import march
+from invid.simulation.laws import Laws
+from invid.simulation.plant import discretise, matrices
 
 
 def best(task: Callable[[], object], repeats: int = 5) -> float:

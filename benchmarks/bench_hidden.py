@@ -32,7 +32,7 @@ def trial(job: tuple[int, dict[str, Any]]) -> dict[str, Any]:
     from hidden.generator import make, make_case
     from hidden.scoring import bias, parameter_error, score
 
-    from invid.discrepancy import diagnose
+    from invid.diagnosis.diagnose import diagnose
 
     seed, options = job
     if options.get("foreign"):

@@ -28,13 +28,14 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parent))
 import plant_oracle as oracle
 
-from invid.chains import CoupledChains
 from invid.errors import NotIdentifiableError
-from invid.identify import identify
-from invid.model import Model
+from invid.identification.identify import identify
+from invid.likelihood.records import problem_from_spectra
+from invid.model.chains import CoupledChains
+from invid.model.document import Model
+from invid.model.parameters import ChainStructure
 from invid.recording.model import Experiment, Kind, Recording, Role
-from invid.refine import ChainStructure, problem_from_spectra
-from invid.spectra import all_spectra
+from invid.signals.spectra import all_spectra
 
 RATE = 1000.0
 

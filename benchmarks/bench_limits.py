@@ -1,7 +1,7 @@
 """What the limits of the diagnosis decide: each is moved both ways on hidden cases where it is near.
 
     python benchmarks/bench_limits.py [--trials N] [--start SEED] [--jobs 2] [--kind pair]
-                                      [--limit acceptance.REMAINDER] [--json ROWS.jsonl]
+                                      [--limit diagnosis.acceptance.REMAINDER] [--json ROWS.jsonl]
 
 A limit that is a guess, or was read off other data, is worth what this prints: in how many cases it was
 compared with something between it and its other value, and of how many that value changes the outcome, for
@@ -26,34 +26,34 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 LIMITS: dict[str, tuple[float, float]] = {
-    "linear.FAR": (2.0, 6.0),
-    "linear.LOWER": (0.25, 0.8),
-    "look.ALIKE": (2.5, 10.0),
-    "acceptance.REMAINDER": (0.12, 0.5),
-    "acceptance.NAMED_SHARE": (0.8, 0.95),
-    "acceptance.SHARE": (0.025, 0.1),
-    "acceptance.REACHED": (1.5, 3.0),
-    "trial.CLOSE": (1.25, 2.0),
-    "trial.HELD_OUT": (3.8, 10.8),
-    "trial.LARGER": (6.0, 13.8),
-    "trial.WEAK": (1e-5, 1e-7),
-    "candidates.REACH": (2.0, 6.0),
-    "candidates.UNEXPLAINED": (1.2, 3.0),
-    "confidence.NAMED": (0.8, 0.95),
-    "confidence.MOST_OF_CHI2": (0.3, 0.7),
-    "confidence.COMPETES": (4.0, 16.0),
-    "confidence.AT_FLOOR": (1.2, 2.0),
-    "confidence.SLOW": (200.0, 800.0),
-    "confidence.STICKS": (0.2, 0.8),
-    "trust.REACHED": (1.5, 3.0),
-    "trust.LEFT": (0.01, 0.04),
-    "trust.LEAST": (0.8, 0.95),
-    "tones.SHARE": (0.6, 0.9),
-    "holds.HOLD_BAND": (2.0, 8.0),
-    "replayed.AGREES": (1.5, 3.0),
+    "diagnosis.linear_fit.FAR": (2.0, 6.0),
+    "diagnosis.linear_fit.LOWER": (0.25, 0.8),
+    "diagnosis.search_pass.ALIKE": (2.5, 10.0),
+    "diagnosis.acceptance.REMAINDER": (0.12, 0.5),
+    "diagnosis.acceptance.NAMED_SHARE": (0.8, 0.95),
+    "diagnosis.acceptance.SHARE": (0.025, 0.1),
+    "diagnosis.acceptance.REACHED": (1.5, 3.0),
+    "diagnosis.evidence.CLOSE": (1.25, 2.0),
+    "diagnosis.evidence.HELD_OUT": (3.8, 10.8),
+    "diagnosis.evidence.LARGER": (6.0, 13.8),
+    "diagnosis.evidence.WEAK": (1e-5, 1e-7),
+    "diagnosis.candidates.REACH": (2.0, 6.0),
+    "diagnosis.candidates.UNEXPLAINED": (1.2, 3.0),
+    "diagnosis.confidence.NAMED": (0.8, 0.95),
+    "diagnosis.confidence.MOST_OF_CHI2": (0.3, 0.7),
+    "diagnosis.confidence.COMPETES": (4.0, 16.0),
+    "diagnosis.confidence.AT_FLOOR": (1.2, 2.0),
+    "diagnosis.confidence.SLOW": (200.0, 800.0),
+    "diagnosis.confidence.STICKS": (0.2, 0.8),
+    "diagnosis.trust.REACHED": (1.5, 3.0),
+    "diagnosis.trust.LEFT": (0.01, 0.04),
+    "diagnosis.trust.LEAST": (0.8, 0.95),
+    "diagnosis.rules.tones.SHARE": (0.6, 0.9),
+    "likelihood.nuisance.hold_share.HOLD_BAND": (2.0, 8.0),
+    "diagnosis.time_domain_check.AGREES": (1.5, 3.0),
 }
 """Each limit with the two values tried instead. HELD_OUT: 5 % and 0.1 % of noise; LARGER: 5 % and 0.1 %."""
-ALWAYS = ("trial.WEAK",)
+ALWAYS = ("diagnosis.evidence.WEAK",)
 """Limits that are not compared themselves but give a quantile: tried on all cases without a clear excess."""
 CLEAR = 3.0
 """Size over the noise [dB] from which those are not tried."""
@@ -101,12 +101,10 @@ class Watched(float):
 @contextmanager
 def limits(values: dict[str, float]) -> Iterator[None]:
     """These limits in force, in their module and wherever it is imported."""
-    import invid.discrepancy
-
     before: list[tuple[Any, str, float]] = []
     for name, value in values.items():
-        home, constant = name.split(".")
-        old = getattr(importlib.import_module(f"{invid.discrepancy.__name__}.{home}"), constant)
+        home, constant = name.rsplit(".", 1)
+        old = getattr(importlib.import_module(f"invid.{home}"), constant)
         for key, module in list(sys.modules.items()):
             if key.startswith("invid.") and module.__dict__.get(constant) is old:
                 before.append((module, constant, old))
@@ -120,8 +118,8 @@ def limits(values: dict[str, float]) -> Iterator[None]:
 
 def current(name: str) -> float:
     """The value that the product has."""
-    home, constant = name.split(".")
-    return float(getattr(importlib.import_module(f"invid.discrepancy.{home}"), constant))
+    home, constant = name.rsplit(".", 1)
+    return float(getattr(importlib.import_module(f"invid.{home}"), constant))
 
 
 def trial(job: tuple[int, str | None, tuple[str, ...]]) -> dict[str, Any]:
@@ -129,7 +127,7 @@ def trial(job: tuple[int, str | None, tuple[str, ...]]) -> dict[str, Any]:
     from hidden.generator import make_case
     from hidden.scoring import score
 
-    from invid.discrepancy import diagnose
+    from invid.diagnosis.diagnose import diagnose
     from invid.errors import InvidError
 
     seed, kind, names = job

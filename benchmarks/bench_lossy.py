@@ -21,9 +21,9 @@ import numpy as np
 import yaml
 
 from invid.config import parse_config
-from invid.identify import identify
-from invid.model import model_to_json
-from invid.plan import make_plan
+from invid.identification.identify import identify
+from invid.model.document import model_to_json
+from invid.planning import make_plan
 from invid.recording import read_recording
 from invid_drivers.cia402.bus import Cia402Cell
 from invid_drivers.measurement import run_measurement

@@ -9,7 +9,8 @@ acts (half a sample later than recorded), and the number of masses. FRF error: m
 
 refined    invid identify
 paper      invid identify --method paper: modes searched under the noise, the paper's inverse
-vector     plain vector fitting straight to the records (invid/rational.py), modes to the paper's inverse
+vector     plain vector fitting straight to the records (invid/modes/rational_fit.py), modes to the paper's
+           inverse
 EMA        sdypy-EMA (LSCF poles, residues of all nine FRFs at once), modes to the paper's inverse; optional:
            pip install sdypy-EMA
 subspace   a black-box state space of the true order by frequency-domain subspace identification (McKelvey,
@@ -33,16 +34,16 @@ sys.path.insert(0, str(Path(__file__).parent))
 import plant_oracle as oracle
 from bench_identify import RATE, estimate, measure, truth
 
-from invid.chains import CoupledChains
 from invid.errors import InvidError
-from invid.forward import frf as chain_frf
-from invid.frf import FrfMatrix, frf_matrix
-from invid.identify import identify
+from invid.identification.identify import identify
 from invid.inverse import starts
+from invid.model.chains import CoupledChains
+from invid.model.forward import frf as chain_frf
 from invid.modes import Modes
-from invid.rational import rational_modes
+from invid.modes.rational_fit import rational_modes
 from invid.recording.model import Recording
-from invid.spectra import all_spectra
+from invid.signals.frf import FrfMatrix, frf_matrix
+from invid.signals.spectra import all_spectra
 
 SIZES = (3, 3, 3)
 Answer = tuple[np.ndarray, np.ndarray | None]

@@ -33,7 +33,7 @@ CAUSES = (
 def signals(recording: Any, model: Any) -> dict[str, list[tuple[np.ndarray, np.ndarray, float]]]:
     """Per role: (features (n, 3), missing torque (n,), noise power) of the one axis of each record."""
     from invid.report.spectra_data import missing_torque
-    from invid.spectra import all_spectra
+    from invid.signals.spectra import all_spectra
 
     out: dict[str, list[tuple[np.ndarray, np.ndarray, float]]] = defaultdict(list)
     for s in all_spectra(recording):
@@ -99,8 +99,8 @@ def main() -> int:
     from hidden.generator import make
     from hidden.scoring import score
 
-    from invid.discrepancy import diagnose
-    from invid.identify import identify
+    from invid.diagnosis.diagnose import diagnose
+    from invid.identification.identify import identify
 
     warnings.simplefilter("ignore")
     print("held-out share of the excess explained (terms to read); invid: share, what it said\n")

@@ -24,16 +24,16 @@ import numpy as np
 
 from invid.config import CellConfig, load_config
 from invid.errors import InvidError
-from invid.expected import expected, in_goal, parameter_scale
-from invid.identify import identify
-from invid.model import parameter_vector
-from invid.plan import make_plan
-from invid.plan.belief import Belief, guess
-from invid.plan.goal import plan_for_goal
+from invid.identification.identify import identify
+from invid.likelihood.fit import fit_structure
+from invid.model.document import parameter_vector
+from invid.model.parameters import structure_of
+from invid.planning import make_plan
+from invid.planning.belief import Belief, guess
+from invid.planning.expected_covariance import expected, in_goal, parameter_scale
+from invid.planning.goal import plan_for_goal
 from invid.recording import read_recording
-from invid.refine import structure_of
-from invid.refine.fit import fit_structure
-from invid.spectra import all_spectra
+from invid.signals.spectra import all_spectra
 from invid_drivers.foretelling import sensor_noise
 from invid_drivers.goal import measure_to_goal
 from invid_drivers.measurement import measure_to_file

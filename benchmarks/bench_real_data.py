@@ -21,10 +21,10 @@ from typing import Any
 
 import numpy as np
 
-from invid.chains import CoupledChains
 from invid.cli.app import run
-from invid.forward import antiresonances, resonances
-from invid.model import load_model
+from invid.model.chains import CoupledChains
+from invid.model.document import load_model
+from invid.model.forward import antiresonances, resonances
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT.parent / "shared" / "data"

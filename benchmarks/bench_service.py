@@ -36,8 +36,8 @@ from polled_realtime import realtime
 from polling import hammer
 from service_process import SMALL_CELL, serving
 
-from invid.compare import Comparison, Status, compare
-from invid.model import Model, model_from_json, model_to_json, parameter_vector
+from invid.comparison.compare import Comparison, Status, compare
+from invid.model.document import Model, model_from_json, model_to_json, parameter_vector
 
 ROOT = Path(__file__).parents[1]
 HISTORY = 40
@@ -125,14 +125,14 @@ def kill(times: int, seed: int = 1) -> bool:
 # --- the change test ---------------------------------------------------------------------------------
 def measured(seed: int, folder: Path) -> Model:
     """One whole run of the small cell in this process, as the runner does it; kept in ``folder``."""
-    from invid.model import load_model
+    from invid.model.document import load_model
 
     kept = folder / f"{seed}.json"
     if not kept.exists():
         from invid.config import CellConfig
-        from invid.discrepancy import diagnose
-        from invid.identify import identify
-        from invid.model import dump_json, model_to_json, save_text
+        from invid.diagnosis.diagnose import diagnose
+        from invid.identification.identify import identify
+        from invid.model.document import dump_json, model_to_json, save_text
         from invid.recording import read_recording
         from invid_drivers.measurement import measure_to_file
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from invid.discrepancy import diagnose
-from invid.model import load_model
+from invid.diagnosis.diagnose import diagnose
+from invid.model.document import load_model
 from invid.recording import read_recording
 from invid.report.figures import figures
 

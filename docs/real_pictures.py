@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 
 from invid.cli.app import run
 from invid.recording import read_recording
-from invid.trajectory.analysis import Analysis, analyse
+from invid.rigid_motion.analysis import Analysis, analyse
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT.parent / "shared" / "data"

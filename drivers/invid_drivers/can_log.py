@@ -17,8 +17,8 @@ from typing import Any
 import can
 import numpy as np
 
-from invid.arrays import Float64
 from invid.errors import InputError
+from invid.numerics.arrays import Float64
 from invid.recording.import_map import Pdo, Signal, Source
 from invid.recording.tables import BrokenRow, Table
 from invid_drivers.can_log_guess import Guess, guess_pdos

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from invid.arrays import Float64
+from invid.numerics.arrays import Float64
 from invid.recording.import_map import Pdo, Signal
 
 SMOOTH = 0.25

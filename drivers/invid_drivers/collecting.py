@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from invid.arrays import frozen_float
+from invid.numerics.arrays import frozen_float
 from invid.recording import Experiment, Recording, RecordingWriter
 
 

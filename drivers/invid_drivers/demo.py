@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from invid.chains import CoupledChains
 from invid.cli.output import EXIT_NOT_TRUSTWORTHY, EXIT_OK, note
 from invid.config import load_config
-from invid.diagnosis import diagnosis_to_json
-from invid.discrepancy import diagnose
-from invid.identify import identify
-from invid.model import ChainStd, Model, dump_json, save_model, save_text, units
+from invid.diagnosis.diagnose import diagnose
+from invid.identification.identify import identify
+from invid.model.chains import CoupledChains
+from invid.model.diagnosis_document import diagnosis_to_json
+from invid.model.document import ChainStd, Model, dump_json, save_model, save_text, units
 from invid.recording import read_recording
 from invid.report import render_report
 from invid_drivers.measurement import measure_to_file

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from invid.arrays import frozen_float
 from invid.config import CellConfig
-from invid.expected import Noise, assumed_noise
+from invid.numerics.arrays import frozen_float
+from invid.planning.expected_covariance import Noise, assumed_noise
 from invid_drivers.simulated import simulation_of
 
 

@@ -12,10 +12,10 @@ import numpy as np
 
 from invid.config import CellConfig
 from invid.errors import InputError, NotIdentifiableError
-from invid.expected import in_goal, parameter_scale
-from invid.identify import Masses, identify
-from invid.model import Model, parameter_vector
-from invid.plan.goal import GoalPlan
+from invid.identification.identify import Masses, identify
+from invid.model.document import Model, parameter_vector
+from invid.planning.expected_covariance import in_goal, parameter_scale
+from invid.planning.goal import GoalPlan
 from invid.recording import Recording, read_recording
 from invid.sweep import Progress
 from invid_drivers.measurement import MeasurementResult, measure_to_file

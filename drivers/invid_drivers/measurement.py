@@ -12,11 +12,11 @@ from typing import Any, Protocol
 
 import yaml
 
-from invid.arrays import frozen_float
-from invid.chains import CoupledChains
 from invid.config import CellConfig
 from invid.errors import BusError, ConfigError, DriveError, SafetyStop
-from invid.plan import Plan, make_plan
+from invid.model.chains import CoupledChains
+from invid.numerics.arrays import frozen_float
+from invid.planning import Plan, make_plan
 from invid.recording import Outcome, Recording, RecordingWriter
 from invid.sweep import Progress, Sink, Sweep, SweepResult
 from invid.sweep.recorder import Recorder

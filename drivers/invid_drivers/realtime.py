@@ -30,11 +30,11 @@ from typing import Any
 import numpy as np
 
 from invid import errors
-from invid.arrays import frozen_float
-from invid.chains import CoupledChains
 from invid.config import CellConfig
 from invid.errors import BusError, InvidError, SafetyStop
-from invid.plan.model import Plan, PlannedExperiment
+from invid.model.chains import CoupledChains
+from invid.numerics.arrays import frozen_float
+from invid.planning.model import Plan, PlannedExperiment
 from invid.recording import Outcome, Recording, RecordingWriter
 from invid.sweep import Progress, Sample
 from invid.sweep.recorder import Recorder

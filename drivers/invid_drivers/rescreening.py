@@ -10,14 +10,14 @@ from typing import Any
 
 import numpy as np
 
+from invid.comparison.screening import Screening, refit, screen, updated
 from invid.config import CellConfig
 from invid.errors import NotIdentifiableError
-from invid.expected import Noise, parameter_scale
-from invid.model import Model, parameter_vector
-from invid.plan.belief import Belief, from_model
-from invid.plan.goal import GoalPlan, informative_band, plan_for_goal
+from invid.model.document import Model, parameter_vector
+from invid.planning.belief import Belief, from_model
+from invid.planning.expected_covariance import Noise, parameter_scale
+from invid.planning.goal import GoalPlan, informative_band, plan_for_goal
 from invid.recording import Outcome, Recording, read_recording, write_recording
-from invid.screening import Screening, refit, screen, updated
 from invid.sweep import Progress
 from invid_drivers.measurement import MeasurementResult, measure_to_file
 

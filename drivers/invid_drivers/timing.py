@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from invid.config import CellConfig
-from invid.plan import Plan
+from invid.planning import Plan
 from invid_drivers.cia402.cycle import CLOSEST_CYCLES
 from invid_drivers.cia402.link import RealClock
 from invid_drivers.connect import is_virtual

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import ast
 import os
 import sys
-from importlib.metadata import entry_points
+from importlib.abc import SourceLoader
+from importlib.metadata import EntryPoint, entry_points
+from importlib.util import find_spec
 
 import typer
 
@@ -20,11 +23,12 @@ EXIT_INTERNAL = 70  # EX_SOFTWARE of sysexits.h: not one of the contract's, beca
 UsageError: type[Exception] = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
 
 
-def create_app(command: str | None = None) -> typer.Typer:
+def create_app(command: str | None = None, *, overview: bool = False) -> typer.Typer:
     """The application with every registered command, or with the one named alone.
 
     Commands pull in what they need (numba, the web, the bus); loading only the one asked for keeps
-    ``invid --version`` and every other command quick to start.
+    every command quick to start. ``overview``: where no command of that name is registered none is loaded,
+    for a help text or a message that names them.
     """
     app = typer.Typer(
         name="invid",
@@ -47,8 +51,24 @@ def create_app(command: str | None = None) -> typer.Typer:
     points = sorted(entry_points(group=GROUP), key=lambda p: p.name)
     wanted = [p for p in points if p.name == command]
     for point in wanted or points:
-        point.load()(app)
+        if overview and not wanted:
+            app.command(point.name, help=_summary(point))(_unloaded)
+        else:
+            point.load()(app)
     return app
+
+
+def _summary(point: EntryPoint) -> str:
+    """What a command does: its module's docstring after the colon, read without loading the module."""
+    spec = find_spec(point.module)
+    source = spec.loader.get_source(point.module) if spec and isinstance(spec.loader, SourceLoader) else None
+    first = (ast.get_docstring(ast.parse(source or "")) or "").partition("\n")[0]
+    text = first.partition("``: ")[2]
+    return text[:1].upper() + text[1:]
+
+
+def _unloaded() -> None:
+    """Stands for a command in the overview, which runs none."""
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -63,7 +83,7 @@ def run(arguments: list[str]) -> int:
         return 0
     try:
         named = next((a for a in arguments if not a.startswith("-")), None)
-        result = create_app(named)(args=arguments, standalone_mode=False, prog_name="invid")
+        result = create_app(named, overview=True)(args=arguments, standalone_mode=False, prog_name="invid")
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0

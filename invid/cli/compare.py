@@ -1,4 +1,4 @@
-"""``invid compare OLD.json NEW.json``: which parameters changed beyond their uncertainty."""
+"""``invid compare``: which parameters changed beyond their uncertainty."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from pathlib import Path
 
 import typer
 
+from invid.api import compare, load_model
 from invid.cli.output import EXIT_NOT_TRUSTWORTHY, EXIT_OK, emit, note
 
 
@@ -26,9 +27,7 @@ def register(app: typer.Typer) -> None:
         as_json: bool = typer.Option(False, "--json", help="One JSON document on stdout."),
     ) -> int:
         """Which parameters changed beyond their uncertainty, in words and numbers."""
-        from invid.compare import compare
-        from invid.compare_words import table
-        from invid.model import load_model
+        from invid.comparison.sentences import table
 
         result = compare(
             load_model(old),

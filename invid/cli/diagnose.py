@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from invid.api import diagnose, load_model, read_recording
 from invid.cli.identify import parse_masses
 from invid.cli.output import EXIT_NOT_TRUSTWORTHY, EXIT_OK, emit, note
-from invid.diagnosis import Diagnosis, diagnosis_to_json
 from invid.errors import InputError, ModelError
-from invid.model import dump_json
-from invid.recording.model import Recording
-from invid.separate import BY_HAND
+
+if TYPE_CHECKING:
+    from invid.model.diagnosis_document import Diagnosis
+    from invid.recording.model import Recording
 
 
 def register(app: typer.Typer) -> None:
@@ -21,14 +22,19 @@ def register(app: typer.Typer) -> None:
 
     @app.command("diagnose")
     def diagnose_command(
-        recording: Annotated[Path, typer.Argument(metavar="REC.h5", help="The recording.")],
+        recording: Annotated[
+            list[Path],
+            typer.Argument(
+                metavar="REC.h5", help="The recording, or several of one machine, diagnosed together."
+            ),
+        ],
         model: Annotated[
             Path | None,
             typer.Option("--model", metavar="MODEL.json", help="Start here instead of identifying first."),
         ] = None,
         further: Annotated[
             list[Path] | None,
-            typer.Option("--with", metavar="REC2.h5", help="A further recording of the same robot, joined."),
+            typer.Option("--with", metavar="REC2.h5", help="The same as one more REC.h5."),
         ] = None,
         masses: Annotated[
             str | None,
@@ -48,20 +54,15 @@ def register(app: typer.Typer) -> None:
         as_json: Annotated[bool, typer.Option("--json", help="Print the diagnosis as JSON.")] = False,
     ) -> int:
         """Name what the model gets wrong, with the extended model and the gain on held-out data."""
-        from invid.discrepancy import diagnose
-        from invid.model import load_model
-        from invid.recording import read_recording
+        from invid.model.diagnosis_document import diagnosis_to_json
+        from invid.recording.concatenation import concatenate_recordings
 
         wanted = parse_masses(masses)
         if model is not None and masses is not None:
             raise InputError(
                 "--masses and --model: the model says how many masses there are; give one of the two"
             )
-        data = read_recording(recording)
-        if further:
-            from invid.separate import joined
-
-            data = joined([data, *(read_recording(p) for p in further)])
+        data = concatenate_recordings([read_recording(p) for p in (*recording, *(further or ()))])
         given = None if model is None else load_model(model)
         try:
             diagnosis = diagnose(data, model=given, masses=wanted)
@@ -71,7 +72,7 @@ def register(app: typer.Typer) -> None:
             raise ModelError(f"{model}: {error}") from None
         document = diagnosis_to_json(diagnosis)
         if output is not None:
-            _write(output, dump_json(document))
+            diagnosis.save(output)
             note(f"diagnosis written to {output}")
         if report is not None:
             from invid.report import render_report
@@ -114,6 +115,8 @@ def _write_plots(folder: Path, recording: Recording, diagnosis: Diagnosis) -> li
 
 def diagnosis_text(diagnosis: Diagnosis) -> str:
     """Sentences first, then the residuals, the competing causes and the warnings."""
+    from invid.planning.separating_experiments import BY_HAND
+
     lines = list(diagnosis.sentences)
     lines.append("")
     lines.append(f"verdict: {diagnosis.verdict}")

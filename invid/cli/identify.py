@@ -1,4 +1,4 @@
-"""``invid identify``: recording to model."""
+"""``invid identify``: recording to masses, springs, dampers and couplings with their uncertainty."""
 
 from __future__ import annotations
 
@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from invid.api import identify, read_recording
 from invid.cli.output import EXIT_NOT_TRUSTWORTHY, EXIT_OK, emit, note
 from invid.errors import InputError, NotIdentifiableError
-from invid.model import FORMAT, FORMAT_VERSION, Model, model_to_json, save_model, units
 
 if TYPE_CHECKING:
-    from invid.identify import Masses
-    from invid.recording import Recording
+    from invid.api import Masses
+    from invid.model.document import Model
+    from invid.recording.model import Recording
 
 
 def register(app: typer.Typer) -> None:
@@ -44,8 +45,7 @@ def register(app: typer.Typer) -> None:
         as_json: Annotated[bool, typer.Option("--json", help="Print the model as JSON.")] = False,
     ) -> int:
         """Masses, springs, dampers and inertia couplings from a recording, with their uncertainty."""
-        from invid.identify import identify
-        from invid.recording import read_recording
+        from invid.model.document import model_to_json
 
         if method not in ("refined", "paper"):
             raise InputError(f"--method {method}: there are refined and paper")
@@ -73,7 +73,7 @@ def register(app: typer.Typer) -> None:
         if bootstrap and "bootstrap" not in model.fit:
             note("invid: --bootstrap: these axes are rigid; their fit is linear, its deviations exact")
         if output is not None:
-            save_model(model, output)
+            model.save(output)
             note(f"model written to {output}")
         if as_json:
             for warning in model.warnings:
@@ -88,6 +88,8 @@ def no_model_to_json(recording: Recording, method: str, reason: str) -> dict[str
     Such a document goes to stdout only, never to the file of ``-o``: no command could read it, and it
     would replace a model that may be there.
     """
+    from invid.model.document import FORMAT, FORMAT_VERSION, units
+
     return {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import h5py
 import typer
 
 from invid.cli.output import emit, note
 from invid.errors import InputError
-from invid.recording.hdf5 import FORMAT as RECORDING_FORMAT
-from invid.recording.hdf5 import read_recording, write_recording
-from invid.recording.import_map import ImportMap, Source, load_map
-from invid.recording.importer import Import, import_files, read_table
-from invid.recording.suggest import Suggestion, suggest
+
+if TYPE_CHECKING:
+    from invid.recording.import_map import ImportMap
+    from invid.recording.importer import Import
 
 
 def register(app: typer.Typer) -> None:
@@ -30,6 +28,10 @@ def register(app: typer.Typer) -> None:
         as_json: bool = typer.Option(False, "--json", help="One JSON document on stdout."),
     ) -> None:
         """Measured data from elsewhere (CSV, MAT, Parquet, HDF5, CAN logs) to a recording."""
+        from invid.recording.hdf5 import write_recording
+        from invid.recording.import_map import load_map
+        from invid.recording.import_source import import_source
+
         chart = load_map(map_file) if map_file is not None else None
         if propose:
             _print_suggestion(source, chart, as_json=as_json)
@@ -41,49 +43,21 @@ def register(app: typer.Typer) -> None:
         for path in source:
             if path.resolve() == out.resolve():
                 raise InputError(f"{out}: is the source itself; give -o another name")
-        warnings: list[str] = []
-        if chart is None:
-            ready = _already_a_recording(source)
-            if ready is not None:
-                write_recording(ready, out)
-                emit(*_report(Import(ready, (), 0, ()), out, []), as_json=as_json)
-                return
-            chart, warnings = _guess(source)
         created = datetime.now(UTC).isoformat(timespec="seconds")
-        result = import_files(
+        result = import_source(
             source, chart, created=created, beside=map_file.parent if map_file is not None else None
         )
         write_recording(result.recording, out)
-        document, text = _report(result, out, warnings)
+        document, text = _report(result, out)
         for warning in document["warnings"]:
             note(f"warning: {warning}")
         emit(document, text, as_json=as_json)
 
 
-def _already_a_recording(source: list[Path]) -> Any:
-    if len(source) != 1 or not source[0].is_file() or not h5py.is_hdf5(source[0]):
-        return None
-    try:
-        with h5py.File(source[0], "r") as file:
-            named = file.attrs.get("format")
-    except (OSError, RuntimeError, ValueError, TypeError):
-        return None
-    named = named.decode("latin-1") if isinstance(named, bytes) else named
-    return read_recording(source[0]) if isinstance(named, str) and named == RECORDING_FORMAT else None
-
-
-def _first_file(source: list[Path]) -> Path:
-    if source[0].is_dir():
-        files = sorted(p for p in source[0].rglob("*") if p.is_file())
-        if not files:
-            raise InputError(f"{source[0]}: the folder is empty")
-        return files[0]
-    return source[0]
-
-
 def _print_suggestion(source: list[Path], chart: ImportMap | None, *, as_json: bool) -> None:
-    path = _first_file(source)
-    proposal = suggest(read_table(path, chart.source if chart else Source()), path)
+    from invid.recording.import_source import suggest_map
+
+    _, proposal = suggest_map(source, chart)
     document = {
         "format": "invid-import-suggestion",
         "map": proposal.document,
@@ -93,22 +67,9 @@ def _print_suggestion(source: list[Path], chart: ImportMap | None, *, as_json: b
     emit(document, proposal.as_yaml(), as_json=as_json)
 
 
-def _guess(source: list[Path]) -> tuple[ImportMap, list[str]]:
-    """A map without a person's help: only where every column's meaning is plain from its name."""
-    path = _first_file(source)
-    proposal: Suggestion = suggest(read_table(path, Source()), path)
-    doubts = [u for u in proposal.unsure if not u.endswith("is assumed")]
-    if doubts:
-        raise InputError(
-            f"{path}: cannot tell the columns without a map: {doubts[0]}; write a first map with "
-            f"'invid import --suggest {path}', correct it and give it with --map"
-        )
-    return proposal.as_map(), [f"no map was given: {u}" for u in proposal.unsure]
-
-
-def _report(result: Import, out: Path, assumed: list[str]) -> tuple[dict[str, Any], str]:
+def _report(result: Import, out: Path) -> tuple[dict[str, Any], str]:
     recording = result.recording
-    warnings = [*assumed, *result.warnings]
+    warnings = list(result.warnings)
     for row in result.broken[:20]:
         warnings.append(f"{row.file}, line {row.line}: {row.reason}; skipped")
     if len(result.broken) > 20:

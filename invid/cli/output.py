@@ -6,8 +6,6 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
-from invid.model import dump_json
-
 EXIT_OK = 0
 EXIT_NOT_TRUSTWORTHY = 3
 
@@ -19,5 +17,7 @@ def note(text: str) -> None:
 
 def emit(document: Mapping[str, Any], text: str, *, as_json: bool) -> None:
     """The command's result on stdout: the JSON document alone, or the text for a person."""
+    from invid.model.document import dump_json
+
     sys.stdout.write(dump_json(document) if as_json else text.rstrip("\n") + "\n")
     sys.stdout.flush()

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import typer
 
+from invid.api import load_model, read_recording, simulate, write_recording
 from invid.cli.output import EXIT_NOT_TRUSTWORTHY, EXIT_OK, emit, note
-from invid.model import load_model
-from invid.recording import read_recording, write_recording
-from invid.recording.model import Recording
-from invid.simulate import simulate
+
+if TYPE_CHECKING:
+    from invid.recording.model import Recording
 
 _USELESS = 1.0  # an error as large as the motion itself: the model predicts nothing
 
@@ -40,6 +39,8 @@ def register(app: typer.Typer) -> None:
 
 def summary(measured: Recording, answer: Recording, output: str) -> dict[str, Any]:
     """Position error of every axis and experiment, relative to the motion about its mean."""
+    import numpy as np
+
     experiments, warnings = [], []
     for before, after in zip(measured.experiments, answer.experiments, strict=True):
         difference = after.position - before.position

@@ -114,7 +114,7 @@ class CellConfig(Strict):
     axes: list[AxisConfig] = Field(min_length=1)
     safety: SafetyConfig = SafetyConfig()
     experiments: list[ExperimentSpec] = Field(default_factory=list)
-    """Empty: the default plan of ``invid.plan``."""
+    """Empty: the default plan of ``invid.planning``."""
     simulation: dict[str, Any] | None = None
     """Validated by ``invid_drivers.simulated``; a cell with this section has no hardware behind it."""
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from invid.arrays import Float64
 from invid.errors import InputError
+from invid.numerics.arrays import Float64
 
 
 def branch_sum(low_gain: float) -> float:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from invid.arrays import Float64
 from invid.errors import InputError, NotIdentifiableError
+from invid.numerics.arrays import Float64
 
 # Distance of a resonance and an antiresonance, in roundings of the largest eigenvalue, below which the
 # pair is taken as equal: what an eigenvalue solver leaves of two equal values, so exact cancellation

@@ -9,12 +9,12 @@ import numpy.typing as npt
 import scipy.linalg
 import scipy.optimize
 
-from invid.arrays import Float64
-from invid.chains import CoupledChains
 from invid.errors import ModelError, NotIdentifiableError
 from invid.inverse.lanczos import lanczos
 from invid.inverse.springs import check_positive, inverse_end_mass, last_mass, springs_and_masses
+from invid.model.chains import CoupledChains
 from invid.modes.model import Modes, high_gain_pairs, pairs
+from invid.numerics.arrays import Float64
 
 _KEPT_OF_POSITIVE = 0.95  # repaired couplings: this share of the largest still positive definite one
 
@@ -137,7 +137,7 @@ def _with_dampers(chains: CoupledChains, modes: Modes) -> CoupledChains:
 
 
 def _vector(chains: CoupledChains) -> Float64:
-    """Masses, springs, couplings in the order of ``invid.model.parameter_vector`` without dampers."""
+    """Masses, springs, couplings in the order of ``model.document.parameter_vector`` without dampers."""
     parts = [np.concatenate((m, k)) for m, k in zip(chains.masses, chains.springs, strict=True)]
     upper = np.triu_indices(chains.branches, 1)
     vector: Float64 = np.concatenate((*parts, chains.couplings[upper]))

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from invid.arrays import Float64
-from invid.chains import CoupledChains
 from invid.errors import InvidError, NotIdentifiableError
 from invid.inverse.from_modes import Gains, chains_of, covariance_of, gains_of, low_frequency_mass
+from invid.model.chains import CoupledChains
 from invid.modes import Modes, fit_modes
+from invid.numerics.arrays import Float64
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from invid.arrays import Float64
 from invid.inverse.eigenvector import real_array
+from invid.numerics.arrays import Float64
 
 
 @dataclass(frozen=True, eq=False)

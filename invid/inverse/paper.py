@@ -8,8 +8,6 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from invid.arrays import Float64
-from invid.chains import CoupledChains
 from invid.errors import InputError, NotIdentifiableError
 from invid.inverse.coupling import branch_sum, couplings, motor_mass
 from invid.inverse.deflate import peel_spectrum
@@ -23,6 +21,8 @@ from invid.inverse.springs import (
     last_mass,
     springs_and_masses,
 )
+from invid.model.chains import CoupledChains
+from invid.numerics.arrays import Float64
 
 Route = Literal["lanczos", "peel_one", "peel_two"]
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from invid.arrays import Float64
 from invid.errors import InputError, NotIdentifiableError
 from invid.inverse.lanczos import LanczosRows
+from invid.numerics.arrays import Float64
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from invid.arrays import Complex128, Float64
 from invid.errors import InputError, NotIdentifiableError
 from invid.modes.model import pairs
+from invid.numerics.arrays import Complex128, Float64
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from invid.arrays import Bool, Complex128, Float64
 from invid.modes.data import FrfData
 from invid.modes.model import high_gain_pairs, lag_functions, mode_shape_functions, pairs
+from invid.numerics.arrays import Bool, Complex128, Float64
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
-from invid.arrays import Bool, Complex128, Float64
+from invid.numerics.arrays import Bool, Complex128, Float64
 
 
 def pairs(count: int) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from invid.arrays import Complex128, Float64
 from invid.modes.data import FrfData
 from invid.modes.least_squares import ModalFit
 from invid.modes.model import high_gain_pairs, mode_shape_functions, pairs
 from invid.modes.vector_fit import relocate_poles
+from invid.numerics.arrays import Complex128, Float64
 
 _MOST_VALUES = 12_000  # for the pole search alone; beyond that lines add time, not poles
 STARTING_DAMPING = 0.01

@@ -14,12 +14,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from invid.arrays import Complex128
 from invid.errors import InvidError
-from invid.frf import FrfMatrix, frf_matrix, local_frf_matrix
 from invid.modes.fit import fit_modes
 from invid.modes.model import Modes
-from invid.spectra import LineSpectra
+from invid.numerics.arrays import Complex128
+from invid.signals.frf import FrfMatrix, frf_matrix, local_frf_matrix
+from invid.signals.spectra import LineSpectra
 
 _ROUNDS = 8
 _SAME = 3e-5

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 
-from invid.arrays import Complex128, Float64
+from invid.numerics.arrays import Complex128, Float64
 
 
 def relocate_poles(

@@ -14,8 +14,8 @@ from typing import Any
 import h5py
 import numpy as np
 
-from invid.arrays import Float64, frozen_float
 from invid.errors import RecordingError
+from invid.numerics.arrays import Float64, frozen_float
 
 
 class Attributes:

@@ -12,9 +12,10 @@ from typing import Any
 
 import h5py
 import numpy as np
+import scipy.io
 
-from invid.arrays import Float64, frozen_float
 from invid.errors import InputError
+from invid.numerics.arrays import Float64, frozen_float
 from invid.recording.tables import Table
 
 MAX_VALUES = 200_000_000
@@ -37,7 +38,7 @@ def read_hdf5_table(path: Path) -> Table:
 def read_parquet_table(path: Path) -> Table:
     """Columns of a Parquet file."""
     try:
-        import pyarrow.parquet
+        import pyarrow.parquet  # noqa: PLC0415 (an extra: not everybody has it)
     except ImportError:
         raise InputError(
             f"{path}: Parquet needs the package pyarrow; install it with pip install 'invid[parquet]'"
@@ -104,8 +105,6 @@ def _channels(name: str, array: Any) -> dict[str, Float64]:
 
 
 def _mat5_arrays(path: Path) -> Iterator[tuple[str, Any, str]]:
-    import scipy.io
-
     try:
         content = scipy.io.loadmat(path, squeeze_me=False, struct_as_record=True)
     except (

@@ -9,8 +9,8 @@ from datetime import datetime
 
 import numpy as np
 
-from invid.arrays import Float64
 from invid.errors import RecordingError
+from invid.numerics.arrays import Float64
 from invid.recording.model import Experiment, Recording
 
 COLUMNS = ("position", "torque", "torque_demand", "position_reference", "torque_feedforward")

@@ -16,8 +16,8 @@ from typing import Any, TypeVar
 import h5py
 import numpy as np
 
-from invid.arrays import Float64, UInt16, frozen, frozen_float
 from invid.errors import RecordingError
+from invid.numerics.arrays import Float64, UInt16, frozen, frozen_float
 from invid.recording.attributes import Attributes, read_attributes
 from invid.recording.check import COLUMNS, check_recording
 from invid.recording.model import Experiment, Kind, Outcome, Recording, Role

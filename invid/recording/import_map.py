@@ -12,7 +12,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from invid.errors import InputError
-from invid.model import describe_validation_error
+from invid.model.document import describe_validation_error
 from invid.recording.model import Kind, Role
 
 FORMAT = "invid-import-map"

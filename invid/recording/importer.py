@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import fnmatch
-import importlib
 import json
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from invid.arrays import Bool, Float64, UInt16, frozen, frozen_float
 from invid.errors import InputError
+from invid.numerics.arrays import Bool, Float64, UInt16, frozen, frozen_float
 from invid.recording.binary_table import read_hdf5_table, read_mat_table, read_parquet_table
 from invid.recording.check import check_recording
 from invid.recording.import_map import AxisMap, Channel, ExperimentMap, ImportMap, Source
@@ -24,6 +24,8 @@ from invid.recording.tables import BrokenRow, Table
 from invid.recording.text_table import read_text_table
 from invid.recording.units import LINEAR, MachineConstants, Quantity, factor, normal_unit
 
+READERS = "invid.readers"
+"""Entry point group of readers ``read(path, source, *, beside) -> Table``, named by the kind they read."""
 _KINDS = {
     ".csv": "csv", ".txt": "csv", ".tsv": "csv", ".dat": "csv",
     ".mat": "mat", ".parquet": "parquet", ".pq": "parquet",
@@ -60,19 +62,20 @@ def read_table(path: Path, source: Source, *, beside: Path | None = None) -> Tab
         return read_hdf5_table(path)
     if kind == "parquet":
         return read_parquet_table(path)
-    if kind == "can_log":
-        return _can_log(path, source, beside)
-    return read_text_table(path, source)
-
-
-def _can_log(path: Path, source: Source, beside: Path | None) -> Table:
-    # The core knows no bus: the reader lives with the drivers and is found by name when it is asked for.
-    try:
-        reader: Any = importlib.import_module("invid_drivers.can_log")
-    except ImportError:
-        raise InputError(f"{path}: reading CAN logs needs invid_drivers, which is not installed") from None
-    table: Table = reader.read_can_log(path, source, beside=beside)
+    if kind == "csv":
+        return read_text_table(path, source)
+    table: Table = _further_reader(kind, path)(path, source, beside=beside)
     return table
+
+
+def _further_reader(kind: str, path: Path) -> Any:
+    """The reader that a package above the core offers for this kind: the core knows no bus."""
+    for point in entry_points(group=READERS, name=kind):
+        return point.load()
+    raise InputError(
+        f"{path}: no installed package reads files of the kind {kind!r} (entry point group {READERS!r}); "
+        "CAN logs are read by invid_drivers: install invid again"
+    )
 
 
 def import_files(

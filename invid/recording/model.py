@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from invid.arrays import Float64, UInt16
 from invid.errors import RecordingError
+from invid.numerics.arrays import Float64, UInt16
 
 
 class Kind(StrEnum):

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from invid.arrays import Bool, Float64, Int64
 from invid.errors import InputError
+from invid.numerics.arrays import Bool, Float64, Int64
 from invid.recording.tables import BrokenRow, Table
 
 BROKEN_LIMIT = 0.01

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from invid.arrays import Float64
+from invid.numerics.arrays import Float64
 from invid.recording.import_map import FORMAT, ImportMap
 from invid.recording.tables import Table
 from invid.recording.units import FACTORS, LINEAR, normal_unit

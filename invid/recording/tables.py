@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from invid.arrays import Float64, Int64
 from invid.errors import InputError
+from invid.numerics.arrays import Float64, Int64
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from invid.arrays import Float64
 from invid.errors import InputError
+from invid.numerics.arrays import Float64
 from invid.recording.import_map import Source
 from invid.recording.tables import BrokenRow, Table
 from invid.recording.timestamps import DAY, past_midnight, seconds_of

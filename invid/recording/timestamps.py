@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from invid.arrays import Float64
+from invid.numerics.arrays import Float64
 
 _CLOCK = r"(?P<h>\d{1,2}):(?P<m>\d{2})(:(?P<s>\d{2})([.,](?P<f>\d{1,9}))?)?"
 _DATE = (

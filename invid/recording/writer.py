@@ -19,8 +19,8 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from invid.arrays import frozen_float
 from invid.errors import RecordingError, SafetyStop
+from invid.numerics.arrays import frozen_float
 from invid.recording.hdf5 import experiment_attributes, root_attributes, set_attributes
 from invid.recording.model import Experiment, Kind, Outcome, Recording, Role
 

@@ -8,17 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from invid.arrays import Complex128, Float64
-from invid.chains import CoupledChains
-from invid.diagnosis import Diagnosis
 from invid.errors import InvidError
-from invid.forward import frf, resonances
-from invid.frf import frf_matrix
-from invid.model import EffectTerm, Model
+from invid.model.chains import CoupledChains
+from invid.model.diagnosis_document import Diagnosis
+from invid.model.document import EffectTerm, Model
+from invid.model.forward import frf, resonances
+from invid.numerics.arrays import Complex128, Float64
 from invid.recording.model import Recording, Role
 from invid.report import laws
 from invid.report.spectra_data import MissingTorque, binned, missing_torque
-from invid.spectra import LineSpectra, all_spectra
+from invid.signals.frf import frf_matrix
+from invid.signals.spectra import LineSpectra, all_spectra
 
 POINTS = 500
 """Points in a scatter: enough for a shape, few enough for a picture of modest size."""

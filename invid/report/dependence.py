@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from invid.arrays import Bool, Float64
-from invid.diagnosis import Diagnosis
 from invid.errors import InvidError
-from invid.model import Model, model_from_json
+from invid.model.diagnosis_document import Diagnosis
+from invid.model.document import Model, model_from_json
+from invid.numerics.arrays import Bool, Float64
 from invid.recording.model import Experiment, Recording, Role
 from invid.report import data as shared
 from invid.report.spectra_data import MissingTorque, binned, missing_torque
-from invid.simulate import simulate
-from invid.spectra import LineSpectra, all_spectra
+from invid.signals.spectra import LineSpectra, all_spectra
+from invid.simulation.run import simulate
 
 SAMPLES = 2000
 """Samples of a wave in a picture and in its data."""

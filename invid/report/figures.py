@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from invid.diagnosis import Diagnosis
-from invid.model import Model
+from invid.model.diagnosis_document import Diagnosis
+from invid.model.document import Model
 from invid.recording.model import Recording
 from invid.report.data import figure_data
 from invid.report.style import AFTER, BEFORE, INK, MEASURED, NOISE, label, powers_of_ten, svg
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 
 def figures(recording: Recording, model: Model, diagnosis: Diagnosis | None = None) -> dict[str, str]:
@@ -221,8 +220,6 @@ def _positive(values: list[float]) -> Any:
 
 def plain_hz(ax: Axes) -> None:
     """A logarithmic frequency axis with ticks at 1, 2, 5 in plain figures."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
     ax.set_xlabel("frequency [Hz]")
     ax.xaxis.set_major_locator(LogLocator(10, subs=(1.0, 2.0, 5.0)))
     ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))

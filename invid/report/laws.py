@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from invid.arrays import Float64
-from invid.model import EffectTerm
+from invid.model.document import EffectTerm
+from invid.numerics.arrays import Float64
 
 VELOCITY, POSITION, DEFLECTION, TORQUE, TORQUE_RATE = (
     "velocity",

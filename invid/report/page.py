@@ -13,10 +13,9 @@ from typing import Any
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from invid import __version__
-from invid.compare_words import differing_number
-from invid.diagnosis import Diagnosis, Verdict
-from invid.model import EffectTerm, Model, units
+from invid.comparison.sentences import differing_number
+from invid.model.diagnosis_document import Diagnosis, Verdict
+from invid.model.document import EffectTerm, Model, units
 from invid.recording.model import Recording
 from invid.report.data import figure_data
 from invid.report.dependence import replay_data
@@ -203,7 +202,7 @@ def _facts(recording: Recording, model: Model) -> list[tuple[str, str]]:
         ("method", model.method),
         ("source", recording.source),
         ("outcome", str(recording.outcome) if recording.outcome else "not stated"),
-        ("invid", __version__),
+        ("invid", version("invid")),
         ("Python", platform.python_version()),
         *((name, _version(name)) for name in ("numpy", "scipy", "numba")),
         ("SHA-256 of the samples", _checksum(recording)),

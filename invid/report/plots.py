@@ -5,21 +5,18 @@ from __future__ import annotations
 import csv
 import io
 import re
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
-from invid.diagnosis import Diagnosis
-from invid.model import dump_json
+from invid.model.diagnosis_document import Diagnosis
+from invid.model.document import dump_json
 from invid.recording.model import Recording
 from invid.report.dependence import dependence_data, linear_model_of, replay_data
 from invid.report.figures import figures, plain_hz
 from invid.report.style import AFTER, BEFORE, INK, MEASURED, NOISE, label, powers_of_ten, svg
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 
 POINTS = 600
 """Points of a scatter in a picture; its data have them all."""

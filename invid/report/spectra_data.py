@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from invid.arrays import Complex128, Float64
-from invid.chains import CoupledChains
-from invid.forward import condense
-from invid.spectra import LineSpectra
+from invid.model.chains import CoupledChains
+from invid.model.forward import condense
+from invid.numerics.arrays import Complex128, Float64
+from invid.signals.spectra import LineSpectra
 
 BINS = 160
 """Lines are gathered in at most so many bins: more cannot be told apart in a picture."""

@@ -6,11 +6,14 @@ import io
 import math
 import re
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from html import escape
+from typing import Any
 
-if TYPE_CHECKING:
-    from matplotlib.axis import Axis
-    from matplotlib.figure import Figure
+import matplotlib as mpl
+from matplotlib.axis import Axis
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 # Stand-in colours that matplotlib writes; the page's style sheet gives each its light and dark value.
 INK, GRID = "#1b1c1d", "#c3c4c5"
@@ -49,8 +52,6 @@ def margins(
 
 def powers_of_ten(axis: Axis) -> None:
     """Ticks 10⁻³ in plain characters: mathtext is off, because an axis may be called $x_1$."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
-
     raised = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
     def words(value: float, _: float) -> str:
@@ -62,14 +63,7 @@ def powers_of_ten(axis: Axis) -> None:
 
 
 def svg(name: str, draw: Callable[[Figure], None], *, size: tuple[float, float], title: str) -> str:
-    """SVG text of a figure; the same data give the same bytes. ``draw`` fills a matplotlib Figure.
-
-    matplotlib is imported here, not with the package: commands that draw nothing start faster.
-    """
-    import matplotlib as mpl
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-    from matplotlib.figure import Figure
-
+    """SVG text of a figure; the same data give the same bytes. ``draw`` fills a matplotlib Figure."""
     settings: Any = {  # older matplotlib types this as a dict of str, newer as one of its names
         "svg.fonttype": "none",
         "svg.hashsalt": f"invid-{name}",
@@ -114,8 +108,6 @@ def svg(name: str, draw: Callable[[Figure], None], *, size: tuple[float, float],
 
 def _embedded(text: str, name: str, title: str) -> str:
     """The svg element alone, its colours as variables, its ids its own, with a title for readers."""
-    from html import escape
-
     text = text[text.index("<svg") :].strip()
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.S)
     text = re.sub(r'<g id="[A-Za-z_.]+\d*">', "<g>", text)

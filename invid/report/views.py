@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from invid.arrays import Complex128, Float64
-from invid.chains import CoupledChains
-from invid.diagnosis import Diagnosis
 from invid.errors import InvidError
-from invid.model import EffectTerm, Model
+from invid.model.chains import CoupledChains
+from invid.model.diagnosis_document import Diagnosis
+from invid.model.document import EffectTerm, Model
+from invid.numerics.arrays import Complex128, Float64
 from invid.recording.model import Recording, Role
 from invid.report import laws
 from invid.report.data import (
@@ -33,7 +33,7 @@ from invid.report.data import (
     lines_of,
 )
 from invid.report.spectra_data import MissingTorque, binned
-from invid.spectra import LineSpectra, all_spectra
+from invid.signals.spectra import LineSpectra, all_spectra
 
 SIDES = (laws.VELOCITY, laws.POSITION, laws.DEFLECTION)
 

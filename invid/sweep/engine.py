@@ -7,9 +7,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from invid.config import CellConfig
-from invid.plan.model import Plan, PlannedExperiment
+from invid.planning.hold_laws import master_hold
+from invid.planning.model import Plan, PlannedExperiment
 from invid.recording.model import Kind
-from invid.sweep.holds import master_hold
 from invid.sweep.motion import Motion
 from invid.sweep.ports import Cell, Sink
 from invid.sweep.rehearsal import CLIMB_S, TRIAL_PERIOD_S, Rehearsal, lowest_frequency

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from invid.arrays import Bool, Float64
 from invid.config import CellConfig
 from invid.errors import SafetyStop
-from invid.plan.model import Plan, PlannedExperiment
-from invid.sweep.holds import Gains, centring, following, least_damping, master_hold
+from invid.numerics.arrays import Bool, Float64
+from invid.planning.hold_laws import Gains, centring, following, least_damping, master_hold
+from invid.planning.model import Plan, PlannedExperiment
 from invid.sweep.ports import Cell, Mode, Sample, Sink
 from invid.sweep.watch import AxisLimits, Statistics, Watch
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Protocol
 
-from invid.plan.model import PlannedExperiment
+from invid.planning.model import PlannedExperiment
 
 
 class Mode(StrEnum):

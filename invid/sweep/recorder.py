@@ -13,8 +13,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from invid.arrays import Float64
-from invid.plan.model import PlannedExperiment
+from invid.numerics.arrays import Float64
+from invid.planning.model import PlannedExperiment
 from invid.recording import Outcome, RecordingWriter
 from invid.sweep.ports import Sample
 

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from invid.errors import SafetyStop
-from invid.excitation import doublet, ramped
-from invid.plan.model import PlannedExperiment
+from invid.planning.hold_laws import Gains
+from invid.planning.model import PlannedExperiment
 from invid.recording.model import Kind
+from invid.signals.excitation import doublet, ramped
 from invid.sweep import trials
-from invid.sweep.holds import Gains
 from invid.sweep.motion import Feedback, Motion
 from invid.sweep.ports import Mode
 

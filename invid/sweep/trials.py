@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from invid.arrays import Bool, Float64
 from invid.errors import SafetyStop
+from invid.numerics.arrays import Bool, Float64
 
 EDGE_S = 0.03
 """Window on each side of an edge of torque: short against the modes of a robot, long enough for the

@@ -9,7 +9,7 @@ from itertools import pairwise
 from invid.errors import BusError, DriveError, SafetyStop
 from invid.sweep.halting import Halting
 from invid.sweep.ports import Sample, Severity
-from invid.sweep.standing import Standing
+from invid.sweep.stuck_encoder import Standing
 
 STATE_MASK, OPERATION_ENABLED = 0x6F, 0x27
 """State bits of 0x6041 (CiA 402)."""

@@ -22,7 +22,7 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from invid.errors import ConfigError
-from invid.model import save_text
+from invid.model.document import save_text
 
 log = logging.getLogger(__name__)
 

@@ -14,9 +14,9 @@ from durand_cell import DurandBus
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from invid.arrays import frozen_float
 from invid.config import CellConfig, load_config
 from invid.errors import BusError, DriveError, InvidError
+from invid.numerics.arrays import frozen_float
 from invid.recording import Experiment, Kind, Recording, Role
 from invid.sweep import Cell, Mode
 from invid_drivers.cia402.bus import Cia402Cell

@@ -8,7 +8,7 @@ import re
 import pytest
 from pages import ROOT, run_page
 
-from invid.model import model_from_json
+from invid.model.document import model_from_json
 
 PAGE = ROOT / "docs" / "tutorial" / "real-machines.md"
 TEXT = PAGE.read_text(encoding="utf-8")

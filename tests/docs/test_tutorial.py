@@ -10,8 +10,8 @@ import pytest
 import scipy.io
 from pages import DATA, ROOT, Ran, assert_shows, run_page, steps
 
-from invid.forward import antiresonances, resonances
-from invid.model import Model, load_model
+from invid.model.document import Model, load_model
+from invid.model.forward import antiresonances, resonances
 from invid.recording import read_recording
 
 TUTORIAL = ROOT / "docs" / "tutorial" / "flexible-drive.md"

@@ -12,8 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from invid.chains import CoupledChains, case_study
-from invid.forward import antiresonances, dynamic_stiffness, resonances
 from invid.inverse import (
     branch_sum,
     chain_from_spectrum,
@@ -25,6 +23,8 @@ from invid.inverse import (
     paper_inverse,
     springs_and_masses,
 )
+from invid.model.chains import CoupledChains, case_study
+from invid.model.forward import antiresonances, dynamic_stiffness, resonances
 
 LAMBDA_ROOT = [0, 24.63, 29.59, 34.16, 44.92, 48.60, 51.28]
 LAMBDA0_ROOT = [

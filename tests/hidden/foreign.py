@@ -17,7 +17,7 @@ import numba
 import numpy as np
 
 from hidden.generator import TrueEffect, Truth
-from invid.chains import CoupledChains
+from invid.model.chains import CoupledChains
 from invid.recording.model import Experiment, Kind, Outcome, Recording, Role
 
 (

@@ -18,7 +18,7 @@ from hidden.causes import CATALOGUE, OUTSIDE, Cause, available
 from hidden.measurement import Active, excess_db, record, scales
 from hidden.plants import Plant, paper_plant, random_plant
 from hidden.setup import Setup, draw_setup
-from invid.chains import CoupledChains
+from invid.model.chains import CoupledChains
 from invid.recording.model import Recording
 
 

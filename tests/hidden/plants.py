@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 
-from invid.chains import CoupledChains
+from invid.model.chains import CoupledChains
 
 
 @dataclass(frozen=True, eq=False)

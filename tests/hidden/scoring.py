@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from hidden.generator import TrueEffect, Truth
-from invid.diagnosis import Diagnosis, Finding, Verdict
-from invid.model import model_from_json
+from invid.model.diagnosis_document import Diagnosis, Finding, Verdict
+from invid.model.document import model_from_json
 
 CONFIDENT = 0.9
 """A wrong name from here on is what the product must not do."""

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from invid.diagnosis import Verdict
-from invid.discrepancy import diagnose
-from invid.trajectory import is_trajectory
+from invid.diagnosis.diagnose import diagnose
+from invid.model.diagnosis_document import Verdict
+from invid.rigid_motion.record_kind import is_trajectory
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from hidden.foreign import make_foreign

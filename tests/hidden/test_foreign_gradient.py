@@ -9,23 +9,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from invid.arrays import Float64
-from invid.chains import CoupledChains
-from invid.discrepancy.joint import fit
-from invid.discrepancy.layout import Layout
-from invid.discrepancy.linear import layout_of
-from invid.discrepancy.plant import evaluate
-from invid.discrepancy.records import by_period, record_of, split
-from invid.discrepancy.screen import Screen
-from invid.discrepancy.terms import Candidate, Term
-from invid.effects.backlash import Backlash
-from invid.effects.extra_mode import ExtraMode
-from invid.effects.place import Place
-from invid.effects.record import Record
-from invid.effects.viscous_friction import ViscousFriction
+from invid.diagnosis.linear_fit import layout_of
+from invid.diagnosis.score_test import Screen
+from invid.effects.catalogue.backlash import Backlash
+from invid.effects.catalogue.extra_mode import ExtraMode
+from invid.effects.catalogue.viscous_friction import ViscousFriction
+from invid.likelihood.evaluation import evaluate
+from invid.likelihood.hypothesis import Layout
+from invid.likelihood.joint_fit import fit
+from invid.likelihood.placed_effect import Candidate, Term
+from invid.likelihood.prepare_records import by_period, record_of, split
+from invid.model.chains import CoupledChains
+from invid.model.parameters import ChainStructure
+from invid.model.place import Place
+from invid.numerics.arrays import Float64
 from invid.recording import Role
-from invid.refine.structure import ChainStructure
-from invid.spectra import all_spectra, spectra_of
+from invid.signals.spectra import all_spectra, spectra_of
+from invid.signals.spectral_record import Record
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from hidden.foreign import make_foreign

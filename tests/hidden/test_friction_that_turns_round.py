@@ -6,9 +6,9 @@ import pytest
 
 from hidden.generator import make, make_case
 from hidden.scoring import score
-from invid.diagnosis import Verdict
-from invid.discrepancy import diagnose
-from invid.discrepancy.dropped import find_dropped
+from invid.diagnosis.diagnose import diagnose
+from invid.diagnosis.rules.dropped_rows import find_dropped
+from invid.model.diagnosis_document import Verdict
 
 
 @pytest.mark.parametrize("seed", [2, 3])

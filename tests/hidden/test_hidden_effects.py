@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from invid.diagnosis import Verdict
-from invid.discrepancy import diagnose
+from invid.diagnosis.diagnose import diagnose
+from invid.model.diagnosis_document import Verdict
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from hidden.generator import make, make_case

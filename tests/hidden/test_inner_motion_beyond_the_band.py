@@ -6,7 +6,7 @@ import pytest
 
 from hidden.generator import make
 from hidden.scoring import score
-from invid.discrepancy import diagnose
+from invid.diagnosis.diagnose import diagnose
 
 
 @pytest.mark.parametrize("seed", [3, 5])

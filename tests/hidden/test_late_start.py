@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from invid.chains import CoupledChains
-from invid.identify import fit_sizes, measured_frf
-from invid.lateness import timely
+from invid.identification.starts import fit_sizes, measured_frf
+from invid.identification.torque_timing import timely
+from invid.model.chains import CoupledChains
 from invid.recording import Role
-from invid.spectra import LineSpectra, all_spectra
+from invid.signals.spectra import LineSpectra, all_spectra
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from hidden.generator import make

@@ -11,8 +11,8 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from hidden.generator import make_case
-from invid.discrepancy import diagnose
-from invid.effects.slider import remembers, slide
+from invid.diagnosis.diagnose import diagnose
+from invid.effects.laws.slider import remembers, slide
 
 
 def test_presliding_friction_is_found_where_a_weak_record_begins_with_the_contact_under_tension() -> None:

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from invid.discrepancy import diagnose
-from invid.discrepancy.confidence import _of_amplitude
+from invid.diagnosis.confidence import _of_amplitude
+from invid.diagnosis.diagnose import diagnose
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from hidden.generator import make, make_case

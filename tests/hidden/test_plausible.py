@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from hidden.generator import make
-from invid.discrepancy import diagnose
+from invid.diagnosis.diagnose import diagnose
 from invid.errors import InputError
-from invid.identify import identify
-from invid.plausible import check_plausible
+from invid.identification.identify import identify
 from invid.recording.model import Experiment, Recording
-from invid.spectra import all_spectra
+from invid.signals.plausibility import check_plausible
+from invid.signals.spectra import all_spectra
 
 
 def _changed(recording: Recording, change: Callable[[Experiment], Experiment]) -> Recording:

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from invid.discrepancy.joint import held_out
-from invid.discrepancy.look import _begun
-from invid.discrepancy.rattling import rattles
-from invid.discrepancy.trial import Trial
-from invid.model import ChainStd, Model
+from invid.diagnosis.evidence import Trial
+from invid.diagnosis.rules.wide_gap import rattles
+from invid.diagnosis.search_pass import _begun
+from invid.likelihood.joint_fit import held_out
+from invid.model.document import ChainStd, Model
 from invid.recording.model import Recording
 
 sys.path.insert(0, str(Path(__file__).parents[1]))

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from invid.discrepancy import diagnose
-from invid.discrepancy.look import looked
-from invid.model import Model
-from invid.named import std_by_name
+from invid.diagnosis.diagnose import diagnose
+from invid.diagnosis.search_pass import looked
+from invid.model.document import Model
+from invid.model.parameter_names import std_by_name
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from hidden.generator import make, make_case

@@ -12,17 +12,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from invid.discrepancy.given import place_of, vector_of
-from invid.discrepancy.joint import fit
-from invid.discrepancy.linear import layout_of, linear_fit
-from invid.discrepancy.records import record_of, split
-from invid.discrepancy.terms import Candidate, Term
-from invid.discrepancy.words import BY_CAUSE
-from invid.model import EffectTerm, Estimate, Model
-from invid.named import std_by_name
+from invid.diagnosis.known_effects import place_of, vector_of
+from invid.diagnosis.linear_fit import layout_of, linear_fit
+from invid.diagnosis.sentences import BY_CAUSE
+from invid.likelihood.joint_fit import fit
+from invid.likelihood.placed_effect import Candidate, Term
+from invid.likelihood.prepare_records import record_of, split
+from invid.model.document import EffectTerm, Estimate, Model
+from invid.model.parameter_names import std_by_name
+from invid.model.parameters import ChainStructure
 from invid.recording import Role
-from invid.refine.structure import ChainStructure
-from invid.spectra import all_spectra
+from invid.signals.spectra import all_spectra
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from hidden.generator import make, make_case

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from hidden.generator import make
 from hidden.scoring import score
-from invid.discrepancy import diagnose
+from invid.diagnosis.diagnose import diagnose
 
 
 def test_a_sharp_mode_at_the_motor_is_found_between_the_shapes_of_the_grid() -> None:

@@ -9,8 +9,8 @@ import pytest
 
 from hidden.generator import make
 from hidden.scoring import score
-from invid.diagnosis import Verdict
-from invid.discrepancy import diagnose
+from invid.diagnosis.diagnose import diagnose
+from invid.model.diagnosis_document import Verdict
 from invid.recording.model import Experiment, Recording
 
 SAMPLES = 2.0

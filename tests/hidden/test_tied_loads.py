@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from invid.chains import CoupledChains
-from invid.discrepancy import diagnose
-from invid.model import ChainStd, Model
+from invid.diagnosis.diagnose import diagnose
+from invid.model.chains import CoupledChains
+from invid.model.document import ChainStd, Model
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from hidden.generator import make_case

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from invid.diagnosis import Verdict
-from invid.discrepancy import diagnose
-from invid.discrepancy.records import record_of
+from invid.diagnosis.diagnose import diagnose
+from invid.likelihood.prepare_records import record_of
+from invid.model.diagnosis_document import Verdict
 from invid.recording import Role
 from invid.recording.model import Experiment, Kind, Recording
-from invid.spectra import spectra_of
+from invid.signals.spectra import spectra_of
 
 STEP, PERIOD, PERIODS, SUB = 0.002, 2048, 2, 20
 MASSES, SPRING, DAMPER = (0.134, 0.041), 400.0, 0.08

@@ -8,9 +8,7 @@ import scipy.linalg
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from invid.chains import CoupledChains
 from invid.errors import InputError, NotIdentifiableError
-from invid.forward import antiresonances, frf, resonances
 from invid.inverse import (
     chain_from_spectrum,
     coupling,
@@ -20,6 +18,8 @@ from invid.inverse import (
     peel_response,
     peel_spectrum,
 )
+from invid.model.chains import CoupledChains
+from invid.model.forward import antiresonances, frf, resonances
 
 BOUNDED = settings(
     max_examples=60,

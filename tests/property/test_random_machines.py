@@ -9,10 +9,11 @@ import numba
 import numpy as np
 import pytest
 
-from invid.arrays import frozen_float
-from invid.diagnosis import Diagnosis, Verdict
+from invid.model.diagnosis_document import Diagnosis, Verdict
+from invid.numerics.arrays import frozen_float
 from invid.recording import Experiment, Kind, Recording, Role
-from invid.trajectory import diagnose_trajectory, is_trajectory
+from invid.rigid_motion.diagnosis import diagnose_trajectory
+from invid.rigid_motion.record_kind import is_trajectory
 
 
 @dataclass(frozen=True)

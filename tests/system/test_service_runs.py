@@ -13,8 +13,8 @@ import httpx
 import pytest
 from service_process import ENDED, SMALL_CELL, serving
 
-from invid.diagnosis import Verdict
-from invid.model import model_from_json
+from invid.model.diagnosis_document import Verdict
+from invid.model.document import model_from_json
 from invid.recording import read_recording
 
 # As many as all others together; every one needs a process with numba in it.

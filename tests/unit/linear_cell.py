@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.linalg import block_diag, expm
 
-from invid.model import Model, parameter_vector, stds_by_name
+from invid.model.document import Model, parameter_vector, stds_by_name
 from invid.recording.model import Experiment, Kind, Recording, Role
 
 

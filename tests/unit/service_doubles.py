@@ -14,8 +14,8 @@ import h5py
 import numpy as np
 from fastapi.testclient import TestClient
 
-from invid.chains import case_study
-from invid.model import ChainStd, Model, model_to_json, parameter_vector
+from invid.model.chains import case_study
+from invid.model.document import ChainStd, Model, model_to_json, parameter_vector
 from invid_service.app import create_app
 from invid_service.jobs.protocol import Job
 from invid_service.settings import Settings

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from invid.discrepancy import confidence
+from invid.diagnosis import confidence
 
 
 @pytest.mark.parametrize(

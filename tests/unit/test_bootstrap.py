@@ -10,7 +10,7 @@ import pytest
 from two_masses import held, recording
 
 from invid.cli.app import run
-from invid.identify import identify
+from invid.identification.identify import identify
 from invid.recording import Role, write_recording
 from invid.recording.model import Experiment, Kind, Recording
 

@@ -7,9 +7,9 @@ import json
 import numpy as np
 import pytest
 
-from invid.chains import CoupledChains, case_study
 from invid.errors import ModelError
-from invid.model import ChainStd, Model, dump_json, model_from_json, model_to_json
+from invid.model.chains import CoupledChains, case_study
+from invid.model.document import ChainStd, Model, dump_json, model_from_json, model_to_json
 
 
 def test_the_case_study_has_the_papers_matrices() -> None:

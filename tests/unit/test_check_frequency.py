@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from invid.cli.app import create_app
 from invid.config import load_config
-from invid.plan import make_plan
+from invid.planning import make_plan
 from invid_drivers.timing import Timing, highest_trustworthy, timing_of, wake_jitter
 
 

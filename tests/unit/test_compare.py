@@ -13,12 +13,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from invid.chains import CoupledChains
-from invid.compare import Comparison, Status, compare
-from invid.compare_pooled import pooled
-from invid.compare_words import differing_number
+from invid.comparison.baseline import pooled
+from invid.comparison.compare import Comparison, Status, compare
+from invid.comparison.sentences import differing_number
 from invid.errors import InputError
-from invid.model import ChainStd, EffectTerm, Estimate, Model, parameter_vector, save_model
+from invid.model.chains import CoupledChains
+from invid.model.document import ChainStd, EffectTerm, Estimate, Model, parameter_vector, save_model
 
 MASSES = [[0.7, 2.0, 3.0], [4.0, 5.0, 6.0]]
 SPRINGS = [[1000.0, 2000.0], [3000.0, 4000.0]]

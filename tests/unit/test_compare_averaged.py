@@ -7,10 +7,10 @@ import pytest
 from scipy.stats import norm
 from test_compare_joint import NAMES, SIZE, VALUES, changed, covariance, drawn, model_of
 
-from invid.compare import compare
-from invid.compare_pooled import MOST, pooled, together
-from invid.compare_repeat import repeatability
-from invid.model import EffectTerm, Estimate, Model
+from invid.comparison.baseline import MOST, pooled, together
+from invid.comparison.compare import compare
+from invid.comparison.repeatability import repeatability
+from invid.model.document import EffectTerm, Estimate, Model
 
 STD = 2e-3 * np.abs(VALUES)
 ALONE = np.diag(STD**2)

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from invid.chains import case_study
-from invid.compare import Status, compare
-from invid.compare_joint import Whitened, shares
-from invid.compare_repeat import repeatability
-from invid.compare_words import HELD
-from invid.model import ChainStd, Model, model_from_json, model_to_json, parameter_vector
+from invid.comparison.compare import Status, compare
+from invid.comparison.joint_test import Whitened, shares
+from invid.comparison.repeatability import repeatability
+from invid.comparison.sentences import HELD
+from invid.model.chains import case_study
+from invid.model.document import ChainStd, Model, model_from_json, model_to_json, parameter_vector
 
 TRUTH = case_study(damping_ratio=0.01)
 NAMES, VALUES = parameter_vector(TRUTH)

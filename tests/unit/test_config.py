@@ -126,7 +126,7 @@ def test_a_recording_given_as_config_is_refused_by_its_size_or_content(tmp_path:
 
 @pytest.mark.parametrize("path", CONFIGS, ids=lambda p: p.name)
 def test_every_shipped_config_loads_and_its_bus_is_within_budget(path: Path) -> None:
-    from invid.plan import make_plan
+    from invid.planning import make_plan
 
     plan = make_plan(load_config(path))
     assert plan.duration_s > 0

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from invid.diagnosis import Alternative
-from invid.discrepancy.confidence import like_a_brake
-from invid.discrepancy.words import finding_sentence, number
-from invid.model import EffectTerm, Estimate
+from invid.diagnosis.confidence import like_a_brake
+from invid.diagnosis.sentences import finding_sentence, number
+from invid.model.diagnosis_document import Alternative
+from invid.model.document import EffectTerm, Estimate
 
 
 def test_a_delay_is_told_in_milliseconds_with_its_uncertainty() -> None:

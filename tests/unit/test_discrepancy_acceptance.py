@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from invid.discrepancy.acceptance import accepted
-from invid.discrepancy.terms import Candidate, Term
-from invid.discrepancy.trial import sized, told
-from invid.discrepancy.words import BY_CAUSE
-from invid.effects.place import Place
+from invid.diagnosis.acceptance import accepted
+from invid.diagnosis.evidence import sized, told
+from invid.diagnosis.sentences import BY_CAUSE
+from invid.likelihood.placed_effect import Candidate, Term
+from invid.model.place import Place
 
 
 def _trial(cost: float, held: float, *, size: float = 0.0, std: float = 1.0) -> Any:

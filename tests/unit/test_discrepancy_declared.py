@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from invid.chains import CoupledChains
-from invid.discrepancy.declared import _longer
+from invid.diagnosis.rules.declared_masses import _longer
+from invid.model.chains import CoupledChains
 
 
 @pytest.mark.parametrize("at", [0, 1])

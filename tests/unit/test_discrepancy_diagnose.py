@@ -15,10 +15,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from hidden.generator import make
 
 from invid.cli.app import run
-from invid.diagnosis import Verdict
-from invid.discrepancy import diagnose
-from invid.discrepancy.dropped import find_dropped
+from invid.diagnosis.diagnose import diagnose
+from invid.diagnosis.rules.dropped_rows import find_dropped
 from invid.errors import InputError
+from invid.model.diagnosis_document import Verdict
 from invid.recording import Role, write_recording
 
 QUICK = {"seed": 11, "motors": 1}

@@ -7,18 +7,18 @@ import pytest
 from test_discrepancy_settling import from_rest
 from two_masses import recording as recording_of
 
-from invid.discrepancy.linear import layout_of
-from invid.discrepancy.plant import evaluate
-from invid.discrepancy.records import by_period, record_of
-from invid.discrepancy.terms import Candidate, Term
-from invid.effects.parameter_drift import ParameterDrift
-from invid.effects.payload_change import PayloadChange
-from invid.effects.place import Place
-from invid.effects.record import Record
-from invid.effects.viscous_friction import ViscousFriction
+from invid.diagnosis.linear_fit import layout_of
+from invid.effects.catalogue.parameter_drift import ParameterDrift
+from invid.effects.catalogue.payload_change import PayloadChange
+from invid.effects.catalogue.viscous_friction import ViscousFriction
+from invid.likelihood.evaluation import evaluate
+from invid.likelihood.placed_effect import Candidate, Term
+from invid.likelihood.prepare_records import by_period, record_of
+from invid.model.parameters import ChainStructure
+from invid.model.place import Place
 from invid.recording import Role
-from invid.refine.structure import ChainStructure
-from invid.spectra import spectra_of
+from invid.signals.spectra import spectra_of
+from invid.signals.spectral_record import Record
 
 LONG_AGO = -1e7
 """Where the recording's time begins for a drift: then a stiffness stands still within a record."""

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from invid.discrepancy import diagnose
+from invid.diagnosis.diagnose import diagnose
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from hidden.foreign import make_foreign

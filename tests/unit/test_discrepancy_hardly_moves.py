@@ -13,9 +13,9 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from hidden.generator import make
 
-from invid.discrepancy.records import split, with_sticking
-from invid.identify import identify
-from invid.spectra import all_spectra
+from invid.identification.identify import identify
+from invid.likelihood.prepare_records import split, with_sticking
+from invid.signals.spectra import all_spectra
 
 
 @pytest.mark.parametrize(("noisier", "said"), [(1.0, False), (1e4, True)])

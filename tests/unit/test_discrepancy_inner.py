@@ -7,9 +7,9 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from invid.discrepancy.inner import settled
-from invid.effects.secants import Secants
-from invid.effects.sign import clip_law
+from invid.effects.laws.sign import clip_law
+from invid.likelihood.inner_motion import settled
+from invid.numerics.anderson import Secants
 
 
 class _View(SimpleNamespace):

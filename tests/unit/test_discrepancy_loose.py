@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from invid.arrays import Float64
-from invid.discrepancy.free_play import FreePlay
-from invid.discrepancy.joint import limits_of
-from invid.discrepancy.look import _begun
-from invid.discrepancy.terms import Term
-from invid.effects.backlash import RattlingBacklash
-from invid.effects.place import spring_places
-from invid.model import ChainStd, Model
+from invid.diagnosis.rules.wide_gap_fit import FreePlay
+from invid.diagnosis.search_pass import _begun
+from invid.effects.catalogue.backlash import RattlingBacklash
+from invid.likelihood.joint_fit import limits_of
+from invid.likelihood.placed_effect import Term
+from invid.model.document import ChainStd, Model
+from invid.model.place import spring_places
+from invid.numerics.arrays import Float64
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from hidden.generator import make

@@ -12,8 +12,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from hidden.generator import make
 
-from invid.discrepancy import diagnose
-from invid.discrepancy.moves import moves_of
+from invid.diagnosis.diagnose import diagnose
+from invid.diagnosis.rules.slow_moves import moves_of
 from invid.recording.model import Experiment, Kind, Recording, Role
 
 

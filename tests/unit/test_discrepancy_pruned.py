@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from invid.discrepancy import pruning
-from invid.discrepancy.selection import Selection
-from invid.discrepancy.terms import Candidate, Term
-from invid.discrepancy.trial import Step, Trial
-from invid.discrepancy.words import BY_CAUSE
-from invid.effects.place import Place
+from invid.diagnosis.evidence import Step, Trial
+from invid.diagnosis.rules import pruning
+from invid.diagnosis.selection import Selection
+from invid.diagnosis.sentences import BY_CAUSE
+from invid.likelihood.placed_effect import Candidate, Term
+from invid.model.place import Place
 
 SPRING = Term(BY_CAUSE["coupling_stiffness"], Place("pair", 0, other=1))
 RIPPLE = Term(BY_CAUSE["transmission_error"], Place("spring", 1, 2))
@@ -46,7 +46,7 @@ def test_the_last_cause_goes_where_the_others_do_as_well_from_where_it_led_them(
         return _trial(without if candidate.terms == (SPRING,) else 4e5, *candidate.terms).fit
 
     monkeypatch.setattr(pruning, "fit", fit)
-    monkeypatch.setattr("invid.discrepancy.trial.held_out", lambda *_: base.held)
+    monkeypatch.setattr("invid.diagnosis.evidence.held_out", lambda *_: base.held)
     found = pruning.pruned(Selection(base, last, steps), [], [])
     assert [s.chosen.term.effect.cause for s in found.steps] == ["coupling_stiffness", "transmission_error"][
         :kept

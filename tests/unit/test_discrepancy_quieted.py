@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from invid.discrepancy.quieted import quieted
+from invid.diagnosis.rules.scatter_explained import quieted
 
 LINES, SENSORS = 400, 1e-4
 

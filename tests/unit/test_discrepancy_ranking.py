@@ -7,10 +7,10 @@ from typing import Any
 
 import pytest
 
-from invid.discrepancy.select import _ranked
-from invid.effects.coulomb_friction import CoulombFriction
-from invid.effects.place import Place
-from invid.effects.stribeck_friction import StribeckFriction
+from invid.diagnosis.search import _ranked
+from invid.effects.catalogue.coulomb_friction import CoulombFriction
+from invid.effects.catalogue.stribeck_friction import StribeckFriction
+from invid.model.place import Place
 
 
 def _trial(effect: Any, axis: int, training: float, held: float) -> Any:

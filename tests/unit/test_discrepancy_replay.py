@@ -13,10 +13,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from hidden.generator import make
 
-from invid.diagnosis import Verdict
-from invid.discrepancy import diagnose, diagnosing
-from invid.discrepancy.replayed import Replay
-from invid.model import Estimate
+from invid.diagnosis import diagnose as diagnose_module
+from invid.diagnosis.diagnose import diagnose
+from invid.diagnosis.time_domain_check import Replay
+from invid.model.diagnosis_document import Verdict
+from invid.model.document import Estimate
 
 QUICK = {"seed": 11, "motors": 1}
 
@@ -38,14 +39,14 @@ def test_the_simulation_over_time_leaves_what_the_regression_leaves(cause: str) 
 
 def test_an_extension_that_gains_less_than_its_uncertainty_over_time_is_refused(monkeypatch) -> None:
     recording, _ = make("coulomb_friction", target_db=20, **QUICK)
-    honest = diagnosing.replay
+    honest = diagnose_module.replay
 
     def useless(*given, **named):
         found = honest(*given, **named)
         assert isinstance(found, Replay)
         return replace(found, gain=3.0, std=3.5)
 
-    monkeypatch.setattr(diagnosing, "replay", useless)
+    monkeypatch.setattr(diagnose_module, "replay", useless)
     d = diagnose(recording)
     assert d.findings == ()
     assert d.verdict is Verdict.UNEXPLAINED
@@ -56,7 +57,7 @@ def test_an_extension_that_gains_less_than_its_uncertainty_over_time_is_refused(
 def test_a_simulation_that_ends_among_other_ripples_judges_nothing(monkeypatch) -> None:
     """Off by a third of a radian of the ripple found, with the missing torque at the held-out noise."""
     recording, _ = make("cogging", target_db=20, **QUICK)
-    honest = diagnosing.replay
+    honest = diagnose_module.replay
 
     def astray(*given, **named):
         found = honest(*given, **named)
@@ -65,7 +66,7 @@ def test_a_simulation_that_ends_among_other_ripples_judges_nothing(monkeypatch) 
         return replace(found, gain=-1.0, position_after=1.1 * found.reach, shift=1e3 + found.shift)
 
     before = diagnose(recording)
-    monkeypatch.setattr(diagnosing, "replay", astray)
+    monkeypatch.setattr(diagnose_module, "replay", astray)
     d = diagnose(recording)
     (finding,), (own,) = d.findings, before.findings
     assert finding.effect.cause == own.effect.cause == "cogging"
@@ -79,14 +80,14 @@ def test_a_simulation_that_ends_among_other_ripples_judges_nothing(monkeypatch) 
 def test_a_wrong_extension_does_not_pass_the_simulation_over_time(monkeypatch) -> None:
     """Friction with its sign turned: the regression says so here, the simulation knows better."""
     recording, _ = make("coulomb_friction", target_db=20, **QUICK)
-    honest = diagnosing.replay
+    honest = diagnose_module.replay
 
     def turned(sound, spectra, linear, extended, *rest):
         (term,) = extended.effects
         wrong = replace(term, parameters={"torque": Estimate(3.0 * term.value("torque"))})
         return honest(sound, spectra, linear, replace(extended, effects=(wrong,)), *rest)
 
-    monkeypatch.setattr(diagnosing, "replay", turned)
+    monkeypatch.setattr(diagnose_module, "replay", turned)
     d = diagnose(recording)
     assert d.findings == () or d.findings[0].confidence < 0.9
     assert any("over time" in w for w in d.warnings)

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from invid.discrepancy import diagnose
-from invid.model import model_from_json, model_to_json
+from invid.diagnosis.diagnose import diagnose
+from invid.model.document import model_from_json, model_to_json
 from invid.recording import read_recording
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "system"))

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from invid.discrepancy.missing_torque import _wander
-from invid.discrepancy.scattering import said_of_scatter
+from invid.diagnosis.rules.nonrepeating_torque import said_of_scatter
+from invid.likelihood.null_test import _wander
 
 
 def _part(scatter: float) -> Any:

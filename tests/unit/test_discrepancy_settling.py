@@ -7,8 +7,8 @@ import pytest
 from two_masses import held
 from two_masses import recording as recording_of
 
-from invid.diagnosis import Verdict
-from invid.discrepancy import diagnose
+from invid.diagnosis.diagnose import diagnose
+from invid.model.diagnosis_document import Verdict
 from invid.recording import Role
 from invid.recording.model import Experiment, Kind
 

@@ -8,14 +8,14 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from invid.chains import CoupledChains
-from invid.discrepancy import side_modes
-from invid.discrepancy.side_modes import modes_moved, with_the_mode_in_it
-from invid.discrepancy.terms import Candidate, Term
-from invid.discrepancy.words import BY_CAUSE
-from invid.effects.extra_mode import _peaks
-from invid.effects.place import Place
-from invid.refine.structure import ChainStructure
+from invid.diagnosis.rules import mode_place
+from invid.diagnosis.rules.mode_place import modes_moved, with_the_mode_in_it
+from invid.diagnosis.sentences import BY_CAUSE
+from invid.effects.catalogue.extra_mode import _peaks
+from invid.likelihood.placed_effect import Candidate, Term
+from invid.model.chains import CoupledChains
+from invid.model.parameters import ChainStructure
+from invid.model.place import Place
 
 LINES = 2 * np.pi * np.arange(0.5, 12.0, 0.25)
 MASSES, SPRINGS = np.array([1.0, 1.6, 0.7]), np.array([300.0, 500.0])
@@ -79,7 +79,7 @@ def test_a_mode_that_takes_half_is_tried_at_the_other_masses_before_it_is_refuse
         asked.append((best.term.place.axis, best.term.place.number))
         return []
 
-    monkeypatch.setattr(side_modes, "elsewhere", elsewhere)
+    monkeypatch.setattr(mode_place, "elsewhere", elsewhere)
     current: Any = SimpleNamespace(cost=1100.0, excess=1000.0)
     trials = [
         trial("extra_mode", 0, 1, 300.0),

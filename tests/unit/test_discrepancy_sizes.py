@@ -11,7 +11,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from hidden.generator import make
 
-from invid.discrepancy import diagnose
+from invid.diagnosis.diagnose import diagnose
 
 
 def test_a_delay_is_not_longer_by_the_half_sample_that_holding_a_torque_takes() -> None:

@@ -12,11 +12,11 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from hidden.generator import make
 
-from invid.discrepancy.linear import linear_fit
-from invid.discrepancy.records import split
-from invid.discrepancy.strong_mode import strong_modes
-from invid.identify import identify
-from invid.spectra import all_spectra
+from invid.diagnosis.linear_fit import linear_fit
+from invid.diagnosis.rules.heavy_mode import strong_modes
+from invid.identification.identify import identify
+from invid.likelihood.prepare_records import split
+from invid.signals.spectra import all_spectra
 
 
 @pytest.mark.slow

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from two_masses import held, recording
 
-from invid.diagnosis import Verdict
-from invid.discrepancy import diagnose
+from invid.diagnosis.diagnose import diagnose
+from invid.model.diagnosis_document import Verdict
 from invid.recording import Role
 from invid.recording.model import Experiment, Kind, Recording
 

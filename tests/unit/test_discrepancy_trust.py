@@ -14,8 +14,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from hidden.generator import make
 
 from invid.cli.app import run
-from invid.diagnosis import Verdict
-from invid.discrepancy import diagnose
+from invid.diagnosis.diagnose import diagnose
+from invid.model.diagnosis_document import Verdict
 from invid.recording import Recording, write_recording
 
 SEED = 11

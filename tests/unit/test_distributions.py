@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from scipy import stats
 
-from invid import distributions as d
+from invid.numerics import distributions as d
 
 
 @pytest.mark.parametrize("p", [0.4, 0.01, 1e-6, 1e-9])

@@ -7,9 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from invid.discrepancy.words import BY_CAUSE
-from invid.effects.place import Place
-from invid.refine.structure import ChainStructure
+from invid.diagnosis.sentences import BY_CAUSE
+from invid.model.parameters import ChainStructure
+from invid.model.place import Place
 
 SPRING = Place("spring", 0, 1)
 

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from invid.effects.beyond import CLEAR, answered, beyond_band
-from invid.effects.place import mass_places, spring_places
-from invid.refine.structure import ChainStructure
+from invid.effects.laws.beyond_band import CLEAR, answered, beyond_band
+from invid.model.parameters import ChainStructure
+from invid.model.place import mass_places, spring_places
 
 MASSES, SPRINGS = (0.05, 0.12, 0.3), (700.0, 500.0)
 LAST, SAMPLES, STEP = 80, 512, 1.0 / 512.0

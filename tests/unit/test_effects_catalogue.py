@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from invid.effects import CATALOGUE
-from invid.effects.sign import sign_law
-from invid.effects.slider import slide
-from invid.refine.structure import ChainStructure
+from invid.effects.laws.sign import sign_law
+from invid.effects.laws.slider import slide
+from invid.effects.registry import CATALOGUE
+from invid.model.parameters import ChainStructure
 
 CONTRACT = {
     "coulomb_friction": {"torque"},

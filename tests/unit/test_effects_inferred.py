@@ -4,9 +4,9 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from invid.arrays import Complex128
-from invid.effects.place import Pattern
-from invid.effects.view import View
+from invid.effects.motion import View
+from invid.model.place import Pattern
+from invid.numerics.arrays import Complex128
 
 PATTERN: Pattern = ((1, 1.0), (2, -1.0))
 

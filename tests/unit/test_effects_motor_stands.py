@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from invid.effects.standing import standing
+from invid.signals.standstill import standing
 
 STEP = 1e-3
 MASS, DRY = 0.1, 2.0

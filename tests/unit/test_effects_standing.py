@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from invid.effects.sign import clip_law, excess_law, sign_law
+from invid.effects.laws.sign import clip_law, excess_law, sign_law
 
 
 def test_an_axis_that_never_moves_feels_no_friction_and_no_play() -> None:

@@ -4,11 +4,11 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from invid.discrepancy.terms import impedances
-from invid.discrepancy.words import BY_CAUSE
-from invid.effects.place import Pattern, Place
-from invid.effects.viscous_friction import ViscousFriction
-from invid.refine.structure import ChainStructure
+from invid.diagnosis.sentences import BY_CAUSE
+from invid.effects.catalogue.viscous_friction import ViscousFriction
+from invid.likelihood.placed_effect import impedances
+from invid.model.parameters import ChainStructure
+from invid.model.place import Pattern, Place
 
 OMEGA = 2 * np.pi * np.linspace(0.5, 12.0, 30)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from invid.effects.sign import excess_law, sign_law
+from invid.effects.laws.sign import excess_law, sign_law
 
 
 @pytest.mark.parametrize("up", [1.0, -1.0])

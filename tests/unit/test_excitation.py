@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from invid import excitation
 from invid.errors import InputError
+from invid.signals import excitation
 
 RATE, PERIOD = 1000.0, 4096
 

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from invid.chains import CoupledChains
 from invid.config import CellConfig, load_config
 from invid.errors import ModelError
-from invid.expected import Noise, assumed_noise, expected, recorded_noise
-from invid.identify import identify
-from invid.model import ChainStd, EffectTerm, Estimate, Model, parameter_vector
-from invid.plan import Plan, make_plan
-from invid.plan.belief import Belief, from_model, guess
-from invid.plan.goal import plan_for_goal
-from invid.plan.response import foretold_motion, hold_gains
+from invid.identification.identify import identify
+from invid.model.chains import CoupledChains
+from invid.model.document import ChainStd, EffectTerm, Estimate, Model, parameter_vector
+from invid.planning import Plan, make_plan
+from invid.planning.belief import Belief, from_model, guess
+from invid.planning.expected_covariance import Noise, assumed_noise, expected, recorded_noise
+from invid.planning.goal import plan_for_goal
+from invid.planning.response import foretold_motion, hold_gains
 from invid.recording import read_recording
 from invid_drivers.connect import connect
 from invid_drivers.foretelling import sensor_noise

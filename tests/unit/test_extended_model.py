@@ -14,14 +14,13 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from hidden.generator import make
 
-from invid.chains import CoupledChains
-from invid.diagnosis import Verdict
-from invid.discrepancy import diagnose
-from invid.discrepancy.diagnosing import OF_GIVEN
-from invid.discrepancy.given import given_effects, place_of, vector_of
-from invid.effects import CATALOGUE
+from invid.diagnosis.diagnose import OF_GIVEN, diagnose
+from invid.diagnosis.known_effects import given_effects, place_of, vector_of
+from invid.effects.registry import CATALOGUE
 from invid.errors import InputError, ModelError
-from invid.model import (
+from invid.model.chains import CoupledChains
+from invid.model.diagnosis_document import Verdict
+from invid.model.document import (
     ChainStd,
     EffectTerm,
     Estimate,
@@ -32,9 +31,9 @@ from invid.model import (
     model_to_json,
     save_model,
 )
+from invid.model.parameters import ChainStructure
 from invid.recording.model import Experiment, Kind, Recording, Role
-from invid.refine.structure import ChainStructure
-from invid.simulate import simulate
+from invid.simulation.run import simulate
 
 CHAINS = CoupledChains.build(
     [[1.0, 1.5], [2.0, 3.0, 1.0]],

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from invid.discrepancy import diagnose
+from invid.diagnosis.diagnose import diagnose
 from invid.recording import read_recording
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "system"))

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from invid.chains import CoupledChains, case_study
 from invid.errors import InputError
-from invid.forward import antiresonances, condense, dynamic_stiffness, frf, resonances
+from invid.model.chains import CoupledChains, case_study
+from invid.model.forward import antiresonances, condense, dynamic_stiffness, frf, resonances
 
 
 def random_chains(rng: np.random.Generator, counts: list[int], *, damped: bool) -> CoupledChains:

@@ -12,10 +12,10 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from hidden.generator import make
 
-from invid.discrepancy import diagnose
-from invid.glitches import without_glitches
-from invid.identify import identify
+from invid.diagnosis.diagnose import diagnose
+from invid.identification.identify import identify
 from invid.recording.model import Experiment, Kind, Recording, Role
+from invid.signals.encoder_glitches import without_glitches
 
 RATE, COUNT = 1000.0, 4000
 TIME = np.arange(COUNT) / RATE

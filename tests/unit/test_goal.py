@@ -8,10 +8,10 @@ import pytest
 
 from invid.config import CellConfig, load_config
 from invid.errors import ConfigError, InputError
-from invid.expected import expected
-from invid.plan.belief import Belief, guess
-from invid.plan.forecast import turning_back
-from invid.plan.goal import GoalPlan, plan_for_goal
+from invid.planning.belief import Belief, guess
+from invid.planning.expected_covariance import expected
+from invid.planning.forecast import turning_back
+from invid.planning.goal import GoalPlan, plan_for_goal
 from invid.recording import Recording, read_recording
 from invid_drivers.cli.measure import parse_goal
 from invid_drivers.foretelling import sensor_noise

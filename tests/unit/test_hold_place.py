@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from invid.refine.holds import sampled_together
+from invid.likelihood.nuisance.hold_timing import sampled_together
 
 
 def test_friction_short_on_two_axes_speaks_for_the_third_that_alone_tells_nothing() -> None:

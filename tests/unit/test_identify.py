@@ -17,8 +17,8 @@ import plant_oracle as oracle
 from invid.cli.app import create_app
 from invid.cli.identify import model_text, parse_masses
 from invid.errors import InputError, NotIdentifiableError
-from invid.identify import identify
-from invid.model import dump_json, model_from_json, model_to_json
+from invid.identification.identify import identify
+from invid.model.document import dump_json, model_from_json, model_to_json
 from invid.recording.model import Experiment, Kind, Recording, Role
 
 RATE = 1000.0

@@ -12,17 +12,17 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 from linear_cell import LinearCell, deviations, record
 
-from invid.discrepancy import diagnose
-from invid.identify import identify
+from invid.diagnosis.diagnose import diagnose
+from invid.identification.identify import identify
+from invid.likelihood.levenberg_marquardt import gauss_newton
+from invid.likelihood.nuisance.hold_timing import INSIDE, early_together
+from invid.likelihood.nuisance.reversals import with_sharp_reversals
+from invid.likelihood.nuisance.torque_lags import with_coulomb, with_torque_lags
+from invid.likelihood.records import carried, problem_from_spectra
+from invid.model.parameters import ChainStructure
 from invid.recording.model import Experiment, Kind, Role
-from invid.refine.blocks import carried, problem_from_spectra
-from invid.refine.holds import INSIDE, early_together
-from invid.refine.lags import with_coulomb, with_torque_lags
-from invid.refine.reversals import with_sharp_reversals
-from invid.refine.smooth_command import seen_hold
-from invid.refine.solver import gauss_newton
-from invid.refine.structure import ChainStructure
-from invid.spectra import LineSpectra, all_spectra, spectra_of
+from invid.signals.smooth_command import seen_hold
+from invid.signals.spectra import LineSpectra, all_spectra, spectra_of
 
 ONE = LinearCell([[1.0, 2.0]], [[1500.0]], [[0.8]])
 TWO = LinearCell([[1.0, 2.0], [1.5, 2.5]], [[1500.0], [2500.0]], [[0.8], [1.0]], {(0, 1): 0.4})

@@ -13,12 +13,12 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 import plant_oracle as oracle
 
 from invid.cli.app import run
-from invid.identify import identify
-from invid.model import Model
-from invid.pole_search import searched_modes
+from invid.identification.identify import identify
+from invid.model.document import Model
+from invid.modes.pole_search import searched_modes
 from invid.recording import write_recording
 from invid.recording.model import Experiment, Kind, Recording, Role
-from invid.spectra import all_spectra
+from invid.signals.spectra import all_spectra
 
 RATE = 500.0
 

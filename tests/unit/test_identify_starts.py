@@ -14,15 +14,15 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 import plant_oracle as oracle
 from bench_identify import estimate, measure, truth
 
-from invid.apart import start_apart
-from invid.chains import CoupledChains
-from invid.identify import from_second_route, identify
+from invid.identification.identify import from_second_route, identify
+from invid.identification.separate_branches import start_apart
 from invid.inverse import PaperResult
-from invid.pole_search import searched_modes
+from invid.likelihood.fit import fit_structure
+from invid.model.chains import CoupledChains
+from invid.model.parameters import ChainStructure
+from invid.modes.pole_search import searched_modes
 from invid.recording.model import Recording
-from invid.refine import ChainStructure
-from invid.refine.fit import fit_structure
-from invid.spectra import all_spectra
+from invid.signals.spectra import all_spectra
 
 
 def recorded(plant: oracle.OraclePlant, top_hz: float) -> Recording:
@@ -42,7 +42,7 @@ def test_three_branches_alike_share_poles_and_are_found_without_a_search_under_t
         searched.append(args)
         return searched_modes(*args, **settings)
 
-    monkeypatch.setattr("invid.identify.searched_modes", noted)
+    monkeypatch.setattr("invid.identification.starts.searched_modes", noted)
     branch = ([0.8, 1.1, 1.5], [1800.0, 4000.0], [1.0, 1.0])
     plant = oracle.OraclePlant([branch[0]] * 3, [branch[1]] * 3, [branch[2]] * 3)
     plant = replace(plant, couplings={(0, 1): 0.3, (0, 2): 0.3, (1, 2): 0.3})

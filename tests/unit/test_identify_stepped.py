@@ -7,7 +7,7 @@ import pytest
 from two_masses import MASS, SPRING, held
 from two_masses import recording as recording_of
 
-from invid.identify import identify
+from invid.identification.identify import identify
 from invid.recording import Role
 from invid.recording.model import Experiment, Kind
 

@@ -9,8 +9,8 @@ from scipy.signal import lfilter
 from test_discrepancy_settling import from_rest
 
 from invid.recording import Role
-from invid.refine.mixed_drive import with_acting_torque
-from invid.spectra import spectra_of
+from invid.signals.drive_torque import with_acting_torque
+from invid.signals.spectra import spectra_of
 
 
 def test_what_a_free_axis_does_beside_its_demand_is_no_hold() -> None:

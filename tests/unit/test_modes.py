@@ -7,10 +7,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from invid.chains import CoupledChains, case_study
 from invid.errors import InputError, NotIdentifiableError
-from invid.forward import antiresonances, resonances
 from invid.inverse import identify_paper, low_frequency_mass, starts
+from invid.model.chains import CoupledChains, case_study
+from invid.model.forward import antiresonances, resonances
 from invid.modes import fit_modes
 
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import lsim
 
-from invid.chains import CoupledChains
-from invid.forward import frf
-from invid.frf import FrfMatrix, local_frf_matrix
 from invid.inverse import identify_paper
+from invid.model.chains import CoupledChains
+from invid.model.forward import frf
 from invid.modes.settle import settled_frf
 from invid.recording.model import Experiment, Kind, Role
-from invid.spectra import LineSpectra, spectra_of
+from invid.signals.frf import FrfMatrix, local_frf_matrix
+from invid.signals.spectra import LineSpectra, spectra_of
 
 RATE, PERIOD, FINE = 200.0, 4.0, 5
 LINES = np.arange(2, 36) / PERIOD

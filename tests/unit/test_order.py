@@ -1,7 +1,7 @@
 """The number of masses: what the motors cannot tell is said."""
 
-from invid.identified import _order_doubts
-from invid.order import _alike, _grown
+from invid.identification.model_facts import _order_doubts
+from invid.identification.model_order import _alike, _grown
 
 
 def test_structures_with_as_many_masses_that_fit_alike_are_named() -> None:

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from invid.chains import CoupledChains
-from invid.order import choose_order
+from invid.identification.model_order import choose_order
+from invid.model.chains import CoupledChains
 
 COSTS = {1: 5e6, 2: 7e5, 3: 3.4e5, 4: 2.3e5, 5: 1.8e5, 6: 4e5}
 """χ² of 100 degrees of freedom that a three-mass axis with a strong transmission error gave."""
@@ -36,7 +36,7 @@ def test_a_further_mass_that_is_none_ends_the_growth(
             noise_cost=COSTS[n], problem=problem, chains=chains, structure=structure, covariance=covariance
         )
 
-    monkeypatch.setattr("invid.identify.fit_sizes", fit_sizes)
-    monkeypatch.setattr("invid.identify.measured_frf", lambda _: None)
+    monkeypatch.setattr("invid.identification.model_order.fit_sizes", fit_sizes)
+    monkeypatch.setattr("invid.identification.model_order.measured_frf", lambda _: None)
     found = choose_order([], ("A1",))
     assert found.sizes == (chosen,)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from invid.arrays import Complex128
-from invid.periods import Settling, settle
+from invid.numerics.arrays import Complex128
+from invid.signals.periods import Settling, settle
 
 LINES, FLOOR = 60, np.array([1e-4])
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from invid.chains import case_study
 from invid.config import CellConfig, parse_config
 from invid.errors import ConfigError
-from invid.plan import bus_load, frame_bits, make_plan
+from invid.model.chains import case_study
+from invid.planning import bus_load, frame_bits, make_plan
 from invid.recording import Kind, Role
 
 

@@ -6,20 +6,16 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from invid.chains import CoupledChains, case_study
-from invid.identifiability import blind_directions
-from invid.model import parameter_vector
+from invid.identification.identifiability import blind_directions
+from invid.likelihood.levenberg_marquardt import gauss_newton
+from invid.likelihood.nuisance.torque_channel import Block
+from invid.likelihood.records import problem_from_spectra
+from invid.likelihood.residual import MissingTorqueProblem, condense_dense
+from invid.model.chains import CoupledChains, case_study
+from invid.model.document import parameter_vector
+from invid.model.parameters import ChainStructure, structure_of
 from invid.recording.model import Experiment, Kind, Role
-from invid.refine import (
-    ChainStructure,
-    MissingTorqueProblem,
-    gauss_newton,
-    problem_from_spectra,
-    structure_of,
-)
-from invid.refine.channel import Block
-from invid.refine.problem import condense_dense
-from invid.spectra import spectra_of
+from invid.signals.spectra import spectra_of
 
 
 def random_chains(rng: np.random.Generator, sizes: tuple[int, ...]) -> CoupledChains:

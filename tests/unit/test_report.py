@@ -15,8 +15,8 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from hidden.generator import Truth, make
 
-from invid.diagnosis import Alternative, AxisResidual, Diagnosis, Finding, Verdict
-from invid.model import ChainStd, EffectTerm, Estimate, Model
+from invid.model.diagnosis_document import Alternative, AxisResidual, Diagnosis, Finding, Verdict
+from invid.model.document import ChainStd, EffectTerm, Estimate, Model
 from invid.recording.model import Recording
 from invid.report import figure_data, figures, render_report
 from invid.report.laws import ABSCISSA

@@ -15,8 +15,8 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from hidden.generator import Truth, make
 
-from invid.diagnosis import AxisResidual, Diagnosis, Finding, Unexplained, Verdict
-from invid.model import ChainStd, EffectTerm, Estimate, Model
+from invid.model.diagnosis_document import AxisResidual, Diagnosis, Finding, Unexplained, Verdict
+from invid.model.document import ChainStd, EffectTerm, Estimate, Model
 from invid.recording.model import Recording
 from invid.report.views import cause_views
 
@@ -143,7 +143,7 @@ def test_beside_an_antiresonance_a_record_from_rest_shows_the_friction_and_not_i
     from two_masses import DAMPER, MASS, SPRING
     from two_masses import recording as recorded
 
-    from invid.chains import CoupledChains
+    from invid.model.chains import CoupledChains
     from invid.recording.model import Experiment, Kind, Role
 
     rate, count, fine = 1000.0, 2048, 10

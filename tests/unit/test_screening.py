@@ -6,15 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from invid.comparison.screening import changed_parts, part_of, screen
 from invid.config import CellConfig, load_config
 from invid.errors import ModelError
-from invid.identify import identify
-from invid.model import Model, parameter_vector
-from invid.plan import Plan
-from invid.plan.belief import from_model, guess
-from invid.plan.goal import plan_for_goal
+from invid.identification.identify import identify
+from invid.model.document import Model, parameter_vector
+from invid.planning import Plan
+from invid.planning.belief import from_model, guess
+from invid.planning.goal import plan_for_goal
 from invid.recording import read_recording
-from invid.screening import changed_parts, part_of, screen
 from invid_drivers.foretelling import sensor_noise
 from invid_drivers.measurement import measure_to_file
 from invid_drivers.rescreening import part_axes, screen_cell, screening_plan

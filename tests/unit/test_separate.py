@@ -17,12 +17,13 @@ from hidden.generator import make
 from invid.cli.app import run
 from invid.cli.diagnose import diagnosis_text
 from invid.config import load_config
-from invid.diagnosis import Alternative, Diagnosis, Finding, Verdict
 from invid.errors import InputError
-from invid.model import ChainStd, EffectTerm, Model
-from invid.plan import make_plan
+from invid.model.diagnosis_document import Alternative, Diagnosis, Finding, Verdict
+from invid.model.document import ChainStd, EffectTerm, Model
+from invid.planning import make_plan
+from invid.planning.separating_experiments import to_separate
+from invid.recording.concatenation import concatenate_recordings
 from invid.recording.model import Kind, Role
-from invid.separate import joined, to_separate
 
 CONFIG = Path(__file__).resolve().parents[2] / "configs" / "case-study.yaml"
 
@@ -121,13 +122,13 @@ def test_two_recordings_of_one_robot_are_diagnosed_as_one() -> None:
     half = len(recording.experiments) // 2 or 1
     first = replace(recording, experiments=recording.experiments[:half])
     second = replace(recording, experiments=recording.experiments[half:])
-    both = joined([first, second])
+    both = concatenate_recordings([first, second])
     assert [e.key for e in both.experiments] == [f"{k:03d}" for k in range(len(recording.experiments))]
     starts = [float(e.time[0]) for e in both.experiments]
     ends = [float(e.time[-1]) for e in both.experiments]
     assert all(a > b for a, b in zip(starts[half:], ends[:half], strict=False))
     with pytest.raises(InputError, match="not the same robot"):
-        joined([recording, replace(recording, axes=("other",))])
+        concatenate_recordings([recording, replace(recording, axes=("other",))])
 
 
 @pytest.mark.parametrize(

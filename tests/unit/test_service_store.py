@@ -15,7 +15,7 @@ from alembic.migration import MigrationContext
 from service_doubles import Director, running, settings_in, wait_for
 
 from invid.errors import ConfigError
-from invid.model import model_from_json
+from invid.model.document import model_from_json
 from invid.recording import read_recording
 from invid_service.app import create_app
 from invid_service.jobs.states import ENDED, State, may_follow

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from invid.chains import CoupledChains, case_study
 from invid.errors import ConfigError
+from invid.model.chains import CoupledChains, case_study
 from invid_drivers.simulated import kernel
 from invid_drivers.simulated.config import AxisSimulation, EffectConfig
 from invid_drivers.simulated.plant import Plant

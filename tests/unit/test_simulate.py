@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from invid.chains import CoupledChains, case_study
 from invid.errors import InputError, ModelError
-from invid.forward import dynamic_stiffness
-from invid.model import ChainStd, EffectTerm, Estimate, Model
+from invid.model.chains import CoupledChains, case_study
+from invid.model.document import ChainStd, EffectTerm, Estimate, Model
+from invid.model.forward import dynamic_stiffness
 from invid.recording.model import Experiment, Kind, Recording, Role
-from invid.simulate import simulate
+from invid.simulation.run import simulate
 
 RATE = 500.0
 PERIOD = 2.0
@@ -550,7 +550,7 @@ def test_effects_that_cannot_be_simulated_are_named(term: EffectTerm, words: str
 
 
 def test_the_uncompiled_kernel_gives_the_same_bits_of_motion() -> None:
-    from invid.simulate import kernel, run
+    from invid.simulation import kernel, run
 
     python = getattr(kernel.march, "py_func", None)
     if python is None:

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from invid.chains import CoupledChains
 from invid.cli.app import run
-from invid.model import ChainStd, Model, save_model
+from invid.model.chains import CoupledChains
+from invid.model.document import ChainStd, Model, save_model
 from invid.recording import Experiment, Kind, Recording, Role, read_recording, write_recording
 
 

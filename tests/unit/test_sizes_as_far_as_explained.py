@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from invid.discrepancy.selection import ALIKE, Selection
-from invid.discrepancy.words import BY_CAUSE
+from invid.diagnosis.selection import ALIKE, Selection
+from invid.diagnosis.sentences import BY_CAUSE
 
 
 @dataclass(frozen=True)

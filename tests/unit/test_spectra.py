@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from invid.errors import RecordingError
-from invid.frf import frf_matrix
-from invid.noise import quantum
-from invid.periods import find_period
 from invid.recording.model import Experiment, Kind, Role
-from invid.spectra import spectra_of
+from invid.signals.frf import frf_matrix
+from invid.signals.noise import quantum
+from invid.signals.periods import find_period
+from invid.signals.spectra import spectra_of
 
 RATE = 1000.0
 

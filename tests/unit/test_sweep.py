@@ -8,11 +8,11 @@ import pytest
 
 from invid.config import AxisConfig, CellConfig, parse_config
 from invid.errors import BusError, ConfigError, DriveError, InvidError, SafetyStop
-from invid.excitation import doublet
-from invid.plan import make_plan
-from invid.plan.model import PlannedExperiment
+from invid.planning import make_plan
+from invid.planning.hold_laws import least_damping, master_hold, require_stable_p
+from invid.planning.model import PlannedExperiment
+from invid.signals.excitation import doublet
 from invid.sweep import Event, Mode, Progress, Sample, Severity, Sweep
-from invid.sweep.holds import least_damping, master_hold, require_stable_p
 from invid.sweep.recorder import Recorder, fill_gaps
 from invid.sweep.trials import response
 from invid.sweep.watch import AxisLimits, Watch

@@ -15,7 +15,7 @@ import pytest
 from test_sweep import RigidCell, config
 
 from invid.errors import RecordingError
-from invid.plan import make_plan
+from invid.planning import make_plan
 from invid.recording import Outcome, Recording, RecordingWriter, read_recording
 from invid.sweep import Progress, Sweep
 from invid.sweep.recorder import Recorder

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from test_sweep import CYCLE, RigidCell, after, config, run
 
-from invid.arrays import Float64
 from invid.errors import SafetyStop
+from invid.numerics.arrays import Float64
 from invid.sweep import Sample
 from invid.sweep.halting import HALT_CYCLES, Halting
-from invid.sweep.standing import LIFE_CHANGES, STUCK_PERIODS, STUCK_S, Standing
+from invid.sweep.stuck_encoder import LIFE_CHANGES, STUCK_PERIODS, STUCK_S, Standing
 from invid.sweep.watch import AxisLimits, Watch
 
 

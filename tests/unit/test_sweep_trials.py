@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from test_sweep import CYCLE, RigidCell, run
 
-from invid.arrays import Bool
 from invid.errors import SafetyStop
-from invid.excitation import doublet
+from invid.numerics.arrays import Bool
+from invid.signals.excitation import doublet
 from invid.sweep import Progress, Sample
 from invid.sweep.trials import DECISIVE, Response, judge, response
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from invid.recording.model import Experiment, Kind, Role
-from invid.timebase import uniform
+from invid.signals.timebase import uniform
 
 RATE, PERIOD = 1000.0, 500
 

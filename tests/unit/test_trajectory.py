@@ -8,15 +8,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from invid.arrays import frozen_float
 from invid.cli.app import run
-from invid.diagnosis import Diagnosis, Verdict, diagnosis_to_json
-from invid.discrepancy import diagnose
+from invid.diagnosis.diagnose import diagnose
 from invid.errors import InputError, InvidError
-from invid.identify import identify
-from invid.model import dump_json, load_model
+from invid.identification.identify import identify
+from invid.model.diagnosis_document import Diagnosis, Verdict, diagnosis_to_json
+from invid.model.document import dump_json, load_model
+from invid.numerics.arrays import frozen_float
 from invid.recording import Experiment, Kind, Recording, Role, write_recording
-from invid.trajectory import diagnose_trajectory, identify_trajectory, is_trajectory
+from invid.rigid_motion.diagnosis import diagnose_trajectory, identify_trajectory
+from invid.rigid_motion.record_kind import is_trajectory
 
 RATE, SUB = 500.0, 10
 Force = Callable[[float, float, float], float]

@@ -8,9 +8,9 @@ from scipy.integrate import solve_ivp
 from test_trajectory import experiment, moves, recording
 from test_trajectory_simulation import effect, model
 
-from invid.diagnosis import Diagnosis
-from invid.simulate import simulate
-from invid.trajectory import diagnose_trajectory
+from invid.model.diagnosis_document import Diagnosis
+from invid.rigid_motion.diagnosis import diagnose_trajectory
+from invid.simulation.run import simulate
 
 RATE, SUB = 500.0, 20
 

@@ -10,11 +10,11 @@ import pytest
 from scipy.integrate import solve_ivp
 from test_trajectory import experiment, recording
 
-from invid.arrays import frozen_float
-from invid.chains import CoupledChains
-from invid.model import ChainStd, EffectTerm, Estimate, Model
-from invid.simulate import simulate
-from invid.trajectory.simulation import closed_loop, errors_of
+from invid.model.chains import CoupledChains
+from invid.model.document import ChainStd, EffectTerm, Estimate, Model
+from invid.numerics.arrays import frozen_float
+from invid.simulation.rigid import closed_loop, errors_of
+from invid.simulation.run import simulate
 
 
 def effect(cause: str, axis: str = "A1", *, other: str | None = None, **values: float) -> EffectTerm:

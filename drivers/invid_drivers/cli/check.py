@@ -1,4 +1,4 @@
-"""``invid check``: preflight; moves nothing."""
+"""``invid check``: preflight of config, bus budget, drives and limits; moves nothing."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import typer
 
 from invid.cli.output import EXIT_OK, emit
 from invid.config import CellConfig, load_config
-from invid.plan import make_plan
-from invid.sweep.holds import master_hold
+from invid.planning import make_plan
+from invid.planning.hold_laws import master_hold
 from invid_drivers.cli.measure import plan_text
 from invid_drivers.connect import connect
 from invid_drivers.timing import timing_of

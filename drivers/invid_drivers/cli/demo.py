@@ -1,4 +1,4 @@
-"""``invid demo``."""
+"""``invid demo``: measure, identify and diagnose a simulated three-axis cell."""
 
 from __future__ import annotations
 

@@ -8,10 +8,10 @@ import numpy as np
 
 from invid.config import CellConfig
 from invid.errors import InputError
-from invid.expected import Expected, Noise, expected, recorded_noise
-from invid.model import load_model, units
-from invid.plan import Plan
-from invid.plan.belief import Belief, from_model, guess
+from invid.model.document import load_model, units
+from invid.planning import Plan
+from invid.planning.belief import Belief, from_model, guess
+from invid.planning.expected_covariance import Expected, Noise, expected, recorded_noise
 from invid.recording import read_recording
 from invid_drivers.foretelling import sensor_noise
 

@@ -106,7 +106,7 @@ def first_config(interface: str, channel: str, bitrate: int, nodes: list[Found])
 
 
 def _cycle(drives: int, bitrate: int) -> float:
-    from invid.plan import bus_load
+    from invid.planning import bus_load
 
     for cycle in (0.001, 0.002, 0.004, 0.01):
         if bus_load(drives, cycle_s=cycle, bitrate=bitrate) <= 0.8:

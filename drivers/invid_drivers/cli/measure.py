@@ -1,4 +1,4 @@
-"""``invid measure``: run a config's experiments on its bus."""
+"""``invid measure``: shake the axes and record position and torque."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ import typer
 from invid.cli.output import EXIT_NOT_TRUSTWORTHY, EXIT_OK, emit, note
 from invid.config import CellConfig, load_config
 from invid.errors import InputError, SafetyStop
-from invid.expected import Noise
-from invid.model import Model, load_json, load_model, save_model
-from invid.plan import Plan, make_plan
-from invid.plan.belief import Belief, from_model
-from invid.plan.goal import GoalPlan, plan_for_goal
-from invid.separate import to_separate
+from invid.model.document import Model, load_json, load_model, save_model
+from invid.planning import Plan, make_plan
+from invid.planning.belief import Belief, from_model
+from invid.planning.expected_covariance import Noise
+from invid.planning.goal import GoalPlan, plan_for_goal
+from invid.planning.separating_experiments import to_separate
 from invid.sweep import Progress
 from invid_drivers.cli.expectation import NOTHING, belief_of, expectation, expected_text, noise_of
 from invid_drivers.goal import Reached, measure_to_goal

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from invid.arrays import Float64
 from invid.config.schema import AxisConfig, CellConfig
 from invid.errors import ConfigError
+from invid.numerics.arrays import Float64
 from invid_drivers.simulated import kernel
 from invid_drivers.simulated.config import AxisSimulation, simulation_of, truth
 from invid_drivers.simulated.drive import Drive

@@ -10,10 +10,10 @@ from typing import Any
 
 from pydantic import AliasChoices, Field, ValidationError, field_validator, model_validator
 
-from invid.chains import CoupledChains, case_study
 from invid.config.experiments import Strict
 from invid.config.schema import CellConfig
 from invid.errors import ConfigError, ModelError
+from invid.model.chains import CoupledChains, case_study
 from invid_drivers.simulated.faults import FaultConfig
 from invid_drivers.simulated.vendors import PROFILES
 

@@ -19,7 +19,7 @@ from typing import TypeVar, cast
 import numba
 import numpy as np
 
-from invid.arrays import Float64, Int64
+from invid.numerics.arrays import Float64, Int64
 
 _Function = TypeVar("_Function", bound=Callable[..., object])
 

@@ -11,7 +11,7 @@ import math
 import numpy as np
 from scipy.linalg import expm
 
-from invid.arrays import Float64
+from invid.numerics.arrays import Float64
 from invid_drivers.simulated import kernel
 from invid_drivers.simulated.structure import Structure
 

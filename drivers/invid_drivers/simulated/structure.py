@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.linalg import eigh
 
-from invid.arrays import Float64, Int64
-from invid.chains import CoupledChains
 from invid.errors import ConfigError
+from invid.model.chains import CoupledChains
+from invid.numerics.arrays import Float64, Int64
 from invid_drivers.simulated import kernel
 from invid_drivers.simulated.config import AxisSimulation, EffectConfig
 

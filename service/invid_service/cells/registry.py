@@ -12,7 +12,7 @@ from typing import Any
 
 from invid.config import CellConfig, load_config
 from invid.errors import ConfigError, InputError
-from invid.model import dump_json, load_json, save_text
+from invid.model.document import dump_json, load_json, save_text
 
 log = logging.getLogger(__name__)
 

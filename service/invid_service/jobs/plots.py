@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from invid.diagnosis import Diagnosis
-from invid.model import Model
+from invid.model.diagnosis_document import Diagnosis
+from invid.model.document import Model
 from invid.recording import Recording
 from invid.report.data import figure_data
 from invid.report.views import cause_views

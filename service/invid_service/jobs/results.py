@@ -10,9 +10,9 @@ from typing import Any
 
 from sqlalchemy.exc import SQLAlchemyError
 
-from invid.compare import Comparison, compare
+from invid.comparison.compare import Comparison, compare
 from invid.errors import InvidError
-from invid.model import Model, model_from_json
+from invid.model.document import Model, model_from_json
 from invid_service.cells.changes import changes_view
 from invid_service.settings import AutoAccept
 from invid_service.store.blobs import KINDS, Blobs

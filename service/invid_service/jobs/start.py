@@ -102,7 +102,7 @@ def _job(
     config = cell.job_config(int(record.id[-8:], 16) % 1_000_000)
     document = None
     if in_force is not None and model is not None:
-        from invid.model import model_to_json
+        from invid.model.document import model_to_json
 
         document = model_to_json(model)
         if body.mode == "simulate" and not cell.simulated:

@@ -124,8 +124,8 @@ def measure(job: Job, line: Line) -> dict[str, Any]:
     """Check, wait for arm, move, write ``recording.h5``; what was seen meanwhile."""
     from invid.config import CellConfig
     from invid.errors import ConfigError
-    from invid.model import model_from_json
-    from invid.plan import make_plan
+    from invid.model.document import model_from_json
+    from invid.planning import make_plan
     from invid_drivers.measurement import measure_to_file
     from invid_service.jobs.response import ResponseWatch
 
@@ -172,10 +172,10 @@ def analyse(job: Job, line: Line, seen: Mapping[str, Any] | None) -> dict[str, A
 
     ``seen`` is what the measurement saw, ``None`` where the recording comes from elsewhere.
     """
-    from invid.diagnosis import diagnosis_to_json
-    from invid.discrepancy import diagnose
-    from invid.identify import identify
-    from invid.model import dump_json, model_to_json, save_text
+    from invid.diagnosis.diagnose import diagnose
+    from invid.identification.identify import identify
+    from invid.model.diagnosis_document import diagnosis_to_json
+    from invid.model.document import dump_json, model_to_json, save_text
     from invid.recording import read_recording
     from invid.report import render_report
     from invid_service.jobs.plots import plot_data

@@ -1,0 +1,280 @@
+"""The functions behind ``import invid``, the commands and the service.
+
+Recordings, models and diagnoses go in as they are and stay as they are; what comes out is immutable and can
+be pickled. Errors are ``invid.InvidError`` and its kinds. Each function loads what it needs when called.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Collection, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from invid.comparison.changes import Comparison
+    from invid.model.diagnosis_document import Diagnosis
+    from invid.model.document import Model
+    from invid.recording.import_map import ImportMap
+    from invid.recording.model import Recording
+
+Masses = Sequence[int] | Literal["auto"] | None
+Method = Literal["refined", "paper"]
+
+
+def read_recording(path: str | Path) -> Recording:
+    """The recording in an HDF5 file (format ``invid-recording``, docs/reference/recording.md).
+
+    Returns
+    -------
+    Recording
+        ``axes`` (M names) and ``experiments``; of each ``time`` (n,) [s], ``position`` (n, M) [rad or m],
+        ``torque`` (n, M) [N·m or N].
+
+    Raises
+    ------
+    RecordingError
+        No file, no recording, or one that breaks its format: says the experiment and the entry.
+    """
+    from invid.numerics.immutable import immutable
+    from invid.recording.hdf5 import read_recording as read
+
+    return immutable(read(path))
+
+
+def write_recording(recording: Recording, path: str | Path) -> None:
+    """Write an ``invid-recording`` file (HDF5); RecordingError where that cannot be."""
+    from invid.recording.hdf5 import write_recording as write
+
+    write(recording, Path(path))
+
+
+def import_recording(
+    source: str | Path | Sequence[str | Path],
+    map: str | Path | ImportMap | None = None,  # the name of the contract
+    *,
+    created: str | None = None,
+) -> Recording:
+    """A recording from a log of another tool: CSV, MAT, Parquet, HDF5, CAN logs.
+
+    Parameters
+    ----------
+    source
+        A file, several, or a folder that the map's ``file`` patterns pick from.
+    map
+        YAML map of columns, units and roles (docs/reference/recording.md); ``None`` where every column's
+        meaning is plain from its name, or where the file is a recording already.
+    created
+        ISO 8601 time that the recording is given; default: now.
+
+    Returns
+    -------
+    Recording
+        ``attributes["broken_rows"]`` rows were skipped; what else was assumed is a Python warning.
+
+    Raises
+    ------
+    InputError
+        A file or map that cannot be used, or columns that nobody can tell without a map.
+    """
+    from invid.numerics.immutable import immutable
+    from invid.recording.import_map import ImportMap, load_map
+    from invid.recording.import_source import import_source
+
+    given = [source] if isinstance(source, str | Path) else source
+    chart = map if map is None or isinstance(map, ImportMap) else load_map(Path(map))
+    beside = Path(map).parent if isinstance(map, str | Path) else None
+    now = created or datetime.now(UTC).isoformat(timespec="seconds")
+    result = import_source([Path(s) for s in given], chart, created=now, beside=beside)
+    for text in result.warnings:
+        warnings.warn(text, stacklevel=2)
+    return immutable(result.recording)
+
+
+def identify(
+    recording: Recording | Sequence[Recording],
+    *,
+    masses: Masses = None,
+    method: Method = "refined",
+    profile: bool = False,
+    bootstrap: int = 0,
+    workers: int = 1,
+) -> Model:
+    """Masses, springs, dampers and inertia couplings of every branch with their uncertainty.
+
+    Parameters
+    ----------
+    recording
+        One recording, or several of one machine (see ``diagnose``).
+    masses
+        Masses of each axis, as ``[3, 3, 3]``; "auto": as many as the data need; default: what the recording
+        names, else "auto".
+    method
+        "refined" (maximum likelihood) or "paper" (the inverse eigenvalue method alone).
+    profile, bootstrap, workers
+        Profile-likelihood intervals; draws of a parametric bootstrap, on so many processes. Refined only.
+
+    Returns
+    -------
+    Model
+        ``chains.masses`` and ``chains.springs`` by axis [kg·m², N·m/rad; linear axes: kg, N/m], ``std`` in
+        the same shapes. ``fit["trustworthy"]`` is False where a reason stands in ``warnings``.
+
+    Raises
+    ------
+    InputError
+        An axis that is never excited; masses that do not match the axes.
+    NotIdentifiableError
+        Data from which no such model can be drawn.
+    """
+    from invid.identification.identify import identify as identified
+    from invid.numerics.immutable import immutable
+
+    return immutable(
+        identified(
+            _one(recording),
+            masses=_sizes(masses),
+            method=method,
+            profile=profile,
+            bootstrap=bootstrap,
+            workers=workers,
+        )
+    )
+
+
+def diagnose(
+    recording: Recording | Sequence[Recording],
+    *,
+    model: Model | None = None,
+    masses: Masses = None,
+) -> Diagnosis:
+    """What the simulation gets wrong on a recording: cause, place, size, extended model and gain.
+
+    Parameters
+    ----------
+    recording
+        One recording, or several of one machine that are diagnosed together: one plant and one set of
+        causes, each experiment with its own noise. A load or an offset that differs between them is not
+        told apart yet: it is one cause for all, or is left unexplained.
+    model
+        Where to start; default: what ``identify`` makes of the recording with ``masses``.
+
+    Returns
+    -------
+    Diagnosis
+        ``verdict``, ``findings`` (``cause``, ``axis``, ``element``, ``parameters["torque"].value`` and
+        ``.std``, ``confidence``, ``alternatives``), ``residual`` of each axis [N·m or N], ``model`` (with the
+        causes as its effects), ``warnings``.
+
+    Raises
+    ------
+    InputError
+        Recordings that are not of one machine; a model of other axes; ``model`` and ``masses`` together.
+    NotIdentifiableError
+        Data from which no model can be drawn.
+    """
+    from invid.diagnosis.diagnose import diagnose as diagnosed
+    from invid.errors import InputError
+    from invid.numerics.immutable import immutable
+
+    if model is not None and masses is not None:
+        raise InputError("masses and model: the model says how many masses there are; give one of the two")
+    return immutable(diagnosed(_one(recording), model=model, masses=_sizes(masses)))
+
+
+def simulate(
+    model: Model,
+    recording: Recording,
+    *,
+    rng: np.random.Generator | None = None,
+    only: Collection[str] | None = None,
+) -> Recording:
+    """The answer of a model, effects included, to the torques of a recording, over time.
+
+    Parameters
+    ----------
+    rng
+        Draws the rows that ``dropped_samples`` repeats; default: the same rows each time.
+    only
+        Keys of the experiments to simulate and to return; default: all.
+
+    Returns
+    -------
+    Recording
+        The same experiments; ``position`` (n, M) from the model, ``torque`` what it was given.
+
+    Raises
+    ------
+    InputError, ModelError
+        Axes that do not match; an effect that cannot be simulated; motion that diverges.
+    """
+    from invid.numerics.immutable import immutable
+    from invid.simulation.run import simulate as simulated
+
+    return immutable(simulated(model, recording, rng=rng, only=only))
+
+
+def compare(
+    old: Model,
+    new: Model,
+    *,
+    tolerance: float = 0.2,
+    alpha: float = 0.01,
+    repeatability: float = 0.0,
+) -> Comparison:
+    """Which parameters and causes changed between two models of one robot, beyond their uncertainty.
+
+    Parameters
+    ----------
+    tolerance
+        A parameter that could have changed by more than this fraction unseen is not called unchanged.
+    alpha
+        Probability of a false "changed" over all parameters.
+    repeatability
+        Relative standard deviation between measurements of an unchanged robot.
+
+    Returns
+    -------
+    Comparison
+        ``sentences``, and of each parameter ``status``, ``difference`` and ``std`` in its unit.
+
+    Raises
+    ------
+    InputError
+        Models of robots that have nothing in common.
+    """
+    from invid.comparison.compare import compare as compared
+    from invid.numerics.immutable import immutable
+
+    return immutable(compared(old, new, tolerance=tolerance, alpha=alpha, repeatability=repeatability))
+
+
+def load_model(path: str | Path) -> Model:
+    """The model in an ``invid-model`` file (JSON); InputError or ModelError says what is wrong with it."""
+    from invid.model.document import load_model as load
+    from invid.numerics.immutable import immutable
+
+    return immutable(load(path))
+
+
+def load_diagnosis(path: str | Path) -> Diagnosis:
+    """The diagnosis in an ``invid-diagnosis`` file (JSON); InputError says what is wrong with it."""
+    from invid.model.diagnosis_document import load_diagnosis as load
+    from invid.numerics.immutable import immutable
+
+    return immutable(load(path))
+
+
+def _sizes(masses: Masses) -> Masses:
+    return masses if masses is None or isinstance(masses, str) else tuple(masses)
+
+
+def _one(recording: Recording | Sequence[Recording]) -> Recording:
+    """One recording of all that are given."""
+    from invid.recording.concatenation import concatenate_recordings
+    from invid.recording.model import Recording
+
+    return recording if isinstance(recording, Recording) else concatenate_recordings(recording)

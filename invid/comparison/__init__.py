@@ -1,0 +1,1 @@
+"""Two models of one robot: what changed beyond its uncertainty."""

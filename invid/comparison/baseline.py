@@ -1,0 +1,196 @@
+"""Several measurements of one unchanged robot, averaged: the baseline that a new one is compared with.
+
+The difference of two single runs has √2 times the deviation of one; against the mean of K runs it has
+√(1 + 1/K). Only runs that agree with each other are averaged, newest first, up to the first that does not:
+behind it lies another state of the robot. Nobody says that a cell repeats as its fits expect, so
+``foretold`` measures by how much the mean of earlier runs misses the next one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from invid.comparison.joint_test import Whitened, difference, joint_p, select, two_sided
+from invid.model.chains import CoupledChains
+from invid.model.document import ChainStd, EffectTerm, Estimate, Model, parameter_vector
+from invid.numerics.arrays import Float64, frozen_float
+from invid.numerics.distributions import f_sf
+
+MOST = 8
+"""Runs averaged at most: with eight the deviation of a difference is within 6 % of what any number could
+give, and a slow drift of the cell has less time to come in."""
+AGREE = 0.01
+"""A run that agrees with the mean worse than this (p) is not averaged: what the comparison itself would call
+changed at its default level is no repetition. Stricter (0.05), it left a run that is off by chance standing
+alone as a baseline one time in twenty, which raises more alarms than it prevents (simulated)."""
+SPARSE = 1e-3
+"""Chance with which a few parameters explain so much of a difference that has nothing to do with them."""
+
+
+def same_shape(one: Model, other: Model) -> bool:
+    """True where both have the same parameters, effects included, so that a mean has a meaning."""
+    return (
+        one.linear == other.linear
+        and parameter_vector(one.chains)[0] == parameter_vector(other.chains)[0]
+        and [_key(t) for t in _sorted(one)] == [_key(t) for t in _sorted(other)]
+    )
+
+
+def _key(term: EffectTerm) -> tuple[str, ...]:
+    return (term.axis, term.cause, term.element or "", term.other_axis or "", *term.parameters)
+
+
+def _sorted(model: Model) -> list[EffectTerm]:
+    return sorted(model.effects, key=_key)
+
+
+def pooled(models: Sequence[Model]) -> Model:
+    """Mean of models of the same shape (the last gives names and facts), with the covariance of that mean.
+
+    One weight a model, by the size of its variances: the mean of each parameter then lies between its values,
+    which inverse covariance matrices do not promise where correlations are strong and themselves estimates.
+    """
+    last = models[-1]
+    if len(models) == 1:
+        return last
+    weights = _weights(models)
+
+    def mean(values: Sequence[Float64]) -> Float64:
+        return frozen_float(sum(w * v for w, v in zip(weights, values, strict=True)))
+
+    def spread(values: Sequence[Float64]) -> Float64:
+        return frozen_float(np.sqrt(sum((w * v) ** 2 for w, v in zip(weights, values, strict=True))))
+
+    branches = range(last.chains.branches)
+    chains = CoupledChains(
+        masses=tuple(mean([m.chains.masses[i] for m in models]) for i in branches),
+        springs=tuple(mean([m.chains.springs[i] for m in models]) for i in branches),
+        dampers=tuple(mean([m.chains.dampers[i] for m in models]) for i in branches),
+        couplings=mean([m.chains.couplings for m in models]),
+        ground_springs=mean([m.chains.ground_springs for m in models]),
+        ground_dampers=mean([m.chains.ground_dampers for m in models]),
+        axes=last.chains.axes,
+    )
+    std = ChainStd(
+        masses=tuple(spread([m.std.masses[i] for m in models]) for i in branches),
+        springs=tuple(spread([m.std.springs[i] for m in models]) for i in branches),
+        dampers=tuple(spread([m.std.dampers[i] for m in models]) for i in branches),
+        couplings=spread([m.std.couplings for m in models]),
+        ground_springs=spread([m.std.ground_springs for m in models]),
+    )
+    joint: Float64 | None = None
+    matrices = [m.covariance for m in models if m.parameter_names == last.parameter_names]
+    known = [c for c in matrices if c is not None]
+    if len(known) == len(models):
+        joint = frozen_float(sum(w**2 * c for w, c in zip(weights, known, strict=True)))
+    terms = zip(*(_sorted(m) for m in models), strict=True)
+    return replace(
+        last,
+        chains=chains,
+        std=std,
+        covariance=joint,
+        effects=tuple(_mean_effect(same, weights) for same in terms),
+    )
+
+
+def _weights(models: Sequence[Model]) -> list[float]:
+    stds = np.array([np.concatenate([*m.std.masses, *m.std.springs, *m.std.dampers]) for m in models])
+    good = np.all(np.isfinite(stds) & (stds > 0), axis=0)
+    if not good.any():
+        return [1.0 / len(models)] * len(models)
+    size = -2.0 * np.log(stds[:, good]).mean(axis=1)
+    weight = np.exp(size - size.max())
+    return [float(w) for w in weight / weight.sum()]
+
+
+def _mean_effect(terms: Sequence[EffectTerm], weights: Sequence[float]) -> EffectTerm:
+    last = terms[-1]
+    parameters: dict[str, Estimate] = {}
+    for name, own in last.parameters.items():
+        each = [t.parameters[name] for t in terms]
+        offset = sum(w * _apart(name, own.value, e.value) for w, e in zip(weights, each, strict=True))
+        stds = [e.std for e in each if e.std is not None]
+        std = (
+            math.hypot(*(w * s for w, s in zip(weights, stds, strict=True)))
+            if len(stds) == len(each)
+            else None
+        )
+        parameters[name] = replace(own, value=own.value + offset, std=std)
+    return replace(last, parameters=parameters)
+
+
+def agree(mean: Model, other: Model, factor: float) -> bool:
+    """True where ``other`` may be one more measurement of what ``mean`` is the mean of."""
+    if not same_shape(mean, other):
+        return False
+    white = difference(mean, other, factor)
+    if white is None:
+        return False
+    # A third each: a difference spread over many parameters, one in a single one, one in an effect.
+    share = AGREE / 3
+    if joint_p(white, math.inf) < share or select(white, share, math.inf).chosen:
+        return False
+    z = _effect_scores(mean, other, factor)
+    return not z or len(z) * two_sided(max(z), math.inf) >= share
+
+
+def _effect_scores(one: Model, other: Model, factor: float) -> list[float]:
+    """|z| of every effect's parameter whose uncertainty both know."""
+    found = []
+    for a, b in zip(_sorted(one), _sorted(other), strict=True):
+        for name, was in a.parameters.items():
+            now = b.parameters[name]
+            spread = factor * math.hypot(was.std or 0.0, now.std or 0.0)
+            if was.std is not None and now.std is not None and spread > 0:
+                found.append(abs(_apart(name, was.value, now.value)) / spread)
+    return found
+
+
+def _apart(name: str, was: float, now: float) -> float:
+    """now − was, the short way round for angles."""
+    return math.remainder(now - was, 2 * math.pi) if name in ("phase", "angle") else now - was
+
+
+def together(model: Model, earlier: Sequence[Model], factor: float) -> list[Model]:
+    """``model`` and those before it that agree with it, oldest first; ``earlier`` is oldest first."""
+    group = [model]
+    for other in reversed(earlier):
+        if len(group) == MOST or not agree(pooled(group), other, factor):
+            break
+        group.insert(0, other)
+    return group
+
+
+def steady(white: Whitened) -> tuple[float, int]:
+    """χ² and degrees of freedom of a difference without the few parameters, at most a third of all, that
+    stand out of it by far: those of a tool that was changed."""
+    total, count = white.chi2, white.data.size
+    chosen: list[int] = []
+    rest, best, least = total, (total, count), SPARSE
+    for k in range(1, count // 3 + 1 if total > 0 else 1):
+        z = white.scores(chosen)
+        chosen.append(int(np.argmax(np.abs(z))))
+        rest = max(rest - float(z[chosen[-1]]) ** 2, 1e-12 * total)
+        gained = (total - rest) / k / (rest / (count - k))
+        chance = math.comb(count, k) * f_sf(gained, k, count - k)
+        if chance < least:
+            best, least = (rest, count - k), chance
+    return best
+
+
+def foretold(history: Sequence[Model], factor: float) -> list[tuple[float, int]]:
+    """``steady`` of each run against the mean of the runs before it that agree with it, oldest first."""
+    found: list[tuple[float, int]] = []
+    group: list[Model] = []
+    for model in history:
+        mean = pooled(group) if group else None
+        white = None if mean is None else difference(mean, model)
+        if white is not None:
+            found.append(steady(white))
+        goes_on = mean is not None and agree(mean, model, factor)
+        group = [*group, model][-MOST:] if goes_on else [model]
+    return found

@@ -1,0 +1,134 @@
+"""What a comparison of two models consists of: ``Change`` of one parameter, ``Comparison`` of all."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any
+
+from invid.model.document import Estimate
+
+
+class Status(StrEnum):
+    """What can be said of one parameter."""
+
+    CHANGED = "changed"
+    UNCHANGED = "unchanged"
+    CANNOT_TELL = "cannot_tell"
+
+
+@dataclass(frozen=True)
+class Change:
+    """One parameter, before and after.
+
+    ``difference`` ± ``std`` is new − old with the uncertainty of both and the repeatability of the cell;
+    of a *changed* parameter it is the change that explains the two models with all that did not change
+    held equal, which is better known than the plain difference of two correlated estimates.
+    ``bound`` is the largest relative change that the data still allow (a fraction of ``scale``);
+    ``scale`` is |old|, or for couplings the geometric mean of the final masses they join.
+    ``detectable`` is the relative change in this parameter alone that would have been found with 90 %.
+    ``rivals`` are the names of parameters of which this one, or they, changed.
+    """
+
+    name: str
+    label: str
+    axis: str
+    kind: str
+    unit: str | None
+    old: Estimate | None
+    new: Estimate | None
+    status: Status
+    reason: str = ""
+    difference: float | None = None
+    std: float | None = None
+    p_value: float | None = None
+    p_adjusted: float | None = None
+    scale: float = 0.0
+    bound: float | None = None
+    detectable: float | None = None
+    final: bool = False
+    rivals: tuple[str, ...] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+
+        def estimate(e: Estimate | None) -> dict[str, Any] | None:
+            return None if e is None else {"value": e.value, "std": e.std}
+
+        return {
+            "parameter": self.name,
+            "label": self.label,
+            "axis": self.axis,
+            "kind": self.kind,
+            "unit": self.unit,
+            "old": estimate(self.old),
+            "new": estimate(self.new),
+            "status": str(self.status),
+            "reason": self.reason,
+            "difference": self.difference,
+            "std": self.std,
+            "p": self.p_value,
+            "p_adjusted": self.p_adjusted,
+            "within_percent": None if self.bound is None else 100.0 * self.bound,
+            "detectable_percent": None if self.detectable is None else 100.0 * self.detectable,
+        }
+
+
+@dataclass(frozen=True)
+class Repeatability:
+    """How much more a cell varies from run to run than the fits' covariances say.
+
+    ``factor`` multiplies every standard deviation (below 1 where the runs agree better than their fits say,
+    and there are enough of them to say so); ``pairs`` of runs are behind it,
+    with ``dof`` effective degrees of freedom (infinite where the factor is assumed, not measured).
+    """
+
+    factor: float = 1.0
+    pairs: int = 0
+    dof: float = float("inf")
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What changed between two models."""
+
+    old_robot: str
+    new_robot: str
+    alpha: float
+    tolerance: float
+    parameters: tuple[Change, ...]
+    effects: tuple[Change, ...]
+    joint_p: float | None
+    joint_dof: int
+    sentences: tuple[str, ...]
+    warnings: tuple[str, ...] = ()
+    structure: tuple[str, ...] = field(default=())
+    """What differs in structure: axes, numbers of masses, effects that came or went."""
+    repeatability: Repeatability = field(default=Repeatability())
+    runs: tuple[int, int] = (1, 1)
+    """How many models the old and the new side are the mean of."""
+
+    @property
+    def told(self) -> bool:
+        """False where nothing could be called changed or unchanged."""
+        return bool(self.structure) or any(
+            c.status is not Status.CANNOT_TELL or c.rivals for c in self.parameters + self.effects
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """The ``invid-comparison`` document."""
+        return {
+            "format": "invid-comparison",
+            "format_version": 1,
+            "robots": [self.old_robot, self.new_robot],
+            "alpha": self.alpha,
+            "tolerance_percent": 100.0 * self.tolerance,
+            "parameters": [c.to_json() for c in self.parameters],
+            "effects": [c.to_json() for c in self.effects],
+            "joint": {"p": self.joint_p, "dof": self.joint_dof},
+            "repeatability": {"factor": self.repeatability.factor, "pairs": self.repeatability.pairs},
+            "runs": {"old": self.runs[0], "new": self.runs[1]},
+            "structure": list(self.structure),
+            "sentences": list(self.sentences),
+            "warnings": list(self.warnings),
+        }

@@ -1,0 +1,242 @@
+"""Which parameters of two models belong together, with difference and standard deviation of each pair."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from invid.comparison.changes import Change, Status
+from invid.comparison.joint_test import covariance_of
+from invid.comparison.sentences import differing_number
+from invid.model.document import EffectTerm, Estimate, Model, units
+
+
+def _estimate(value: float, std: float, unit: str) -> Estimate:
+    return Estimate(float(value), float(std) if math.isfinite(std) else None, unit)
+
+
+def structure(old: Model, new: Model, common: Sequence[str]) -> list[str]:
+    """What differs in axes and numbers of masses, in sentences."""
+    said = []
+    for axis in old.axes:
+        if axis not in new.axes:
+            said.append(f"{axis} is in the old model only.")
+    for axis in new.axes:
+        if axis not in old.axes:
+            said.append(f"{axis} is in the new model only.")
+    for axis in common:
+        before = old.chains.masses[old.axes.index(axis)].size
+        after = new.chains.masses[new.axes.index(axis)].size
+        if before != after:
+            said.append(
+                f"{axis} had {before} {_plural(before, 'mass')} and now has {after}: only its whole "
+                "inertia can be compared."
+            )
+    return said
+
+
+def _plural(count: int, word: str) -> str:
+    return word if count == 1 else word + "es"
+
+
+def _names(count: int) -> list[str]:
+    """What a person calls the masses of a branch."""
+    if count == 1:
+        return ["mass"]
+    return ["motor mass", *(f"mass {q + 1}" for q in range(1, count - 1)), "final mass"]
+
+
+def linear_parameters(old: Model, new: Model, common: Sequence[str], repeatability: float) -> list[Change]:
+    """Masses, springs, dampers and couplings of the common axes."""
+    unit = units(old.linear)
+    out: list[Change] = []
+    for axis in common:
+        i, j = old.axes.index(axis), new.axes.index(axis)
+        a, b = old.chains, new.chains
+        if a.masses[i].size != b.masses[j].size:
+            out.append(_whole_inertia(old, new, axis, unit["mass"], repeatability))
+            continue
+        columns = (
+            ("mass", unit["mass"], a.masses[i], old.std.masses[i], b.masses[j], new.std.masses[j]),
+            ("spring", unit["stiffness"], a.springs[i], old.std.springs[i], b.springs[j], new.std.springs[j]),
+            ("damper", unit["damping"], a.dampers[i], old.std.dampers[i], b.dampers[j], new.std.dampers[j]),
+        )
+        labels = _names(a.masses[i].size)
+        for kind, of, va, sa, vb, sb in columns:
+            for q in range(va.size):
+                label = labels[q] if kind == "mass" else f"{kind} {q + 1}"
+                change = _pair(
+                    f"{axis}.{kind}.{q + 1}",
+                    f"{axis}: {label}",
+                    axis,
+                    kind,
+                    _estimate(va[q], sa[q], of),
+                    _estimate(vb[q], sb[q], of),
+                    repeatability,
+                )
+                out.append(replace(change, final=kind == "mass" and q == va.size - 1))
+        if a.ground_springs[i] != 0 or b.ground_springs[j] != 0:
+            out.append(
+                _pair(
+                    f"{axis}.ground_spring",
+                    f"{axis}: spring to ground",
+                    axis,
+                    "ground_spring",
+                    _estimate(a.ground_springs[i], old.std.ground_springs[i], unit["stiffness"]),
+                    _estimate(b.ground_springs[j], new.std.ground_springs[j], unit["stiffness"]),
+                    repeatability,
+                )
+            )
+    for x, first in enumerate(common):
+        for second in common[x + 1 :]:
+            i, j = old.axes.index(first), old.axes.index(second)
+            k, m = new.axes.index(first), new.axes.index(second)
+            scale = math.sqrt(float(old.chains.masses[i][-1] * old.chains.masses[j][-1]))
+            out.append(
+                _pair(
+                    f"{first}-{second}.coupling",
+                    f"{first}-{second}: coupling",
+                    first,
+                    "coupling",
+                    _estimate(old.chains.couplings[i, j], old.std.couplings[i, j], unit["mass"]),
+                    _estimate(new.chains.couplings[k, m], new.std.couplings[k, m], unit["mass"]),
+                    repeatability,
+                    scale=scale,
+                )
+            )
+    return out
+
+
+def _whole_inertia(old: Model, new: Model, axis: str, unit: str, repeatability: float) -> Change:
+    """Sum of a branch's masses: the one thing that does not depend on their number."""
+
+    def total(model: Model) -> Estimate:
+        i = model.axes.index(axis)
+        names = [f"{axis}.mass.{q + 1}" for q in range(model.chains.masses[i].size)]
+        covariance = covariance_of(model, names)
+        variance = float(covariance.sum())
+        std = math.sqrt(variance) if math.isfinite(variance) and variance >= 0 else math.nan
+        return _estimate(float(model.chains.masses[i].sum()), std, unit)
+
+    return _pair(
+        f"{axis}.inertia", f"{axis}: whole inertia", axis, "inertia", total(old), total(new), repeatability
+    )
+
+
+def _pair(
+    name: str,
+    label: str,
+    axis: str,
+    kind: str,
+    old: Estimate,
+    new: Estimate,
+    repeatability: float,
+    *,
+    scale: float | None = None,
+) -> Change:
+    """Difference and its standard deviation; the status is decided later, over all."""
+    difference = new.value - old.value
+    if name.endswith((".phase", ".angle")):
+        difference = math.remainder(difference, 2 * math.pi)
+    change = Change(
+        name,
+        label,
+        axis,
+        kind,
+        old.unit or new.unit,
+        old,
+        new,
+        Status.CANNOT_TELL,
+        difference=difference,
+        scale=abs(old.value) if scale is None else scale,
+    )
+    missing = [w for w, e in (("old", old), ("new", new)) if e.std is None or e.std < 0]
+    if missing:
+        return replace(change, reason=f"the {' and the '.join(missing)} model gives no uncertainty")
+    variance = (old.std or 0.0) ** 2 + (new.std or 0.0) ** 2
+    variance += repeatability**2 * (old.value**2 + new.value**2)
+    if variance == 0:
+        return replace(change, reason="both models claim a standard deviation of 0")
+    return replace(change, std=math.sqrt(variance))
+
+
+# --- effects ---------------------------------------------------------------------------------------
+def _key(term: EffectTerm) -> tuple[str, str, str | None, str | None]:
+    return term.cause, term.axis, term.element, term.other_axis
+
+
+def describe(term: EffectTerm) -> str:
+    """ "coulomb friction at mass 1" of an effect, without its axis."""
+    words = term.cause.replace("_", " ")
+    if term.other_axis:
+        words += f" to {term.other_axis}"
+    return words + (f" at {term.element}" if term.element else "")
+
+
+def _main(term: EffectTerm) -> tuple[str, Estimate] | None:
+    """First parameter by the contract's order: the size."""
+    return next(iter(term.parameters.items()), None)
+
+
+def effects(
+    old: Model, new: Model, common: Sequence[str], repeatability: float
+) -> tuple[list[Change], list[str]]:
+    """Parameters of effects that both models have, and sentences on those that came or went."""
+    before = {_key(t): t for t in old.effects if t.axis in common}
+    after = {_key(t): t for t in new.effects if t.axis in common}
+    changes: list[Change] = []
+    said: list[str] = []
+    for key, term in before.items():
+        base = f"{term.axis}.{'.'.join(p for p in (term.cause, term.element, term.other_axis) if p)}"
+        if key in after:
+            for parameter, value in term.parameters.items():
+                if parameter in after[key].parameters:
+                    changes.append(
+                        _pair(
+                            f"{base}.{parameter}",
+                            f"{term.axis}: {describe(term)}, {parameter}",
+                            term.axis,
+                            "effect",
+                            value,
+                            after[key].parameters[parameter],
+                            repeatability,
+                        )
+                    )
+            continue
+        twin = _same_place(term, after.values(), before)
+        said.append(
+            f"{term.axis}: {describe(term)} is described as {twin.cause.replace('_', ' ')} now."
+            if twin
+            else f"{term.axis}: {describe(term)}{_size(term)} is no longer found."
+        )
+    for key, term in after.items():
+        if key not in before and _same_place(term, before.values(), after) is None:
+            said.append(f"{term.axis}: {describe(term)}{_size(term)} is new.")
+    return changes, said
+
+
+def _same_place(
+    term: EffectTerm, others: Iterable[EffectTerm], own: Mapping[Any, EffectTerm]
+) -> EffectTerm | None:
+    """Another kind of friction at the same place, that this side does not have too."""
+    for other in others:
+        if (
+            _key(other) not in own
+            and (other.axis, other.element) == (term.axis, term.element)
+            and other.cause.endswith("_friction")
+            and term.cause.endswith("_friction")
+        ):
+            return other
+    return None
+
+
+def _size(term: EffectTerm) -> str:
+    main = _main(term)
+    if main is None:
+        return ""
+    name, value = main
+    shown = differing_number(value.value, value.std or abs(value.value) * 0.01)
+    spread = f" ± {differing_number(value.std, value.std)}" if value.std else ""
+    return f" ({name.replace('_', ' ')} {shown}{spread}{' ' + value.unit if value.unit else ''})"

@@ -1,0 +1,1 @@
+"""What the simulation gets wrong: search, acceptance, doubt, verdict, sentences."""

@@ -1,0 +1,125 @@
+"""The diagnosis of a recording: fit, test, select, judge, say."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Literal
+
+from invid.diagnosis.extended_model import extended_model
+from invid.diagnosis.known_effects import folded
+from invid.diagnosis.rules.declared_masses import with_the_declared_mass
+from invid.diagnosis.rules.dropped_rows import before_repair, find_dropped, repaired, with_dropped
+from invid.diagnosis.rules.reidentify import looked_again
+from invid.diagnosis.rules.viscous_with_dry import allowing_for_viscous, with_viscous
+from invid.diagnosis.search_pass import looked
+from invid.diagnosis.time_domain_check import REFUSED, Replay, replay, with_replay
+from invid.diagnosis.verdict import document
+from invid.effects.effect import unit_of
+from invid.errors import InputError
+from invid.identification.identify import identify
+from invid.likelihood.joint_fit import JointFit
+from invid.likelihood.null_test import null_test
+from invid.model.diagnosis_document import Diagnosis
+from invid.model.document import Model, model_to_json
+from invid.recording.model import Recording
+from invid.rigid_motion.diagnosis import diagnose_trajectory
+from invid.rigid_motion.record_kind import is_rigid_case
+from invid.signals.encoder_glitches import without_glitches
+from invid.signals.plausibility import check_units
+
+CLEARLY = 0.1
+"""Share of a hold from which it is worth a word that it acts inside the drive."""
+
+OF_GIVEN = "the model given, of its own recording: "
+"""Before what the identification of a model warned of that was drawn from other data."""
+
+
+def diagnose(
+    recording: Recording,
+    *,
+    model: Model | None = None,
+    masses: Sequence[int] | Literal["auto"] | None = None,
+) -> Diagnosis:
+    """What the simulation gets wrong, the cause, the extended model and the gain.
+
+    Parameters
+    ----------
+    model
+        Start of the linear parameters; identified from the recording where not given.
+    masses
+        Masses of each axis for that identification; see ``invid.identification.identify.identify``.
+
+    Raises
+    ------
+    InputError, NotIdentifiableError
+        Data from which no model can be drawn, or a model that does not fit the recording's axes.
+    """
+    recording, told = without_glitches(recording)
+    result = _diagnosed(recording, model, masses)
+    return replace(result, warnings=tuple(dict.fromkeys([*result.warnings, *told]))) if told else result
+
+
+def _diagnosed(
+    recording: Recording, model: Model | None, masses: Sequence[int] | Literal["auto"] | None
+) -> Diagnosis:
+    """The diagnosis of a recording without glitches."""
+    if is_rigid_case(recording, masses if model is None else model.chains.masses_per_branch):
+        return diagnose_trajectory(recording, model=model)
+    dropped = find_dropped(recording)
+    sound = repaired(recording, dropped) if dropped else recording
+    own = model is None
+    if model is None:
+        model = identify(sound, masses=masses)
+    elif model.provenance.get("recorded") != recording.created:
+        said = (w.removeprefix(OF_GIVEN) for w in model.warnings)
+        model = replace(model, warnings=tuple(f"{OF_GIVEN}{w}" for w in said))
+    if model.axes != recording.axes:
+        raise InputError(
+            f"the model has the axes {list(model.axes)}, the recording {list(recording.axes)}; diagnose with "
+            "the model of this robot, or without one"
+        )
+    check_units(model, recording)
+    look = looked(sound, folded(model))
+    look = looked_again(look, masses if own else model.chains.masses_per_branch)
+    if own:
+        look = with_the_declared_mass(look, recording.masses_per_axis if masses is None else masses)
+    sound, model, tones, bare = look.recording, look.model, look.tones, look.bare
+    train, held = look.train, look.held
+    selection = allowing_for_viscous(with_viscous(look.selection, train, held)).as_far_as_explained()
+    warnings = [*look.warnings, *said_of_holds(selection.final.fit, recording)]
+    result = document(sound, model, selection, bare, train, held, tones, warnings)
+    if result.findings:
+        linear = extended_model(model, bare, ())
+        answer = replay(sound, look.spectra, linear, result.model, selection.final.fit, held)
+        reached = not null_test(selection.final.held.cost, selection.final.held.dof, held).rejects
+        lost = isinstance(answer, Replay) and answer.lost and reached
+        if isinstance(answer, Replay) and answer.refused and not lost:
+            result = document(
+                sound, model, selection, bare, train, held, tones, [*warnings, REFUSED], refused=True
+            )
+        elif isinstance(answer, Replay) and not lost:
+            selection = selection.wider(answer.shift)
+            result = document(sound, model, selection, bare, train, held, tones, warnings)
+        result = with_replay(result, answer, sound, lost=lost)
+        result = replace(result, details={**result.details, "linear_model": model_to_json(linear)})
+    return with_dropped(result, recording, dropped, before_repair(recording, bare, result) if dropped else {})
+
+
+def said_of_holds(final: JointFit, recording: Recording) -> list[str]:
+    """What holds that no record shows alone were taken to do, where that is not to act with the command."""
+    layout, said = final.layout, []
+    for hold, share in zip(layout.holds, final.p[layout.holds_at], strict=True):
+        friction = 0.5 * layout.step * float(share) * hold.stiffness
+        if hold.damping or share < CLEARLY:
+            continue
+        unit = unit_of("damping", recording.linear)
+        said.append(
+            f"{recording.axes[hold.axis]}: its hold is taken to act up to half a sample before the command, "
+            f"as fits best; viscous friction of {friction:.2g} {unit} at its motor would look alike: record "
+            "the demanded torque, or drive the axis without a hold, to tell"
+        )
+    return said
+
+
+__all__ = ["diagnose"]

@@ -1,0 +1,319 @@
+"""One candidate with its joint fit, and how such a fit is started."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol, TypeVar
+
+import numpy as np
+
+from invid.effects.catalogue.extra_mode import frequency_told
+from invid.likelihood.evaluation import Evaluation, evaluate, numbers_on
+from invid.likelihood.hypothesis import Layout
+from invid.likelihood.joint_fit import LARGEST_STEP, JointFit, fit, held_out, limits_of, pack, unpack
+from invid.likelihood.placed_effect import Candidate, Term
+from invid.numerics.arrays import Bool, Float64
+from invid.numerics.distributions import chi2_isf
+from invid.signals.spectral_record import Record
+
+HELD_OUT = 6.6
+"""Held-out χ² gain of one degree of freedom that noise exceeds once in a hundred."""
+
+LARGER = 9.2
+"""χ² gain of two degrees of freedom that noise exceeds once in a hundred: what a larger friction model must
+gain over a smaller one that it contains."""
+
+COMPETES = 9.0
+"""Difference of −2 ln(likelihood) within which two causes are called indistinguishable (about 3 σ)."""
+
+CLOSE = 1.5
+"""χ²/ν up to which a fit is close enough to the noise that what it leaves is a matter of that."""
+
+WEAK = 1e-6
+"""The same where the null test finds no excess: then errors of the model far below the noise count as well,
+and they are coherent. Empirical (hidden plants): a torque scale 5 σ from one was named on data without it."""
+
+
+def excess_in(part: Evaluation, axes: Collection[int], *, moving: bool = False) -> float:
+    """χ² beyond its expectation in the missing torque of some axes; ``moving``: without lines at 0 Hz."""
+    chosen, out = sorted(axes), 0.0
+    for view, root, missing in zip(part.views, part.roots, part.missing, strict=True):
+        white = np.abs(np.einsum("fij,fj->fi", root, missing)) ** 2
+        rows, rests = numbers_on(view.record, root), view.record.omega == 0.0
+        counted = ~rests if moving else np.ones(rests.size, dtype=bool)
+        out += float((white[:, chosen] - rows[:, None])[counted].sum())
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """One candidate, refitted jointly."""
+
+    fit: JointFit
+    held: Evaluation
+
+    @property
+    def term(self) -> Term:
+        """The effect added last."""
+        return self.fit.candidate.terms[-1]
+
+    @property
+    def x(self) -> Float64:
+        """Its parameters."""
+        return self.fit.candidate.x[-1]
+
+    @property
+    def cost(self) -> float:
+        """χ² of training and held-out data together."""
+        return self.fit.cost + self.held.cost
+
+    @property
+    def dof(self) -> int:
+        """Degrees of freedom of both."""
+        return self.fit.dof + self.held.dof
+
+    @property
+    def excess(self) -> float:
+        """χ² beyond its expectation; negative where chance was kind."""
+        return self.cost - self.dof
+
+    def excess_on(self, axes: Collection[int]) -> float:
+        """What is beyond noise in the missing torque of some axes."""
+        return sum(excess_in(part, axes) for part in (self.fit.evaluation, self.held))
+
+    @property
+    def excess_in_motion(self) -> float:
+        """What is beyond noise in all torque that is not constant over its record."""
+        every = range(self.fit.layout.structure.motors)
+        return sum(excess_in(part, every, moving=True) for part in (self.fit.evaluation, self.held))
+
+    @property
+    def beyond_noise(self) -> float:
+        """χ² left beyond noise, three standard deviations of χ² taken off.
+
+        Likelihoods compare models of which one is true. Where even the final model leaves an excess,
+        something of that size is wrong with the models, and a smaller difference between causes decides
+        nothing.
+        """
+        return max(float(self.excess - 3.0 * np.sqrt(2.0 * self.dof)), 0.0)
+
+    @property
+    def starts(self) -> int:
+        """Unknowns of the records that effects remember (``began``)."""
+        return sum(len(v.starts) for part in (self.fit.evaluation, self.held) for v in part.views)
+
+    @property
+    def dispersion(self) -> float:
+        """χ²/ν of both, at least 1."""
+        return max(1.0, self.cost / self.dof)
+
+    @property
+    def held_dispersion(self) -> float:
+        """χ²/ν of the held-out records, at least 1."""
+        return max(1.0, self.held.cost / max(self.held.dof, 1))
+
+    def score(self, dispersion: float, rows: int) -> float:
+        """−2 ln(likelihood) and Schwarz' penalty of all effects: what candidates are ranked by."""
+        return self.cost / dispersion + penalty(self, rows)
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One cause added: before, the chosen one, and those that compete, best first."""
+
+    before: Trial
+    chosen: Trial
+    ranked: tuple[tuple[Trial, float], ...]
+    """Candidates with −2 ln(likelihood) plus penalty, over the dispersion, best first."""
+
+    def against(self, rivals: Sequence[tuple[Trial, float]]) -> Step:
+        """The same step with more that compete; the chosen one stays first."""
+        others = sorted((*self.ranked[1:], *rivals), key=lambda r: r[1])
+        return replace(self, ranked=(self.ranked[0], *others))
+
+
+class _Costly(Protocol):
+    @property
+    def cost(self) -> float: ...
+
+
+T = TypeVar("T", bound=_Costly)
+
+
+def finite(run: Callable[[], T]) -> T | None:
+    """What ``run`` fits; none where nothing finite follows from its start."""
+    with np.errstate(all="ignore"):
+        try:
+            out = run()
+        except np.linalg.LinAlgError:
+            return None
+    return out if np.isfinite(out.cost) else None
+
+
+def attempted(run: Callable[[], JointFit], held: Sequence[Record]) -> Trial | None:
+    """What ``run`` fits, judged on held-out records; none where nothing finite follows from its start."""
+
+    def trial() -> Trial:
+        found = run()
+        return Trial(found, held_out(found, held))
+
+    return finite(trial)
+
+
+def refit(
+    current: JointFit,
+    records: Sequence[Record],
+    term: Term,
+    x: Float64,
+    iterations: int,
+    shift: Float64 | None = None,
+) -> JointFit:
+    """Joint fit with one effect more; ``shift``: step of the parameters so far that goes with it."""
+    layout, p, candidate, known = _start(current, records, term, x, shift)
+    return fit(layout, records, p, candidate, iterations=iterations, quick=True, known=known)
+
+
+def _start(
+    current: JointFit, records: Sequence[Record], term: Term, x: Float64, shift: Float64 | None
+) -> tuple[Layout, Float64, Candidate, Evaluation | None]:
+    """Where the joint fit starts, with its evaluation if finite: the cheapest of the screen's joint step,
+    shares of it, and of sizes alone.
+
+    A strong effect biases the linear parameters, so its size alone makes things worse; a linearised step
+    overshoots where the bias is large.
+    """
+    layout, stay = current.layout, np.ones(current.layout.count, dtype=bool)
+    if term.effect.cause == "torque_delay":
+        layout, stay = layout.without_delay([term.place.axis])
+    count = len(term.effect.coefficients)
+    best, known = np.inf, None
+    chosen = layout, current.p[stay], current.candidate.plus(term, x)
+    tries = [(0.0, 1.0), (0.0, 0.4), (0.0, 0.1), (0.0, 0.01)]
+    if shift is not None and shift.size and np.isfinite(shift).all():
+        tries = [(1.0, 1.0), (0.5, 1.0), *tries[:1], (0.4, 0.4), *tries[1:]]
+    low, high = limits_of(current.layout, current.candidate, current.evaluation, True)
+    for step, share in tries:
+        moved = pack(current.p, current.candidate)
+        if step and shift is not None:
+            limit = np.where(_logarithmic(current), LARGEST_STEP, np.inf)
+            moved = np.clip(moved + np.clip(step * shift, -limit, limit), low, high)
+        p, before = unpack(current.layout, current.candidate, moved)
+        trial = x.copy()
+        trial[:count] *= share
+        if not current.layout.structure.admissible(p[: current.layout.structure.count]):
+            continue
+        candidate = before.plus(term, trial)
+        with np.errstate(all="ignore"):
+            try:
+                there = evaluate(layout, records, p[stay], candidate, jacobian=False)
+            except np.linalg.LinAlgError:
+                continue
+        if np.isfinite(there.cost) and there.cost < best:
+            best, known, chosen = there.cost, there, (layout, p[stay], candidate)
+        if there.cost < current.cost:
+            break
+    return *chosen, known
+
+
+def _logarithmic(current: JointFit) -> Bool:
+    """(n,) parameters of a fit that move as logarithms."""
+    structure, layout = current.layout.structure, current.layout
+    flags = [structure.logarithmic, np.zeros(layout.count - structure.count, dtype=bool)]
+    for t in current.candidate.terms:
+        shapes = np.array(t.effect.logarithmic, dtype=bool)
+        flags += [np.zeros(len(t.effect.coefficients), dtype=bool), shapes]
+    out: Bool = np.concatenate(flags)
+    return out
+
+
+def at_bound(found: JointFit) -> bool:
+    """A shape at the edge of what it may be, a size beyond: the fit wants something else than the cause that
+    was added last."""
+    term, x, views = found.candidate.terms[-1], found.candidate.x[-1], found.evaluation.views
+    if term.effect.beyond(views, term.place, x.tolist()):
+        return True
+    if term.effect.cause == "payload_change":  # time is no part of the size
+        return False
+    shapes = x[len(term.effect.coefficients) :]
+    limits = term.effect.limits(views, term.place)
+    if term.effect.cause == "extra_mode":
+        # Nor is damping; but a mode beside all lines is none, and one that wants more damping than any has is
+        # what a hold with other gains leaves (three of fifteen empty records), or friction.
+        if shapes[1] >= limits[1][1] - 1e-3:
+            return True
+        variance = float(found.covariance_of(-1)[1, 1])
+        if not frequency_told(views, float(np.exp(shapes[0])), float(np.sqrt(variance))):
+            return True
+        shapes, limits = shapes[:1], limits[:1]
+    return any(v <= low + 1e-9 or v >= high - 1e-9 for v, (low, high) in zip(shapes, limits, strict=True))
+
+
+def sized(found: JointFit, number: int, chance: float = 0.01) -> bool | None:
+    """Whether a coefficient of an effect differs from zero (Wald); ``None`` where none is known."""
+    term, x = found.candidate.terms[number], found.candidate.x[number]
+    count = len(term.effect.coefficients)
+    block = found.covariance_of(number)[:count, :count]
+    if not count or not np.isfinite(block).all():
+        return None
+    wald = float(x[:count] @ np.linalg.lstsq(block, x[:count], rcond=None)[0])
+    return wald > chi2_isf(chance, count)
+
+
+def told(found: JointFit, number: int, chance: float = 0.01) -> bool | None:
+    """Whether a coefficient of an effect differs from zero at the shapes that were found; ``None`` where none
+    is known.
+
+    With none of the effect there are no shapes: that cycles are not told, and the phase with them, says
+    nothing of the size (997019: a gear error of 215 in χ² whose sine and cosine are 2.6 std from none).
+    """
+    term, x = found.candidate.terms[number], found.candidate.x[number]
+    count = len(term.effect.coefficients)
+    block = found.covariance_of(number)
+    if not count or not np.isfinite(block).all():
+        return None
+    scale = np.sqrt(np.maximum(np.diag(block), 1e-300))
+    information = np.linalg.pinv(block / scale[:, None] / scale, hermitian=True)[:count, :count]
+    size = x[:count] / scale[:count]
+    wald = float(size @ information @ size)
+    return wald > chi2_isf(chance, count)
+
+
+def penalty(trial: Trial, rows: int) -> float:
+    """Schwarz' penalty of the parameters of the effects and of what they remember, and how rare their places
+    are."""
+    terms, structure = trial.fit.candidate.terms, trial.fit.layout.structure
+    rare = sum(t.effect.rarity(t.place, structure) for t in terms)
+    return float(np.log(max(rows, 2))) * (sum(t.size for t in terms) + trial.starts) + rare
+
+
+def extends(larger: Trial, smaller: Trial) -> bool:
+    """Whether one is a larger friction model at the same place: then it always fits as well."""
+    one, other = larger.term, smaller.term
+    return (
+        one.place == other.place
+        and one.effect.family == other.effect.family == "friction"
+        and one.size > other.size
+    )
+
+
+def unearned(trial: Trial, rows: int) -> float:
+    """What Schwarz' penalty asks too much for a phase of the effect added last that the data barely see.
+
+    ln(rows) a parameter is the logarithm of prior over posterior variance where the prior is that of one row.
+    No phase is preferred and no order of size: beside the quadrature c that is seen the other one is then
+    distributed as 1/(π c (1 + s²/c²)), at none as dense as a normal one of variance c²·π/2. It pays ln(prior
+    over posterior variance) of that: nothing where the data do not see it (gravity on a small motion is a
+    constant torque), and something where they see that it is none.
+    """
+    if trial.term.effect.coefficients != ("sine", "cosine"):
+        return 0.0
+    block = trial.fit.covariance_of(-1)[:2, :2]
+    most = float(np.log(max(rows, 2)))
+    if not np.isfinite(block).all():
+        return most
+    large = float(np.linalg.eigvalsh(block)[-1])
+    expected = 0.5 * np.pi * float(trial.x[:2] @ trial.x[:2])
+    if large <= 0.0 or expected <= 0.0:
+        return 0.0
+    return float(np.clip(most - np.log(expected / large), 0.0, most))

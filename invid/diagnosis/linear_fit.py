@@ -1,0 +1,214 @@
+"""The linear model, with the effects it came with, fitted to the training records."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from invid.diagnosis.evidence import Trial, finite
+from invid.diagnosis.known_effects import given_effects
+from invid.diagnosis.rules.tones import Tone, tones_of
+from invid.likelihood.hypothesis import Layout
+from invid.likelihood.joint_fit import JointFit, fit, held_out
+from invid.likelihood.nuisance.hold_share import HeldInside, holds_inside
+from invid.likelihood.null_test import with_scatter
+from invid.likelihood.placed_effect import Candidate
+from invid.likelihood.prepare_records import by_period
+from invid.model.document import Model
+from invid.model.forward import resonances
+from invid.model.parameters import ChainStructure
+from invid.numerics.arrays import Float64
+from invid.recording.model import Recording
+from invid.signals.spectra import LineSpectra
+from invid.signals.spectral_record import Record
+
+FAR = 3.0
+"""χ²/ν from which a fit leaves so much that the linear model itself may be wrong. A guess."""
+LIGHTEST = 1e-8
+"""Share of its branch that a mass has at least where a fit starts: rounding is 1e-16 of the matrices."""
+LOWER = 0.5
+"""Share of χ² to which another start must bring a fit that is doubted. A guess: a wrong minimum
+of a linear machine is off by far more (720061 of the hidden effects: 11 000 times), while what a strong
+effect leaves is about the same in every minimum, and the one that the identification found is as good."""
+
+
+def linear_fit(
+    model: Model,
+    recording: Recording,
+    spectra: Sequence[LineSpectra],
+    train: Sequence[Record],
+    held: Sequence[Record],
+    *,
+    apart: bool = False,
+    each: bool = False,
+) -> tuple[JointFit, Float64, list[Record], list[Record]]:
+    """The model, with the effects it came with, fitted to the training records, its parameters with unbounded
+    time offsets, and the records with their scatter.
+
+    ``apart``: every record is followed from period to period, the first that is held out joins the training;
+    nothing is a tone then. ``each``: so are records whose periods differ far beyond the sensors' noise.
+    """
+    chains = model.chains
+    grounded = tuple(int(i) for i in np.flatnonzero(chains.ground_springs > 0))
+    structure = ChainStructure(chains.masses_per_branch, chains.axes, viscous=False, grounded=grounded)
+    origin = min(float(e.time[0]) for e in recording.experiments)
+    logged = train[0].command is not None
+    holds = holds_inside(spectra, model, recording, with_command=logged)
+    layout = layout_of(structure, train, origin, holds, () if logged else smoothed_in(model))
+    given = given_effects(model, structure)
+    late = [t.place.axis for t in given.terms if t.effect.cause == "torque_delay"]
+    layout, _ = layout.without_delay(late)
+    start = start_of(model, layout)
+    first = fit(
+        layout, with_scatter(train, spectra, layout, start), start, given, iterations=25, strict=False
+    )
+    gone = _vanishing(first)
+    if not given.terms and (gone or doubted(model, first)):
+        again = restarted(first, train)
+        if gone or again.cost < LOWER * first.cost:
+            first = again
+    train = with_scatter(train, spectra, layout, first.p)
+    held = with_scatter(held, spectra, layout, first.p)
+    keys = [r.key for r in (*train, *held) if apart or r.trend or (each and r.differs)]
+    # A tone that repeats with no period looks like a change from one to the next.
+    if keys and (apart or each or not tones_in(first, held, spectra)):
+        train, held = by_period(recording, train, keys), by_period(recording, held, keys)
+        if apart and len(held) > 1 and held[0].alone:
+            train, held = [*train, held[0]], held[1:]
+    return fit(layout, train, first.p, first.candidate, iterations=25), first.p, train, held
+
+
+def without_effects(base: JointFit, train: Sequence[Record]) -> JointFit:
+    """The linear model alone fitted to the same records, where the model came with effects."""
+    if not base.candidate.terms:
+        return base
+    layout = replace(base.layout, free_delays=tuple(range(base.layout.structure.motors)))
+    linear, rest = base.p[: layout.structure.count], base.p[base.layout.stairs_at.start :]
+    p = np.concatenate((linear, base.layout.delays(base.p), rest))
+    return fit(layout, train, p, Candidate(), iterations=25)
+
+
+def from_causes(base: JointFit, final: JointFit, train: Sequence[Record]) -> JointFit | None:
+    """The linear model started where the fit with causes ended, where that explains most of what they do.
+
+    Beside a linear model in a wrong minimum any cause may be what leads out of it: a drift that changed a
+    spring by more than itself left no more than noise, and so did the linear parameters found with it alone.
+    """
+    if base.cost < FAR * base.dof or final.p.size != base.p.size or final.candidate is base.candidate:
+        return None
+    alone = finite(lambda: fit(base.layout, train, final.p, base.candidate, iterations=25))
+    if alone is None or base.cost - alone.cost < alone.cost - final.cost:
+        return None
+    return alone
+
+
+def layout_of(
+    structure: ChainStructure,
+    records: Sequence[Record],
+    origin: float,
+    holds: tuple[HeldInside, ...] = (),
+    smoothed: tuple[int, ...] = (),
+) -> Layout:
+    """Delay and hold-over-the-sample parameters that the records leave open, the holds' shares, and the time
+    constants of the axes whose reported torque is ``smoothed``."""
+    motors = structure.motors
+    stairs = np.array([r.staircase for r in records])
+    unknown = tuple(i for i in range(motors) if np.isnan(stairs[:, i]).any())
+    known = np.nan_to_num(stairs[0], nan=0.5)
+    free = tuple(range(motors))
+    return Layout(structure, records[0].step, unknown, known, free, origin, holds=holds, smoothed=smoothed)
+
+
+def smoothed_in(model: Model) -> tuple[int, ...]:
+    """Axes whose drive smooths the torque that it reports, by three standard deviations in ``fit``."""
+    found = []
+    for i, axis in enumerate(model.axes):
+        lag = model.fit.get("torque_lag_s", {}).get(axis, {})
+        value, std = lag.get("value"), lag.get("std")
+        if value is not None and std is not None and value > 3.0 * std:
+            found.append(i)
+    return tuple(found)
+
+
+def start_of(model: Model, layout: Layout) -> Float64:
+    """(n,) parameters of the model as it came."""
+    structure, start = layout.structure, np.zeros(layout.count)
+    # A mass that vanished in the identification makes the chain's matrices singular.
+    masses = [np.maximum(m, LIGHTEST * m.sum()) for m in model.chains.masses]
+    start[: structure.count] = structure.vector(replace(model.chains, masses=tuple(masses)))
+    offsets = model.fit.get("time_offset_s", {}) if isinstance(model.fit, dict) else {}
+    for k, i in enumerate(layout.free_delays):
+        found = offsets.get(f"{structure.axes[i]}.time_offset", {})
+        value = found.get("value") if isinstance(found, dict) else None
+        start[structure.count + k] = 0.5 * layout.step if value is None else float(value)
+    for k, i in enumerate(layout.smoothed):
+        time_constant = float(model.fit["torque_lag_s"][structure.axes[i]]["value"])
+        start[layout.smoothed_at.start + k] = time_constant
+        start[structure.count + layout.free_delays.index(i)] += time_constant  # which held the lag's delay
+    start[layout.stairs_at] = 0.5
+    start[layout.holds_at] = [h.expected for h in layout.holds]
+    return start
+
+
+def _vanishing(fitted: JointFit) -> bool:
+    """A mass below a ten-thousandth of its branch in a fit that does not reach the noise: a wrong minimum."""
+    chains = fitted.layout.structure.chains(fitted.p[: fitted.layout.structure.count])
+    gone = any(bool((m < 1e-4 * m.sum()).any()) for m in chains.masses)
+    return gone and fitted.cost > FAR * fitted.dof
+
+
+def doubted(model: Model, fitted: JointFit | Trial) -> bool:
+    """Whether the identification does not trust its fit and that fit does not reach the noise."""
+    return model.fit.get("trustworthy", True) is False and fitted.cost > FAR * fitted.dof
+
+
+def restarted(fitted: JointFit, train: Sequence[Record]) -> JointFit:
+    """The best of fits from evenly shared masses with springs that spread their modes over the band.
+
+    Effects start as they are.
+    """
+    layout, structure = fitted.layout, fitted.layout.structure
+    best = fitted
+    masses = structure.slices["mass"]
+    totals = np.exp(fitted.p[masses])
+    top = highest_line(train)
+    for part in (0.6, 0.35, 0.2, 0.85):
+        p = fitted.p.copy()
+        at = 0
+        springs: list[float] = []
+        for n in structure.sizes:
+            share = float(totals[at : at + n].sum()) / n
+            p[masses.start + at : masses.start + at + n] = np.log(share)
+            springs += [float(np.log(share * (part * top) ** 2 / 2))] * (n - 1)
+            at += n
+        p[structure.slices["spring"]] = springs
+        p[structure.slices["damper"]] = 0.02 * np.exp(springs) / top
+        trial = fit(layout, train, p, fitted.candidate, iterations=60, strict=False)
+        if trial.cost < best.cost:
+            best = trial
+        if best.cost < 2.0 * best.dof:
+            break
+    return best
+
+
+def highest_line(records: Sequence[Record]) -> float:
+    """Highest excited line [rad/s]."""
+    return max(float(r.omega[r.excited].max()) for r in records if r.excited.any())
+
+
+def spare_mode(fitted: JointFit, records: Sequence[Record]) -> bool:
+    """Whether the chains have a resonance above all excited lines.
+
+    A mode that the records show beside them may be that one, the fit in another minimum.
+    """
+    structure = fitted.layout.structure
+    chains = structure.chains(fitted.p[: structure.count])
+    return float(np.max(resonances(chains), initial=0.0)) > highest_line(records)
+
+
+def tones_in(fitted: JointFit, held: Sequence[Record], spectra: Sequence[LineSpectra]) -> list[Tone]:
+    """Tones of the training and the held-out records."""
+    both = (fitted.evaluation, held_out(fitted, held))
+    return tones_of(both, fitted.layout, fitted.p, spectra)

@@ -1,0 +1,94 @@
+"""Where and how the part lives that no cause explains."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from invid.diagnosis.evidence import Trial
+from invid.likelihood.null_test import informative
+from invid.model.diagnosis_document import Unexplained
+from invid.recording.model import Recording
+
+
+def unexplained_of(trial: Trial, recording: Recording) -> Unexplained:
+    """Axis, frequencies and character of the excess of the training and held-out records."""
+    motors = recording.axis_count
+    power = np.zeros(motors)
+    lines: dict[int, list[tuple[float, float]]] = {i: [] for i in range(motors)}
+    odd, even, driven = np.zeros(motors), np.zeros(motors), np.zeros(motors)
+    levels: list[tuple[float, float]] = []
+    for evaluation in (trial.fit.evaluation, trial.held):
+        for number, view in enumerate(evaluation.views):
+            r = evaluation.missing[number]
+            c = np.einsum("fii->fi", evaluation.covariance[number]).real
+            good = informative(evaluation.covariance[number], view.record)
+            excess = np.where(good, np.abs(r) ** 2 / np.maximum(c, 1e-300) - 1.0, 0.0)
+            excess[0] *= 0.5
+            power += excess.sum(axis=0)
+            index = view.record.lines
+            is_odd = (index % 2 == 1) & ~view.record.excited
+            is_even = (index % 2 == 0) & ~view.record.excited & (index > 0)
+            for i in range(motors):
+                odd[i] += excess[is_odd, i].sum()
+                even[i] += excess[is_even, i].sum()
+                driven[i] += excess[view.record.excited, i].sum()
+                lines[i] += list(zip((view.omega / 2 / np.pi).tolist(), excess[:, i].tolist(), strict=True))
+            size = float(np.std(view.record.motor_wave))
+            levels.append(
+                (size, float((np.abs(r) ** 2 * good).sum() / max((np.abs(view.acting) ** 2).sum(), 1e-300)))
+            )
+    axis = int(np.argmax(power))
+    found: dict[float, float] = {}
+    for hz, e in lines[axis]:
+        key = round(hz, 4)
+        found[key] = found.get(key, 0.0) + e
+    strongest = sorted(found, key=lambda hz: -found[hz])[:6]
+    character = []
+    if even[axis] > 0.15 * max(power[axis], 1e-300):
+        character.append("even")
+    if odd[axis] + driven[axis] > 0.3 * max(power[axis], 1e-300):
+        character.append("odd")
+    relative = [share for _, share in sorted(levels)]
+    if len(relative) > 1 and relative[-1] > 0 and not 0.5 < relative[0] / relative[-1] < 2.0:
+        character.append("amplitude-dependent")
+    character.append(_follows(trial, axis))
+    name = recording.axes[axis]
+    where = ", ".join(f"{hz:.3g}" for hz in sorted(strongest))
+    return Unexplained(
+        axis=name,
+        frequencies_hz=tuple(sorted(strongest)),
+        character=tuple(dict.fromkeys(character)),
+        sentence=(
+            f"Axis {name}: torque is missing, most at {where} Hz ({', '.join(dict.fromkeys(character))}), "
+            "that no cause of the catalogue explains."
+        ),
+    )
+
+
+def _follows(trial: Trial, axis: int) -> str:
+    """What the missing torque goes with over time: position, velocity, or neither."""
+    best: dict[str, float] = {"position-dependent": 0.0, "velocity-dependent": 0.0}
+    total = 0.0
+    evaluation = trial.fit.evaluation
+    for number, view in enumerate(evaluation.views):
+        record = view.record
+        half = np.zeros(record.samples // 2 + 1, dtype=complex)
+        good = informative(evaluation.covariance[number], record)[:, axis]
+        half[record.lines] = np.where(good, evaluation.missing[number][:, axis], 0.0) * (record.samples / 2)
+        r = np.fft.irfft(half, record.samples)
+        total += float(r @ r)
+        for name, x in (
+            ("position-dependent", record.motor_wave[:, axis]),
+            ("velocity-dependent", record.motor_velocity[:, axis]),
+        ):
+            order = np.argsort(x)
+            bins = np.array_split(r[order], 24)
+            best[name] += float(sum(b.size * b.mean() ** 2 for b in bins))
+    name = max(best, key=lambda k: best[k])
+    return (
+        name
+        if best[name] > 0.2 * max(total, 1e-300)
+        else "time-dependent"
+        if not total
+        else "amplitude-dependent"
+    )

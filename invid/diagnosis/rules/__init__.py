@@ -1,0 +1,1 @@
+"""Special rules of the search, one a module."""

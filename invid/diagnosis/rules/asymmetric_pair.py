@@ -1,0 +1,89 @@
+"""A constant torque and dry friction on one axis, against friction that differs between the directions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from invid.diagnosis.evidence import COMPETES, attempted
+from invid.diagnosis.rules.near_variants import of_its_own
+from invid.diagnosis.selection import Selection
+from invid.diagnosis.sentences import BY_CAUSE
+from invid.effects.effect import Effect
+from invid.effects.laws.sign import DryLaw
+from invid.likelihood.joint_fit import fit
+from invid.likelihood.placed_effect import Term
+from invid.numerics.arrays import Float64
+from invid.signals.spectral_record import Record
+
+PARTS = ("torque_offset", "coulomb_friction", "viscous_friction")
+
+
+def with_asymmetry(found: Selection, train: Sequence[Record], held: Sequence[Record]) -> Selection:
+    """The selection, every part of such a pair doubted as much as the records leave the one cause possible.
+
+    The pair is that cause with the same viscous friction both ways, or with none: of an asymmetric friction
+    at 6 dB it left nothing but noise, and its parts were certain one by one (1040127).
+    """
+    known = len(found.base.fit.candidate.terms)
+    final, terms = found.final, found.final.fit.candidate.terms
+    for dry in terms[known:]:
+        if dry.effect.cause != "coulomb_friction":
+            continue
+        parts = [
+            k for k, t in enumerate(terms) if k >= known and t.effect.cause in PARTS and _belongs(t, dry)
+        ]
+        size = {terms[k].effect.cause: final.fit.candidate.x[k] for k in parts}
+        if "torque_offset" not in size:
+            continue
+        start = _start(size["coulomb_friction"], size["torque_offset"], size.get("viscous_friction"))
+        whole = Term(_as_sharp_as(dry.effect), dry.place)
+        kept = final.fit.candidate.only(k for k in range(len(terms)) if k not in parts)
+        candidate = kept.plus(whole, start)
+        trial = attempted(partial(fit, final.fit.layout, train, final.fit.p, candidate, iterations=20), held)
+        if trial is None:
+            continue
+        rows = found.base.fit.dof
+        behind = trial.score(final.dispersion, rows) - final.score(final.dispersion, rows)
+        behind -= of_its_own(final.fit.layout.structure)
+        if behind >= COMPETES and trial.cost - final.cost >= final.beyond_noise:
+            continue
+        steps = list(found.steps)
+        for k in parts:
+            step = steps[k - known]
+            others = replace(step, ranked=tuple(r for r in step.ranked if not _is(r[0].term, whole)))
+            steps[k - known] = others.against([(trial, step.ranked[0][1] + max(behind, 0.0))])
+        found = replace(found, steps=tuple(steps))
+    return found
+
+
+def _belongs(part: Term, dry: Term) -> bool:
+    """Whether a cause may be a part of one friction with ``dry``; a constant torque is one along a chain."""
+    return part.place == dry.place or (
+        part.effect.cause == "torque_offset" and part.place.axis == dry.place.axis
+    )
+
+
+def _is(one: Term, other: Term) -> bool:
+    return one.effect.cause == other.effect.cause and one.place == other.place
+
+
+def _as_sharp_as(dry: Effect) -> Effect:
+    """Asymmetric friction whose sign changes as gradually as that of ``dry``."""
+    law = BY_CAUSE["asymmetric_friction"]
+    if isinstance(dry, DryLaw) and isinstance(law, DryLaw) and dry.rounding > 0:
+        return law.rounded(dry.rounding)
+    return law
+
+
+def _start(dry: Float64, constant: Float64, wet: Float64 | None) -> Float64:
+    """(4,) the asymmetric friction that the parts make."""
+    viscous = 0.0 if wet is None else float(wet[0])
+    both = float(dry[0]) + np.array([1.0, -1.0]) * float(constant[0])
+    return np.concatenate((np.maximum(both, 0.0), [viscous, viscous]))
+
+
+__all__ = ["with_asymmetry"]

@@ -1,0 +1,67 @@
+"""How gradually friction changes over with the sign of the velocity: found by refitting, not by a gradient.
+
+A sign that jumps is the limit that nothing reaches. Where the motion is slow beside the range over which
+friction changes over, the jump leaves a tenth of the friction unexplained, which other causes then fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from invid.diagnosis.evidence import finite
+from invid.effects.laws.sign import DryLaw
+from invid.effects.motion import rms
+from invid.likelihood.joint_fit import JointFit, fit
+from invid.likelihood.placed_effect import Candidate, Term
+from invid.signals.spectral_record import Record
+
+SHARES = (0.02, 0.05, 0.12, 0.3)
+"""Roundings tried, of the rms velocity. Below the first the jump is as good (1 % of the friction's power is
+left); above the last the law is viscous friction that saturates, which is another cause."""
+FINER = (1.6, 1.25)
+"""Factors around the best, one after the other: a fifth of the width is 1 % of the force."""
+ITERATIONS = 6
+
+
+def rounded(
+    found: JointFit, records: Sequence[Record], better: Callable[[JointFit, JointFit], bool]
+) -> JointFit:
+    """The fit with the rounding of its last effect that serves best; as it was where that is none.
+
+    ``better(new, old)``: whether a rounding earns its place (it is one parameter more).
+    """
+    term = found.candidate.terms[-1]
+    law = term.effect
+    if not isinstance(law, DryLaw):
+        return found
+    pattern = term.place.pattern(found.layout.structure)
+    speed = rms([v.velocity(pattern) for v in found.evaluation.views])
+    best = found
+    for share in SHARES:
+        trial = _with(best, records, term, law.rounded(share * speed))
+        if trial is None:
+            continue
+        if trial.cost < best.cost:
+            best = trial
+        elif best is not found:
+            break
+    if best is found:
+        return found
+    for factor in FINER:
+        here = _rounding(best)
+        for other in (here * factor, here / factor):
+            trial = _with(best, records, term, law.rounded(other))
+            if trial is not None and trial.cost < best.cost:
+                best = trial
+                break
+    return best if better(best, found) else found
+
+
+def _rounding(found: JointFit) -> float:
+    law = found.candidate.terms[-1].effect
+    return law.rounding if isinstance(law, DryLaw) else 0.0
+
+
+def _with(found: JointFit, records: Sequence[Record], term: Term, law: DryLaw) -> JointFit | None:
+    candidate = Candidate((*found.candidate.terms[:-1], Term(law, term.place)), found.candidate.x)
+    return finite(lambda: fit(found.layout, records, found.p, candidate, iterations=ITERATIONS))

@@ -1,0 +1,169 @@
+"""A load that changes while the machine is measured: the period in which it does fits no plant."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from invid.diagnosis.candidates import any_gain, refitted, screened
+from invid.diagnosis.evidence import HELD_OUT, Step, Trial, attempted
+from invid.diagnosis.score_test import Screen, terms_for
+from invid.diagnosis.selection import Selection
+from invid.likelihood.joint_fit import JointFit, fit, held_out
+from invid.likelihood.prepare_records import by_period
+from invid.recording.model import Recording
+from invid.signals.spectral_record import Record
+
+NEAR = 0.25
+"""Share of a period beyond its ends within which a change found may be one of that period. A guess; where
+there is a choice the records that are left decide."""
+LARGER_PART = 0.5
+"""Share of what is missing that a change with time must take where it is looked for because records that are
+kept out miss ``look.ALIKE`` times as much as those fitted: what those miss is their difference."""
+
+
+def changes_with_time(base: JointFit, held: Sequence[Record], *, linear_axes: bool) -> bool:
+    """Whether a cause that changes with time takes the larger part of what the records miss.
+
+    The whole search takes a minute where they differ for another reason, as their amplitude.
+    """
+    candidate, train = base.candidate, base.evaluation.records
+    every = terms_for(base.layout.structure, linear_axes=linear_axes, chosen=candidate.terms)
+    terms = [t for t in every if t.effect.family == "time"]
+    trials = refitted(base, train, held, screened(Screen(base), terms), any_gain, np.inf)
+    now = Trial(base, held_out(base, held))
+    return any(t.excess < (1.0 - LARGER_PART) * now.excess for t in trials)
+
+
+def between_records(selection: Selection) -> Selection:
+    """The selection with the time of a load's change in a gap between records, where they say no more.
+
+    A record taken whole that the change lies in is a mixture of both loads; only how far it is from the
+    records beside it is seen, and an earlier change of a larger load leaves it as far. What stands in a gap
+    is nothing special, and needs no record to be left out.
+    """
+    final, time = selection.final, change_of(selection)
+    if time is None:
+        return selection
+    records = [*final.fit.evaluation.records, *final.held.records]
+    for odd in records:
+        if odd.alone or not _within(odd, time):
+            continue
+        before = max((r.end_time for r in records if r.end_time <= odd.start_time), default=None)
+        after = min((r.start_time for r in records if r.start_time >= odd.end_time), default=None)
+        gaps = [0.5 * (before + odd.start_time)] if before is not None else []
+        gaps += [0.5 * (odd.end_time + after)] if after is not None else []
+        trials = [t for t in (_at_time(selection, gap) for gap in gaps) if t is not None]
+        best = min(trials, key=lambda t: t.cost, default=None)
+        if best is not None and best.cost < final.cost + HELD_OUT * final.dispersion:
+            steps = (*selection.steps[:-1], replace(selection.steps[-1], chosen=best))
+            return replace(selection, final=best, steps=steps)
+    return selection
+
+
+def _at_time(selection: Selection, time: float) -> Trial | None:
+    """The final fit with the load changing at ``time``, between two records."""
+    final = selection.final
+    fitted, held = final.fit, final.held.records
+    candidate = fitted.candidate
+    x = tuple(
+        np.array([v[0], time]) if t.effect.cause == "payload_change" else v
+        for t, v in zip(candidate.terms, candidate.x, strict=True)
+    )
+    start = replace(candidate, x=x)
+    train = fitted.evaluation.records
+    return attempted(lambda: fit(fitted.layout, train, fitted.p, start, iterations=25), held)
+
+
+def around_change(selection: Selection, recording: Recording) -> tuple[list[Record], list[Record]] | None:
+    """Training and held-out records without the period in which the load changes; none where none does.
+
+    That period is half of one plant, half of the other, with what the change sets ringing: no model here.
+    Where it was all that the training had of one of the two, the first held-out period of that one joins it.
+    """
+    time = change_of(selection)
+    if time is None:
+        return None
+    train, held = selection.final.fit.evaluation.records, selection.final.held.records
+    within = [r for r in (*train, *held) if _within(r, time)]
+    if not within:
+        return None
+    options = []
+    for odd in (*within, *(r for r in (*train, *held) if r.alone and _beside(r, time) and r not in within)):
+        kept = [[r for r in part if r is not odd] for part in (train, held)]
+        if all(kept):
+            options.append(_both_sides(kept[0], kept[1], time, recording))
+    if len(options) < 2:
+        return options[0] if options else None
+    return min(options, key=lambda parts: _left(selection, *parts))
+
+
+def _left(selection: Selection, train: Sequence[Record], held: Sequence[Record]) -> float:
+    """χ²/ν of other records with the causes found."""
+    final = selection.final.fit
+    trial = attempted(lambda: fit(final.layout, train, final.p, final.candidate, iterations=25), held)
+    return float("inf") if trial is None else trial.cost / trial.dof
+
+
+def _beside(record: Record, time: float) -> bool:
+    """Whether ``time`` is so near the record's end that the load may as well have changed in it.
+
+    Fitted with the period in it, a mixture of two plants, the time lies at its edge as often as inside.
+    """
+    reach = NEAR * (record.end_time - record.start_time)
+    return record.start_time - reach < time < record.end_time + reach
+
+
+def _both_sides(
+    train: list[Record], held: list[Record], time: float, recording: Recording
+) -> tuple[list[Record], list[Record]]:
+    """Records of which the training has some before and some after ``time``, where periods allow it."""
+    for side in (_before, _after):
+        if any(side(r, time) for r in train):
+            continue
+        periods = by_period(recording, held, [r.key for r in held if side(r, time)])
+        first = next((r for r in periods if side(r, time)), None)
+        if first is not None and len(periods) > len(held):
+            return [*train, first], [r for r in periods if r is not first]
+    return train, held
+
+
+def _before(record: Record, time: float) -> bool:
+    return record.end_time <= time + record.step
+
+
+def _after(record: Record, time: float) -> bool:
+    return record.start_time >= time - record.step
+
+
+def change_of(selection: Selection) -> float | None:
+    """When the load changes [s], by the selected causes."""
+    candidate = selection.final.fit.candidate
+    for term, x in zip(candidate.terms, candidate.x, strict=True):
+        if term.effect.cause == "payload_change":
+            return float(x[1])
+    return None
+
+
+def sooner(before: Selection, again: Selection, train: Sequence[Record], held: Sequence[Record]) -> Selection:
+    """What the search without the period in which the load changes found, or the causes of the one with it.
+
+    Without that period a change in it looks like one of twice the size in the middle of the next: the search
+    may end there. The causes found with the period start at the right time.
+    """
+    final = before.final.fit
+    trial = attempted(lambda: fit(final.layout, train, final.p, final.candidate, iterations=40), held)
+    if trial is None or trial.cost >= again.final.cost or len(before.steps) != 1:
+        return again
+    others = [t for s in again.steps[:1] for t, _ in s.ranked if t.term != trial.term]
+    dispersion = min(t.dispersion for t in (trial, *others))
+    ranked = [(t, t.score(dispersion, trial.fit.dof)) for t in (trial, *others)]
+    step = Step(again.base, trial, tuple(sorted(ranked, key=lambda one: one[1])))
+    return replace(again, final=trial, steps=(step,))
+
+
+def _within(record: Record, time: float) -> bool:
+    """Whether ``time`` is inside the record by more than its sampling."""
+    return record.start_time + record.step < time < record.end_time - record.step

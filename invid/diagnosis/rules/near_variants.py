@@ -1,0 +1,241 @@
+"""Near relatives of a candidate that the screen may not offer: each is fitted beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from invid.diagnosis.evidence import CLOSE, COMPETES, Step, Trial, at_bound, attempted, finite, refit
+from invid.diagnosis.score_test import terms_for
+from invid.diagnosis.sentences import BY_CAUSE
+from invid.effects.laws.sign import DryLaw
+from invid.likelihood.candidate_pool import each
+from invid.likelihood.joint_fit import JointFit, fit, reordered
+from invid.likelihood.placed_effect import Candidate, Term
+from invid.model.parameters import ChainStructure
+from invid.model.place import Place
+from invid.numerics.arrays import Float64
+from invid.signals.spectral_record import Record
+
+FAR_BEHIND = 0.1
+"""Share of the gain of friction that differs between the directions that a smaller model may lack after a
+first look, and be looked at closely. A guess that saves fits; such looks end within a few per cent."""
+
+
+def ladder(step: Step, train: Sequence[Record], held: Sequence[Record]) -> tuple[Step, ...]:
+    """Friction that differs between the directions against laws that do not, beside each other.
+
+    Four parameters against Coulomb and viscous friction (two), Stribeck or presliding and viscous (four),
+    each as two causes; and against Coulomb friction and a constant torque, which together are dry friction
+    that differs between the directions, without or with viscous friction. The cheapest after the penalty is
+    the answer; where the four parameters are needed the step comes back with those that are nearly as good.
+    """
+    if step.chosen.term.effect.cause != "asymmetric_friction":
+        return ()
+    here = step.chosen.fit
+    rows, dispersion = here.dof, step.chosen.dispersion
+    asymmetric = limit = step.chosen.score(dispersion, rows)
+    best: Trial | None = None
+    beside: list[tuple[Trial, float]] = []
+    options = _without_asymmetry(step.chosen)
+    # Never less than what the fewer parameters may cost, and what leaves a rival a doubt.
+    fewer = (2.0 * float(np.log(max(rows, 2))) + COMPETES) * dispersion
+    lost = here.cost + max(FAR_BEHIND * (step.before.fit.cost - here.cost), fewer)
+
+    def tried(option: tuple[tuple[Term, ...], tuple[Float64, ...]]) -> Trial | None:
+        terms, x = option
+        candidate = Candidate((*here.candidate.terms[:-1], *terms), (*here.candidate.x[:-1], *x))
+        near = finite(partial(fit, here.layout, train, here.p, candidate, iterations=10, quick=True))
+        if near is None or near.cost > lost:
+            return None
+        return attempted(partial(fit, near.layout, train, near.p, near.candidate, iterations=20), held)
+
+    trials = each(tried, options, here, [*train, *held])
+    for (terms, _), trial in zip(options, trials, strict=True):
+        if trial is None:
+            continue
+        score = trial.score(dispersion, rows)
+        if any(t.effect.cause == "torque_offset" for t in terms):
+            score += of_its_own(trial.fit.layout.structure)
+            beside.append(
+                (
+                    _led_by(trial, len(here.candidate.terms)),
+                    step.ranked[0][1] + score - asymmetric,
+                )
+            )
+        if score < limit:
+            limit, best = score, trial
+    if best is None:
+        # Friction that two causes make nearly as well is no certain one.
+        return (step.against(beside),)
+    place = step.chosen.term.place
+    kept = [(t, s) for t, s in step.ranked if t.term.place != place]
+    steps: list[Step] = []
+    first, count = len(here.candidate.terms) - 1, len(best.fit.candidate.terms)
+    for size in range(first + 1, count + 1):
+        trial = best if size == count else _first_of(best, size, train, held)
+        before = steps[-1].chosen if steps else step.before
+        if trial is None:
+            return ()
+        rivals = [(step.chosen, asymmetric), *kept] if not steps else []
+        steps.append(Step(before, trial, ((trial, limit), *rivals)))
+    return tuple(steps)
+
+
+def _led_by(trial: Trial, at: int) -> Trial:
+    """The same fit with effect ``at`` as its last one, after which a rival is called."""
+    count = len(trial.fit.candidate.terms)
+    order = [*(k for k in range(count) if k != at), at]
+    return Trial(reordered(trial.fit, order), trial.held)
+
+
+def of_its_own(structure: ChainStructure) -> float:
+    """What a cause costs for being one more of all that might be there (Chen and Chen 2008): −2 ln of the
+    share of one among every cause at every place.
+
+    A constant torque beside friction is a second cause; friction that differs between the directions is one.
+    """
+    return 2.0 * float(np.log(len(terms_for(structure, linear_axes=False))))
+
+
+def _without_asymmetry(chosen: Trial) -> list[tuple[tuple[Term, ...], tuple[Float64, ...]]]:
+    """Causes, with where they start, that together may be the friction that was chosen."""
+    place, x, rounded = chosen.term.place, chosen.x, chosen.term.effect
+    dry, wet, constant = 0.5 * float(x[0] + x[1]), 0.5 * float(x[2] + x[3]), 0.5 * float(x[0] - x[1])
+    if dry <= 0:
+        return []
+    views, viscous = chosen.fit.evaluation.views, Term(BY_CAUSE["viscous_friction"], place)
+    offset = Term(BY_CAUSE["torque_offset"], Place("mass", place.axis, 1))
+    out: list[tuple[tuple[Term, ...], tuple[Float64, ...]]] = []
+    laws = [BY_CAUSE[c] for c in ("coulomb_friction", "stribeck_friction", "presliding_friction")]
+    if isinstance(rounded, DryLaw) and rounded.rounding > 0:
+        # The rounding is that of a wrong law: the constant torque in it needs none.
+        laws += [law.rounded(rounded.rounding) for law in laws if isinstance(law, DryLaw)]
+    for effect in laws:
+        cause = effect.cause
+        shape = min((abs(g[0]), g) for g in effect.grid(views, place))[1] if effect.shapes else ()
+        size = np.array([dry, 0.2 * dry, *shape] if cause == "stribeck_friction" else [dry, *shape])
+        law = Term(effect, place)
+        if wet > 0:
+            out.append(((law, viscous), (size, np.array([wet]))))
+        if cause == "coulomb_friction" and offset not in chosen.fit.candidate.terms[:-1]:
+            # The constant torque first: it is sought again beside the others, and may be weight.
+            out.append(((offset, law), (np.array([constant]), size)))
+            if wet > 0:
+                start = (np.array([constant]), size, np.array([wet]))
+                out.append(((offset, law, viscous), start))
+    return out
+
+
+def _first_of(trial: Trial, count: int, train: Sequence[Record], held: Sequence[Record]) -> Trial | None:
+    """The fit with the first effects alone."""
+    whole = trial.fit
+    candidate = whole.candidate.only(range(count))
+    return attempted(partial(fit, whole.layout, train, whole.p, candidate, iterations=12), held)
+
+
+def elsewhere(
+    best: Trial,
+    train: Sequence[Record],
+    held: Sequence[Record],
+    terms: Sequence[Term],
+    tried: Sequence[Term],
+    *,
+    iterations: int = 20,
+) -> list[Trial]:
+    """The cause of ``best`` at the places of its axis that were not ``tried``, from its fit.
+
+    The screen's order of places is that of linear parameters which the cause itself has bent; where the best
+    leaves more than noise, the next mass may be the one.
+    """
+    cause, place, here = best.term.effect.cause, best.term.place, best.fit
+    known = {t.place for t in tried if t.effect.cause == cause}
+    out = []
+    for term in terms:
+        if term.effect.cause == cause and term.place.axis == place.axis and term.place not in known:
+            moved = Term(best.term.effect, term.place)
+            out.append(Candidate((*here.candidate.terms[:-1], moved), here.candidate.x))
+
+    def tried_there(candidate: Candidate) -> Trial | None:
+        return attempted(partial(fit, here.layout, train, here.p, candidate, iterations=iterations), held)
+
+    trials = each(tried_there, out, here, [*train, *held])
+    return [t for t in trials if t is not None and not at_bound(t.fit)]
+
+
+def retimed(trial: Trial, train: Sequence[Record], held: Sequence[Record]) -> Trial:
+    """A load's change from the time that all records together ask for.
+
+    In a period of the training that is half of one load, half of the other, a small change early and a large
+    one late are alike: the fit ends at either, and a record kept out tells. For the cause that leaves the
+    training least; other causes come back as they are.
+    """
+    here, term = trial.fit, trial.term
+    if term.effect.cause != "payload_change" or trial.held.cost < CLOSE * trial.held.dof:
+        return trial
+    best = trial
+    for (time,) in term.effect.grid([*here.evaluation.views, *trial.held.views], term.place):
+        start = replace(here.candidate, x=(*here.candidate.x[:-1], np.array([trial.x[0], time])))
+        other = attempted(partial(fit, here.layout, train, here.p, start, iterations=20), held)
+        if other is not None and other.cost < best.cost:
+            best = other
+    return best
+
+
+def delays(
+    here: JointFit,
+    train: Sequence[Record],
+    held: Sequence[Record],
+    terms: Sequence[Term],
+    free: Float64 | None,
+) -> list[Trial]:
+    """Delays of the axes whose time offset stands at its bound, from the fit without that bound."""
+    out = []
+    for term in terms:
+        p = here.p.copy()
+        if free is not None and free.size == p.size and not here.candidate.terms:
+            p = free.copy()
+        known = free if free is not None and free.size == here.p.size else p
+        late = float(here.layout.delays(known)[term.place.axis])
+        layout, stay = here.layout.without_delay([term.place.axis])
+        late -= float(layout.lateness(p[stay], train[0])[term.place.axis])
+        candidate = here.candidate.plus(term, np.array([late]))
+        trial = attempted(partial(fit, layout, train, p[stay], candidate, iterations=20), held)
+        if trial is not None:
+            out.append(trial)
+    return out
+
+
+MORE_THAN_HELD = 1.2
+"""Share held over the sample above which something else takes the torque's amplitude; its bound is 1.5. A
+guess."""
+
+
+def lags(
+    here: JointFit,
+    train: Sequence[Record],
+    held: Sequence[Record],
+    delays: Sequence[Trial],
+    terms: Sequence[Term],
+) -> list[Trial]:
+    """Lags that the screen may not see.
+
+    One beside every delay, as late: with another cause still missing the delay would stand without its
+    nearest rival. And one where the torque loses more amplitude with frequency than holding it over the
+    sample takes: the share held makes up for that until it stands at its bound, and would fall for the lag.
+    """
+    starts = {d.term.place.axis: abs(float(d.x[0])) for d in delays}
+    for i, share in enumerate(here.layout.stairs(here.p)):
+        if share > MORE_THAN_HELD:  # as much amplitude as the rest takes
+            starts.setdefault(i, here.layout.step * float(np.sqrt((share - 1.0) / 12.0)))
+    late = [t for t in terms if t.effect.cause == "torque_lag" and starts.get(t.place.axis, 0.0)]
+
+    def tried(term: Term) -> Trial | None:
+        size = np.array([np.log(starts[term.place.axis])])
+        return attempted(partial(refit, here, train, term, size, 20), held)
+
+    trials = each(tried, late, here, [*train, *held])
+    return [t for t in trials if t is not None and not at_bound(t.fit)]

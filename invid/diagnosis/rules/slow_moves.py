@@ -1,0 +1,238 @@
+"""Slow moves as witnesses: what a constant torque, gravity and a ripple do over a long way.
+
+On the small motion of an excitation the three are next to the same data. A slow move, recorded beside it,
+turns the axis far: there one regression of the torque on each law says which of them acts. The chain turns as
+one body, so no spring enters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from invid.diagnosis.evidence import Step, Trial, unearned
+from invid.errors import InvidError
+from invid.likelihood.joint_fit import fit, held_out, pack, unpack
+from invid.numerics.arrays import Float64
+from invid.recording.model import Experiment, Kind, Recording
+from invid.signals.timebase import uniform
+
+LONGEST, SHORTEST = 0.5, 0.1
+"""Length [s] of the stretches that count as one observation: slow beside the flexible modes, short beside a
+move. What chance does to neighbouring stretches is not quite independent: the evidence is halved for it."""
+STRETCHES = 20
+"""How many a move has at least, where they are not too short for it: the regressions have up to eight
+numbers."""
+SLOW = 0.05
+"""Share of a move's top speed within which dry friction changes its sign in the regression."""
+DISAGREE = 13.8
+"""χ² of two numbers that chance exceeds once in a thousand."""
+
+
+@dataclass(frozen=True, eq=False)
+class Move:
+    """Means over n stretches of one slow move: (n, M) velocity, acceleration and torque.
+
+    ``path`` (samples, M) is the position, ``rows`` how many samples a stretch is long.
+    """
+
+    path: Float64
+    rows: int
+    velocity: Float64
+    acceleration: Float64
+    torque: Float64
+
+
+_LAWS: dict[str, Callable[[Float64, float], Float64]] = {
+    "torque_offset": lambda q, _: np.ones((q.size, 1)),
+    "gravity": lambda q, _: np.stack((np.sin(q), np.cos(q)), axis=1),
+    "cogging": lambda q, cycles: np.stack((np.sin(cycles * q), np.cos(cycles * q)), axis=1),
+}
+"""Columns (samples, L) of the torque that each law takes at the positions (samples,)."""
+
+
+def moves_of(recording: Recording) -> tuple[Move, ...]:
+    """Every slow move of a recording that is long enough to say anything."""
+    found = (_move(e) for e in recording.experiments if e.kind is Kind.CONSTANT_VELOCITY)
+    return tuple(m for m in found if m is not None)
+
+
+def _move(experiment: Experiment) -> Move | None:
+    try:
+        data = uniform(experiment)
+    except InvidError:
+        return None
+    length = data.position.shape[0]
+    rows = min(round(LONGEST / data.step), length // (STRETCHES + 2))
+    if rows * data.step < SHORTEST or rows < 2:
+        return None
+    q, at = data.position, np.arange(rows, length - rows, rows)
+    velocity = (q[at + rows] - q[at - rows]) / (2 * rows * data.step)
+    acceleration = (q[at + rows] - 2.0 * q[at] + q[at - rows]) / (rows * data.step) ** 2
+    return Move(q, rows, velocity, acceleration, _stretches(data.torque, rows))
+
+
+def _stretches(values: Float64, rows: int) -> Float64:
+    """(n, L) means of (samples, L) under triangles of half-width ``rows``.
+
+    The second difference of the position over that distance is the acceleration's mean under the same
+    triangle: what is fast meets both sides alike.
+    """
+    triangle = np.convolve(np.ones(rows), np.ones(rows)) / rows**2
+    at = np.arange(rows, values.shape[0] - rows, rows)
+    out: Float64 = np.stack([np.convolve(c, triangle, mode="same")[at] for c in values.T], axis=1)
+    return out
+
+
+def judged_on_moves(step: Step, moves: Sequence[Move]) -> Step:
+    """The step with the laws of position ranked by what the moves say as well.
+
+    Only laws on one axis are compared, and only where the first of the ranking is one. The evidence of n
+    stretches is n·ln(residual) (the noise of a move is not known beforehand) with the same penalty a
+    parameter as everywhere.
+    """
+    chosen = step.ranked[0][0]
+    if chosen.term.effect.cause not in _LAWS:
+        return step
+    axis = chosen.term.place.axis
+    rivals = [t for t, _ in step.ranked if t.term.effect.cause in _LAWS and t.term.place.axis == axis]
+    if len(rivals) < 2:
+        return step
+    evidence = np.zeros(len(rivals))
+    for move in moves:
+        evidence += _evidence(move, rivals, axis)
+    if not np.isfinite(evidence).all() or not evidence.any():
+        return step
+    added = dict(zip(map(id, rivals), 0.5 * (evidence - evidence.min()), strict=True))
+    rows = step.before.fit.dof
+    ranked = [(t, s + added.get(id(t), 0.0)) for t, s in step.ranked]
+    ranked.sort(key=lambda one: one[1] - unearned(one[0], rows))
+    if ranked[0][0] not in rivals:  # a cause that has no law here may not win by the moves
+        return step
+    best = sharpened(ranked[0][0], moves, axis)
+    return replace(step, chosen=best, ranked=((best, ranked[0][1]), *ranked[1:]))
+
+
+def sharpened(trial: Trial, moves: Sequence[Move], axis: int) -> Trial:
+    """The trial with the size of gravity as the moves know it: the excitation sees one direction of the two.
+
+    Both measurements weighted by their covariances, all other parameters moved along (a linear update). Left
+    as it is where the two disagree by more than chance does once in a thousand.
+    """
+    if trial.term.effect.cause != "gravity":
+        return trial
+    fitted = trial.fit
+    whole = pack(fitted.p, fitted.candidate)
+    at = slice(whole.size - 2, whole.size)
+    covariance = fitted.covariance
+    for move in moves:
+        columns, rest, found = _regression(move, trial, axis)
+        spare = rest.size - columns.shape[1]
+        if spare < 3 or not np.isfinite(covariance).all():
+            continue
+        own = 2.0 * float(rest @ rest) / spare * np.linalg.pinv(columns.T @ columns)[-2:, -2:]
+        total = covariance[at, at] + own
+        gap = found[-2:] - whole[at]
+        if float(gap @ np.linalg.solve(total, gap)) > DISAGREE:
+            continue
+        gain = np.linalg.solve(total, covariance[at, :]).T
+        whole = whole + gain @ gap
+        covariance = covariance - gain @ covariance[at, :]
+    if covariance is fitted.covariance:
+        return trial
+    p, candidate = unpack(fitted.layout, fitted.candidate, whole)
+    if not fitted.layout.structure.admissible(p[: fitted.layout.structure.count]):
+        return trial
+    moved = fit(fitted.layout, fitted.evaluation.records, p, candidate, iterations=0)
+    moved = replace(moved, covariance=covariance, converged=fitted.converged)
+    return Trial(moved, held_out(moved, trial.held.records))
+
+
+def _evidence(move: Move, rivals: Sequence[Trial], axis: int) -> Float64:
+    """(rivals,) −2 ln(likelihood) of the torque of one axis under each law as the excitation has it."""
+    free = [_regression(move, trial, axis) for trial in rivals]
+    if any(rest.size < columns.shape[1] + 3 or not rest.any() for columns, rest, _ in free):
+        return np.zeros(len(rivals))
+    noise = min(float(rest @ rest) / (rest.size - columns.shape[1]) for columns, rest, _ in free)
+    return np.array([_surprise(move, trial, axis, noise) for trial in rivals])
+
+
+def _surprise(move: Move, trial: Trial, axis: int, noise: float) -> float:
+    """−2 ln(likelihood) of a move under a law whose numbers the excitation knows as well as it does.
+
+    The move is no place to fit them anew: a constant torque known to a per cent was taken for weight whose
+    two parts cancel there by twenty times that. With their covariance Σ the stretches differ from what the
+    excitation foretells by noise + L Σ Lᵀ, inertia and friction of the move taken out; the evidence is
+    n·ln(residual), because the noise is not known beforehand, and ln(det) of what Σ adds to it.
+    """
+    known, torque = _known(move, axis)
+    apart = np.linalg.qr(known)[0]
+    best = np.inf
+    for cycles in _cycles(trial):
+        law = _law(move, trial, axis, cycles)
+        expected, covariance, far = _foretold(trial, cycles)
+        law, rest = (v - apart @ (apart.T @ v) for v in (law, torque - law @ expected))
+        total = noise * np.eye(rest.size) + law @ covariance @ law.T
+        left = noise * float(rest @ np.linalg.solve(total, rest))
+        wider = float(np.linalg.slogdet(total / noise)[1])
+        best = min(best, rest.size * np.log(left) + wider + far)
+    return best
+
+
+def _foretold(trial: Trial, cycles: float) -> tuple[Float64, Float64, float]:
+    """(L,) coefficients that the excitation foretells, their (L, L) covariance, and χ² of the ``cycles``."""
+    count = len(trial.term.effect.coefficients)
+    covariance = trial.fit.covariance_of(-1)
+    if not np.isfinite(covariance).all():
+        # Not seen: as large as the effect may be.
+        return np.zeros(count), float(trial.x[:count] @ trial.x[:count]) * np.eye(count), 0.0
+    expected, own = trial.x[:count], covariance[:count, :count]
+    if trial.x.size == count:
+        return expected, own, 0.0
+    away = float(np.log(cycles) - trial.x[count])
+    along = covariance[:count, count] / covariance[count, count]
+    own = own - np.outer(along, along) * covariance[count, count]
+    return expected + along * away, own, away**2 / float(covariance[count, count])
+
+
+def _known(move: Move, axis: int) -> tuple[Float64, Float64]:
+    """(n, M + 2) columns of what takes torque in a move whatever the law, sizes free, and the torque (n,)."""
+    v = move.velocity[:, axis]
+    slow = max(SLOW * float(np.abs(v).max()), 1e-300)
+    columns = np.concatenate([move.acceleration, np.tanh(v / slow)[:, None], v[:, None]], axis=1)
+    return columns, move.torque[:, axis]
+
+
+def _law(move: Move, trial: Trial, axis: int, cycles: float) -> Float64:
+    """(n, L) torque of the law for each coefficient at one."""
+    return _stretches(_LAWS[trial.term.effect.cause](move.path[:, axis], cycles), move.rows)
+
+
+def _regression(move: Move, trial: Trial, axis: int) -> tuple[Float64, Float64, Float64]:
+    """Columns (n, k), residual (n,) and coefficients (k,), the law's last, of one axis' torque."""
+    known, torque = _known(move, axis)
+    best: tuple[Float64, Float64, Float64] | None = None
+    for cycles in _cycles(trial):
+        columns = np.concatenate((known, _law(move, trial, axis, cycles)), axis=1)
+        size = np.linalg.norm(columns, axis=0)
+        size[size == 0.0] = 1.0
+        found = np.linalg.lstsq(columns / size, torque, rcond=1e-9)[0] / size
+        rest = torque - columns @ found
+        if best is None or float(rest @ rest) < float(best[1] @ best[1]):
+            best = columns, rest, found
+    return best if best is not None else (np.zeros((0, 0)), np.zeros(0), np.zeros(0))
+
+
+def _cycles(trial: Trial) -> Float64:
+    """Cycles a revolution of a ripple within three standard deviations of what the excitation says."""
+    if trial.term.effect.cause != "cogging":
+        return np.ones(1)
+    variance = float(trial.fit.covariance[-1, -1])
+    width = min(3.0 * float(np.sqrt(variance)), 1.0) if np.isfinite(variance) else 1.0
+    out: Float64 = np.exp(float(trial.x[2]) + np.linspace(-width, width, 41))
+    return out
+
+
+__all__ = ["Move", "judged_on_moves", "moves_of", "sharpened"]

@@ -1,0 +1,214 @@
+"""Torque at one frequency that repeats with none of the periods: a fan, a pump, a hunting loop.
+
+Averaged over periods it looks like noise, and the scatter between them counts it as such. It is told from
+noise by what it does from period to period: at frequency f it is turned by 2πfT each time, and within a
+period it leaks over the lines as one sinusoid does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from invid.effects.motion import View
+from invid.likelihood.evaluation import Evaluation
+from invid.likelihood.hypothesis import Layout
+from invid.likelihood.nuisance.transients import without_boundary
+from invid.likelihood.null_test import between_periods
+from invid.likelihood.residual import condense_dense
+from invid.model.diagnosis_document import Unexplained
+from invid.numerics.arrays import Complex128, Float64
+from invid.recording.model import Recording
+from invid.signals.spectra import LineSpectra
+from invid.signals.spectral_record import Record
+
+CHANCE = 1e-3
+"""Chance, over all frequencies, axes and records together, that noise looks like a tone."""
+MOST = 3
+"""Tones sought in one record."""
+SHARE = 0.8
+"""What tones must hold of all that does not repeat beyond noise: a load or a spring that changes has much on
+the lines beside those that are excited, of which those at a resonance stand out too. A guess."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tone:
+    """A sinusoidal torque on one axis in one record, and what it does to all channels."""
+
+    axis: int
+    frequency_hz: float
+    amplitude: float
+    """Of the torque [N·m or N]."""
+    channels: Complex128
+    """(2M,) phasors of positions and torques: each holds Re(phasor·e^{2πjf(t − start)})."""
+    start: float
+    key: str
+
+
+def tones_of(
+    evaluations: Sequence[Evaluation], layout: Layout, p: Float64, spectra: Sequence[LineSpectra]
+) -> list[Tone]:
+    """Tones that are in all periodic records of the evaluations: what comes and goes with them is none."""
+    known = {s.key: s for s in spectra}
+    # Periods of one experiment may train and others be held out: its tones are those of all of them, once.
+    views = list({v.record.key: v for e in evaluations for v in e.views}.values())
+    axes = sum(v.record.torque.shape[1] for v in views)
+    found: list[list[Tone]] = []
+    width = 0.0
+    for view in views:
+        record, s = view.record, known[view.record.key]
+        periods = s.deviations.shape[0]
+        if periods >= 2 and not record.alone and not record.weight.size:
+            width = max(width, 1.0 / (periods * record.period_time))
+            found.append(_of_record(view, s, layout, p, axes))
+            if not found[-1]:
+                return []
+
+    def everywhere(tone: Tone) -> bool:
+        return all(
+            any(t.axis == tone.axis and abs(t.frequency_hz - tone.frequency_hz) < width for t in tones)
+            for tones in found
+        )
+
+    return [tone for tones in found for tone in tones if everywhere(tone)]
+
+
+def without_tones(recording: Recording, tones: Sequence[Tone]) -> Recording:
+    """The recording without what the tones did to its channels."""
+    experiments = []
+    for e in recording.experiments:
+        position, torque = e.position.copy(), e.torque.copy()
+        for t in tones:
+            if t.key == e.key:
+                turning = np.exp(2j * np.pi * t.frequency_hz * (e.time - t.start))
+                both = (turning[:, None] * t.channels).real
+                position -= both[:, : position.shape[1]]
+                torque -= both[:, position.shape[1] :]
+        experiments.append(replace(e, position=position, torque=torque))
+    return replace(recording, experiments=tuple(experiments))
+
+
+def _of_record(view: View, s: LineSpectra, layout: Layout, p: Float64, axes: int) -> list[Tone]:
+    """Tones of one record, the largest first; none where they are not most of what does not repeat."""
+    record, structure = view.record, layout.structure
+    periods, lines = s.deviations.shape[0], record.omega.size - 1
+    samples = round(record.period_time / record.step)
+    start = record.end_time - periods * record.period_time + record.step
+    limit = np.log(4.0 * periods * lines * axes / CHANCE)
+
+    def white(of: LineSpectra) -> Complex128:
+        e, covariance, used = between_periods(view, of)
+        # Motion that does not repeat does not close over a period either.
+        e, _ = without_boundary(view, layout, p, e, covariance)
+        single = np.einsum("fii->fi", covariance).real - record.scatter[1:]
+        out: Complex128 = e / np.sqrt(single * used)
+        return out
+
+    left, found = white(s), []
+    # Noise has (P − 1)/P of its power left beside the mean; the median is deaf to tones.
+    level = np.median(np.abs(left) ** 2, axis=(0, 1)) / np.log(2.0) * periods / (periods - 1)
+    level = np.sqrt(np.maximum(level, 1.0))
+    left = left / level
+    excess = (np.abs(left) ** 2).sum(axis=(0, 1)) - (periods - 1) * lines
+    taken = np.zeros(excess.size)
+    for _ in range(MOST):
+        peaks = [_strongest(left[..., i], record.period_time) for i in range(excess.size)]
+        axis = int(np.argmax([power for _, power in peaks]))
+        hz, channels = _refined(s, peaks[axis][0], record.period_time, samples)
+        columns = _columns(periods, s.deviations.shape[1], hz, record.period_time, samples)
+        deviations = s.deviations - columns[0][..., None] * channels - columns[1][..., None] * channels.conj()
+        cleaner = replace(s, deviations=deviations)
+        rest = white(cleaner) / level
+        gained = (np.abs(left) ** 2).sum(axis=(0, 1)) - (np.abs(rest) ** 2).sum(axis=(0, 1))
+        if gained[axis] < limit:
+            break
+        s, left, taken = cleaner, rest, taken + gained
+        at = np.array([2 * np.pi * hz])
+        stiffness = condense_dense(structure, p[: structure.count], at)[1][0]
+        k = int(np.clip(round(hz * record.period_time), 1, lines))
+        acting = channels[structure.motors :] * (view.acting[k] / record.torque[k])
+        force = stiffness @ channels[: structure.motors] - acting
+        found.append(Tone(axis, hz, float(np.abs(force[axis])), channels, start, record.key))
+    return [t for t in found if taken[t.axis] > SHARE * excess[t.axis]]
+
+
+def _strongest(white: Complex128, period: float) -> tuple[float, float]:
+    """Frequency [Hz] and power of the largest line of the whole record, its periods' deviations in a row."""
+    periods, lines = white.shape
+    half = np.zeros((periods, lines + 2), dtype=complex)
+    half[:, 1:-1] = white
+    wave = np.fft.irfft(half, axis=1).ravel()
+    power = np.abs(np.fft.rfft(wave)[: periods * (lines + 1)]) ** 2
+    return float(np.argmax(power)) / (periods * period), float(power.max())
+
+
+def _refined(s: LineSpectra, hz: float, period: float, samples: int) -> tuple[float, Complex128]:
+    """The frequency near ``hz`` that explains most of the channels' deviations, and their (2M,) phasors."""
+    periods, lines, channels = s.deviations.shape
+    scale = np.sqrt(np.maximum(s.floor, 1e-300))
+    white = s.deviations / scale
+    goal = np.concatenate((white.real, white.imag)).reshape(-1, channels)
+
+    def trial(f: float) -> tuple[float, Complex128]:
+        up, down = _columns(periods, lines, f, period, samples)
+        both = np.stack((up + down, 1j * (up - down)), axis=-1)
+        rows = np.concatenate((both.real, both.imag)).reshape(-1, 2)
+        size, *_ = np.linalg.lstsq(rows, goal, rcond=None)
+        return float(((rows @ size) ** 2).sum()), (size[0] + 1j * size[1]) * scale
+
+    # To the next line and beyond: multiples of 1/T, where the mean of the periods takes all, show nothing.
+    step = 1.0 / (periods * period)
+    for _ in range(5):  # an eighth of the step each time: to a ten-thousandth of a line
+        grid = [f for f in hz + step * np.linspace(-1.0, 1.0, 17) if f > 0]
+        hz = float(max(grid, key=lambda f: trial(f)[0]))
+        step /= 8.0
+    return hz, trial(hz)[1]
+
+
+def _columns(
+    periods: int, lines: int, hz: float, period: float, samples: int
+) -> tuple[Complex128, Complex128]:
+    """(P, F) deviations that a phasor of one makes, and that its conjugate makes."""
+    turn = np.exp(2j * np.pi * hz * period * np.arange(periods))
+    turn = turn - turn.mean()
+    index = np.arange(1, lines + 1)
+    near, far = (_leak(np.asarray(sign * hz * period - index, dtype=np.float64), samples) for sign in (1, -1))
+    return turn[:, None] * near, turn.conj()[:, None] * far
+
+
+def _leak(cycles: Float64, samples: int) -> Complex128:
+    """Amplitude on a line that is ``cycles`` of its period away from a tone of amplitude one."""
+    turned = np.exp(1j * np.pi * cycles * (1.0 - 1.0 / samples))
+    out: Complex128 = turned * np.sinc(cycles) / np.sinc(cycles / samples)
+    return out
+
+
+def power_of(tones: Sequence[Tone], axis: int, records: Sequence[Record]) -> float:
+    """Mean square of the tones of an axis over these records."""
+    keys = {r.key for r in records}
+    total = sum(0.5 * t.amplitude**2 for t in tones if t.axis == axis and t.key in keys)
+    return float(total) / max(len(keys), 1)
+
+
+def said_of_tones(tones: Sequence[Tone], recording: Recording, unit: str) -> Unexplained | None:
+    """Where the tones are, strongest first; none where there are none."""
+    if not tones:
+        return None
+    first = max(tones, key=lambda t: t.amplitude)
+    own = [t for t in tones if t.axis == first.axis]
+    found = dict.fromkeys(float(f"{t.frequency_hz:.4g}") for t in sorted(own, key=lambda t: -t.amplitude))
+    strongest = sorted(list(found)[:6])
+    where = ", ".join(f"{hz:.3g}" for hz in strongest)
+    name = recording.axes[first.axis]
+    return Unexplained(
+        axis=name,
+        frequencies_hz=tuple(strongest),
+        character=("time-dependent",),
+        sentence=(
+            f"Axis {name}: a torque of {first.amplitude:.2g} {unit} at {where} Hz keeps its own time and "
+            "repeats with none of the periods (time-dependent): a fan, a pump, another machine, or a loop "
+            "that hunts; no cause of the catalogue does."
+        ),
+    )

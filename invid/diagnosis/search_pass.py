@@ -1,0 +1,226 @@
+"""One look at a recording through one linear model: fit, and the causes that the records ask for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+from invid.diagnosis.evidence import CLOSE, Trial
+from invid.diagnosis.linear_fit import from_causes, linear_fit, start_of, tones_in, without_effects
+from invid.diagnosis.rules.heavy_mode import strong_modes
+from invid.diagnosis.rules.load_change import (
+    around_change,
+    between_records,
+    change_of,
+    changes_with_time,
+    sooner,
+)
+from invid.diagnosis.rules.scatter_explained import quieted
+from invid.diagnosis.rules.slow_moves import moves_of
+from invid.diagnosis.rules.tones import Tone, without_tones
+from invid.diagnosis.rules.wide_gap import lost, rattles
+from invid.diagnosis.search import select
+from invid.diagnosis.selection import Selection
+from invid.errors import InputError
+from invid.likelihood.joint_fit import JointFit, fit, held_out
+from invid.likelihood.null_test import null_test
+from invid.likelihood.prepare_records import split, with_sticking
+from invid.model.document import Model
+from invid.numerics.arrays import Float64
+from invid.recording.model import Recording, Role
+from invid.signals.plausibility import check_plausible
+from invid.signals.spectra import LineSpectra, all_spectra
+from invid.signals.spectral_record import Record
+
+ALIKE = 5.0
+"""How many times as far from its noise as the training records the held-out one may be before it counts as
+another machine's: twice the amplitude of an unknown law is four times the power. A guess."""
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """What was seen, and in what.
+
+    ``recording`` is without the ``tones`` that repeat with no period; ``bare`` is the fit of the linear model
+    alone, ``selection`` starts from the model with the effects it came with.
+    """
+
+    recording: Recording
+    model: Model
+    spectra: tuple[LineSpectra, ...]
+    tones: Sequence[Tone]
+    train: Sequence[Record]
+    held: Sequence[Record]
+    bare: JointFit
+    selection: Selection
+    warnings: list[str]
+
+
+def looked(recording: Recording, model: Model) -> Look:
+    """The linear fit, and causes added while the records ask for them.
+
+    What is kept out may have been measured after a change: the training is free of it, and little or nothing
+    there says what it was. Then each record without a role keeps a part of its own out; of records for
+    validation, all followed from period to period, the first period joins the training, for causes that
+    change with time alone. Or it moves less than the others and shows nothing of what they do, a torque limit
+    that it stays below: then it cannot be asked, and a part of each of the others is kept out as well.
+    """
+    look = _over_periods(recording, model)
+    fitted = {r.key for r in look.train} & {s.key for s in look.spectra if s.role is Role.VALIDATE}
+    told = [
+        f"experiment {key} is for validation, but a period of it was fitted: nothing else shows the machine "
+        "on that side of the change; the gain is measured on the rest"
+        for key in sorted(fitted)
+    ]
+    return replace(look, warnings=[*look.warnings, *told])
+
+
+def _over_periods(recording: Recording, model: Model) -> Look:
+    """The look at the mean of each record's periods. Where they differ far beyond the sensors' noise, one at
+    every period: what repeats in none may have a law that holds in all. What the mean shows beside that is
+    measured by what differs, and any cause may pass (presliding friction, of a ripple)."""
+    look = _over_changes(recording, model)
+    differs = any(r.differs for r in (*look.train, *look.held))
+    if look.tones or not (differs or lost(look.selection)):
+        return look
+    other = _looked(look.recording, model, each=True) if differs else look
+    if other.selection.steps and other.selection.final.cost < CLOSE * other.selection.final.dof:
+        return other
+    strong = _with_a_strong_mode(other)
+    if strong is not None:
+        return strong
+    rattling = _rattling(look, other)
+    if rattling is not None:
+        return rattling
+    return other if other.selection.steps else look
+
+
+def _with_a_strong_mode(look: Look) -> Look | None:
+    """The look with a mode that the linear fit without it was lost for, and what else there is beside it."""
+    if not lost(look.selection):
+        return None
+    base, linear = look.selection.base, look.recording.linear
+    modes = strong_modes(base.fit, look.train, look.held)
+    if not modes:
+        return None
+    found = select(
+        base.fit, look.train, look.held, linear_axes=linear, moves=moves_of(look.recording), begun=modes
+    )
+    return replace(look, selection=found) if found.steps else None
+
+
+def _rattling(look: Look, other: Look) -> Look | None:
+    """The look with a gap as wide as its spring deflects, in the records of the ``other``, period by period
+    where those differ: a load that rattles seldom does the same in all of them."""
+    base = other.selection.base
+    step = rattles(base, other.train, other.held)
+    if step is None:
+        return None
+    selection = Selection(base, step.chosen, (step,))
+    return replace(look, train=other.train, held=other.held, bare=base.fit, selection=selection)
+
+
+def _over_changes(recording: Recording, model: Model) -> Look:
+    look = _looked(recording, model)
+    base = look.selection.base
+    if look.selection.steps:
+        return look
+    rejected = null_test(base.held.cost, base.held.dof, look.held).rejects
+    if not rejected and null_test(base.fit.cost, base.fit.dof, look.train).rejects:
+        other = _looked(recording, model, within=True)
+        return other if other.selection.steps else look
+    if not rejected or base.held.cost / base.held.dof < ALIKE * base.fit.dispersion:
+        return look
+    if not any(s.role is Role.VALIDATE for s in look.spectra):
+        other = _looked(recording, model, spare=False)
+        return other if other.selection.steps else look
+    other = _looked(look.recording, model, apart=True)
+    return other if _changes(other) else look
+
+
+def _explained_by_a_change(recording: Recording, model: Model) -> bool:
+    """Whether a change alone leaves no more than the sensors' noise in every single period of every record.
+
+    What a spring that drifts changes in a light resonance from one period to the next is nearly a sinusoid
+    between two lines, and so the same as a tone; of two periods exactly. With that taken out the rest of the
+    drift fits no law. A law of one or two numbers that explains all periods is no chance, and a tone is none.
+    """
+    _, _, (base, free, train, held) = _begun(recording, model, spare=True, apart=True, within=False)
+    found = select(base, train, held, linear_axes=recording.linear, free=free, family="time")
+    return bool(found.steps) and found.final.cost < CLOSE * found.final.dof
+
+
+def _changes(look: Look) -> bool:
+    """Whether a cause was found that changes with time alone."""
+    return any(s.chosen.term.effect.family == "time" for s in look.selection.steps)
+
+
+def _looked(
+    recording: Recording,
+    model: Model,
+    *,
+    spare: bool = True,
+    apart: bool = False,
+    within: bool = False,
+    each: bool = False,
+) -> Look:
+    begun = partial(_begun, model=model, spare=spare, apart=apart, within=within, each=each)
+    spectra, warnings, (base, free, train, held) = begun(recording)
+    tones = [] if each else tones_in(base, held, spectra)
+    if tones and not apart and _explained_by_a_change(recording, model):
+        return _looked(recording, model, apart=True)
+    if tones:
+        recording = without_tones(recording, tones)
+        spectra, warnings, (base, free, train, held) = begun(recording)
+    if apart and not changes_with_time(base, held, linear_axes=recording.linear):
+        nothing = Trial(base, held_out(base, held))
+        unchanged = Selection(nothing, nothing)
+        return Look(recording, model, spectra, tones, train, held, base, unchanged, warnings)
+    search = partial(
+        select,
+        linear_axes=recording.linear,
+        free=free,
+        start=start_of(model, base.layout),
+        moves=moves_of(recording),
+    )
+    selection = search(base, train, held)
+    if selection.steps:
+        less = quieted(selection.final.fit.evaluation), quieted(selection.final.held)
+        if any(a is not b for a, b in zip((*less[0], *less[1]), (*train, *held), strict=True)):
+            train, held = less
+            base = fit(base.layout, train, base.p, base.candidate, iterations=25)
+            selection = search(base, train, held)
+    settled = from_causes(base, selection.final.fit, train)
+    if settled is not None:
+        base, selection = settled, search(settled, train, held)
+    if not selection.steps and selection.final.fit is not base:
+        # A chain that has in it what was found beside.
+        base, selection = selection.final.fit, replace(selection, base=selection.final)
+    selection, bare = between_records(selection), without_effects(base, train)
+    parts = around_change(selection, recording)
+    if parts is not None:
+        around = fit(base.layout, parts[0], base.p, base.candidate, iterations=25)
+        again = sooner(selection, search(around, *parts), *parts)
+        if change_of(again) is not None:
+            base, selection, (train, held) = around, again, parts
+            bare = without_effects(base, train)
+    return Look(recording, model, spectra, tones, train, held, bare, selection, warnings)
+
+
+_Begun = tuple[JointFit, Float64, list[Record], list[Record]]
+
+
+def _begun(
+    recording: Recording, model: Model, spare: bool, apart: bool, within: bool, each: bool = False
+) -> tuple[tuple[LineSpectra, ...], list[str], _Begun]:
+    """Spectra, what to warn about, and the linear fit with its records (``linear_fit``)."""
+    spectra = all_spectra(recording)
+    if not spectra:
+        raise InputError(f"{recording.source}: no experiment shakes an axis; nothing to compare with a model")
+    check_plausible(recording, spectra)
+    train, held, warnings = split(recording, spectra, spare=spare, within=within)
+    train, standing = with_sticking(train, spectra, model, recording)
+    held, _ = with_sticking(held, spectra, model, recording)
+    warnings = [*(w for s in spectra for w in s.warnings), *warnings, *standing]
+    return spectra, warnings, linear_fit(model, recording, spectra, train, held, apart=apart, each=each)

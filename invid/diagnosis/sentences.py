@@ -1,0 +1,84 @@
+"""Sentences for the person who has to do something about it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from math import floor, log10
+
+from invid.effects.effect import Effect
+from invid.effects.registry import CATALOGUE
+from invid.model.diagnosis_document import Alternative
+from invid.model.document import EffectTerm, Estimate
+
+BY_CAUSE: dict[str, Effect] = {e.cause: e for e in CATALOGUE}
+
+SEEN = 0.005
+"""Share of what the model missed from which a finding is said to explain it: below, it would round to 0 %."""
+
+
+def number(estimate: Estimate) -> str:
+    """Value ± one standard deviation with as many digits as it deserves."""
+    unit = f" {estimate.unit}" if estimate.unit and estimate.unit != "1" else ""
+    if estimate.std is None or not estimate.std > 0:
+        return f"{estimate.value:.4g}{unit}"
+    digits = max(0, min(8, 1 - floor(log10(estimate.std))))
+    if abs(estimate.value) >= 1e5 or abs(estimate.value) < 1e-3:
+        more = floor(log10(max(abs(estimate.value), estimate.std))) - floor(log10(estimate.std))
+        return f"{estimate.value:.{min(more + 2, 9)}g} ± {estimate.std:.2g}{unit}"
+    return f"{estimate.value:.{digits}f} ± {estimate.std:.{digits}f}{unit}"
+
+
+def place_of(term: EffectTerm, sizes: Sequence[int], axes: Sequence[str]) -> str:
+    """ "at the motor", "at the load", "in spring 2"."""
+    if term.other_axis is not None:
+        return f" to axis {term.other_axis}"
+    if term.element is None:
+        return ""
+    kind, _, q = term.element.partition(" ")
+    if kind == "spring":
+        return f" in {term.element}, counted from the motor"
+    if q == "1":
+        return " at the motor"
+    return " at the load" if int(q) == sizes[list(axes).index(term.axis)] else f" at {term.element}"
+
+
+def _rival(rival: Alternative, term: EffectTerm) -> str:
+    """A cause that the data cannot tell from the one named; its place where only that differs."""
+    if rival.axis != term.axis:
+        return f"{BY_CAUSE[rival.cause].title} on {rival.axis}"
+    if rival.cause == term.cause and rival.element is not None:
+        return f"the same at {rival.element}"
+    return BY_CAUSE[rival.cause].title
+
+
+def finding_sentence(
+    term: EffectTerm,
+    fraction: float,
+    confidence: float,
+    rivals: Sequence[Alternative],
+    sizes: Sequence[int],
+    axes: Sequence[str],
+) -> str:
+    """Cause, place, size, gain, what to check; or what it cannot be told from."""
+    effect = BY_CAUSE[term.cause]
+    main = term.parameters.get(effect.main)
+    size = f" of {number(main)}" if main is not None else ""
+    if main is not None and main.unit == "s":
+        thousand = replace(
+            main, value=1e3 * main.value, std=None if main.std is None else 1e3 * main.std, unit="ms"
+        )
+        size = f" ({number(thousand)})"
+    if term.cause == "torque_gain" and main is not None:
+        size = f" (true torque is {number(main)} times the record)"
+    text = f"Axis {term.axis}: {effect.title}{size}{place_of(term, sizes, axes)} "
+    if fraction >= SEEN:
+        text += f"explains {100 * fraction:.0f} % of what the model missed."
+    else:
+        text += "is there as well: beyond the noise, though less than a per cent of what the model missed."
+    if rivals:
+        others = sorted({_rival(r, term) for r in rivals})
+        text += f" The data cannot tell it from {', '.join(others)}: {effect.separate}."
+    elif confidence < 0.8:
+        text += f" This is likely, not certain; to be sure: {effect.separate}."
+    return f"{text} {effect.check}"

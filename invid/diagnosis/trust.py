@@ -1,0 +1,229 @@
+"""Whether the linear model can carry a diagnosis: a cause named on a wrong model is a wrong name."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from invid.diagnosis.confidence import CONTESTED
+from invid.diagnosis.evidence import Trial
+from invid.identification.identifiability import blind_directions
+from invid.likelihood.evaluation import Evaluation
+from invid.likelihood.joint_fit import JointFit
+from invid.likelihood.nuisance.hold_share import HOLD_BAND, SHARES, driven_hold
+from invid.likelihood.null_test import NullTest
+from invid.model.diagnosis_document import Finding, Unexplained
+from invid.model.document import Model, parameter_vector, stds_by_name
+from invid.recording.model import Recording
+
+REACHED = 2.0
+"""χ²/ν below which the extended model is taken for right, whatever the linear fit looked like."""
+LEFT = 0.02
+"""Share of the excess below which the same holds. Empirical, on hidden plants: with the wrong number of
+masses the best cause leaves 5 % and more (χ²/ν 300 to 9000), with the right one less than 1 % is left; of a
+cubic spring beside a hold inside a drive it was 1.3 %."""
+LEAST = 0.9
+"""Share of the torque that a linear model of the right machine explains; as in ``invid.identify``."""
+
+
+@dataclass(frozen=True)
+class Trust:
+    """What is wrong with the linear fit, most important first; empty where nothing is."""
+
+    reasons: tuple[str, ...] = ()
+    unseen: tuple[str, ...] = ()
+    """Sentences about parameters that the data cannot tell."""
+    broken: bool = False
+    """The linear model itself is wrong: no cause may be named on it."""
+
+    @property
+    def trustworthy(self) -> bool:
+        """Whether the exit status may be 0."""
+        return not self.broken and not self.unseen
+
+
+def trust(
+    model: Model,
+    extended: Model,
+    base: Trial,
+    final: Trial,
+    tests: tuple[NullTest, NullTest],
+    recording: Recording,
+) -> Trust:
+    """Judges the linear fit with what the causes made of it.
+
+    A strong cause makes a linear fit look wrong that is right once the cause is in: where the extended
+    model comes down to the noise, only parameters that the data cannot tell are left to complain of.
+    """
+    unseen = _unseen(extended, final, recording.linear)
+    too_short = _too_short(recording)
+    before, after = (t.chi2 / max(t.dof, 1) for t in tests)
+    if (after < REACHED or after - 1.0 < LEFT * (before - 1.0)) and not too_short:
+        return Trust(unseen=unseen)
+    doubts = [str(r) for r in model.fit.get("doubts", ()) if isinstance(r, str)]
+    # A parameter that the linear fit could not tell makes no wrong model: a strong cause blinds the fit
+    # without it, and what the extended one cannot tell is ``unseen``.
+    blind = model.fit.get("unseen", ())
+    reasons = [r for r in doubts if r not in blind]
+    if not doubts and model.fit.get("trustworthy", True) is False:
+        reasons = list(model.warnings[:1]) or ["the identification does not trust its own fit"]
+    reasons += too_short
+    if not base.fit.converged and not reasons:
+        reasons.append("the linear fit did not converge")
+    share = min(_explained(base.fit.evaluation), _explained(final.fit.evaluation))
+    if share < LEAST and not any("of the torque only" in r for r in reasons):
+        reasons.append(
+            f"the linear model accounts for {share:.0%} of the torque only: another number of masses, a "
+            "torque channel that is not the motor torque, or axes that do not move freely"
+        )
+    return Trust(tuple(dict.fromkeys(reasons)), unseen, broken=bool(reasons))
+
+
+def _too_short(recording: Recording) -> list[str]:
+    """Experiments cut off before the end of their first period: their lines cannot be told apart."""
+    return [
+        f"experiment {e.key} holds {e.samples / e.period_samples:.0%} of one period of its excitation"
+        for e in recording.experiments
+        if 0 < e.samples < e.period_samples
+    ][:1]
+
+
+def _explained(evaluation: Evaluation) -> float:
+    """Share of the noise-weighted torque power of the training records that is accounted for."""
+    left = total = 0.0
+    for number, view in enumerate(evaluation.views):
+        weight = 1.0 / np.maximum(np.einsum("fii->fi", evaluation.covariance[number]).real, 1e-300)
+        if view.record.weight.size:
+            weight = weight * view.record.weight[:, None]
+        left += float((np.abs(evaluation.missing[number][1:]) ** 2 * weight[1:]).sum())
+        total += float((np.abs(view.acting[1:]) ** 2 * weight[1:]).sum())
+    return max(0.0, 1.0 - left / max(total, 1e-300))
+
+
+def _unseen(extended: Model, final: Trial, linear: bool) -> tuple[str, ...]:
+    """Parameters that the joint fit leaves open, in words."""
+    if extended.covariance is None:
+        known, (names, _) = stds_by_name(extended), parameter_vector(extended.chains)
+        lost = [n for n in names if not np.isfinite(known[n]) and ".damper." not in n]
+        return (f"{', '.join(lost)}: not seen by these data",) if lost else ()
+    bands = [v.omega[v.record.excited] for v in final.fit.evaluation.views if v.record.excited.any()]
+    if not bands:
+        return ()
+    band = (min(float(b[0]) for b in bands) / 2 / np.pi, max(float(b[-1]) for b in bands) / 2 / np.pi)
+    names, values = parameter_vector(extended.chains)
+    blind = blind_directions(extended.chains, names, values, extended.covariance, band, linear)
+    return blind.sentences if any(".damper." not in n for n in blind.unseen) else ()
+
+
+def cautious(findings: tuple[Finding, ...], found: Trust) -> tuple[Finding, ...]:
+    """Findings with no more confidence than a model allows that the data cannot tell in full."""
+    if not found.unseen:
+        return findings
+    return tuple(replace(f, confidence=min(f.confidence, CONTESTED)) for f in findings)
+
+
+def untimed_holds(
+    findings: tuple[Finding, ...], recording: Recording, model: Model, final: JointFit
+) -> tuple[tuple[Finding, ...], list[str]]:
+    """Findings without what may well be the timing of a hold, the rest that could be with less confidence.
+
+    A hold of gain P inside the drive that acts half a sample before the record says so looks like viscous
+    friction of P·h/2, exactly. Demand beside the torque, or records that show the hold alone, tell. Friction
+    no larger than that is a sampling convention, and no finding. Where the hold's share is fitted along, the
+    friction and what the share makes are known together better than either.
+    """
+    placed, train = model.fit.get("holds", {}), final.evaluation.records
+    out, said = [], []
+    for f in findings:
+        axis = f.effect.axis
+        i = recording.axes.index(axis)
+        held, declared = driven_hold(recording, i)
+        told = not str(placed.get(axis, "open")).startswith("open")
+        known = told or any(r.command is not None or r.staircase[i] == 1.0 for r in train)
+        if f.effect.cause != "viscous_friction" or f.effect.element != "mass 1" or not held or known:
+            out.append(f)
+            continue
+        size = f.effect.parameters["coefficient"]
+        gain, step = _stiffest_hold(declared, model, i, final), train[0].step
+        small = size.value <= 0.5 * step * gain + 3.0 * (size.std or 0.0)
+        if small and not _more_than_its_hold(final, i):
+            said.append(
+                f"viscous friction of {size.value:.2g} {size.unit} on {axis} is what its hold makes by "
+                "acting up to half a sample before the record: a matter of sampling, so it is no finding; "
+                "record the demanded torque over whole periods, or drive the axis without a hold, to tell"
+            )
+            continue
+        out.append(replace(f, confidence=min(f.confidence, CONTESTED)))
+        said.append(
+            f"viscous friction of {axis}: a hold works while the axis is driven, nothing says when it "
+            "acts, and half a sample of it looks like such friction: record the demanded torque over "
+            "whole periods, or drive the axis without a hold"
+        )
+    # What the gains of such a hold leave, another cause may take: a damped mode beside it was a false alarm.
+    untimed = {f.effect.axis for f in findings if f not in out}
+    kept = (
+        replace(f, confidence=min(f.confidence, CONTESTED)) if f.effect.axis in untimed else f for f in out
+    )
+    return tuple(kept), said
+
+
+def _more_than_its_hold(final: JointFit, axis: int) -> bool:
+    """Whether viscous friction at a motor, with what the fitted share of its hold makes of it, is more than
+    all of the hold could make, by three standard deviations."""
+    layout, terms = final.layout, final.candidate.terms
+    holds = [k for k, h in enumerate(layout.holds) if h.axis == axis and h.stiffness and not h.damping]
+    at = [
+        k
+        for k, t in enumerate(terms)
+        if t.effect.cause == "viscous_friction" and (t.place.axis, t.place.number) == (axis, 1)
+    ]
+    if not holds or not at:
+        return False
+    friction = layout.count + sum(t.size for t in terms[: at[0]])
+    share, makes = layout.holds_at.start + holds[0], 0.5 * layout.step * layout.holds[holds[0]].stiffness
+    variance = final.covariance[np.ix_([friction, share], [friction, share])]
+    weights = np.array([1.0, makes])
+    std = float(np.sqrt(max(weights @ variance @ weights, 0.0)))
+    total = float(final.candidate.x[at[0]][0]) + makes * float(final.p[share])
+    return total - 3.0 * std > SHARES[1] * makes
+
+
+def _stiffest_hold(declared: float | None, model: Model, axis: int, final: JointFit) -> float:
+    """Proportional gain of an axis' hold [torque per position]: declared, or as stiff as it may well be."""
+    if declared is not None:
+        return declared
+    inside = max((h.stiffness for h in final.layout.holds if h.axis == axis), default=0.0)
+    if inside:
+        return inside
+    records = final.evaluation.records
+    lowest = min(float(r.omega[r.excited].min()) for r in records if r.excited.any())
+    return float(model.chains.masses[axis].sum()) * (HOLD_BAND * lowest) ** 2
+
+
+def distrust_sentences(found: Trust, masses: tuple[int, ...]) -> list[str]:
+    """What is wrong and the way out, before anything else is said."""
+    if found.broken:
+        sizes = ", ".join(str(n) for n in masses)
+        return [
+            f"The linear model itself cannot be trusted, so no cause is named: {found.reasons[0]}.",
+            "Put that right first: see that every axis is excited and hits nothing, and that the torque "
+            f"channel is the motor's; try another number of masses than {sizes} (--masses auto lets the data "
+            "choose); record more periods, a wider band, or a smaller amplitude, at which a strong effect is "
+            "a weak one.",
+        ]
+    if found.unseen:
+        return [
+            f"Not everything in the model is known from these data: {'; '.join(found.unseen)}. "
+            "What follows holds for what the model predicts, not for those parameters."
+        ]
+    return []
+
+
+def in_the_way(found: Trust, left: Unexplained | None) -> Unexplained | None:
+    """The description of what is missing, with the reason why it is not named."""
+    if left is None or not found.broken:
+        return left
+    return replace(
+        left, sentence=left.sentence.replace("that no cause of the catalogue explains", "under that model")
+    )

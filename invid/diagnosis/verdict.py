@@ -1,0 +1,157 @@
+"""What a search found, as a diagnosis: verdict, residuals, findings, what is left."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from invid.diagnosis.confidence import BROUGHT_DOWN, at_floor, effect_term, judge
+from invid.diagnosis.extended_model import extended_model
+from invid.diagnosis.known_effects import carried
+from invid.diagnosis.residual_character import unexplained_of
+from invid.diagnosis.rules.nonrepeating_torque import said_of_scatter
+from invid.diagnosis.rules.tones import Tone, power_of, said_of_tones
+from invid.diagnosis.selection import Selection
+from invid.diagnosis.trust import cautious, distrust_sentences, in_the_way, trust, untimed_holds
+from invid.effects.effect import unit_of
+from invid.likelihood.joint_fit import JointFit, held_out
+from invid.likelihood.null_test import NullTest, null_test, rms_torque
+from invid.model.diagnosis_document import AxisResidual, Diagnosis, Finding, Verdict
+from invid.model.document import Model
+from invid.recording.model import Recording
+from invid.signals.spectral_record import Record
+
+
+def document(
+    recording: Recording,
+    model: Model,
+    selection: Selection,
+    bare: JointFit,
+    train: Sequence[Record],
+    held: Sequence[Record],
+    tones: Sequence[Tone],
+    warnings: list[str],
+    *,
+    refused: bool = False,
+) -> Diagnosis:
+    base, final = selection.base, selection.final
+    known = len(base.fit.candidate.terms)
+    without = base.held if bare is base.fit else held_out(bare, held)
+    before_test = null_test(base.fit.cost + base.held.cost, base.fit.dof + base.held.dof, [*train, *held])
+    after_test = null_test(final.fit.cost + final.held.cost, final.fit.dof + final.held.dof, [*train, *held])
+    # A cause below what the test of the whole sees is there if its extension gains anything.
+    coherent = before_test.rejects or (bool(selection.steps) and not refused)
+    unit = unit_of("torque", recording.linear)
+    judged = judge(selection, recording, after_test)
+    full = extended_model(model, final.fit, ())
+    linear = trust(model, full, base, final, (before_test, after_test), recording)
+    named = judged.findings if judged.named and not linear.broken and not refused else ()
+    sure, untimed = untimed_holds(cautious(tuple(named), linear), recording, model, final.fit)
+    if named and not sure:  # all of it is a matter of sampling
+        named, coherent = (), not judged.complete
+    shown = final if named else base
+    residual = []
+    for i, axis in enumerate(recording.axes):
+        beside = power_of(tones, i, held)
+        before, _ = rms_torque(without, i)
+        after, floor = rms_torque(shown.held, i)
+        before, after = (float(np.hypot(level, np.sqrt(beside))) for level in (before, after))
+        residual.append(AxisResidual(axis, unit, before, after, floor))
+    b2 = sum(r.before**2 for r in residual)
+    a2 = sum(r.after**2 for r in residual)
+    n2 = sum(r.noise_floor**2 for r in residual)
+    explained = None
+    if named or known:
+        explained = float(np.clip(1.0 - (a2 - n2) / max(b2 - n2, 1e-300), 0.0, 1.0))
+    humming = unexplained = said_of_tones(tones, recording, unit)
+    # A model with causes in it is as right as where they were found: what is called explained there is here.
+    as_found = not selection.steps and not linear.broken and at_floor(base)
+    as_found = as_found and explained is not None and explained > BROUGHT_DOWN
+    if not tones and (not coherent or as_found):
+        unexplained = said_of_scatter((base.fit.evaluation, base.held), recording, unit)
+        verdict = Verdict.CONSISTENT if unexplained is None else Verdict.UNEXPLAINED
+    elif not named:
+        verdict = Verdict.UNEXPLAINED
+        if coherent:
+            unexplained = in_the_way(linear, unexplained_of(base, recording))
+    elif judged.complete and not tones:
+        verdict = Verdict.EXPLAINED
+    else:
+        verdict = Verdict.PARTLY_EXPLAINED
+        if not judged.complete:
+            unexplained = unexplained_of(final, recording)
+    findings = tuple(_axis_by_name(f) for f in sure)
+    warnings = [*warnings, *untimed]
+    said = distrust_sentences(linear, model.chains.masses_per_branch)
+    sentences = [*said, *(f.sentence for f in findings)]
+    if verdict is Verdict.CONSISTENT:
+        sentences.append(
+            "The model"
+            + (", with the causes it already contains," if known else "")
+            + " explains the measurement to within "
+            + ("1.2 times " if coherent else "")
+            + "its noise: nothing is missing."
+        )
+    if unexplained is not None:
+        sentences.append(unexplained.sentence)
+    if humming is not None and humming is not unexplained:
+        sentences.append(humming.sentence)
+    effects = [effect_term(shown, k, recording) for k in range(known)] + [f.effect for f in named]
+    effects += [e for e in carried(model) if e.cause == "dropped_samples"]
+    extended = extended_model(model, shown.fit, tuple(effects))
+    extended = replace(
+        extended,
+        fit={
+            **extended.fit,
+            "trustworthy": linear.trustworthy,
+            "doubts": [*linear.reasons, *linear.unseen],
+            "unseen": list(linear.unseen),
+        },
+    )
+    return Diagnosis(
+        verdict=verdict,
+        residual=tuple(residual),
+        explained_fraction=explained,
+        findings=findings,
+        unexplained=unexplained,
+        model=extended,
+        warnings=tuple(dict.fromkeys([*said, *model.warnings, *warnings, *judged.warnings])),
+        sentences=tuple(sentences),
+        details=_details(before_test, after_test, selection, judged.explained),
+    )
+
+
+def _axis_by_name(finding: Finding) -> Finding:
+    """The separating experiment names its axis as everything else does."""
+    planned = finding.separating_experiment
+    if planned is None:
+        return finding
+    return replace(finding, separating_experiment={**planned, "axis": finding.effect.axis})
+
+
+def _details(before: NullTest, after: NullTest, selection: Selection, explained: float) -> dict[str, Any]:
+    def test(t: NullTest) -> dict[str, float]:
+        return {"chi2": t.chi2, "dof": t.dof, "noise_dof": t.noise_dof, "p": t.p}
+
+    return {
+        "null_test": test(before),
+        "null_test_after": test(after),
+        "weighted_explained_fraction": explained,
+        "candidates": [
+            [
+                {
+                    "cause": trial.term.effect.cause,
+                    "axis": trial.fit.layout.structure.axes[trial.term.place.axis],
+                    "element": trial.term.place.element,
+                    "chi2": trial.fit.cost,
+                    "chi2_held_out": trial.held.cost,
+                    "score": score,
+                }
+                for trial, score in step.ranked
+            ]
+            for step in selection.steps
+        ],
+    }

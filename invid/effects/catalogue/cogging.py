@@ -1,0 +1,56 @@
+"""Cogging: a torque that is a sinusoid of the motor's position."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
+
+import numpy as np
+
+from invid.effects.effect import ForceEffect
+from invid.effects.laws.ripple_cycles import cycle_grid, ripples
+from invid.effects.motion import View, rms
+from invid.model.parameters import ChainStructure
+from invid.model.place import Place, motor_places
+from invid.numerics.arrays import Float64
+
+
+class Cogging(ForceEffect):
+    """Resistance torque·sin(cycles_per_rev·θ + phase) at the motor."""
+
+    cause = "cogging"
+    title = "a torque ripple over the motor's position (cogging)"
+    check = "Check the motor's commutation offset; compensate the ripple in the drive where it can."
+    separate = "a slow move over a whole revolution: cogging repeats with its number of cycles"
+    family = "position"
+    parameters: ClassVar[Mapping[str, str]] = {
+        "torque": "torque",
+        "cycles_per_rev": "count",
+        "phase": "angle",
+    }
+    coefficients = ("sine", "cosine")
+    lower, upper = (-np.inf,) * 2, (np.inf,) * 2
+    shapes, logarithmic = ("cycles_per_rev",), (True,)
+    main = "torque"
+
+    def places(self, structure: ChainStructure) -> list[Place]:
+        return motor_places(structure)
+
+    def grid(self, views: Sequence[View], place: Place) -> list[tuple[float, ...]]:
+        size = rms([v.wave(place.pattern(v.structure)) for v in views])
+        pattern = place.pattern(views[0].structure)
+        return [(float(np.log(n)),) for n in cycle_grid(size) + ripples(views, pattern, pattern)]
+
+    def limits(self, views: Sequence[View], place: Place) -> list[tuple[float, float]]:
+        return [(float(np.log(1.5)), float(np.log(2000.0)))]
+
+    def law(self, view: View, place: Place, shape: Sequence[float]) -> Float64:
+        angle = float(np.exp(shape[0])) * view.wave(place.pattern(view.structure))
+        return np.stack([np.sin(angle), np.cos(angle)], axis=1)
+
+    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
+        return {
+            "torque": float(np.hypot(x[0], x[1])),
+            "cycles_per_rev": float(np.exp(x[2])),
+            "phase": float(np.arctan2(x[1], x[0])),
+        }

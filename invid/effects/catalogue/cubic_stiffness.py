@@ -1,0 +1,44 @@
+"""A spring that stiffens (or softens) with the cube of its deflection."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
+
+import numpy as np
+
+from invid.effects.catalogue.backlash import largest, spring_index
+from invid.effects.effect import ForceEffect
+from invid.effects.motion import View
+from invid.model.parameters import ChainStructure
+from invid.model.place import Place, spring_places
+from invid.numerics.arrays import Float64
+
+
+class CubicStiffness(ForceEffect):
+    """Spring torque coefficient·d³ beside the linear one."""
+
+    cause = "cubic_stiffness"
+    title = "a transmission that stiffens with its deflection"
+    check = "Check the gear's preload and wear; identify at the amplitude the axis works at."
+    separate = "a second amplitude of the same excitation"
+    family = "spring"
+    parameters: ClassVar[Mapping[str, str]] = {"coefficient": "cubic"}
+    coefficients = ("coefficient",)
+    answered = True
+    lower, upper = (-np.inf,), (np.inf,)
+    main = "coefficient"
+
+    def places(self, structure: ChainStructure) -> list[Place]:
+        return spring_places(structure)
+
+    def law(self, view: View, place: Place, shape: Sequence[float]) -> Float64:
+        return view.wave(place.pattern(view.structure))[:, None] ** 3
+
+    def beyond(self, views: Sequence[View], place: Place, x: Sequence[float]) -> bool:
+        most = largest(views, place)
+        # One that softens pulls back less and less; beyond here it would push.
+        return bool(views[0].springs[spring_index(views[0].structure, place)] + x[0] * most**2 <= 0.0)
+
+    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
+        return {"coefficient": float(x[0])}

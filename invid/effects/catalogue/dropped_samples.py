@@ -1,0 +1,28 @@
+"""Rows of an axis that repeat the one before: found in the samples themselves, not by regression."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
+
+from invid.effects.effect import Effect
+from invid.model.parameters import ChainStructure
+from invid.model.place import Place
+
+
+class DroppedSamples(Effect):
+    """Each row repeats the one before with probability ``fraction``."""
+
+    cause = "dropped_samples"
+    title = "samples that were lost and repeated"
+    check = "Check the bus load, the SYNC period and the PDO mapping of the axis."
+    separate = "record the timestamps of every frame"
+    family = "sampling"
+    parameters: ClassVar[Mapping[str, str]] = {"fraction": "ratio"}
+    main = "fraction"
+
+    def places(self, structure: ChainStructure) -> list[Place]:
+        return []
+
+    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
+        return {"fraction": float(x[0])}

@@ -1,0 +1,77 @@
+"""An encoder disc mounted off its centre: the reading swings once a revolution."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
+
+import numpy as np
+
+from invid.effects.effect import Effect
+from invid.effects.motion import View
+from invid.model.parameters import ChainStructure
+from invid.model.place import Place, axis_places
+from invid.numerics.arrays import Complex128, Float64
+
+
+class EncoderEccentricity(Effect):
+    """Reading = θ + amplitude·sin(θ + phase)."""
+
+    cause = "encoder_eccentricity"
+    title = "an encoder that swings once a revolution"
+    check = "Check the encoder's mounting and its coupling."
+    separate = "a move over a whole revolution at constant speed"
+    family = "sensor"
+    parameters: ClassVar[Mapping[str, str]] = {"amplitude": "position", "phase": "angle"}
+    coefficients = ("sine", "cosine")
+    lower, upper = (-0.5,) * 2, (0.5,) * 2
+    rotary = True
+    main = "amplitude"
+
+    def places(self, structure: ChainStructure) -> list[Place]:
+        return axis_places(structure)
+
+    def _lines(self, view: View, place: Place, swing: Float64) -> Complex128:
+        """(F, L) lines of errors of the reading (n, L) over time.
+
+        Their part in proportion to the reading is that of the measured lines, noise and all: the wave has
+        none on lines that it fills, so an error of scale would change the motion's size and not its noise's.
+        """
+        wave = view.record.motor_wave[:, place.axis]
+        centred = wave - wave.mean()
+        power = float(centred @ centred)
+        scale: Float64 = centred @ swing / power if power > 0 else np.zeros(swing.shape[1])
+        error = view.to_lines(swing - wave[:, None] * scale)
+        return error + view.record.position[:, place.axis, None] * scale
+
+    def basis(self, view: View, place: Place, shape: Sequence[float]) -> Complex128:
+        reading = view.record.motor_wave[:, place.axis]
+        error = self._lines(view, place, np.stack([np.sin(reading), np.cos(reading)], axis=1))
+        out: Complex128 = -view.stiffness[:, :, place.axis][:, :, None] * error[:, None, :]
+        return out
+
+    def contribution(
+        self, view: View, place: Place, x: Sequence[float]
+    ) -> tuple[Complex128, Complex128 | None]:
+        reading = view.record.motor_wave[:, place.axis]
+        error = self._lines(view, place, (reading - _true(reading, x))[:, None])
+        # Every coordinate moves as the motor does, not as it reads.
+        return -view.stiffness[:, :, place.axis] * error, -view.motion[:, :, place.axis] * error
+
+    def noise_power(
+        self, view: View, place: Place, x: Sequence[float]
+    ) -> tuple[float | Float64, float | Float64]:
+        true = _true(view.record.motor_wave[:, place.axis], x)
+        # d(true)/d(reading): on a small motion the swing is a scale of the encoder, of its noise as well.
+        return float(np.mean((1.0 + x[0] * np.cos(true) - x[1] * np.sin(true)) ** -2)), 1.0
+
+    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
+        return {"amplitude": float(np.hypot(x[0], x[1])), "phase": float(np.arctan2(x[1], x[0]))}
+
+
+def _true(reading: Float64, x: Sequence[float]) -> Float64:
+    """Position behind a reading."""
+    true = reading
+    for _ in range(6):
+        true = reading - x[0] * np.sin(true) - x[1] * np.cos(true)
+    return true

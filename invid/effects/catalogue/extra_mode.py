@@ -1,0 +1,127 @@
+"""A mass on a spring that the model does not have."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
+
+import numpy as np
+
+from invid.effects.effect import ImpedanceEffect
+from invid.effects.motion import View
+from invid.model.parameters import ChainStructure
+from invid.model.place import Pattern, Place, mass_places
+from invid.numerics.arrays import Complex128
+
+PEAKS = 8
+"""Peaks of the missing torque that are tried as frequencies of the mode."""
+BEYOND = 2.0
+"""Highest frequency of a mode over the highest excited line. What a mode m, ω₀ above the band adds to a mass
+is m·ω⁴/ω₀²·(1 + (ω/ω₀)² + …): m/ω₀² shows first, the two apart only by the terms after it, a quarter of it
+here. Nearer a strong one is told (``frequency_told``); further off it is a compliance of any kind."""
+
+
+class ExtraMode(ImpedanceEffect):
+    """A mass m on a spring k (and a light damper) at one of the masses; shapes: frequency and damping."""
+
+    cause = "extra_mode"
+    title = "a resonance that the model does not have"
+    check = "Look for a flexible attachment: a tool, a cable carrier, a loose foot or cover."
+    separate = "a finer and wider grid of frequencies around the resonance"
+    family = "structure"
+    parameters: ClassVar[Mapping[str, str]] = {
+        "mass": "mass",
+        "stiffness": "stiffness",
+        "damping_ratio": "ratio",
+    }
+    coefficients = ("mass",)
+    lower, upper = (0.0,), (np.inf,)
+    shapes, logarithmic = ("frequency", "damping"), (True, True)
+    main = "mass"
+
+    def places(self, structure: ChainStructure) -> list[Place]:
+        return mass_places(structure)
+
+    def grid(self, views: Sequence[View], place: Place) -> list[tuple[float, ...]]:
+        low = min(float(v.omega[1:].min()) for v in views)
+        high = 0.95 * BEYOND * _driven(views)[1]
+        wide = [float(w) for w in np.geomspace(3 * low, high, 17)]
+        # A light mode is narrower than this grid's spacing: the record itself says where to look.
+        narrow = _peaks(views, place.pattern(views[0].structure))
+        return [(float(np.log(w)), float(np.log(0.02))) for w in sorted({*wide, *narrow})]
+
+    def limits(self, views: Sequence[View], place: Place) -> list[tuple[float, float]]:
+        low, high = _driven(views)
+        return [(float(np.log(low)), float(np.log(BEYOND * high))), (float(np.log(1e-3)), float(np.log(0.2)))]
+
+    def impedance(self, view: View, place: Place, x: Sequence[float]) -> Complex128:
+        own, zeta = float(np.exp(x[1])), float(np.exp(x[2]))
+        w = view.omega
+        spring = own**2 + 2j * zeta * own * w
+        out: Complex128 = -(w**2) * x[0] * spring / (spring - w**2)
+        return out
+
+    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
+        return {
+            "mass": float(x[0]),
+            "stiffness": float(x[0] * np.exp(2 * x[1])),
+            "damping_ratio": float(np.exp(x[2])),
+        }
+
+
+def frequency_told(views: Sequence[View], frequency: float, std: float) -> bool:
+    """Whether a mode's frequency [rad/s], its logarithm known to ``std``, is within the band or, above it,
+    told from the highest that may be by three standard deviations."""
+    high = _driven(views)[1]
+    return frequency <= high or float(np.log(frequency)) + 3.0 * std < float(np.log(BEYOND * high))
+
+
+def _peaks(views: Sequence[View], pattern: Pattern) -> list[float]:
+    """Frequencies [rad/s] at which most is still missing that a force along the pattern would account for.
+
+    Lines are taken three neighbours (of every record) together, where their power is centred: a light mode is
+    narrower than the lines are apart. None within a twentieth of a larger one.
+    """
+    omega, power, records = [], [], 0
+    for view in views:
+        missing = view.missing if view.remaining is None else view.remaining
+        if missing is None:
+            continue
+        used = np.flatnonzero(np.asarray(view.record.excited, dtype=bool))
+        push = view.push(pattern)[used]
+        weighted = np.einsum("fij,fj->fi", view.certainty[used], push).conj()
+        information = np.einsum("fi,fi->f", weighted, push).real
+        force = np.einsum("fi,fi->f", weighted, missing[used])
+        omega.append(view.omega[used])
+        power.append(np.abs(force) ** 2 / np.maximum(information, 1e-300))
+        records += 1
+    if not records:
+        return []
+    w, p = np.concatenate(omega), np.concatenate(power)
+    order = np.argsort(w)
+    window = min(3 * records, w.size)
+    together = np.ones(window) / window
+    centred = np.convolve(w[order] * p[order], together, mode="same")
+    p = np.convolve(p[order], together, mode="same")
+    w = np.divide(centred, p, out=w[order], where=p > 0.0)
+    found: list[float] = []
+    for k in np.argsort(-p):
+        if all(abs(w[k] / f - 1.0) > 0.05 for f in found):
+            found.append(float(w[k]))
+        if len(found) == PEAKS:
+            break
+    return found
+
+
+def _driven(views: Sequence[View]) -> tuple[float, float]:
+    """Lowest and highest excited line [rad/s].
+
+    Below all of them a mode, well damped, is friction at its mass by another name.
+    """
+    lines = []
+    for view in views:
+        omega = view.omega
+        excited = np.asarray(view.record.excited, dtype=bool).reshape(omega.size, -1).any(axis=1)
+        lines.append(omega[excited] if excited.any() else omega[1:])
+    every = np.concatenate(lines)
+    return float(every.min()), float(every.max())

@@ -1,0 +1,39 @@
+"""A damper parallel to a spring. The linear model has one beside every spring already."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
+
+import numpy as np
+
+from invid.effects.effect import ImpedanceEffect
+from invid.effects.motion import View
+from invid.model.parameters import ChainStructure
+from invid.model.place import Place
+from invid.numerics.arrays import Complex128
+
+
+class SpringDamping(ImpedanceEffect):
+    """Resistance coefficient·ḋ between the masses a spring joins."""
+
+    cause = "spring_damping"
+    title = "damping in the transmission"
+    check = "Check the gear's grease and its elastomer parts."
+    separate = "none needed: the linear fit contains it"
+    family = "linear"
+    parameters: ClassVar[Mapping[str, str]] = {"coefficient": "damping"}
+    coefficients = ("coefficient",)
+    lower, upper = (0.0,), (np.inf,)
+    main = "coefficient"
+
+    def places(self, structure: ChainStructure) -> list[Place]:
+        # The damper beside every spring is fitted with the linear parameters: nothing is left to name.
+        return []
+
+    def impedance(self, view: View, place: Place, x: Sequence[float]) -> Complex128:
+        out: Complex128 = (1j * view.omega * x[0]).astype(np.complex128)
+        return out
+
+    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
+        return {"coefficient": float(x[0])}

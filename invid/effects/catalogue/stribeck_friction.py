@@ -1,0 +1,55 @@
+"""Stribeck friction: static friction that falls to the Coulomb level as the velocity grows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
+
+import numpy as np
+
+from invid.effects.laws.sign import DryLaw, excess_law, sign_law
+from invid.effects.motion import View, rms
+from invid.model.parameters import ChainStructure
+from invid.model.place import Place, mass_places
+from invid.numerics.arrays import Float64
+
+
+class StribeckFriction(DryLaw):
+    """Resistance (coulomb + (static − coulomb)·exp(−(θ̇/velocity)²))·sgn(θ̇)."""
+
+    cause = "stribeck_friction"
+    title = "dry friction that sticks before it slides (Stribeck)"
+    check = "Check the lubrication: the film builds too late."
+    separate = "slow constant-velocity moves in both directions at several speeds"
+    family = "friction"
+    parameters: ClassVar[Mapping[str, str]] = {
+        "static": "torque",
+        "coulomb": "torque",
+        "velocity": "velocity",
+    }
+    coefficients = ("coulomb", "excess")
+    lower, upper = (0.0, 0.0), (np.inf, np.inf)
+    shapes, logarithmic = ("velocity",), (True,)
+    main = "coulomb"
+    smeared = True
+
+    def places(self, structure: ChainStructure) -> list[Place]:
+        return mass_places(structure)
+
+    def grid(self, views: Sequence[View], place: Place) -> list[tuple[float, ...]]:
+        size = rms([v.velocity(place.pattern(v.structure)) for v in views])
+        return [(float(np.log(max(size, 1e-300) * f)),) for f in (0.08, 0.16, 0.3, 0.6)]
+
+    def limits(self, views: Sequence[View], place: Place) -> list[tuple[float, float]]:
+        size = max(rms([v.velocity(place.pattern(v.structure)) for v in views]), 1e-300)
+        return [(float(np.log(0.02 * size)), float(np.log(1.5 * size)))]
+
+    def of(self, v: Float64, soft: float, shape: Sequence[float], turn: float) -> Float64:
+        vs = float(np.exp(shape[0]))
+        return np.stack([sign_law(v, soft, turn), excess_law(v, soft, vs, turn)], axis=1)
+
+    def held(self, x: Sequence[float]) -> tuple[float, float]:
+        return -x[0] - x[1], x[0] + x[1]
+
+    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
+        return {"static": float(x[0] + x[1]), "coulomb": float(x[0]), "velocity": float(np.exp(x[2]))}

@@ -1,0 +1,94 @@
+"""The torque that acts is cut off at a limit that the record does not show."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
+
+import numpy as np
+
+from invid.effects.effect import Effect
+from invid.effects.motion import View
+from invid.model.parameters import ChainStructure
+from invid.model.place import Place, axis_places
+from invid.numerics.arrays import Complex128, Float64
+
+CUTS = (0.3, 0.4, 0.5, 0.6, 0.7, 0.78, 0.85, 0.9, 0.94, 0.97, 0.985, 0.992)
+"""Limits to start from over the peak torque. What is cut off halves from one to the next at the top: a limit
+that cuts more than twice of what is missing makes it worse, and would not be seen."""
+
+PARTS = 4
+"""Into how many parts a sample is taken where a hold goes on within it."""
+
+
+class TorqueSaturation(Effect):
+    """Acting torque = recorded torque within ±limit."""
+
+    cause = "torque_saturation"
+    title = "torque that is cut off at a limit"
+    check = "Check the drive's current and torque limits and its bus voltage."
+    separate = "a second amplitude: below the limit nothing is missing"
+    family = "saturation"
+    parameters: ClassVar[Mapping[str, str]] = {"limit": "torque"}
+    shapes, logarithmic = ("limit",), (True,)
+    main = "limit"
+
+    def places(self, structure: ChainStructure) -> list[Place]:
+        return axis_places(structure)
+
+    def _peak(self, views: Sequence[View], place: Place) -> float:
+        return max(float(np.abs(v.record.torque_wave[:, place.axis]).max()) for v in views)
+
+    def grid(self, views: Sequence[View], place: Place) -> list[tuple[float, ...]]:
+        peak = max(self._peak(views, place), 1e-300)
+        return [(float(np.log(peak * f)),) for f in CUTS]
+
+    def limits(self, views: Sequence[View], place: Place) -> list[tuple[float, float]]:
+        peak = max(self._peak(views, place), 1e-300)
+        # Cut below a tenth of its peak a torque is no measurement of itself any more, and the fit could
+        # shrink plant and torque together until noise covers both.
+        return [(float(np.log(0.1 * peak)), float(np.log(0.995 * peak)))]
+
+    def contribution(
+        self, view: View, place: Place, x: Sequence[float]
+    ) -> tuple[Complex128, Complex128 | None]:
+        limit = float(np.exp(x[0]))
+        t = view.record.torque_wave[:, place.axis]
+        recorded = view.record.torque[:, place.axis]
+        if view.record.command is None:
+            cut = view.to_lines(_beyond(t, limit)[:, None])[:, 0]
+        else:
+            cut, recorded = _within_samples(view, place.axis, limit)
+        out: Complex128 = np.zeros_like(view.acting)
+        there = np.abs(recorded) > 0
+        ratio = np.where(there, view.acting[:, place.axis] / np.where(there, recorded, 1.0), 1.0)
+        out[:, place.axis] = cut * ratio
+        return out, None
+
+    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
+        return {"limit": float(np.exp(x[0]))}
+
+
+def _beyond(torque: Float64, limit: float) -> Float64:
+    return torque - np.clip(torque, -limit, limit)
+
+
+def _within_samples(view: View, axis: int, limit: float) -> tuple[Complex128, Complex128]:
+    """(F,) what is cut off a demand held over each sample and a hold that goes on within it, and their sum.
+
+    At the samples alone the hold is what it was at the moment that the demand changed.
+    """
+    record, wave = view.record, view.record.torque_wave[:, axis]
+    command = np.zeros(0, dtype=complex) if record.command is None else record.command[:, axis]
+    half = np.zeros(wave.size // 2 + 1, dtype=complex)
+    half[record.lines] = command * (wave.size / 2)
+    half[0] *= 2.0
+    demand = np.fft.irfft(half, wave.size)
+    hold = wave - demand
+    change = np.append(np.diff(hold), 0.0 if record.transient else hold[0] - hold[-1])
+    cut: Complex128 = np.zeros(view.omega.size, dtype=complex)
+    for part in (np.arange(PARTS) + 0.5) / PARTS:
+        lines = view.to_lines(_beyond(demand + hold + part * change, limit)[:, None])[:, 0]
+        cut += lines * np.exp(-1j * view.omega * part * record.step) / PARTS
+    late = np.sinc(view.omega * record.step / 2 / np.pi) * np.exp(-0.5j * view.omega * record.step)
+    return cut, command * late + record.torque[:, axis] - command

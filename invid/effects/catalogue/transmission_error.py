@@ -1,0 +1,104 @@
+"""Teeth that are not where they should be: the gear adds a sinusoid of position to the deflection."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
+
+import numpy as np
+
+from invid.effects.catalogue.backlash import spring_index
+from invid.effects.effect import Effect
+from invid.effects.laws.ripple_cycles import cycle_grid, ripples
+from invid.effects.motion import View, rms
+from invid.model.parameters import ChainStructure
+from invid.model.place import Place, spring_places
+from invid.numerics.arrays import Complex128, Float64
+
+
+class TransmissionError(Effect):
+    """The spring acts on d − e, e = amplitude·sin(cycles_per_rev·q + phase), q on its motor side.
+
+    Without loss of energy the motor side feels it times 1 − ∂e/∂q.
+    """
+
+    cause = "transmission_error"
+    title = "a position error of the gear (transmission error)"
+    check = "Check the gear's teeth and its alignment; compensate over position."
+    separate = "a slow move over a whole revolution, and a second amplitude"
+    family = "position"
+    parameters: ClassVar[Mapping[str, str]] = {
+        "amplitude": "position",
+        "cycles_per_rev": "count",
+        "phase": "angle",
+    }
+    coefficients = ("sine", "cosine")
+    lower, upper = (-np.inf,) * 2, (np.inf,) * 2
+    shapes, logarithmic = ("cycles_per_rev",), (True,)
+    main = "amplitude"
+    along_pattern = False  # the motor's side feels the slope of the error as well
+
+    def places(self, structure: ChainStructure) -> list[Place]:
+        return spring_places(structure)
+
+    def _motor_side(self, view: View, place: Place) -> Float64:
+        return view.wave((place.pattern(view.structure)[0],))
+
+    def grid(self, views: Sequence[View], place: Place) -> list[tuple[float, ...]]:
+        size = rms([self._motor_side(v, place) for v in views])
+        pattern = place.pattern(views[0].structure)
+        fast = ripples(views, (pattern[0],), pattern)
+        return [(float(np.log(n)),) for n in cycle_grid(size, 8) + fast]
+
+    def limits(self, views: Sequence[View], place: Place) -> list[tuple[float, float]]:
+        return [(0.0, float(np.log(2000.0)))]
+
+    def contribution(
+        self, view: View, place: Place, x: Sequence[float]
+    ) -> tuple[Complex128, Complex128 | None]:
+        (a, _), (b, _) = place.pattern(view.structure)
+        stiff = view.springs[spring_index(view.structure, place)]
+        cycles = float(np.exp(x[2]))
+        angle = cycles * self._motor_side(view, place)
+        sine, cosine = np.sin(angle), np.cos(angle)
+        error = x[0] * sine + x[1] * cosine
+        slope = cycles * (x[0] * cosine - x[1] * sine)
+        d = view.wave(place.pattern(view.structure))
+        near = stiff * ((d - error) * (1.0 - slope) - d)  # resistance on the motor side
+        far = stiff * error  # and on the load side
+        lines = view.to_lines(np.stack([near, far], axis=1))
+        out: Complex128 = np.zeros_like(view.acting)
+        back: Complex128 = np.zeros_like(view.base)
+        for at, force in ((a, lines[:, 0]), (b, lines[:, 1])):
+            out = out + view.push(((at, 1.0),)) * force[:, None]
+            back = back - view.yields(((at, 1.0),)) * force[:, None]
+        return out, back
+
+    def basis(self, view: View, place: Place, shape: Sequence[float]) -> Complex128:
+        (a, _), (b, _) = place.pattern(view.structure)
+        stiff = view.springs[spring_index(view.structure, place)]
+        cycles = float(np.exp(shape[0]))
+        angle = cycles * self._motor_side(view, place)
+        sine, cosine = np.sin(angle), np.cos(angle)
+        lean = cycles * view.wave(place.pattern(view.structure))
+        waves = np.stack([-sine - lean * cosine, -cosine + lean * sine, sine, cosine], axis=1)
+        lines = stiff * view.to_lines(waves)
+        out: Complex128 = (
+            view.push(((a, 1.0),))[:, :, None] * lines[:, None, :2]
+            + view.push(((b, 1.0),))[:, :, None] * lines[:, None, 2:]
+        )
+        return out
+
+    def beyond(self, views: Sequence[View], place: Place, x: Sequence[float]) -> bool:
+        # The gear would turn back while its motor turns on; or be off by more than the motor ever turned: a
+        # bend of the motion's own size is that of a spring (0.4 m on a travel of 0.09 m, for a cubic one).
+        amplitude = float(np.hypot(x[0], x[1]))
+        turned = max((float(np.abs(self._motor_side(v, place)).max()) for v in views), default=np.inf)
+        return amplitude * float(np.exp(x[2])) >= 1.0 or amplitude > turned
+
+    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
+        return {
+            "amplitude": float(np.hypot(x[0], x[1])),
+            "cycles_per_rev": float(np.exp(x[2])),
+            "phase": float(np.arctan2(x[1], x[0])),
+        }

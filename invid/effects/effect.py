@@ -1,0 +1,245 @@
+"""What every effect declares.
+
+An effect adds to the missing torque r = Z Θ − A T of the linear model a *contribution*: r plus the
+contributions of all effects is zero for a perfect model. A resistance f (a force −f on the pattern b of
+coordinates) contributes Wᵀ b f; what it does to the inner coordinates is q = W Θ − Z_ii⁻¹ b f.
+
+The parameters of an effect inside a fit are a vector ``x``: first the linear coefficients, then the
+shape parameters (logarithms where they must be positive).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import ClassVar
+
+import numpy as np
+
+from invid.effects.laws.beyond_band import answered, beyond_band
+from invid.effects.motion import View, along
+from invid.model.parameters import ChainStructure
+from invid.model.place import Place
+from invid.numerics.arrays import Complex128, Float64
+
+
+def unit_of(kind: str, linear: bool) -> str:
+    """Unit of a parameter of a kind, on a rotary or a linear axis."""
+    rotary = {
+        "torque": "N·m",
+        "damping": "N·m·s/rad",
+        "stiffness": "N·m/rad",
+        "cubic": "N·m/rad³",
+        "velocity": "rad/s",
+        "position": "rad",
+        "mass": "kg·m²",
+        "stiffness_rate": "N·m/(rad·s)",
+    }
+    straight = {
+        "torque": "N",
+        "damping": "N·s/m",
+        "stiffness": "N/m",
+        "cubic": "N/m³",
+        "velocity": "m/s",
+        "position": "m",
+        "mass": "kg",
+        "stiffness_rate": "N/(m·s)",
+    }
+    other = {"time": "s", "angle": "rad", "count": "1", "ratio": "1"}
+    return (straight if linear else rotary).get(kind) or other[kind]
+
+
+class Effect:
+    """One cause of the catalogue. Subclasses are stateless; the catalogue holds one of each.
+
+    ``parameters`` maps the contract's names to kinds of unit. ``coefficients`` are linear (bounds in
+    ``lower``/``upper``), ``shapes`` are not; ``logarithmic`` says which of them move as logarithms.
+    """
+
+    cause: str = ""
+    title: str = ""
+    check: str = ""
+    """What a technician looks at."""
+    separate: str = ""
+    """The experiment that tells it from its look-alikes."""
+    family: str = ""
+    parameters: ClassVar[Mapping[str, str]] = MappingProxyType({})
+    coefficients: tuple[str, ...] = ()
+    lower: tuple[float, ...] = ()
+    upper: tuple[float, ...] = ()
+    shapes: tuple[str, ...] = ()
+    logarithmic: tuple[bool, ...] = ()
+    rotary: bool = False
+    least_axes: int = 1
+    main: str = ""
+    along_pattern: bool = True
+    """Whether its force lies along the pattern of its place and can be read from the missing torque."""
+
+    def places(self, structure: ChainStructure) -> list[Place]:
+        """Everywhere it may sit."""
+        raise NotImplementedError
+
+    def grid(self, views: Sequence[View], place: Place) -> list[tuple[float, ...]]:
+        """Shapes to start from, out of the data; [()] where it has none."""
+        return [()]
+
+    def limits(self, views: Sequence[View], place: Place) -> list[tuple[float, float]]:
+        """Bounds of the shapes, as they move; not bounded by default."""
+        return [(-np.inf, np.inf)] * len(self.shapes)
+
+    def difference(self, view: View, shape: int, value: float) -> float:
+        """Step of a shape for a derivative by differences."""
+        return 1e-4 * (1.0 if self.logarithmic[shape] else max(abs(value), 1e-6))
+
+    def basis(self, view: View, place: Place, shape: Sequence[float]) -> Complex128:
+        """(F, M, L) contribution for each coefficient at one."""
+        raise NotImplementedError
+
+    def contribution(
+        self, view: View, place: Place, x: Sequence[float]
+    ) -> tuple[Complex128, Complex128 | None]:
+        """(F, M) contribution to r at ``x`` and (F, ΣN) what it does to inner coordinates."""
+        count = len(self.coefficients)
+        columns = self.basis(view, place, x[count:])
+        out: Complex128 = columns @ np.asarray(x[:count])
+        return out, None
+
+    def stands(self, view: View, place: Place) -> bool:
+        """Whether its force at a motor depends on inner motion, as friction does while the motor stands."""
+        return False
+
+    def remembers(self, view: View, place: Place, x: Sequence[float]) -> bool:
+        """Whether its force in a record depends on what was before (``view.starts``)."""
+        return False
+
+    def rarity(self, place: Place, structure: ChainStructure) -> float:
+        """−2 ln of the odds, before any data, that this cause sits here and not where it usually does."""
+        return 0.0
+
+    def noise_power(
+        self, view: View, place: Place, x: Sequence[float]
+    ) -> tuple[float | Float64, float | Float64]:
+        """What the effect multiplies the noise powers of position and torque by, as numbers or (F,): taking a
+        sensor's fault out scales its noise, and an actuator that lets less torque through less of its noise.
+        """
+        return 1.0, 1.0
+
+    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
+        """The contract's parameters."""
+        raise NotImplementedError
+
+    def beyond(self, views: Sequence[View], place: Place, x: Sequence[float]) -> bool:
+        """Whether it is larger than what it works on, or than the motion in the records: then it is none.
+
+        A spring that drifts by more than itself stands for another spring, a gap that the deflection never
+        crosses for none.
+        """
+        return False
+
+    def is_null(self, x: Sequence[float]) -> bool:
+        """At a bound where nothing is left of the effect."""
+        count = len(self.coefficients)
+        return bool(count) and all(abs(c) < 1e-300 for c in x[:count])
+
+
+class ForceEffect(Effect):
+    """A resistance that is a law of motion over time: basis forces on the pattern."""
+
+    smeared = False
+    answered: ClassVar[bool] = False
+    """Whether the law goes on with the motion beyond the band that its own force makes (``beyond_band``)."""
+
+    def law(self, view: View, place: Place, shape: Sequence[float]) -> Float64:
+        """(n, L) resistance for each coefficient at one."""
+        raise NotImplementedError
+
+    def force(self, view: View, place: Place, shape: Sequence[float]) -> Complex128:
+        """(F, L) the same on the lines."""
+        return view.to_lines(self.law(view, place, shape), smeared=self.smeared)
+
+    def basis(self, view: View, place: Place, shape: Sequence[float]) -> Complex128:
+        push = view.push(place.pattern(view.structure))
+        out: Complex128 = push[:, :, None] * self.force(view, place, shape)[:, None, :]
+        return out
+
+    def contribution(
+        self, view: View, place: Place, x: Sequence[float]
+    ) -> tuple[Complex128, Complex128 | None]:
+        count = len(self.coefficients)
+        pattern = place.pattern(view.structure)
+        if self.answered and (compliance := beyond_band(view, place)) is not None:
+
+            def resisting() -> Float64:
+                out: Float64 = self.law(view, place, x[count:]) @ np.asarray(x[:count])
+                return out
+
+            wave = answered(view, pattern, compliance, resisting)
+            total = view.to_lines(wave[:, None], smeared=self.smeared)[:, 0]
+        else:
+            total = self.force(view, place, x[count:]) @ np.asarray(x[:count])
+        return view.push(pattern) * total[:, None], -view.yields(pattern) * total[:, None]
+
+
+class ImpedanceEffect(Effect):
+    """A resistance linear in the motion along its pattern: exact, whatever its size."""
+
+    steady: ClassVar[bool] = True
+    """Whether it is the same all through a record: then its force follows from the motors' spectra alone."""
+
+    def impedance(self, view: View, place: Place, x: Sequence[float]) -> Complex128:
+        """(F,) force per motion."""
+        raise NotImplementedError
+
+    def basis(self, view: View, place: Place, shape: Sequence[float]) -> Complex128:
+        pattern = place.pattern(view.structure)
+        z = self.impedance(view, place, (1.0, *shape))
+        if view.record.transient:  # the wave that laws are read from closes; the motion does not
+            raw = np.einsum("fqm,fm->fq", view.motion, view.record.position)
+            moved = along(pattern, raw + view.feedback + view.of_ends)
+        else:
+            moved = view.spectrum(pattern)
+        force = z * moved + self.within(view, place, (1.0, *shape))
+        out: Complex128 = view.push(pattern)[:, :, None] * force[:, None, None]
+        return out
+
+    def within(self, view: View, place: Place, x: Sequence[float]) -> Complex128 | float:
+        """(F,) force beside the impedance, where that is only the mean of what changes over the record."""
+        return 0.0
+
+    def contribution(
+        self, view: View, place: Place, x: Sequence[float]
+    ) -> tuple[Complex128, Complex128 | None]:
+        pattern = place.pattern(view.structure)
+        raw = np.einsum("fqm,fm->fq", view.motion, view.record.position)
+        z = self.impedance(view, place, x)
+        force = (z * along(pattern, raw) + self.within(view, place, x)) / (1.0 + z * view.compliance(pattern))
+        return view.push(pattern) * force[:, None], -view.yields(pattern) * force[:, None]
+
+    def of_jumps(self, view: View, place: Place, x: Sequence[float], moved: Complex128) -> Complex128:
+        """(F, 2ΣN) force along the pattern for a unit jump of each coordinate's position and velocity.
+
+        ``moved`` (F, ΣN, 2ΣN): motion that the jumps stand for. What stores momentum or moves a damper has
+        ends of its own, (2/T)((d + jωm)Δx + mΔv).
+        """
+        pattern = place.pattern(view.structure)
+        z = self.impedance(view, place, x)
+        force: Complex128 = z[:, None] * along(pattern, moved)
+        mass, damper = self.carries(view, x)
+        own = np.stack((damper + 1j * view.omega * mass, np.full(view.omega.size, mass, dtype=complex)))
+        own *= 2.0 / view.record.span
+        own[:, 0] *= 0.5
+        for at, sign in pattern:
+            force[:, at] += sign * own[0]
+            force[:, view.base.shape[1] + at] += sign * own[1]
+        out: Complex128 = force / (1.0 + z * view.compliance(pattern))[:, None]
+        return out
+
+    def carries(self, view: View, x: Sequence[float]) -> tuple[float, float]:
+        """Mass and damper in it, as far as its impedance is theirs."""
+        return 0.0, 0.0
+
+    def force_per_motion(self, view: View, place: Place, x: Sequence[float]) -> Complex128:
+        """(F,) force per motion that the pattern would have without it."""
+        z = self.impedance(view, place, x)
+        out: Complex128 = z / (1.0 + z * view.compliance(place.pattern(view.structure)))
+        return out

@@ -1,0 +1,56 @@
+"""Inner motion beyond the band in use, which is not measured: what a law's own force makes of it there.
+
+Inner masses are reconstructed on the lines in use, up to a few times the highest excited one. A law of
+their motion acts on all of it. What moves them beyond is its own force, against their inertia and the springs
+beside them: without it a spring that stiffens seemed up to 2 % stiffer than it was.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from invid.effects.motion import View
+from invid.model.place import Pattern, Place
+from invid.numerics.arrays import Float64
+
+PASSES = 3
+"""Half steps towards the motion and the force that go with each other: an eighth of it is left."""
+CLEAR = 0.5
+"""Least difference of inertia and spring, over the larger, on a line that is answered: nearer to a resonance
+beyond the band the damping decides, and half steps would not settle."""
+
+
+def beyond_band(view: View, place: Place) -> Float64 | None:
+    """(n//2 + 1,) motion along a place over a force along it on the waves' lines above those in use.
+
+    None for motors, whose motion is measured, between axes, and for records that do not close.
+    """
+    pattern, springs = place.pattern(view.structure), view.structure.spring_pairs
+    at = [dof for dof, _ in pattern]
+    if view.record.transient or place.other >= 0 or (len(at) == 1 and at[0] in view.structure.motor_dofs):
+        return None
+    beside = [
+        q for q, ends in enumerate(springs) if (set(ends) == set(at) if len(at) == 2 else at[0] in ends)
+    ]
+    stiffness = float(sum(view.springs[q] for q in beside))
+    light = float(sum(1.0 / view.masses[dof] for dof in at))
+    omega = view.record.wave_omega
+    inertia = omega**2 / light
+    clear = np.abs(stiffness - inertia) >= CLEAR * np.maximum(stiffness, inertia)
+    used = (np.arange(omega.size) > view.record.lines[-1]) & clear
+    out: Float64 = np.where(used, 1.0 / np.where(used, stiffness - inertia, 1.0), 0.0)
+    return out
+
+
+def answered(view: View, pattern: Pattern, compliance: Float64, resisting: Callable[[], Float64]) -> Float64:
+    """(n,) resistance in agreement with the motion beyond the band that it makes."""
+    wave = resisting()
+    try:
+        for _ in range(PASSES):
+            view.hide(pattern, -compliance * np.fft.rfft(wave))
+            wave = 0.5 * (wave + resisting())
+    finally:
+        view.hide(pattern, None)
+    return wave

@@ -1,0 +1,70 @@
+"""Cycles a revolution worth trying: a ripple over position is a line in the spectrum over position."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.fft import next_fast_len
+
+from invid.effects.motion import View, rms
+from invid.model.place import Pattern
+from invid.numerics.arrays import Float64
+
+SLOW = 4.0
+"""Phase [rad, rms] up to which cycles are tried one by one: a ripple whose phase hardly turns looks like any
+other smooth force of position, and only the screen tells them apart. Beyond it the ripple is a line."""
+PEAKS = 3
+"""Lines of the spectrum over position that are tried. A guess: the ripple is rarely below the third."""
+BINS = 1 << 18
+"""Most bins of position; where the motion asks for more the highest cycles are not looked for."""
+HIGHEST = 2000.0
+
+
+def cycle_grid(size: float, most: int = 12) -> list[float]:
+    """Cycles a revolution worth trying for a motion of rms ``size`` [rad]: 0.4 to 4 rad of phase."""
+    low, high = max(1.5, 0.4 / max(size, 1e-9)), max(3.0, SLOW / max(size, 1e-9))
+    values = np.geomspace(low, max(high, 1.2 * low), most)
+    return sorted({float(v) for v in values})
+
+
+def ripples(views: Sequence[View], coordinate: Pattern, force: Pattern) -> list[float]:
+    """Cycles a revolution of the strongest ripples of ``force`` over the position ``coordinate``, ascending.
+
+    The force that the missing torque asks for is summed up over position and its spectrum taken; of each peak
+    beyond ``SLOW`` the neighbours up to a line away are returned with it, because what the linear fit took of
+    the ripple moves it. Empty where no force can be read or the motion is small.
+    """
+    readable = [(v, v.wave(coordinate), v.remaining) for v in views if v.remaining is not None]
+    angles = [angle for _, angle, _ in readable]
+    size = rms(angles)
+    speed = rms([v.velocity(coordinate) for v, *_ in readable])
+    if size <= 0 or speed <= 0:
+        return []
+    low = min(float(a.min()) for a in angles)
+    span = max(float(a.max()) for a in angles) - low
+    # Three times the rms speed is rare: a ripple that only slow parts of the motion show in the band is not.
+    top = min(HIGHEST, 3.0 * max(float(v.omega[-1]) for v, *_ in readable) / speed)
+    if span <= 0 or top <= SLOW / size:
+        return []
+    width = max(2 * np.pi / (8.0 * top), span / BINS)
+    bins = int(span / width) + 1
+    length = next_fast_len(4 * bins, real=True)
+    power = np.zeros(length // 2 + 1)
+    for view, angle, remaining in readable:
+        lines = view.inferred(force, remaining)
+        lines[0] = 0.0
+        wave = view.record.to_wave(lines)
+        summed = np.bincount(((angle - low) / width).astype(int), weights=wave, minlength=bins)
+        power += np.abs(np.fft.rfft(summed, length)) ** 2 / view.record.samples
+    cycles = 2 * np.pi * np.arange(power.size) / (length * width)
+    return _peaks(cycles, power, SLOW / size, min(top, np.pi / width), np.pi / span)
+
+
+def _peaks(cycles: Float64, power: Float64, low: float, high: float, half_line: float) -> list[float]:
+    inside = np.flatnonzero((cycles > low) & (cycles < high))
+    inside = inside[(inside > 0) & (inside < power.size - 1)]
+    summit = inside[(power[inside] >= power[inside - 1]) & (power[inside] > power[inside + 1])]
+    best = summit[np.argsort(-power[summit])][:PEAKS]
+    around = cycles[best][:, None] + half_line * np.arange(-2, 3)
+    return sorted({float(c) for c in around.ravel() if low < c < HIGHEST})

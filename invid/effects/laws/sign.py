@@ -1,0 +1,208 @@
+"""Laws that jump with the sign of the velocity, or bend within a sample, averaged over their samples so that
+neither aliases.
+
+With the velocity linear between samples, the mean of a law over an interval is ΔΦ/Δv, Φ the law's
+antiderivative (antiderivative antialiasing); a sample gets the mean of the intervals around it. Friction that
+turns its motor round bends that line at zero, where it changes its sign: the interval then has two of them.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from functools import partial
+from math import erf, exp, log1p, pi, sqrt, tanh
+from typing import Self
+
+import numpy as np
+from numba import njit
+
+from invid.effects.effect import ForceEffect
+from invid.effects.motion import View
+from invid.model.place import Place
+from invid.numerics.arrays import Complex128, Float64
+from invid.signals.standstill import Standing, softness
+
+ROUNDING = "rounding"
+"""Name of the further parameter that friction has in a model where its sign changes over gradually."""
+FAR = 15.0
+"""Velocity over the softness from which a sign is one: exp(−30) is beyond the digits of a float."""
+
+TURNS = 0.1
+"""Change of velocity over an interval that friction takes off when it turns round, over the velocity's
+softness, above which the corner is looked at: below, noise hides when it was by more."""
+PASSES = 2
+"""Half steps towards the velocity beyond the band and the friction that go with each other. A whole one goes
+too far where friction takes more than half of a motor's change of pace."""
+
+
+class DryLaw(ForceEffect):
+    """A friction law that changes over with the sign of the velocity, at once or over a range of it."""
+
+    answered = True
+    rounding: float = 0.0
+    """Velocity over which the sign changes over, tanh(v/rounding) [rad/s or m/s]; 0: at once. No contact
+    reverses at once: creep, lubricant and the simulation of others round the corner."""
+
+    def rounded(self, velocity: float) -> Self:
+        """The same law with another rounding."""
+        other = copy.copy(self)
+        other.rounding = velocity
+        return other
+
+    def __eq__(self, other: object) -> bool:
+        """A law has no state but its rounding: two that round alike are one, wherever they were made."""
+        return isinstance(other, DryLaw) and (type(self), self.rounding) == (type(other), other.rounding)
+
+    def __hash__(self) -> int:
+        return hash((type(self), self.rounding))
+
+    def softness(self, view: View, place: Place) -> float:
+        """Velocity over which the sign changes over: the rounding, or the velocity's noise if larger."""
+        v = view.velocity(place.pattern(view.structure))
+        return max(softness(v, float(view.record.velocity_noise[place.axis])), self.rounding)
+
+    def stands(self, view: View, place: Place) -> bool:
+        return self._standing(view, place) is not None
+
+    def held(self, x: Sequence[float]) -> tuple[float, float]:
+        """Least and largest resistance of what does not move."""
+        raise NotImplementedError
+
+    def of(self, v: Float64, soft: float, shape: Sequence[float], turn: float) -> Float64:
+        """(n, L) resistance at velocities ``v`` (n,) for each coefficient at one; see ``sign_law``."""
+        raise NotImplementedError
+
+    def law(self, view: View, place: Place, shape: Sequence[float]) -> Float64:
+        v = view.velocity(place.pattern(view.structure))
+        return self.of(v, self.softness(view, place), shape, 0.0)
+
+    def contribution(
+        self, view: View, place: Place, x: Sequence[float]
+    ) -> tuple[Complex128, Complex128 | None]:
+        if place.number != 1 or self.rounding > 0.0:
+            return super().contribution(view, place, x)
+        count, pattern, record = len(self.coefficients), place.pattern(view.structure), view.record
+        still, soft = self._standing(view, place), self.softness(view, place)
+        low, high = self.held(x)
+        lightness = float(view.inertance[place.axis, place.axis])
+        turn = (high - low) * lightness * record.wave_step
+        turn = turn if turn > TURNS * soft else 0.0
+        held = None if still is None else partial(still.held, acting=_acting(view, place), low=low, high=high)
+
+        def resisting(v: Float64) -> Float64:
+            moving: Float64 = self.of(v, soft, x[count:], turn) @ np.asarray(x[:count])
+            return moving if held is None else held(moving)
+
+        v = view.velocity(pattern)
+        wave = resisting(v)
+        for _ in range(PASSES if turn and not record.transient else 0):
+            unseen = lightness * record.unseen_speed(wave, place.axis)
+            wave = 0.5 * (wave + resisting(v - unseen))
+        total = view.to_lines(wave[:, None], smeared=self.smeared)
+        return view.push(pattern) * total, -view.yields(pattern) * total
+
+    def _standing(self, view: View, place: Place) -> Standing | None:
+        """When the motor stands; none for inner masses, for contacts that creep, and for a motor that is a
+        load as well, which feels the other loads."""
+        sizes = view.structure.sizes
+        told = place.kind == "mass" and place.number == 1 and (sizes[place.axis] > 1 or len(sizes) == 1)
+        return view.record.standing[place.axis] if told and self.rounding == 0.0 else None
+
+
+def _acting(view: View, place: Place) -> Float64:
+    """(n,) torque on a motor by its drive and its spring."""
+    at = view.structure.motor_dofs[place.axis]
+    torque = view.record.to_wave(view.acting[:, place.axis])
+    if view.structure.sizes[place.axis] == 1:
+        return torque
+    spring, pattern = view.structure.spring_pairs.index((at, at + 1)), ((at + 1, 1.0), (at, -1.0))
+    k, d = float(view.springs[spring]), float(view.dampers[spring])
+    out: Float64 = torque + k * view.wave(pattern) + d * view.velocity(pattern)
+    return out
+
+
+@njit(cache=True)
+def _between(v: np.ndarray, phi: np.ndarray, plain: np.ndarray, turn: float, rest: float) -> np.ndarray:
+    """(n,) mean over the intervals around each sample of a wave that closes; ``turn`` see ``sign_law``,
+    ``rest`` is the antiderivative at zero."""
+    count = v.size
+    small = 1e-9 * np.abs(v).max()
+    out = np.empty(count)
+    before = 0.0
+    for k in range(-1, count):
+        a = k if k >= 0 else count - 1
+        b = k + 1 if k + 1 < count else 0
+        dv = v[b] - v[a]
+        if turn > 0.0 and v[a] * v[b] < 0.0:
+            # Zero is not where the straight line has it: turn·s² − (|v_a| + |v_b| + turn)·s + |v_a| = 0.
+            slow, fast = abs(v[a]), abs(v[b])
+            both = slow + fast + turn
+            share = 2.0 * slow / (both + sqrt(both * both - 4.0 * slow * turn))
+            # Before and after it a straight line each, from and to zero.
+            bent = (1.0 - share) * (phi[b] - rest) / fast - share * (phi[a] - rest) / slow
+            now = bent if v[b] > 0.0 else -bent
+        elif abs(dv) <= small:
+            now = 0.5 * (plain[a] + plain[b])
+        else:
+            now = (phi[b] - phi[a]) / dv
+        if k >= 0:
+            out[k] = 0.5 * (before + now)
+        before = now
+    return out
+
+
+@njit(cache=True)
+def _sign(v: np.ndarray, soft: float, turn: float) -> np.ndarray:
+    phi, plain = np.empty(v.size), np.empty(v.size)
+    for k in range(v.size):
+        u = abs(v[k]) / soft
+        near = u < FAR
+        phi[k] = soft * (u + (log1p(exp(-2.0 * u)) if near else 0.0))
+        size = tanh(u) if near else 1.0
+        plain[k] = size if v[k] > 0 else -size
+    return _between(v, phi, plain, turn, soft * log1p(1.0))
+
+
+@njit(cache=True)
+def _excess(v: np.ndarray, soft: float, width: float, turn: float) -> np.ndarray:
+    phi, plain = np.empty(v.size), np.empty(v.size)
+    for k in range(v.size):
+        u, w = abs(v[k]) / soft, abs(v[k]) / width
+        phi[k] = width * sqrt(pi) / 2 * erf(w)
+        size = (tanh(u) if u < FAR else 1.0) * exp(-w * w)
+        plain[k] = size if v[k] > 0 else -size
+    return _between(v, phi, plain, turn, 0.0)
+
+
+@njit(cache=True)
+def _clipped(d: np.ndarray, half: float) -> np.ndarray:
+    phi, plain = np.empty(d.size), np.empty(d.size)
+    for k in range(d.size):
+        u = abs(d[k])
+        phi[k] = 0.5 * u * u if u < half else half * (u - 0.5 * half)
+        plain[k] = min(max(d[k], -half), half)
+    return _between(d, phi, plain, 0.0, 0.0)
+
+
+def clip_law(d: Float64, half: float) -> Float64:
+    """(n,) the deflection, within ±half."""
+    out: Float64 = _clipped(np.ascontiguousarray(d), half)
+    return out
+
+
+def sign_law(v: Float64, soft: float, turn: float = 0.0) -> Float64:
+    """(n,) the sign of the velocity.
+
+    ``turn``: what the friction itself takes off the change of velocity over an interval once it has turned
+    round: its jump over the mass, times the interval. The velocity is no straight line there, and zero comes
+    earlier: at 34 dB over the noise that was four times the noise.
+    """
+    out: Float64 = _sign(np.ascontiguousarray(v), soft, turn)
+    return out
+
+
+def excess_law(v: Float64, soft: float, width: float, turn: float = 0.0) -> Float64:
+    """(n,) sign(v)·exp(−(v/width)²); ``turn`` see ``sign_law``."""
+    out: Float64 = _excess(np.ascontiguousarray(v), soft, width, turn)
+    return out

@@ -1,0 +1,76 @@
+"""The elastoplastic element (a spring that slides at its limit), shared by two causes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
+
+import numpy as np
+from numba import njit
+
+from invid.effects.effect import ForceEffect
+from invid.effects.motion import View
+from invid.model.place import Place
+from invid.numerics.arrays import Float64
+
+
+@njit(cache=True)
+def _march(x: np.ndarray, most: float, passes: int, start: float) -> np.ndarray:
+    out = np.empty(x.size)
+    z, last = start, x[0]
+    for _ in range(passes):
+        for k in range(x.size):
+            z = min(max(z + x[k] - last, -most), most)
+            last = x[k]
+            out[k] = z
+    return out
+
+
+CLOSED = 0.01
+"""Distance between start and end, over the range of the motion, up to which a record is as good as periodic.
+A guess: of one that settled for two periods a thousandth is left, one from rest may end anywhere."""
+
+
+def closes(x: Float64) -> bool:
+    """Whether a motion (n,) ends where it began, so nearly that it is as good as periodic."""
+    return abs(float(x[-1] - x[0])) < CLOSED * float(np.ptp(x))
+
+
+def remembers(x: Float64, most: float, *, periodic: bool) -> bool:
+    """Whether where a slider stood before shows in a motion (n,): one that gives way in both directions again
+    and again forgets it."""
+    return float(np.ptp(x)) < 2.0 * most or not (periodic or closes(x))
+
+
+def slide(x: Float64, most: float, *, periodic: bool, start: float = 0.0) -> Float64:
+    """(n,) displacement of a slider that gives way at ``most``; the periodic state where there is one, or
+    from ``start`` (a share of ``most``).
+
+    A record that still settles a little has the state of its last period at its start, not that of rest.
+    """
+    passes = 2 if periodic or closes(x) else 1
+    out: Float64 = _march(np.ascontiguousarray(x), most, passes, start * most)
+    return out
+
+
+class SliderEffect(ForceEffect):
+    """A slider along a pattern: ``torque`` times its displacement over the ``most`` that it gives way at."""
+
+    parameters: ClassVar[Mapping[str, str]] = {"stiffness": "stiffness", "torque": "torque"}
+    coefficients = ("torque",)
+    lower, upper = (0.0,), (np.inf,)
+    shapes, logarithmic = ("most",), (True,)
+    main = "torque"
+    answered = True
+
+    def remembers(self, view: View, place: Place, x: Sequence[float]) -> bool:
+        wave = view.wave(place.pattern(view.structure))
+        return remembers(wave, float(np.exp(x[1])), periodic=not view.record.transient)
+
+    def law(self, view: View, place: Place, shape: Sequence[float]) -> Float64:
+        most, pattern = float(np.exp(shape[0])), place.pattern(view.structure)
+        periodic, start = not view.record.transient, view.starts.get(pattern, 0.0)
+        return slide(view.wave(pattern), most, periodic=periodic, start=start)[:, None] / most
+
+    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
+        return {"stiffness": float(x[0] / np.exp(x[1])), "torque": float(x[0])}

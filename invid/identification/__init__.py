@@ -1,0 +1,1 @@
+"""Recording to model: starts, order, doubts."""

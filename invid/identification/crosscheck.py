@@ -1,0 +1,199 @@
+"""Does something that knows less structure say the same? Two checks of a fit that do not share its start.
+
+The paper's inverse on modes fitted to the FRF matrix, and a rational FRF of no structure at all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from invid.errors import InvidError, NotIdentifiableError
+from invid.inverse import PaperResult, identify_paper
+from invid.likelihood.fit import Fit
+from invid.model.chains import CoupledChains
+from invid.model.forward import frf
+from invid.modes import Modes
+from invid.modes.model import high_gain_pairs, modes_of_matrices, pairs
+from invid.modes.pole_search import unstructured
+from invid.numerics.arrays import Float64
+from invid.signals.frf import FrfMatrix, frf_matrix
+from invid.signals.spectra import LineSpectra
+
+OWN_ERROR = 0.005
+"""Relative error of the paper's route beyond its covariance: it knows no hold and no friction but viscous."""
+GRANTED = 0.01
+"""Share of every amplitude that counts as noise in the comparison with a rational FRF: what is missed by
+less matters to nobody, whatever the sensors could tell."""
+LARGEST = 100
+"""Modes times motors squared up to which the second route is taken: it then takes a second or two."""
+FURTHER = 2
+"""Modes the rational FRF may have beyond the model's: one that the model lacks, and one for friction."""
+
+
+def missed_by_structure(spectra: Sequence[LineSpectra], fit: Fit) -> tuple[float, float]:
+    """Power the fit misses over that which a rational FRF misses, and the first alone.
+
+    Both are mean squares on the same lines in the same units, with the sensors' noise plus ``GRANTED``
+    of every amplitude as one. A machine that is not linear is missed by both alike: the ratio stays
+    near one. A fit in a wrong minimum, or a structure that cannot move as the machine does (springs to
+    ground, masses too few), is beaten by far. (0, 0) where no rational FRF is found.
+    """
+    try:
+        with np.errstate(all="ignore"):
+            found = unstructured(spectra, fit.structure.sizes, further=FURTHER, model_error=GRANTED)
+    except np.linalg.LinAlgError:  # a pole upon a line of the record: the search ended nowhere
+        found = None
+    if found is None:
+        return 0.0, 0.0
+    left, rows = 0.0, 0
+    for record, state in zip(found.records, fit.problem.states(fit.solution.p), strict=True):
+        omega, _, _, weight, _ = record
+        place = np.searchsorted(state.block.omega, omega * (1.0 - 1e-9))
+        place = np.minimum(place, state.block.omega.size - 1)
+        shared = np.abs(state.block.omega[place] / omega - 1.0) < 1e-6
+        place = place[shared]
+        # Missing torque as the acceleration error it stands for: ω²G r.
+        moved = np.linalg.solve(state.stiffness[place], state.residual[place][..., None])[..., 0]
+        error = np.abs((omega[shared] ** 2)[:, None] * moved * weight[shared])
+        left += float((error**2).sum())
+        rows += 2 * error.size
+    own = left / max(rows, 1)
+    return own / max(found.mean_square, 0.5), own
+
+
+def second_route(spectra: Sequence[LineSpectra], fit: Fit) -> PaperResult | InvidError:
+    """The paper's inverse on modes of the FRF matrix; the search for poles starts at those of the fit.
+
+    That the routes share a start does not make them agree: modes know nothing of chains, and move to
+    where the FRF has them.
+    """
+    sizes, axes = fit.structure.sizes, fit.structure.axes
+    if (sum(sizes) - len(sizes)) * len(sizes) ** 2 > LARGEST:
+        return NotIdentifiableError("the plant is large: the second route takes minutes (--method paper)")
+    if any(s.transient for s in spectra):
+        return NotIdentifiableError("records that are not settled: the paper's method needs settled ones")
+    offsets = [v["value"] for k, v in fit.facts["time_offset_s"].items() if k.endswith(".time_offset")]
+    measured = frf_matrix(spectra, delay_s=float(np.mean(offsets)) if offsets else 0.0)
+    if measured.frequency_hz.size < 8:
+        return NotIdentifiableError("too few frequencies at which all axes are excited for a second route")
+    variance = measured.variance + (GRANTED * np.abs(measured.frf)) ** 2
+    start = modes_of_chains(fit.chains)
+    try:
+        return identify_paper(measured.frequency_hz, measured.frf, variance, sizes, axes=axes, start=start)
+    except InvidError as error:
+        return error
+    except (np.linalg.LinAlgError, ValueError, FloatingPointError) as error:
+        return NotIdentifiableError(f"the paper's method failed on these data: {error}")
+
+
+def widened(paper: PaperResult, measured: FrfMatrix) -> PaperResult:
+    """The paper's result with the error of its method beside the noise.
+
+    The method takes damping to first order. What that costs is found by applying it to its own result:
+    the FRF of the identified chains with their dampers, on the same lines, must give them back; by as
+    much as it does not, the standard deviations are widened.
+    """
+    omega = 2 * np.pi * measured.frequency_hz
+    sizes, axes = paper.chains.masses_per_branch, paper.chains.axes
+    try:
+        again = identify_paper(
+            measured.frequency_hz,
+            frf(paper.chains, omega),
+            measured.variance,
+            sizes,
+            axes=axes,
+            start=paper.modes,
+        )
+        values = np.array([v for v, _ in paper.named.values()])
+        own = np.array([v for v, _ in again.named.values()]) - values
+    except (InvidError, np.linalg.LinAlgError, ValueError, FloatingPointError) as error:
+        lost = f"the method could not be checked on its own result ({error}): its errors may be larger"
+        return replace(paper, warnings=(*paper.warnings, lost))
+    covariance = paper.covariance + np.diag(own**2)
+    deviation = np.sqrt(np.maximum(np.diag(paper.covariance), 1e-300))
+    found = paper.warnings
+    if np.any((np.abs(own) > 2.0 * deviation) & (np.abs(own) > 1e-3 * np.abs(values))):
+        worst = int(np.argmax(np.abs(own) / deviation))
+        found = (
+            *found,
+            f"damping: applied to its own result the paper's method is off by "
+            f"{abs(own[worst] / values[worst]):.1%} in {list(paper.named)[worst]}; standard "
+            "deviations include it; refined has no such error",
+        )
+    return replace(paper, covariance=covariance, warnings=found)
+
+
+def modes_of_chains(chains: CoupledChains) -> Modes:
+    """The modes that a plant shows at its motors; no covariance."""
+    modes = modes_of_matrices(
+        chains.mass_matrix,
+        chains.damping_matrix,
+        chains.stiffness_matrix,
+        chains.motor_dofs.tolist(),
+        chains.masses_per_branch,
+    )
+    rows, columns = pairs(chains.branches)
+    allowed = high_gain_pairs(chains.masses_per_branch)
+    high = np.zeros_like(modes.high_gain)
+    keep = (rows[allowed], columns[allowed])
+    high[keep] = high[keep[1], keep[0]] = modes.high_gain[keep]
+    return replace(modes, high_gain=high)
+
+
+def compared(
+    paper: PaperResult | InvidError,
+    names: Sequence[str],
+    values: Float64,
+    covariance: Float64,
+    warnings: list[str],
+) -> dict[str, Any]:
+    """Do the paper's inverse and the maximum-likelihood fit agree within their joint uncertainty?
+
+    The paper's route has a say only where its modes explain the FRF to its noise: otherwise its
+    covariance is that of an error it does not know.
+    """
+    if isinstance(paper, InvidError):
+        return {"paper": None, "reason": str(paper)}
+    theirs = paper.named
+    worst_name, worst = "", 0.0
+    table: dict[str, float] = {}
+    for k, name in enumerate(names):
+        if name not in theirs:
+            continue
+        value, variance = theirs[name]
+        table[name] = value
+        joint = float(np.sqrt(max(variance, 0.0) + max(covariance[k, k], 0.0)))
+        joint = float(np.hypot(joint, OWN_ERROR * abs(values[k])))
+        z = abs(value - values[k]) / joint if np.isfinite(joint) and joint > 0 else 0.0
+        if z > worst:
+            worst_name, worst = name, z
+    sound = paper.modes.model_error == 0.0 and not paper.warnings
+    # 4 standard deviations on the worst of a few dozen parameters.
+    agree = worst < 4.0
+    out: dict[str, Any] = {
+        "paper": table,
+        "agree": agree,
+        "worst": {"name": worst_name, "deviations": worst},
+    }
+    if not sound:
+        out["reason"] = "the paper's route does not explain the FRF to its noise: no judge of the fit"
+    elif not agree:
+        warnings.append(
+            f"the paper's inverse gives {table[worst_name]:.4g} for {worst_name}, the fit "
+            f"{values[list(names).index(worst_name)]:.4g}, {worst:.1f} joint standard deviations apart: the "
+            "structure (number of masses, friction, a spring to ground) may differ from the machine's"
+        )
+    return out
+
+
+__all__ = [
+    "compared",
+    "missed_by_structure",
+    "modes_of_chains",
+    "second_route",
+    "widened",
+]

@@ -1,0 +1,278 @@
+"""Recording to model: starts from the paper's inverse, then the structured maximum-likelihood fit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from invid.errors import InputError, InvidError, NotIdentifiableError
+from invid.identification.crosscheck import compared, missed_by_structure, second_route, widened
+from invid.identification.fewer_masses import said_of_fewer
+from invid.identification.ground_springs import with_ground_springs
+from invid.identification.model_facts import BEATEN, SUSPECT, paper_model, refined_model
+from invid.identification.model_order import choose_order
+from invid.identification.starts import chain_starts, fit_sizes, measured_frf
+from invid.identification.torque_timing import timely
+from invid.inverse import PaperResult, identify_paper
+from invid.likelihood.bootstrap import bootstrap as bootstrap_of
+from invid.likelihood.fit import AT_NOISE, Fit, fit_structure
+from invid.likelihood.profile import profiles
+from invid.model.chains import CoupledChains
+from invid.model.document import Model
+from invid.model.parameters import ChainStructure
+from invid.modes.pole_search import searched_modes
+from invid.modes.settle import settled_frf
+from invid.recording.model import Recording, Role
+from invid.rigid_motion.diagnosis import identify_trajectory
+from invid.rigid_motion.record_kind import is_rigid_case
+from invid.signals.drive_torque import with_acting_torque
+from invid.signals.encoder_glitches import without_glitches
+from invid.signals.frf import FrfMatrix
+from invid.signals.plausibility import check_plausible
+from invid.signals.spectra import LineSpectra, all_spectra
+
+Masses = Sequence[int] | Literal["auto"] | None
+Method = Literal["paper", "refined"]
+
+
+def identify(
+    recording: Recording,
+    *,
+    masses: Masses = None,
+    method: Method = "refined",
+    profile: bool = False,
+    bootstrap: int = 0,
+    workers: int = 1,
+) -> Model:
+    """Masses, springs, dampers and couplings of every branch with their covariance.
+
+    Parameters
+    ----------
+    masses
+        Masses of each axis; ``None`` takes those of the recording, and "auto" where it names none;
+        "auto" lets the data choose.
+    method
+        "refined" (maximum likelihood) or "paper" (the inverse eigenvalue method alone).
+    profile
+        Profile-likelihood intervals of masses, springs and couplings in ``fit["profile"]`` (refined only;
+        some hundred further fits).
+    bootstrap
+        Draws of a parametric bootstrap in ``fit["bootstrap"]`` (refined only), on ``workers`` processes; 0
+        for none.
+
+    Returns
+    -------
+    Model
+        ``fit["trustworthy"]`` is False where a reason in ``warnings`` says that it cannot be relied on.
+
+    Raises
+    ------
+    InputError
+        An axis that is never excited; masses that do not match the axes.
+    NotIdentifiableError
+        Data from which no such model can be drawn at all; an excitation that drowns in the noise.
+    """
+    recording, told = without_glitches(recording)
+    model = _model(recording, masses, method, profile, (bootstrap, workers))
+    return replace(model, warnings=(*model.warnings, *told)) if told else model
+
+
+def _model(
+    recording: Recording, masses: Masses, method: Method, profile: bool, draws: tuple[int, int]
+) -> Model:
+    """Rigid inertias or chains, as the recording is."""
+    if method == "refined" and _may_be_rigid(recording, masses) and is_rigid_case(recording, masses):
+        return _rigid_or_chains(recording, masses, lambda: identify_trajectory(recording))
+    return _chains(recording, masses, method, profile, draws)
+
+
+def _rigid_or_chains(recording: Recording, masses: Masses, rigid: Callable[[], Model]) -> Model:
+    """The rigid model, or that of chains where the rigid one knows no inertia and chains explain the data.
+
+    Broadband excitation of a chain, recorded without periods, looks like a motor on a spring to ground.
+    """
+    model: Model | None = None
+    failure: NotIdentifiableError | None = None
+    try:
+        model = rigid()
+    except NotIdentifiableError as error:
+        failure = error
+    if model is not None and _known(model):
+        return model
+    if masses is None or isinstance(masses, str):
+        try:
+            chains = _chains(recording, masses, "refined", False)
+        except InvidError:
+            chains = None
+        # Where they explain the records to their noise, doubts about their number of masses notwithstanding.
+        if chains is not None and (model is None or chains.fit["noise_chi2_per_dof"] < SUSPECT):
+            return chains
+    if model is None:
+        raise failure or NotIdentifiableError(f"{recording.source}: no rigid model")
+    return model
+
+
+def _known(rigid: Model) -> bool:
+    """Whether every inertia is known to a tenth (a guess: recorded moves give a per cent or two)."""
+    return all(
+        bool(np.all(std < 0.1 * np.abs(mass)))
+        for std, mass in zip(rigid.std.masses, rigid.chains.masses, strict=True)
+    )
+
+
+def _chains(
+    recording: Recording, masses: Masses, method: Method, profile: bool, again: tuple[int, int] = (0, 1)
+) -> Model:
+    spectra = all_spectra(recording, Role.IDENTIFY)
+    _check(recording, spectra)
+    spectra = with_acting_torque(spectra, recording.experiments)
+    wanted = recording.masses_per_axis if masses is None else masses
+    warnings = [w for s in spectra for w in s.warnings]
+    order: dict[str, Any] = {}
+    further: list[CoupledChains] = []
+    if wanted is None or isinstance(wanted, str):
+        choice = choose_order(spectra, recording.axes)
+        sizes, order = choice.sizes, choice.evidence
+        warnings += choice.warnings
+        further = [] if choice.chains is None else [choice.chains]
+    else:
+        sizes = _sizes(recording, wanted)
+    if method == "paper":
+        result, measured = _by_paper(spectra, sizes, recording.axes)
+        return paper_model(recording, result, measured, warnings, order)
+    measured = measured_frf(spectra)
+    fit = fit_sizes(spectra, sizes, recording.axes, measured, further=further, declared=not order)
+    fit, paper = from_second_route(spectra, fit)
+    if fit.noise_chi2 > SUSPECT and min(missed_by_structure(spectra, fit)) > BEATEN:
+
+        def starts_for(corrected: Sequence[LineSpectra]) -> Iterator[CoupledChains]:
+            return chain_starts(corrected, sizes, recording.axes, measured_frf(corrected), (), False)
+
+        other = timely(spectra, fit, starts_for)
+        other = other if other is not fit else with_ground_springs(spectra, fit, starts_for)
+        fit, paper = other, paper if other is fit else second_route(spectra, other)
+    warnings += said_of_fewer(sizes, fit)
+    model = refined_model(recording, spectra, fit, paper, warnings, order)
+    further_facts: dict[str, Any] = {}
+    if profile:
+        further_facts["profile"] = {name: {"low": i.low, "high": i.high} for name, i in profiles(fit).items()}
+    draws, workers = again
+    if draws:
+        spreads = bootstrap_of(fit, draws, workers=workers)
+        parameters = {name: asdict(spread) for name, spread in spreads.items()}
+        further_facts["bootstrap"] = {"draws": draws, "parameters": parameters}
+    return replace(model, fit={**model.fit, **further_facts}) if further_facts else model
+
+
+def from_second_route(spectra: Sequence[LineSpectra], fit: Fit) -> tuple[Fit, PaperResult | InvidError]:
+    """The fit and the paper's result beside it, which is a further start where it contradicts the fit.
+
+    Only where its modes explain the FRF to its noise while the fit has not come down to it: one of the two
+    then stands in a wrong minimum.
+    """
+    paper = second_route(spectra, fit)
+    if isinstance(paper, InvidError) or paper.modes.model_error > 0.0:
+        return fit, paper
+    at_noise = fit.solution.result == "converged" and fit.noise_chi2 < AT_NOISE
+    if at_noise or compared(paper, fit.names, fit.values, fit.covariance, [])["agree"]:
+        return fit, paper
+    structure = ChainStructure(fit.structure.sizes, fit.structure.axes)
+    again = fit_structure(spectra, structure, [paper.chains])
+    if again.noise_cost < 0.9 * fit.noise_cost:
+        return again, second_route(spectra, again)
+    return fit, paper
+
+
+def _may_be_rigid(recording: Recording, masses: Masses) -> bool:
+    """False where ``is_rigid_case`` is known to be false: more masses asked for, or periods of excitation."""
+    if masses is not None and not isinstance(masses, str) and any(n != 1 for n in masses):
+        return False
+    if any("position_source" in e.attributes for e in recording.experiments):
+        return True
+    return not any(e.period_samples and e.periods >= 2 for e in recording.experiments)
+
+
+def _by_paper(
+    spectra: Sequence[LineSpectra], sizes: Sequence[int], axes: Sequence[str]
+) -> tuple[PaperResult, FrfMatrix]:
+    """The paper's route, its standard deviations widened by what it misses of its own result.
+
+    The torque acts later than recorded where it is held over the sample; modes are searched for on the
+    records, under their noise, before they are fitted to the FRF matrix.
+    """
+    found = searched_modes(spectra, sizes)
+    start = None
+    if found is not None:
+        start, _, delay = found
+        spectra = [
+            replace(s, torque=s.torque * np.exp(-1j * s.omega * delay)[:, None], staircase=0.0 * s.staircase)
+            for s in spectra
+        ]
+    measured = settled_frf(spectra, sizes, measured_frf(spectra, misfit=0.0))
+    if measured.frequency_hz.size == 0:
+        raise NotIdentifiableError("no frequency at which all axes are excited: the FRF matrix is incomplete")
+    data = (measured.frequency_hz, measured.frf, measured.variance)
+    try:
+        try:
+            result = identify_paper(*data, sizes, axes=axes, start=start)
+        except NotIdentifiableError:
+            if start is None:
+                raise
+            result = identify_paper(*data, sizes, axes=axes)
+    except (np.linalg.LinAlgError, ValueError, FloatingPointError) as error:
+        raise NotIdentifiableError(f"the paper's method failed on these data: {error}") from None
+    return widened(result, measured), measured
+
+
+# --- checks ------------------------------------------------------------------------------------
+def _check(recording: Recording, spectra: Sequence[LineSpectra]) -> None:
+    if not spectra:
+        raise InputError(
+            f"{recording.source}: no experiment with role 'identify' that shakes an axis; "
+            f"found {len(recording.experiments)} experiments"
+        )
+    motors = recording.axis_count
+    # Where no axis is named, one that only its hold moves may still be told by the others' excitation.
+    unnamed = {e.key for e in recording.experiments if not 0 <= e.excited_axis < motors}
+    for i, axis in enumerate(recording.axes):
+        driving = [s for s in spectra if s.driven[i] or s.key in unnamed]
+        if not driving:
+            raise InputError(
+                f"{recording.source}: axis {axis} is never excited (no experiment names it as excited_axis "
+                "or excites several); measure it too, or leave the axis out of the recording"
+            )
+        if not any(_carries(s, i) or _carries(s, motors + i) for s in driving):
+            # Named as excited, so the recording is no bad input: the excitation drowned in the noise.
+            raise NotIdentifiableError(
+                f"{recording.source}: the excitation of axis {axis} is too weak: neither its torque nor its "
+                f"position rises above the noise in experiments {[s.key for s in driving]}; "
+                "raise the amplitude or measure longer"
+            )
+    check_plausible(recording, spectra)
+    if not any(s.excited.any() for s in spectra):
+        raise NotIdentifiableError(f"{recording.source}: no excited line found in any experiment")
+
+
+def _carries(s: LineSpectra, channel: int) -> bool:
+    """Whether a channel's excited lines rise above its noise, and it is not constant."""
+    both = np.concatenate((s.position, s.torque), axis=1)[s.excited, channel]
+    if both.size == 0 or not np.any(both):
+        return False
+    # Mean power of noise lines is the floor with relative error 1/√lines; five times it is no noise.
+    return bool(np.mean(np.abs(both) ** 2) > 5.0 * s.floor[channel])
+
+
+def _sizes(recording: Recording, wanted: Sequence[int]) -> tuple[int, ...]:
+    sizes = tuple(int(n) for n in wanted)
+    if len(sizes) != recording.axis_count or any(n < 1 for n in sizes):
+        raise InputError(
+            f"masses: {list(wanted)} for {recording.axis_count} axes {list(recording.axes)}; give one number "
+            "≥ 1 for each axis, or auto"
+        )
+    return sizes
+
+
+__all__ = ["fit_sizes", "identify", "measured_frf"]

@@ -1,0 +1,239 @@
+"""From fits to models: values, standard deviations, doubts, warnings, and the facts of the fit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+
+from invid.errors import InvidError
+from invid.identification.crosscheck import compared, missed_by_structure
+from invid.identification.identifiability import Blind, blind_directions
+from invid.inverse import PaperResult
+from invid.likelihood.fit import Fit
+from invid.model.document import EffectTerm, Estimate, Model, parameter_vector, units
+from invid.model.parameter_names import std_by_name
+from invid.numerics.arrays import Float64, frozen_float
+from invid.recording.model import Recording, Role
+from invid.signals.frf import FrfMatrix
+from invid.signals.spectra import LineSpectra
+
+SUSPECT = 5.0
+"""χ²/ν against sensor noise above which the fit is compared with a rational FRF of no structure."""
+BEATEN = 4.0
+"""Mean square the fit misses, in units of what a rational FRF misses, and of 1 % of the amplitudes, above
+which it is doubted: a factor of two in amplitude."""
+EXPLAINED = 0.9
+"""Share of the torque a trustworthy model explains. Empirical: real drives with friction stand above
+0.99, a wrong order or a torque that is none below 0.7 (flexible bench, case study)."""
+
+
+def _provenance(recording: Recording) -> dict[str, Any]:
+    return {
+        "software": f"invid {version('invid')}",
+        "recording": recording.source,
+        "recorded": recording.created,
+        "experiments": [e.key for e in recording.experiments if e.role is Role.IDENTIFY],
+    }
+
+
+def paper_model(
+    recording: Recording,
+    paper: PaperResult,
+    measured: FrfMatrix,
+    warnings: list[str],
+    order: dict[str, Any],
+) -> Model:
+    """The model of the paper's route alone."""
+    chains = paper.chains
+    names_all, values = parameter_vector(chains)
+    known = {n: float(np.sqrt(max(v, 0.0))) for n, (_, v) in paper.named.items()}
+    std = np.array([known.get(name, np.nan) for name in names_all])
+    warnings = [*warnings, *paper.warnings, *_order_doubts(order)]
+    trust = not _order_doubts(order)
+    for name, value, error in zip(names_all, values, std, strict=True):
+        if ".damper." in name or ".coupling" in name:
+            continue
+        if not np.isfinite(error) or error > Blind.LIMIT * abs(value):
+            trust = False
+            warnings.append(f"{name}: {value:.4g} ± {error:.2g} is not known; measure longer or use refined")
+    return Model(
+        robot=recording.robot,
+        method="paper",
+        chains=chains,
+        std=std_by_name(chains, known),
+        linear=recording.linear,
+        warnings=tuple(dict.fromkeys(warnings)),
+        covariance=frozen_float(paper.covariance),
+        parameter_names=tuple(known),
+        fit={
+            "trustworthy": trust,
+            "resonances_hz": (np.sort(paper.modes.omega) / 2 / np.pi).tolist(),
+            "frf_error": float(paper.modes.model_error),
+            "band_hz": [float(measured.frequency_hz[0]), float(measured.frequency_hz[-1])],
+            **({"order": order} if order else {}),
+        },
+        provenance=_provenance(recording),
+    )
+
+
+def _order_doubts(order: Mapping[str, Any]) -> list[str]:
+    """Structures that the data cannot tell apart: their parameters differ, their motion does not."""
+    if not order.get("alike"):
+        return []
+    alike = " and ".join(",".join(map(str, n)) for n in (order["chosen"], *order["alike"]))
+    return [
+        f"order: {alike} masses explain these data alike: the motors do not show on which branch the further "
+        "mass is; say it with --masses"
+    ]
+
+
+def refined_model(
+    recording: Recording,
+    spectra: Sequence[LineSpectra],
+    fit: Fit,
+    paper: PaperResult | InvidError,
+    warnings: list[str],
+    order: dict[str, Any],
+) -> Model:
+    """The model of a maximum-likelihood fit, with the doubts about it."""
+    chains = fit.chains
+    names, values = parameter_vector(chains)
+    place = {name: k for k, name in enumerate(fit.names)}
+    index = [place[n] for n in names]
+    covariance = fit.covariance[np.ix_(index, index)]
+    top = max(float(s.frequency_hz[s.excited].max()) for s in spectra if s.excited.any())
+    bottom = min(float(s.frequency_hz[s.excited].min()) for s in spectra if s.excited.any())
+    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    blind = blind_directions(chains, names, values, covariance, (bottom, top), recording.linear)
+    doubts: list[str] = []
+    unseen: list[str] = []
+    if fit.solution.result != "converged":
+        doubts.append(
+            f"the fit did not converge ({fit.solution.result} after {fit.solution.iterations} iterations)"
+        )
+    if blind.unseen:
+        std = np.where([n in blind.unseen for n in names], np.nan, std)
+        unseen += blind.sentences or [f"{', '.join(sorted(blind.unseen))}: not known from these data"]
+        doubts += unseen
+    if fit.explained < EXPLAINED:
+        doubts.append(
+            f"the model explains {fit.explained:.0%} of the torque only: another number of masses, a torque "
+            "channel that is not the motor torque, or axes that do not move freely"
+        )
+    doubts += _order_doubts(order)
+    beaten, missed = missed_by_structure(spectra, fit) if fit.noise_chi2 > SUSPECT else (0.0, 0.0)
+    if beaten > BEATEN and missed > BEATEN:
+        doubts.append(
+            f"an FRF without structure misses the records by {np.sqrt(beaten):.2g} times less than the "
+            "fitted plant: the fit stands in a wrong minimum, or the machine has another structure (number "
+            "of masses, springs to ground)"
+        )
+    warnings += doubts
+    if fit.noise_chi2 > 2.0:
+        warnings.append(
+            f"the torque is missed by {np.sqrt(fit.noise_chi2):.2g} times its noise: something acts that the "
+            "model does not contain; standard deviations include it; invid diagnose names it where it can"
+        )
+    for axis, own in fit.facts["hold_timing"].items():
+        warnings.append(
+            f"{axis}: a hold works while this axis is driven, and nothing tells whether it acts inside the "
+            f"drive or is held over the sample: its motor mass is known to ±{own:.2g} only; record "
+            "torque_demand, or an experiment in which the axis is held and not excited"
+        )
+    for axis, lag in fit.facts["torque_lag_s"].items():
+        if abs(lag["value"]) > 3.0 * lag["std"]:
+            channel = "torque" if lag["value"] > 0 else "position"
+            warnings.append(
+                f"{axis}: the recorded {channel} is low-passed ({1e3 * abs(lag['value']):.3g} ± "
+                f"{1e3 * lag['std']:.1g} ms, a lag, no mere delay); the parameters are corrected for it"
+            )
+    routes = compared(paper, names, values, covariance, warnings)
+    finite = np.isfinite(covariance).all()
+    facts = {
+        "trustworthy": not doubts,
+        "doubts": doubts,
+        "unseen": unseen,
+        "chi2": fit.solution.chi2,
+        "dof": fit.solution.dof,
+        "noise_chi2_per_dof": fit.noise_chi2,
+        "explained": fit.explained,
+        "band_hz": [bottom, top],
+        "lines": {b.key: int(b.omega.size) for b in fit.problem.blocks},
+        "periods": {s.key: s.periods for s in spectra},
+        **{k: v for k, v in fit.facts.items() if k not in ("chi2", "dof")},
+        "correlations": _correlations(names, covariance),
+        "routes": routes,
+        **({"order": order} if order else {}),
+    }
+    return Model(
+        robot=recording.robot,
+        method="refined",
+        chains=chains,
+        std=std_by_name(chains, dict(zip(names, std, strict=True))),
+        linear=recording.linear,
+        effects=_friction(fit, recording),
+        warnings=tuple(dict.fromkeys(warnings)),
+        covariance=frozen_float(covariance) if finite else None,
+        parameter_names=names if finite else (),
+        fit=_plain(facts),
+        provenance=_provenance(recording),
+    )
+
+
+def _correlations(names: Sequence[str], covariance: Float64) -> list[list[Any]]:
+    """[name, name, correlation] of the pairs that the data tell together better than apart: |ρ| > 0.9."""
+    deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    found = []
+    for i in range(len(names)):
+        for j in range(i + 1, len(names)):
+            scale = deviation[i] * deviation[j]
+            rho = covariance[i, j] / scale if np.isfinite(scale) and scale > 0 else 0.0
+            if abs(rho) > 0.9:
+                found.append([names[i], names[j], round(float(rho), 4)])
+    return sorted(found, key=lambda row: -abs(row[2]))
+
+
+def _friction(fit: Fit, recording: Recording) -> tuple[EffectTerm, ...]:
+    """Friction that the fit could not do without: part of the model, or its simulation would not damp."""
+    torque = "N" if recording.linear else "N·m"
+    damping = units(recording.linear)["damping"]
+    found = []
+    for name, estimate in fit.facts["friction"].items():
+        # Names read A1.coulomb, A1.viscous, A1.viscous.2; axis names may hold dots of their own.
+        value, std = estimate["value"], estimate["std"]
+        if not value > 3.0 * std:
+            continue
+        if name.endswith(".coulomb"):
+            axis = name.removesuffix(".coulomb")
+            found.append(
+                EffectTerm(
+                    "coulomb_friction", axis, {"torque": Estimate(value, std, torque)}, element="mass 1"
+                )
+            )
+            continue
+        axis, _, number = name.rpartition(".viscous")
+        element = f"mass {number.removeprefix('.') or 1}"
+        found.append(
+            EffectTerm(
+                "viscous_friction", axis, {"coefficient": Estimate(value, std, damping)}, element=element
+            )
+        )
+    return tuple(found)
+
+
+def _plain(value: Any) -> Any:
+    """Strict JSON has no NaN and no infinity: they become null."""
+    if isinstance(value, dict):
+        return {k: _plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if np.isfinite(value) else None
+    if isinstance(value, np.bool_):
+        return bool(value)
+    if isinstance(value, np.integer):
+        return int(value)
+    return value

@@ -1,0 +1,122 @@
+"""Starts of the fit of one order: the rational fits' modes through the paper's inverse, then cruder ones."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from invid.identification.fewer_masses import FewerExplain, with_fewer_masses
+from invid.identification.separate_branches import start_apart
+from invid.inverse import starts
+from invid.likelihood.fit import Fit, fit_structure, large
+from invid.model.chains import CoupledChains
+from invid.model.parameters import ChainStructure
+from invid.modes import Modes
+from invid.modes.pole_search import searched_modes
+from invid.modes.rational_fit import FINE, TRUSTED, rational_modes
+from invid.signals.frf import FrfMatrix, frf_matrix, local_frf_matrix
+from invid.signals.spectra import LineSpectra
+
+MISFIT = 0.01
+"""Relative FRF error granted to the modal fit that only gives a start: friction of a few per cent of the
+peak torque leaves about that, and a modal fit that chases it is slow and no better a start."""
+LOCAL_MISFIT = 0.03
+"""The same for the local regression, which blunts resonances narrower than its window."""
+
+
+def measured_frf(spectra: Sequence[LineSpectra], *, misfit: float = MISFIT) -> FrfMatrix:
+    """The FRF matrix the starts are drawn from; ``misfit`` is added to its relative errors."""
+    found = FrfMatrix.empty(spectra[0].axis_count)
+    if not any(s.transient for s in spectra):
+        found = frf_matrix(spectra)
+    if found.frequency_hz.size < 8:
+        found, misfit = local_frf_matrix(spectra), max(misfit, LOCAL_MISFIT)
+    return replace(found, variance=found.variance + (misfit * np.abs(found.frf)) ** 2)
+
+
+def fit_sizes(
+    spectra: Sequence[LineSpectra],
+    sizes: Sequence[int],
+    axes: Sequence[str],
+    measured: FrfMatrix,
+    *,
+    thorough: bool = True,
+    further: Sequence[CoupledChains] = (),
+    declared: bool = False,
+) -> Fit:
+    """The fit of one order, from the paper's inverse and its fallbacks.
+
+    ``declared``: where the first starts fail a smaller order that explains the records takes its place.
+    """
+    structure = ChainStructure(tuple(sizes), tuple(axes))
+    attempts = chain_starts(spectra, sizes, axes, measured, further, thorough, declared)
+    try:
+        return fit_structure(spectra, structure, attempts, thorough=thorough)
+    except FewerExplain as found:
+        return found.fit
+
+
+def fewer_masses(spectra: Sequence[LineSpectra], sizes: Sequence[int], axes: Sequence[str]) -> Fit | None:
+    """The fit of a smaller order, where one explains the records."""
+
+    def starts_for(fewer: tuple[int, ...]) -> Iterator[CoupledChains]:
+        return chain_starts(spectra, fewer, axes, measured_frf(spectra), (), False)
+
+    return with_fewer_masses(spectra, sizes, axes, starts_for)
+
+
+def chain_starts(
+    spectra: Sequence[LineSpectra],
+    sizes: Sequence[int],
+    axes: Sequence[str],
+    measured: FrfMatrix,
+    further: Sequence[CoupledChains],
+    thorough: bool,
+    declared: bool = False,
+) -> Iterator[CoupledChains]:
+    """Starts, most trusted first; each is made only when those before it did not do."""
+    yield from further
+    crude: list[CoupledChains] = []
+    count = 0
+    early = not large(sizes) and measured.frequency_hz.size > 0
+    for modes, frf in _modal_starts(spectra, sizes, thorough):
+        *physical, equal = starts(frf.frequency_hz, frf.frf, frf.variance, sizes, axes=axes, modes=modes)
+        yield from physical
+        crude.append(equal)
+        if not count and early:
+            # Branches alike share poles, which as many poles as modes cannot fit; the modes of the FRF matrix
+            # can, and take less time than a search under the noise.
+            *shared, equal = starts(measured.frequency_hz, measured.frf, measured.variance, sizes, axes=axes)
+            yield from shared
+            crude.insert(0, equal)
+            alone = start_apart(spectra, sizes, axes) if thorough and len(sizes) > 1 else None
+            if alone is not None:
+                yield alone
+        fewer = fewer_masses(spectra, sizes, axes) if declared and not count else None
+        if fewer is not None:
+            raise FewerExplain(fewer)
+        count += 1
+    if count and not thorough:
+        return
+    if (not count or not early) and measured.frequency_hz.size:
+        yield from starts(measured.frequency_hz, measured.frf, measured.variance, sizes, axes=axes)
+    yield from crude
+
+
+def _modal_starts(
+    spectra: Sequence[LineSpectra], sizes: Sequence[int], thorough: bool
+) -> Iterator[tuple[Modes, FrfMatrix]]:
+    """Rational fits, each made only when those before it did not do: quick, thorough, fine."""
+    found = rational_modes(spectra, sizes, trusted=TRUSTED)
+    if found is not None:
+        yield found
+    for model_error in (0.0, FINE) if thorough else (0.0,):
+        searched = searched_modes(spectra, sizes, model_error=model_error)
+        if searched is not None:
+            yield searched[:2]
+    if thorough:
+        found = rational_modes(spectra, sizes, trusted=FINE)
+        if found is not None:
+            yield found

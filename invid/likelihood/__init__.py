@@ -1,0 +1,1 @@
+"""Structured errors-in-variables maximum likelihood on the missing torque."""

@@ -1,0 +1,43 @@
+"""Covariance and standard deviations of a solution, inflated by what the fit leaves."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from invid.likelihood.levenberg_marquardt import Solution, spectrum_of
+from invid.likelihood.residual import MissingTorqueProblem
+from invid.numerics.arrays import Float64
+
+
+def physical_covariance(problem: MissingTorqueProblem, solution: Solution) -> Float64:
+    """(n, n) covariance of the structure's parameters in physical units, inflated by χ²/ν > 1.
+
+    Directions that the data do not see (singular values below 1e-9 of the largest, columns scaled)
+    get an infinite variance on every parameter they move by more than a hundredth.
+    """
+    full = np.zeros((solution.p.size, solution.p.size))
+    free = np.flatnonzero(solution.free)
+    scale, size, right, blind = spectrum_of(solution.jacobian)
+    seen = size > 1e-9 * size[0]
+    inverse = (right[seen].T / size[seen] ** 2) @ right[seen] / scale[:, None] / scale
+    lost = np.flatnonzero(blind | (np.abs(right[~seen]) > 1e-2).any(axis=0))
+    inverse[lost, lost] = np.inf
+    full[np.ix_(free, free)] = inverse * max(1.0, solution.reduced)
+    count = problem.structure.count
+    values = problem.structure.physical(solution.p[:count])
+    factor = np.where(problem.structure.logarithmic, values, 1.0)
+    with np.errstate(invalid="ignore"):
+        result: Float64 = full[:count, :count] * factor[:, None] * factor
+    return result
+
+
+def spread_of(solution: Solution) -> Float64:
+    """(n,) standard deviation of every parameter as it moves (logarithms relative), inflated; NaN where
+    fixed, infinite where the data do not see it."""
+    scale, size, right, blind = spectrum_of(solution.jacobian)
+    size = np.maximum(size, 1e-9 * size[0])
+    own = np.sqrt(((right / size[:, None]) ** 2).sum(axis=0)) / scale
+    own[blind] = np.inf
+    out = np.full(solution.p.size, np.nan)
+    out[solution.free] = own * np.sqrt(max(1.0, solution.reduced))
+    return out

@@ -1,0 +1,334 @@
+"""The linear plant with effects, fitted jointly to the missing torque of all records.
+
+r = Z Θ − A T + Σ contributions, whitened with C_r = [Z, −A] C_n [Z, −A]ᴴ times what the scatter between
+periods adds. The Jacobian of the linear parameters is taken at the projected measurement (the cost's
+gradient is then exact for errors in variables); that of effects by differences, which costs one
+evaluation of the effect and no new plant.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from invid.effects.catalogue.torque_delay import ActuatorEffect
+from invid.effects.motion import View
+from invid.likelihood.effect_derivatives import (
+    effect_columns,
+    impedance_columns,
+    jump_columns,
+    law_columns,
+    learn_answers,
+    strong_inside,
+)
+from invid.likelihood.hypothesis import Acting, Layout, acting_of, folded_of, priors_of
+from invid.likelihood.nuisance.initial_states import begun
+from invid.likelihood.nuisance.transients import Ends, closing_of, ends_of
+from invid.likelihood.placed_effect import Candidate, at_once, contributions
+from invid.likelihood.residual import condense_dense
+from invid.model.transient_terms import end_derivative
+from invid.numerics.arrays import Complex128, Float64
+from invid.numerics.whitening import factored, stack, unstack, unwhitener, whitener
+from invid.signals.spectral_record import Record
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """One record through one plant with its effects: what its residual is made of and its Jacobian needs."""
+
+    view: View
+    extra: Complex128
+    """(F, M) contributions of the effects."""
+    missing: Complex128
+    """(F, M) missing torque r, boundary terms taken out."""
+    covariance: Complex128
+    root: Complex128
+    basis: Float64
+    """(rows, k) orthonormal: what ends and starts of the record explain of the whitened rows."""
+    jumps: Float64
+    """(2ΣN,) ends of a record that does not close; empty for one that does."""
+    ends: Ends | None
+    acting: Acting
+    white: Float64
+    """(rows,) whitened residual."""
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """Whitened residual and what it is made of, per record."""
+
+    residual: Float64
+    jacobian: Float64
+    cost: float
+    seen: tuple[Seen, ...]
+    dof: int = 0
+
+    @property
+    def views(self) -> tuple[View, ...]:
+        """The records through the plant."""
+        return tuple(s.view for s in self.seen)
+
+    @property
+    def missing(self) -> tuple[Complex128, ...]:
+        """(F, M) missing torque r of every record, boundary terms taken out."""
+        return tuple(s.missing for s in self.seen)
+
+    @property
+    def covariance(self) -> tuple[Complex128, ...]:
+        """(F, M, M) of it, for every record."""
+        return tuple(s.covariance for s in self.seen)
+
+    @property
+    def bases(self) -> tuple[Float64, ...]:
+        """(rows, k) what ends and starts explain, for every record."""
+        return tuple(s.basis for s in self.seen)
+
+    @property
+    def roots(self) -> tuple[Complex128, ...]:
+        """(F, M, M) whiteners of the missing torque, for every record."""
+        return tuple(s.root for s in self.seen)
+
+    @property
+    def records(self) -> list[Record]:
+        """The records it is of."""
+        return [s.view.record for s in self.seen]
+
+
+def views_of(
+    layout: Layout, records: Sequence[Record], p: Float64, acting: Sequence[Acting] | None = None
+) -> list[View]:
+    """Every record through the plant at ``p``; ``acting``: its torques there, where they are known."""
+    structure = layout.structure
+    sp = p[: structure.count]
+    values = structure.physical(sp)
+    inertance = structure.inertance(sp)
+    plants: dict[bytes, tuple[Complex128, Complex128, Complex128]] = {}
+    out = []
+    if acting is None:
+        acting = [acting_of(r, layout, p) for r in records]
+    for record, torque in zip(records, acting, strict=True):
+        key = record.omega.tobytes()
+        if key not in plants:
+            plants[key] = condense_dense(structure, sp, record.omega)
+        motion, stiffness, inner = plants[key]
+        out.append(
+            View(
+                record,
+                structure,
+                motion,
+                stiffness,
+                inner,
+                torque.torque,
+                values[structure.slices["spring"]],
+                values[structure.slices["damper"]],
+                values[structure.slices["mass"]],
+                layout.origin,
+                np.einsum("fij,fj->fi", stiffness, folded_of(record, layout, p, inertance)),
+                inertance,
+            )
+        )
+    return out
+
+
+def evaluate(
+    layout: Layout,
+    records: Sequence[Record],
+    p: Float64,
+    candidate: Candidate,
+    *,
+    jacobian: bool = True,
+    near: Sequence[View] = (),
+    thorough: bool = False,
+) -> Evaluation:
+    """Whitened residual (rows,) and Jacobian (rows, parameters of layout, then of the effects).
+
+    ``near``: the views of an evaluation close by, whose inner motion is where this one's starts.
+    ``thorough``: the Jacobian knows that strong effects feel what the linear parameters do to inner motion.
+    """
+    before = near if near and candidate.terms else [None] * len(records)
+    acting = [acting_of(r, layout, p) for r in records]
+    views = views_of(layout, records, p, acting)
+    seen = tuple(_seen(v, a, layout, p, candidate, b) for v, a, b in zip(views, acting, before, strict=True))
+    priors, _ = priors_of(layout, p, 0)
+    residual = np.concatenate([*(s.white for s in seen), priors])
+    dof = sum(_numbers(s) for s in seen)
+    here = Evaluation(residual, np.zeros((0, 0)), float(residual @ residual), seen, dof)
+    return with_jacobian(here, layout, p, candidate, thorough=thorough) if jacobian else here
+
+
+def with_jacobian(
+    here: Evaluation, layout: Layout, p: Float64, candidate: Candidate, *, thorough: bool
+) -> Evaluation:
+    """The same evaluation, at the same parameters, with its Jacobian."""
+    parts = [_derivative(s, layout, p, candidate, thorough) for s in here.seen]
+    _, prior_rows = priors_of(layout, p, sum(t.size for t in candidate.terms))
+    return replace(here, jacobian=np.concatenate([*parts, prior_rows]))
+
+
+def _seen(
+    view: View, acting: Acting, layout: Layout, p: Float64, candidate: Candidate, before: View | None
+) -> Seen:
+    """A record through a plant with effects; ``before``: a view close by, where its inner motion starts."""
+    record = view.record
+    r: Complex128 = np.einsum("fij,fj->fi", view.stiffness, record.position) - view.acting - view.images
+    covariance = noise_of(view, acting.factor, candidate)
+    view.certainty = np.asarray(np.linalg.inv(covariance), dtype=np.complex128)
+    root = whitener(covariance)
+    if record.weight.size:
+        root = root * record.weight[:, None, None]
+    rows, ends = 2 * r.size, None
+    open_, basis, jumps = np.zeros((rows, 0)), np.zeros((rows, 0)), np.zeros(0)
+    if record.transient:
+        ends = ends_of(view, layout, p)
+        felt = ends.with_effects(view, candidate)
+        open_ = stack(root @ felt.torque)
+        basis, back = factored(open_)
+        view.closing = closing_of(view, felt, root, r)
+        view.respond(view.feedback, view.closed(np.zeros_like(r)))
+        view.missing = view.left(np.zeros_like(r))
+    else:
+        view.missing = r
+    if before is not None:
+        view.of_ends, view.secants, view.read = before.of_ends, before.secants, before.read
+        view.starts = dict(before.starts)
+        view.respond(before.feedback, before.jumps)
+    extra = contributions(view, candidate)
+    extra, starting = begun(view, candidate, extra, partial(_left, root, basis, r))
+    if starting.any():
+        basis, back = factored(np.column_stack((open_, stack(root @ starting))))
+    if not any(t.feels(view) for t in candidate.terms):
+        view.respond(view.feedback, view.closed(extra))
+    r = r + extra
+    white = stack(root @ r[..., None])[:, 0]
+    if basis.size:
+        within = basis.T @ white
+        along = basis @ within
+        white = white - along
+        r = r - unstack(unwhitener(root), along, r.shape)
+        jumps = -(back @ within)[: open_.shape[1]]
+    if record.transient:
+        view.of_ends = felt.moved @ jumps
+    view.remaining = r
+    return Seen(view, extra, r, covariance, root, basis, jumps, ends, acting, white)
+
+
+def _numbers(seen: Seen) -> int:
+    """Degrees of freedom of a record."""
+    record, motors = seen.view.record, seen.missing.shape[1]
+    lines = int(record.weight.sum()) if record.weight.size else record.omega.size
+    out: int = 2 * lines * motors - motors - seen.basis.shape[1]
+    return out
+
+
+def _derivative(seen: Seen, layout: Layout, p: Float64, candidate: Candidate, thorough: bool) -> Float64:
+    """(rows, n) derivative of a record's whitened residual."""
+    view, r, sp = seen.view, seen.missing, p[: layout.structure.count]
+    effects = sum(t.size for t in candidate.terms)
+    gain = np.asarray(np.linalg.solve(seen.covariance, r[..., None])[..., 0], dtype=np.complex128)
+    columns = np.zeros((*r.shape, layout.count + effects), dtype=complex)
+    columns[..., : layout.count], q = _linear_columns(
+        layout, p, view, gain, seen.jumps, seen.acting, _passed(view, candidate)
+    )
+    strong = thorough and not at_once(candidate) and strong_inside(view, candidate)
+    if strong and seen.ends is not None and view.read is None:
+        learn_answers(view, candidate)
+    effect_columns(view, candidate, seen.extra, columns, layout.count)
+    if seen.ends is not None:
+        jump_columns(view, candidate, seen.ends.moved, seen.jumps, columns, layout.count)
+    impedance_columns(view, candidate, sp, q, columns)
+    if strong:
+        law_columns(view, candidate, sp, q, columns, layout.count)
+    part: Float64 = stack(seen.root @ columns)
+    return part - seen.basis @ (seen.basis.T @ part) if seen.basis.size else part
+
+
+def _left(root: Complex128, basis: Float64, r: Complex128, extra: Complex128) -> float:
+    """χ² of the missing torque ``r`` (F, M) with ``extra`` (F, M), without what the ends explain."""
+    white = stack(root @ (r + extra)[..., None])[:, 0]
+    along = basis.T @ white
+    return float(white @ white - along @ along)
+
+
+def _linear_columns(
+    layout: Layout,
+    p: Float64,
+    view: View,
+    gain: Complex128,
+    jumps: Float64,
+    acting: Acting,
+    passed: Complex128,
+) -> tuple[Complex128, Complex128]:
+    """(F, M, parameters) derivative of r by those of the layout, and (F, ΣN) the motion it is taken at.
+
+    ``gain`` (F, M) is C_r⁻¹ r, ``jumps`` (2ΣN,) the ends of a record that does not close (empty for one that
+    does), ``passed`` (F, M) what actuators let through of a change of the acting torque.
+    """
+    structure, record = layout.structure, view.record
+    sp, motors = p[: structure.count], structure.motors
+    # Only the sensors' noise moves the measurement: the scatter's share is in the covariance.
+    expected = record.noise[:, :motors] * np.einsum("fij,fi->fj", view.stiffness.conj(), gain)
+    q = np.einsum("fqm,fm->fq", view.motion, record.position - expected) + view.feedback + view.of_ends
+    columns = np.zeros((*record.torque.shape, layout.count), dtype=complex)
+    columns[..., : structure.count] = structure.torque_derivative(sp, record.omega, view.motion, q[None])[0]
+    if jumps.size:
+        columns[..., : structure.count] += end_derivative(
+            structure, sp, record.omega, view.motion, jumps, record.span
+        )
+    at = structure.count
+    later = 1j * record.omega[:, None] * view.acting * passed
+    for k, i in enumerate(layout.free_delays):
+        columns[:, i, at + k] = later[:, i]
+    at += len(layout.free_delays)
+    for k, i in enumerate(layout.free_stairs):
+        columns[:, i, at + k] = -acting.by_stair[:, i] * passed[:, i]
+        if i in layout.held_late and record.command is None:
+            columns[:, i, at + k] += 0.5 * layout.step * later[:, i]
+    at += len(layout.free_stairs)
+    for k, hold in enumerate(layout.holds):
+        columns[:, hold.axis, at + k] = -acting.by_hold[:, k] * passed[:, hold.axis]
+    at += len(layout.holds)
+    sharper = -later / layout.unsmoothed(p, record.omega)  # jω where 1 + jωτ was
+    for k, i in enumerate(layout.smoothed):
+        columns[:, i, at + k] = sharper[:, i]
+    return columns, q
+
+
+def _passed(view: View, candidate: Candidate) -> Complex128:
+    """(F, M) how much of a change of the acting torque delays and lags of the actuators let through."""
+    out: Complex128 = np.ones_like(view.acting)
+    for term, x in zip(candidate.terms, candidate.x, strict=True):
+        if isinstance(term.effect, ActuatorEffect):
+            out[:, term.place.axis] += term.effect.response(view, term.place, x.tolist()) - 1.0
+    return out
+
+
+def numbers_on(record: Record, root: Complex128) -> Float64:
+    """(F,) real numbers that every line of a record gives each axis: none where ``root`` (F, M, M) leaves it
+    out, and one at 0 Hz."""
+    out: Float64 = np.where(record.omega == 0.0, 1.0, 2.0) * (np.abs(root).sum(axis=(1, 2)) > 0)
+    return out
+
+
+def noise_of(view: View, factor: Complex128, candidate: Candidate | None = None) -> Complex128:
+    """(F, M, M) covariance of r; a sensor whose scale is wrong shows its noise at that scale.
+
+    Without that, of two scales that fit alike the one that makes the noise appear larger would win.
+    """
+    record = view.record
+    motors = record.torque.shape[1]
+    noise = record.noise
+    for term, x in () if candidate is None else zip(candidate.terms, candidate.x, strict=True):
+        position, torque = term.effect.noise_power(view, term.place, x.tolist())
+        if np.any(position != 1.0) or np.any(torque != 1.0):
+            noise = noise.copy()
+            noise[:, term.place.axis] *= position
+            noise[:, motors + term.place.axis] *= torque
+    z = view.stiffness
+    covariance: Complex128 = np.einsum("fij,fj,fkj->fik", z, noise[:, :motors], z.conj())
+    index = np.arange(motors)
+    covariance[:, index, index] += np.abs(factor) ** 2 * noise[:, motors:]
+    covariance[:, index, index] += record.scatter
+    return covariance

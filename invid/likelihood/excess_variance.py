@@ -1,0 +1,93 @@
+"""What the fit leaves beyond the sensors' noise, as a variance of its own.
+
+Friction that sticks, ripple, anything the model does not have: it shows as missing torque larger
+than the noise predicts. Rows (one axis in one record) that carry it get less weight, and the
+covariance of the parameters becomes true to it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from invid.likelihood.levenberg_marquardt import Solution, spectrum_of
+from invid.likelihood.residual import MissingTorqueProblem, State
+from invid.numerics.arrays import Complex128, Float64
+
+WINDOW = 24
+"""Neighbouring lines that share one excess variance: its own standard error is then 20 %."""
+SIGNIFICANT = 3.0
+"""Standard errors above which an excess counts."""
+
+
+def excess_variance(
+    problem: MissingTorqueProblem, solution: Solution, base: list[Complex128]
+) -> tuple[list[Complex128], list[Float64]]:
+    """Covariances with the excess added to the torque of each axis, and the excess (F, M) per block.
+
+    ``base`` is each block's sensor noise (F, 2M, 2M).
+    """
+    plain = problem.with_covariance(base)
+    states = problem.states(solution.p)
+    base_states = plain.states(solution.p)
+    leverage = _leverage(problem, solution)
+    covariances, excesses = [], []
+    for state, base_state, lev, noise in zip(states, base_states, leverage, base, strict=True):
+        excess = _excess(state, base_state, lev)
+        covariance = noise.copy()
+        motors = excess.shape[1]
+        index = np.arange(motors, 2 * motors)
+        covariance[:, index, index] += excess
+        covariances.append(covariance)
+        excesses.append(excess)
+    return covariances, excesses
+
+
+def _leverage(problem: MissingTorqueProblem, solution: Solution) -> list[Float64]:
+    """Per block (M,) the mean share of a row's variance that the fit has taken up."""
+    scale, size, right, _ = spectrum_of(solution.jacobian)
+    seen = size > 1e-10 * size[0]
+    hat = ((solution.jacobian @ (right[seen] / size[seen, None] / scale).T) ** 2).sum(axis=1)
+    out, at = [], 0
+    for block in problem.blocks:
+        lines, motors = block.position.shape
+        own = hat[at : at + 2 * lines * motors].reshape(2, lines, motors).sum(axis=(0, 1)) / (2 * lines)
+        if block.transient:
+            own = own + 2 * problem.structure.dofs / (2 * lines * motors)
+        out.append(np.minimum(own, 0.8))
+        at += 2 * lines * motors
+    return out
+
+
+def _excess(state: State, base: State, leverage: Float64) -> Float64:
+    """(F, M) excess torque power, smooth over the lines."""
+    power = np.abs(state.residual) ** 2 / (1.0 - leverage)
+    floor = np.einsum("fii->fi", base.covariance).real
+    lines, motors = power.shape
+    out = np.zeros((lines, motors))
+    for i in range(motors):
+        overall, error = _common(power[:, i], floor[:, i])
+        start = overall if overall > SIGNIFICANT * error else 0.0
+        out[:, i] = start
+        if lines < 2 * WINDOW:
+            continue
+        for low in range(0, lines, WINDOW // 2):
+            part = slice(max(low - WINDOW // 4, 0), min(low + 3 * WINDOW // 4, lines))
+            value, error = _common(power[part, i], floor[part, i])
+            target = slice(low, min(low + WINDOW // 2, lines))
+            out[target, i] = value if value > SIGNIFICANT * error else 0.0
+    return out
+
+
+def _common(power: Float64, floor: Float64) -> tuple[float, float]:
+    """One excess x ≥ 0 with E[power] = floor + x, by iterated weighted means, and its standard error."""
+    x = 0.0
+    error = np.inf
+    for _ in range(30):
+        weight = 1.0 / (floor + x) ** 2
+        new = max(float((weight * (power - floor)).sum() / weight.sum()), 0.0)
+        error = float(1.0 / np.sqrt(weight.sum()))
+        if abs(new - x) <= 1e-3 * max(new, 1e-300):
+            x = new
+            break
+        x = 0.5 * (x + new)
+    return x, error

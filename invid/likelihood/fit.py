@@ -1,0 +1,370 @@
+"""The whole fit of one structure: starts, nuisances, weights, covariance."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from invid.errors import NotIdentifiableError
+from invid.likelihood.covariance import physical_covariance, spread_of
+from invid.likelihood.excess_variance import excess_variance
+from invid.likelihood.levenberg_marquardt import Solution, gauss_newton
+from invid.likelihood.nuisance.hold_timing import placed_holds, with_open_holds
+from invid.likelihood.nuisance.reversals import with_sharp_reversals
+from invid.likelihood.nuisance.torque_lags import (
+    COULOMB,
+    COULOMB_SIGMA,
+    TORQUE_LAG,
+    with_coulomb,
+    with_reversal_lags,
+    with_torque_lags,
+)
+from invid.likelihood.records import carried, problem_from_spectra, with_columns
+from invid.likelihood.residual import MissingTorqueProblem
+from invid.model.chains import CoupledChains
+from invid.model.parameters import ChainStructure
+from invid.numerics.arrays import Complex128, Float64
+from invid.numerics.distributions import chi2_isf
+from invid.signals.spectra import LineSpectra
+
+NEEDED = 1e-3
+"""Significance at which boundary terms are added: wrong once in a thousand settled records."""
+
+
+TEMPER = (0.1, 0.03, 0.01, 0.003)
+"""Shares of every amplitude that count as noise while a start is led to its minimum: under the sensors'
+noise alone the valley is so narrow that a start 12 % off in one spring of a chain of five ends in
+another minimum; a tenth of the amplitude makes it wide, and each step starts within the next."""
+
+AT_NOISE = 1.5
+"""χ²/ν up to which a fit counts as at its noise and no further start is tried."""
+MODERATE = 300
+"""Modes times motors squared above which a plant is large. Four branches of five masses take seconds; beyond,
+a guess: six of five were cut short after six minutes."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A fitted structure.
+
+    ``covariance`` (n, n) is of the structure's parameters in physical units, inflated where χ² says
+    so; ``names`` name them. ``noise_chi2`` is χ²/ν against the sensors' noise alone: what the model
+    leaves, in units of the noise; ``solution.reduced`` is after the excess got a variance.
+    """
+
+    problem: MissingTorqueProblem
+    solution: Solution
+    structure: ChainStructure
+    chains: CoupledChains
+    covariance: Float64
+    noise_chi2: float
+    noise_cost: float
+    explained: float
+    facts: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the structure's parameters."""
+        return self.structure.names
+
+    @property
+    def values(self) -> Float64:
+        """Structure's parameters in physical units."""
+        return self.structure.physical(self.solution.p[: self.structure.count])
+
+
+def fit_structure(
+    spectra: Sequence[LineSpectra],
+    structure: ChainStructure,
+    starts: Iterable[CoupledChains],
+    *,
+    thorough: bool = True,
+) -> Fit:
+    """Maximum-likelihood fit of ``structure`` from the best of several starts.
+
+    ``thorough=False`` stops after the first pass (for comparing structures).
+    """
+    problem = with_coulomb(problem_from_spectra(structure, spectra), spectra)
+    if problem.dof <= 0:
+        rows = sum(2 * b.position.size for b in problem.blocks)
+        raise NotIdentifiableError(
+            f"{sum(b.omega.size for b in problem.blocks)} lines give {rows} equations for "
+            f"{rows - problem.dof} unknowns: lengthen the period, widen the band, or use fewer masses"
+        )
+    # A large plant's further starts take longer than a search on from the first.
+    patience = 1 if large(structure.sizes) else 5 if thorough else 2
+    solution = _best(problem, starts, 80 if thorough else 30, patience)
+    holds: dict[str, str] = {}
+    if thorough:
+        problem, solution = _boundary(problem, solution, spectra)
+        problem, solution = with_sharp_reversals(problem, solution, spectra)
+        problem, solution, holds = placed_holds(problem, solution, spectra)
+        problem, solution = _inner_friction(problem, solution)
+        problem, solution = with_torque_lags(problem, solution)
+    base = [b.covariance for b in problem.blocks]
+    noise_chi2, noise_cost = solution.reduced, solution.chi2
+    excess: list[Float64] = []
+    if thorough:
+        problem, solution, excess = _weighted(problem, solution, base)
+        plain = problem.with_covariance(base)
+        again = gauss_newton(plain, solution.p)
+        if again.chi2 < 0.9 * noise_cost:
+            # The weights led out of a wrong minimum: what is left beyond the noise is to be judged anew.
+            noise_chi2, noise_cost = again.reduced, again.chi2
+            problem, solution, excess = _weighted(plain, again, base)
+        problem, solution, excess = _drop_coulomb(problem, solution, base, excess)
+        problem, solution = with_reversal_lags(problem, solution)
+    problem, solution, open_holds, early = with_open_holds(problem, solution, spectra, holds)
+    free = physical_covariance(problem, solution)
+    problem, solution = _physical(problem, solution)
+    covariance = physical_covariance(problem, solution)
+    # A damper held at zero keeps the standard deviation it had when free.
+    pinned = np.flatnonzero(~solution.free[: problem.structure.count])
+    covariance[pinned, pinned] = np.diag(free)[pinned]
+    timing = {
+        axis: float(np.sqrt(covariance[dof, dof]))
+        for axis, dof in zip(structure.axes, structure.motor_dofs, strict=True)
+        if axis in open_holds
+    }
+    explained = _explained(problem, solution)
+    return Fit(
+        problem,
+        solution,
+        problem.structure,
+        problem.structure.chains(solution.p[: problem.structure.count]),
+        covariance,
+        noise_chi2,
+        noise_cost,
+        explained,
+        {**_facts(problem, solution, excess), "holds": {**holds, **early}, "hold_timing": timing},
+    )
+
+
+def large(sizes: Sequence[int]) -> bool:
+    """Whether each start for a plant takes longer than a fit from it."""
+    return (sum(sizes) - len(sizes)) * len(sizes) ** 2 > MODERATE
+
+
+def _best(
+    problem: MissingTorqueProblem, starts: Iterable[CoupledChains], iterations: int, patience: int
+) -> Solution:
+    """The lowest cost from all starts; stops at the first that cannot be told from noise, or where a
+    second start leads to the same minimum as the best before it."""
+    best: Solution | None = None
+    for p in _promising(problem, starts, patience):
+        for share in TEMPER[1:]:
+            p = gauss_newton(_tempered(problem, share), p, iterations=15, tolerance=0.1).p
+        found = gauss_newton(problem, p, iterations=iterations)
+        again = best is not None and abs(found.chi2 - best.chi2) < 1e-3 * best.chi2
+        if best is None or found.chi2 < best.chi2:
+            best = found
+        if again or best.reduced < AT_NOISE:
+            break
+    if best is None:
+        raise NotIdentifiableError(
+            "no start for the fit: no frequency at which all axes are excited; excite every axis, one an "
+            "experiment or all at once"
+        )
+    return best
+
+
+def _promising(
+    problem: MissingTorqueProblem, starts: Iterable[CoupledChains], patience: int
+) -> Iterator[Float64]:
+    """Where the starts lead with the widest valley, those that miss more than it grants after the others.
+
+    A search on from there costs most of a fit, and nearly always ends in another minimum. Where
+    ``patience`` starts have missed, that is the machine, not the start: then the best of them goes on first.
+    """
+    wide = _tempered(problem, TEMPER[0])
+    aside: list[Solution] = []
+    waited = False
+    for start in starts:
+        p = problem.start(problem.structure.vector(start))
+        found = gauss_newton(wide, p, iterations=15, tolerance=0.1)
+        if found.reduced < 1.0 or waited:
+            yield found.p
+            continue
+        aside.append(found)
+        if len(aside) == patience:
+            yield from (s.p for s in sorted(aside, key=lambda s: s.chi2))
+            aside, waited = [], True
+    yield from (s.p for s in sorted(aside, key=lambda s: s.chi2))
+
+
+def _tempered(problem: MissingTorqueProblem, share: float) -> MissingTorqueProblem:
+    """The problem with a share of every amplitude as further noise."""
+    covariances = []
+    for block in problem.blocks:
+        covariance = block.covariance.copy()
+        index = np.arange(2 * problem.structure.motors)
+        power = np.abs(np.concatenate((block.position, block.torque), axis=1)) ** 2
+        covariance[:, index, index] += share**2 * power
+        covariances.append(covariance)
+    return problem.with_covariance(covariances)
+
+
+def _boundary(
+    problem: MissingTorqueProblem, solution: Solution, spectra: Sequence[LineSpectra]
+) -> tuple[MissingTorqueProblem, Solution]:
+    """Boundary terms for periodic records whose transient has not died: where they pay for themselves."""
+    flags = [b.transient for b in problem.blocks]
+    count = 2 * problem.structure.dofs
+    for number, block in enumerate(problem.blocks):
+        rows = 2 * block.position.size
+        if block.transient or rows < 3 * count:
+            continue
+        alone = replace(problem, blocks=(block,))
+        freed = replace(problem, blocks=(replace(block, transient=True),))
+        plain, _ = alone.evaluate(solution.p)
+        with_terms, _ = freed.evaluate(solution.p)
+        before, after = float(plain[:rows] @ plain[:rows]), float(with_terms[:rows] @ with_terms[:rows])
+        # The scale is what is left with the terms in: friction that is left must not look like one.
+        gain = (before - after) / max(after / (rows - count), 1.0)
+        flags[number] = bool(gain > chi2_isf(NEEDED, count))
+    if flags == [b.transient for b in problem.blocks]:
+        return problem, solution
+    freed = with_coulomb(problem_from_spectra(problem.structure, spectra, boundary=flags), spectra)
+    return freed, gauss_newton(freed, carried(problem, solution.p, freed))
+
+
+def _inner_friction(
+    problem: MissingTorqueProblem, solution: Solution
+) -> tuple[MissingTorqueProblem, Solution]:
+    """Viscous friction of the masses beyond the motor, where the data ask for it.
+
+    A bearing at the load shifts the antiresonance that the load's mass is read from.
+    """
+    structure = problem.structure
+    if structure.inner_viscous or not structure.inner_dofs:
+        return problem, solution
+    larger = replace(problem, structure=replace(structure, inner_viscous=True))
+    found = gauss_newton(larger, carried(problem, solution.p, larger))
+    extra = len(structure.inner_dofs)
+    scale = max(found.reduced, 1.0)
+    part = slice(structure.slices["viscous"].stop, structure.slices["viscous"].stop + extra)
+    positive = found.p[part] > -3.0 * spread_of(found)[part]
+    if (solution.chi2 - found.chi2) / scale > chi2_isf(NEEDED, extra) and positive.all():
+        return larger, found
+    return problem, solution
+
+
+def _weighted(
+    problem: MissingTorqueProblem, solution: Solution, base: list[Complex128]
+) -> tuple[MissingTorqueProblem, Solution, list[Float64]]:
+    """Refit with what is left beyond the noise as a variance of its own, until it stands."""
+    excess: list[Float64] = [np.zeros(b.position.shape) for b in problem.blocks]
+    for _ in range(6):
+        covariances, new = excess_variance(problem, solution, base)
+        problem = problem.with_covariance(covariances)
+        if not any(e.any() for e in new) and not any(e.any() for e in excess):
+            return problem, solution, new
+        before = solution.p
+        solution = gauss_newton(problem, solution.p)
+        excess = new
+        moved = np.abs(solution.p - before)[solution.free]
+        if np.all(moved < 0.1 * spread_of(solution)[solution.free]):
+            break
+    return problem, solution, excess
+
+
+def _drop_coulomb(
+    problem: MissingTorqueProblem, solution: Solution, base: list[Complex128], excess: list[Float64]
+) -> tuple[MissingTorqueProblem, Solution, list[Float64]]:
+    """Leaves out Coulomb coefficients that the data do not ask for, or that would drive the motion."""
+    part = problem.slices["column"]
+    if part.start == part.stop:
+        return problem, solution, excess
+    keep = solution.p[part] > COULOMB_SIGMA * spread_of(solution)[part]
+    keep = keep | np.array([not n.endswith(COULOMB) for n in problem.column_names])
+    if keep.all():
+        return problem, solution, excess
+    names = tuple(n for n, k in zip(problem.column_names, keep, strict=True) if k)
+    reduced = with_columns(problem, [b.columns[:, :, keep] for b in problem.blocks], names)
+    solution = gauss_newton(reduced, carried(problem, solution.p, reduced))
+    return _weighted(reduced, solution, base)
+
+
+def _physical(problem: MissingTorqueProblem, solution: Solution) -> tuple[MissingTorqueProblem, Solution]:
+    """Dampers and viscous friction that came out negative are held at zero, and the rest fitted again.
+
+    A viscous friction that is negative by more than three standard deviations stays: something else
+    wears its mask, and hiding that would bias the rest.
+    """
+    structure = problem.structure
+    dampers, viscous = structure.slices["damper"], structure.slices["viscous"]
+    for _ in range(3):
+        spread = spread_of(solution)
+        pinned = [
+            k
+            for k in (*range(dampers.start, dampers.stop), *range(viscous.start, viscous.stop))
+            if solution.free[k]
+            and solution.p[k] < 0
+            and (k < dampers.stop or solution.p[k] > -3.0 * spread[k])
+        ]
+        if not pinned:
+            break
+        problem = replace(problem, fixed=(*problem.fixed, *(problem.names[k] for k in pinned)))
+        start = solution.p.copy()
+        start[pinned] = 0.0
+        solution = gauss_newton(problem, start)
+    return problem, solution
+
+
+def _explained(problem: MissingTorqueProblem, solution: Solution) -> float:
+    """Share of the (noise-weighted) torque power that the model accounts for, 0 … 1."""
+    left = total = 0.0
+    for state in problem.states(solution.p):
+        weight = 1.0 / np.maximum(np.einsum("fii->fi", state.covariance).real, 1e-300)
+        left += float((np.abs(state.residual) ** 2 * weight).sum())
+        total += float((np.abs(state.block.torque) ** 2 * weight).sum())
+    return max(0.0, 1.0 - left / max(total, 1e-300))
+
+
+def _time_constants(delays: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float]]:
+    """Time constants [s] of torque channels by axis from their squares; negative where the position lags."""
+    out = {}
+    for name, square in delays.items():
+        if name.endswith(TORQUE_LAG):
+            tau = float(np.sqrt(abs(square["value"])))
+            std = square["std"] / (2.0 * tau) if tau > 0 else np.inf
+            out[name.removesuffix(TORQUE_LAG)] = {
+                "value": float(np.copysign(tau, square["value"])),
+                "std": std,
+            }
+    return out
+
+
+def _facts(problem: MissingTorqueProblem, solution: Solution, excess: list[Float64]) -> dict[str, Any]:
+    spread = spread_of(solution)
+    s = problem.slices
+
+    def listed(part: slice) -> dict[str, dict[str, float]]:
+        return {
+            problem.names[k]: {"value": float(solution.p[k]), "std": float(spread[k])}
+            for k in range(part.start, part.stop)
+            if solution.free[k]
+        }
+
+    viscous = problem.structure.slices["viscous"]
+    motors = problem.structure.motors
+    friction = {k: v for k, v in listed(s["column"]).items() if k.endswith(COULOMB)}
+    return {
+        "result": solution.result,
+        "iterations": solution.iterations,
+        "chi2": solution.chi2,
+        "dof": solution.dof,
+        "time_offset_s": {k: v for k, v in listed(s["delay"]).items() if not k.endswith(TORQUE_LAG)},
+        "torque_lag_s": _time_constants(listed(s["delay"])),
+        "held_over_sample": listed(s["staircase"]),
+        "friction": {**friction, **listed(viscous)},
+        "boundary_terms": [b.key for b in problem.blocks if b.transient],
+        "excess_torque": {
+            b.key: [float(np.sqrt(e[:, i].mean())) for i in range(motors)]
+            for b, e in zip(problem.blocks, excess, strict=False)
+            if e.any()
+        },
+    }

@@ -1,0 +1,248 @@
+"""Levenberg–Marquardt over the linear parameters and the effects together, bounds kept."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from invid.likelihood.evaluation import Evaluation, evaluate, with_jacobian
+from invid.likelihood.hypothesis import Layout
+from invid.likelihood.nuisance.hold_share import SHARES
+from invid.likelihood.placed_effect import Candidate
+from invid.numerics.arrays import Bool, Float64
+from invid.signals.spectral_record import Record
+
+LARGEST_STEP = 0.7
+"""Largest step of a logarithm in one iteration: unguarded steps overflow."""
+
+
+@dataclass(frozen=True, eq=False)
+class JointFit:
+    """A fit of the linear parameters and the effects of ``candidate``."""
+
+    layout: Layout
+    p: Float64
+    candidate: Candidate
+    evaluation: Evaluation
+    covariance: Float64
+    converged: bool
+
+    @property
+    def cost(self) -> float:
+        """χ² of the training records."""
+        return self.evaluation.cost
+
+    @property
+    def dof(self) -> int:
+        """Degrees of freedom left."""
+        return max(self.evaluation.dof - self.layout.count - sum(t.size for t in self.candidate.terms), 1)
+
+    @property
+    def dispersion(self) -> float:
+        """χ²/ν, at least 1."""
+        return max(1.0, self.cost / self.dof)
+
+    @property
+    def stuck(self) -> Bool:
+        """(n,) parameters at a bound that the cost would drive them past."""
+        low, high = limits_of(self.layout, self.candidate, self.evaluation, strict=True)
+        return _stuck(pack(self.p, self.candidate), low, high, self.evaluation)
+
+    def covariance_of(self, number: int) -> Float64:
+        """(k, k) of the parameters of one effect; negative numbers count from the last."""
+        ends = self.layout.count + np.cumsum([t.size for t in self.candidate.terms])
+        part = slice(int(ends[number]) - self.candidate.terms[number].size, int(ends[number]))
+        return self.covariance[part, part]
+
+
+def limits_of(
+    layout: Layout, candidate: Candidate, evaluation: Evaluation, strict: bool
+) -> tuple[Float64, Float64]:
+    """Bounds of all parameters; ``strict``: time offsets within a sample."""
+    low, high = np.full(layout.count, -np.inf), np.full(layout.count, np.inf)
+    damper = layout.structure.slices["damper"]
+    low[damper] = 0.0
+    at = layout.structure.count
+    if strict:  # up to one sample is sampling convention; more is a finding
+        low[at : at + len(layout.free_delays)] = -1.0 * layout.step
+        high[at : at + len(layout.free_delays)] = 1.0 * layout.step
+    low[layout.stairs_at], high[layout.stairs_at] = -0.5, 1.5
+    low[layout.holds_at], high[layout.holds_at] = SHARES
+    low[layout.smoothed_at] = 0.0
+    for term in candidate.terms:
+        shapes = term.effect.limits(evaluation.views, term.place)
+        low = np.concatenate((low, term.effect.lower, [s[0] for s in shapes]))
+        high = np.concatenate((high, term.effect.upper, [s[1] for s in shapes]))
+    return low, high
+
+
+def pack(p: Float64, candidate: Candidate) -> Float64:
+    """(n,) the layout's parameters, then the effects'."""
+    return np.concatenate((p, *candidate.x)) if candidate.x else p.copy()
+
+
+def unpack(layout: Layout, candidate: Candidate, v: Float64) -> tuple[Float64, Candidate]:
+    """What ``pack`` put together."""
+    at, xs = layout.count, []
+    for term in candidate.terms:
+        xs.append(v[at : at + term.size].copy())
+        at += term.size
+    return v[: layout.count].copy(), Candidate(candidate.terms, tuple(xs))
+
+
+def fit(
+    layout: Layout,
+    records: Sequence[Record],
+    p: Float64,
+    candidate: Candidate,
+    *,
+    iterations: int = 30,
+    tolerance: float = 1e-2,
+    strict: bool = True,
+    quick: bool = False,
+    known: Evaluation | None = None,
+) -> JointFit:
+    """Minimise the cost; converged when the predicted decrease is below ``tolerance``·χ²/ν.
+
+    ``quick``: a first look, with a Jacobian that takes the effects' forces on inner masses as given.
+    ``known``: the evaluation where it starts, if there is one.
+    """
+    structure, thorough = layout.structure, not quick
+    if known is None:
+        known = evaluate(layout, records, p, candidate, jacobian=False)
+    low, high = limits_of(layout, candidate, known, strict)
+    v = np.clip(pack(p, candidate), low, high)
+    if not np.array_equal(v, pack(p, candidate)):
+        p, candidate = unpack(layout, candidate, v)
+        known = evaluate(layout, records, p, candidate, jacobian=False)
+    here = with_jacobian(known, layout, p, candidate, thorough=thorough)
+    limited = np.zeros(v.size, dtype=bool)
+    limited[: structure.count] = structure.logarithmic
+    at = layout.count
+    for term in candidate.terms:
+        count = len(term.effect.coefficients)
+        limited[at + count : at + term.size] = term.effect.logarithmic
+        at += term.size
+    damping, converged = 1e-4, False
+    for _ in range(iterations):
+        move = ~_stuck(v, low, high, here)
+        jacobian = here.jacobian[:, move]
+        scale = np.linalg.norm(jacobian, axis=0)
+        scale[scale == 0] = 1.0
+        triangle: Float64 = np.asarray(
+            np.linalg.qr(np.column_stack((jacobian / scale, here.residual)), mode="r")
+        )
+        n = int(move.sum())
+        left, size, right = np.linalg.svd(triangle[:n, :n])
+        projected = left.T @ triangle[:n, n]
+        keep = size > 1e-12 * size[0]
+        predicted = float(projected[keep] @ projected[keep])
+        if predicted < tolerance * max(here.cost / max(here.dof, 1), 1e-12):
+            converged = True
+            break
+        accepted: Evaluation | None = None
+        for _ in range(7):
+            step = np.zeros(v.size)
+            step[move] = -(right.T @ (size / (size**2 + damping) * projected)) / scale
+            largest = float(np.abs(step[limited]).max(initial=0.0))
+            if largest > LARGEST_STEP:
+                step = step * (LARGEST_STEP / largest)
+            trial = np.clip(v + step, low, high)
+            tp, tc = unpack(layout, candidate, trial)
+            if structure.admissible(tp[: structure.count]):
+                with np.errstate(all="ignore"):
+                    try:
+                        there = evaluate(layout, records, tp, tc, jacobian=False, near=here.views)
+                    except np.linalg.LinAlgError:
+                        there = None
+                if there is not None and np.isfinite(there.cost) and there.cost < here.cost:
+                    accepted = there
+                    break
+            damping = max(damping, 1e-6) * 10.0
+        if accepted is None:
+            converged = predicted < 0.3 * here.cost / max(here.dof, 1)
+            break
+        gained = here.cost - accepted.cost
+        v, p, candidate = trial, tp, tc
+        here = with_jacobian(accepted, layout, p, candidate, thorough=thorough)
+        damping = max(damping / 8.0, 1e-12)
+        if gained < 0.1 * tolerance * here.cost / max(here.dof, 1):
+            converged = True
+            break
+    return JointFit(layout, p, candidate, here, _covariance(here, v), converged)
+
+
+def reordered(found: JointFit, order: Sequence[int]) -> JointFit:
+    """The same fit with its effects in another order."""
+    candidate, count = found.candidate, found.layout.count
+    ends = count + np.cumsum([t.size for t in candidate.terms])
+    at = [np.arange(ends[k] - candidate.terms[k].size, ends[k]) for k in order]
+    columns = np.concatenate((np.arange(count), *at))
+    jacobian = found.evaluation.jacobian[:, columns] if found.evaluation.jacobian.size else np.zeros((0, 0))
+    return replace(
+        found,
+        candidate=candidate.only(order),
+        covariance=found.covariance[np.ix_(columns, columns)],
+        evaluation=replace(found.evaluation, jacobian=jacobian),
+    )
+
+
+def without_last(found: JointFit, records: Sequence[Record]) -> JointFit:
+    """The fit without its last effect; a delay's axis has its time offset back."""
+    layout, p, term = found.layout, found.p, found.candidate.terms[-1]
+    if term.effect.cause == "torque_delay":
+        layout = layout.with_delay(term.place.axis)
+        p = np.insert(p, layout.structure.count + layout.free_delays.index(term.place.axis), 0.0)
+    candidate = found.candidate.only(range(len(found.candidate.terms) - 1))
+    return fit(layout, records, p, candidate, iterations=25)
+
+
+def _stuck(v: Float64, low: Float64, high: Float64, here: Evaluation) -> Bool:
+    """(n,) at a bound, and the gradient points beyond it."""
+    gradient = here.jacobian.T @ here.residual
+    return ((v <= low) & (gradient > 0)) | ((v >= high) & (gradient < 0))
+
+
+def _covariance(here: Evaluation, v: Float64) -> Float64:
+    """(n, n) of everything; infinite where the data do not see it.
+
+    The larger, parameter by parameter, of two: what the noise makes of it times χ²/ν > 1, and the sandwich
+    over lines (White 1980), true also where a model that is not quite right leaves more on the few lines that
+    the parameter is read from than on the rest.
+    """
+    jacobian = here.jacobian
+    scale = np.linalg.norm(jacobian, axis=0)
+    blind = scale == 0
+    scale[blind] = 1.0
+    _, size, right = np.linalg.svd(np.linalg.qr(jacobian / scale, mode="r"), full_matrices=False)
+    seen = size > 1e-9 * size[0]
+    out: Float64 = (right[seen].T / size[seen] ** 2) @ right[seen] / scale[:, None] / scale
+    spread = max(1.0, here.cost / max(here.dof - v.size, 1))
+    plain = np.diag(out) * spread
+    robust = ((_line_scores(here) @ out) ** 2).sum(axis=0) * here.dof / max(here.dof - v.size, 1)
+    wider = np.sqrt(np.maximum(robust / np.where(plain > 0, plain, np.inf), 1.0))
+    lost = np.flatnonzero(blind | (np.abs(right[~seen]) > 1e-2).any(axis=0))
+    out[lost, lost] = np.inf
+    out *= spread * wider[:, None] * wider
+    return out
+
+
+def _line_scores(here: Evaluation) -> Float64:
+    """(lines of all records, n) what each line adds to half the gradient of the cost."""
+    at, out = 0, []
+    for view in here.views:
+        lines, motors = view.acting.shape
+        rows = slice(at, at + 2 * lines * motors)
+        own = here.jacobian[rows] * here.residual[rows, None]
+        out.append(own.reshape(2, lines, motors, -1).sum(axis=(0, 2)))
+        at = rows.stop
+    return np.concatenate(out)
+
+
+def held_out(fit_: JointFit, records: Sequence[Record], candidate: Candidate | None = None) -> Evaluation:
+    """The held-out records under a fit, nothing refitted."""
+    return evaluate(
+        fit_.layout, records, fit_.p, fit_.candidate if candidate is None else candidate, jacobian=False
+    )

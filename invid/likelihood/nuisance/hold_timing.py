@@ -1,0 +1,247 @@
+"""When the torque of a hold acts: with the command, or inside the drive half a sample before it."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+from math import comb
+
+import numpy as np
+
+from invid.likelihood.covariance import spread_of
+from invid.likelihood.levenberg_marquardt import Solution, gauss_newton
+from invid.likelihood.records import (
+    carried,
+    driven_and_held,
+    hold_laws,
+    hold_offset,
+    problem_from_spectra,
+    with_columns,
+)
+from invid.likelihood.residual import MissingTorqueProblem
+from invid.numerics.distributions import chi2_isf, chi2_sf, normal_sf
+from invid.signals.smooth_command import seen_hold
+from invid.signals.spectra import LineSpectra
+
+INSIDE = "inside the drive"
+"""How the statement begins that a hold acts before its command."""
+OPEN = (".open_hold.stiffness", ".open_hold.damping")
+"""Endings of the names of the gains of a hold of which nothing tells where it works."""
+
+
+def placed_holds(
+    problem: MissingTorqueProblem, solution: Solution, spectra: Sequence[LineSpectra]
+) -> tuple[MissingTorqueProblem, Solution, dict[str, str]]:
+    """What the holds do while their axis is driven, where no recorded demand tells.
+
+    Two cells give the same data: (a) hold and command are held over the sample alike; (b) the hold
+    runs inside the drive, continuous, beside a command held over the sample, and then acts half a
+    sample earlier. With hold gains P, D they differ by a viscous friction P·h/2 and a motor inertia
+    D·h/2, exactly (less where the drive's loop is slow). Friction tells them apart: where it is zero
+    with (a), or on all axes with one common earliness, that is taken; where neither, the half sample
+    stays open and its effect goes into the covariance.
+    """
+    structure = problem.structure
+    names = [hold_offset(structure.axes[i]) for i in driven_and_held(spectra)]
+    laws = hold_laws(spectra, driven_and_held(spectra))
+    step = 1.0 / spectra[0].sample_rate_hz
+    spread = spread_of(solution)
+    at = {name: k for k, name in enumerate(problem.names)}
+    open_axes, decided = [], {}
+    for i, name in zip(driven_and_held(spectra), names, strict=True):
+        if i not in laws or any(s.staircase[i] == 1.0 for s in spectra):
+            continue
+        offset, error = solution.p[at[name]], spread[at[name]]
+        if abs(offset) > max(4.0 * error, 0.1 * step):
+            decided[structure.axes[i]] = "hold and command act at different times; no hold while driven"
+            continue
+        open_axes.append(i)
+    if not open_axes:
+        return problem, solution, decided
+    motors = np.array(open_axes)
+    viscous = np.array([solution.p[structure.slices["viscous"].start + i] for i in motors])
+    error = np.array([spread[structure.slices["viscous"].start + i] for i in motors])
+    shift = np.array([laws[i][0] * step / 2 for i in motors])
+    if np.all(shift < error):
+        return problem, solution, decided
+    early = 2.0 / step * shift  # viscous friction a second of earliness looks like
+    without = float(np.sum((viscous / error) ** 2))
+    common = float(np.sum(viscous * early / error**2) / np.sum((early / error) ** 2))
+    common_error = float(1.0 / np.sqrt(np.sum((early / error) ** 2)))
+    within = float(np.sum(((viscous - early * common) / error) ** 2))
+    # 3 standard deviations' worth of false rejection; one degree of freedom goes into the common time.
+    limit = chi2_isf(0.0027, motors.size)
+    tight = chi2_isf(0.0027, motors.size - 1) if motors.size > 1 else 0.0
+    fixed = [hold_offset(structure.axes[i]) for i in open_axes]
+    # The images of a command held over the sample alias into the sampled torque of a damped hold: of
+    # the command's torque jω·D·h²/(12·m), which looks like so much of a time offset.
+    values = structure.physical(solution.p[: structure.count])
+    alias = [float(laws[i][1] * step**2 / 12.0 / values[structure.motor_dofs[i]]) for i in open_axes]
+
+    def known(mean: float, std: float) -> dict[str, tuple[float, float]]:
+        return {name: (mean, float(np.hypot(std, a))) for name, a in zip(fixed, alias, strict=True)}
+
+    if without < limit:
+        priors = {**problem.priors, **known(0.0, 1e-3 * step)}
+        text = "as the command, held over the sample"
+        freed = replace(problem, priors=priors)
+    else:
+        holds = {i: laws[i] for i in open_axes}
+        blocks = problem_from_spectra(
+            structure, spectra, boundary=[b.transient for b in problem.blocks], holds=holds
+        ).blocks
+        blocks = tuple(
+            replace(new, columns=old.columns, covariance=old.covariance)
+            for new, old in zip(blocks, problem.blocks, strict=True)
+        )
+        if within < tight and 0.0 < common < 0.55 * step:
+            found, text = known(-common, common_error), f"{INSIDE}, {common:.3g} s before the command"
+        else:
+            found, text = known(-step / 4, step / 4), "open: inside the drive or held over the sample"
+        freed = replace(problem, blocks=blocks, priors={**problem.priors, **found})
+    decided |= {structure.axes[i]: text for i in open_axes}
+    start = solution.p.copy()
+    for name in fixed:
+        start[at[name]] = freed.priors[name][0]
+    return freed, gauss_newton(freed, start), decided
+
+
+def with_open_holds(
+    problem: MissingTorqueProblem,
+    solution: Solution,
+    spectra: Sequence[LineSpectra],
+    placed: Collection[str],
+) -> tuple[MissingTorqueProblem, Solution, tuple[str, ...], dict[str, str]]:
+    """The problem with the hold of each axis in the fit whose place is unknown while the axis is driven.
+
+    A hold −(P + jωD)θ inside the drive acts half a sample before one that is held over the sample with
+    the command. Recorded as one torque, the two differ by (z − 1)(P + jωD)θ with z what holding
+    over the sample does: to first order P·h/2 of viscous friction and D·h/2 of motor inertia. Where no
+    record shows the hold alone (axes ``placed`` by ``placed_holds``) nothing tells them apart, unless the
+    friction that comes out is too small to hold P·h/2. Both gains then enter as parameters known to lie
+    somewhere between nothing (held over the sample) and the whole gain (inside the drive), so that every
+    parameter's standard deviation contains what they may cost. All axes are asked together: the holds of a
+    cell run in its drives or in its master, and friction too small on two axes speaks for the third
+    (``sampled_together``); an axis whose friction stands out of its error stays open. Where it is on several
+    axes what their holds make of it by acting earlier, by one time alike, they run in the drives
+    (``early_together``), and their gains count whole.
+
+    Both gains are read off the command where that is smooth over frequency (``smooth_command``), also
+    where the recording says that the axis is free. Otherwise P is that of the recording, or bounded by
+    friction where it is not said (a hold inside the drive); D is never said: holds are damped near
+    critically, D ≈ 2·√(P·S) with S the branch sum.
+    """
+    structure = problem.structure
+    values, spread = structure.physical(solution.p[: structure.count]), spread_of(solution)
+    first = structure.slices["viscous"].start
+    step = 1.0 / spectra[0].sample_rate_hz
+    at = {name: k for k, name in enumerate(problem.names)}
+    laws: dict[int, tuple[float, float]] = {}
+    seen: set[int] = set()
+    rubs: dict[int, tuple[float, float, float]] = {}
+    for i, (dof, size) in enumerate(zip(structure.motor_dofs, structure.sizes, strict=True)):
+        known = any(s.staircase[i] == 1.0 or s.hold_torque is not None for s in spectra)
+        if known or not structure.viscous or structure.axes[i] in placed:
+            continue
+        half = 0.5 / min(s.sample_rate_hz for s in spectra)
+        friction = float(values[first + i])
+        error = float(spread[first + i]) if np.isfinite(spread[first + i]) else 0.0
+        said = np.array([s.hold_gain[i] for s in spectra if s.hold_gain.size > i and s.driven[i]])
+        law = seen_hold(spectra, i)
+        if law is None:
+            if not np.any(np.isnan(said) | (said > 0)):
+                continue
+            # One standard deviation of friction above none: a small P still comes with a D that counts.
+            gain = float(np.nanmax(said)) if np.any(said > 0) else (max(friction, 0.0) + error) / half
+            if gain <= 0:
+                continue
+            law = gain, 2.0 * float(np.sqrt(gain * values[dof : dof + size].sum()))
+        else:
+            seen.add(i)
+        laws[i] = law
+        rubs[i] = friction, error, law[0] * half
+    together = sampled_together(list(rubs.values()))
+    gains: dict[int, tuple[float, float]] = {}
+    shares: dict[int, float] = {}
+    common = early_together([rubs[i] for i in rubs if i in seen])
+    for i, (friction, error, whole) in rubs.items():
+        # Where it acts, the hold's P makes friction of at most what there is: it bounds the share of the
+        # half sample. Below a half of it, friction that does not stand out of its error speaks for none.
+        share = min(1.0, (friction + 3.0 * error) / whole)
+        if friction < 3.0 * error and (together or share < 0.5):
+            continue
+        gains[i] = laws[i]
+        shares[i] = share if common is None or i not in seen else common[0]
+    if not gains:
+        return problem, solution, (), {}
+    names: list[str] = []
+    priors: dict[str, tuple[float, float]] = {}
+    for i, law in gains.items():
+        for ending, gain in zip(OPEN, law, strict=True):
+            names.append(structure.axes[i] + ending)
+            priors[names[-1]] = gain / 2, gain / 2
+            if common is not None and i in seen:
+                priors[names[-1]] = gain, gain * common[1] / common[0]
+    columns = []
+    for block, s in zip(problem.blocks, spectra, strict=True):
+        part = np.zeros((block.omega.size, structure.motors, len(names)), dtype=complex)
+        jw, half = 1j * block.omega, block.step / 2
+        smear = block.images.smear
+        for number, i in enumerate(gains):
+            if not s.driven[i]:
+                continue
+            late = solution.p[at[f"{structure.axes[i]}.time_offset"]]
+            command = np.exp(-jw * late) * (1.0 - shares[i] * smear)
+            acting = (np.exp(-jw * (late - shares[i] * half)) - command) * block.position[:, i]
+            part[:, i, 2 * number] = acting
+            part[:, i, 2 * number + 1] = jw * acting
+        columns.append(np.concatenate((block.columns, part), axis=2))
+    larger = with_columns(problem, columns, (*problem.column_names, *names))
+    larger = replace(larger, priors={**problem.priors, **priors})
+    found = gauss_newton(larger, carried(problem, solution.p, larger))
+    inside = {i for i in gains if common and i in seen}
+    text = f"{INSIDE}, {common[0] * step / 2:.3g} s before the command" if common else ""
+    return (
+        larger,
+        found,
+        tuple(structure.axes[i] for i in gains if i not in inside),
+        {structure.axes[i]: text for i in inside},
+    )
+
+
+def early_together(axes: Sequence[tuple[float, float, float]]) -> tuple[float, float] | None:
+    """Share of half a sample by which holds act early on all axes alike, with its standard deviation.
+
+    ``axes`` as in ``sampled_together``. ``None`` of a single axis, where friction is not the same share of
+    P·h/2 on all of them (wrong once in 370), where it is no more than its error, or more than holds make.
+    """
+    if len(axes) < 2 or any(error <= 0 for _, error, _ in axes):
+        return None
+    friction, error, whole = np.array(axes).T
+    weight = float(np.sum((whole / error) ** 2))
+    share, std = float(np.sum(friction * whole / error**2)) / weight, 1.0 / float(np.sqrt(weight))
+    apart = float(np.sum(((friction - share * whole) / error) ** 2))
+    if apart > chi2_isf(0.0027, len(axes) - 1) or share < 3.0 * std or share > 1.0 + 3.0 * std:
+        return None
+    return share, std
+
+
+def sampled_together(axes: Sequence[tuple[float, float, float]]) -> bool:
+    """Whether viscous friction is too small on all axes together for holds that run inside the drives.
+
+    ``axes`` gives each axis' viscous friction, its standard deviation, and P·h/2, which a hold inside the
+    drive looks like. Its loop runs at least twice a sample and acts half of that earlier at the least.
+    Friction is none below zero, so a negative one (friction that the model lacks) counts as none. Wrong once
+    in 740: three standard deviations, one-sided, as for one axis; of several, each is short by chance in
+    half the cases.
+    """
+    short = sum(
+        (max(0.5 * whole - max(friction, 0.0), 0.0) / error) ** 2 if error > 0 else np.inf
+        for friction, error, whole in axes
+        if whole > 0
+    )
+    count = len(axes)
+    if short <= 0:
+        return False
+    chance = sum(comb(count, k) / 2.0**count * chi2_sf(short, k) for k in range(1, count + 1))
+    return chance < normal_sf(3.0)

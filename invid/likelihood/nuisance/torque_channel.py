@@ -1,0 +1,168 @@
+"""One record of the fit, and what its torque channels make of the torque: when it acts, and how much."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from invid.numerics.arrays import Complex128, Float64
+from invid.signals.aliasing import Images
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """One record on the lines that the fit uses.
+
+    Attributes
+    ----------
+    omega
+        (F,) [rad/s].
+    position, torque
+        (F, M).
+    covariance
+        (F, 2M, 2M) of [position; torque].
+    span
+        Duration [s] the boundary terms are spread over.
+    transient
+        Whether boundary terms are needed.
+    ends_in
+        Whether the spectra already hold the end-point correction h/2·(x_n − x_0).
+    delay_index
+        (M,) which delay parameter each axis' torque has; −1 none.
+    further_index
+        (M,) a second delay parameter that adds to the first, for the torque of a hold; −1 none.
+    hold
+        (F, M) hold law at work while the axis is driven, torque −hold·position acting with both
+        delays while the command acts with the first alone; zero for none.
+    staircase_index
+        (M,) which hold-over-the-sample parameter, or −1 where it is known (``staircase``).
+    staircase
+        (M,) known values, used where the index is −1.
+    step
+        Sample interval [s].
+    columns
+        (F, M, L) columns shared by all records (torque side, one coefficient each).
+    lag_index
+        (M,) which parameter among the delays is the lag of each axis' torque channel, as the square of its
+        time constant [s²] (``low_passed``); empty where no channel has one.
+    stepped
+        (F, M) part of the torque that is held over each sample and stands in ``torque`` as it acts.
+    """
+
+    key: str
+    omega: Float64
+    position: Complex128
+    torque: Complex128
+    covariance: Complex128
+    span: float
+    transient: bool
+    ends_in: bool
+    delay_index: tuple[int, ...]
+    further_index: tuple[int, ...]
+    hold: Complex128
+    staircase_index: tuple[int, ...]
+    staircase: Float64
+    step: float
+    columns: Complex128
+    lag_index: tuple[int, ...] = ()
+    stepped: Complex128 | None = None
+
+    @cached_property
+    def images(self) -> Images:
+        """What a torque that is held over the sample folds onto the lines."""
+        return Images.of(self.omega, self.step)
+
+
+@dataclass(frozen=True, eq=False)
+class Acting:
+    """How the recorded torque of a block acts.
+
+    Where the hold H works beside a command, the acting torque is z₁T + (z₁ − z₂)·H·Θ: the command
+    E = T + HΘ acts with z₁ (holding over the sample within it), the hold's −HΘ with z₂.
+    """
+
+    factor: Complex128
+    """(F, M) A."""
+    hold: Complex128
+    """(F, M) torque per position of a hold beside the command."""
+    by_delay: Complex128
+    """(F, M, delays) derivative of A."""
+    hold_by_delay: Complex128
+    """(F, M, delays) derivative of ``hold``, over the hold law."""
+    by_stair: Complex128
+    """(F, M, staircase parameters) derivative of A."""
+    folded: Complex128
+    """(F, M) mass times displacement that the images of held torque fold onto the lines (``folding``)."""
+
+
+def acting(block: Block, delays: Float64, stairs: Float64) -> Acting:
+    """The torque channels of ``block`` under delays [s] (and squares of lags [s²]) and staircase shares."""
+    motors, lines = block.position.shape[1], block.omega.size
+    jw = 1j * block.omega
+    smear = block.images.smear
+    factor = np.ones((lines, motors), dtype=complex)
+    hold_part = np.zeros((lines, motors), dtype=complex)
+    by_delay = np.zeros((lines, motors, delays.size), dtype=complex)
+    by_hold = np.zeros((lines, motors, delays.size), dtype=complex)
+    by_stair = np.zeros((lines, motors, stairs.size), dtype=complex)
+    stepped = np.zeros((lines, motors), dtype=complex)
+    steps_at = np.zeros(motors)
+    for i in range(motors):
+        first, further = block.delay_index[i], block.further_index[i]
+        own = delays[first] if first >= 0 else 0.0
+        beside = block.hold[:, i].any()
+        late = own + (delays[further] if further >= 0 else 0.0)
+        z = np.exp(-jw * (own if beside else late))
+        stair = block.staircase_index[i]
+        share = stairs[stair] if stair >= 0 else block.staircase[i]
+        factor[:, i] = z * (1.0 - share * smear)
+        steps_at[i] = own if beside else late
+        if block.stepped is not None and block.stepped[:, i].any():
+            stepped[:, i] = block.stepped[:, i]
+        else:
+            stepped[:, i] = share * block.torque[:, i]
+            steps_at[i] -= block.step / 2  # the half sample by which holding is late is in the delay
+        if stair >= 0:
+            by_stair[:, i, stair] = -z * smear
+        if first >= 0:
+            by_delay[:, i, first] = -jw * factor[:, i]
+        if beside:
+            z2 = np.exp(-jw * late)
+            z1 = factor[:, i].copy()
+            hold_part[:, i] = (z1 - z2) * block.hold[:, i]
+            if first >= 0:
+                by_hold[:, i, first] = -jw * (z1 - z2)
+            if further >= 0:
+                by_hold[:, i, further] = jw * z2
+        elif further >= 0:
+            by_delay[:, i, further] = -jw * factor[:, i]
+        if block.lag_index:
+            lag = block.lag_index[i]
+            passed, slope = low_passed(block.omega, float(delays[lag]))
+            for values in (factor, hold_part, by_delay, by_hold, by_stair):
+                values[:, i] *= passed if values.ndim == 2 else passed[:, None]
+            by_delay[:, i, lag] = slope * factor[:, i]
+            if beside:
+                by_hold[:, i, lag] = slope * passed * (z1 - z2)
+    images = block.images.at(steps_at) * stepped
+    return Acting(factor, hold_part, by_delay, by_hold, by_stair, images)
+
+
+def low_passed(omega: Float64, square: float) -> tuple[Complex128, Complex128]:
+    """(F,) acting torque over one recorded through a first-order lag of τ² = ``square``, its delay taken
+    out, and (F,) the derivative of its logarithm by ``square``.
+
+    The delay of the lag is in the time offset already; without it the factor is (1 + jωτ)e^{−jωτ}, smooth in
+    τ² through zero. Negative: the inverse, the position channel lags.
+    """
+    tau = np.sqrt(abs(square))
+    once = 1.0 + 1j * omega * tau
+    factor = once * np.exp(-1j * omega * tau)
+    slope: Complex128 = omega**2 / (2.0 * once)
+    passed: Complex128 = factor if square >= 0 else 1.0 / factor
+    return passed, slope
+
+
+__all__ = ["Acting", "Block", "acting", "low_passed"]

@@ -1,0 +1,107 @@
+"""What the ends of records that do not close add to their lines, with effects in the plant."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from invid.effects.effect import ImpedanceEffect
+from invid.effects.motion import Closing, View
+from invid.likelihood.hypothesis import Layout
+from invid.likelihood.placed_effect import Candidate
+from invid.model.parameters import ChainStructure
+from invid.model.transient_terms import end_columns, end_forces, end_places, end_points
+from invid.numerics.arrays import Complex128, Float64
+from invid.numerics.whitening import orthonormal, stack, unstack, unwhitener, whitener
+
+
+@dataclass(frozen=True, eq=False)
+class Ends:
+    """For a unit jump of each coordinate's position, then velocity; lines with 0 Hz first."""
+
+    torque: Complex128
+    """(F, M, 2ΣN) missing torque."""
+    moved: Complex128
+    """(F, ΣN, 2ΣN) motion of every coordinate besides that of the motors' sampled spectra."""
+    inner: Complex128
+    """(F, ΣN, 2ΣN) the same without what follows the motors' own end points."""
+
+    def with_effects(self, view: View, candidate: Candidate) -> Ends:
+        """With what effects linear in motion do at them."""
+        torque, motion = of_jumps(view, candidate, self.moved)
+        return replace(
+            self, torque=self.torque + torque, moved=self.moved + motion, inner=self.inner + motion
+        )
+
+
+def ends_of(view: View, layout: Layout, p: Float64) -> Ends:
+    """Those of a record without effects."""
+    structure, record = layout.structure, view.record
+    forces = end_forces(structure, p[: structure.count], view.omega, record.span)
+    forces[0] *= 0.5
+    points = end_points(view.omega, record.step, record.span, ends_in=record.ends_in)
+    points[0] = 0.0  # positions carry no mean here
+    inner: Complex128 = -(view.inner @ forces)
+    moved: Complex128 = inner + view.motion @ _shifts(structure, points)
+    return Ends(end_columns(structure, view.motion, view.stiffness, forces, points), moved, inner)
+
+
+def of_jumps(view: View, candidate: Candidate, moved: Complex128) -> tuple[Complex128, Complex128]:
+    """(F, M, 2ΣN) missing torque and (F, ΣN, 2ΣN) motion for a unit jump of each coordinate.
+
+    Those of effects that are linear in motion; ``moved`` is what the jumps alone stand for.
+    """
+    torque = np.zeros((*view.acting.shape, moved.shape[-1]), dtype=complex)
+    motion = np.zeros_like(moved)
+    for term, x in zip(candidate.terms, candidate.x, strict=True):
+        if isinstance(term.effect, ImpedanceEffect):
+            pattern = term.place.pattern(view.structure)
+            force = term.effect.of_jumps(view, term.place, x.tolist(), moved)[:, None, :]
+            torque += view.push(pattern)[:, :, None] * force
+            motion -= view.yields(pattern)[:, :, None] * force
+    return torque, motion
+
+
+def closing_of(view: View, ends: Ends, root: Complex128, linear: Complex128) -> Closing:
+    """What jumps leave least of the whitened missing torque and are no larger than the motion itself.
+
+    Those that the motors hardly feel would else be noise many times the motion that laws are read from.
+    ``linear`` (F, M) is the missing torque without effects.
+    """
+    scale = view.farthest
+    felt: Complex128 = root @ (ends.torque * scale)
+    scaled = stack(felt)
+    inverse = np.linalg.inv(scaled.T @ scaled + np.eye(scale.size))
+    # Re(conj(a)·b) summed over lines is the product of stacked real numbers.
+    along: Complex128 = np.einsum("fmj,fmn->jfn", felt.conj(), root)
+    gain: Complex128 = -(scale[:, None] * inverse) @ along.reshape(scale.size, -1)
+    return Closing(ends.inner, gain.reshape(along.shape), ends.torque, linear)
+
+
+def without_boundary(
+    view: View, layout: Layout, p: Float64, r: Complex128, covariance: Complex128
+) -> tuple[Complex128, float]:
+    """(P, F, M) ``r`` of lines 1…F of P periods without what the motion between their ends explains.
+
+    A period of a motion that still settles does not close: its ends jump, each period's in its own way.
+    Also the share of each period's numbers that is left as degrees of freedom.
+    """
+    root = whitener(covariance)
+    basis = orthonormal(stack(root @ ends_of(view, layout, p).torque[1:]))
+    back = unwhitener(root)
+    out = r.copy()
+    for period in out:
+        ends = basis @ (basis.T @ stack(root @ period[..., None])[:, 0])
+        period -= unstack(back, ends, period.shape)
+    return out, 1.0 - basis.shape[1] / (2.0 * r[0].size)
+
+
+def _shifts(structure: ChainStructure, points: Complex128) -> Complex128:
+    """(F, M, 2ΣN) what the motors' end ``points`` (F, 2) add to their sampled spectra, for a unit jump."""
+    motors = structure.motors
+    out = np.zeros((points.shape[0], motors, 2 * structure.dofs), dtype=complex)
+    at_position, at_speed = end_places(structure).reshape(2, -1)
+    out[:, np.arange(motors), at_position] = points[:, :1]
+    out[:, np.arange(motors), at_speed] = points[:, 1:]
+    return out

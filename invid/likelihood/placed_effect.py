@@ -1,0 +1,168 @@
+"""Effects at their places, and what they contribute to the missing torque together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from invid.effects.catalogue.backlash import RattlingBacklash, spring_index
+from invid.effects.effect import Effect, ImpedanceEffect
+from invid.effects.motion import View, along
+from invid.likelihood.inner_motion import Forces, settled
+from invid.likelihood.nuisance.spring_force import Gap, law_of, read
+from invid.model.place import Place
+from invid.numerics.arrays import Complex128, Float64
+
+PASSES = 12
+"""Most steps of inner motion and the forces that depend on it; weak effects agree after two or three."""
+
+
+@dataclass(frozen=True)
+class Term:
+    """An effect at a place."""
+
+    effect: Effect
+    place: Place
+
+    @property
+    def size(self) -> int:
+        """Length of its parameter vector."""
+        return len(self.effect.coefficients) + len(self.effect.shapes)
+
+    @property
+    def inner(self) -> bool:
+        """Whether it depends on inner motion, which forces change."""
+        return self.place.kind in ("spring", "pair") or (self.place.kind == "mass" and self.place.number > 1)
+
+    def feels(self, view: View) -> bool:
+        """Whether it does in a record."""
+        return self.inner or self.effect.stands(view, self.place)
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """Effects with their parameter vectors."""
+
+    terms: tuple[Term, ...] = ()
+    x: tuple[Float64, ...] = ()
+
+    def only(self, numbers: Iterable[int]) -> Candidate:
+        """The effects of these numbers, in this order."""
+        chosen = list(numbers)
+        return Candidate(tuple(self.terms[k] for k in chosen), tuple(self.x[k] for k in chosen))
+
+    def plus(self, term: Term, x: Float64) -> Candidate:
+        """One effect more."""
+        return Candidate((*self.terms, term), (*self.x, np.asarray(x, dtype=float)))
+
+
+def contributions(
+    view: View, candidate: Candidate, *, passes: int = PASSES, early: bool = True
+) -> Complex128:
+    """(F, M) of all effects, inner motion brought into agreement with the forces.
+
+    ``early``: stop as soon as it is; otherwise a fixed number of steps along what is known, for differences.
+    """
+    if not candidate.terms:
+        return np.zeros_like(view.acting)
+    rattles = rattling(candidate)
+    if rattles is not None:
+        return _read(view, rattles, early=early)
+    forces = forces_of(view, candidate)
+    if at_once(candidate):
+        total, back = forces()
+        view.respond(back, view.closed(total))
+        return total
+    if not any(t.feels(view) for t in candidate.terms):  # nothing depends on what it moves
+        total, back = forces()
+        view.respond(back)
+        return total
+    return settled(view, forces, passes, early=early)
+
+
+def at_once(candidate: Candidate) -> bool:
+    """Whether all forces follow from the motors' spectra, exactly: nothing has to come into agreement."""
+    return all(isinstance(t.effect, ImpedanceEffect) and t.effect.steady for t in candidate.terms)
+
+
+def rattling(candidate: Candidate) -> tuple[Term, Float64] | None:
+    """A gap whose motion is read from the torque, with its parameters; it stands alone."""
+    found = [
+        (t, x)
+        for t, x in zip(candidate.terms, candidate.x, strict=True)
+        if isinstance(t.effect, RattlingBacklash)
+    ]
+    if found and len(candidate.terms) > 1:
+        raise ValueError("a gap that is read from the torque stands alone")
+    return found[0] if found else None
+
+
+def _read(view: View, rattles: tuple[Term, Float64], *, early: bool) -> Complex128:
+    """(F, M) of such a gap; ``early``: the motion is read, else it stays as it is."""
+    term, x = rattles
+    pattern, at = term.place.pattern(view.structure), spring_index(view.structure, term.place)
+    gap = Gap(float(view.springs[at]), float(view.dampers[at]), float(np.exp(x[0])))
+    if early:
+        force, view.read = read(view, pattern, gap, view.read)
+    else:
+        force = law_of(view, view.wave(pattern), gap)
+    return view.push(pattern) * force[:, None]
+
+
+_Impedances = Sequence[tuple[ImpedanceEffect, Place, Float64]]
+
+
+def impedances(view: View, effects: _Impedances, back: Complex128) -> tuple[Complex128, Complex128]:
+    """(F, M) contributions of effects linear in motion and (F, ΣN) what they do to inner coordinates.
+
+    Exact, each in the motion that the others and the laws (``back``, (F, ΣN)) leave: friction at a mass moves
+    what a mode on it or a damper beside it feels.
+    """
+    moved = np.einsum("fqm,fm->fq", view.motion, view.record.position) + back
+    patterns = [place.pattern(view.structure) for _, place, _ in effects]
+    push = np.stack([view.push(p) for p in patterns], axis=-1)
+    yields = np.stack([view.yields(p) for p in patterns], axis=-1)
+    rows, asked = [], []
+    for (effect, place, x), pattern in zip(effects, patterns, strict=True):
+        size = effect.impedance(view, place, x.tolist())
+        rows.append(size[:, None] * along(pattern, yields))
+        asked.append(size * along(pattern, moved) + effect.within(view, place, x.tolist()))
+    meet = np.eye(len(effects)) + np.stack(rows, axis=1)
+    forces = np.linalg.solve(meet, np.stack(asked, axis=-1)[..., None])
+    return (push @ forces)[..., 0], -(yields @ forces)[..., 0]
+
+
+def forces_of(view: View, candidate: Candidate) -> Forces:
+    """What the effects contribute at the view's present inner motion, and the inner motion that follows."""
+    inner = any(t.feels(view) for t in candidate.terms)
+    patterns = tuple(
+        t.place.pattern(view.structure)
+        for t in candidate.terms
+        if t.place.kind != "axis" and t.effect.along_pattern
+    )
+    every = list(zip(candidate.terms, candidate.x, strict=True))
+    laws = [(t, x) for t, x in every if not isinstance(t.effect, ImpedanceEffect)]
+    linear = [(t.effect, t.place, x) for t, x in every if isinstance(t.effect, ImpedanceEffect)]
+
+    def forces() -> tuple[Complex128, Complex128]:
+        total: Complex128 = np.zeros_like(view.acting)
+        outside: Complex128 = np.zeros_like(view.acting)
+        back: Complex128 = np.zeros_like(view.base)
+        for term, x in laws:
+            own, yields = term.effect.contribution(view, term.place, x.tolist())
+            total = total + own
+            if term.place.kind == "axis":  # a drive's or a sensor's: no force at any mass
+                outside = outside + own
+            if yields is not None:
+                back = back + yields
+        if linear:
+            own, moved = impedances(view, linear, back)
+            total, back = total + own, back + moved
+        rest = view.left(total) if inner and patterns else None
+        if rest is not None:
+            back = back + view.correction(patterns, rest, outside)
+        return total, back
+
+    return forces

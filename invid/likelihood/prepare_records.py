@@ -1,0 +1,337 @@
+"""From spectra to the records that a diagnosis works on: 0 Hz included, noise filtered out of motion."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+from scipy.fft import next_fast_len
+
+from invid.model.document import Model
+from invid.numerics.arrays import Complex128, Float64
+from invid.recording.model import Experiment, Recording, Role
+from invid.signals.drive_torque import covers, mean_demand
+from invid.signals.periods import fold, without_drift
+from invid.signals.spectra import LineSpectra, spectra_of
+from invid.signals.spectral_record import Record
+from invid.signals.standstill import slow_of
+from invid.signals.timebase import uniform
+
+BAND = 1.2
+"""Lines up to this times the highest excited one: distortion falls off above, noise does not."""
+MOST_LINES = 3000
+GRID = 16
+"""Samples of a law of motion for each period of the highest line in use: what a law puts above an eighth of
+its grid's rate does not fold back onto the lines (jumps are averaged over their sample)."""
+
+
+def record_of(
+    s: LineSpectra,
+    experiment: Experiment,
+    rows: slice | None = None,
+    *,
+    alone: bool = False,
+    demand: bool = False,
+) -> Record:
+    """One record; ``rows`` picks periods (for keeping some out) where there are several.
+
+    ``alone``: a single period of a machine that changes; it stands at its own time and does not close.
+    ``demand``: the torque is the logged demand and something beside it (``demand_used``).
+    """
+    motors = s.axis_count
+    count = s.position_wave.shape[0]
+    share = 1.0
+    theta, torque = s.position, s.torque
+    if rows is not None:
+        picked = s.deviations[rows]
+        share = s.periods / picked.shape[0]
+        both = picked.mean(axis=0)
+        theta, torque = theta + both[:, :motors], torque + both[:, motors:]
+    excited = np.flatnonzero(s.excited)
+    top = s.frequency_hz[excited[-1]] if excited.size else s.frequency_hz[-1]
+    used = s.frequency_hz <= BAND * top * (1 + 1e-9)
+    used &= np.arange(used.size) < MOST_LINES
+    step = 1.0 / s.sample_rate_hz
+    index = np.round(s.frequency_hz[used] * count * step).astype(int)
+    wave, torque_wave = np.asarray(s.position_wave), np.asarray(s.torque_wave)
+    if rows is not None:
+        wave, torque_wave = _own_waves(s, experiment, rows, alone)
+    ramp = np.zeros(motors)
+    if (s.transient and s.periods <= 1) or alone:
+        ramp = (wave[-1] - wave[0]) / ((count - 1) * step)
+    time = (np.arange(count) - (count - 1) / 2) * step
+    closed = wave - time[:, None] * ramp
+    spectrum = np.fft.rfft(closed, axis=0)
+    omega_all = 2 * np.pi * np.fft.rfftfreq(count, step)
+    noise_all = s.floor[:motors] * (count / 2.0) ** 2
+    power = np.abs(spectrum) ** 2
+    # Lines within six times the noise power are taken for noise (1 line in 400 of pure noise passes).
+    keep = np.where(power > 6.0 * noise_all, 1.0 - noise_all / np.maximum(power, 1e-300), 0.0)
+    keep[0] = 1.0
+    clean = spectrum * keep
+    grid = min(count, next_fast_len(max(GRID * int(index[-1]), 256), real=True))
+    kept = grid // 2 + 1
+    coarse = clean[:kept] * (grid / count)
+    if grid < count and grid % 2 == 0:
+        coarse[-1] = 0.0
+    unseen = np.where(np.arange(kept)[:, None] > index[-1], 1.0 - keep[:kept], 0.0)
+    if grid % 2 == 0:
+        unseen[-1] = 0.0
+    wave_step = count * step / grid
+    wave_time = np.arange(grid) * wave_step - (count - 1) / 2 * step
+    velocity = np.fft.irfft(1j * omega_all[:kept, None] * coarse, grid, axis=0) + ramp
+    motor_wave = np.fft.irfft(coarse, grid, axis=0) + wave_time[:, None] * ramp
+    left = (omega_all[:, None] ** 2 * noise_all * (keep > 0))[:kept].sum(axis=0) * 2 / count**2
+    filtered = clean[index] * (2.0 / count)
+    floor = np.maximum(s.floor, 1e-300) * share
+    # A torque without noise is a command: with none at all every error of the model would count as
+    # position noise, without end. A ten-thousandth of its lines' rms is below any drive's current noise.
+    power = np.abs(torque[used][np.asarray(s.excited)[used]]) ** 2
+    if power.size:
+        floor[motors:] = np.maximum(floor[motors:], 1e-8 * power.mean(axis=0))
+    noise = np.tile(floor, (index.size + 1, 1))
+    noise[1:] = np.maximum(noise[1:], s.line_floor[used] * share)
+    # A mean's variance is a quarter of a line's power, and real: half of it as a complex line.
+    noise[0] = floor / 2.0
+    mean_torque = torque_wave.mean(axis=0)
+    zero = np.zeros((1, motors), dtype=complex)
+    start, end = _span(s, experiment)
+    span, transient = s.span_s, s.transient
+    if alone and rows is not None:
+        span = s.span_s / s.periods
+        start = start + rows.start * span
+        end = start + span
+        transient = True
+    command = _command(s, experiment, index) if demand else None
+    if command is not None:
+        torque = torque - command[1]
+    quiet = max((0.45 / step - 1.5 * top) * s.span_s / max(s.periods, 1), 1.0) * max(s.periods - 1, 1)
+    return Record(
+        key=s.key,
+        omega=np.concatenate(([0.0], s.omega[used])),
+        lines=np.concatenate(([0], index)),
+        position=np.concatenate((zero, theta[used])),
+        torque=np.concatenate((mean_torque[None].astype(complex), torque[used])),
+        filtered=np.concatenate((clean[:1] / count, filtered)),
+        noise=noise,
+        # The median of an exponential has 1/ln²2 times the variance of the mean.
+        noise_dof=float(2.0 * quiet * np.log(2.0) ** 2),
+        scatter=np.zeros((index.size + 1, motors)),
+        span=span,
+        transient=transient,
+        step=step,
+        motor_wave=motor_wave,
+        motor_velocity=velocity,
+        velocity_noise=np.sqrt(left),
+        torque_wave=torque_wave,
+        wave_step=wave_step,
+        ramp=ramp,
+        staircase=np.asarray(s.staircase),
+        start_time=start,
+        end_time=end,
+        period_time=s.span_s / max(s.periods, 1),
+        excited=np.concatenate(([False], s.excited[used])),
+        command=None if command is None else command[0],
+        unseen=unseen,
+        ends_in=s.transient and s.periods <= 1 and rows is None,
+        alone=alone and rows is not None,
+    )
+
+
+def _own_waves(s: LineSpectra, experiment: Experiment, rows: slice, alone: bool) -> tuple[Float64, Float64]:
+    """(n, M) position and torque of some of the periods that the spectra come from: their mean.
+
+    What all of them drift has no place in a mean; a period ``alone`` is where the motor was.
+    """
+    data, count = uniform(experiment), s.position_wave.shape[0]
+    position = fold(data.position, count)[-s.periods :]
+    position = position if alone else without_drift(position)
+    return position[rows].mean(axis=0), fold(data.torque, count)[-s.periods :][rows].mean(axis=0)
+
+
+def _span(s: LineSpectra, experiment: Experiment) -> tuple[float, float]:
+    """Start and end of the part of the experiment that the spectra come from [s]."""
+    end = float(experiment.time[-1])
+    return max(end - s.span_s, float(experiment.time[0])), end
+
+
+def _command(s: LineSpectra, experiment: Experiment, index: np.ndarray) -> tuple[Complex128, Float64] | None:
+    """Spectrum of the demand where it is not all of the torque, and what its ends add to the torque's.
+
+    That of a record that does not close carries the trapezoid's correction of its ends, which a demand held
+    over the sample does not need. A mean over periods that still settle is no other: what is held over its
+    samples has no ends that could differ.
+    """
+    demand, count = experiment.torque_demand, s.position_wave.shape[0]
+    if demand is None or not _whole_demand(s, experiment):
+        return None
+    wave, ends = mean_demand(s, demand)
+    spectrum = np.fft.rfft(wave, axis=0)[index] * (2.0 / count)
+    return np.concatenate((wave.mean(axis=0)[None].astype(complex), spectrum)), ends
+
+
+def _whole_demand(s: LineSpectra, experiment: Experiment) -> bool:
+    """Whether the demand is logged over all that the spectra come from; not where that was resampled."""
+    demand = experiment.torque_demand
+    return demand is not None and demand.shape[0] == experiment.samples and covers(s, demand)
+
+
+def demand_used(recording: Recording, spectra: Sequence[LineSpectra]) -> bool:
+    """Whether the torque is taken for the logged demand and something beside it: where a record does not say
+    for every axis that all of it is held over the sample.
+
+    In all records or in none: what is held over the sample acts half of one later, and one time offset for
+    both kinds left 2.3 times the noise on an empty record.
+    """
+    experiments = {e.key: e for e in recording.experiments}
+    return any(np.isnan(s.staircase).any() for s in spectra) and all(
+        _whole_demand(s, experiments[s.key]) for s in spectra
+    )
+
+
+def split(
+    recording: Recording, spectra: Sequence[LineSpectra], *, spare: bool = True, within: bool = False
+) -> tuple[list[Record], list[Record], list[str]]:
+    """Training and held-out records, and what to warn about.
+
+    ``spare``: a record that is more than the linear model needs may be kept out whole. ``within``: a part of
+    every other record is kept out beside those for validation.
+    """
+    experiments = {e.key: e for e in recording.experiments}
+    prepared = partial(record_of, demand=demand_used(recording, spectra))
+    train = [s for s in spectra if s.role is Role.IDENTIFY]
+    held = [prepared(s, experiments[s.key]) for s in spectra if s.role is Role.VALIDATE]
+    if held and not within:
+        return [prepared(s, experiments[s.key]) for s in train], held, []
+    missing = (
+        "validation does not show what the others do"
+        if held
+        else "no validation experiment (role 'validate')"
+    )
+    motors = recording.axis_count
+    everything = [s for s in train if s.driven.all()]
+    # A record more than the linear model needs (each axis once, or M of all at once) can be kept out.
+    if spare and not within and len(train) > motors and (everything or motors == 1):
+        kept = (everything or train)[-1]
+        return (
+            [prepared(s, experiments[s.key]) for s in train if s is not kept],
+            [prepared(kept, experiments[kept.key])],
+            [
+                f"no validation experiment (role 'validate'): experiment {kept.key} is kept out of every fit "
+                "instead; record one with another realisation and amplitude"
+            ],
+        )
+    if all(s.periods >= 2 and s.deviations.shape[0] == s.periods for s in train):
+        return (
+            [prepared(s, experiments[s.key], slice(0, s.periods - 1)) for s in train],
+            [*(prepared(s, experiments[s.key], slice(s.periods - 1, None)) for s in train), *held],
+            [
+                f"{missing}: the last period of each experiment is kept out of every fit instead, which "
+                "repeats the same motion; record one with another realisation"
+            ],
+        )
+    training, kept_out = [], []
+    for s in train:
+        record = prepared(s, experiments[s.key])
+        lines = np.arange(record.omega.size)
+        last = lines % 5 == 4
+        training.append(_lines(record, ~last))
+        # There is one mean only: a weight would have no held-out gain without it.
+        kept_out.append(_lines(record, last | (lines == 0)))
+    return (
+        training,
+        [*kept_out, *held],
+        [
+            f"{missing} and no whole period to spare: every fifth line is kept out of every fit instead; "
+            "record an experiment of its own for validation"
+        ],
+    )
+
+
+def by_period(recording: Recording, records: Sequence[Record], changing: Sequence[str]) -> list[Record]:
+    """Records of the experiments ``changing`` taken apart into their periods, each at its own time."""
+    experiments = {e.key: e for e in recording.experiments}
+    out: list[Record] = []
+    done: set[str] = set()
+    for record in records:
+        if record.key not in changing or record.weight.size:
+            out.append(record)
+            continue
+        if record.key in done:
+            continue
+        done.add(record.key)
+        s = spectra_of(experiments[record.key], drop_transient=False)
+        if s.periods < 2 or s.deviations.shape[0] != s.periods:
+            out.append(record)
+            continue
+        experiment = experiments[record.key]
+        prepared = partial(record_of, alone=True, demand=record.command is not None)
+        out += [prepared(s, experiment, slice(k, k + 1)) for k in range(s.periods)]
+    return out
+
+
+STICKING = 3.0
+"""Peak torque of a held axis over its Coulomb friction below which it stands still for much of the time:
+a sinusoid of that size is below the friction for a fifth of each period, and then barely moves."""
+
+
+def with_sticking(
+    records: Sequence[Record], spectra: Sequence[LineSpectra], model: Model, recording: Recording
+) -> tuple[list[Record], list[str]]:
+    """Records in which axes that stand on their own friction have no say, and what to warn about.
+
+    Static friction takes any value up to its limit, so no law of the motion gives it. Held axes stand where
+    the torque stays below it, driven ones where they hardly move for it.
+    """
+    friction = model.fit.get("friction", {})
+    driven = {s.key: s.driven for s in spectra}
+    out: list[Record] = []
+    axes: set[str] = set()
+    hardly: set[str] = set()
+    for record in records:
+        aside = np.zeros(recording.axis_count, dtype=bool)
+        noise = record.noise.copy()
+        for i, axis in enumerate(recording.axes):
+            entry = friction.get(f"{axis}.coulomb") if isinstance(friction, dict) else None
+            if not isinstance(entry, dict):
+                continue
+            level, std = float(entry.get("value") or 0.0), float(entry.get("std") or np.inf)
+            stands, told = (_hardly_moves, hardly) if driven[record.key][i] else (_stays_below, axes)
+            if level > 4.0 * std and stands(record, i, level):
+                aside[i] = True
+                told.add(axis)
+                noise[:, recording.axis_count + i] += (1e3 * level) ** 2
+        out.append(replace(record, noise=noise, set_aside=aside) if aside.any() else record)
+    warnings = [
+        f"axis {axis} stands on its friction while it is held: its torque there says nothing and is left "
+        "out; excite all axes at once, or hold it with a slow creep"
+        for axis in sorted(axes)
+    ]
+    warnings += [
+        f"axis {axis} hardly moves for its friction in one experiment or more: its torque there says nothing "
+        "and is left out; shake it harder"
+        for axis in sorted(hardly)
+    ]
+    return out, warnings
+
+
+def _stays_below(record: Record, axis: int, level: float) -> bool:
+    """Whether the torque of a held axis never gets near where its friction of a ``level`` gives way."""
+    wave = record.torque_wave[:, axis]
+    return bool(np.abs(wave - wave.mean()).max() < STICKING * level)
+
+
+def _hardly_moves(record: Record, axis: int, _: float) -> bool:
+    """Whether the sign of a motor's velocity is lost in its noise for more than half of a record: so is that
+    of its friction."""
+    v = record.motor_velocity[:, axis]
+    slow = slow_of(v, float(record.velocity_noise[axis]))
+    return record.standing[axis] is None and float(np.mean(np.abs(v) < slow)) > 0.5
+
+
+def _lines(record: Record, chosen: np.ndarray) -> Record:
+    """Weights that switch lines off: waves need all lines of the record."""
+    weight: Float64 = chosen.astype(float)
+    return replace(record, weight=weight)

@@ -1,0 +1,76 @@
+"""Profile likelihood: intervals of single parameters that do not rest on a parabola.
+
+Where a parameter is held away from its estimate and all others are fitted again, χ² rises; the interval
+ends where it has risen by χ²/ν, one standard deviation for a parabola. Far from one where the data see a
+parameter badly: the interval is then lopsided, or does not end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from invid.likelihood.covariance import spread_of
+from invid.likelihood.fit import Fit
+from invid.likelihood.levenberg_marquardt import gauss_newton
+
+ENDLESS = 8.0
+"""Standard deviations after which an interval is taken not to end."""
+
+
+@dataclass(frozen=True)
+class Interval:
+    """68 % interval in physical units; ``None`` on a side where it does not end."""
+
+    low: float | None
+    high: float | None
+
+
+def profiles(fit: Fit, names: Sequence[str] | None = None) -> dict[str, Interval]:
+    """68 % profile intervals of masses, springs and couplings (or of ``names``) that moved in the fit."""
+    structure, solution = fit.problem.structure, fit.solution
+    wanted = [
+        n
+        for n in structure.names
+        if any(kind in n for kind in (".mass.", ".spring.", ".coupling", ".ground_spring"))
+    ]
+    spread = spread_of(solution)
+    place = {n: k for k, n in enumerate(fit.problem.names)}
+    out: dict[str, Interval] = {}
+    for name in wanted if names is None else names:
+        at = place[name]
+        if not solution.free[at]:
+            continue
+        ends = [_end(fit, name, at, float(spread[at]), side) for side in (-1.0, 1.0)]
+        if structure.logarithmic[at]:
+            ends = [None if e is None else float(np.exp(e)) for e in ends]
+        out[name] = Interval(ends[0], ends[1])
+    return out
+
+
+def _end(fit: Fit, name: str, at: int, spread: float, side: float) -> float | None:
+    """Where χ² has risen by χ²/ν on one side, by regula falsi on the root of the rise."""
+    if not np.isfinite(spread) or spread <= 0:
+        return None
+    solution = fit.solution
+    unit = max(solution.reduced, 1.0)
+    held = replace(fit.problem, fixed=(*fit.problem.fixed, name))
+    low, low_root, step = 0.0, 0.0, 1.0
+    p = solution.p
+    for _ in range(8):
+        start = p.copy()
+        start[at] = solution.p[at] + side * step * spread
+        found = gauss_newton(held, start, iterations=25, tolerance=1e-2)
+        root = float(np.sqrt(max(found.chi2 - solution.chi2, 0.0) / unit))
+        if abs(root - 1.0) < 0.02:
+            break
+        if root < 1.0:
+            low, low_root, p = step, root, found.p
+            step = min(step * (1.0 / max(root, 0.25)), 2.0 * step)
+            if step > ENDLESS:
+                return None
+        else:
+            step = low + (step - low) * (1.0 - low_root) / (root - low_root)
+    return float(solution.p[at] + side * step * spread)

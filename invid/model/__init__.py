@@ -1,0 +1,1 @@
+"""Chains, their parameters and forward model, places; the documents of models and diagnoses."""

@@ -1,0 +1,254 @@
+"""The diagnosis document: verdict, residuals, findings; JSON by the contract.
+
+Data only. How a verdict is reached is in ``invid.diagnosis``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import MISSING, Field, dataclass, field, fields
+from enum import StrEnum
+from pathlib import Path
+from typing import Any, get_type_hints
+
+from pydantic import TypeAdapter, ValidationError
+
+from invid.errors import InputError
+from invid.model.document import (
+    EffectTerm,
+    Estimate,
+    Model,
+    describe_validation_error,
+    dump_json,
+    effect_to_json,
+    load_json,
+    model_from_json,
+    model_to_json,
+    save_text,
+)
+
+FORMAT = "invid-diagnosis"
+FORMAT_VERSION = 1
+
+
+class Verdict(StrEnum):
+    """What the data say about the model."""
+
+    CONSISTENT = "consistent"
+    EXPLAINED = "explained"
+    PARTLY_EXPLAINED = "partly_explained"
+    UNEXPLAINED = "unexplained"
+
+
+@dataclass(frozen=True)
+class AxisResidual:
+    """Held-out missing torque of one axis, rms over the informative band [N·m or N]."""
+
+    axis: str
+    unit: str
+    before: float
+    after: float
+    noise_floor: float
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """A cause that competes with the finding; ``after`` is its held-out residual."""
+
+    cause: str
+    axis: str
+    element: str | None
+    after: float
+    other_axis: str | None = None
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A named cause at its place, with its held-out gain."""
+
+    effect: EffectTerm
+    confidence: float
+    before: float
+    after: float
+    fraction: float
+    alternatives: tuple[Alternative, ...] = ()
+    separating_experiment: Mapping[str, Any] | None = None
+    sentence: str = ""
+
+    @property
+    def cause(self) -> str:
+        """Name of the cause, as in docs/reference/causes.md."""
+        return self.effect.cause
+
+    @property
+    def axis(self) -> str:
+        """The axis at which the cause acts."""
+        return self.effect.axis
+
+    @property
+    def element(self) -> str | None:
+        """ "mass q" or "spring s" of the axis, from the motor and from 1; ``None`` where none is meant."""
+        return self.effect.element
+
+    @property
+    def other_axis(self) -> str | None:
+        """The second axis of a cause between two."""
+        return self.effect.other_axis
+
+    @property
+    def parameters(self) -> Mapping[str, Estimate]:
+        """Sizes by name: ``.value``, ``.std`` (one standard deviation) and ``.unit``, SI."""
+        return self.effect.parameters
+
+
+@dataclass(frozen=True)
+class Unexplained:
+    """Where and how the part lives that no cause of the catalogue explains."""
+
+    axis: str
+    frequencies_hz: tuple[float, ...]
+    character: tuple[str, ...]
+    """Any of odd, even, amplitude-, position-, velocity-, time-dependent."""
+    sentence: str
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """What the simulation gets wrong, the cause, the extended model, the gain."""
+
+    verdict: Verdict
+    residual: tuple[AxisResidual, ...]
+    explained_fraction: float | None
+    findings: tuple[Finding, ...]
+    unexplained: Unexplained | None
+    model: Model
+    """The extended model."""
+    warnings: tuple[str, ...] = ()
+    sentences: tuple[str, ...] = ()
+    """What a technician can act on, most important first."""
+    details: Mapping[str, Any] = field(default_factory=dict)
+    """Further facts: null test (chi2, dof, p), causes the record could not have shown, …"""
+
+    def save(self, path: str | Path) -> None:
+        """Write the ``invid-diagnosis`` file; InputError where that cannot be."""
+        save_text(Path(path), dump_json(diagnosis_to_json(self)))
+
+
+def diagnosis_to_json(diagnosis: Diagnosis) -> dict[str, Any]:
+    """The contract's ``invid-diagnosis`` document."""
+
+    def finding(f: Finding) -> dict[str, Any]:
+        return {
+            **effect_to_json(f.effect),
+            "confidence": f.confidence,
+            "gain": {"held_out": {"before": f.before, "after": f.after}, "fraction": f.fraction},
+            "alternatives": [
+                {
+                    "cause": a.cause,
+                    "axis": a.axis,
+                    "element": a.element,
+                    "other_axis": a.other_axis,
+                    "after": a.after,
+                }
+                for a in f.alternatives
+            ],
+            "separating_experiment": None
+            if f.separating_experiment is None
+            else dict(f.separating_experiment),
+            "sentence": f.sentence,
+        }
+
+    unexplained = diagnosis.unexplained
+    return {
+        "format": FORMAT,
+        "format_version": FORMAT_VERSION,
+        "verdict": str(diagnosis.verdict),
+        "residual": [
+            {
+                "axis": r.axis,
+                "unit": r.unit,
+                "before": r.before,
+                "after": r.after,
+                "noise_floor": r.noise_floor,
+            }
+            for r in diagnosis.residual
+        ],
+        "explained_fraction": diagnosis.explained_fraction,
+        "findings": [finding(f) for f in diagnosis.findings],
+        "unexplained": None
+        if unexplained is None
+        else {
+            "axis": unexplained.axis,
+            "frequencies_hz": list(unexplained.frequencies_hz),
+            "character": list(unexplained.character),
+            "sentence": unexplained.sentence,
+        },
+        "model": model_to_json(diagnosis.model),
+        "warnings": list(diagnosis.warnings),
+        "sentences": list(diagnosis.sentences),
+        "details": dict(diagnosis.details),
+    }
+
+
+def diagnosis_from_json(document: Any, *, source: str = "diagnosis") -> Diagnosis:
+    """Diagnosis from a parsed ``invid-diagnosis`` document; InputError says what is wrong and where."""
+    if not isinstance(document, Mapping) or document.get("format") != FORMAT:
+        found = document.get("format") if isinstance(document, Mapping) else type(document).__name__
+        raise InputError(f"{source}: no diagnosis: format is {found!r}, not {FORMAT!r}")
+    if document.get("format_version") != FORMAT_VERSION:
+        raise InputError(
+            f"{source}: format_version {document.get('format_version')!r}; readable is {FORMAT_VERSION}"
+        )
+    hints = get_type_hints(Diagnosis)
+    values: dict[str, Any] = {"model": model_from_json(document.get("model"), source=f"{source}: model")}
+    for f in fields(Diagnosis):
+        if f.name == "model" or f.name not in document:
+            continue
+        given = document[f.name]
+        if f.name == "findings" and isinstance(given, list | tuple):
+            given = [_finding(g) if isinstance(g, Mapping) else g for g in given]
+        try:
+            values[f.name] = TypeAdapter(hints[f.name]).validate_python(given)
+        except ValidationError as error:
+            raise InputError(describe_validation_error(error, f"{source}: {f.name}")) from None
+    missing = [f.name for f in fields(Diagnosis) if f.name not in values and _is_required(f)]
+    if missing:
+        raise InputError(f"{source}: {missing[0]} is missing")
+    return Diagnosis(**values)
+
+
+def _is_required(f: Field[Any]) -> bool:
+    return f.default is MISSING and f.default_factory is MISSING
+
+
+def _finding(document: Mapping[str, Any]) -> dict[str, Any]:
+    """The fields of a ``Finding``, which the document holds less deeply."""
+    place = {k: document.get(k) for k in ("cause", "axis", "element", "other_axis", "parameters")}
+    gain = document.get("gain") or {}
+    held_out = gain.get("held_out") or {}
+    sizes = {
+        "before": held_out.get("before"),
+        "after": held_out.get("after"),
+        "fraction": gain.get("fraction"),
+    }
+    return {**document, "effect": place, **sizes}
+
+
+def load_diagnosis(path: str | Path) -> Diagnosis:
+    """Diagnosis from an ``invid-diagnosis`` file."""
+    return diagnosis_from_json(load_json(Path(path)), source=str(path))
+
+
+__all__ = [
+    "Alternative",
+    "AxisResidual",
+    "Diagnosis",
+    "EffectTerm",
+    "Estimate",
+    "Finding",
+    "Unexplained",
+    "Verdict",
+    "diagnosis_from_json",
+    "diagnosis_to_json",
+    "load_diagnosis",
+]

@@ -1,0 +1,466 @@
+"""The identified model: chains with uncertainties, effects, warnings; JSON by the contract.
+
+In memory a ``Model`` holds a ``CoupledChains`` with a standard deviation for every parameter (NaN
+inside arrays, ``null`` in JSON, where the data cannot tell, and then ``warnings`` says what would)
+and the effects that extend the linear model.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from invid.errors import InputError, ModelError
+from invid.model.chains import CoupledChains
+from invid.numerics.arrays import Float64, frozen_float
+
+FORMAT = "invid-model"
+FORMAT_VERSION = 1
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A value with one standard deviation (``None`` where the data cannot tell) and its unit.
+
+    ``name`` only where the value is the number of something that has a name: the ``parameter`` of
+    ``parameter_drift`` ("A1.spring.2"; its value is 2).
+    """
+
+    value: float
+    std: float | None = None
+    unit: str | None = None
+    name: str | None = None
+
+
+@dataclass(frozen=True)
+class EffectTerm:
+    """One effect of the catalogue, at its place, with its parameters.
+
+    ``element`` is "mass q" or "spring s" (counted from the motor, from 1), or ``None`` where the
+    cause has no such place (``torque_delay``, say). ``other_axis`` only for ``coupling_stiffness``.
+    """
+
+    cause: str
+    axis: str
+    parameters: Mapping[str, Estimate]
+    element: str | None = None
+    other_axis: str | None = None
+
+    def value(self, name: str) -> float:
+        """Value of one parameter; ModelError where the term has none of that name."""
+        try:
+            return self.parameters[name].value
+        except KeyError:
+            raise ModelError(
+                f"effect {self.cause} on {self.axis}: parameter {name!r} is missing; "
+                f"found {sorted(self.parameters)}"
+            ) from None
+
+
+@dataclass(frozen=True, eq=False)
+class ChainStd:
+    """Standard deviations in the shapes of a ``CoupledChains``; NaN where the data cannot tell."""
+
+    masses: tuple[Float64, ...]
+    springs: tuple[Float64, ...]
+    dampers: tuple[Float64, ...]
+    couplings: Float64
+    ground_springs: Float64
+
+    @classmethod
+    def unknown(cls, chains: CoupledChains) -> ChainStd:
+        """All NaN."""
+        return cls(
+            masses=tuple(frozen_float(np.full(m.shape, np.nan)) for m in chains.masses),
+            springs=tuple(frozen_float(np.full(k.shape, np.nan)) for k in chains.springs),
+            dampers=tuple(frozen_float(np.full(d.shape, np.nan)) for d in chains.dampers),
+            couplings=frozen_float(np.full(chains.couplings.shape, np.nan)),
+            ground_springs=frozen_float(np.full(chains.ground_springs.shape, np.nan)),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """A model like any other: simulates, saves, loads, is compared, starts the next identification.
+
+    Attributes
+    ----------
+    covariance, parameter_names
+        (n, n) joint covariance of ``parameter_names`` (as made by ``parameter_vector``), where the
+        method gives one; used by ``compare`` and by the service's ``changes``.
+    fit
+        Free-form facts of the fit: chi2, dof, iterations, band_hz, time_offset_s, routes, …
+    """
+
+    robot: str
+    method: str
+    chains: CoupledChains
+    std: ChainStd
+    linear: bool = False
+    effects: tuple[EffectTerm, ...] = ()
+    warnings: tuple[str, ...] = ()
+    covariance: Float64 | None = None
+    parameter_names: tuple[str, ...] = ()
+    fit: Mapping[str, Any] = field(default_factory=dict)
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    attributes: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Axis names."""
+        return self.chains.axes
+
+    def extended(self, *effects: EffectTerm) -> Model:
+        """The same model with further effects."""
+        return replace(self, effects=self.effects + effects)
+
+    def save(self, path: str | Path) -> None:
+        """Write the ``invid-model`` file; InputError where that cannot be."""
+        save_model(self, Path(path))
+
+
+def parameter_vector(chains: CoupledChains) -> tuple[tuple[str, ...], Float64]:
+    """Names and values of all linear parameters, in one fixed order.
+
+    Names read ``A1.mass.1``, ``A1.spring.1``, ``A1.damper.1``, ``A1.ground_spring`` (only where not
+    zero), ``A1-A2.coupling``.
+    """
+    names: list[str] = []
+    values: list[float] = []
+    for i, axis in enumerate(chains.axes):
+        for kind, array in (
+            ("mass", chains.masses[i]),
+            ("spring", chains.springs[i]),
+            ("damper", chains.dampers[i]),
+        ):
+            for q, value in enumerate(array):
+                names.append(f"{axis}.{kind}.{q + 1}")
+                values.append(float(value))
+        if chains.ground_springs[i] != 0:
+            names.append(f"{axis}.ground_spring")
+            values.append(float(chains.ground_springs[i]))
+    for i in range(chains.branches):
+        for j in range(i + 1, chains.branches):
+            names.append(f"{chains.axes[i]}-{chains.axes[j]}.coupling")
+            values.append(float(chains.couplings[i, j]))
+    return tuple(names), np.array(values)
+
+
+def stds_by_name(model: Model) -> dict[str, float]:
+    """Standard deviation by the names of ``parameter_vector``; a coupling under both orders of its axes."""
+    out: dict[str, float] = {}
+    for i, axis in enumerate(model.axes):
+        for kind, column in (
+            ("mass", model.std.masses[i]),
+            ("spring", model.std.springs[i]),
+            ("damper", model.std.dampers[i]),
+        ):
+            out.update({f"{axis}.{kind}.{q + 1}": float(s) for q, s in enumerate(column)})
+        out[f"{axis}.ground_spring"] = float(model.std.ground_springs[i])
+    for i, first in enumerate(model.axes):
+        for j in range(i + 1, len(model.axes)):
+            second, value = model.axes[j], float(model.std.couplings[i, j])
+            out[f"{first}-{second}.coupling"] = out[f"{second}-{first}.coupling"] = value
+    return out
+
+
+def units(linear: bool) -> dict[str, str]:
+    """Units of the model's parameters by kind."""
+    if linear:
+        return {"mass": "kg", "stiffness": "N/m", "damping": "N·s/m"}
+    return {"mass": "kg·m²", "stiffness": "N·m/rad", "damping": "N·m·s/rad"}
+
+
+# --- the JSON contract -----------------------------------------------------------------------------
+class _Open(BaseModel):
+    """Keys added by later versions are ignored here, kept in ``Model.attributes`` at the top level."""
+
+    model_config = ConfigDict(extra="allow", allow_inf_nan=False)
+
+
+class _EstimateJson(_Open):
+    value: float
+    std: float | None = None
+    unit: str | None = None
+
+
+class _BranchJson(_Open):
+    axis: str
+    masses: list[_EstimateJson] = Field(min_length=1)
+    springs: list[_EstimateJson] = []
+    dampers: list[_EstimateJson] = []
+    ground_spring: _EstimateJson | None = None
+
+
+class _CouplingJson(_Open):
+    between: tuple[str, str]
+    value: float
+    std: float | None = None
+
+
+class _NamedJson(_EstimateJson):
+    value: float | str  # type: ignore[assignment]
+    name: str | None = None
+
+
+class _EffectJson(_Open):
+    cause: str
+    axis: str
+    element: str | None = None
+    other_axis: str | None = None
+    parameters: dict[str, _NamedJson | float | str] = {}
+
+
+class _CovarianceJson(_Open):
+    names: list[str]
+    matrix: list[list[float]]
+
+
+class _ModelJson(_Open):
+    format: Literal["invid-model"]
+    format_version: Literal[1]
+    robot: str = ""
+    method: str = ""
+    units: dict[str, str] = {}
+    branches: list[_BranchJson] = Field(min_length=1)
+    couplings: list[_CouplingJson] = []
+    effects: list[_EffectJson] = []
+    warnings: list[str] = []
+    fit: dict[str, Any] = {}
+    provenance: dict[str, Any] = {}
+    covariance: _CovarianceJson | None = None
+
+
+def _null_nan(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _estimate(value: float, std: float) -> dict[str, Any]:
+    return {"value": float(value), "std": _null_nan(float(std))}
+
+
+def effect_to_json(term: EffectTerm) -> dict[str, Any]:
+    """One effect as in the contract."""
+    return {
+        "cause": term.cause,
+        "axis": term.axis,
+        "element": term.element,
+        "other_axis": term.other_axis,
+        "parameters": {
+            name: {
+                "value": p.value,
+                "std": None if p.std is None else _null_nan(p.std),
+                "unit": p.unit,
+                **({} if p.name is None else {"name": p.name}),
+            }
+            for name, p in term.parameters.items()
+        },
+    }
+
+
+def model_to_json(model: Model) -> dict[str, Any]:
+    """The contract's ``invid-model`` document."""
+    chains, std = model.chains, model.std
+    branches = []
+    for i, axis in enumerate(chains.axes):
+        branch: dict[str, Any] = {
+            "axis": axis,
+            "masses": [_estimate(v, s) for v, s in zip(chains.masses[i], std.masses[i], strict=True)],
+            "springs": [_estimate(v, s) for v, s in zip(chains.springs[i], std.springs[i], strict=True)],
+            "dampers": [_estimate(v, s) for v, s in zip(chains.dampers[i], std.dampers[i], strict=True)],
+        }
+        if chains.ground_springs[i] != 0:
+            branch["ground_spring"] = _estimate(chains.ground_springs[i], std.ground_springs[i])
+        branches.append(branch)
+    couplings = [
+        {
+            "between": [chains.axes[i], chains.axes[j]],
+            **_estimate(chains.couplings[i, j], std.couplings[i, j]),
+        }
+        for i in range(chains.branches)
+        for j in range(i + 1, chains.branches)
+    ]
+    document: dict[str, Any] = {
+        **model.attributes,
+        "format": FORMAT,
+        "format_version": FORMAT_VERSION,
+        "robot": model.robot,
+        "method": model.method,
+        "units": units(model.linear),
+        "branches": branches,
+        "couplings": couplings,
+        "effects": [effect_to_json(e) for e in model.effects],
+        "warnings": list(model.warnings),
+        "fit": dict(model.fit),
+        "provenance": dict(model.provenance),
+    }
+    if model.covariance is not None:
+        document["covariance"] = {
+            "names": list(model.parameter_names),
+            "matrix": np.asarray(model.covariance).tolist(),
+        }
+    return document
+
+
+def describe_validation_error(error: ValidationError, where: str) -> str:
+    """First problem of a pydantic error as one sentence: where, what, the value found."""
+    first = error.errors(include_url=False)[0]
+    path = ".".join(str(part) for part in first["loc"]) or "document"
+    found = first.get("input")
+    shown = repr(found)
+    if len(shown) > 80:
+        shown = shown[:77] + "…"
+    more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
+    return f"{where}: {path}: {first['msg']}; found {shown}{more}"
+
+
+_NAMED = re.compile(r"(?:(?P<axis>.+)\.)?(?P<kind>mass|spring)[ .]?(?P<number>[1-9]\d*)")
+
+
+def _effect_term(e: _EffectJson, source: str) -> EffectTerm:
+    """One effect; a parameter called by its name ("A1.spring.2", "spring 2") is its number and its place."""
+    element, parameters = e.element, {}
+    for key, p in e.parameters.items():
+        given = p if isinstance(p, _NamedJson) else _NamedJson(value=p)
+        name = given.value if isinstance(given.value, str) else given.name
+        if not isinstance(given.value, str):
+            parameters[key] = Estimate(given.value, given.std, given.unit, name)
+            continue
+        found = _NAMED.fullmatch(given.value)
+        if key != "parameter" or found is None or found["axis"] not in (None, e.axis):
+            raise ModelError(
+                f"{source}: effect {e.cause} on {e.axis}: {key} is {given.value!r}; "
+                + (
+                    f"name a parameter of the axis, as {e.axis}.spring.1 or {e.axis}.mass.1"
+                    if key == "parameter"
+                    else "it must be a number"
+                )
+            )
+        place = f"{found['kind']} {found['number']}"
+        if element not in (None, place):
+            raise ModelError(
+                f"{source}: effect {e.cause} on {e.axis}: element {element!r}, but parameter {given.value!r}"
+            )
+        element = place
+        parameters[key] = Estimate(float(found["number"]), None, given.unit, name)
+    return EffectTerm(e.cause, e.axis, parameters, element, e.other_axis)
+
+
+def model_from_json(document: Any, *, source: str = "model") -> Model:
+    """Model from a parsed ``invid-model`` document; ModelError says what is wrong and where."""
+    try:
+        parsed = _ModelJson.model_validate(document)
+    except ValidationError as error:
+        raise ModelError(describe_validation_error(error, source)) from None
+    axes = [b.axis for b in parsed.branches]
+    index = {a: i for i, a in enumerate(axes)}
+    count = len(axes)
+    couplings, coupling_std = np.zeros((count, count)), np.full((count, count), np.nan)
+    for c in parsed.couplings:
+        try:
+            i, j = index[c.between[0]], index[c.between[1]]
+        except KeyError as missing:
+            raise ModelError(f"{source}: coupling between {list(c.between)}: no branch {missing}") from None
+        if i == j:
+            raise ModelError(f"{source}: coupling between {list(c.between)}: the two axes must differ")
+        couplings[i, j] = couplings[j, i] = c.value
+        coupling_std[i, j] = coupling_std[j, i] = np.nan if c.std is None else c.std
+
+    def column(items: list[_EstimateJson]) -> tuple[list[float], Float64]:
+        return [e.value for e in items], frozen_float([np.nan if e.std is None else e.std for e in items])
+
+    try:
+        chains = CoupledChains.build(
+            [[e.value for e in b.masses] for b in parsed.branches],
+            [[e.value for e in b.springs] for b in parsed.branches],
+            [[e.value for e in b.dampers] if b.dampers else [0.0] * len(b.springs) for b in parsed.branches],
+            couplings,
+            ground_springs=[b.ground_spring.value if b.ground_spring else 0.0 for b in parsed.branches],
+            axes=axes,
+        )
+    except ModelError as error:
+        raise ModelError(f"{source}: {error}") from None
+    std = ChainStd(
+        masses=tuple(column(b.masses)[1] for b in parsed.branches),
+        springs=tuple(column(b.springs)[1] for b in parsed.branches),
+        dampers=tuple(
+            column(b.dampers)[1] if b.dampers else frozen_float(np.full(len(b.springs), np.nan))
+            for b in parsed.branches
+        ),
+        couplings=frozen_float(coupling_std),
+        ground_springs=frozen_float(
+            [
+                np.nan if b.ground_spring is None or b.ground_spring.std is None else b.ground_spring.std
+                for b in parsed.branches
+            ]
+        ),
+    )
+    effects = tuple(_effect_term(e, source) for e in parsed.effects)
+    for e in effects:
+        if e.axis not in index:
+            raise ModelError(f"{source}: effect {e.cause}: no branch called {e.axis!r}; found {axes}")
+    return Model(
+        robot=parsed.robot,
+        method=parsed.method,
+        chains=chains,
+        std=std,
+        linear=parsed.units.get("mass") == "kg",
+        effects=effects,
+        warnings=tuple(parsed.warnings),
+        covariance=None if parsed.covariance is None else frozen_float(parsed.covariance.matrix),
+        parameter_names=() if parsed.covariance is None else tuple(parsed.covariance.names),
+        fit=parsed.fit,
+        provenance=parsed.provenance,
+        attributes=dict(parsed.model_extra or {}),
+    )
+
+
+def dump_json(document: Mapping[str, Any]) -> str:
+    """Strict JSON text (no NaN), UTF-8, indented; keys in the order given."""
+    return json.dumps(document, ensure_ascii=False, indent=2, allow_nan=False) + "\n"
+
+
+def load_json(path: Path) -> Any:
+    """Parsed JSON file; InputError says what is wrong with the file."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read as UTF-8 text: {error}") from None
+    try:
+        return json.loads(text)
+    except (json.JSONDecodeError, RecursionError) as error:
+        raise InputError(f"{path}: not JSON: {error}") from None
+
+
+def load_model(path: str | Path) -> Model:
+    """Model from an ``invid-model`` file."""
+    return model_from_json(load_json(Path(path)), source=str(path))
+
+
+def save_text(path: Path, text: str) -> None:
+    """Write to a temporary name beside ``path``, then rename: a crash leaves the old file whole."""
+    temporary = path.with_name(path.name + ".part")
+    try:
+        if path.exists() and not path.is_file():  # /dev/stdout stays what it is
+            path.write_text(text, encoding="utf-8")
+            return
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary.write_text(text, encoding="utf-8")
+        temporary.replace(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from None
+
+
+def save_model(model: Model, path: Path) -> None:
+    """Write the ``invid-model`` file."""
+    save_text(path, dump_json(model_to_json(model)))

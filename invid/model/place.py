@@ -1,0 +1,69 @@
+"""Where an effect may sit, and which coordinates its force acts on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from invid.model.parameters import ChainStructure
+
+Pattern = tuple[tuple[int, float], ...]
+"""Coordinates with their signs: ((a, 1),) on one mass, ((a, 1), (b, −1)) between two."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where an effect may sit. ``number`` counts masses and springs from 1; ``axis``, ``other`` from 0."""
+
+    kind: str  # "mass", "spring", "axis", "pair"
+    axis: int
+    number: int = 0
+    other: int = -1
+
+    @property
+    def element(self) -> str | None:
+        """As the contract writes it."""
+        return f"{self.kind} {self.number}" if self.kind in ("mass", "spring") else None
+
+    def pattern(self, structure: ChainStructure) -> Pattern:
+        """The coordinates a force of the effect acts on."""
+        first = int(structure.motor_dofs[self.axis])
+        if self.kind == "mass":
+            return ((first + self.number - 1, 1.0),)
+        if self.kind == "spring":
+            return ((first + self.number - 1, 1.0), (first + self.number, -1.0))
+        if self.kind == "pair":
+            return (
+                (int(structure.end_dofs[self.axis]), 1.0),
+                (int(structure.end_dofs[self.other]), -1.0),
+            )
+        return ((first, 1.0),)
+
+
+def mass_places(structure: ChainStructure) -> list[Place]:
+    """Every mass of every axis."""
+    return [Place("mass", i, q + 1) for i, n in enumerate(structure.sizes) for q in range(n)]
+
+
+def motor_places(structure: ChainStructure) -> list[Place]:
+    """The motors."""
+    return [Place("mass", i, 1) for i in range(structure.motors)]
+
+
+def end_places(structure: ChainStructure) -> list[Place]:
+    """The final masses."""
+    return [Place("mass", i, n) for i, n in enumerate(structure.sizes)]
+
+
+def spring_places(structure: ChainStructure) -> list[Place]:
+    """Every spring of every axis."""
+    return [Place("spring", i, s + 1) for i, n in enumerate(structure.sizes) for s in range(n - 1)]
+
+
+def axis_places(structure: ChainStructure) -> list[Place]:
+    """The axes as such."""
+    return [Place("axis", i) for i in range(structure.motors)]
+
+
+def pair_places(structure: ChainStructure) -> list[Place]:
+    """Pairs of axes."""
+    return [Place("pair", i, other=j) for i, j in structure.coupling_pairs]

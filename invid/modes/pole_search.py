@@ -1,0 +1,211 @@
+"""Poles that are barely visible: a rational fit weighted by the noise itself, with poles to spare.
+
+A mode whose pole and zero all but cancel at every motor is above the noise of the records and far below
+the two per cent that ``invid.modes.rational_fit`` grants them. It is found where three things are right: the
+weight of every line is the noise that torque *and* position put on it (C_r of the fit, with the FRF of the
+first rational fit in it), the torque acts when it does (a staircase acts half a sample late, and the phase of
+that costs a pole), and the search has poles to spare. Those are taken away one by one, the least
+significant first (Wald statistic of its residues), and the rest relocated each time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from invid.modes import Modes
+from invid.modes.rational_fit import (
+    DAMPING,
+    TRUSTED,
+    Record,
+    columns_of,
+    fractions,
+    on_grid,
+    record_of,
+    relocated,
+    residues_of,
+    without_transients,
+)
+from invid.numerics.arrays import Complex128, Float64
+from invid.numerics.parallel import at_once
+from invid.signals.frf import FrfMatrix
+from invid.signals.spectra import LineSpectra
+
+SPARE = 4
+"""Poles to spare at the start: two for each of the two weakest modes, empirical (random plants)."""
+DELAYS = (0.5, 0.0)
+"""Torque later than recorded, in samples: held over the sample, or continuous."""
+ROUNDS = 3
+"""Weights re-evaluated so often for each number of poles."""
+MOST = 4e9
+"""Operations a search may take (some seconds); larger plants go without."""
+
+
+def searched_modes(
+    spectra: Sequence[LineSpectra], masses: Sequence[int], *, model_error: float = 0.0, most_lines: int = 300
+) -> tuple[Modes, FrfMatrix, float] | None:
+    """Modes and G as from ``rational_modes``, weak modes included, and how much later than recorded the
+    torque acts [s]; ``None`` where it fails or is too long.
+
+    ``model_error``: relative error of the spectra beyond their noise (friction).
+    """
+    motors, modes = spectra[0].axis_count, sum(masses) - len(masses)
+    if modes == 0:
+        return None
+    raw = [record_of(s, most_lines, TRUSTED) for s in spectra]
+    rows = 2 * sum(w.size for w, *_ in raw)
+    width = (motors + 1) * (2 * (modes + SPARE) + 1)
+    spare = SPARE if 2.0 * motors * rows * width**2 * 5 * ROUNDS * (SPARE + 1) < MOST else 1
+    width = (motors + 1) * (2 * (modes + spare) + 1)
+    if 2.0 * motors * rows * width**2 * 5 * ROUNDS * (spare + 1) > 3 * MOST:
+        return None
+    low = min(float(w[0]) for w, *_ in raw)
+    high = max(float(w[-1]) for w, *_ in raw)
+    search = _Search(spectra, raw, motors, float(np.sqrt(low * high)), model_error)
+    best: tuple[float, Complex128, Float64] | None = None
+    late = 0.0
+    for delay, found in search.each_delay(spare, modes, (low, high)):
+        if found is not None and (best is None or found[0] < best[0]):
+            best, late = found, delay / spectra[0].sample_rate_hz
+    if best is None:
+        return None
+    return (*on_grid(best[1], best[2], search.scale, tuple(masses), (low, high)), late)
+
+
+@dataclass(frozen=True, eq=False)
+class Unstructured:
+    """A rational FRF and the records it was fitted to, weighted.
+
+    ``mean_square`` is its weighted mean square error per real number.
+    """
+
+    records: tuple[Record, ...]
+    mean_square: float
+
+
+def unstructured(
+    spectra: Sequence[LineSpectra],
+    masses: Sequence[int],
+    *,
+    further: int,
+    model_error: float,
+    most_lines: int = 300,
+) -> Unstructured | None:
+    """The best rational FRF with ``further`` more modes than the masses have, for comparison."""
+    motors, modes = spectra[0].axis_count, sum(masses) - len(masses) + further
+    raw = [record_of(s, most_lines, TRUSTED) for s in spectra]
+    rows = 2 * sum(w.size for w, *_ in raw)
+    width = (motors + 1) * (2 * modes + 1)
+    if 2.0 * motors * rows * width**2 * 5 * ROUNDS > MOST:
+        return None
+    low = min(float(w[0]) for w, *_ in raw)
+    high = max(float(w[-1]) for w, *_ in raw)
+    search = _Search(spectra, raw, motors, float(np.sqrt(low * high)), model_error)
+    best: Unstructured | None = None
+    for delay, found in search.each_delay(0, modes, (low, high)):
+        if found is None:
+            continue
+        free = rows * motors - motors * (motors * (2 * modes + 1))
+        mean = found[0] / max(free, 1)
+        if best is None or mean < best.mean_square:
+            best = Unstructured(tuple(search.weighted(delay, found[1], found[2])), mean)
+    return best
+
+
+def _even(low: float, high: float, count: int, scale: float) -> Complex128:
+    poles: Complex128 = np.linspace(low, high, count + 2)[1:-1] / scale * np.complex128(-DAMPING + 1j)
+    return poles
+
+
+class _Search:
+    """The records of one search and what a set of poles costs on them."""
+
+    def __init__(
+        self,
+        spectra: Sequence[LineSpectra],
+        raw: Sequence[Record],
+        motors: int,
+        scale: float,
+        model_error: float,
+    ) -> None:
+        self.spectra, self.raw = spectra, raw
+        self.motors, self.scale, self.model_error = motors, scale, model_error
+
+    def each_delay(
+        self, spare: int, modes: int, band: tuple[float, float]
+    ) -> list[tuple[float, tuple[float, Complex128, Float64] | None]]:
+        """What the search comes to for every delay that is tried."""
+        return list(zip(DELAYS, at_once(lambda d: self.run(spare, modes, d, band), DELAYS), strict=True))
+
+    def run(
+        self, spare: int, modes: int, delay: float, band: tuple[float, float]
+    ) -> tuple[float, Complex128, Float64] | None:
+        """Cost, poles and residues after the spare poles are gone."""
+        first = self._relocated(self.raw, _even(*band, modes, self.scale), 15)
+        if first is None:
+            return None
+        residues = residues_of(self.raw, first, self.motors, self.scale)
+        model = (first, residues)
+        poles = _even(*band, modes + spare, self.scale)
+        while True:
+            for _ in range(ROUNDS):
+                data = self.weighted(delay, *model)
+                fresh = self._relocated(data, poles, 5)
+                if fresh is None:
+                    return None
+                poles = fresh
+                residues = residues_of(data, poles, self.motors, self.scale)
+                if not np.isfinite(residues).all():
+                    return None
+                model = (poles, residues)
+            cost, significance = self._judged(self.weighted(delay, *model), poles)
+            if poles.size == modes:
+                return cost, poles, residues
+            poles = np.delete(poles, int(np.argmin(significance)))
+
+    def _relocated(self, data: Sequence[Record], poles: Complex128, times: int) -> Complex128 | None:
+        for _ in range(times):
+            with np.errstate(all="ignore"):
+                fresh = relocated(data, poles, self.motors, self.scale)
+            if fresh is None or not np.isfinite(fresh).all():
+                return None
+            settled = np.allclose(fresh, poles, rtol=1e-5, atol=0)
+            poles = fresh
+            if settled:
+                break
+        return poles
+
+    def weighted(self, delay: float, poles: Complex128, residues: Float64) -> list[Record]:
+        """The records with each line's noise under the FRF given, torque ``delay`` samples late."""
+        out: list[Record] = []
+        for s, (w, acceleration, torque, _, transient) in zip(self.spectra, self.raw, strict=True):
+            gain = np.abs(np.einsum("fn,nij->fij", fractions(w / self.scale, poles), residues)) ** 2
+            variance = (w**4)[:, None] * s.floor[: self.motors] + gain @ s.floor[self.motors :]
+            variance = variance + (self.model_error * np.abs(acceleration)) ** 2 + 1e-300
+            # ``record_of`` has taken a quarter of a sample already.
+            turn = np.exp(-1j * w * (delay - 0.25) / s.sample_rate_hz)[:, None]
+            out.append((w, acceleration, torque * turn, 1.0 / np.sqrt(variance), transient))
+        return out
+
+    def _judged(self, data: Sequence[Record], poles: Complex128) -> tuple[float, Float64]:
+        """Weighted squares left by a set of poles, and by how much more each pole's absence leaves."""
+        count = poles.size
+        shared = self.motors * (2 * count + 1)
+        columns = columns_of(data, poles, self.motors, self.scale)
+        left_over, significance = 0.0, np.zeros(count)
+        for i in range(self.motors):
+            left, goal = without_transients(data, columns, [a[:, i : i + 1] for _, a, *_ in data], i, shared)
+            size = np.linalg.norm(left, axis=0)
+            q, triangle = np.linalg.qr(left / np.where(size > 0, size, 1.0))
+            along = q.T @ goal[:, 0]
+            inverse = np.linalg.pinv(triangle)
+            x, covariance = inverse @ along, inverse @ inverse.T
+            left_over += float(goal[:, 0] @ goal[:, 0] - along @ along)
+            for k in range(count):
+                own = np.array(
+                    [j * (2 * count + 1) + part for j in range(self.motors) for part in (k, count + k)]
+                )
+                significance[k] += float(x[own] @ np.linalg.pinv(covariance[np.ix_(own, own)]) @ x[own])
+        return left_over, significance

@@ -1,0 +1,265 @@
+"""A rational FRF matrix straight from records that are not settled, or whose lines interleave.
+
+Vector fitting with the records themselves as data: σ(ω)·A_ie = Σ_j N_ij(ω)·T_je + B_ie(ω), with A the
+acceleration spectra of experiment e, common poles in σ, N and B, and B what leaks from the ends of the
+record: the transient of the same plant, so it has the same poles and a first-degree polynomial beside
+them. Linear in everything once the poles are given, which are relocated a few times (Gustavsen and
+Semlyen 1999; the transient as further numerator: Pintelon and Schoukens, System Identification, ch. 6).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from invid.modes import Modes
+from invid.modes.model import high_gain_pairs, pairs
+from invid.numerics.arrays import Bool, Complex128, Float64
+from invid.signals.frf import FrfMatrix
+from invid.signals.spectra import FEW_LINES, LineSpectra
+
+TRUSTED = 0.02
+"""Relative error granted to every spectrum: records with friction must not be fitted to their noise."""
+FINE = 0.002
+"""The same for a second try, which resolves modes that are barely visible where friction is small."""
+LEAST_DAMPING = 1e-9
+"""Of a pole between rounds; finer than any band of lines can tell from none."""
+DAMPING = 0.01
+
+
+def rational_modes(
+    spectra: Sequence[LineSpectra],
+    masses: Sequence[int],
+    *,
+    trusted: float = TRUSTED,
+    iterations: int = 15,
+    most_lines: int = 300,
+) -> tuple[Modes, FrfMatrix] | None:
+    """Modes and G on a grid that resolves them, for the given masses per branch; ``None`` where it fails.
+
+    A start for the fit: the modes carry no covariance. Uses about ``most_lines`` lines of each record.
+    """
+    motors = spectra[0].axis_count
+    modes = sum(masses) - motors
+    data = [record_of(s, most_lines, trusted) for s in spectra]
+    low = min(float(w[0]) for w, *_ in data)
+    high = max(float(w[-1]) for w, *_ in data)
+    scale = float(np.sqrt(low * high))
+    poles: Complex128 = np.linspace(low, high, modes + 2)[1:-1] / scale * np.complex128(-DAMPING + 1j)
+    for _ in range(iterations):
+        fresh = relocated(data, poles, motors, scale)
+        if fresh is None:
+            return None
+        settled = np.allclose(fresh, poles, rtol=1e-6, atol=0)
+        poles = fresh
+        if settled:
+            break
+    residues = residues_of(data, poles, motors, scale)
+    if not np.isfinite(residues).all():
+        return None
+    return on_grid(poles, residues, scale, tuple(masses), (low, high))
+
+
+def on_grid(
+    poles: Complex128, residues: Float64, scale: float, masses: tuple[int, ...], band: tuple[float, float]
+) -> tuple[Modes, FrfMatrix]:
+    """The modes and G between ``band`` [rad/s], on lines that resolve every mode."""
+    low, high = band
+    found = modes_of(poles * scale, residues, scale, masses)
+    inside = found.omega[(found.omega > low) & (found.omega < high)]
+    near = np.concatenate([inside * x for x in (0.97, 0.985, 0.995, 1.0, 1.005, 1.015, 1.03)])
+    grid = np.unique(np.concatenate((np.linspace(low, high, 80), near, np.geomspace(low, high, 20))))
+    grid = grid[(grid >= low) & (grid <= high)]
+    basis = fractions(grid / scale, poles)
+    g = np.einsum("fn,nij->fij", basis, residues) / -(grid**2)[:, None, None]
+    return found, FrfMatrix(grid / 2 / np.pi, g, (TRUSTED * np.abs(g)) ** 2 + 1e-300)
+
+
+def modes_of(poles: Complex128, residues: Float64, scale: float, masses: tuple[int, ...]) -> Modes:
+    """Mass-normalised motor shapes from the residues of the acceleration.
+
+    Near a pole −ω²G ≈ c/(jω − p) with c real coefficients a + jb of the basis; the receptance has the
+    residue c/p², and φφᵀ = Re(2j·ω_d·c/p²), of which the leading eigenvector is kept.
+    """
+    count, motors = poles.size, len(masses)
+    omega = np.abs(poles)
+    damping = np.clip(-poles.real / omega, 1e-4, 0.3)
+    shapes = np.zeros((count, motors))
+    for r in range(count):
+        c = (residues[r] + 1j * residues[count + r]) * scale
+        product = (2j * poles[r].imag * c / poles[r] ** 2).real
+        size, vectors = np.linalg.eigh(0.5 * (product + product.T))
+        shapes[r] = np.sqrt(max(float(size[-1]), 0.0)) * vectors[:, -1]
+    high = residues[2 * count]
+    rows, columns = pairs(motors)
+    allowed = high_gain_pairs(masses)
+    gain = np.zeros((motors, motors))
+    keep = (rows[allowed], columns[allowed])
+    gain[keep] = high[keep]
+    gain[keep[1], keep[0]] = high[keep]
+    order = np.argsort(omega)
+    unknowns = 2 * count + 2 * count * motors + 2 * rows.size
+    return Modes(
+        omega=omega[order],
+        damping=damping[order],
+        shapes=shapes[order],
+        high_gain=gain,
+        friction=np.zeros((motors, motors)),
+        masses=masses,
+        covariance=np.zeros((unknowns, unknowns)),
+        chi2=0.0,
+        dof=1,
+        model_error=TRUSTED,
+        lag=np.zeros((count, motors)),
+    )
+
+
+Record = tuple[Float64, Complex128, Complex128, Float64, bool]
+
+
+def record_of(s: LineSpectra, most: int, trusted: float) -> Record:
+    """ω, acceleration, torque, weight of one record on the lines that carry something."""
+    lines: Bool = np.array(s.excited)
+    transient = s.transient
+    if transient and lines.any():
+        upto = np.arange(lines.size) <= np.flatnonzero(lines)[-1]
+        if upto.sum() < FEW_LINES:
+            # A sine that still settles: too few lines for an end of its own, but a start may be crude.
+            power = (np.abs(s.torque) ** 2).sum(axis=1)
+            lines, transient = power > 0.1 * power.max(), False
+        else:
+            lines = upto
+    index = np.flatnonzero(lines)
+    if index.size > most:
+        # Excited lines first, then an even choice of the others.
+        rest = index[~s.excited[index]]
+        main = index[s.excited[index]]
+        main = main[np.linspace(0, main.size - 1, min(main.size, most)).astype(int)] if main.size else main
+        room = max(most - main.size, most // 3)
+        rest = rest[np.linspace(0, rest.size - 1, min(rest.size, room)).astype(int)] if rest.size else rest
+        index = np.union1d(main, rest)
+    w = s.omega[index]
+    # A quarter of a sample: between a torque that is continuous and one held over the sample.
+    torque = s.torque[index] * np.exp(-0.25j * w / s.sample_rate_hz)[:, None]
+    acceleration = -(w**2)[:, None] * s.position[index]
+    noise = (w**2)[:, None] * np.sqrt(s.floor[: s.axis_count])
+    level = np.sqrt(np.mean(np.abs(acceleration) ** 2, axis=0))
+    weight = 1.0 / np.sqrt(
+        noise**2 + (trusted * np.abs(acceleration)) ** 2 + (0.05 * trusted * level) ** 2 + 1e-300
+    )
+    return w, acceleration, torque, weight, transient
+
+
+def fractions(w: Float64, poles: Complex128) -> Complex128:
+    """(F, 2n+1) real-coefficient partial fractions and a constant."""
+    s = 1j * w[:, None]
+    up, down = 1.0 / (s - poles), 1.0 / (s - poles.conj())
+    out: Complex128 = np.concatenate((up + down, 1j * (up - down), np.ones((w.size, 1))), axis=1)
+    return out
+
+
+def columns_of(data: Sequence[Record], poles: Complex128, motors: int, scale: float) -> list[Complex128]:
+    """Per record (F, M·(2n+1) + own transient) columns; transients of other records are left out."""
+    out = []
+    for w, _, torque, _, transient in data:
+        basis = fractions(w / scale, poles)
+        parts = [torque[:, j : j + 1] * basis for j in range(motors)]
+        if transient:
+            parts.append(np.concatenate((basis, 1j * w[:, None] / scale), axis=1))
+        out.append(np.concatenate(parts, axis=1))
+    return out
+
+
+def without_transients(
+    data: Sequence[Record],
+    columns: Sequence[Complex128],
+    right: Sequence[Complex128],
+    motor: int,
+    shared: int,
+) -> tuple[Float64, Float64]:
+    """Rows with every record's transient projected out: (rows, shared) and (rows, right columns)."""
+    lefts, rights = [], []
+    for (_, _, _, weight, _), matrix, target in zip(data, columns, right, strict=True):
+        own = weight[:, motor : motor + 1]
+        left = _real(own * matrix)
+        goal = _real(own * target)
+        if left.shape[1] > shared:
+            size = np.linalg.norm(left[:, shared:], axis=0)
+            q, _ = np.linalg.qr(left[:, shared:] / np.where(size > 0, size, 1.0))
+            left = left[:, :shared] - q @ (q.T @ left[:, :shared])
+            goal = goal - q @ (q.T @ goal)
+        lefts.append(left[:, :shared])
+        rights.append(goal)
+    return np.concatenate(lefts), np.concatenate(rights)
+
+
+def _real(values: Complex128) -> Float64:
+    out: Float64 = np.concatenate((values.real, values.imag))
+    return out
+
+
+def relocated(data: Sequence[Record], poles: Complex128, motors: int, scale: float) -> Complex128 | None:
+    """Zeros of σ: the poles of the next round."""
+    count = poles.size
+    shared = motors * (2 * count + 1)
+    columns = columns_of(data, poles, motors, scale)
+    rows, emphasis = [], 0.0
+    for i in range(motors):
+        targets = [-(a[:, i : i + 1]) * fractions(w / scale, poles) for w, a, *_ in data]
+        left, goal = without_transients(data, columns, targets, i, shared)
+        size = np.linalg.norm(left, axis=0)
+        left = left / np.where(size > 0, size, 1.0)
+        triangle = np.asarray(np.linalg.qr(np.concatenate((left, goal), axis=1), mode="r"))
+        rows.append(triangle[shared:, shared:])
+        emphasis += float((goal[:, -1] ** 2).sum())
+    matrix = np.concatenate(rows)
+    # Relaxed: σ's mean over the lines is one.
+    mean = np.mean(np.concatenate([fractions(w / scale, poles).real for w, *_ in data]), axis=0)
+    matrix = np.concatenate((matrix, np.sqrt(emphasis) * mean[None]))
+    right = np.zeros(matrix.shape[0])
+    right[-1] = np.sqrt(emphasis)
+    norms = np.linalg.norm(matrix, axis=0)
+    if not np.isfinite(norms).all():
+        return None
+    norms[norms == 0] = 1.0
+    x = np.linalg.lstsq(matrix / norms, right, rcond=None)[0] / norms
+    direct = x[-1] if abs(x[-1]) > 1e-8 else 1e-8
+    state = np.zeros((2 * count, 2 * count))
+    first, second = np.arange(count), np.arange(count, 2 * count)
+    state[first, first] = state[second, second] = poles.real
+    state[first, second], state[second, first] = poles.imag, -poles.imag
+    drive = np.concatenate((np.full(count, 2.0), np.zeros(count)))
+    values = np.linalg.eigvals(state - np.outer(drive, x[:-1]) / direct)
+    # Never on the axis itself, where a line may stand.
+    values = -np.maximum(np.abs(values.real), LEAST_DAMPING * np.abs(values.imag)) + 1j * values.imag
+    upper = values[values.imag > 1e-9]
+    low, top = min(w[0] for w, *_ in data) / scale, max(w[-1] for w, *_ in data) / scale
+    missing = count - upper.size
+    if missing > 0:
+        # Two real poles describe no mode: a lightly damped pair somewhere in the widest gap instead.
+        edges = np.sort(np.concatenate(([low], upper.imag, [top])))
+        for _ in range(missing):
+            at = int(np.argmax(np.diff(edges)))
+            centre = 0.5 * (edges[at] + edges[at + 1])
+            upper = np.append(upper, centre * (-DAMPING + 1j))
+            edges = np.sort(np.append(edges, centre))
+    ordered: Complex128 = upper[np.argsort(upper.imag)][:count]
+    # Poles that ran away or hide as broad humps come back to the band, lightly damped.
+    wild = (ordered.imag > 1.5 * top) | (np.abs(ordered.real) > 0.3 * ordered.imag)
+    tamed: Complex128 = np.where(wild, np.minimum(ordered.imag, 1.2 * top) * (-0.05 + 1j), ordered)
+    return tamed
+
+
+def residues_of(data: Sequence[Record], poles: Complex128, motors: int, scale: float) -> Float64:
+    """(2n+1, M, M) real coefficients of N with the poles given; reciprocity imposed by averaging."""
+    shared = motors * (2 * poles.size + 1)
+    columns = columns_of(data, poles, motors, scale)
+    out = np.zeros((2 * poles.size + 1, motors, motors))
+    for i in range(motors):
+        left, goal = without_transients(data, columns, [a[:, i : i + 1] for _, a, *_ in data], i, shared)
+        size = np.linalg.norm(left, axis=0)
+        size[size == 0] = 1.0
+        x = np.linalg.lstsq(left / size, goal[:, 0], rcond=None)[0] / size
+        out[:, i, :] = x.reshape(motors, -1).T
+    return 0.5 * (out + out.transpose(0, 2, 1))

@@ -1,0 +1,71 @@
+"""Rows of unit variance from complex lines with a noise covariance, and back."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from invid.numerics.arrays import Complex128, Float64
+
+
+def whitener(covariance: Complex128) -> Complex128:
+    """√2·L⁻¹ of (F, M, M): real and imaginary part of the whitened residual have unit variance."""
+    diagonal = np.sqrt(np.maximum(np.einsum("fii->fi", covariance).real, 1e-300))
+    scaled = covariance / diagonal[:, :, None] / diagonal[:, None, :]
+    # 1e-12 of a unit diagonal: quantised channels that repeat exactly must not stop the fit
+    lower = np.linalg.cholesky(scaled + 1e-12 * np.eye(covariance.shape[1]))
+    root: Complex128 = np.sqrt(2.0) * np.linalg.inv(lower) / diagonal[:, None, :]
+    return root
+
+
+def unwhitener(root: Complex128) -> Complex128:
+    """(F, M, M) inverse of a whitener, identity on lines that it switches off."""
+    off = np.abs(root).sum(axis=(1, 2)) == 0
+    out = root.copy()
+    out[off] = np.eye(root.shape[1])
+    inverse: Complex128 = np.asarray(np.linalg.inv(out), dtype=np.complex128)
+    return inverse
+
+
+def stack(values: Complex128) -> Float64:
+    """(F, M, n) complex to (2FM, n) real rows."""
+    flat = values.reshape(-1, values.shape[-1])
+    return np.concatenate((flat.real, flat.imag))
+
+
+def unstack(back: Complex128, rows: Float64, shape: tuple[int, ...]) -> Complex128:
+    """(2FM,) whitened rows to (F, M) = ``shape`` complex, through the unwhitener ``back``."""
+    half = rows.size // 2
+    white = (rows[:half] + 1j * rows[half:]).reshape(shape)
+    out: Complex128 = (back @ white[..., None])[..., 0]
+    return out
+
+
+def factored(columns: Float64) -> tuple[Float64, Float64]:
+    """(rows, rank) orthonormal basis of what the columns span, and (n, rank) from its coordinates to theirs.
+
+    Cholesky's factor of the products, twice (Yamamoto et al. 2015): as orthogonal as a QR where the condition
+    number is below 1e7, which the first pass shows, and several times faster on a few tall columns.
+    """
+    scale = np.linalg.norm(columns, axis=0)
+    scale = np.where(scale == 0, 1.0, scale)
+    scaled = columns / scale
+    try:
+        back = np.linalg.inv(np.linalg.cholesky(scaled.T @ scaled)).T
+        basis = scaled @ back
+        product = basis.T @ basis
+        if np.abs(product - np.eye(product.shape[0])).max(initial=0.0) < 0.1:
+            again = np.linalg.inv(np.linalg.cholesky(product)).T
+            return basis @ again, (back @ again) / scale[:, None]
+    except np.linalg.LinAlgError:
+        pass
+    left, size, right = np.linalg.svd(scaled, full_matrices=False)
+    seen = size > 1e-9 * max(float(size[0]), 1e-300)
+    return left[:, seen], right[seen].T / size[seen] / scale[:, None]
+
+
+def orthonormal(columns: Float64) -> Float64:
+    """(rows, rank) basis of what the columns span."""
+    return factored(columns)[0]
+
+
+__all__ = ["factored", "orthonormal", "stack", "unstack", "unwhitener", "whitener"]

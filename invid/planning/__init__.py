@@ -1,0 +1,18 @@
+"""Experiments as data, limits, dry run, bus budget."""
+
+from invid.planning.budget import BusBudget, bus_budget, bus_load, frame_bits, require_budget
+from invid.planning.build import default_experiments, make_plan
+from invid.planning.model import AxisForecast, Plan, PlannedExperiment
+
+__all__ = [
+    "AxisForecast",
+    "BusBudget",
+    "Plan",
+    "PlannedExperiment",
+    "bus_budget",
+    "bus_load",
+    "default_experiments",
+    "frame_bits",
+    "make_plan",
+    "require_budget",
+]

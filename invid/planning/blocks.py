@@ -1,0 +1,247 @@
+"""One block of shaking for a goal: interleaved lines, low crest factor, within travel and velocity."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from invid.config import CellConfig, MultisineSpec
+from invid.errors import ConfigError
+from invid.model.document import parameter_vector
+from invid.model.parameters import structure_of
+from invid.numerics.arrays import Float64, frozen_float
+from invid.planning.belief import Belief
+from invid.planning.build import CREEP_TRAVEL
+from invid.planning.design import ROBUST_SHARE, LineDesign, interleaved, line_design
+from invid.planning.expected_covariance import Expected, Noise, expected, parameter_scale
+from invid.planning.model import PlannedExperiment
+from invid.planning.response import foretold_motion, hold_gains
+from invid.recording.model import Kind, Role
+from invid.signals import excitation
+
+RAMP_S = 0.25
+"""Raised-cosine start and end of a block."""
+FRICTION_FACTOR = 13.0
+"""Peak torque over Coulomb torque below which sticking shows (notes, case study)."""
+NEAR = 0.8
+"""Share of the position window and of the velocity limit that may be used, as in the sweep."""
+TAIL = 0.025
+"""Power of the best design that lies below, and as much above, the band called informative."""
+PRICINGS = 3
+"""Times the price of travel and speed is raised before amplitudes are cut."""
+
+
+class BlockDesigner:
+    """Makes blocks of any length and amplitude for one cell, and knows which limits they touch."""
+
+    def __init__(
+        self,
+        config: CellConfig,
+        belief: Belief,
+        noise: Noise,
+        excited: tuple[int, ...],
+        amplitude_scale: float,
+        names: Sequence[str] | None,
+        seed: int,
+        band: tuple[float, float] | None = None,
+    ) -> None:
+        self.config, self.belief, self.noise, self.excited = config, belief, noise, excited
+        self.names, self.seed = names, seed
+        specs = [s for s in config.experiments if isinstance(s, MultisineSpec) and s.role == "identify"]
+        self.band = band or (
+            (min(s.band_Hz[0] for s in specs), max(s.band_Hz[1] for s in specs)) if specs else (0.5, 12.0)
+        )
+        self.share = amplitude_scale * max((s.amplitude for s in specs), default=0.7)
+        self.creep = max((s.creep_velocity for s in specs), default=0.0)
+        self.limits = np.array([a.limits.torque for a in config.axes])
+        self.prices = (np.zeros(len(config.axes)), np.zeros(len(config.axes)))
+        self.reduced = np.ones(len(config.axes))
+        self.touched: set[str] = set()
+        self.length = 0.0
+
+    def expected(self, blocks: Sequence[PlannedExperiment]) -> Expected:
+        """Expected covariance, its goal narrowed to the wanted parameters."""
+        numbered = [replace(e, key=f"{k:03d}") for k, e in enumerate(blocks)]
+        found = expected(self.config, numbered, self.belief, self.noise)
+        if self.names is None:
+            return found
+        wanted = np.array([n in self.names for n in found.names])
+        return replace(found, goal=found.goal & wanted)
+
+    def block(self, length: float, number: int, rung: float) -> PlannedExperiment:
+        """One block, within travel and velocity by the belief."""
+        if length != self.length:
+            self._settle(length)
+        made = self._make(length, number, rung)
+        # laid out for the first block; the others have other phases
+        over = max((ratio for _, _, ratio in self._over(made)), default=1.0) if number else 1.0
+        return replace(made, torque=frozen_float(made.torque / over))
+
+    def _settle(self, length: float) -> None:
+        """Prices and amplitudes that keep blocks of this length within travel and velocity.
+
+        Power is first moved away from the lines that cause the motion; what is still over is scaled.
+        """
+        self.length = length
+        self.prices = (np.zeros(len(self.config.axes)), np.zeros(len(self.config.axes)))
+        self.reduced = np.ones(len(self.config.axes))
+        self.touched.clear()
+        for attempt in range(PRICINGS + 4):
+            over = self._over(self._make(length, 0, 1.0))
+            if not over:
+                return
+            for axis, kind, ratio in over:
+                limits = self.config.axes[axis].limits
+                travels = kind == "position window"
+                which = self.prices[0] if travels else self.prices[1]
+                self.touched.add(f"{kind} of {self.config.axes[axis].name}")
+                if attempt < PRICINGS:
+                    unit = self.limits[axis] * self.share / (limits.position if travels else limits.velocity)
+                    which[axis] = max(which[axis], unit**2) * ratio**2
+                else:
+                    self.reduced[axis] /= 1.02 * ratio
+
+    def _over(self, block: PlannedExperiment) -> list[tuple[int, str, float]]:
+        motion = foretold_motion(self.config, block, self.belief)
+        found = []
+        for i, axis in enumerate(self.config.axes):
+            for kind, value, limit in (
+                ("position window", np.abs(motion.position[:, i]).max(), axis.limits.position),
+                ("velocity limit", np.abs(motion.velocity[:, i]).max(), axis.limits.velocity),
+            ):
+                if value > NEAR * limit:
+                    found.append((i, kind, float(value / (NEAR * limit))))
+        return found
+
+    def peaks(self, rung: float) -> Float64:
+        """(M,) peak torque."""
+        return rung * self.share * self.limits * self.reduced
+
+    def _make(self, length: float, number: int, rung: float) -> PlannedExperiment:
+        config, cycle = self.config, self.config.bus.cycle_s
+        period = round(length / cycle)
+        spacing = 1.0 / (period * cycle)
+        first = max(1, int(np.ceil(self.band[0] / spacing - 1e-9)))
+        lines = np.arange(first, int(np.floor(self.band[1] / spacing + 1e-9)) + 1)
+        axis = interleaved(lines, self.excited, number)
+        peaks = self.peaks(rung)
+        torque = np.zeros((period + 1, len(config.axes)))
+        shell = PlannedExperiment(
+            key="",
+            kind=Kind.MULTISINE,
+            role=Role.IDENTIFY,
+            excited=self.excited,
+            torque=torque,
+            reference=None,
+            record_from=0,
+            record_to=period + 1,
+            period_samples=0,
+            frequencies_hz=frozen_float(lines * spacing),
+            attributes={
+                "seed": self.seed + number,
+                "amplitude": rung * self.share,
+                "lines": "interleaved",
+                "from_rest": True,
+            },
+        )
+        design = self._design(lines, spacing, axis, shell)
+        rng = np.random.default_rng((self.seed, number))
+        for i in self.excited:
+            own, amplitude = design.of(i)
+            if own.size == 0:
+                raise ConfigError(
+                    f"goal: a block of {length:g} s has no line for axis {config.axes[i].name} in "
+                    f"{self.band[0]:g}…{self.band[1]:g} Hz; widen band_Hz"
+                )
+            wave = excitation.multisine(own, period, 1.0 / cycle, rng=rng, shape=amplitude).period()
+            torque[:, i] = peaks[i] * np.append(wave, wave[0])
+        ramp = round(RAMP_S / cycle)
+        torque = excitation.ramped(torque, ramp, ramp)
+        return replace(shell, torque=frozen_float(torque), reference=self._creep(peaks, period + 1))
+
+    def _creep(self, peaks: Float64, samples: int) -> Float64 | None:
+        """Slow motion where friction is near the amplitude, if the config allows any."""
+        near = [i for i in self.excited if peaks[i] < FRICTION_FACTOR * self.belief.coulomb[i]]
+        if self.creep <= 0 or not near:
+            return None
+        path = np.zeros((samples, len(self.config.axes)))
+        for i in near:
+            window = self.config.axes[i].limits.position * CREEP_TRAVEL
+            path[:, i] = excitation.triangle_path(self.creep, samples, 1.0 / self.config.bus.cycle_s, window)
+        return frozen_float(path)
+
+    def informative(self, length: float) -> tuple[float, float]:
+        """The band [Hz] that holds all but a twentieth of the power of the best design."""
+        spacing = 1.0 / length
+        low, high = self.band
+        lines = np.arange(max(1, int(np.ceil(low / spacing))), int(high / spacing) + 1)
+        shell = PlannedExperiment(
+            key="",
+            kind=Kind.MULTISINE,
+            role=Role.IDENTIFY,
+            excited=self.excited,
+            torque=np.zeros((0, len(self.config.axes))),
+            reference=None,
+            record_from=0,
+            record_to=0,
+            period_samples=0,
+            frequencies_hz=frozen_float(lines * spacing),
+        )
+        axis = interleaved(lines, self.excited)
+        found = self._design(lines, spacing, axis, shell, robust_share=0.0)
+        share = np.cumsum(found.amplitude**2) / np.sum(found.amplitude**2)
+        first, last = np.searchsorted(share, [TAIL, 1.0 - TAIL])
+        return max(low, 0.9 * float(lines[first]) * spacing), min(high, 1.1 * float(lines[last]) * spacing)
+
+    def _design(
+        self,
+        lines: np.ndarray,
+        spacing: float,
+        axis: np.ndarray,
+        shell: PlannedExperiment,
+        *,
+        robust_share: float = ROBUST_SHARE,
+    ) -> LineDesign:
+        quantum = self.noise.position_step / np.sqrt(12)
+        steps = self.noise.torque_step / np.sqrt(12)
+        return line_design(
+            self.belief,
+            lines,
+            spacing,
+            axis,
+            hold=hold_gains(self.config, shell, self.belief),
+            torque_noise=np.maximum(np.hypot(self.noise.torque, steps), 1e-300),
+            position_noise=np.hypot(self.noise.position, quantum),
+            goal_scale=None if self.belief.guessed else self._scale(),
+            prices=self.prices,
+            robust_share=robust_share,
+        )
+
+    def _scale(self) -> Float64:
+        """Scale of every parameter of the structure in the units of the fit (logarithms: 1)."""
+        structure = structure_of(self.belief.chains)
+        names, _ = parameter_vector(self.belief.chains)
+        relative = dict(zip(names, parameter_scale(self.belief.chains), strict=True))
+        scale = np.full(structure.count, np.inf)
+        for k, name in enumerate(structure.names):
+            if ".damper." in name or name not in relative or name.endswith(".ground_spring"):
+                continue
+            if self.names is not None and name not in self.names:
+                continue
+            scale[k] = 1.0 if structure.logarithmic[k] else relative[name]
+        return scale
+
+    def warnings(self, rung: float) -> list[str]:
+        low, coulomb = self.peaks(rung), self.belief.coulomb
+        way_out = "it creeps while it is shaken" if self.creep > 0 else "allow a creep_velocity in the config"
+        near = [
+            f"axis {self.config.axes[i].name}: the peak torque of {low[i]:.3g} is only "
+            f"{low[i] / coulomb[i]:.1f} times the Coulomb friction of {coulomb[i]:.3g}; {way_out}"
+            for i in self.excited
+            if coulomb[i] > 0 and low[i] < FRICTION_FACTOR * coulomb[i]
+        ]
+        if self.belief.guessed:
+            near.append(f"expected figures rest on {self.belief.source}")
+        return near

@@ -1,0 +1,331 @@
+"""Config to plan: every experiment as torque (and path) per cycle, within the limits."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from invid.config import (
+    CellConfig,
+    ChirpSpec,
+    ConstantVelocitySpec,
+    MultisineSpec,
+    SteppedSineSpec,
+)
+from invid.errors import ConfigError, InputError
+from invid.model.chains import CoupledChains
+from invid.numerics.arrays import Float64, frozen_float
+from invid.planning.budget import require_budget
+from invid.planning.forecast import forecast
+from invid.planning.model import AxisForecast, Plan, PlannedExperiment
+from invid.recording.model import Kind, Role
+from invid.signals import excitation
+
+REST_S = 1.0
+"""Pause between experiments in which the hold brings every axis back to its place."""
+FADE_S = 0.5
+"""Length of the raised-cosine start and end of an excitation."""
+CREEP_TRAVEL = 0.5
+"""Share of the position window (±) that a creep may use; the excitation needs the rest."""
+
+
+def default_experiments() -> list[MultisineSpec]:
+    """M orthogonal multisines to identify from; one, at another level and phases, to judge with."""
+    return [
+        MultisineSpec(kind="multisine", seed=1),
+        MultisineSpec(kind="multisine", role="validate", amplitude=0.35, experiments=1, seed=2),
+    ]
+
+
+def make_plan(
+    config: CellConfig,
+    *,
+    axes: Sequence[str] | None = None,
+    amplitude_scale: float = 1.0,
+    model: CoupledChains | None = None,
+) -> Plan:
+    """The plan of a cell's experiments.
+
+    Parameters
+    ----------
+    axes
+        Excite only these; the others are held. ``None``: as each experiment says.
+    amplitude_scale
+        Factor on every torque, 0 < scale ≤ 1.
+    model
+        The last accepted model: expected travel comes from it, resonances included.
+
+    Raises
+    ------
+    ConfigError
+        An axis that is not there, an experiment that cannot be made, a bus over its budget.
+    """
+    names = tuple(a.name for a in config.axes)
+    unknown = [n for n in axes or () if n not in names]
+    if unknown:
+        raise ConfigError(f"axes: no axis {unknown[0]!r} in the config; it has {', '.join(names)}")
+    if axes is not None and not axes:
+        raise ConfigError(f"axes: none named; the config has {', '.join(names)}")
+    if not 0 < amplitude_scale <= 1:
+        raise ConfigError(f"amplitude scale is {amplitude_scale!r}; it must lie above 0 and be at most 1")
+    budget = require_budget(config)
+    chosen = None if axes is None else {names.index(n) for n in axes}
+    experiments: list[PlannedExperiment] = []
+    for spec in config.experiments or default_experiments():
+        wanted = range(len(names)) if spec.axes is None else [names.index(n) for n in spec.axes]
+        excited = tuple(i for i in wanted if chosen is None or i in chosen)
+        if not excited:
+            continue
+        peaks = np.zeros(len(names))
+        for i in excited:
+            peaks[i] = spec.amplitude * amplitude_scale * config.axes[i].limits.torque
+        try:
+            if isinstance(spec, MultisineSpec):
+                made = _multisine(config, spec, excited, peaks)
+            elif isinstance(spec, SteppedSineSpec):
+                made = _stepped_sine(config, spec, excited, peaks)
+            elif isinstance(spec, ChirpSpec):
+                made = _chirp(config, spec, excited, peaks)
+            else:
+                made = _constant_velocity(config, spec, excited)
+        except ConfigError:
+            raise
+        except InputError as error:
+            raise ConfigError(f"experiments: {error}") from None
+        for e in made:
+            experiments.append(_numbered(e, len(experiments)))
+    if not experiments:
+        raise ConfigError(f"experiments: none excites any of the axes {', '.join(axes or names)}")
+    expected = forecast(config, experiments, model=model)
+    return Plan(
+        axes=names,
+        cycle_s=config.bus.cycle_s,
+        experiments=tuple(experiments),
+        rest_s=REST_S,
+        budget=budget,
+        forecast=expected,
+        warnings=tuple(_warnings(config, expected, experiments)),
+    )
+
+
+def _numbered(e: PlannedExperiment, number: int) -> PlannedExperiment:
+    return PlannedExperiment(
+        key=f"{number:03d}",
+        kind=e.kind,
+        role=e.role,
+        excited=e.excited,
+        torque=e.torque,
+        reference=e.reference,
+        record_from=e.record_from,
+        record_to=e.record_to,
+        period_samples=e.period_samples,
+        frequencies_hz=e.frequencies_hz,
+        attributes=e.attributes,
+    )
+
+
+def _multisine(
+    config: CellConfig, spec: MultisineSpec, excited: tuple[int, ...], peaks: Float64
+) -> list[PlannedExperiment]:
+    rate = 1.0 / config.bus.cycle_s
+    count = len(excited)
+    period = round(spec.period_s * rate)
+    _below_nyquist(spec.band_Hz[1], rate)
+    rng = np.random.default_rng(spec.seed)
+    kind = "odd" if spec.lines == "interleaved" else spec.lines
+    lines = excitation.line_numbers(
+        period / rate, spec.band_Hz, kind, detection_fraction=spec.detection_fraction, rng=rng
+    )
+    interleaved = spec.lines == "interleaved"
+    runs = spec.experiments or (1 if interleaved else count)
+    turns = [
+        0.0 if interleaved else excitation.orthogonal_rotation(a, e, max(count, runs))
+        for a in range(count)
+        for e in range(runs)
+    ]
+    signal = excitation.multisine(lines, period, rate, rng=rng, rotations=turns)
+    # Runs of one count only are orthogonal; a single validating run takes the phases as drawn, each
+    # axis with its own so that the axes do not all push at the same moment.
+    fade = round(FADE_S * rate)
+    result = []
+    for run in range(runs):
+        one = np.zeros((period, peaks.size))
+        for a, axis in enumerate(excited):
+            if interleaved:
+                wave = signal.period(only=np.arange(a, lines.size, count))
+                wave /= max(float(np.abs(wave).max()), 1e-300)
+            elif runs == 1 and count > 1:
+                own = excitation.multisine(lines, period, rate, rng=np.random.default_rng([spec.seed, a]))
+                wave = own.period()
+            else:
+                wave = signal.period(excitation.orthogonal_rotation(a, run, max(count, runs)))
+            one[:, axis] = peaks[axis] * wave
+        total = period * (spec.settle_periods + spec.periods) + 2 * fade
+        # rows are laid out so that the recorded part starts with the first sample of a period
+        rows = (np.arange(total) - fade) % period
+        torque = excitation.ramped(one[rows], fade, fade)
+        start = fade + spec.settle_periods * period
+        reference = None
+        if spec.creep_velocity > 0:
+            reference = np.zeros_like(torque)
+            for axis in excited:
+                window = config.axes[axis].limits.position * CREEP_TRAVEL
+                reference[:, axis] = excitation.triangle_path(spec.creep_velocity, total, rate, window)
+        result.append(
+            PlannedExperiment(
+                key="",
+                kind=Kind.MULTISINE,
+                role=Role(spec.role),
+                excited=excited,
+                torque=frozen_float(torque),
+                reference=None if reference is None else frozen_float(reference),
+                record_from=start,
+                record_to=start + spec.periods * period,
+                period_samples=period,
+                frequencies_hz=frozen_float(signal.frequencies),
+                attributes={"seed": spec.seed, "amplitude": spec.amplitude, "lines": spec.lines},
+            )
+        )
+    return result
+
+
+def _stepped_sine(
+    config: CellConfig, spec: SteppedSineSpec, excited: tuple[int, ...], peaks: Float64
+) -> list[PlannedExperiment]:
+    """One experiment per axis and frequency: each is periodic by itself."""
+    rate = 1.0 / config.bus.cycle_s
+    fade = round(FADE_S * rate)
+    result = []
+    for axis in excited:
+        for wanted in spec.frequencies_Hz:
+            _below_nyquist(wanted, rate)
+            period = max(2, round(rate / wanted))
+            frequency = rate / period
+            settle, keep = spec.settle_cycles * period, spec.cycles * period
+            total = settle + keep + 2 * fade
+            torque = np.zeros((total, peaks.size))
+            # row ``fade`` is the crest of a cosine, whatever the length of the ramp before it
+            phase = 2 * np.pi * frequency * (np.arange(total) - fade) / rate
+            torque[:, axis] = peaks[axis] * np.cos(phase)
+            result.append(
+                PlannedExperiment(
+                    key="",
+                    kind=Kind.STEPPED_SINE,
+                    role=Role(spec.role),
+                    excited=(axis,),
+                    torque=frozen_float(excitation.ramped(torque, fade, fade)),
+                    reference=None,
+                    record_from=fade + settle,
+                    record_to=fade + settle + keep,
+                    period_samples=period,
+                    frequencies_hz=frozen_float([frequency]),
+                    attributes={"amplitude": spec.amplitude},
+                )
+            )
+    return result
+
+
+def _chirp(
+    config: CellConfig, spec: ChirpSpec, excited: tuple[int, ...], peaks: Float64
+) -> list[PlannedExperiment]:
+    rate = 1.0 / config.bus.cycle_s
+    _below_nyquist(spec.band_Hz[1], rate)
+    fade = round(FADE_S * rate)
+    samples = round(spec.duration_s * rate)
+    wave = excitation.ramped(excitation.chirp(spec.band_Hz, samples, rate), fade, fade)
+    after = 2 * fade  # the record ends with the ringing after the sweep, not in the middle of it
+    result = []
+    for axis in excited:
+        torque = np.zeros((samples + after, peaks.size))
+        torque[:samples, axis] = peaks[axis] * wave
+        result.append(
+            PlannedExperiment(
+                key="",
+                kind=Kind.CHIRP,
+                role=Role(spec.role),
+                excited=(axis,),
+                torque=frozen_float(torque),
+                reference=None,
+                record_from=0,
+                record_to=samples + after,
+                period_samples=0,
+                frequencies_hz=frozen_float([]),
+                attributes={"amplitude": spec.amplitude, "band_hz": list(spec.band_Hz)},
+            )
+        )
+    return result
+
+
+def _constant_velocity(
+    config: CellConfig, spec: ConstantVelocitySpec, excited: tuple[int, ...]
+) -> list[PlannedExperiment]:
+    rate = 1.0 / config.bus.cycle_s
+    result = []
+    for axis in excited:
+        limits, name = config.axes[axis].limits, config.axes[axis].name
+        if spec.travel / 2 > 0.8 * limits.position:
+            raise ConfigError(
+                f"experiments: a move of {spec.travel:g} around the start leaves 80 % of axis {name}'s "
+                f"position window of ±{limits.position:g}; shorten travel"
+            )
+        for velocity in spec.velocities:
+            if velocity > 0.8 * limits.velocity:
+                raise ConfigError(
+                    f"experiments: velocity {velocity:g} is more than 80 % of axis {name}'s limit "
+                    f"{limits.velocity:g}"
+                )
+            path = excitation.constant_velocity_path(velocity, spec.travel, rate)
+            reference = np.zeros((path.size, len(config.axes)))
+            reference[:, axis] = path
+            result.append(
+                PlannedExperiment(
+                    key="",
+                    kind=Kind.CONSTANT_VELOCITY,
+                    role=Role(spec.role),
+                    excited=(axis,),
+                    torque=frozen_float(np.zeros_like(reference)),
+                    reference=frozen_float(reference),
+                    record_from=0,
+                    record_to=path.size,
+                    period_samples=0,
+                    frequencies_hz=frozen_float([]),
+                    attributes={"velocity": velocity, "travel": spec.travel},
+                )
+            )
+    return result
+
+
+def _below_nyquist(frequency: float, rate: float) -> None:
+    # A tenth of the cycle rate: above it the zero-order hold and the delay of a cycle or two turn the
+    # phase by more than a third of a turn, and a centring hold may no longer damp.
+    if frequency > rate / 10:
+        raise ConfigError(
+            f"experiments: {frequency:g} Hz is above a tenth of the cycle rate ({rate / 10:g} Hz), the "
+            "highest frequency to trust; shorten cycle_s or lower the band"
+        )
+
+
+def _warnings(
+    config: CellConfig, expected: Sequence[AxisForecast], experiments: Sequence[PlannedExperiment]
+) -> list[str]:
+    warnings = []
+    # Where an accepted model is given, it says how far an axis goes.
+    unknown = {f.axis for f in expected if f.travel is None}
+    for axis in config.axes:
+        if axis.inertia is None and axis.name in unknown:
+            warnings.append(
+                f"axis {axis.name}: no inertia in the config, so travel is only known after the trial at low "
+                "amplitude; it is scaled down there where it would leave the position window"
+            )
+    for f in expected:
+        if f.travel is not None and f.travel > f.travel_limit:
+            unit = "m" if config.linear else "rad"
+            warnings.append(
+                f"axis {f.axis}: at full amplitude it would go {f.travel:.3g} {unit} by its {f.basis}, "
+                f"its window is {f.travel_limit:g}; the trial scales the torque down, but check limits and "
+                "inertia"
+            )
+    if not any(e.role is Role.VALIDATE for e in experiments):
+        warnings.append("no experiment has role 'validate': a diagnosis will have to hold data out by itself")
+    return warnings

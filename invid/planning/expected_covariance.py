@@ -1,0 +1,308 @@
+"""What a plan will tell, before anything moves: the expected covariance of every parameter.
+
+The planned torques, the hold and the believed plant give the motion (``invid.planning.response``); with the
+sensors' noise added it goes through the same spectra and the same whitened problem as a recording, with
+the same nuisances (time offsets, viscous and Coulomb friction, boundary terms), and the Jacobian at the
+believed parameters is the Fisher information. Nothing is fitted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from invid.config import CellConfig
+from invid.likelihood.covariance import physical_covariance
+from invid.likelihood.levenberg_marquardt import Solution
+from invid.likelihood.nuisance.torque_lags import reversal_lags, with_coulomb
+from invid.likelihood.records import problem_from_spectra
+from invid.likelihood.residual import MissingTorqueProblem
+from invid.model.chains import CoupledChains
+from invid.model.document import parameter_vector
+from invid.model.parameters import ChainStructure, structure_of
+from invid.numerics.arrays import Bool, Float64, frozen_float
+from invid.planning.belief import Belief
+from invid.planning.model import Plan, PlannedExperiment
+from invid.planning.response import Motion, foretold_motion, hold_gains
+from invid.recording.model import Experiment, Kind, Recording, Role
+from invid.signals.spectra import LineSpectra, spectra_of
+
+COUPLING_SHARE = 0.1
+"""A coupling's uncertainty is taken relative to its value, or to this share of √(m_i·m_j) of the masses it
+joins where that is more: one per cent of a coupling of zero cannot be reached by anybody."""
+ASSUMED_TORQUE_NOISE = 0.005
+"""Noise of 0x6077 as a share of rated torque where nothing is known (the case of the notes)."""
+ASSUMED_COUNTS = 2**17
+"""Encoder counts per turn where nothing is known; per metre on a linear axis, 1e6."""
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """Sensors of every axis: (M,) white noise and lattice steps of position and torque."""
+
+    position: Float64
+    position_step: Float64
+    torque: Float64
+    torque_step: Float64
+    source: str
+
+
+@dataclass(frozen=True, eq=False)
+class Expected:
+    """Expected uncertainty of the structure's parameters.
+
+    Attributes
+    ----------
+    names, values, std, scale
+        (n,) in physical units; ``scale`` is what a relative uncertainty is relative to.
+    goal
+        (n,) True for the parameters that a goal is about: masses, springs, couplings.
+    covariance
+        (n, n); infinite where the plan shows nothing.
+    """
+
+    names: tuple[str, ...]
+    values: Float64
+    std: Float64
+    scale: Float64
+    goal: Bool
+    covariance: Float64
+    belief: str
+    noise: str
+    guessed: bool
+    facts: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def relative(self) -> Float64:
+        """(n,) std over scale."""
+        result: Float64 = self.std / self.scale
+        return result
+
+    @property
+    def worst(self) -> tuple[str, float]:
+        """Name and relative standard deviation of the worst parameter of the goal."""
+        relative = np.where(self.goal, self.relative, 0.0)
+        at = int(np.argmax(np.where(np.isnan(relative), np.inf, relative)))
+        return self.names[at], float(relative[at])
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values; ``null`` where the plan shows nothing of a parameter."""
+        return {
+            "belief": self.belief,
+            "guessed": self.guessed,
+            "noise": self.noise,
+            "worst": {"name": self.worst[0], "relative_std": _finite(self.worst[1])},
+            "parameters": [
+                {
+                    "name": n,
+                    "value": float(v),
+                    "std": _finite(s),
+                    "relative_std": _finite(s / c),
+                    "in_goal": bool(g),
+                }
+                for n, v, s, c, g in zip(
+                    self.names, self.values, self.std, self.scale, self.goal, strict=True
+                )
+            ],
+            **self.facts,
+        }
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def assumed_noise(config: CellConfig) -> Noise:
+    """Noise from what the config says of encoders and rated torques; the rest is assumed, and said."""
+    count = len(config.axes)
+    turn = 1.0 if config.linear else 2 * np.pi
+    counts = 1e6 if config.linear else ASSUMED_COUNTS
+    step = np.array([a.position_per_count or turn / counts for a in config.axes])
+    rated = np.array([a.rated_torque or a.limits.torque for a in config.axes])
+    said = []
+    if any(a.position_per_count is None for a in config.axes):
+        said.append(f"encoders of {counts:g} counts per {'m' if config.linear else 'turn'}")
+    if any(a.rated_torque is None for a in config.axes):
+        said.append("rated torque as the torque limit")
+    said.append(f"torque noise {ASSUMED_TORQUE_NOISE:.1%} of rated")
+    return Noise(
+        np.zeros(count),
+        frozen_float(step),
+        frozen_float(ASSUMED_TORQUE_NOISE * rated),
+        frozen_float(1e-3 * rated),
+        "assumed: " + ", ".join(said),
+    )
+
+
+def recorded_noise(recording: Recording) -> Noise:
+    """White noise as an earlier recording of the same cell shows it (quantisation is part of it)."""
+    count = recording.axis_count
+    power: list[Float64] = []
+    for e in recording.experiments:
+        if e.kind is Kind.CONSTANT_VELOCITY:
+            continue
+        s = spectra_of(e)
+        # a line of the mean over n samples carries 4σ²/n
+        power.append(s.floor * s.periods * s.position_wave.shape[0] / 4)
+    level = np.sqrt(np.median(power, axis=0)) if power else np.full(2 * count, np.nan)
+    zero = frozen_float(np.zeros(count))
+    return Noise(
+        frozen_float(level[:count]), zero, frozen_float(level[count:]), zero, f"from {recording.source}"
+    )
+
+
+def expected(
+    config: CellConfig,
+    plan: Plan | Sequence[PlannedExperiment],
+    belief: Belief,
+    noise: Noise,
+    *,
+    scale: float = 1.0,
+    seed: int = 0,
+) -> Expected:
+    """Expected covariance of a plan's identification.
+
+    ``scale`` multiplies every torque. The sensors' noise is drawn once from ``seed``: it stands for the
+    noise floor and the lattice that the spectra find in a real record, not for an outcome.
+    """
+    experiments = plan.experiments if isinstance(plan, Plan) else tuple(plan)
+    spectra = synthetic_spectra(config, experiments, belief, noise, scale=scale, seed=seed)
+    return information(belief, spectra, noise.source)
+
+
+def information(belief: Belief, spectra: Sequence[LineSpectra], noise: str = "") -> Expected:
+    """Expected covariance from spectra of noisy motion, at the believed parameters."""
+    structure = structure_of(belief.chains)
+    problem = with_coulomb(problem_from_spectra(structure, spectra), spectra)
+    problem = replace(problem, fixed=(*problem.fixed, *problem.staircase_names))
+    problem = reversal_lags(problem, believed_vector(problem, belief))
+    p = believed_vector(problem, belief)
+    residual, jacobian = problem.evaluate(p)
+    # χ² of zero: the covariance is not inflated by what this one draw of the noise happens to leave
+    at = Solution(p, "expected", 0, 0.0, problem.dof, jacobian, residual, problem.free)
+    covariance = physical_covariance(problem, at)
+    names, values = parameter_vector(belief.chains)
+    place = {n: k for k, n in enumerate(structure.names)}
+    index = np.array([place[n] for n in names])
+    covariance = covariance[np.ix_(index, index)]
+    return Expected(
+        names=names,
+        values=frozen_float(values),
+        std=frozen_float(np.sqrt(np.maximum(np.diag(covariance), 0.0))),
+        scale=frozen_float(parameter_scale(belief.chains)),
+        goal=in_goal(names),
+        covariance=frozen_float(covariance),
+        belief=belief.source,
+        noise=noise,
+        guessed=belief.guessed,
+    )
+
+
+def believed_vector(problem: MissingTorqueProblem, belief: Belief) -> Float64:
+    """The problem's parameter vector at the belief, torques held over the sample as the sweep holds them."""
+    structure = problem.structure
+    start = structure.vector(belief.chains)
+    start[structure.slices["viscous"]][: structure.motors] = belief.viscous[: structure.motors]
+    p = problem.start(start)
+    p[problem.slices["delay"]][: structure.motors] = problem.blocks[0].step / 2
+    p[problem.slices["staircase"]] = 1.0
+    for k, name in enumerate(problem.names):
+        if name.endswith(".coulomb"):
+            p[k] = belief.coulomb[structure.axes.index(name.removesuffix(".coulomb"))]
+    return p
+
+
+def in_goal(names: Sequence[str]) -> Bool:
+    """(n,) masses, springs and couplings; dampers and friction are reported, not aimed at."""
+    result: Bool = np.array([".damper." not in n and not n.endswith(".ground_spring") for n in names])
+    return result
+
+
+def parameter_scale(chains: CoupledChains) -> Float64:
+    """(n,) what each parameter's uncertainty is relative to."""
+    names, values = parameter_vector(chains)
+    scale = np.maximum(np.abs(values), 1e-300)
+    pairs = {
+        f"{a}-{b}.coupling": COUPLING_SHARE * float(np.sqrt(chains.masses[i][-1] * chains.masses[j][-1]))
+        for i, a in enumerate(chains.axes)
+        for j, b in enumerate(chains.axes)
+    }
+    return np.array([max(v, pairs.get(n, 0.0)) for n, v in zip(names, scale, strict=True)])
+
+
+def synthetic_spectra(
+    config: CellConfig,
+    experiments: Sequence[PlannedExperiment],
+    belief: Belief,
+    noise: Noise,
+    *,
+    scale: float = 1.0,
+    seed: int = 0,
+) -> tuple[LineSpectra, ...]:
+    """Spectra of the planned records that an identification would use."""
+    rng = np.random.default_rng(seed)
+    found = []
+    for e in experiments:
+        if e.role is not Role.IDENTIFY or e.kind is Kind.CONSTANT_VELOCITY:
+            continue
+        motion = foretold_motion(config, e, belief, scale=scale)
+        found.append(spectra_of(synthetic_experiment(config, e, belief, motion, noise, rng)))
+    return tuple(found)
+
+
+def synthetic_experiment(
+    config: CellConfig,
+    planned: PlannedExperiment,
+    belief: Belief,
+    motion: Motion,
+    noise: Noise,
+    rng: np.random.Generator,
+) -> Experiment:
+    """The record of a planned experiment as its sensors would show it."""
+    rows = slice(planned.record_from, planned.record_to)
+    position, torque = motion.position[rows], motion.torque[rows]
+    seen = position + noise.position * rng.standard_normal(position.shape)
+    felt = torque + noise.torque * rng.standard_normal(torque.shape)
+    gains, _ = hold_gains(config, planned, belief)
+    demand = torque.copy()
+    for i, axis in enumerate(config.axes):
+        if i not in planned.excited and axis.hold.mode == "drive":
+            gains[i], demand[:, i] = np.nan, 0.0
+    cycle = config.bus.cycle_s
+    return Experiment(
+        key=planned.key,
+        kind=planned.kind,
+        role=planned.role,
+        excited_axis=planned.excited_axis,
+        hold_gain=frozen_float(gains),
+        period_samples=planned.period_samples,
+        frequencies_hz=planned.frequencies_hz,
+        sample_rate_hz=1.0 / cycle,
+        time=frozen_float(np.arange(position.shape[0]) * cycle),
+        position=frozen_float(_on_lattice(seen, noise.position_step)),
+        torque=frozen_float(_on_lattice(felt, noise.torque_step)),
+        torque_demand=frozen_float(demand),
+    )
+
+
+def _on_lattice(values: Float64, step: Float64) -> Float64:
+    safe = np.where(step > 0, step, 1.0)
+    result: Float64 = np.where(step > 0, np.round(values / safe) * safe, values)
+    return result
+
+
+__all__ = [
+    "ChainStructure",
+    "Expected",
+    "Noise",
+    "assumed_noise",
+    "expected",
+    "in_goal",
+    "information",
+    "parameter_scale",
+    "recorded_noise",
+    "synthetic_spectra",
+]

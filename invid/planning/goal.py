@@ -1,0 +1,225 @@
+"""The shortest experiment that is expected to reach a stated uncertainty, in blocks.
+
+One block is one record from rest: all axes at once on interleaved lines, crest factor low, amplitude by
+frequency from ``invid.planning.design`` where a model is known. After each block whoever runs the plan
+looks at the measured covariance and stops as soon as it is there; amplitude rises from block to block
+up to the limits, and blocks of reserve follow the expected ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from invid.config import CellConfig
+from invid.errors import ConfigError
+from invid.planning.belief import Belief
+from invid.planning.blocks import FRICTION_FACTOR, BlockDesigner
+from invid.planning.budget import require_budget
+from invid.planning.build import REST_S
+from invid.planning.expected_covariance import Expected, Noise
+from invid.planning.forecast import forecast_motion, turning_back
+from invid.planning.model import Plan, PlannedExperiment
+
+BLOCKS_S = (5.0, 6.5, 8.0, 10.0, 13.0, 16.0, 20.0)
+"""Lengths of a block. Shorter than 5 s the lines lie so far apart that a fit from nothing may miss a
+resonance (empirical, modes of 4 to 8 Hz); they scale with the lowest frequency below 0.5 Hz."""
+LADDER = (0.25, 0.35, 0.5, 0.7, 1.0)
+"""Amplitudes tried, as shares of the largest allowed."""
+MARGIN = 0.9
+"""The expected uncertainty must be this much below the goal: the measured one scatters about it."""
+SURELY = 2.0
+"""A block expected to miss the goal by this factor is not worked out: longer ones resolve more, too."""
+RESERVE = 2
+"""Blocks after the expected ones, at the largest amplitude."""
+
+
+@dataclass(frozen=True, eq=False)
+class GoalPlan:
+    """A plan with what it is expected to reach after each block."""
+
+    plan: Plan
+    goal: float
+    needed: int
+    """Blocks after which the goal is expected to be met; all of them where it is not."""
+    reachable: bool
+    expected: Expected
+    """Expected covariance after ``needed`` blocks."""
+    binding: tuple[str, ...]
+    amplitudes: tuple[float, ...]
+    """Share of the torque limit of each block."""
+    about: str = "every mass, spring and coupling"
+    """What the goal is about, in words."""
+
+    @property
+    def expected_s(self) -> float:
+        """Robot time until the goal is expected to be met, trials of the signs apart [s]."""
+        cycles = sum(e.cycles for e in self.plan.experiments[: self.needed])
+        return cycles * self.plan.cycle_s + self.needed * self.plan.rest_s
+
+    @property
+    def sentence(self) -> str:
+        """What a person wants to know first."""
+        name, worst = self.expected.worst
+        if self.reachable:
+            return (
+                f"{self.goal:.2g} of {self.about} expected after {self.needed} of "
+                f"{len(self.plan.experiments)} blocks, {self.expected_s:.0f} s (worst: {name}, {worst:.2g})"
+            )
+        if not np.isfinite(worst):
+            return (
+                f"{self.goal:.2g} is not expected: {name} is not seen by this plan at all; excite every axis"
+            )
+        return (
+            f"{self.goal:.2g} is not expected within the limits: {name} would reach "
+            f"{worst:.2g} in {self.plan.duration_s:.0f} s; what binds: {', '.join(self.binding)}"
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return {
+            "goal": self.goal,
+            "reachable": self.reachable,
+            "blocks_needed": self.needed,
+            "blocks_planned": len(self.plan.experiments),
+            "expected_s": self.expected_s,
+            "amplitudes": list(self.amplitudes),
+            "binding": list(self.binding),
+            "summary": self.sentence,
+        }
+
+
+def plan_for_goal(
+    config: CellConfig,
+    belief: Belief,
+    noise: Noise,
+    goal: float,
+    *,
+    axes: Sequence[str] | None = None,
+    amplitude_scale: float = 1.0,
+    max_duration_s: float = 120.0,
+    names: Sequence[str] | None = None,
+    band: tuple[float, float] | None = None,
+    seed: int = 1,
+) -> GoalPlan:
+    """The shortest plan that is expected to reach ``goal`` (relative standard deviation).
+
+    Parameters
+    ----------
+    axes
+        Excite only these.
+    names
+        Parameters that the goal is about; default all masses, springs and couplings.
+    band
+        Frequencies to excite [Hz]; default those of the config's multisines.
+
+    Raises
+    ------
+    ConfigError
+        A goal that is none, an axis that is not there, a bus over its budget.
+    """
+    if not 0 < goal < 1:
+        raise ConfigError(f"goal is {goal:g}; give a relative uncertainty such as 1% or 0.01")
+    known = tuple(a.name for a in config.axes)
+    unknown = [n for n in axes or () if n not in known]
+    if unknown:
+        raise ConfigError(f"axes: no axis {unknown[0]!r} in the config; it has {', '.join(known)}")
+    excited = tuple(i for i, n in enumerate(known) if axes is None or n in axes)
+    designer = BlockDesigner(config, belief, noise, excited, amplitude_scale, names, seed, band)
+    budget = require_budget(config)
+
+    def plan_of(blocks: Sequence[PlannedExperiment]) -> Plan:
+        numbered = tuple(replace(e, key=f"{k:03d}") for k, e in enumerate(blocks))
+        return Plan(
+            known, config.bus.cycle_s, numbered, REST_S, budget, forecast_motion(config, numbered, belief)
+        )
+
+    lengths = [t * max(1.0, 0.5 / designer.band[0]) for t in BLOCKS_S]
+    lengths = [t for t in lengths if t + REST_S <= max_duration_s] or [max(max_duration_s - REST_S, 1.0)]
+    best: tuple[list[PlannedExperiment], Expected] | None = None
+    first = 0.0
+    for length in lengths:
+        # Information grows with the length: what is expected of the shortest says which ones cannot do.
+        if first * np.sqrt(lengths[0] / length) > SURELY * goal and length != lengths[-1]:
+            continue
+        blocks = [designer.block(length, 0, 1.0)]
+        reached = designer.expected(blocks)
+        best = (blocks, reached)
+        first = first or reached.worst[1]
+        if reached.worst[1] <= MARGIN * goal:
+            return _finish(designer, blocks, reached, length, goal, plan_of, max_duration_s)
+    blocks, reached = best if best is not None else ([], designer.expected([]))
+    length = lengths[-1]
+    while MARGIN * goal < reached.worst[1] < np.inf:
+        # information adds up over blocks: the number that is missing, at once
+        more = max(1, int(np.ceil(len(blocks) * (reached.worst[1] / (MARGIN * goal)) ** 2)) - len(blocks))
+        room = int(max_duration_s // (length + REST_S)) - len(blocks)
+        if min(more, room) <= 0:
+            break
+        blocks += [designer.block(length, len(blocks) + k, 1.0) for k in range(min(more, room))]
+        reached = designer.expected(blocks)
+    return _finish(designer, blocks, reached, length, goal, plan_of, max_duration_s)
+
+
+def informative_band(
+    config: CellConfig, belief: Belief, noise: Noise, names: Sequence[str], axes: Sequence[str]
+) -> tuple[float, float]:
+    """The frequencies [Hz] that tell about the named parameters when ``axes`` are excited."""
+    excited = tuple(i for i, a in enumerate(config.axes) if a.name in axes)
+    return BlockDesigner(config, belief, noise, excited, 1.0, names, 0).informative(BLOCKS_S[-1])
+
+
+def _finish(
+    designer: BlockDesigner,
+    blocks: list[PlannedExperiment],
+    reached: Expected,
+    length: float,
+    goal: float,
+    plan_of: Any,
+    max_duration_s: float,
+) -> GoalPlan:
+    """Lowest amplitude that does, then rising ones, then reserve."""
+    reachable = reached.worst[1] <= goal
+    rungs = [1.0] * len(blocks)
+    if reachable and len(blocks) == 1:
+        for rung in LADDER[:-1]:
+            low = designer.peaks(rung)
+            if any(low[i] < FRICTION_FACTOR * designer.belief.coulomb[i] for i in designer.excited):
+                continue
+            trial = [designer.block(length, 0, rung)]
+            found = designer.expected(trial)
+            if found.worst[1] <= MARGIN * goal:
+                blocks, reached, rungs = trial, found, [rung]
+                break
+    needed = len(blocks)
+    for _ in range(RESERVE):
+        if reachable and (len(blocks) + 1) * (length + REST_S) <= max_duration_s:
+            higher = [r for r in LADDER if r > rungs[-1]]
+            rungs.append(higher[min(1, len(higher) - 1)] if higher else 1.0)
+            blocks = [*blocks, designer.block(length, len(blocks), rungs[-1])]
+    binding = sorted(designer.touched)
+    if not reachable and np.isfinite(reached.worst[1]):
+        if not binding or designer.reduced.min() > 0.99:
+            name = reached.worst[0].split(".")[0].split("-")[0]
+            binding.append(f"torque limit of {name}")
+        binding.append(f"duration of {max_duration_s:g} s")
+    plan = plan_of(blocks)
+    return GoalPlan(
+        plan=replace(
+            plan,
+            warnings=(
+                *designer.warnings(rungs[0]),
+                *turning_back(designer.config, blocks[0], designer.belief),
+            ),
+        ),
+        goal=goal,
+        needed=needed,
+        reachable=reachable,
+        expected=reached,
+        binding=tuple(binding),
+        amplitudes=tuple(r * designer.share for r in rungs),
+        **({} if designer.names is None else {"about": f"the {len(designer.names)} parameters asked for"}),
+    )

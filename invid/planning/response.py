@@ -1,0 +1,140 @@
+"""The motion that a planned experiment will cause on a believed plant, before anything moves.
+
+The loop is closed as the sweep closes it: excitation held over each sample, and a PD hold on every
+axis. It is solved on lines of the shifted Laplace plane s = σ + jω: with σ·T = 14 what wraps round the
+record's end is a millionth, rounding errors 1e-10, and a record from rest needs no padding. Coulomb
+friction enters as a torque of its own, iterated, since its sign follows the motion that it changes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from invid.config import CellConfig
+from invid.model.chains import CoupledChains
+from invid.numerics.arrays import Complex128, Float64
+from invid.planning.belief import Belief
+from invid.planning.hold_laws import centring, following, master_hold
+from invid.planning.model import PlannedExperiment
+from invid.recording.model import Kind
+
+SHIFT = 14.0
+PAD = 0.05
+"""Share of the record that is worked out beyond its end."""
+ITERATIONS, RELAXATION = 8, 0.6
+"""Of the friction torque. Empirical: converged to 1 % where friction is below half of the peak."""
+DRIVE_HOLD_HZ = 10.0
+"""Bandwidth believed of a position loop inside a drive (with its damping ratio of 0.7)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """What a record would hold without noise; all (n, M), from the first cycle at rest.
+
+    ``torque`` is what acts on the motor: excitation and hold.
+    """
+
+    position: Float64
+    velocity: Float64
+    torque: Float64
+
+
+def lowest_line(experiment: PlannedExperiment) -> float:
+    """Lowest excited frequency [Hz], which the centring hold follows."""
+    if experiment.frequencies_hz.size:
+        return float(experiment.frequencies_hz.min())
+    return float(experiment.attributes.get("band_hz", (1.0, 0.0))[0])
+
+
+def hold_gains(config: CellConfig, experiment: PlannedExperiment, belief: Belief) -> tuple[Float64, Float64]:
+    """(M,) stiffness and (M,) damping of the hold of every axis, as the sweep sets them."""
+    cycle = config.bus.cycle_s
+    stiffness, damping = np.zeros(len(config.axes)), np.zeros(len(config.axes))
+    for i, axis in enumerate(config.axes):
+        if i in experiment.excited:
+            inertia = axis.inertia if axis.inertia is not None else float(belief.inertia[i])
+            gains = (
+                following(inertia, cycle)
+                if experiment.kind is Kind.CONSTANT_VELOCITY
+                else centring(inertia, lowest_line(experiment), cycle)
+            )
+            stiffness[i], damping[i] = gains.stiffness, gains.damping
+            continue
+        held = master_hold(axis, cycle)
+        if held is not None:
+            stiffness[i], damping[i] = held.stiffness, held.damping
+        else:
+            omega = 2 * np.pi * DRIVE_HOLD_HZ
+            stiffness[i] = belief.inertia[i] * omega**2
+            damping[i] = 1.4 * belief.inertia[i] * omega
+    return stiffness, damping
+
+
+def foretold_motion(
+    config: CellConfig, experiment: PlannedExperiment, belief: Belief, *, scale: float = 1.0
+) -> Motion:
+    """Motion of all motors over the whole experiment, from rest."""
+    cycle, count = config.bus.cycle_s, experiment.cycles
+    stiffness, damping = hold_gains(config, experiment, belief)
+    drive = scale * experiment.torque
+    if experiment.reference is not None:
+        path = experiment.reference
+        speed = np.diff(path, axis=0, prepend=path[:1]) / cycle
+        drive = drive + stiffness * path + damping * speed
+    # The last samples would carry the ringing of the jump from the record's end to its start.
+    padded = count + max(round(PAD * count), 64)
+    drive = np.concatenate((drive, np.zeros((padded - count, drive.shape[1]))))
+    sigma = SHIFT / (padded * cycle)
+    fade = np.exp(-sigma * cycle * np.arange(padded))[:, None]
+    omega = 2 * np.pi * np.fft.rfftfreq(padded, cycle)
+    # Ten times the band holds the harmonics of friction that still move a mass.
+    top = max(10 * float(experiment.frequencies_hz.max(initial=5.0)), 100.0)
+    keep = omega <= 2 * np.pi * min(top, 0.45 / cycle)
+    s: Complex128 = np.asarray(sigma + 1j * omega[keep], dtype=np.complex128)
+    held = np.exp(-s * cycle / 2) * np.sinc(1j * s * cycle / 2 / np.pi)  # (1 − e^{−sh})/(sh)
+    law = stiffness + damping * s[:, None]
+    plant = _stiffness(belief.chains, belief.viscous, s)
+    index = np.arange(law.shape[1])
+    plant[:, index, index] += held[:, None] * law
+    answer = np.linalg.inv(plant)
+
+    def spectrum(values: Float64) -> Complex128:
+        found: Complex128 = np.fft.rfft(values * fade, axis=0)[keep]
+        return found
+
+    def wave(values: Complex128) -> Float64:
+        full = np.zeros((omega.size, values.shape[1]), dtype=complex)
+        full[keep] = values
+        found: Float64 = np.fft.irfft(full, n=padded, axis=0) / fade
+        return found
+
+    commanded = held[:, None] * spectrum(drive)
+    friction = np.zeros_like(drive)
+    motion = np.einsum("fij,fj->fi", answer, commanded)
+    if belief.coulomb.any():
+        for _ in range(ITERATIONS):
+            velocity = wave(s[:, None] * motion)
+            smooth = 1e-3 * np.maximum(np.sqrt(np.mean(velocity**2, axis=0)), 1e-300)
+            new = -belief.coulomb * np.tanh(velocity / smooth)
+            friction = new if not friction.any() else friction + RELAXATION * (new - friction)
+            motion = np.einsum("fij,fj->fi", answer, commanded + spectrum(friction))
+    position, velocity = wave(motion), wave(s[:, None] * motion)
+    torque = drive - stiffness * position - damping * velocity
+    return Motion(position[:count], velocity[:count], torque[:count])
+
+
+def _stiffness(chains: CoupledChains, viscous: Float64, s: Complex128) -> Complex128:
+    """(F, M, M) condensed motor stiffness at complex frequencies s [1/s], motor friction included."""
+    outer = chains.motor_dofs
+    damping = np.array(chains.damping_matrix)
+    damping[outer, outer] += viscous
+    mass = chains.mass_matrix
+    full = chains.stiffness_matrix + s[:, None, None] * damping + (s**2)[:, None, None] * mass
+    inner = np.setdiff1d(np.arange(mass.shape[0]), outer)
+    result: Complex128 = full[:, outer[:, None], outer]
+    if inner.size:
+        across = full[:, inner[:, None], outer]
+        result = result - across.transpose(0, 2, 1) @ np.linalg.solve(full[:, inner[:, None], inner], across)
+    return result

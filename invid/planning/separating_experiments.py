@@ -1,0 +1,198 @@
+"""The experiments that would tell the alternatives of a diagnosis apart, within a config's own limits.
+
+Pure: diagnosis document and config in, config with other experiments out. They run through the normal
+measurement, with its forecast, trial and limits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from invid.config import CellConfig, ConstantVelocitySpec, MultisineSpec
+from invid.errors import InputError
+
+Spec = MultisineSpec | ConstantVelocitySpec
+
+FRICTION = {
+    "coulomb_friction",
+    "viscous_friction",
+    "stribeck_friction",
+    "presliding_friction",
+    "asymmetric_friction",
+}
+POSITION = {"cogging", "gravity", "torque_offset", "encoder_eccentricity", "transmission_error"}
+AMPLITUDE = {"cubic_stiffness", "backlash", "spring_hysteresis", "torque_saturation"}
+BAND = {"torque_delay", "torque_lag"}
+LINES = {"extra_mode", "coupling_stiffness"}
+TIME = {"payload_change", "parameter_drift"}
+BY_HAND = {"torque_gain", "dropped_samples", "spring_damping"}
+
+LEVELS = (1.0, 0.4, 0.15)
+"""Amplitudes of a ladder, of the config's: a factor of 2.5 each, over which dry friction, free play and a
+cubic spring change their share of the torque by as much or by its square."""
+SPEEDS = (0.01, 0.03, 0.1, 0.3)
+"""Speeds of slow moves, of the axis's velocity limit: half a decade each, as a Stribeck curve asks for."""
+ROOM = 0.7
+"""Share of the limits that slow moves use; the plan refuses above 0.8."""
+HIGHEST = 0.1
+"""Highest line over the cycle rate that the plan takes."""
+
+
+@dataclass(frozen=True)
+class Separation:
+    """What to run and why."""
+
+    config: CellConfig
+    sentences: tuple[str, ...]
+    """What each part is for, in words; what only a person can do."""
+
+
+def to_separate(document: Mapping[str, Any], config: CellConfig) -> Separation:
+    """The config with the experiments that tell the alternatives of a diagnosis apart.
+
+    Raises
+    ------
+    InputError
+        No diagnosis, of another robot's axes, nothing to separate, or only what a machine cannot do.
+    """
+    if document.get("format") != "invid-diagnosis":
+        raise InputError(
+            f"--separate wants a diagnosis (format 'invid-diagnosis'), found {document.get('format')!r}; "
+            "write one with 'invid diagnose REC.h5 -o DIAGNOSIS.json'"
+        )
+    names = [a.name for a in config.axes]
+    findings = document.get("findings")
+    specs: list[Spec] = []
+    runs: list[list[Spec]] = []
+    sentences: list[str] = []
+    open_ = [f for f in findings if _causes(f)] if isinstance(findings, list | tuple) else []
+    if not open_:
+        raise InputError(
+            "the diagnosis has nothing to separate: no finding has alternatives that these data cannot "
+            "tell from it"
+        )
+    for finding in open_:
+        axis, causes = finding.get("axis"), _causes(finding)
+        if axis not in names:
+            raise InputError(f"the diagnosis is of an axis {axis!r}; the config has {', '.join(names)}")
+        made, said = _for_causes(config, str(axis), causes)
+        if made not in runs:
+            runs.append(made)
+            specs += made
+        sentences += [s for s in said if s not in sentences]
+    if not specs:
+        raise InputError(f"no measurement of the drives alone separates these causes: {' '.join(sentences)}")
+    specs.append(_validation(config))
+    return Separation(config.model_copy(update={"experiments": specs}), tuple(sentences))
+
+
+def _causes(finding: Any) -> set[str]:
+    """Causes that compete for one finding; empty where it stands alone."""
+    if not isinstance(finding, Mapping):
+        return set()
+    planned = finding.get("separating_experiment")
+    rivals = finding.get("alternatives") or []
+    named = {str(r.get("cause")) for r in rivals if isinstance(r, Mapping)}
+    if isinstance(planned, Mapping) and isinstance(planned.get("separates"), list | tuple):
+        named |= {str(c) for c in planned["separates"]}
+    if not named:
+        return set()
+    return named | {str(finding.get("cause"))}
+
+
+def _base(config: CellConfig) -> MultisineSpec:
+    """The config's own identifying multisine, or the default one."""
+    own = [e for e in config.experiments if isinstance(e, MultisineSpec)]
+    identify = [e for e in own if e.role == "identify"]
+    base = (identify or own or [MultisineSpec(kind="multisine")])[0]
+    return base.model_copy(update={"role": "identify", "axes": None})
+
+
+def _validation(config: CellConfig) -> MultisineSpec:
+    """Held out: another realisation at a level in between."""
+    base = _base(config)
+    level = 0.6 * base.amplitude
+    return base.model_copy(
+        update={"role": "validate", "experiments": 1, "seed": base.seed + 101, "amplitude": level}
+    )
+
+
+def _ladder(config: CellConfig, levels: Sequence[float] = LEVELS) -> list[Spec]:
+    base = _base(config)
+    return [
+        base.model_copy(
+            update={
+                "experiments": 1 if k else base.experiments,
+                "seed": base.seed + 11 + k,
+                "amplitude": level * base.amplitude,
+            }
+        )
+        for k, level in enumerate(levels)
+    ]
+
+
+def _for_causes(config: CellConfig, axis: str, causes: set[str]) -> tuple[list[Spec], list[str]]:
+    specs: list[Spec] = []
+    said: list[str] = []
+    limits = next(a.limits for a in config.axes if a.name == axis)
+    base, rate = _base(config), 1.0 / config.bus.cycle_s
+    unit = "m" if config.linear else "rad"
+    if causes & FRICTION:
+        speeds = tuple(round(ROOM * s * limits.velocity, 9) for s in SPEEDS)
+        specs += _ladder(config)
+        specs.append(
+            ConstantVelocitySpec(
+                kind="constant_velocity", axes=(axis,), velocities=speeds, travel=_travel(limits, speeds, 0.3)
+            )
+        )
+        said.append(
+            f"Friction of {axis}: the same excitation at {len(LEVELS)} amplitudes, and slow moves in both "
+            f"directions at {', '.join(f'{v:.3g}' for v in speeds)} {unit}/s."
+        )
+    if causes & POSITION:
+        speed = round(ROOM * 0.3 * limits.velocity, 9)
+        travel = round(2.0 * ROOM * limits.position, 9)
+        specs += _ladder(config, (1.0, 0.4))
+        specs.append(
+            ConstantVelocitySpec(kind="constant_velocity", axes=(axis,), velocities=(speed,), travel=travel)
+        )
+        said.append(
+            f"What depends on the position of {axis}: a slow move over {travel:.3g} {unit}, both ways, and "
+            "two amplitudes. Positions farther apart than the window allows need a start from another pose."
+        )
+    if causes & AMPLITUDE:
+        specs += _ladder(config)
+        said.append(f"What depends on the amplitude of {axis}: the same excitation at {len(LEVELS)} levels.")
+    if causes & BAND:
+        top = round(min(HIGHEST * rate, 2.5 * base.band_Hz[1]), 6)
+        specs.append(base.model_copy(update={"band_Hz": (base.band_Hz[0], top), "seed": base.seed + 21}))
+        said.append(
+            f"Delay or lag of {axis}: a band up to {top:.3g} Hz, where a lag loses amplitude and a "
+            "delay does not."
+        )
+    if causes & LINES:
+        specs.append(
+            base.model_copy(update={"period_s": min(2.0 * base.period_s, 600.0), "seed": base.seed + 31})
+        )
+        said.append(f"Resonance at {axis}: lines twice as close.")
+    if causes & TIME:
+        again = [base.model_copy(update={"seed": base.seed + 41 + k, "experiments": 1}) for k in range(3)]
+        specs += [base, *again, base]
+        said.append("What changes with time: the first experiment again at the end.")
+    hand = sorted(causes & BY_HAND)
+    if hand:
+        said.append(
+            f"torque_gain on {axis}: hang a known weight on a lever and compare the torque; no motion shows "
+            "it."
+            if hand == ["torque_gain"]
+            else f"{', '.join(hand)} on {axis}: no experiment of the drives shows it."
+        )
+    return specs, said
+
+
+def _travel(limits: Any, speeds: Sequence[float], seconds: float) -> float:
+    """Long enough for the fastest move to last, short enough for the window."""
+    longest = 2.0 * ROOM * float(limits.position)
+    return round(min(longest, max(10 * seconds * max(speeds), 1e-6)), 9)

@@ -1,0 +1,190 @@
+"""The fit of a large motion: everything that identification and diagnosis share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from invid.errors import NotIdentifiableError
+from invid.numerics.arrays import Float64
+from invid.recording.model import Recording
+from invid.rigid_motion.load_friction import load_terms
+from invid.rigid_motion.record_kind import grounded_axes
+from invid.rigid_motion.regression import Design, Fit, fit
+from invid.rigid_motion.regressors import Extent, Term, base_terms, candidate_terms, extent
+from invid.rigid_motion.selection import Selection, consistent, fit_fast, judged, needed, pruned, select
+from invid.signals.motion_record import Band, Motion, find_band, prepare
+
+
+@dataclass(frozen=True, eq=False)
+class Analysis:
+    """A recording analysed: base model, selected causes, rows, band."""
+
+    recording: Recording
+    band: Band
+    motions: list[Motion]
+    design: Design
+    reach: Extent
+    springs: set[int]
+    candidates: list[Term]
+    selection: Selection
+    base: Fit
+    final: Fit
+    shape_std: dict[Term, float]
+
+
+def analyse(recording: Recording) -> Analysis:
+    """Fit the base model that suits the data, then every cause the data ask for.
+
+    Raises
+    ------
+    NotIdentifiableError
+        Where nothing moves enough for any row, or an inertia comes out negative.
+    """
+    band = find_band(recording.experiments)
+    motions = [prepare(e, band) for e in recording.experiments]
+    if sum(int(m.keep.sum()) for m in motions) < 12:
+        raise NotIdentifiableError(
+            f"{recording.source}: the axes move in too little of the record (fewer than 12 rows); record "
+            f"longer moves"
+        )
+    motions = [m for m in motions if m.keep.any()]
+    design = Design(motions)
+    reach = extent(motions, not recording.linear)
+    springs = grounded_axes(recording)
+    base = base_terms(recording.axis_count, reach.steady)
+    base += [Term("ground_spring", i, ("stiffness",), base=True) for i in sorted(springs)]
+    candidates = candidate_terms(recording.axis_count, reach, springs)
+    if not reach.steady:
+        design.bend(_offsets(design, base, candidates))
+    chosen = select(design, base, candidates)
+    terms, spread = _refined(design, chosen.final)
+    terms = _delays(design, terms, max(m.step for m in motions))
+    final, kept = consistent(design, terms)
+    if len(kept) < len(terms):
+        # What stood only beside what went goes as well.
+        final, kept = pruned(design, kept)
+    terms = kept
+    candidates += [t for t in load_terms(final, design) if not any(t.label == n.label for n in terms)]
+    rigid = fit(design, [t for t in final.terms if t.base])
+    return Analysis(
+        recording, band, motions, design, reach, springs, candidates, chosen, rigid, final, spread
+    )
+
+
+def _offsets(design: Design, base: list[Term], candidates: list[Term]) -> Float64:
+    """(M,) time offset of each axis, every cause that is linear beside it; within a sample [s]."""
+    plain = [t for t in candidates if t.shape is None and not t.replaces]
+    quick = fit(design, [*base, *plain])
+    step = max(m.step for m in design.motions)
+    late = np.zeros(design.axes)
+    for term in base:
+        if term.cause == "time_offset":
+            late[term.axis] = np.clip(quick.of(term)[0][0], -step, step)
+    return late
+
+
+def _delays(design: Design, terms: list[Term], step: float) -> list[Term]:
+    """Time offsets beyond a sample are no convention: a cause where the data insist, else taken out."""
+    current = fit(design, terms)
+    for term in [t for t in terms if t.cause == "time_offset"]:
+        value, std = current.of(term)
+        if abs(value[0]) <= step + 2 * std[0]:
+            continue
+        without = fit(design, [t for t in terms if t is not term])
+        believed = needed(design, without, current) and _takes_all(design, without, current)
+        if believed and _late_while_moving(design, terms, term, step):
+            terms = [replace(t, cause="torque_delay", base=False) if t is term else t for t in terms]
+        else:
+            terms = without.terms
+        current = fit(design, terms)
+    return terms
+
+
+def _takes_all(design: Design, without: Fit, current: Fit) -> bool:
+    """Whether nine tenths of what is missing beyond noise goes with the delay.
+
+    In closed loop whatever else is missing shows in the torque as well, a little later. A delay that leaves
+    more may be the disguise of it.
+    """
+    rows = judged(design)
+    noise = float(np.sum(design.noise[rows]))
+    before, after = (float(np.sum(f.held_out[rows] ** 2)) for f in (without, current))
+    return after - noise < 0.1 * (before - noise)
+
+
+def _late_while_moving(design: Design, terms: list[Term], term: Term, step: float) -> bool:
+    """Whether the torque is late also where no axis stands or turns round near by.
+
+    An axis that sticks before it turns, where the model's friction changes sign with the velocity, looks late
+    by as long as it sticks. That is friction, not the actuator.
+    """
+    rows = design.far & ~design.validate if design.has_validation else design.far
+    if rows.sum() < 5 * sum(len(t.names) for t in terms):
+        return False
+    weight = design.weight.copy()
+    design.weight = np.where(design.far, weight, 0.0)
+    try:
+        result = fit(design, terms)
+    finally:
+        design.weight = weight
+    value, std = result.of(term)
+    share = rows.sum() / max((~design.validate).sum(), 1)
+    return bool(abs(value[0]) > step + 3 * std[0] / np.sqrt(share))
+
+
+def _refined(design: Design, result: Fit) -> tuple[list[Term], dict[Term, float]]:
+    """Shape parameters between the grid points, with standard deviations from the cost's curvature."""
+    terms = list(result.terms)
+    spread: dict[Term, float] = {}
+    for i, term in enumerate(terms):
+        if term.shape is None:
+            continue
+        index, start = i, term.shape
+
+        def cost(log_shape: float, index: int = index, term: Term = term) -> float:
+            trial = [*terms]
+            trial[index] = replace(term, shape=float(np.exp(log_shape)))
+            return fit_fast(design, trial, 1.0).cost
+
+        low, high = float(np.log(start / 3)), float(np.log(start * 3))
+        found = minimize_scalar(cost, bounds=(low, high), method="bounded", options={"xatol": 1e-3})
+        terms[i] = replace(term, shape=float(np.exp(found.x)))
+        h = 0.1
+        curvature = (cost(found.x + h) - 2 * found.fun + cost(found.x - h)) / h**2
+        variance = 2 * found.fun / max(curvature, 1e-300) / max(result.effective, 1.0)
+        spread[terms[i]] = (
+            float(terms[i].shape or 0.0) * float(np.sqrt(variance)) if curvature > 0 else np.inf
+        )
+    return terms, spread
+
+
+def row_floor(analysis: Analysis) -> Float64:
+    """(rows,) variance that white noise of torque and position alone leaves in each row."""
+    design, band = analysis.design, analysis.band
+    variance = design.noise.copy()
+    for term in analysis.final.terms:
+        if term.cause != "inertia":
+            continue
+        mass = float(analysis.final.of(term)[0][0])
+        own = design.axis == term.axis
+        accelerating: Float64 = band.noise(2, band.rows_hz)
+        variance[own] += mass**2 * float(accelerating[term.axis])
+    return variance
+
+
+def counts_at_most(analysis: Analysis) -> Float64:
+    """(M,) rms torque that the steps of the encoder may leave in the rows.
+
+    At a constant speed the rounding is no white noise but a tone, at whatever frequency the sampling folds it
+    to: at worst all of it, count²/12, at the cut-off.
+    """
+    count: Float64 = np.max([m.counts for m in analysis.motions], axis=0)
+    most = np.zeros_like(count)
+    for term in analysis.final.terms:
+        if term.cause == "inertia":
+            bent = (2 * np.pi * analysis.band.rows_hz[term.axis]) ** 2 * count[term.axis] / np.sqrt(12.0)
+            most[term.axis] = abs(float(analysis.final.of(term)[0][0])) * bent
+    return most

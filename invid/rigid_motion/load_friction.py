@@ -1,0 +1,75 @@
+"""Friction that grows with the load: coefficient·|load|·sign(v).
+
+The load is the torque that the rest of the model asks of the joint: its weight alone, or weight and inertia
+(what a gear or a screw hands on; Hamon, Gautier, Garrec, "Dynamic identification of robots with a dry
+friction model depending on load and velocity", ICRA 2010). It is known only once the rest is fitted, so the
+coefficient is found in turns with it. Where the load hardly varies, such friction is Coulomb friction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from invid.numerics.arrays import Float64
+from invid.rigid_motion.regression import Design, Fit, fit
+from invid.rigid_motion.regressors import Term, load_on
+
+CAUSE = "load_dependent_friction"
+VARIES = 0.1
+"""Spread of |load| over its mean below which it counts as constant: |load|·sign(v) is then Coulomb friction
+to a tenth, which no cause that must remove a tenth of the residual can be told from."""
+_WEIGHT = ("gravity",)
+_WHOLE = ("gravity", "inertia", "coupling", "configuration", "torque_offset")
+_ROUNDS, _SETTLED = 8, 1e-4
+
+
+def load_terms(current: Fit, design: Design) -> list[Term]:
+    """The cause on every axis whose load varies: under the weight alone, and under weight and inertia."""
+    found = []
+    for axis in range(design.axes):
+        for exponent, causes in ((0, _WEIGHT), (1, _WHOLE)):
+            term = _of(current, axis, causes, exponent)
+            if term is not None and variation(design, term) > VARIES:
+                found.append(term)
+    return found
+
+
+def _of(current: Fit, axis: int, causes: tuple[str, ...], exponent: int) -> Term | None:
+    acting = [t for t in current.terms if t.cause in causes and axis in (t.axis, t.other)]
+    if not acting:
+        return None
+    load = tuple((t, tuple(float(v) for v in current.of(t)[0])) for t in acting)
+    return Term(CAUSE, axis, ("coefficient",), ("coefficient",), exponent=exponent, load=load)
+
+
+def variation(design: Design, term: Term) -> float:
+    """Spread of |load| over its mean, over the rows' motion; 0 where constant velocity shows one load."""
+    sizes = np.concatenate([np.abs(load_on(term, m)) for m in design.motions])
+    moving = np.concatenate([np.abs(m.velocity[:, term.axis]) > m.rest[term.axis] for m in design.motions])
+    if moving.sum() < 2:
+        return 0.0
+    mean = float(sizes[moving].mean())
+    return float(sizes[moving].std()) / mean if mean > 0 else 0.0
+
+
+def settled(design: Design, terms: list[Term]) -> list[Term]:
+    """The terms with every load as the fit beside it has it."""
+    if not any(t.cause == CAUSE for t in terms):
+        return terms
+    before: Float64 | None = None
+    for _ in range(_ROUNDS):
+        current = fit(design, terms)
+        if before is not None and np.allclose(current.value, before, rtol=_SETTLED):
+            break
+        before = current.value
+        terms = [_renewed(t, current) for t in terms]
+    return terms
+
+
+def _renewed(term: Term, current: Fit) -> Term:
+    if term.cause != CAUSE:
+        return term
+    fresh = _of(current, term.axis, _WHOLE if term.exponent else _WEIGHT, term.exponent)
+    return term if fresh is None else replace(term, load=fresh.load)

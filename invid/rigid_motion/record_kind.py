@@ -1,0 +1,182 @@
+"""Which records are large motions: what is left to the spectral chain diagnosis, and what is not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.signal import csd, find_peaks, welch
+
+from invid.errors import InvidError
+from invid.numerics.arrays import Float64
+from invid.recording.model import Kind, Recording
+from invid.rigid_motion.regression import Design, fit
+from invid.rigid_motion.regressors import Term, base_terms
+from invid.rigid_motion.selection import held_out_cost
+from invid.signals.motion_record import find_band, prepare
+from invid.signals.timebase import uniform
+
+COHERENT = 0.8
+"""Coherence above which a response is believed; of 15 averages, noise reaches 0.3 once in a hundred."""
+PROMINENCE = 1.1
+"""ln of the factor by which a resonance stands out of the response (3); empirical: friction makes none."""
+RIGID = 0.8
+"""Share of the torque, on rows kept out, that inertia, friction and gravity of a rigid axis make at
+least. Empirical: 0.97 and more on the moves of three machines, 0.67 and less on the worst axis of ten chains
+that noise or a stepped sine shook. A resonance seldom stands out of such records: it is narrower than the
+lines they have."""
+
+SHAKEN = 4.0
+"""Reversals of velocity a second from which an axis is shaken, not moved. Empirical: at most 1.8 on the moves
+of six arms of two links (one axis changes the inertia of the other, so that rigid axes alone account for a
+tenth of the torque in one), 7.8 and more on 16 chains that noise or a stepped sine shook."""
+
+
+def is_rigid_case(recording: Recording, masses: Sequence[int] | str | None) -> bool:
+    """True where the rigid model is the one to fit: a large motion, and nobody asks for more masses."""
+    rigid = masses is None or isinstance(masses, str) or all(n == 1 for n in masses)
+    return rigid and is_trajectory(recording)
+
+
+def is_trajectory(recording: Recording) -> bool:
+    """True for motions that a rigid model with gravity, friction or a spring to ground is for.
+
+    That is: velocity without position; moves and constant velocities with no resonance in sight that are no
+    shaking, or whose torque rigid axes account for; and any record whose motor has no rigid mode. Periodic
+    and swept excitation of a free axis is not.
+    """
+    experiments = recording.experiments
+    if any(e.attributes.get("position_source") == "integrated_velocity" for e in experiments):
+        return True
+    if any(e.period_samples and e.periods >= 2 for e in experiments):
+        return False
+    if recording.masses_per_axis is not None and max(recording.masses_per_axis) > 1:
+        return False
+    moves = (Kind.CONSTANT_VELOCITY, Kind.OTHER)
+    try:
+        if all(e.kind in moves for e in experiments):
+            if all(e.kind is Kind.CONSTANT_VELOCITY for e in experiments):
+                return True
+            if grounded_axes(recording):
+                return True
+            if resonance_visible(recording):
+                return False
+            return reversals(recording) < SHAKEN or rigid_share(recording) > RIGID
+        return recording.axis_count == 1 and bool(grounded_axes(recording))
+    except InvidError:
+        # Too short or too uneven even to look at: the chain diagnosis says what is missing.
+        return False
+
+
+def resonance_visible(recording: Recording) -> bool:
+    """True where some axis's response from torque to acceleration has a peak that stands out.
+
+    It must stand out in both halves of the record at the same place: the peaks that friction makes of single
+    moves do not.
+    """
+    longest = max((e for e in recording.experiments if e.kind is Kind.OTHER), key=lambda e: e.samples)
+    even = uniform(longest)
+    if even.samples < 512:
+        return False
+    acceleration = np.diff(even.position, 2, axis=0) / even.step**2
+    torque = even.torque[1:-1]
+    middle = acceleration.shape[0] // 2
+    for i in range(recording.axis_count):
+        whole = _peaks(torque[:, i], acceleration[:, i], even.step)
+        if whole.size == 0:
+            continue
+        halves = [
+            _peaks(torque[part, i], acceleration[part, i], even.step, acceleration.shape[0] // 8)
+            for part in (slice(None, middle), slice(middle, None))
+        ]
+        apart = 2.0 * 8 / (acceleration.shape[0] * even.step)
+        for peak in whole:
+            if all((np.abs(half - peak) < max(apart, 0.05 * peak)).any() for half in halves):
+                return True
+    return False
+
+
+def reversals(recording: Recording) -> float:
+    """How often a second the velocity of the busiest axis changes sign, in the longest record.
+
+    Beyond a tenth of its rms: an encoder at rest flickers.
+    """
+    longest = max(recording.experiments, key=lambda e: e.samples)
+    even = uniform(longest)
+    most = 0.0
+    for position in even.position.T:
+        velocity = np.diff(position)
+        sign = np.sign(velocity[np.abs(velocity) > 0.1 * np.sqrt(np.mean(velocity**2))])
+        most = max(most, float(np.count_nonzero(np.diff(sign))) / (velocity.size * even.step))
+    return most
+
+
+def rigid_share(recording: Recording) -> float:
+    """Share of the torque's power that rigid axes with friction and gravity account for, on rows kept out.
+
+    Of the axis of which least is.
+    """
+    design = Design([prepare(e, find_band(recording.experiments)) for e in recording.experiments])
+    count = recording.axis_count
+    terms = base_terms(count, steady=False)
+    for i in range(count):
+        terms += [Term("viscous_friction", i, ("coefficient",)), Term("coulomb_friction", i, ("torque",))]
+        terms.append(Term("torque_offset", i, ("torque",)))
+        if not recording.linear:
+            terms.append(Term("gravity", i, ("sine", "cosine")))
+    left = fit(design, terms).held_out
+    shares = []
+    for i in range(count):
+        rows = design.axis == i
+        power = float(np.mean(design.torque[rows] ** 2))
+        shares.append(1.0 - float(np.mean(left[rows] ** 2)) / power if power > 0 else 1.0)
+    return min(shares)
+
+
+def _peaks(torque: Float64, acceleration: Float64, step: float, length: int = 0) -> Float64:
+    """Frequencies [Hz] of the peaks that stand out of the response where it is coherent."""
+    length = length or acceleration.size // 8
+    frequency, cross = csd(torque, acceleration, 1 / step, nperseg=length)
+    _, pa = welch(acceleration, 1 / step, nperseg=length)
+    _, pt = welch(torque, 1 / step, nperseg=length)
+    coherence = np.abs(cross) ** 2 / np.maximum(pa * pt, 1e-300)
+    response = np.log(np.maximum(np.abs(cross) / np.maximum(pt, 1e-300), 1e-300))
+    seen = (coherence > COHERENT) & (frequency > 0)
+    if seen.sum() < 8:
+        return np.zeros(0)
+    peaks = find_peaks(response[seen], prominence=PROMINENCE, width=2)[0]
+    inner = peaks[(peaks > 2) & (peaks < int(seen.sum()) - 3)]
+    found: Float64 = frequency[seen][inner]
+    return found
+
+
+def grounded_axes(recording: Recording) -> set[int]:
+    """Axes that a spring holds to ground: no rigid mode, and a resonance inside the band.
+
+    The spring must leave a quarter of what friction, gravity and inertia leave, on rows kept out.
+    """
+    if all(e.kind is Kind.CONSTANT_VELOCITY for e in recording.experiments):
+        return set()
+    band = find_band(recording.experiments)
+    motions = [prepare(e, band) for e in recording.experiments]
+    design = Design(motions)
+    count = recording.axis_count
+    found: set[int] = set()
+    for i in range(count):
+        plain = [Term("inertia", j, ("mass",), base=True) for j in range(count)]
+        plain += [Term("time_offset", j, ("delay",), base=True) for j in range(count)]
+        plain += [Term("viscous_friction", i, ("coefficient",)), Term("coulomb_friction", i, ("torque",))]
+        plain += [Term("torque_offset", i, ("torque",))]
+        if not recording.linear and np.ptp(np.concatenate([m.position[:, i] for m in motions])) > 1.0:
+            plain.append(Term("gravity", i, ("sine", "cosine")))
+        spring = Term("ground_spring", i, ("stiffness",), base=True)
+        before, after = fit(design, plain), fit(design, [*plain, spring])
+        stiffness, mass = after.of(spring)[0][0], after.of(plain[i])[0][0]
+        if stiffness <= 0 or mass <= 0:
+            continue
+        own = float(np.sqrt(stiffness / mass) / (2 * np.pi))
+        slowest = 4.0 / max(e.duration for e in recording.experiments)
+        inside = slowest < own < float(band.rows_hz[i])
+        if inside and held_out_cost(design, after) < 0.25 * held_out_cost(design, before):
+            found.add(i)
+    return found

@@ -1,0 +1,270 @@
+"""The terms a large motion's torque is made of: rigid inertia, gravity, friction, springs to ground.
+
+Each term gives columns on the fine grid, (n, M, k): the torque per unit of each coefficient on every
+axis. Signs: friction opposes the motion and is positive, M(q) q̈ + … + friction = τ.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from invid.numerics.arrays import Float64
+from invid.signals.motion_record import Motion
+
+ASYMMETRIC = ("coulomb_positive", "coulomb_negative", "viscous_positive", "viscous_negative")
+"""Coefficients of friction that differs by direction."""
+
+
+@dataclass(frozen=True)
+class Term:
+    """One cause at its place.
+
+    Attributes
+    ----------
+    names
+        Coefficients, in the order of the columns.
+    positive
+        Coefficients that physics wants ≥ 0.
+    shape
+        The nonlinear parameter, found by search over ``grid``; ``None`` where the term is linear.
+    replaces
+        Causes on the same axis that this term contains.
+    needs
+        Causes on the same axis of which one must be there before this one is tried.
+    excludes
+        Causes on the same axis beside which this one is not tried.
+    load
+        Terms with their coefficients that make up the load of friction that depends on it.
+    """
+
+    cause: str
+    axis: int
+    names: tuple[str, ...]
+    positive: tuple[str, ...] = ()
+    shape: float | None = None
+    exponent: int = 0
+    replaces: tuple[str, ...] = ()
+    needs: tuple[str, ...] = ()
+    excludes: tuple[str, ...] = ()
+    other: int | None = None
+    base: bool = False
+    tag: str = ""
+    load: tuple[tuple[Term, tuple[float, ...]], ...] = ()
+
+    @property
+    def label(self) -> tuple[str, int, int | None, str]:
+        """What makes two terms the same, whatever their shape parameter."""
+        return (self.cause, self.axis, self.other, self.tag)
+
+
+def soft_sign(motion: Motion, axis: int) -> Float64:
+    """Direction of motion, softened over the velocity noise."""
+    v = motion.velocity[:, axis]
+    eps = motion.rest[axis]
+    direction: Float64 = np.sign(v) if eps <= 0 else np.tanh(2.0 * v / eps)
+    return direction
+
+
+def columns(term: Term, motion: Motion) -> Float64:
+    """(n, M, k) torque per unit coefficient."""
+    n, axes = motion.position.shape
+    i = term.axis
+    out = np.zeros((n, axes, len(term.names)))
+    q, v, a = motion.position[:, i], motion.velocity[:, i], motion.acceleration[:, i]
+    match term.cause:
+        case "inertia":
+            out[:, i, 0] = a
+        case "coupling":
+            j = _other(term)
+            out[:, i, 0] = motion.acceleration[:, j]
+            out[:, j, 0] = a
+        case "configuration":
+            _configuration(out, motion, i, _other(term))
+        case "ground_spring":
+            out[:, i, 0] = q
+        case "torque_offset":
+            out[:, i, 0] = 1.0
+        case "time_offset" | "torque_delay":
+            out[:, i, 0] = motion.torque_rate[:, i]
+        case "viscous_friction":
+            out[:, i, 0] = v
+        case "coulomb_friction":
+            out[:, i, 0] = soft_sign(motion, i)
+        case "stribeck_friction":
+            s = soft_sign(motion, i)
+            out[:, i, 0] = s
+            out[:, i, 1] = s * _low(v, term)
+        case "asymmetric_friction":
+            forward = 0.5 * (1 + soft_sign(motion, i))
+            out[:, i, 0], out[:, i, 1] = forward, -(1 - forward)
+            out[:, i, 2], out[:, i, 3] = v * forward, v * (1 - forward)
+            if len(term.names) == 6:
+                out[:, i, 4] = forward * _low(v, term)
+                out[:, i, 5] = -(1 - forward) * _low(v, term)
+        case "gravity":
+            angle = q if term.other is None else q + motion.position[:, term.other]
+            for axis in (i,) if term.other is None else (i, term.other):
+                out[:, axis, 0], out[:, axis, 1] = np.sin(angle), np.cos(angle)
+        case "load_dependent_friction":
+            out[:, i, 0] = np.abs(load_on(term, motion)) * soft_sign(motion, i)
+        case "square_of_speed":
+            out[:, i, 0] = v * np.abs(v)
+        case "quadratic_stiffness":
+            out[:, i, 0] = q**2
+        case "cubic_stiffness":
+            out[:, i, 0] = q**3
+        case _:
+            raise ValueError(f"no columns for {term.cause!r}")
+    return out
+
+
+def load_on(term: Term, motion: Motion) -> Float64:
+    """(n,) torque that the terms of ``term.load`` ask of its axis."""
+    total = np.zeros(motion.position.shape[0])
+    for part, value in term.load:
+        total += columns(part, motion)[:, term.axis] @ np.array(value)
+    return total
+
+
+def _other(term: Term) -> int:
+    if term.other is None:
+        raise ValueError(f"{term.cause}: needs a second axis")
+    return term.other
+
+
+def _low(velocity: Float64, term: Term) -> Float64:
+    values: Float64 = np.exp(-((np.abs(velocity) / (term.shape or 1.0)) ** max(term.exponent, 1)))
+    return values
+
+
+def _configuration(out: Float64, motion: Motion, i: int, j: int) -> None:
+    """Two links in series, joint j carried by joint i: b = m₂ l₁ r₂ (inertia that varies with q_j)."""
+    cos, sin = np.cos(motion.position[:, j]), np.sin(motion.position[:, j])
+    vi, vj = motion.velocity[:, i], motion.velocity[:, j]
+    ai, aj = motion.acceleration[:, i], motion.acceleration[:, j]
+    # cosine and sine components of b, for a joint zero that is not the stretched arm
+    for k, (c, s) in enumerate(((cos, sin), (-sin, cos))):
+        out[:, i, k] = 2 * c * ai + c * aj - s * (2 * vi * vj + vj**2)
+        out[:, j, k] = c * ai + s * vi**2
+
+
+@dataclass(frozen=True)
+class Extent:
+    """How far and how fast each axis moved: what decides which terms make sense."""
+
+    travel: Float64
+    """(M,) peak-to-peak position."""
+    speed: Float64
+    """(M,) largest speed."""
+    slow: Float64
+    """(M,) slowest 2 % of the speeds while moving."""
+    rest: Float64
+    """(M,) speed below which the direction is blurred."""
+    both_ways: tuple[bool, ...]
+    rotary: bool
+    steady: bool
+
+
+def extent(motions: list[Motion], rotary: bool) -> Extent:
+    """Extent of all motions."""
+    q = np.concatenate([m.position for m in motions])
+    v = np.concatenate([m.velocity for m in motions])
+    rest = np.max([m.rest for m in motions], axis=0)
+    slow = []
+    for axis in range(v.shape[1]):
+        speeds = np.abs(v[:, axis])
+        moving = speeds[speeds > rest[axis]]
+        slow.append(float(np.quantile(moving, 0.02)) if moving.size else 0.0)
+    ways = tuple(
+        bool((v[:, i] > rest[i]).mean() > 0.05 < (v[:, i] < -rest[i]).mean()) for i in range(v.shape[1])
+    )
+    return Extent(
+        travel=np.ptp(q, axis=0),
+        speed=np.abs(v).max(axis=0),
+        slow=np.array(slow),
+        rest=rest,
+        both_ways=ways,
+        rotary=rotary,
+        steady=all(m.steady for m in motions),
+    )
+
+
+def base_terms(axes: int, steady: bool) -> list[Term]:
+    """Rigid inertia of every axis, its constant couplings, and the sampling instant of its torque.
+
+    The torque that acts may lag the record by part of a sample (it is held over the sample, and read at
+    some instant of it): τ(t − δ) ≈ τ − δ τ̇. That much is convention, not a fault.
+    """
+    if steady:
+        return []
+    terms = [Term("inertia", i, ("mass",), base=True) for i in range(axes)]
+    terms += [Term("time_offset", i, ("delay",), base=True) for i in range(axes)]
+    terms += [
+        Term("coupling", i, ("coupling",), base=True, other=j)
+        for i in range(axes)
+        for j in range(i + 1, axes)
+    ]
+    return terms
+
+
+def candidate_terms(axes: int, reach: Extent, springs: set[int]) -> list[Term]:
+    """Every cause that the record could show at all."""
+    found: list[Term] = []
+    for i in range(axes):
+        found.append(Term("viscous_friction", i, ("coefficient",), ("coefficient",)))
+        found.append(Term("coulomb_friction", i, ("torque",), ("torque",)))
+        found.append(Term("torque_offset", i, ("torque",)))
+        # Nearer to standstill than twice the blur of the direction nobody sees how friction bends.
+        slowest = max(reach.slow[i], 1e-3 * reach.speed[i], 2.0 * reach.rest[i])
+        speeds = [float(s) for s in np.geomspace(slowest, max(0.5 * reach.speed[i], 1.01 * slowest), 12)]
+        for exponent in (1, 2):
+            for speed in speeds:
+                found.append(
+                    Term(
+                        "stribeck_friction",
+                        i,
+                        ("coulomb", "excess"),
+                        ("coulomb", "excess"),
+                        shape=speed,
+                        exponent=exponent,
+                        replaces=("coulomb_friction",),
+                        needs=("coulomb_friction",),
+                    )
+                )
+        if reach.both_ways[i]:
+            swallowed = ("coulomb_friction", "viscous_friction", "torque_offset", "stribeck_friction")
+            dry = ("coulomb_friction", "stribeck_friction")
+            found.append(Term("asymmetric_friction", i, ASYMMETRIC, (), replaces=swallowed, needs=dry))
+            for exponent in (1, 2):
+                for speed in speeds:
+                    found.append(
+                        Term(
+                            "asymmetric_friction",
+                            i,
+                            (*ASYMMETRIC, "low_speed_positive", "low_speed_negative"),
+                            (),
+                            shape=speed,
+                            exponent=exponent,
+                            replaces=(*swallowed, "asymmetric_friction"),
+                            needs=(*dry, "asymmetric_friction"),
+                            tag="low speed",
+                        )
+                    )
+        # Below a fifth of a radian a sine and a cosine of the angle are an offset and a spring.
+        # Beside a spring to ground, a sine over less than half a turn is a spring that is not linear.
+        swings = reach.travel[i] > (np.pi if i in springs else 0.2)
+        if reach.rotary and swings and not reach.steady:
+            # Over less than half a turn a weight and the constant within friction by direction may cancel.
+            beside = ("asymmetric_friction",) if reach.travel[i] < np.pi else ()
+            found.append(Term("gravity", i, ("sine", "cosine"), replaces=("torque_offset",), excludes=beside))
+        if i in springs:
+            found.append(Term("quadratic_stiffness", i, ("coefficient",)))
+            found.append(Term("cubic_stiffness", i, ("coefficient",)))
+    if axes == 2 and reach.rotary and not reach.steady and reach.travel.min() > 0.2:
+        found.append(
+            Term("gravity", 1, ("sine", "cosine"), other=0, replaces=("torque_offset",), tag="second link")
+        )
+        found.append(Term("configuration", 0, ("cosine", "sine"), other=1, base=True))
+    return found

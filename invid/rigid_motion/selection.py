@@ -1,0 +1,359 @@
+"""Which causes the data ask for: forward by what they explain, back by what they can do without.
+
+A cause is taken when the training rows and the rows kept out both say so at one per cent, the tests
+counting independent rows (serial correlation) and pieces, not samples. Rivals that the kept-out rows
+cannot tell from the one taken are kept as alternatives.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import combinations
+
+import numpy as np
+from scipy import stats
+
+from invid.numerics.arrays import Float64
+from invid.rigid_motion.load_friction import load_terms, settled
+from invid.rigid_motion.regression import Design, Fit, fit
+from invid.rigid_motion.regressors import ASYMMETRIC, Term
+
+ALARM = 0.01
+"""False alarms allowed for each decision, shared among the candidates tried (Bonferroni)."""
+LEAST_GAIN = 0.1
+"""Smallest part of the kept-out residual power that a cause must remove. Empirical: on measured axes the
+rigid model itself is wrong by some per cent of the remaining power in ways that any smooth term picks up.
+Machines drawn at random (six decades of inertia, 200 to 2000 Hz, tests/property) hold it too."""
+INDISTINCT = 0.05
+"""Rivals whose kept-out residual differs from the best with a higher p-value than this are alternatives."""
+
+
+@dataclass
+class Step:
+    """One cause taken, with its rivals at that moment."""
+
+    term: Term
+    before: float
+    after: float
+    p_value: float
+    rivals: list[tuple[Term, float]] = field(default_factory=list)
+
+
+@dataclass
+class Selection:
+    """Where the search ended."""
+
+    base: Fit
+    final: Fit
+    steps: list[Step]
+    ladder: list[tuple[list[Term], Fit]]
+
+
+def rms(values: Float64) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
+
+
+def judged(design: Design) -> np.typing.NDArray[np.bool_]:
+    """Rows a gain is judged on: validation rows, or all of them (each predicted unseen)."""
+    return design.validate if design.has_validation else np.ones(design.torque.size, dtype=bool)
+
+
+def _piece_costs(design: Design, residual: Float64) -> Float64:
+    rows = judged(design)
+    weighted = (residual * design.weight)[rows] ** 2
+    index = np.unique(design.group[rows], return_inverse=True)[1]
+    sums: Float64 = np.bincount(index, weighted).astype(np.float64)
+    return sums
+
+
+def held_out_p(design: Design, before: Fit, after: Fit) -> float:
+    """One-sided p-value that ``after`` predicts unseen pieces no better than ``before``."""
+    difference = _piece_costs(design, before.held_out) - _piece_costs(design, after.held_out)
+    if difference.size < 3:
+        return 0.0 if difference.sum() > 0 else 1.0
+    spread = difference.std(ddof=1)
+    if spread == 0:
+        return 0.0 if difference.mean() > 0 else 1.0
+    t = float(difference.mean() / (spread / np.sqrt(difference.size)))
+    one: float = float(stats.t.sf(t, difference.size - 1))
+    # Gains are skewed over pieces (a few hold all the reversals): a sign test sees what the mean's t misses.
+    wins = int((difference > 0).sum())
+    sign = float(stats.binomtest(wins, difference.size, 0.5, alternative="greater").pvalue)
+    return min(1.0, 2 * min(one, sign))
+
+
+def training_p(before: Fit, after: Fit) -> float:
+    """F test on the training rows, with as many rows as are independent."""
+    added = max(after.value.size - before.value.size, 1) + (1 if any(t.shape for t in after.terms) else 0)
+    free = after.effective - after.value.size - 1
+    if free <= 1 or after.cost <= 0:
+        return 0.0 if after.cost < before.cost else 1.0
+    ratio = max(before.cost / after.cost - 1.0, 0.0) * free / added
+    return float(stats.f.sf(ratio, added, free))
+
+
+def held_out_cost(design: Design, result: Fit) -> float:
+    """Weighted mean square of what unseen rows miss."""
+    return float(np.mean((result.held_out * design.weight)[judged(design)] ** 2))
+
+
+def needed(design: Design, without: Fit, current: Fit) -> bool:
+    """True where ``current`` is better than ``without`` on both counts and by enough to matter."""
+    return (
+        training_p(without, current) < ALARM
+        and held_out_p(design, without, current) < 5 * ALARM
+        and held_out_cost(design, current) < (1 - LEAST_GAIN) * held_out_cost(design, without)
+    )
+
+
+def physical(result: Fit, term: Term) -> bool:
+    """Coefficients that must not be negative are not."""
+    value, _ = result.of(term)
+    return all(value[term.names.index(n)] >= 0 for n in term.positive)
+
+
+def joined(terms: list[Term], new: Term) -> list[Term]:
+    """The terms with ``new`` instead of what it contains."""
+    kept = [
+        t
+        for t in terms
+        if not (t.axis == new.axis and t.other is None and t.cause in new.replaces) and t.label != new.label
+    ]
+    return [*kept, new]
+
+
+def best_of_label(design: Design, terms: list[Term], options: list[Term], length: float = 1.0) -> Fit | None:
+    """The best shape of one cause beside ``terms``; ``None`` where physics forbids all of them."""
+    best: Fit | None = None
+    for term in options:
+        trial = fit_fast(design, joined(terms, term), length)
+        if not physical(trial, term):
+            continue
+        if best is None or trial.cost < best.cost:
+            best = trial
+    return None if best is None else fit(design, best.terms)
+
+
+def fit_fast(design: Design, terms: list[Term], length: float) -> Fit:
+    """A fit without kept-out pieces, for the search over shapes."""
+    matrix, weight = design.matrix(terms), design.weight
+    train = ~design.validate if design.has_validation else np.ones(design.torque.size, dtype=bool)
+    wm, wt = matrix[train] * weight[train, None], design.torque[train] * weight[train]
+    scale = np.sqrt((wm**2).sum(axis=0))
+    scale[scale == 0] = 1.0
+    value = np.linalg.lstsq(wm / scale, wt, rcond=1e-10)[0] / scale
+    cost = float(np.mean((wt - wm @ value) ** 2))
+    none = np.zeros(0)
+    return Fit(
+        terms, value, np.full((value.size, value.size), np.nan), none, none, cost, train.sum() / length, 1.0
+    )
+
+
+def select(design: Design, base: list[Term], candidates: list[Term], *, most: int = 12) -> Selection:
+    """Forward selection, then everything taken out again that is not missed."""
+    start = fit(design, base)
+    current, terms = start, list(base)
+    steps: list[Step] = []
+    ladder: list[tuple[list[Term], Fit]] = [(list(terms), start)]
+    labels: dict[tuple[str, int, int | None, str], list[Term]] = {}
+    for c in candidates:
+        labels.setdefault(c.label, []).append(c)
+    for _ in range(most):
+        length = design.torque.size / max(current.effective, 1.0)
+        if design.has_validation:
+            length = (~design.validate).sum() / max(current.effective, 1.0)
+        tried: list[tuple[Term, Fit]] = []
+        for label, options in labels.items():
+            if any(t.label == label for t in terms) or not may_join(terms, options[0]):
+                continue
+            trial = best_of_label(design, terms, options, length)
+            if trial is not None:
+                tried.append((trial.terms[-1], trial))
+        tried += _under_load(design, current, terms, length)
+        good = [
+            (t, f)
+            for t, f in tried
+            if training_p(current, f) < ALARM / max(len(tried), 1)
+            and held_out_p(design, current, f) < ALARM
+            and held_out_cost(design, f) < (1 - LEAST_GAIN) * held_out_cost(design, current)
+        ]
+        if not good:
+            # Two strong causes hide each other: what the other leaves is no noise, and neither stands out.
+            pair = _pair(design, current, [t for t, _ in tried], terms, length)
+            if pair is None:
+                break
+            good, tried = [pair], [pair]
+        # Information criterion on independent rows: more coefficients must earn their place.
+        chosen, best = min(good, key=lambda p: _criterion(p[1], length))
+        rivals = [
+            (t, rms(f.held_out[judged(design)]))
+            for t, f in good
+            if t is not chosen
+            and t.axis == chosen.axis
+            and chosen.cause not in t.replaces
+            and t.cause not in chosen.replaces
+            and held_out_p(design, f, best) > INDISTINCT
+        ]
+        steps.append(
+            Step(
+                chosen,
+                rms(current.held_out[judged(design)]),
+                rms(best.held_out[judged(design)]),
+                held_out_p(design, current, best),
+                rivals,
+            )
+        )
+        terms = settled(design, list(best.terms))
+        current = fit(design, terms)
+        design.reweigh(current.residual)
+        current = fit(design, terms)
+        ladder.append((list(terms), current))
+    start = fit(design, base)
+    current, terms = pruned(design, terms)
+    return Selection(start, current, steps, ladder)
+
+
+def _under_load(design: Design, current: Fit, terms: list[Term], length: float) -> list[tuple[Term, Fit]]:
+    """Friction that grows with the load as the present fit has it, on every axis that has none yet."""
+    labels: dict[tuple[str, int, int | None, str], list[Term]] = {}
+    for term in load_terms(current, design):
+        if not any(t.label == term.label for t in terms):
+            labels.setdefault(term.label, []).append(term)
+    trials = [best_of_label(design, terms, options, length) for options in labels.values()]
+    return [(t.terms[-1], t) for t in trials if t is not None]
+
+
+def _pair(
+    design: Design, current: Fit, found: list[Term], terms: list[Term], length: float
+) -> tuple[Term, Fit] | None:
+    """The best two causes that only together are significant; the tests count the pairs tried."""
+    trials: list[tuple[Term, Fit]] = []
+    for one, other in combinations(found, 2):
+        if one.label == other.label or not may_join([*terms, one], other):
+            continue
+        if one.cause in other.replaces or other.cause in one.replaces:
+            continue
+        trial = fit(design, joined(joined(terms, one), other))
+        if physical(trial, one) and physical(trial, other):
+            trials.append((other, trial))
+    good = [
+        (t, f)
+        for t, f in trials
+        if training_p(current, f) < ALARM / len(trials)
+        and held_out_p(design, current, f) < ALARM
+        and held_out_cost(design, f) < (1 - LEAST_GAIN) ** 2 * held_out_cost(design, current)
+    ]
+    return min(good, key=lambda p: _criterion(p[1], length)) if good else None
+
+
+def may_join(terms: list[Term], new: Term) -> bool:
+    """True where ``new`` has what it builds on and is no part of what is there already."""
+    here = {t.cause for t in terms if t.axis == new.axis}
+    if (new.needs and not here & set(new.needs)) or here & set(new.excludes):
+        return False
+    # Over less than a turn, a constant is the cosine of a gravity angle: they are one cause.
+    # A joint falls with its own link or with all that hangs on it, not with both.
+    one = ("torque_offset", "asymmetric_friction", "gravity")
+    if new.cause in one and any(t.cause == "gravity" and t.axis == new.axis for t in terms):
+        return False
+    # A part of what is already there adds nothing.
+    return not any(new.cause in t.replaces and t.axis == new.axis and t.other is None for t in terms)
+
+
+def _criterion(result: Fit, length: float) -> float:
+    shapes = sum(t.shape is not None for t in result.terms)
+    rows = max(result.effective, 2.0)
+    return rows * float(np.log(max(result.cost, 1e-300))) + (result.value.size + shapes) * float(np.log(rows))
+
+
+def _simpler(term: Term) -> list[list[Term]]:
+    """What a compound term may be replaced by, fewest coefficients first."""
+    i = term.axis
+    viscous = Term("viscous_friction", i, ("coefficient",), ("coefficient",))
+    coulomb = Term("coulomb_friction", i, ("torque",), ("torque",))
+    offset = Term("torque_offset", i, ("torque",))
+    dry = ("coulomb_friction", "viscous_friction", "torque_offset", "stribeck_friction")
+    plain = Term("asymmetric_friction", i, ASYMMETRIC, (), replaces=dry, needs=("coulomb_friction",))
+    if term.cause == "asymmetric_friction":
+        options = [[coulomb], [coulomb, viscous], [coulomb, offset], [coulomb, viscous, offset]]
+        if len(term.names) == 6:
+            bend = Term(
+                "stribeck_friction", i, ("coulomb", "excess"), ("coulomb", "excess"), shape=term.shape,
+                exponent=term.exponent, replaces=("coulomb_friction",), needs=("coulomb_friction",),
+            )  # fmt: skip
+            options += [[plain], [bend, viscous], [bend, viscous, offset]]
+        return options
+    if term.cause == "stribeck_friction":
+        return [[coulomb]]
+    return [[]]
+
+
+def _same_both_ways(design: Design, current: Fit, rest: list[Term], term: Term) -> Fit | None:
+    """Dry and viscous friction instead of friction that differs by direction, where the difference is none.
+
+    What bends at low speed alike in both directions, towards less friction, has no name in the catalogue (a
+    coarse encoder at reversals, friction that grows with the root of speed): it is no asymmetry either.
+    """
+    if term.cause != "asymmetric_friction" or term.shape is None:
+        return None
+    i = term.axis
+    bend = Term("stribeck_friction", i, ("coulomb", "excess"), shape=term.shape, exponent=term.exponent)
+    viscous = Term("viscous_friction", i, ("coefficient",), ("coefficient",))
+    coulomb = Term("coulomb_friction", i, ("torque",), ("torque",))
+    offset = Term("torque_offset", i, ("torque",))
+    for more in ([], [offset]):
+        if more and any(t.cause == "gravity" and t.axis == i for t in rest):
+            continue
+        bent = fit(design, [*rest, bend, viscous, *more])
+        # A bend towards more friction is Stribeck friction, and is tried as such.
+        if bent.of(bend)[0][1] >= 0 or needed(design, bent, current):
+            continue
+        simple = fit(design, [*rest, coulomb, viscous, *more])
+        if physical(simple, coulomb) and physical(simple, viscous):
+            return simple
+    return None
+
+
+def consistent(design: Design, terms: list[Term]) -> tuple[Fit, list[Term]]:
+    """Fit with every load as the rest has it, and no cause with a sign that it cannot have.
+
+    Beside what was taken after it a cause may turn into what it cannot be; the latest of them goes first.
+    """
+    while True:
+        terms = settled(design, terms)
+        current = fit(design, terms)
+        wrong = [t for t in terms if not t.base and not physical(current, t)]
+        if not wrong:
+            return current, terms
+        terms = [t for t in terms if t is not wrong[-1]]
+        if wrong[-1].cause == "stribeck_friction":
+            terms += _simpler(wrong[-1])[0]
+
+
+def pruned(design: Design, terms: list[Term]) -> tuple[Fit, list[Term]]:
+    """Everything taken out, or made simpler, that is not missed."""
+    changed = True
+    while changed:
+        changed = False
+        current, terms = consistent(design, terms)
+        for term in [t for t in terms if not t.base or t.cause == "configuration"]:
+            rest = [t for t in terms if t is not term]
+            same = _same_both_ways(design, current, rest, term)
+            if same is not None:
+                current, terms, changed = same, list(same.terms), True
+                break
+            falls = any(t.cause == "gravity" and t.axis == term.axis for t in rest)
+            for replacement in _simpler(term):
+                # A falling load holds the joint with a constant of its own: an offset beside it is no cause.
+                if falls and any(t.cause == "torque_offset" for t in replacement):
+                    continue
+                simple = fit(design, rest + replacement)
+                if not all(physical(simple, t) for t in replacement):
+                    continue
+                if not needed(design, simple, current):
+                    current, terms, changed = simple, rest + replacement, True
+                    break
+            if changed:
+                break
+    return current, terms

@@ -1,0 +1,1 @@
+"""A recording's signals: spectra, noise, prepared records, faults of samples."""

@@ -1,0 +1,115 @@
+"""Commands logged beside a hold inside the drive: the acting torque is known up to one delay."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from invid.numerics.arrays import Bool, Complex128, Float64
+from invid.recording.model import Experiment
+from invid.signals.spectra import LineSpectra
+
+LATEST = 4
+"""Samples by which a drive may report its torque after the demand."""
+
+
+def with_acting_torque(
+    spectra: Sequence[LineSpectra], experiments: Sequence[Experiment]
+) -> tuple[LineSpectra, ...]:
+    """Spectra whose torque is the hold's, torque − demand, plus the demand held over the sample.
+
+    Records without a demand, with uneven instants, and those whose torque follows the demand stay as they
+    were.
+    """
+    known = {e.key: e for e in experiments}
+    return tuple(_acting(s, known[s.key]) for s in spectra)
+
+
+def _acting(s: LineSpectra, experiment: Experiment) -> LineSpectra:
+    demand = experiment.torque_demand
+    if demand is None:
+        return s
+    demand = np.asarray(demand)
+    # A record that does not close keeps its last sample for the ends. Periods that still settle are averaged
+    # as they are, and so is the demand: the equations are linear.
+    if not covers(s, demand):
+        return s  # resampled, or cut
+    # Without a hold there is nothing beside the demand: what differs is how the drive follows it.
+    mixed = np.isnan(s.staircase) & np.any(demand != 0, axis=0) & (experiment.hold_gain != 0.0)
+    if not mixed.any():
+        return s
+    command = _command(s, demand)
+    late = _late(s, command[0] + command[1], mixed)
+    if late:  # where the torque is recorded some samples after the demand, so is the demand within it
+        demand = np.concatenate((np.repeat(demand[:1], late, axis=0), demand[:-late]))
+        command = _command(s, demand)
+    recorded, ends = command
+    half = s.omega / (2 * s.sample_rate_hz)
+    held = (np.sinc(half / np.pi) * np.exp(-1j * half))[:, None]
+    hold = np.where(mixed, s.torque - recorded - ends, 0.0)
+    torque = np.where(mixed, hold + recorded * held, s.torque)
+    # When the hold acts, not when it is recorded: the fit asks how much later than that it may act.
+    hold = hold * np.exp(1j * s.omega * late / s.sample_rate_hz)[:, None]
+    stairs = np.where(mixed, 0.0, s.staircase)
+    return replace(
+        s, torque=torque, staircase=stairs, hold_torque=hold, stepped=np.where(mixed, recorded, 0.0)
+    )
+
+
+def covers(s: LineSpectra, demand: Float64) -> bool:
+    """Whether a demand (samples, M) holds all that the spectra come from; not where it was resampled."""
+    samples = s.periods * s.position_wave.shape[0]
+    if s.transient and s.periods == 1:
+        return bool(demand.shape[0] == samples + 1)
+    return bool(s.periods >= 1 and demand.shape[0] >= samples)
+
+
+def mean_demand(s: LineSpectra, demand: Float64) -> tuple[Float64, Float64]:
+    """(n, M) mean over the periods that the spectra come from, and (M,) what the trapezoid's correction of
+    its ends adds to every line of a record that does not close."""
+    whole, count = s.transient and s.periods == 1, s.position_wave.shape[0]
+    samples = s.periods * count
+    used = demand[demand.shape[0] - samples - int(whole) :][:samples]
+    ends: Float64 = (demand[-1] - demand[0]) / count if whole else np.zeros(demand.shape[1])
+    return used.reshape(s.periods, count, -1).mean(axis=0), ends
+
+
+def _command(s: LineSpectra, demand: Float64) -> tuple[Complex128, Float64]:
+    """(F, M) spectrum of the demand, and (M,) what the trapezoid's correction of its ends adds to it.
+
+    That correction stands in the spectra of a record that does not close; a torque held over the sample
+    does not need it.
+    """
+    count = s.position_wave.shape[0]
+    wave, ends = mean_demand(s, demand)
+    index = np.rint(s.frequency_hz * count / s.sample_rate_hz).astype(int)
+    spectrum: Complex128 = np.fft.rfft(wave, axis=0)[index] * (2.0 / count)
+    return spectrum, ends
+
+
+def _late(s: LineSpectra, command: Complex128, mixed: Bool) -> int:
+    """Samples by which the demand appears late in the recorded torque, the same for all axes.
+
+    Without the demand the torque is the hold's, −(P + jωD)·position: the lag is right at which that
+    explains most. Zero unless another is better by a factor of four in power.
+    """
+    left = np.zeros(LATEST + 1)
+    lines = np.asarray(s.excited)
+    for i in np.flatnonzero(mixed):
+        theta = s.position[lines, i]
+        # The constant: what the ends of a record that does not close add to the spectrum of its velocity.
+        law = _real(np.stack((theta, 1j * s.omega[lines] * theta, np.ones(theta.size)), axis=1))
+        for lag in range(LATEST + 1):
+            turn = np.exp(1j * s.omega[lines] * lag / s.sample_rate_hz)
+            hold = _real((s.torque[lines, i] * turn - command[lines, i])[:, None])
+            rest = hold - law @ np.linalg.lstsq(law, hold, rcond=None)[0]
+            left[lag] += float(np.sum(rest**2)) / max(float(np.sum(np.abs(command[lines, i]) ** 2)), 1e-300)
+    best = int(np.argmin(left))
+    return best if 4.0 * left[best] < left[0] else 0
+
+
+def _real(values: Complex128) -> Float64:
+    out: Float64 = np.concatenate((values.real, values.imag))
+    return out

@@ -1,0 +1,78 @@
+"""Which lines of a record carry its excitation, and whether its torque is held over the sample."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from invid.numerics.arrays import Bool, Complex128, Float64
+from invid.recording.model import Experiment, Kind
+
+
+def highest_excited(experiment: Experiment, hz: Float64, spectra: Complex128) -> int:
+    """Index of the highest line that carries signal."""
+    declared = experiment.frequencies_hz[np.isfinite(experiment.frequencies_hz)]
+    declared = declared[(declared > 0) & (declared <= hz[-1])]
+    if declared.size:
+        return int(np.argmin(np.abs(hz - declared.max())))
+    motors = spectra.shape[2] // 2
+    power = (np.abs(spectra[..., motors:].mean(axis=0)) ** 2).sum(axis=1)
+    # The band that holds all but a thousandth of the torque's power.
+    cumulative = np.cumsum(power) / max(float(power.sum()), 1e-300)
+    return int(np.searchsorted(cumulative, 0.999).clip(0, hz.size - 1))
+
+
+def band_of(hz: Float64, top: int, band_hz: tuple[float, float] | None) -> Bool:
+    low, high = (0.0, min(1.5 * hz[top], 0.9 * hz[-1])) if band_hz is None else band_hz
+    band: Bool = (hz >= low) & (hz <= max(high, hz[0]))
+    return band
+
+
+def excited_lines(
+    experiment: Experiment,
+    hz: Float64,
+    mean: Complex128,
+    covariance: Complex128,
+    motors: int,
+    duration: float,
+) -> Bool:
+    """(F,) lines that the excitation drives: as declared, or by a test of every line's torque."""
+    declared = experiment.frequencies_hz[np.isfinite(experiment.frequencies_hz)]
+    excited: Bool = np.zeros(hz.size, dtype=bool)
+    if declared.size and experiment.kind is Kind.MULTISINE:
+        nearest = np.round(declared * duration).astype(int)
+        first = round(float(hz[0] * duration))
+        inside = (nearest >= first) & (nearest < first + hz.size)
+        excited[nearest[inside] - first] = True
+        return excited
+    power = np.abs(mean[:, motors:]) ** 2
+    noise = np.einsum("fcc->fc", covariance).real[:, motors:]
+    # |X|²/σ² is exponential for noise: exceeded once in 1e4 lines; a thousandth of the strongest
+    # line's power is no excitation either, but distortion or leakage.
+    limit = np.maximum(noise * np.log(1e4), 1e-4 * power.max(axis=0))
+    above: Bool = (power > limit).any(axis=1)
+    return above
+
+
+def held_torque(experiment: Experiment) -> Float64:
+    """(M,) 1 where the torque repeats a recorded demand, delayed by whole samples; NaN unknown."""
+    motors = np.asarray(experiment.torque).shape[1]
+    result = np.full(motors, np.nan)
+    if experiment.torque_demand is None:
+        return result
+    demand = np.asarray(experiment.torque_demand)
+    torque = np.asarray(experiment.torque)
+    for i in range(motors):
+        spread = demand[:, i].std()
+        if spread <= 1e-9 * max(np.abs(torque[:, i]).max(), 1e-300):
+            continue
+        for lag in range(4):
+            error = torque[lag:, i] - demand[: demand.shape[0] - lag, i]
+            # Following to a tenth is a staircase with noise; a filtered torque or one with a hold
+            # added inside the drive differs by more over a whole sample of delay.
+            if error.std() < 0.1 * spread:
+                result[i] = 1.0
+                break
+    return result
+
+
+__all__ = ["band_of", "excited_lines", "held_torque", "highest_excited"]

@@ -1,0 +1,327 @@
+"""One experiment made ready for regression: motion, its derivatives and torque in the band that carries both.
+
+Derivatives are taken in the frequency domain with a smooth cut-off (no phase, exact in the pass band);
+the cut-off is where the motion falls to ten times the noise that the upper part of its own spectrum
+shows. Both sides of the equation of motion then pass the same low-pass filter, so that the filter itself
+biases nothing (Gautier's parallel filter).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import fft
+from scipy.ndimage import minimum_filter1d
+from scipy.signal import periodogram, welch
+
+from invid.numerics.arrays import Bool, Float64
+from invid.recording.model import Experiment, Kind, Role
+from invid.signals.timebase import uniform
+
+NOISE_MARGIN = 10.0
+"""Power of the motion over its noise at the cut-off: 10 dB, below which a derivative is mostly noise."""
+TORQUE_BAND = 1.0
+"""Rows reach as far as the torque does (the filter's roll-off adds a quarter). Empirical: on a measured
+two-link arm 1.0 to 1.5 give the same parameters within 5 %; from 2 up, where it only vibrates, not."""
+_UPPER = 0.75
+"""The noise is read above this part of the Nyquist band."""
+MOVING = 0.9
+"""Rows that move for less of their filter's length are left out: at standstill friction may be anything."""
+
+
+@dataclass(frozen=True)
+class Band:
+    """What one recording can carry."""
+
+    motion_hz: float
+    """Cut-off of position before it is differentiated."""
+    rows_hz: Float64
+    """(M,) cut-off of both sides of each axis's equation."""
+    position_psd: Float64
+    """(M,) white noise of position [unit²/Hz], one-sided; of velocity where only that was measured."""
+    torque_psd: Float64
+    """(M,) white noise of torque [unit²/Hz], one-sided."""
+    velocity_only: bool = False
+
+    def noise(self, order: int, cutoff_hz: Float64) -> Float64:
+        """(M,) variance that the measured motion's white noise leaves in its derivative below a cut-off."""
+        power = 2 * (order - int(self.velocity_only))
+        spread: Float64 = (2 * np.pi) ** power * cutoff_hz ** (power + 1) / (power + 1)
+        return self.position_psd * spread
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Fine signals (n, M) of one experiment and the way from fine columns to rows of the regression."""
+
+    key: str
+    role: Role
+    position: Float64
+    velocity: Float64
+    acceleration: Float64
+    torque: Float64
+    torque_rate: Float64
+    """(n, M) derivative of the torque below the motion's cut-off."""
+    torque_bend: Float64
+    """(n, M) its second derivative."""
+    counts: Float64
+    """(M,) step of the encoder; 0 where it is not seen."""
+    step: float
+    row_step: float
+    rest: Float64
+    """(M,) speed below which an axis counts as standing, from the velocity noise."""
+    steady: bool
+    band: Band
+    keep: Bool
+    """(rows,) rows in which every axis moves enough."""
+    far: Bool
+    """(rows kept,) rows with no standstill or reversal of any axis within their filter's reach."""
+    row_noise: Float64
+    """(rows kept, M) variance of the torque row that noise alone leaves (position noise excluded)."""
+
+    def rows(self, columns: Float64) -> Float64:
+        """(rows, M, …) of fine columns (n, M, …), each axis in its own band."""
+        if self.steady:
+            mean: Float64 = columns.mean(axis=0, keepdims=True)
+            return mean
+        return reduced(columns, self.step, self.band.rows_hz)[self.keep]
+
+
+def derivative(values: Float64, step: float, cutoff_hz: float, order: int) -> Float64:
+    """Derivative along axis 0, low-passed without phase at ``cutoff_hz`` (cosine roll-off over a quarter).
+
+    The record is continued at both ends by its point reflection, which keeps value and slope.
+    """
+    n = values.shape[0]
+    pad = min(n - 1, int(np.ceil(4.0 / (cutoff_hz * step))) + 16)
+    # A length with small factors keeps the transform fast.
+    extra = min(fft.next_fast_len(n + 2 * pad, real=True) - n - pad, n - 1)
+    head = 2 * values[:1] - values[pad:0:-1]
+    tail = 2 * values[-1:] - values[-2 : -extra - 2 : -1]
+    long = np.concatenate((head, values, tail))
+    ramp = np.linspace(long[0], long[-1], long.shape[0])
+    frequency = fft.rfftfreq(long.shape[0], step)
+    roll = np.clip((frequency / cutoff_hz - 1.0) / 0.25, 0.0, 1.0)
+    gain = 0.5 * (1 + np.cos(np.pi * roll)) * (2j * np.pi * frequency) ** order
+    spectrum = fft.rfft(long - ramp, axis=0)
+    result = fft.irfft(gain[:, None] * spectrum, long.shape[0], axis=0)
+    if order == 0:
+        result = result + ramp
+    elif order == 1:
+        result = result + (long[-1] - long[0]) / ((long.shape[0] - 1) * step)
+    filtered: Float64 = result[pad : pad + n]
+    return filtered
+
+
+def reduced(columns: Float64, step: float, cutoff_hz: Float64) -> Float64:
+    """(rows, M, …): axis by axis low-passed, taken at 2.5 times the widest band, ends cut."""
+    flat = columns.reshape(columns.shape[0], columns.shape[1], -1)
+    parts = [
+        flat[:, i]
+        if cutoff >= 0.35 / step or not flat[:, i].any()
+        else derivative(flat[:, i], step, float(cutoff), 0)
+        for i, cutoff in enumerate(cutoff_hz)
+    ]
+    filtered = np.stack(parts, axis=1).reshape(columns.shape)
+    rows: Float64 = _taken(filtered, step, cutoff_hz)
+    return rows
+
+
+def _taken(values: Any, step: float, cutoff_hz: Float64) -> Any:
+    edge = min(int(np.ceil(2.0 / (float(cutoff_hz.min()) * step))), values.shape[0] // 8)
+    return values[edge : values.shape[0] - edge : spacing(step, cutoff_hz)]
+
+
+def spacing(step: float, cutoff_hz: Float64) -> int:
+    """Samples from one row to the next."""
+    widest = float(cutoff_hz.max())
+    return 1 if widest >= 0.35 / step else max(1, int(1.0 / (2.5 * widest * step)))
+
+
+def count_size(position: Float64) -> Float64:
+    """(M,) step of the encoder that the samples themselves show; 0 where they lie on no grid.
+
+    The smallest change between samples, where a hundred of all changes are whole multiples of it: noise or
+    resampling leaves none that are.
+    """
+    sizes = np.zeros(position.shape[1])
+    for i, column in enumerate(position.T):
+        changes = np.abs(np.diff(column))
+        changes = changes[changes > 1e-9 * max(float(np.ptp(column)), 1e-300)]
+        if changes.size < 100:
+            continue
+        step = float(changes.min())
+        several = changes[changes < 1e4 * step] / step
+        if several.size >= 100 and float(np.abs(several - np.round(several)).max()) < 0.05:
+            sizes[i] = step
+    return sizes
+
+
+def white_psd(values: Float64, step: float) -> tuple[Float64, Float64, Float64]:
+    """Frequencies, one-sided PSD (F, M) and white level (M,) read from the upper part of the band.
+
+    The second difference keeps the trend of a large motion from leaking over the whole spectrum.
+    """
+    second = np.diff(values, 2, axis=0)
+    length = int(min(2048, max(64, second.shape[0] // 8)))
+    length = min(length, second.shape[0])
+    frequency, power = welch(second, 1 / step, nperseg=length, axis=0)
+    shape = np.abs(1 - np.exp(-2j * np.pi * frequency * step)) ** 4
+    power = power / np.maximum(shape, 1e-9)[:, None]
+    upper = frequency > _UPPER * 0.5 / step
+    # A median of chi-squared periodogram values lies below their mean; Welch averages enough to ignore it.
+    return frequency, power, np.median(power[upper], axis=0)
+
+
+def find_band(experiments: tuple[Experiment, ...]) -> Band:
+    """Cut-offs that all axes can carry, from the longest experiment's own spectra."""
+    longest = max(experiments, key=lambda e: e.samples)
+    even = uniform(longest)
+    velocity_only = _velocity_only(longest)
+    motion_of = _forward(even.position, even.step) if velocity_only else even.position
+    frequency, power, floor = white_psd(motion_of, even.step)
+    _, _, torque_floor = white_psd(even.torque, even.step)
+    nyquist = 0.5 / even.step
+    cutoffs = []
+    for axis in range(power.shape[1]):
+        low = np.flatnonzero(power[1:, axis] < NOISE_MARGIN * floor[axis]) + 1
+        cutoffs.append(float(frequency[low[0]]) if low.size else 0.8 * nyquist)
+    # At least eight cycles in the record: below that nothing can be separated from the ends.
+    motion = float(np.clip(min(cutoffs), 8.0 / longest.duration, 0.8 * nyquist))
+    # Nonlinear terms are evaluated on the motion up to its cut-off and compared below half of that, where the
+    # harmonics that the cut-off takes away are missing least.
+    carried = 0.6 * motion if motion >= 0.6 * nyquist else 0.5 * motion
+    # Above what drives it, an axis shows its disturbances: regressing on that motion shrinks every estimate.
+    driven = TORQUE_BAND * _torque_edge([e for e in experiments if e.kind is longest.kind], torque_floor)
+    rows = np.clip(driven, 8.0 / longest.duration, carried)
+    return Band(motion, rows, floor, torque_floor, velocity_only)
+
+
+def _velocity_only(experiment: Experiment) -> bool:
+    return experiment.attributes.get("position_source") == "integrated_velocity"
+
+
+def _forward(position: Float64, step: float) -> Float64:
+    """The forward difference, which gives back the velocity that was integrated, exactly."""
+    velocity: Float64 = np.diff(position, axis=0, append=position[-1:]) / step
+    velocity[-1] = velocity[-2]
+    return velocity
+
+
+def _torque_edge(experiments: list[Experiment], floor: Float64) -> Float64:
+    """(M,) frequency below which all but a thousandth of the torque's power above its noise lies [Hz]."""
+    pieces = []
+    for experiment in experiments:
+        even = uniform(experiment)
+        frequency, power = periodogram(even.torque, 1 / even.step, window="hann", detrend="linear", axis=0)
+        clean = np.maximum(power - floor, 0.0) * frequency[1] * experiment.duration
+        pieces.append((np.repeat(frequency[:, None], clean.shape[1], axis=1), clean))
+    edges = []
+    for axis in range(floor.size):
+        frequency = np.concatenate([f[:, axis] for f, _ in pieces])
+        order = np.argsort(frequency)
+        share = np.cumsum(np.concatenate([p[:, axis] for _, p in pieces])[order])
+        if share[-1] <= 0:
+            edges.append(np.inf)
+            continue
+        edges.append(float(frequency[order][np.searchsorted(share, 0.999 * share[-1])]))
+    return np.array(edges)
+
+
+def prepare(experiment: Experiment, band: Band) -> Motion:
+    """The experiment as regression rows."""
+    if experiment.kind is Kind.CONSTANT_VELOCITY:
+        return _steady(experiment, band)
+    even = uniform(experiment)
+    step, cutoff = even.step, band.motion_hz
+    position = derivative(even.position, step, cutoff, 0)
+    velocity = derivative(even.position, step, cutoff, 1)
+    acceleration = derivative(even.position, step, cutoff, 2)
+    counts = count_size(even.position)
+    if _velocity_only(experiment):
+        measured = _forward(even.position, step)
+        velocity = derivative(measured, step, cutoff, 0)
+        acceleration = derivative(measured, step, cutoff, 1)
+        counts = np.zeros_like(counts)
+    torque_rate, torque_bend = (derivative(even.torque, step, cutoff, k) for k in (1, 2))
+    # Where counts come more slowly than the cut-off the derivative shows the counts, not the motion.
+    noise = band.noise(1, np.full(position.shape[1], cutoff))
+    rest = np.maximum(3.0 * np.sqrt(noise), counts * cutoff)
+    inner = _without_jumps(acceleration, step, cutoff)
+    position, velocity, acceleration = position[inner], velocity[inner], acceleration[inner]
+    moving = (np.abs(velocity) > rest).astype(float)
+    share = reduced(moving, step, band.rows_hz)
+    keep: Bool = np.all(share > MOVING, axis=1)
+    same = np.sign(velocity) == np.sign(np.roll(velocity, 1, axis=0))
+    reach = 2 * max(1, round(0.5 / (float(band.rows_hz.min()) * step))) + 1
+    steadily = minimum_filter1d(np.all(same & (moving > 0), axis=1).astype(np.int8), reach)
+    far: Bool = (_taken(steadily, step, band.rows_hz) > 0)[keep]
+    row_noise = np.broadcast_to(band.torque_psd * band.rows_hz, (int(keep.sum()), position.shape[1]))
+    every = spacing(step, band.rows_hz)
+    return Motion(
+        key=experiment.key,
+        role=experiment.role,
+        position=position,
+        velocity=velocity,
+        acceleration=acceleration,
+        torque=even.torque[inner],
+        torque_rate=torque_rate[inner],
+        torque_bend=torque_bend[inner],
+        counts=counts,
+        step=step,
+        row_step=every * step,
+        rest=rest,
+        steady=False,
+        band=band,
+        keep=keep,
+        far=far,
+        row_noise=np.array(row_noise),
+    )
+
+
+def _without_jumps(acceleration: Float64, step: float, cutoff_hz: float) -> slice:
+    """The samples without the ends of a record that begins or ends while it accelerates.
+
+    The second derivative of its point reflection jumps there by twice the acceleration, and the filter of the
+    rows would carry that inwards. A tenth of the rms is the most that is let pass: empirical, on drawn axes.
+    """
+    count = acceleration.shape[0]
+    end = min(int(np.ceil(4.0 / (cutoff_hz * step))), count // 8)
+    size = np.sqrt(np.mean(acceleration**2, axis=0))
+    half = max(end // 2, 1)
+    ends = (
+        acceleration[half : end + half].mean(axis=0),
+        acceleration[count - end - half : count - half].mean(axis=0),
+    )
+    first, last = (end if bool((np.abs(a) > 0.1 * size).any()) else 0 for a in ends)
+    return slice(first, count - last)
+
+
+def _steady(experiment: Experiment, band: Band) -> Motion:
+    """Constant velocity: one row, the means; the noise of a mean from the spread of batch means."""
+    time, position, torque = experiment.time, experiment.position, experiment.torque
+    slope = np.diff(position, axis=0) / np.diff(time)[:, None]
+    velocity = np.broadcast_to(slope.mean(axis=0), position.shape).copy()
+    batches = np.array([b.mean(axis=0) for b in np.array_split(torque, 8)])
+    variance = batches.var(axis=0, ddof=1) / batches.shape[0]
+    return Motion(
+        key=experiment.key,
+        role=experiment.role,
+        position=np.asarray(position),
+        velocity=velocity,
+        acceleration=np.zeros_like(velocity),
+        torque=np.asarray(torque),
+        torque_rate=np.zeros_like(velocity),
+        torque_bend=np.zeros_like(velocity),
+        counts=np.zeros(position.shape[1]),
+        step=float(np.median(np.diff(time))),
+        row_step=float(time[-1] - time[0]),
+        rest=np.zeros(position.shape[1]),
+        steady=True,
+        band=band,
+        keep=np.ones(1, dtype=np.bool_),
+        far=np.ones(1, dtype=np.bool_),
+        row_noise=variance[None, :],
+    )

@@ -1,0 +1,105 @@
+"""What no machine does, checked before anything is fitted: axes that never move, torque of the wrong sign."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from invid.errors import InputError
+from invid.model.document import Model
+from invid.numerics.arrays import Float64
+from invid.recording.model import Recording
+from invid.signals.spectra import LineSpectra
+
+STRETCHES, LEAST = 8, 6
+"""Stretches that a record's lines are cut into, and lines that each has at least."""
+SEEN = 5
+"""Stretches with a slope that stands out before anything is said. A machine's reactance falls across its
+poles alone, and a chain of four masses has three."""
+AGAINST = 0.9
+"""Share of them that has to fall for the wrong sign."""
+
+
+def check_units(model: Model, recording: Recording) -> None:
+    """InputError where one is rotary and the other linear."""
+    if model.linear != recording.linear:
+        raise InputError(
+            f"{recording.source}: positions are in {recording.position_unit}, the model's masses in "
+            f"{'kg' if model.linear else 'kg·m²'}; one is rotary, the other linear"
+        )
+
+
+def check_plausible(recording: Recording, spectra: Sequence[LineSpectra]) -> None:
+    """InputError for an axis whose position or torque never changes, or whose torque pushes the wrong
+    way."""
+    for i, axis in enumerate(recording.axes):
+        if spectra and not any(np.ptp(s.position_wave[:, i]) > 0 for s in spectra):
+            raise InputError(
+                f"{recording.source}: the position of axis {axis} never changes in any experiment; see that "
+                "its encoder counts and its brake is open, or leave the axis out of the recording"
+            )
+        driven = [s for s in spectra if s.driven[i]]
+        if driven and not any(np.ptp(s.torque_wave[:, i]) > 0 for s in driven):
+            raise InputError(
+                f"{recording.source}: the torque of axis {axis} never changes, not even where the axis is "
+                "shaken; see that the drive reports it (0x6077 in a PDO) and that it is the column meant"
+            )
+        slopes = [_slopes(s, i) for s in spectra]
+        every = np.concatenate(slopes) if slopes else np.zeros(0)
+        # A late torque turns the phase as well, but not where frequencies are low.
+        lowest = all(own[0] < 0 for own in slopes if own.size)
+        if every.size >= SEEN and lowest and np.mean(every < 0) > AGAINST:
+            said = (
+                f"{recording.source}: torque and position of axis {axis} have opposite signs: its reactance "
+                f"falls with frequency in {int((every < 0).sum())} of {every.size} stretches of lines, and "
+                "that of a machine rises (Foster). "
+            )
+            other = _shaken_instead(spectra, i)
+            if other is None:
+                raise InputError(said + "Turn one of the two round (in an import map: sign: -1)")
+            raise InputError(
+                f"{said}So it is where an axis is held: the experiments that name it as excited_axis shake "
+                f"{recording.axes[other]} more; see that they name the axis that was shaken"
+            )
+
+
+def _shaken_instead(spectra: Sequence[LineSpectra], axis: int) -> int | None:
+    """Another axis that moves more in every record that names ``axis`` than in those that name itself."""
+
+    def moved(j: int, named: int) -> list[float]:
+        return [float(np.sum(np.abs(s.position[s.excited, j]) ** 2)) for s in spectra if s.driven[named]]
+
+    for j in range(spectra[0].axis_count):
+        here, own = moved(j, axis), moved(j, j)
+        if j != axis and here and own and min(here) > max(own):
+            return j
+    return None
+
+
+def _slopes(s: LineSpectra, axis: int) -> Float64:
+    """Slopes over frequency of the reactance Im(T/V) in stretches of lines, where they stand out.
+
+    Foster's theorem: of a passive machine it rises everywhere between its poles, whatever springs, masses and
+    holds there are. Only where the axis is driven alone is T/V that of a passive machine. What the line
+    through a stretch leaves is its noise, friction's distortion included; four standard deviations stand out.
+    """
+    lines = np.asarray(s.excited) & (np.abs(s.position[:, axis]) > 0)
+    if not s.driven[axis] or s.driven.sum() > 1:
+        return np.zeros(0)
+    w = s.omega[lines]
+    reactance = -(s.torque[lines, axis] / s.position[lines, axis]).real / w
+    out = []
+    for part in np.array_split(np.arange(w.size), max(min(STRETCHES, w.size // LEAST), 1)):
+        if part.size < LEAST:
+            continue
+        x = w[part] - w[part].mean()
+        slope = float(x @ reactance[part] / (x @ x))
+        left = reactance[part] - reactance[part].mean() - slope * x
+        std = float(np.sqrt(left @ left / (part.size - 2) / (x @ x)))
+        if abs(slope) > 4.0 * std:
+            out.append(slope)
+    return np.array(out)
+
+
+__all__ = ["check_plausible"]

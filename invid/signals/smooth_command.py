@@ -1,0 +1,156 @@
+"""The hold that works while an axis is driven, read off its command, which is smooth over frequency."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from invid.numerics.arrays import Complex128, Float64
+from invid.numerics.distributions import f_isf
+from invid.signals.spectra import LineSpectra
+
+CHANCE = 1e-6
+"""Probability of taking a hold for seen where there is none. Small: a command of random amplitudes is rough
+with and without it, and of many lines some hold always smooths a little."""
+SMOOTHER = 4.0
+"""Factor by which the roughness (mean square) must fall as well: half in amplitude. A guess."""
+SMOOTH = 0.35
+"""Root mean square of the second differences of log amplitude above which a command is not smooth: lines
+whose noise is below a fifth of their amplitude (``LOUD``) have at most √6/5/√2."""
+LOUD = 25.0
+"""Power over noise of a line that counts."""
+EXPLAINED = 2.0
+"""Mean square of what a hold leaves on lines without a command, in units of the noise: 16 lines and more of
+pure noise exceed it once in two thousand."""
+LINES = 16
+"""Lines needed at least."""
+STARTS = (0.03, 0.3, 3.0)
+"""Dampings P/(ωD) at the middle of the band from which the search starts."""
+
+_Part = tuple[Complex128, Complex128, Complex128, Float64]
+"""Position, velocity, torque and angular frequency of the lines of a record."""
+
+
+def seen_hold(spectra: Sequence[LineSpectra], axis: int) -> tuple[float, float] | None:
+    """Gains (P, D) of a hold −(P + jωD)θ within the recorded torque of a driven axis; ``None``: none seen.
+
+    The recorded torque T holds the command and the hold's part. Commands of shaking are designed: their
+    amplitude is smooth over frequency, while T alone has the machine's resonances. The hold is that which
+    makes |T + (P + jωD)Θ| smoothest. Where the lines are shared out among the axes (interleaved), an axis'
+    torque on the lines of the others is its hold's alone.
+    """
+    alone = _without_command(spectra, axis)
+    if alone is not None:
+        return alone
+    parts = []
+    for s in spectra:
+        lines = np.flatnonzero(s.excited)
+        if s.driven[axis] and lines.size >= LINES:
+            noise = s.floor[s.axis_count + axis]
+            loud = lines[np.abs(s.torque[lines, axis]) ** 2 > LOUD * noise]
+            if loud.size > 0.8 * lines.size:
+                speed = 1j * s.omega[lines] * s.position[lines, axis] + _ends(s, axis)
+                parts.append((s.position[lines, axis], speed, s.torque[lines, axis], s.omega[lines]))
+    if not parts:
+        return None
+    count = sum(q.size - 2 for q, *_ in parts)
+    without = _roughness(parts, np.zeros(2))
+    stiffness = np.concatenate([np.abs(t) / np.maximum(np.abs(q), 1e-300) for q, _, t, _ in parts])
+    omega = np.concatenate([np.abs(v) / np.maximum(np.abs(q), 1e-300) for q, v, *_ in parts])
+    best = without
+    law = np.zeros(2)
+    for size in np.quantile(stiffness, (0.05, 0.25, 0.5)):
+        for share in STARTS:
+            begun = np.array([size * min(share, 1.0), size * min(1.0 / share, 1.0) / np.median(omega)])
+            found = _smoothest(parts, begun)
+            rough = _roughness(parts, found)
+            if rough @ rough < best @ best:
+                best, law = rough, found
+    before, after = float(without @ without), float(best @ best)
+    if not np.all(law >= 0) or law[0] <= 0:
+        return None
+    if after > SMOOTH**2 * count:
+        return None
+    if before < SMOOTHER * after or (before - after) / 2.0 < f_isf(CHANCE, 2, count) * after / count:
+        return None
+    return float(law[0]), float(law[1])
+
+
+def _without_command(spectra: Sequence[LineSpectra], axis: int) -> tuple[float, float] | None:
+    """The hold from every k-th excited line, where it explains the torque on those to the noise."""
+    for s in spectra:
+        excited = np.flatnonzero(s.excited)
+        if not s.driven[axis]:
+            continue
+        noise = s.floor[[axis, s.axis_count + axis]]
+        for stride in range(2, s.axis_count + 1):
+            for first in range(stride):
+                lines = excited[first::stride]
+                torque, theta = s.torque[lines, axis], s.position[lines, axis]
+                if lines.size < LINES or np.mean(np.abs(torque) ** 2) < LOUD * noise[1]:
+                    continue
+                rows = -np.stack((theta, 1j * s.omega[lines] * theta + _ends(s, axis)), axis=1)
+                both = np.concatenate((rows.real, rows.imag))
+                goal = np.concatenate((torque.real, torque.imag))
+                law = np.linalg.lstsq(both, goal, rcond=None)[0]
+                gain = law[0] ** 2 + (s.omega[lines] * law[1]) ** 2
+                left = np.abs(torque - rows @ law) ** 2 / (noise[1] + gain * noise[0])
+                if np.all(law >= 0) and law[0] > 0 and np.mean(left) < EXPLAINED:
+                    return float(law[0]), float(law[1])
+    return None
+
+
+def _ends(s: LineSpectra, axis: int) -> float:
+    """What the ends of a record that does not close add to the spectrum of its velocity."""
+    if not (s.transient and s.periods == 1):
+        return 0.0
+    wave = s.position_wave[:, axis]
+    return float(2.0 * (2.0 * wave[-1] - wave[-2] - wave[0]) / s.span_s)
+
+
+def _roughness(parts: Sequence[_Part], law: Float64) -> Float64:
+    """By how much log |T + PΘ + DΩ| is off the straight line in log frequency between its neighbours, twice.
+
+    Commands fall with a power of frequency as often as not. Second differences over the lines alone take that
+    for roughness, most at the lowest lines, where P is told: it came out 2.6 times too large.
+    """
+    out = []
+    for position, speed, torque, omega in parts:
+        size = np.log(np.maximum(np.abs(torque + law[0] * position + law[1] * speed), 1e-300))
+        at = np.log(omega)
+        share = (at[1:-1] - at[:-2]) / (at[2:] - at[:-2])
+        out.append(2.0 * ((1.0 - share) * size[:-2] + share * size[2:] - size[1:-1]))
+    result: Float64 = np.concatenate(out)
+    return result
+
+
+def _smoothest(parts: Sequence[_Part], begun: Float64) -> Float64:
+    """Levenberg–Marquardt on the roughness over the logarithms of P and D."""
+    x: Float64 = np.log(begun)
+    now = _roughness(parts, np.exp(x))
+    damping = 1e-2
+    for _ in range(40):
+        columns = []
+        for k in range(2):
+            step = np.zeros(2)
+            step[k] = 1e-4
+            columns.append((_roughness(parts, np.exp(x + step)) - now) / 1e-4)
+        jacobian = np.stack(columns, axis=1)
+        normal = jacobian.T @ jacobian
+        gradient = jacobian.T @ now
+        moved = False
+        for _ in range(8):
+            lift = damping * (np.diag(np.diag(normal)) + 1e-12 * np.eye(2))
+            move = -np.linalg.solve(normal + lift, gradient)
+            trial = x + np.clip(move, -1.0, 1.0)
+            rough = _roughness(parts, np.exp(trial))
+            if rough @ rough < now @ now:
+                moved = bool(rough @ rough < (1.0 - 1e-6) * (now @ now))
+                x, now, damping = trial, rough, max(damping / 4.0, 1e-8)
+                break
+            damping *= 8.0
+        if not moved:
+            break
+    result: Float64 = np.exp(x)
+    return result

@@ -1,0 +1,400 @@
+"""Line spectra of an experiment with the noise covariance that the recording itself reveals.
+
+Periodic records are averaged over settled periods. Everything else (from rest, chirp, stepped sine,
+one period) is taken whole: the discrete Fourier transform of the record, corrected for its end
+points, together with the boundary terms that the fit adds (``transient``) is exact for any motion.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from invid.numerics.arrays import Bool, Complex128, Float64, frozen, frozen_float
+from invid.recording.model import Experiment, Kind, Recording, Role
+from invid.signals.driven_axes import driven_axes
+from invid.signals.lines import band_of, excited_lines, held_torque, highest_excited
+from invid.signals.loop_noise import own_share
+from invid.signals.noise import flat_covariance, pooled_covariance, quantum, quiet_power
+from invid.signals.periods import find_period, fold, repeats, settle, without_drift
+from invid.signals.quantisation import rounding_power
+from invid.signals.timebase import Uniform, uniform
+
+NOT_PERIODIC = 0.3
+"""Share of the variance that does not repeat above which a declared period is not believed: noise of
+half the signal's power still passes, a wrong period gives about 1."""
+
+FEW_LINES = 32
+"""A period of fewer lines than this, still settling, tells its motion from its ends hardly or not at all: the
+ends of N masses an axis are 2N numbers an axis, each line gives two. The lines of the whole record do."""
+
+
+@dataclass(frozen=True, eq=False)
+class LineSpectra:
+    """Averaged spectra of one experiment on F lines (excited or not).
+
+    Convention: X_k = (2/n) Σ_t x(t) e^{−jω_k t}, so that |X_k| is the amplitude of a sinusoid.
+
+    Attributes
+    ----------
+    frequency_hz
+        (F,) lines, ascending, without 0.
+    position, torque
+        (F, M) complex amplitudes [rad or m], [N·m or N], averaged over periods.
+    covariance
+        (F, 2M, 2M) complex covariance E[n nᴴ] of the *averaged* n = [position noise; torque noise].
+    covariance_dof
+        (F,) real degrees of freedom behind each covariance (for Hotelling's inflation).
+    excited
+        (F,) True on lines that the excitation drives.
+    transient
+        True where the record is not periodic steady state (from rest, aperiodic): fits must add the
+        boundary terms of every coordinate (see ``docs/explanations/identification.md``).
+    time, position_wave, torque_wave
+        (n,), (n, M), (n, M): the averaged period (or the whole record), sampled uniformly: what
+        effects are evaluated on.
+    span_s
+        Duration T over which the boundary terms are spread: Z Θ = T − (2/T)·Wᵀ(…) for the whole of
+        the periods averaged, or the whole record.
+    driven
+        (M,) True for axes that the excitation drives in this experiment.
+    staircase
+        (M,) 1 where the torque is known to be held over each sample (it follows a recorded demand),
+        0 where it is known to be continuous, NaN where the recording does not tell.
+    deviations
+        (P, F, 2M) spectra of each period minus their mean; empty with fewer than two periods.
+    """
+
+    key: str
+    role: Role
+    frequency_hz: Float64
+    position: Complex128
+    torque: Complex128
+    covariance: Complex128
+    covariance_dof: Float64
+    excited: Bool
+    periods: int
+    sample_rate_hz: float
+    transient: bool
+    time: Float64
+    position_wave: Float64
+    torque_wave: Float64
+    warnings: tuple[str, ...] = field(default=())
+    span_s: float = 0.0
+    driven: Bool = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    staircase: Float64 = field(default_factory=lambda: np.zeros(0))
+    deviations: Complex128 = field(default_factory=lambda: np.zeros((0, 0, 0), dtype=complex))
+    floor: Float64 = field(default_factory=lambda: np.zeros(0))
+    """(2M,) noise power of the averaged spectra from lines above the band, white quantisation included."""
+    rounding: Float64 | None = None
+    """(F, 2M) power of the rounding that lies within the band (``invid.signals.quantisation``)."""
+    hold_gain: Float64 = field(default_factory=lambda: np.zeros(0))
+    hold_torque: Complex128 | None = None
+    """(F, M) the part of the torque that a hold inside the drive gave, where the recording tells it apart."""
+    stepped: Complex128 | None = None
+    """(F, M) as recorded, the part held over each sample where ``torque`` has it as it acts (a demand)."""
+
+    @property
+    def omega(self) -> Float64:
+        """(F,) lines [rad/s]."""
+        result: Float64 = 2 * np.pi * self.frequency_hz
+        return result
+
+    @property
+    def line_floor(self) -> Float64:
+        """(F, 2M) noise power on each line: the floor from above the band, or rounding where larger."""
+        lines = (self.frequency_hz.size, self.floor.size)
+        if self.rounding is None:
+            return np.broadcast_to(self.floor, lines)
+        result: Float64 = np.maximum(self.floor, self.rounding)
+        return result
+
+    @property
+    def axis_count(self) -> int:
+        """M."""
+        return int(self.position.shape[1])
+
+
+def all_spectra(recording: Recording, role: Role | None = None) -> tuple[LineSpectra, ...]:
+    """Spectra of every experiment that shakes an axis, of one role or of both.
+
+    Slow constant-velocity moves carry friction, not elasticity, and are left out.
+    """
+    return tuple(
+        spectra_of(e)
+        for e in recording.experiments
+        if e.kind is not Kind.CONSTANT_VELOCITY and (role is None or e.role is role)
+    )
+
+
+def spectra_of(
+    experiment: Experiment, *, band_hz: tuple[float, float] | None = None, drop_transient: bool = True
+) -> LineSpectra:
+    """Spectra on every line of the band.
+
+    ``band_hz`` defaults to everything from the first line to one and a half times the highest
+    excited line (at most 0.45 of the sample rate). ``drop_transient=False`` keeps every period.
+
+    Raises
+    ------
+    RecordingError
+        Too few samples, or time that does not increase.
+    """
+    data = uniform(experiment)
+    warnings: list[str] = []
+    if data.lost:
+        warnings.append(
+            f"experiment {experiment.key}: {data.lost} of {data.samples} samples are missing"
+            + (f", up to {data.longest_gap - 1} in a row" if data.longest_gap > 2 else "")
+            + "; they were interpolated"
+        )
+    period = _period(experiment, data, warnings)
+    if period is None:
+        return _whole(experiment, data, band_hz, warnings)
+    found = _periodic(experiment, data, period, band_hz, drop_transient, warnings)
+    if found.transient and found.frequency_hz.size < FEW_LINES and drop_transient:
+        return _whole(experiment, data, band_hz, warnings)
+    return found
+
+
+def _period(experiment: Experiment, data: Uniform, warnings: list[str]) -> int | None:
+    """The period to use [samples]; the declared one is verified, never trusted."""
+    declared = experiment.period_samples
+    key = experiment.key
+    if declared <= 0 or declared > data.samples:
+        if declared > data.samples:
+            warnings.append(
+                f"experiment {key}: the declared period of {declared} samples is longer than the record "
+                f"({data.samples} samples); it is used as one aperiodic record"
+            )
+        return None
+    if data.samples // declared < 2:
+        return None
+    loudest = int(np.argmax(_loudness(experiment, data.torque)))
+    share = float(repeats(fold(data.torque[:, [loudest]], declared))[0])
+    if share <= NOT_PERIODIC:
+        return declared
+    found = find_period(data.torque[:, loudest], data.samples // 2)
+    if found is not None and float(repeats(fold(data.torque[:, [loudest]], found))[0]) < NOT_PERIODIC / 3:
+        warnings.append(
+            f"experiment {key}: the declared period of {declared} samples does not repeat; the torque "
+            f"repeats every {found} samples, which is used instead"
+        )
+        return found
+    warnings.append(
+        f"experiment {key}: the declared period of {declared} samples does not repeat ({share:.0%} of the "
+        "torque changes from one to the next); the record is used as aperiodic"
+    )
+    return None
+
+
+def _loudness(experiment: Experiment, torque: Float64) -> Float64:
+    """(M,) rms torque without its mean; the excited axis first where it is named."""
+    rms: Float64 = torque.std(axis=0)
+    if 0 <= experiment.excited_axis < rms.size and rms[experiment.excited_axis] > 0:
+        rms = rms * 1.0
+        rms[experiment.excited_axis] = np.inf
+    return rms
+
+
+def _amplitudes(values: Float64, lines: int) -> Complex128:
+    """(…, F, C) one-sided amplitudes of lines 1…F from (…, n, C) samples."""
+    count = values.shape[-2]
+    spectrum: Complex128 = np.fft.rfft(values, axis=-2)[..., 1 : lines + 1, :] * (2.0 / count)
+    return spectrum
+
+
+def _periodic(
+    experiment: Experiment,
+    data: Uniform,
+    period: int,
+    band_hz: tuple[float, float] | None,
+    drop_transient: bool,
+    warnings: list[str],
+) -> LineSpectra:
+    motors = data.position.shape[1]
+    position = without_drift(fold(data.position, period))
+    torque = fold(data.torque, period)
+    channels = np.concatenate((position, torque), axis=2)
+    nyquist = (period - 1) // 2
+    spectra = _amplitudes(channels, nyquist)
+    hz = np.arange(1, nyquist + 1) / (period * data.step)
+    top = highest_excited(experiment, hz, spectra)
+    quiet = (hz > 1.5 * hz[top]) & (hz < 0.45 / data.step)
+    floor, floor_dof, share = _floor(data, quiet, hz, period)
+    band = band_of(hz, top, band_hz)
+    settling = settle(spectra[:, : top + 1], floor, floor_dof)
+    first = settling.first if drop_transient else 0
+    if first:
+        position = without_drift(fold(data.position, period)[first:])
+        spectra = _amplitudes(np.concatenate((position, torque[first:]), axis=2), nyquist)
+    used = spectra.shape[0]
+    mean = spectra.mean(axis=0)
+    # Quantisation error of a motion that repeats exactly repeats too: the quiet lines of the mean show it,
+    # the spread between periods does not. Of odd lines alone it is half-wave symmetric: all on odd lines.
+    odd = np.arange(1, nyquist + 1) % 2 == 1
+    repeating, own = floor / used, floor / used * share
+    if settling.settled:
+        parities = [quiet & odd, quiet & ~odd]
+        repeating = np.max([quiet_power(mean, p)[0] for p in parities if p.any()], axis=0)
+        own = np.maximum(own, repeating * own_share(mean[None, quiet], hz[quiet], data.step))
+    step = quantum(np.concatenate((data.position, data.torque), axis=1))
+    single = (np.abs(spectra) ** 2).mean(axis=0)
+    rounding = _rounding(single, np.abs(mean) ** 2, step, band)
+    floor = np.maximum(floor, step**2 / 12 * 4 / period)
+    averaged = np.maximum(np.maximum(repeating, floor / used), 1e-300)
+    deviations = (spectra - mean)[:, band]
+    least = np.maximum(np.maximum(floor, averaged * used), rounding * used)
+    covariance, dof = pooled_covariance(deviations, least)
+    excited = excited_lines(experiment, hz[band], mean[band], covariance, motors, period * data.step)
+    return _assemble(
+        experiment,
+        data,
+        hz[band],
+        mean[band],
+        covariance,
+        dof,
+        excited,
+        periods=used,
+        transient=not settling.settled,
+        wave=np.concatenate((position.mean(0), torque[first:].mean(0)), axis=1),
+        span=used * period * data.step,
+        deviations=deviations,
+        floor=np.maximum(np.maximum(own, step**2 / 12 * 4 / period / used), 1e-300),
+        rounding=rounding,
+        warnings=warnings,
+    )
+
+
+def _whole(
+    experiment: Experiment, data: Uniform, band_hz: tuple[float, float] | None, warnings: list[str]
+) -> LineSpectra:
+    """The whole record, end points corrected: Σ x e^{−jωt} h + h (x_n − x_0)/2 is the integral to O(h²)."""
+    motors = data.position.shape[1]
+    count = data.samples - 1
+    wave = np.concatenate((data.position, data.torque), axis=1)
+    # A constant and a slope carry no line of their own; without them the ends and leakage are small.
+    nyquist = (count - 1) // 2
+    mean = _amplitudes(wave[:count], nyquist)
+    ends = (wave[count] - wave[0]) / count
+    staircase = held_torque(experiment)
+    held = np.concatenate((np.zeros(motors), np.nan_to_num(staircase, nan=0.0)))
+    mean = mean + ends * (1.0 - held)
+    hz = np.arange(1, nyquist + 1) / (count * data.step)
+    top = highest_excited(experiment, hz, mean[None])
+    quiet = (hz > 1.5 * hz[top]) & (hz < 0.45 / data.step)
+    if quiet.sum() < 16:
+        quiet = hz > 0.9 * hz[-1]
+    windowed = _windowed(wave[:count], nyquist)
+    floor, dof = quiet_power(windowed, quiet)
+    floor *= own_share(windowed[None, quiet], hz[quiet], data.step)
+    step = quantum(wave)
+    band = band_of(hz, top, band_hz)
+    single = np.abs(windowed) ** 2
+    rounding = _rounding(single, single, step, band)
+    floor = np.maximum(np.maximum(floor, step**2 / 12 * 4 / count), 1e-300)
+    covariance = flat_covariance(np.maximum(floor, rounding), int(band.sum()))
+    excited = excited_lines(experiment, hz[band], mean[band], covariance, motors, count * data.step)
+    return _assemble(
+        experiment,
+        data,
+        hz[band],
+        mean[band],
+        covariance,
+        np.full(int(band.sum()), dof),
+        excited,
+        periods=1,
+        transient=True,
+        wave=wave[:count],
+        span=count * data.step,
+        deviations=np.zeros((0, int(band.sum()), 2 * motors), dtype=complex),
+        floor=floor,
+        rounding=rounding,
+        warnings=warnings,
+    )
+
+
+def _floor(data: Uniform, quiet: Bool, hz: Float64, period: int) -> tuple[Float64, float, Float64]:
+    """(2M,) noise power of one line of one period, its dof, and the sensors' own share of it; from the quiet
+    band of the whole record, windowed: what is left of a transient leaks there otherwise."""
+    wave = np.concatenate((data.position, data.torque), axis=1)
+    count = wave.shape[0]
+    lines = (count - 1) // 2
+    fine = np.arange(1, lines + 1) / (count * data.step)
+    band = hz[quiet]
+    inside = (fine >= band[0]) & (fine <= band[-1]) if band.size else fine > 0.9 * fine[-1]
+    windowed = _windowed(wave, lines)
+    power, dof = quiet_power(windowed, inside)
+    return power * (count / period), dof, own_share(windowed[None, inside], fine[inside], data.step)
+
+
+def _rounding(single: Float64, mean: Float64, step: Float64, band: Bool) -> Float64:
+    """(F, 2M) power of the encoders' rounding on the lines of the band; torque steps are taken as white."""
+    motors = step.size // 2
+    last = int(np.flatnonzero(band)[-1]) + 1
+    power = np.zeros((int(band.sum()), 2 * motors))
+    power[:, :motors] = rounding_power(single[:, :motors], mean[:, :motors], step[:motors], last)[band[:last]]
+    return power
+
+
+def _windowed(wave: Float64, lines: int) -> Complex128:
+    """Spectrum through a Blackman window of unit noise gain: no leakage into the quiet lines."""
+    count = wave.shape[0]
+    window = np.blackman(count)
+    window = window / np.sqrt(np.mean(window**2))
+    centred = wave - wave.mean(axis=0)
+    return _amplitudes(centred * window[:, None], lines)
+
+
+def _assemble(
+    experiment: Experiment,
+    data: Uniform,
+    hz: Float64,
+    mean: Complex128,
+    covariance: Complex128,
+    dof: Float64,
+    excited: Bool,
+    *,
+    periods: int,
+    transient: bool,
+    wave: Float64,
+    span: float,
+    deviations: Complex128,
+    floor: Float64,
+    rounding: Float64,
+    warnings: list[str],
+) -> LineSpectra:
+    motors = data.position.shape[1]
+
+    driven = driven_axes(
+        experiment.excited_axis, mean[:, :motors], mean[:, motors:], 2 * np.pi * hz, excited, floor
+    )
+
+    def fixed(values: Complex128) -> Complex128:
+        return frozen(values, np.complex128)  # type: ignore[return-value]
+
+    return LineSpectra(
+        key=experiment.key,
+        role=experiment.role,
+        frequency_hz=frozen_float(hz),
+        position=fixed(mean[:, :motors]),
+        torque=fixed(mean[:, motors:]),
+        covariance=fixed(covariance),
+        covariance_dof=frozen_float(dof),
+        excited=frozen(excited, np.bool_),  # type: ignore[arg-type]
+        periods=periods,
+        sample_rate_hz=1.0 / data.step,
+        transient=transient,
+        time=frozen_float(np.arange(wave.shape[0]) * data.step),
+        position_wave=frozen_float(wave[:, :motors]),
+        torque_wave=frozen_float(wave[:, motors:]),
+        warnings=tuple(warnings),
+        span_s=span,
+        driven=frozen(driven, np.bool_),  # type: ignore[arg-type]
+        staircase=frozen_float(held_torque(experiment)),
+        deviations=fixed(deviations),
+        floor=frozen_float(floor),
+        rounding=frozen_float(rounding),
+        hold_gain=frozen_float(experiment.hold_gain),
+    )

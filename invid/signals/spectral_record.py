@@ -1,0 +1,136 @@
+"""One record, prepared for a diagnosis."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from invid.numerics.arrays import Complex128, Float64
+from invid.signals.aliasing import Images
+from invid.signals.standstill import Standing, standing
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """One record, prepared: lines (0 Hz first), noise, and what the motors did over time.
+
+    Attributes
+    ----------
+    omega, lines
+        (F,) [rad/s] and their index in the transform of the wave; the first is 0.
+    position, torque
+        (F, M) complex amplitudes; means at 0.
+    filtered
+        (F, M) positions with lines that are noise taken out: what effects are evaluated on.
+    noise
+        (F, 2M) noise power of [position; torque].
+    scatter
+        (F, M) variance of r [(N·m)² or N²] that the scatter between periods adds to the sensors' noise.
+    motor_wave, motor_velocity, velocity_noise
+        (n, M), (n, M), (M,): one period (or the whole record) of the motors, noise filtered out, on a grid
+        of interval ``wave_step`` that is no finer than the laws of motion need.
+    torque_wave
+        (samples, M): torque over the same time, as sampled.
+    ramp
+        (M,) speed of the line between the record's ends; zero for periodic records.
+    command
+        (F, M) spectrum of the logged demand where the torque is more than it (a hold beside it).
+    set_aside
+        (M,) True for axes whose torque in this record no law tells: held, they stand on their friction.
+    """
+
+    key: str
+    omega: Float64
+    lines: np.ndarray
+    position: Complex128
+    torque: Complex128
+    filtered: Complex128
+    noise: Float64
+    noise_dof: float
+    scatter: Float64
+    span: float
+    transient: bool
+    step: float
+    motor_wave: Float64
+    motor_velocity: Float64
+    velocity_noise: Float64
+    torque_wave: Float64
+    wave_step: float
+    ramp: Float64
+    staircase: Float64
+    start_time: float
+    end_time: float
+    period_time: float
+    excited: np.ndarray
+    command: Complex128 | None = None
+    set_aside: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    weight: Float64 = field(default_factory=lambda: np.zeros(0))
+    """(F,) 0 for lines that are left out; empty where all count."""
+    alone: bool = False
+    """Whether it is a single period of a machine that changes, at its own time."""
+    trend: bool = False
+    """Whether the missing torque changes over the record's periods, in one direction or at one time."""
+    differs: bool = False
+    """Whether it scatters from period to period far beyond the sensors' noise."""
+    unseen: Float64 = field(default_factory=lambda: np.zeros((0, 0)))
+    """(n//2 + 1, M) share of each line of the waves above the band in use that was taken for noise."""
+    ends_in: bool = True
+    """Whether the spectra hold the end-point correction h/2·(x_n − x_0) that makes a sum the integral."""
+
+    @property
+    def samples(self) -> int:
+        """n, of the waves of motion."""
+        return int(self.motor_wave.shape[0])
+
+    @cached_property
+    def wave_omega(self) -> Float64:
+        """(n//2 + 1,) [rad/s] of the waves' own lines."""
+        omega = 2 * np.pi * np.fft.rfftfreq(self.samples, self.wave_step)
+        return np.asarray(omega, dtype=np.float64)
+
+    @property
+    def wave_time(self) -> Float64:
+        """(n,) time of the waves of motion, zero in the record's middle [s]."""
+        middle = 0.5 * (self.torque_wave.shape[0] - 1) * self.step
+        out: Float64 = np.arange(self.samples, dtype=np.float64) * self.wave_step - middle
+        return out
+
+    def to_wave(self, lines: Complex128) -> Float64:
+        """(n,) wave of (F,) amplitudes, the mean first."""
+        half = np.zeros(self.samples // 2 + 1, dtype=complex)
+        half[self.lines] = lines * (self.samples / 2)
+        half[0] *= 2.0
+        out: Float64 = np.fft.irfft(half, self.samples)
+        return out
+
+    @cached_property
+    def standing(self) -> tuple[Standing | None, ...]:
+        """When each motor stands; none for those that never do, or whose noise hides it."""
+        noise = self.velocity_noise
+        return tuple(standing(v, float(noise[i])) for i, v in enumerate(self.motor_velocity.T))
+
+    @cached_property
+    def folding(self) -> Images:
+        """What a torque that is held over the sample folds onto the lines."""
+        return Images.of(self.omega, self.step)
+
+    def unseen_speed(self, torque: Float64, axis: int) -> Float64:
+        """(n,) velocity that a ``torque`` (n,) gives one unit of inertia on the lines that noise has hidden.
+
+        A motor turns round with a corner that its friction makes: beyond the band in use that is its own
+        inertia's answer, and filtered out with the noise it left three times the noise at 34 dB over it.
+        """
+        if not self.unseen.size:
+            return np.zeros(self.samples)
+        lines = np.fft.rfft(torque)
+        omega = self.wave_omega
+        out: Float64 = np.fft.irfft(
+            self.unseen[:, axis] * lines / np.where(omega > 0, 1j * omega, 1.0), self.samples
+        )
+        return out
+
+    def after(self, time: float) -> float:
+        """Share of the record that lies after ``time``."""
+        return float(np.clip((self.end_time - time) / (self.end_time - self.start_time), 0.0, 1.0))

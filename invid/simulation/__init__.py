@@ -1,0 +1,1 @@
+"""Time-domain simulation of a model with its effects, exact for the linear part."""

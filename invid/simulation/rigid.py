@@ -1,0 +1,311 @@
+"""A rigid (or grounded) model in time: in closed loop where the controller is known, else by its torque.
+
+A controller that the recording describes (``controller``, ``position_reference``) is simulated as the digital
+law it is. The record itself says what the law's velocity is: the difference over so many of its own samples
+as reproduces the recorded torque best from the recorded positions.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from invid.errors import InputError
+from invid.model.document import EffectTerm, Model
+from invid.numerics.arrays import Float64, frozen_float
+from invid.recording.model import Experiment, Recording
+from invid.signals.motion_record import derivative
+from invid.signals.timebase import uniform
+from invid.simulation.rigid_kernel import march
+
+SUBSTEPS = 10
+"""Sub-steps between samples; leapfrog at a tenth of a sample is right to 1e-4 of a period up to a fifth of
+the sample rate."""
+_LONGEST_SPAN = 8
+"""Samples that a controller's velocity may span: longer ones would not damp its own loop."""
+_START_SAMPLES = 300
+_KNOWN = 0.2
+"""A law whose torque is off by more than this part of the record's own is not the law that ran (measured
+closed-loop benches reproduce theirs within 3 %)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """The controllers of one experiment: rows of ``march``'s ``law`` and what they follow."""
+
+    law: Float64
+    reference: Float64
+    feedforward: Float64
+
+
+def closed_loop(experiment: Experiment) -> Loop | None:
+    """The experiment's own controllers, where every axis has a known one; ``None`` otherwise."""
+    text = experiment.attributes.get("controller")
+    if not isinstance(text, str) or experiment.position_reference is None:
+        return None
+    try:
+        laws = json.loads(text)
+    except ValueError:
+        return None
+    axes = experiment.position.shape[1]
+    if not isinstance(laws, list) or len(laws) != axes or not all(isinstance(x, dict) for x in laws):
+        return None
+    step = float(np.median(np.diff(experiment.time)))
+    reference = np.asarray(experiment.position_reference, dtype=float)
+    extra = experiment.torque_feedforward
+    feedforward = np.zeros_like(reference) if extra is None else np.asarray(extra, dtype=float)
+    law = np.zeros((axes, 6))
+    for i, one in enumerate(laws):
+        try:
+            stiffness, damping = float(one["stiffness"]), float(one["damping"])
+            limit = float(one["limit"]) if one.get("limit") is not None else np.inf
+        except (KeyError, TypeError, ValueError):
+            return None
+        q, told = experiment.position[:, i], experiment.torque[:, i]
+        misses = []
+        for span in range(1, _LONGEST_SPAN + 1):
+            rate = (q[span:] - q[:-span]) / (span * step)
+            command = stiffness * (reference[span:, i] - q[span:]) - damping * rate + feedforward[span:, i]
+            misses.append(_rms(np.clip(command, -limit, limit) - told[span:]))
+        best = int(np.argmin(misses))
+        if misses[best] > _KNOWN * _rms(told):
+            return None
+        law[i] = 1.0, stiffness, damping, limit, best + 1, 0.0
+    return Loop(law, reference, feedforward)
+
+
+def simulate_motion(model: Model, recording: Recording) -> Recording:
+    """The model's motion (and the torque of closed loops) beside the recorded one, experiment by experiment.
+
+    ``position`` is the model's answer to the recorded torque, or in closed loop to the reference, and then
+    ``torque`` is what the controller asked for. A free axis without a known controller is tied to the
+    measured motion by a spring as slow as the motion itself, because the recorded torque alone does not hold
+    it in place; ``torque`` contains the tie.
+
+    Raises
+    ------
+    InputError
+        Axes that do not match, an effect that a rigid model cannot have, motion that diverges.
+    """
+    if model.axes != recording.axes:
+        raise InputError(
+            f"{recording.source}: its axes are {list(recording.axes)}, the model's are {list(model.axes)}; "
+            f"they must be the same"
+        )
+    done = [_one(model, e) for e in recording.experiments]
+    attributes = {**recording.attributes, "simulated_by": "invid simulate", "model_robot": model.robot}
+    return replace(recording, experiments=tuple(done), attributes=attributes)
+
+
+def errors_of(model: Model, recording: Recording) -> list[dict[str, Any]]:
+    """Simulated against recorded, where simulating says something: closed loops and springs to ground."""
+    grounded = bool(np.all(model.chains.ground_springs > 0))
+    found = []
+    for experiment in recording.experiments:
+        loop = closed_loop(experiment)
+        if loop is None and not grounded:
+            continue
+        try:
+            answer = _one(model, experiment)
+        except InputError as error:
+            found.append({"key": experiment.key, "role": str(experiment.role), "failed": str(error)})
+            continue
+        entry: dict[str, Any] = {
+            "key": experiment.key,
+            "role": str(experiment.role),
+            "loop": "open" if loop is None else "closed",
+            "position": {},
+            "torque": {},
+        }
+        for i, axis in enumerate(recording.axes):
+            for name in ("position", "torque") if loop is not None else ("position",):
+                told, model_says = getattr(experiment, name)[:, i], getattr(answer, name)[:, i]
+                size = _rms(told) if name == "torque" else _rms(told - told.mean())
+                rms = _rms(model_says - told)
+                entry[name][axis] = {"rms": rms, "percent": 100 * rms / size if size > 0 else None}
+        found.append(entry)
+    return found
+
+
+def _one(model: Model, experiment: Experiment) -> Experiment:
+    even = uniform(experiment)
+    axes, count = even.position.shape[1], even.samples
+    smooth, dry, carried = _laws(model)
+    delay = _delays(model)
+    loop = closed_loop(experiment) if even.samples == experiment.samples else None
+    fine = np.arange(count * SUBSTEPS) / SUBSTEPS * even.step
+    instants = np.arange(count) * even.step
+    if loop is not None:
+        law, reference = loop.law.copy(), loop.reference
+        # A command held over the sample lags by half of it on the mean: what is more comes before it acts.
+        more = np.clip(np.rint((delay / even.step - 0.5) * SUBSTEPS), 0, SUBSTEPS)
+        law[:, 5] = more
+        applied = np.repeat(loop.feedforward, SUBSTEPS, axis=0)
+    else:
+        law, reference = np.zeros((axes, 6)), np.asarray(even.position)
+        torque = CubicSpline(instants, even.torque)
+        applied = np.stack(
+            [torque(np.clip(fine - d, 0.0, instants[-1]))[:, i] for i, d in enumerate(delay)], axis=1
+        )
+        if not np.all(model.chains.ground_springs > 0):
+            law, applied = _tied(model, even.position, even.step, applied[::SUBSTEPS])
+    law[:, 4] = np.maximum(law[:, 4], 1.0)
+    rate = derivative(np.asarray(even.position), even.step, 0.1 / even.step, 1)
+    state = np.stack([even.position[0], rate[0]])
+    mass = np.array(model.chains.mass_matrix)
+    applied, reference = np.ascontiguousarray(applied), np.ascontiguousarray(reference)
+
+    def run(start: Float64, samples: int) -> tuple[Float64, Float64]:
+        out, acted = np.zeros((samples, axes)), np.zeros((samples, axes))
+        with np.errstate(over="ignore", invalid="ignore"):
+            march(
+                start.copy(), applied, reference, law, mass, carried, smooth, dry, even.step / SUBSTEPS,
+                SUBSTEPS, out, acted,
+            )  # fmt: skip
+        return out, acted
+
+    out, acted = run(_start(state, np.asarray(even.position), even.step, run), count)
+    if not np.isfinite(out).all() or np.abs(out).max() > 1e6 * max(np.abs(even.position).max(), 1e-300):
+        raise InputError(
+            f"experiment {experiment.key}: the simulated motion runs away; a mass is far too small or an "
+            f"effect feeds energy in (check the model's values and signs)"
+        )
+    if count != experiment.samples or not np.allclose(instants, experiment.time - experiment.time[0]):
+        at = experiment.time - experiment.time[0]
+        out = np.stack([np.interp(at, instants, column) for column in out.T], axis=1)
+        acted = np.stack([np.interp(at, instants, column) for column in acted.T], axis=1)
+    torque_out = experiment.torque if not law[:, 0].any() else frozen_float(acted)
+    return replace(experiment, position=frozen_float(out), torque=torque_out)
+
+
+def _start(
+    state: Float64, measured: Float64, step: float, run: Callable[[Float64, int], tuple[Float64, Float64]]
+) -> Float64:
+    """Position and velocity at the first sample, fitted to the first samples that follow.
+
+    A derivative at the end of a record is poor, and a start that is off rings for as long as the damping lets
+    it. Gauss–Newton with differences; a step that does not help is not taken.
+    """
+    samples = min(_START_SAMPLES, measured.shape[0])
+    told = measured[:samples]
+    spread = np.maximum(told.std(axis=0), 1e-12 * np.abs(told).max() + 1e-300)
+    small = 1e-3 * np.stack([spread, spread / (samples * step)])
+    miss = told - run(state, samples)[0]
+    for _ in range(3):
+        columns = []
+        for place in np.ndindex(state.shape):
+            moved = state.copy()
+            moved[place] += small[place]
+            columns.append(((run(moved, samples)[0] - told + miss) / small[place]).ravel())
+        basis = np.stack(columns, axis=1)
+        if not (np.isfinite(basis).all() and np.isfinite(miss).all()):
+            return state
+        scale = np.maximum(np.linalg.norm(basis, axis=0), 1e-300)
+        change = np.linalg.lstsq(basis / scale, miss.ravel(), rcond=1e-6)[0] / scale
+        trial = state + change.reshape(state.shape)
+        fresh = told - run(trial, samples)[0]
+        if not _rms(fresh) < 0.999 * _rms(miss):
+            return state
+        state, miss = trial, fresh
+    return state
+
+
+def _tied(model: Model, position: Float64, step: float, torque: Float64) -> tuple[Float64, Float64]:
+    """A slow spring and damper to the measured motion: controller rows and the torque that goes with them."""
+    axes = position.shape[1]
+    law = np.zeros((axes, 6))
+    velocity = derivative(np.asarray(position), step, 0.1 / step, 1)
+    mass = np.diag(model.chains.mass_matrix)
+    for i in range(axes):
+        spread = float(position[:, i].std())
+        # The frequency of a sine of this size and speed: the motion's own.
+        natural = float(velocity[:, i].std()) / spread if spread > 0 else 0.1 / (position.shape[0] * step)
+        stiffness = float(mass[i]) * natural**2
+        law[i] = 1.0, stiffness, 1.4 * float(mass[i]) * natural, np.inf, 1.0, 0.0
+    applied = torque + law[:, 2] * velocity
+    return law, np.repeat(applied, SUBSTEPS, axis=0)
+
+
+def _delays(model: Model) -> Float64:
+    """(M,) time by which the torque acts later than recorded [s]."""
+    reported = model.fit.get("time_offset_s")
+    found = np.zeros(len(model.axes))
+    for i, axis in enumerate(model.axes):
+        entry = reported.get(f"{axis}.time_offset") if isinstance(reported, Mapping) else None
+        if isinstance(entry, Mapping) and isinstance(entry.get("value"), int | float):
+            found[i] = float(entry["value"])
+        found[i] += sum(
+            t.value("delay") for t in model.effects if t.cause == "torque_delay" and t.axis == axis
+        )
+    return found
+
+
+def _laws(model: Model) -> tuple[Float64, Float64, Float64]:
+    """(M, 6), (M, 10) and (5,) parameters of ``march``."""
+    axes = len(model.axes)
+    smooth, dry, carried = np.zeros((axes, 6)), np.zeros((axes, 10)), np.zeros(5)
+    smooth[:, 0] = model.chains.ground_springs
+    dry[:, 7] = 2.0
+    inertia = model.fit.get("inertia_with_angle")
+    if isinstance(inertia, Mapping) and axes == 2:
+        carried[:2] = [float(inertia[k]["value"]) for k in ("cosine", "sine")]
+        carried[4] = 1.0
+    for term in model.effects:
+        i, at = model.axes.index(term.axis), term.value
+        match term.cause:
+            case "quadratic_stiffness":
+                smooth[i, 1] += at("coefficient")
+            case "cubic_stiffness":
+                smooth[i, 2] += at("coefficient")
+            case "torque_offset":
+                smooth[i, 3] += at("torque")
+            case "gravity":
+                parts = at("torque") * np.cos(at("angle")), at("torque") * np.sin(at("angle"))
+                if term.other_axis is None:
+                    smooth[i, 4:] += parts
+                else:
+                    carried[2:4] += parts
+                    carried[4] = 1.0
+            case "torque_delay":
+                pass
+            case _:
+                dry[i] += _friction(term)
+    return smooth, dry, carried
+
+
+def _friction(term: EffectTerm) -> Float64:
+    at = term.value
+    row = np.zeros(10)
+    match term.cause:
+        case "coulomb_friction":
+            row[:2] = at("torque")
+        case "viscous_friction":
+            row[2:4] = at("coefficient")
+        case "stribeck_friction":
+            row[:2], row[4:6], row[6] = at("coulomb"), at("static") - at("coulomb"), at("velocity")
+            row[7] = _exponent(term) - 2.0
+        case "asymmetric_friction":
+            row[:2] = at("coulomb_positive"), at("coulomb_negative")
+            row[2:4] = at("viscous_positive"), at("viscous_negative")
+            if "low_speed_velocity" in term.parameters:
+                row[4:7] = at("low_speed_positive"), at("low_speed_negative"), at("low_speed_velocity")
+                row[7] = _exponent(term) - 2.0
+        case "load_dependent_friction":
+            row[8] = at("coefficient")
+            row[9] = at("inertia_counts") if "inertia_counts" in term.parameters else 0.0
+        case _:
+            raise InputError(f"effect {term.cause} on {term.axis}: a rigid model has no place for it")
+    return row
+
+
+def _exponent(term: EffectTerm) -> float:
+    return term.value("exponent") if "exponent" in term.parameters else 2.0
+
+
+def _rms(values: Float64) -> float:
+    return float(np.sqrt(np.mean(np.square(values)))) if values.size else 0.0

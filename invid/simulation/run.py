@@ -1,0 +1,328 @@
+"""The model's answer to a recorded excitation, as a recording."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from invid.errors import InputError
+from invid.model.document import Model
+from invid.numerics.arrays import Float64
+from invid.recording.model import Experiment, Recording
+from invid.signals.plausibility import check_units
+from invid.simulation.kernel import march
+from invid.simulation.laws import Laws, law_table, laws_of
+from invid.simulation.plant import Matrices, Step, add_link, discretise, matrices
+from invid.simulation.replay import Drive, drift_torque, drive
+from invid.simulation.rigid import simulate_motion
+
+_DRIFT_PIECES = 200  # a drifting parameter is constant within 1/200 of the record
+_START_ROUNDS = 3
+_DRIFT_ROUNDS = 3
+_DIVERGED = 1e6  # times the measured motion: no wrong parameter does that, only a growing oscillation
+_START_SAMPLES = 2000
+_START_PRIOR = 1e-3
+"""Weight of the guessed initial state against the measured motion: only decides what no motor sees."""
+
+
+def simulate(
+    model: Model,
+    recording: Recording,
+    *,
+    rng: np.random.Generator | None = None,
+    only: Collection[str] | None = None,
+) -> Recording:
+    """Time-domain answer of ``model``, effects included, to the torques of ``recording``.
+
+    The linear part is exact; force laws act once per sub-step (see ``laws``). How the loop is closed
+    and the rigid drift kept out is in ``replay``. The initial state is fitted to the measured motion,
+    so that records from rest and in steady state both start without a transient of the simulation's own.
+    ``model.fit["time_offset_s"]``, the sampling offset of the torque found by identification, is applied.
+
+    Parameters
+    ----------
+    model, recording
+        Axes must have the same names; order may differ.
+    rng
+        Draws the rows that ``dropped_samples`` repeats; default: a fixed seed.
+    only
+        Keys of the experiments to simulate, and to return; default: all. The clock of effects that change
+        with time is the whole recording's.
+
+    Returns
+    -------
+    Recording
+        The same experiments and attributes; ``position`` from the model, ``torque`` what it was given.
+
+    Raises
+    ------
+    InputError, ModelError
+        Axes that do not match; an effect that cannot be simulated; motion that diverges.
+    """
+    order = _axis_order(model, recording)
+    if model.method == "trajectory":
+        return simulate_motion(model, recording)
+    laws = laws_of(model.chains, model.effects)
+    for i, offset in _time_offsets(model).items():
+        laws.delay[i] = laws.delay.get(i, 0.0) + offset
+    plant = matrices(model.chains, laws)
+    chance = np.random.default_rng(0) if rng is None else rng
+    origin = min(float(e.time[0]) for e in recording.experiments) if recording.experiments else 0.0
+    done = []
+    for experiment in recording.experiments:
+        if only is not None and experiment.key not in only:
+            continue
+        answer = _simulate_one(_reordered(experiment, order), model, laws, plant, origin)
+        answer = _dropped(answer, laws.dropped, chance)
+        done.append(_reordered(answer, np.argsort(order)))
+    attributes = {**recording.attributes, "simulated_by": "invid simulate", "model_robot": model.robot}
+    return replace(recording, experiments=tuple(done), attributes=attributes)
+
+
+def _time_offsets(model: Model) -> dict[int, float]:
+    """Sampling offsets of the torque that the identification reports [s]: acts later where positive."""
+    reported = model.fit.get("time_offset_s")
+    if not isinstance(reported, Mapping):
+        return {}
+    found = {}
+    for i, axis in enumerate(model.axes):
+        entry = reported.get(f"{axis}.time_offset")
+        value = entry.get("value") if isinstance(entry, Mapping) else entry
+        if isinstance(value, int | float) and np.isfinite(value):
+            found[i] = float(value)
+    return found
+
+
+def _axis_order(model: Model, recording: Recording) -> np.ndarray:
+    if sorted(model.axes) != sorted(recording.axes):
+        raise InputError(
+            f"{recording.source}: its axes are {list(recording.axes)}, the model's are {list(model.axes)}; "
+            "they must have the same names"
+        )
+    check_units(model, recording)
+    return np.array([recording.axes.index(a) for a in model.axes])
+
+
+def _reordered(experiment: Experiment, order: np.ndarray) -> Experiment:
+    if np.array_equal(order, np.arange(order.size)):
+        return experiment
+    demand, status = experiment.torque_demand, experiment.status
+    return replace(
+        experiment,
+        position=experiment.position[:, order],
+        torque=experiment.torque[:, order],
+        hold_gain=experiment.hold_gain[order],
+        torque_demand=None if demand is None else demand[:, order],
+        status=None if status is None else status[:, order],
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Piece:
+    begin: int  # sub-steps
+    end: int
+    step: Step
+
+
+def _simulate_one(
+    experiment: Experiment, model: Model, laws: Laws, plant: Matrices, origin: float
+) -> Experiment:
+    chains = model.chains
+    fastest = _fastest(plant, laws)
+    given = drive(experiment, chains, laws, fastest)
+    motors = chains.motor_dofs.astype(np.int64)
+    pieces = _pieces(plant, laws, given, motors, origin)
+    kinds, parameters = law_table(laws.forces)
+
+    def answer(start: Float64, added: Float64 | None = None) -> Float64:
+        drive_ = given if added is None else replace(given, applied=given.applied + given.refined(added))
+        return _march(start, pieces, drive_, kinds, parameters, motors, every=given.substeps)
+
+    state = _rigid_start(given, plant.mass.shape[0], chains.masses_per_branch, motors)
+    motion = answer(state)
+    with np.errstate(over="ignore", invalid="ignore"):
+        free = _free_response(pieces[0].step, given, motors)
+    error = _error(motion, given)
+    for _ in range(_START_ROUNDS):
+        trial = state + _start_correction(free, motion, given)
+        fresh = answer(trial)
+        fresh_error = _error(fresh, given)
+        if not fresh_error < 0.999 * error:
+            break
+        state, motion, error = trial, fresh, fresh_error
+    drift = np.zeros_like(given.measured)
+    for _ in range(_DRIFT_ROUNDS if experiment.frequencies_hz.size else 0):
+        added = drift + drift_torque(given.measured - motion[:, :, 0], given, chains, experiment)
+        if not np.isfinite(added).all():  # it has run away; said below
+            break
+        fresh = answer(state, added)
+        fresh_error = _error(fresh, given)
+        if not fresh_error < 0.99 * error:
+            break
+        drift, motion, error = added, fresh, fresh_error
+    size = float(np.sum(given.measured**2))
+    if not np.isfinite(error) or 0 < _DIVERGED**2 * size < error:
+        raise InputError(
+            f"experiment {experiment.key}: the simulated motion leaves the measured one a million times "
+            "behind; a mass is far too small or an effect feeds energy in (check the model's values and "
+            "signs)"
+        )
+    extra = drift + state[2 * plant.mass.shape[0] :]
+    return _as_experiment(experiment, motion, given, laws, extra)
+
+
+def _march(
+    start: Float64,
+    pieces: list[_Piece],
+    given: Drive,
+    kinds: Float64,
+    parameters: Float64,
+    motors: np.ndarray,
+    every: int,
+) -> Float64:
+    states = start.size - motors.size
+    state, applied = start[:states].copy(), given.applied + start[states:]
+    memory = np.zeros((kinds.shape[0], 2))
+    for e, (_, a, b) in enumerate(kinds.astype(int)):
+        memory[e, 1] = state[a] - (state[b] if b >= 0 else 0.0)
+    motion = np.zeros((given.time.size, motors.size, 2))
+    for piece in pieces:
+        part = np.zeros(((piece.end - piece.begin) // every + 1, motors.size, 2))
+        s = piece.step
+        march(
+            state,
+            s.transition,
+            s.now,
+            s.next,
+            s.force,
+            np.ascontiguousarray(applied[piece.begin : piece.end + 1]),
+            kinds,
+            parameters,
+            memory,
+            given.step,
+            every,
+            part,
+            motors,
+        )
+        motion[piece.begin // every : piece.end // every + 1] = part
+    return motion
+
+
+def _pieces(plant: Matrices, laws: Laws, given: Drive, motors: np.ndarray, origin: float) -> list[_Piece]:
+    """Stretches of constant parameters; borders lie on samples."""
+    samples = given.time.size
+    borders = {0, samples - 1}
+    for _, _, when in laws.payloads:
+        borders.add(int(np.clip(np.searchsorted(given.time, when), 0, samples - 1)))
+    if laws.drifts:
+        borders |= {int(b) for b in np.linspace(0, samples - 1, min(_DRIFT_PIECES, samples - 1) + 1)}
+    inputs = np.zeros((plant.mass.shape[0], motors.size))
+    inputs[motors, np.arange(motors.size)] = 1.0
+    pieces = []
+    edges = sorted(borders)
+    for begin, end in pairwise(edges):
+        mass, stiffness, damping = plant.mass.copy(), plant.stiffness.copy(), plant.damping.copy()
+        for at, added, when in laws.payloads:
+            if given.time[begin] >= when:
+                mass[at, at] += added
+        middle = 0.5 * (given.time[begin] + given.time[end]) - origin
+        for a, b, rate in laws.drifts:
+            add_link(mass if b < 0 else stiffness, a, b, rate * middle)
+        stiffness[motors, motors] += given.stiffness
+        damping[motors, motors] += given.damping
+        if np.linalg.eigvalsh(mass)[0] <= 0:
+            raise InputError("simulation: payload or drift makes the mass matrix not positive definite")
+        step = discretise(Matrices(mass, damping, stiffness), inputs, given.step)
+        pieces.append(_Piece(begin * given.substeps, end * given.substeps, step))
+    return pieces
+
+
+def _fastest(plant: Matrices, laws: Laws) -> float:
+    """Fastest motion that the force laws must follow [rad/s]."""
+    stiff = max((f.parameters[0] / plant.mass[f.a, f.a] for f in laws.forces if f.law in (2, 7)), default=0.0)
+    return float(np.hypot(plant.fastest, np.sqrt(stiff)))
+
+
+def _rigid_start(given: Drive, size: int, masses: tuple[int, ...], motors: np.ndarray) -> Float64:
+    """All masses of a branch where its motor is, moving as it does; behind them constant torques, 0."""
+    state = np.zeros(2 * size + motors.size)
+    for i, count in enumerate(masses):
+        at = slice(int(motors[i]), int(motors[i]) + count)
+        state[at] = given.measured[0, i]
+        state[size + at.start : size + at.stop] = given.rate[0, i]
+    return state
+
+
+def _free_response(step: Step, given: Drive, motors: np.ndarray) -> tuple[np.ndarray, Float64]:
+    """Samples and motor motion (K, M, 2n + M) there for a unit of each initial state and constant torque."""
+    samples = given.time.size
+    stride = max(1, samples // _START_SAMPLES)
+    states, count = step.transition.shape[0], motors.size
+    whole = np.eye(states + count)
+    whole[:states, :states] = step.transition
+    whole[:states, states:] = step.now + step.next
+    jump = np.linalg.matrix_power(whole, given.substeps * stride)
+    points = (samples - 1) // stride + 1
+    response = np.zeros((points, count, jump.shape[0]))
+    power = np.eye(jump.shape[0])
+    for k in range(points):
+        response[k] = power[motors]
+        power = jump @ power
+    return np.arange(points) * stride, response
+
+
+def _start_correction(free: tuple[np.ndarray, Float64], motion: Float64, given: Drive) -> Float64:
+    """Change of initial state and constant torques that brings the simulated motion closest to the
+    measured one."""
+    at, response = free
+    missing = (given.measured - motion[:, :, 0])[at].ravel()
+    basis = response.reshape(missing.size, -1)
+    if not (np.isfinite(basis).all() and np.abs(basis).max() < 1e100):
+        return np.zeros(basis.shape[1])  # an unstable plant: no start is better than another
+    scale = np.linalg.norm(basis, axis=0)
+    scale[scale == 0] = 1.0
+    normal = (basis / scale).T @ (basis / scale) + _START_PRIOR**2 * np.eye(scale.size)
+    change: Float64 = np.linalg.solve(normal, (basis / scale).T @ missing) / scale
+    return change
+
+
+def _error(motion: Float64, given: Drive) -> float:
+    with np.errstate(over="ignore", invalid="ignore"):
+        value = float(np.sum((motion[:, :, 0] - given.measured) ** 2))
+    return value if np.isfinite(value) else np.inf
+
+
+def _as_experiment(
+    experiment: Experiment, motion: Float64, given: Drive, laws: Laws, extra: Float64
+) -> Experiment:
+    theta, rate = motion[:, :, 0], motion[:, :, 1]
+    tie = extra - given.stiffness * (theta - given.measured) - given.damping * (rate - given.rate)
+    for i, gain in laws.gain.items():
+        tie[:, i] /= gain if gain != 0 else 1.0
+    if experiment.samples == given.time.size and np.allclose(
+        experiment.time, given.time, rtol=0, atol=1e-3 * given.step
+    ):
+        position, torque = theta.copy(), experiment.torque + tie
+    else:
+        position = CubicHermiteSpline(given.time, theta, rate)(experiment.time)
+        torque = experiment.torque + np.stack(
+            [np.interp(experiment.time, given.time, column) for column in tie.T], axis=1
+        )
+    for i, errors in laws.eccentricity.items():
+        true = position[:, i].copy()
+        for amplitude, phase in errors:
+            position[:, i] += amplitude * np.sin(true + phase)
+    return replace(experiment, position=position, torque=torque)
+
+
+def _dropped(experiment: Experiment, fraction: float, rng: np.random.Generator) -> Experiment:
+    if fraction == 0:
+        return experiment
+    kept = rng.uniform(size=experiment.samples) >= fraction
+    kept[0] = True
+    source = np.maximum.accumulate(np.where(kept, np.arange(experiment.samples), 0))
+    return replace(experiment, position=experiment.position[source], torque=experiment.torque[source])

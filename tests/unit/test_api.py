@@ -1,0 +1,214 @@
+"""``import invid``: the job in Python as the contract shows it, judged on what was hidden."""
+
+from __future__ import annotations
+
+import pickle
+import subprocess
+import sys
+from dataclasses import FrozenInstanceError, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from hidden.generator import Truth, make
+
+import invid
+from invid.model.diagnosis_document import diagnosis_to_json
+from invid.model.document import model_to_json
+
+HEAVY = ("numpy", "scipy", "numba", "h5py", "matplotlib", "pydantic", "typer", "yaml")
+
+
+@pytest.fixture(scope="module")
+def case() -> tuple[invid.Recording, Truth]:
+    return make("coulomb_friction", (0, 1), seed=5, motors=1, masses=(2,), target_db=30.0, moves=False)
+
+
+@pytest.fixture(scope="module")
+def diagnosis(case: tuple[invid.Recording, Truth]) -> invid.Diagnosis:
+    return invid.diagnose(case[0])
+
+
+def values(thing: Any) -> Any:
+    """Everything inside, comparable."""
+    if isinstance(thing, np.ndarray):
+        return thing.dtype, thing.shape, thing.tobytes()
+    if hasattr(thing, "__dataclass_fields__"):
+        return {k: values(getattr(thing, k)) for k in thing.__dataclass_fields__}
+    if isinstance(thing, dict):
+        return {k: values(v) for k, v in thing.items()}
+    return [values(v) for v in thing] if isinstance(thing, tuple | list) else repr(thing)
+
+
+def test_the_job_from_a_file_to_the_named_cause_and_back_to_files(
+    case: tuple[invid.Recording, Truth], tmp_path: Path
+) -> None:
+    made, truth = case
+    invid.write_recording(made, tmp_path / "rec.h5")
+    recording = invid.read_recording(str(tmp_path / "rec.h5"))
+    model = invid.identify(recording, masses=[2])
+    diagnosis = invid.diagnose(recording, model=model)
+    assert diagnosis.verdict == "explained"
+    finding = diagnosis.findings[0]
+    assert (finding.cause, finding.axis, finding.element) == (
+        "coulomb_friction",
+        truth.effects[0].axis,
+        "mass 1",
+    )
+    size, true = finding.parameters["torque"], truth.effects[0].parameters["torque"]
+    assert size.std is not None
+    assert abs(size.value - true) < min(4 * size.std, 0.05 * true)
+    answer = invid.simulate(diagnosis.model, recording)
+    for simulated, measured in zip(answer.experiments, recording.experiments, strict=True):
+        assert np.std(simulated.position - measured.position) < 0.005 * np.std(measured.position)
+    changes = invid.compare(model, diagnosis.model)
+    assert [c.status for c in changes.effects if "coulomb_friction" in c.name] == ["unchanged"]
+    model.save(tmp_path / "model.json")
+    diagnosis.save(str(tmp_path / "diagnosis.json"))
+    assert _plain(model_to_json(invid.load_model(tmp_path / "model.json"))) == _plain(model_to_json(model))
+    loaded = invid.load_diagnosis(tmp_path / "diagnosis.json")
+    assert _plain(diagnosis_to_json(loaded)) == _plain(diagnosis_to_json(diagnosis))
+    assert loaded.findings[0].parameters["torque"] == size
+
+
+def _plain(document: Any) -> Any:
+    """As JSON has it: tuples are lists."""
+    if isinstance(document, dict):
+        return {k: _plain(v) for k, v in document.items()}
+    return [_plain(v) for v in document] if isinstance(document, list | tuple) else document
+
+
+def test_a_diagnosis_leaves_the_recording_as_it_was(case: tuple[invid.Recording, Truth]) -> None:
+    recording = case[0]
+    experiments = tuple(
+        replace(e, position=e.position.copy(), torque=e.torque.copy()) for e in recording.experiments
+    )
+    writable = replace(recording, experiments=experiments, attributes={"a": [1, 2]})
+    before = values(writable)
+    model = invid.identify(writable)
+    known = values(model)
+    invid.diagnose(writable, model=model)
+    assert values(writable) == before
+    assert values(model) == known
+    assert writable.experiments[0].position.flags.writeable
+
+
+def test_results_survive_pickling(case: tuple[invid.Recording, Truth], diagnosis: invid.Diagnosis) -> None:
+    comparison = invid.compare(diagnosis.model, diagnosis.model)
+    for thing in (case[0], diagnosis, diagnosis.model, comparison):
+        assert values(pickle.loads(pickle.dumps(thing))) == values(thing)
+
+
+def test_results_refuse_to_be_changed(diagnosis: invid.Diagnosis) -> None:
+    with pytest.raises(FrozenInstanceError):
+        diagnosis.verdict = "consistent"  # type: ignore[misc, assignment]
+    with pytest.raises(TypeError, match="immutable"):
+        diagnosis.details["null_test"] = 1  # type: ignore[index]
+    with pytest.raises(TypeError, match="immutable"):
+        diagnosis.model.fit.update(trustworthy=True)  # type: ignore[attr-defined]
+    with pytest.raises(TypeError, match="immutable"):
+        diagnosis.findings[0].parameters.pop("torque")  # type: ignore[attr-defined]
+    with pytest.raises(ValueError, match="read-only"):
+        diagnosis.model.chains.masses[0][0] = 1.0
+
+
+def test_several_recordings_of_one_machine_are_diagnosed_together(
+    case: tuple[invid.Recording, Truth],
+) -> None:
+    """Each half of the experiments alone knows less than both: the standard deviation says so."""
+    recording, truth = case
+    halves = [
+        replace(recording, experiments=tuple(_part(e, k) for e in recording.experiments), source=f"part {k}")
+        for k in (0, 1)
+    ]
+    alone, both = invid.diagnose(halves[0]), invid.diagnose(halves)
+    assert len(both.findings) == 1
+    size = both.findings[0].parameters["torque"]
+    single = alone.findings[0].parameters["torque"]
+    assert both.findings[0].cause == truth.effects[0].cause
+    assert size.std is not None
+    assert single.std is not None
+    assert size.std < 0.9 * single.std
+    assert abs(size.value - truth.effects[0].parameters["torque"]) < 4 * size.std
+
+
+def _part(e: invid.Experiment, half: int) -> invid.Experiment:
+    """One half of the periods of an experiment."""
+    count = e.periods // 2 * e.period_samples
+    rows = slice(half * count, (half + 1) * count)
+    columns = ("time", "position", "torque", "torque_demand", "status")
+    return replace(e, **{c: None if getattr(e, c) is None else getattr(e, c)[rows] for c in columns})
+
+
+def test_recordings_of_different_machines_are_refused_in_words(case: tuple[invid.Recording, Truth]) -> None:
+    recording = case[0]
+    other = replace(recording, axes=("B1",), source="other.h5")
+    with pytest.raises(invid.InputError, match=r"other\.h5: axes \['B1'\].*not the same robot"):
+        invid.diagnose([recording, other])
+    coarse = replace(recording, encoder_resolution=np.array([0.01]), source="coarse.h5")
+    with pytest.raises(invid.InputError, match=r"encoder_resolution is .*0\.01.*not the same machine"):
+        invid.diagnose([replace(recording, encoder_resolution=np.array([0.001])), coarse])
+    with pytest.raises(invid.InputError, match="no recording was given"):
+        invid.diagnose([])
+
+
+def test_a_model_and_masses_together_are_refused(
+    case: tuple[invid.Recording, Truth], diagnosis: invid.Diagnosis
+) -> None:
+    with pytest.raises(invid.InputError, match="give one of the two"):
+        invid.diagnose(case[0], model=diagnosis.model, masses=[2])
+
+
+def test_what_is_no_diagnosis_is_said(tmp_path: Path, diagnosis: invid.Diagnosis) -> None:
+    diagnosis.model.save(tmp_path / "model.json")
+    with pytest.raises(invid.InputError, match=r"model\.json: no diagnosis: format is 'invid-model'"):
+        invid.load_diagnosis(tmp_path / "model.json")
+    diagnosis.save(tmp_path / "d.json")
+    text = (tmp_path / "d.json").read_text(encoding="utf-8")
+    (tmp_path / "d.json").write_text(
+        text.replace('"confidence": ', '"confidence": "no", "x": '), encoding="utf-8"
+    )
+    with pytest.raises(invid.InputError, match=r"d\.json: findings: 0\.confidence.*found 'no'"):
+        invid.load_diagnosis(tmp_path / "d.json")
+    with pytest.raises(invid.InputError, match="no such file"):
+        invid.load_diagnosis(tmp_path / "none.json")
+
+
+def test_a_table_with_plain_names_is_imported_and_what_was_assumed_is_a_warning(tmp_path: Path) -> None:
+    time = np.arange(400) / 200.0
+    rows = np.column_stack((time, np.sin(time), np.cos(time)))
+    np.savetxt(tmp_path / "log.csv", rows, delimiter=",", header="time,position,torque", comments="")
+    with pytest.warns(UserWarning, match="no map was given"):
+        recording = invid.import_recording(tmp_path / "log.csv", created="2026-11-21T10:00:00Z")
+    assert recording.experiments[0].position.shape == (400, 1)
+    assert recording.created == "2026-11-21T10:00:00Z"
+    with pytest.raises(TypeError, match="immutable"):
+        recording.attributes["x"] = 1
+    with pytest.raises(invid.InputError, match=r"none\.yaml: cannot be read: No such file"):
+        invid.import_recording(tmp_path / "log.csv", tmp_path / "none.yaml")
+
+
+def test_the_import_loads_nothing_heavy() -> None:
+    code = "import sys, invid; print(*{m.split('.')[0] for m in sys.modules})"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert not set(HEAVY) & set(done.stdout.split())
+
+
+def test_the_list_of_commands_loads_no_command() -> None:
+    code = "import sys; from invid.cli.app import run; run(['--help']); print(*sys.modules, file=sys.stderr)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert not set(HEAVY) - {"typer"} & {m.split(".")[0] for m in done.stderr.split()}
+    for command in ("measure", "identify", "serve"):
+        (line,) = [row for row in done.stdout.splitlines() if row.split()[:1] == [command]]
+        assert len(line.split()) > 3
+
+
+def test_every_public_name_is_there_and_documented() -> None:
+    for name in invid.__all__:
+        assert getattr(invid, name).__doc__, name
+    assert invid.__version__
+    with pytest.raises(AttributeError, match="no attribute 'measure'"):
+        invid.measure  # noqa: B018
