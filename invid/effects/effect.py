@@ -146,6 +146,8 @@ class ForceEffect(Effect):
     """A resistance that is a law of motion over time: basis forces on the pattern."""
 
     smeared = False
+    local: ClassVar[bool] = True
+    """Whether the force at a sample follows from the motion at it and beside it, and from nothing before."""
     answered: ClassVar[bool] = False
     """Whether the law goes on with the motion beyond the band that its own force makes (``beyond_band``)."""
 

@@ -28,6 +28,17 @@ class Closing:
     linear: Complex128
     """(F, M) missing torque of the linear model."""
 
+    @cached_property
+    def unit(self) -> Float64:
+        """(2ΣN,) largest line of motion for a unit jump: jumps in the units of motion."""
+        out: Float64 = np.abs(self.inner).max(axis=(0, 1)) + 1e-300
+        return out
+
+    def follow(self, missing: Complex128) -> Float64:
+        """(2ΣN, P) jumps that go with (F, M, P) of missing torque."""
+        out: Float64 = np.tensordot(self.gain, missing, axes=((1, 2), (0, 1))).real
+        return out
+
     def left(self, extra: Complex128) -> Complex128:
         """(F, M) missing torque with ``extra`` (F, M) of effects, without what the ends explain."""
         out: Complex128 = self.linear + extra + self.torque @ self.jumps(extra)
@@ -123,10 +134,10 @@ class View:
         if self.closing is not None and jumps is not None:
             self.jumps = jumps
             slopes = jumps[: self.base.shape[1]] / self.record.span
-            self._open = (self.closing.inner @ jumps + self._wander - self._slope * slopes, slopes)
+            self._open = (self.closing.inner @ jumps + self._wander - self.slope * slopes, slopes)
 
     @cached_property
-    def _slope(self) -> Complex128:
+    def slope(self) -> Complex128:
         """(F, 1) lines of a straight line that rises by one a second."""
         out: Complex128 = (2j / np.where(self.omega > 0, self.omega, np.inf))[:, None]
         return out
@@ -134,7 +145,7 @@ class View:
     @cached_property
     def _wander(self) -> Complex128:
         """(F, ΣN) motion that goes with the straight line between the motors' ends."""
-        out: Complex128 = np.einsum("fqm,fm->fq", self.motion, self._slope * self.record.ramp)
+        out: Complex128 = np.einsum("fqm,fm->fq", self.motion, self.slope * self.record.ramp)
         return out
 
     def left(self, extra: Complex128) -> Complex128 | None:
@@ -283,6 +294,11 @@ class View:
             out = out - self.yields(pattern) * forces[:, k, None]
         return out
 
+    def correction_gain(self, patterns: tuple[Pattern, ...]) -> Complex128 | None:
+        """(F, T, M) forces along the patterns over what is left, as ``correction`` has found them; ``None``
+        where it was never asked."""
+        return self._gains.get(patterns)
+
     def compliance(self, pattern: Pattern) -> Complex128:
         """(F,) bᵀ Z_ii⁻¹ b."""
         return along(pattern, self.yields(pattern))
@@ -290,9 +306,10 @@ class View:
 
 def along(pattern: Pattern, motion: Complex128) -> Complex128:
     """(F, ...) of the (F, ΣN, ...) motion of every coordinate that along the pattern."""
-    total: Complex128 = np.zeros_like(motion[:, 0])
-    for at, sign in pattern:
-        total = total + sign * motion[:, at]
+    (first, sign), *others = pattern
+    total: Complex128 = sign * motion[:, first]
+    for at, sign in others:
+        total += sign * motion[:, at]
     return total
 
 

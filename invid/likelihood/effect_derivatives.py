@@ -9,9 +9,57 @@ import numpy as np
 from invid.effects.effect import ImpedanceEffect
 from invid.effects.motion import View
 from invid.likelihood.inner_motion import learned
+from invid.likelihood.law_response import Change, direct_changes, respond, slopes_of
 from invid.likelihood.nuisance.transients import of_jumps
 from invid.likelihood.placed_effect import Candidate, Term, contributions, forces_of
 from invid.numerics.arrays import Complex128, Float64
+
+
+def response_columns(
+    view: View,
+    candidate: Candidate,
+    sp: Float64,
+    q: Complex128,
+    columns: Complex128,
+    linear: int,
+    *,
+    strong: bool,
+) -> bool:
+    """Fills in the columns of the effects, and with ``strong`` adds to those of the linear parameters what
+    the laws change by with the inner motion; False where a law has no slope by itself (``law_response``).
+
+    The first ``linear`` of ``columns`` (F, M, n) hold the derivatives at fixed forces.
+    """
+    slopes = slopes_of(view, candidate)
+    if not slopes:
+        return False
+    structure = view.structure
+    lines, coordinates = view.base.shape
+    steps = [
+        (number, k, _step_of(view, term, x, k))
+        for number, (term, x) in enumerate(zip(candidate.terms, candidate.x, strict=True))
+        for k in range(x.size)
+    ]
+    known = linear if strong else 0
+    count, springs = known + len(steps), view.springs.size
+    base = np.zeros((lines, coordinates, count), dtype=complex)
+    missing = np.zeros((*view.acting.shape, count), dtype=complex)
+    total, back = np.zeros_like(missing), np.zeros_like(base)
+    stiffness, damping = np.zeros((springs, count)), np.zeros((springs, count))
+    total[..., known:], back[..., known:] = direct_changes(view, candidate, steps)
+    if strong:
+        every = np.broadcast_to(np.eye(coordinates, dtype=complex), view.inner.shape)
+        base[..., : structure.count] = -(
+            view.inner @ structure.torque_derivative(sp, view.omega, every, q[None])[0]
+        )
+        missing[..., :known] = columns[..., :known]
+        stiffness[:, structure.slices["spring"]] = np.diag(view.springs)  # they move as logarithms
+        damping[:, structure.slices["damper"]] = np.eye(springs)
+    change = Change(base, missing, stiffness, damping, total, back)
+    response = respond(view, candidate, slopes, change)
+    columns[..., :known] += response[..., :known]
+    columns[..., linear:] = response[..., known:]
+    return True
 
 
 def effect_columns(view: View, candidate: Candidate, extra: Complex128, columns: Complex128, at: int) -> None:

@@ -22,6 +22,7 @@ from invid.likelihood.effect_derivatives import (
     jump_columns,
     law_columns,
     learn_answers,
+    response_columns,
     strong_inside,
 )
 from invid.likelihood.hypothesis import Acting, Layout, acting_of, folded_of, priors_of
@@ -233,13 +234,17 @@ def _derivative(seen: Seen, layout: Layout, p: Float64, candidate: Candidate, th
         layout, p, view, gain, seen.jumps, seen.acting, _passed(view, candidate)
     )
     strong = thorough and not at_once(candidate) and strong_inside(view, candidate)
-    if strong and seen.ends is not None and view.read is None:
-        learn_answers(view, candidate)
-    effect_columns(view, candidate, seen.extra, columns, layout.count)
+    impedance_columns(view, candidate, sp, q, columns)
+    together = not at_once(candidate) and response_columns(
+        view, candidate, sp, q, columns, layout.count, strong=strong
+    )
+    if not together:
+        if strong and seen.ends is not None and view.read is None:
+            learn_answers(view, candidate)
+        effect_columns(view, candidate, seen.extra, columns, layout.count)
     if seen.ends is not None:
         jump_columns(view, candidate, seen.ends.moved, seen.jumps, columns, layout.count)
-    impedance_columns(view, candidate, sp, q, columns)
-    if strong:
+    if strong and not together:
         law_columns(view, candidate, sp, q, columns, layout.count)
     part: Float64 = stack(seen.root @ columns)
     return part - seen.basis @ (seen.basis.T @ part) if seen.basis.size else part

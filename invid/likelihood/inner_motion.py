@@ -178,8 +178,7 @@ def _size(view: View) -> Float64 | float:
     """(2ΣN,) largest line of motion for a unit jump."""
     if view.closing is None:
         return 1.0
-    out: Float64 = np.abs(view.closing.inner).max(axis=(0, 1)) + 1e-300
-    return out
+    return view.closing.unit
 
 
 def _largest(view: View, gap: Float64) -> float:

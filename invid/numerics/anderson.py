@@ -42,7 +42,8 @@ class Secants:
     @cached_property
     def _inverse(self) -> Float64:
         """(k, n) pseudo-inverse of the changes."""
-        out: Float64 = np.linalg.pinv(np.column_stack(self.changes), rcond=1e-8)
+        frame, triangle = np.linalg.qr(np.column_stack(self.changes))
+        out: Float64 = np.linalg.pinv(triangle, rcond=1e-8) @ frame.T
         return out
 
     @cached_property

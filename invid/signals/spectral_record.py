@@ -105,6 +105,14 @@ class Record:
         out: Float64 = np.fft.irfft(half, self.samples)
         return out
 
+    def to_waves(self, lines: Complex128) -> Float64:
+        """(n, P) waves of (F, P) amplitudes, the mean first."""
+        half = np.zeros((self.samples // 2 + 1, lines.shape[1]), dtype=complex)
+        half[self.lines] = lines * (self.samples / 2)
+        half[0] *= 2.0
+        out: Float64 = np.fft.irfft(half, self.samples, axis=0)
+        return out
+
     @cached_property
     def standing(self) -> tuple[Standing | None, ...]:
         """When each motor stands; none for those that never do, or whose noise hides it."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from invid.effects.motion import View
 from invid.model.place import Pattern, Place
-from invid.numerics.arrays import Float64
+from invid.numerics.arrays import Complex128, Float64
 
 PASSES = 3
 """Half steps towards the motion and the force that go with each other: an eighth of it is left."""
@@ -46,11 +46,20 @@ def beyond_band(view: View, place: Place) -> Float64 | None:
 
 def answered(view: View, pattern: Pattern, compliance: Float64, resisting: Callable[[], Float64]) -> Float64:
     """(n,) resistance in agreement with the motion beyond the band that it makes."""
+    return answer(view, pattern, compliance, resisting)[0]
+
+
+def answer(
+    view: View, pattern: Pattern, compliance: Float64, resisting: Callable[[], Float64]
+) -> tuple[Float64, Complex128]:
+    """The same, and the (n//2 + 1,) lines of the motion beyond the band that it was looked at with last."""
     wave = resisting()
+    hidden: Complex128 = np.zeros(compliance.size, dtype=complex)
     try:
         for _ in range(PASSES):
-            view.hide(pattern, -compliance * np.fft.rfft(wave))
+            hidden = -compliance * np.fft.rfft(wave)
+            view.hide(pattern, hidden)
             wave = 0.5 * (wave + resisting())
     finally:
         view.hide(pattern, None)
-    return wave
+    return wave, hidden

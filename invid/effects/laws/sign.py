@@ -102,6 +102,17 @@ class DryLaw(ForceEffect):
         total = view.to_lines(wave[:, None], smeared=self.smeared)
         return view.push(pattern) * total, -view.yields(pattern) * total
 
+    def holding(self, view: View, place: Place, x: Sequence[float]) -> Float64 | None:
+        """(n,) share of each sample in which whatever acts on a motor that stands holds it; ``None`` where it
+        never stands."""
+        still = self._standing(view, place)
+        if still is None:
+            return None
+        low, high = self.held(x)
+        acting = _acting(view, place)
+        out: Float64 = still.share * ((acting > low) & (acting < high))
+        return out
+
     def _standing(self, view: View, place: Place) -> Standing | None:
         """When the motor stands; none for inner masses, for contacts that creep, and for a motor that is a
         load as well, which feels the other loads."""

@@ -62,6 +62,7 @@ class SliderEffect(ForceEffect):
     shapes, logarithmic = ("most",), (True,)
     main = "torque"
     answered = True
+    local = False
 
     def remembers(self, view: View, place: Place, x: Sequence[float]) -> bool:
         wave = view.wave(place.pattern(view.structure))
