@@ -113,8 +113,9 @@ def _write_plots(folder: Path, recording: Recording, diagnosis: Diagnosis) -> li
 
 
 def diagnosis_text(diagnosis: Diagnosis) -> str:
-    """Sentences first, then the residuals, the competing causes and the warnings."""
-    lines = list(diagnosis.sentences)
+    """The headline, the sentences, then the residuals, the competing causes and the warnings."""
+    lines = [diagnosis.headline, ""] if diagnosis.headline else []
+    lines += diagnosis.sentences
     lines.append("")
     lines.append(f"verdict: {diagnosis.verdict}")
     if diagnosis.explained_fraction is not None:
@@ -127,6 +128,12 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
     for f in diagnosis.findings:
         place = " ".join(x for x in (f.effect.axis, f.effect.element, f.effect.other_axis) if x)
         lines.append(f"{f.effect.cause} ({place}), confidence {f.confidence:.2f}")
+        if f.consequence is not None:
+            means = f"  {str(f.consequence.grade).replace('_', ' ')}"
+            means += f": {f.consequence.text}" if f.consequence.text else ""
+            lines.append(f"{means} ({f.consequence.reason})")
+            if f.consequence.source not in (None, "config"):
+                lines.append(f"    by {f.consequence.source}")
         for name, p in f.effect.parameters.items():
             spread = "" if p.std is None else f" ± {p.std:.2g}"
             lines.append(f"  {name:<20} {p.value:.5g}{spread} {p.unit or ''}".rstrip())

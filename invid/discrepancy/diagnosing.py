@@ -9,6 +9,7 @@ from typing import Literal
 from invid.diagnosis import Diagnosis
 from invid.discrepancy.again import looked_again
 from invid.discrepancy.beside import allowing_for_viscous, with_viscous
+from invid.discrepancy.consequence import with_consequences
 from invid.discrepancy.declared import with_the_declared_mass
 from invid.discrepancy.document import document
 from invid.discrepancy.dropped import before_repair, find_dropped, repaired, with_dropped
@@ -54,7 +55,9 @@ def diagnose(
     """
     recording, told = without_glitches(recording)
     result = _diagnosed(recording, model, masses)
-    return replace(result, warnings=tuple(dict.fromkeys([*result.warnings, *told]))) if told else result
+    if told:
+        result = replace(result, warnings=tuple(dict.fromkeys([*result.warnings, *told])))
+    return with_consequences(result, recording)
 
 
 def _diagnosed(
