@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -11,7 +12,7 @@ from invid.cli.identify import parse_masses
 from invid.cli.output import EXIT_NOT_TRUSTWORTHY, EXIT_OK, emit, note
 from invid.diagnosis import Diagnosis, diagnosis_to_json
 from invid.errors import InputError, ModelError
-from invid.model import dump_json
+from invid.model import Model, dump_json
 from invid.recording.model import Recording
 from invid.separate import BY_HAND
 
@@ -69,6 +70,8 @@ def register(app: typer.Typer) -> None:
             if given is None or not given.effects:
                 raise
             raise ModelError(f"{model}: {error}") from None
+        if given is not None and given.provenance.get("recorded") != data.created:
+            diagnosis = since(diagnosis, given)
         document = diagnosis_to_json(diagnosis)
         if output is not None:
             _write(output, dump_json(document))
@@ -88,6 +91,18 @@ def register(app: typer.Typer) -> None:
         emit(document, "\n".join([diagnosis_text(diagnosis), *seen]), as_json=as_json)
         trustworthy = bool(diagnosis.model.fit.get("trustworthy", True))
         return EXIT_OK if trustworthy else EXIT_NOT_TRUSTWORTHY
+
+
+def since(diagnosis: Diagnosis, before: Model) -> Diagnosis:
+    """The diagnosis whose headline says which causes are new since an earlier model, or have grown."""
+    from invid.compare import compare
+    from invid.compare_causes import new_since
+
+    if before.linear != diagnosis.model.linear:
+        return diagnosis
+    when = str(before.provenance.get("recorded") or "the model given")
+    said = new_since(compare(before, diagnosis.model).causes, when[:10] if when[:4].isdigit() else when)
+    return replace(diagnosis, headline=f"{diagnosis.headline} {said}".strip())
 
 
 def _write(path: Path, text: str) -> None:

@@ -137,6 +137,9 @@ def with_consequences(diagnosis: Diagnosis, recording: Recording) -> Diagnosis:
         warnings=tuple(dict.fromkeys([*diagnosis.warnings, *warnings])),
     )
     result = _missed(_as_promised(result), recording)
+    # A later comparison asks whether a cause that is not in the model was looked for.
+    model = replace(result.model, fit={**result.model.fit, "verdict": str(result.verdict)})
+    result = replace(result, model=model)
     return replace(result, headline=headline(result))
 
 
