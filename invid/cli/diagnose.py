@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,6 +15,7 @@ from invid.errors import InputError, ModelError
 
 if TYPE_CHECKING:
     from invid.model.diagnosis_document import Diagnosis
+    from invid.model.document import Model
     from invid.recording.model import Recording
 
 
@@ -70,6 +72,8 @@ def register(app: typer.Typer) -> None:
             if given is None or not given.effects:
                 raise
             raise ModelError(f"{model}: {error}") from None
+        if given is not None and given.provenance.get("recorded") != data.created:
+            diagnosis = since(diagnosis, given)
         document = diagnosis_to_json(diagnosis)
         if output is not None:
             diagnosis.save(output)
@@ -89,6 +93,18 @@ def register(app: typer.Typer) -> None:
         emit(document, "\n".join([diagnosis_text(diagnosis), *seen]), as_json=as_json)
         trustworthy = bool(diagnosis.model.fit.get("trustworthy", True))
         return EXIT_OK if trustworthy else EXIT_NOT_TRUSTWORTHY
+
+
+def since(diagnosis: Diagnosis, before: Model) -> Diagnosis:
+    """The diagnosis whose headline says which causes are new since an earlier model, or have grown."""
+    from invid.comparison.causes import new_since
+    from invid.comparison.compare import compare
+
+    if before.linear != diagnosis.model.linear:
+        return diagnosis
+    when = str(before.provenance.get("recorded") or "the model given")
+    said = new_since(compare(before, diagnosis.model).causes, when[:10] if when[:4].isdigit() else when)
+    return replace(diagnosis, headline=f"{diagnosis.headline} {said}".strip())
 
 
 def _write(path: Path, text: str) -> None:
@@ -114,10 +130,11 @@ def _write_plots(folder: Path, recording: Recording, diagnosis: Diagnosis) -> li
 
 
 def diagnosis_text(diagnosis: Diagnosis) -> str:
-    """Sentences first, then the residuals, the competing causes and the warnings."""
+    """The headline, the sentences, then the residuals, the competing causes and the warnings."""
     from invid.planning.separating_experiments import BY_HAND
 
-    lines = list(diagnosis.sentences)
+    lines = [diagnosis.headline, ""] if diagnosis.headline else []
+    lines += diagnosis.sentences
     lines.append("")
     lines.append(f"verdict: {diagnosis.verdict}")
     if diagnosis.explained_fraction is not None:
@@ -130,6 +147,12 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
     for f in diagnosis.findings:
         place = " ".join(x for x in (f.effect.axis, f.effect.element, f.effect.other_axis) if x)
         lines.append(f"{f.effect.cause} ({place}), confidence {f.confidence:.2f}")
+        if f.consequence is not None:
+            means = f"  {str(f.consequence.grade).replace('_', ' ')}"
+            means += f": {f.consequence.text}" if f.consequence.text else ""
+            lines.append(f"{means} ({f.consequence.reason})")
+            if f.consequence.source not in (None, "config"):
+                lines.append(f"    by {f.consequence.source}")
         for name, p in f.effect.parameters.items():
             spread = "" if p.std is None else f" ± {p.std:.2g}"
             lines.append(f"  {name:<20} {p.value:.5g}{spread} {p.unit or ''}".rstrip())

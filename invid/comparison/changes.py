@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from invid.model.document import Estimate
+
+if TYPE_CHECKING:
+    from invid.comparison.causes import CauseChange
 
 
 class Status(StrEnum):
@@ -103,16 +106,20 @@ class Comparison:
     sentences: tuple[str, ...]
     warnings: tuple[str, ...] = ()
     structure: tuple[str, ...] = field(default=())
-    """What differs in structure: axes, numbers of masses, effects that came or went."""
+    """What differs in structure: axes, numbers of masses."""
     repeatability: Repeatability = field(default=Repeatability())
     runs: tuple[int, int] = (1, 1)
     """How many models the old and the new side are the mean of."""
+    causes: tuple[CauseChange, ...] = ()
+    """What became of every cause that either side has."""
 
     @property
     def told(self) -> bool:
         """False where nothing could be called changed or unchanged."""
-        return bool(self.structure) or any(
-            c.status is not Status.CANNOT_TELL or c.rivals for c in self.parameters + self.effects
+        return (
+            bool(self.structure)
+            or any(c.status is not Status.CANNOT_TELL or c.rivals for c in self.parameters + self.effects)
+            or any(str(c.status) != "cannot_tell" for c in self.causes)
         )
 
     def to_json(self) -> dict[str, Any]:
@@ -125,6 +132,7 @@ class Comparison:
             "tolerance_percent": 100.0 * self.tolerance,
             "parameters": [c.to_json() for c in self.parameters],
             "effects": [c.to_json() for c in self.effects],
+            "causes": [c.to_json() for c in self.causes],
             "joint": {"p": self.joint_p, "dof": self.joint_dof},
             "repeatability": {"factor": self.repeatability.factor, "pairs": self.repeatability.pairs},
             "runs": {"old": self.runs[0], "new": self.runs[1]},

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 from invid.comparison.changes import Change, Status
 from invid.comparison.joint_test import covariance_of
-from invid.comparison.sentences import differing_number
 from invid.model.document import EffectTerm, Estimate, Model, units
 
 
@@ -163,8 +161,9 @@ def _pair(
 
 
 # --- effects ---------------------------------------------------------------------------------------
-def _key(term: EffectTerm) -> tuple[str, str, str | None, str | None]:
-    return term.cause, term.axis, term.element, term.other_axis
+def name_of(term: EffectTerm) -> str:
+    """ "A2.backlash.spring 1": an effect by axis, cause and place."""
+    return f"{term.axis}.{'.'.join(p for p in (term.cause, term.element, term.other_axis) if p)}"
 
 
 def describe(term: EffectTerm) -> str:
@@ -175,68 +174,25 @@ def describe(term: EffectTerm) -> str:
     return words + (f" at {term.element}" if term.element else "")
 
 
-def _main(term: EffectTerm) -> tuple[str, Estimate] | None:
-    """First parameter by the contract's order: the size."""
-    return next(iter(term.parameters.items()), None)
-
-
-def effects(
-    old: Model, new: Model, common: Sequence[str], repeatability: float
-) -> tuple[list[Change], list[str]]:
-    """Parameters of effects that both models have, and sentences on those that came or went."""
-    before = {_key(t): t for t in old.effects if t.axis in common}
-    after = {_key(t): t for t in new.effects if t.axis in common}
+def effects(old: Model, new: Model, common: Sequence[str], repeatability: float) -> list[Change]:
+    """Parameters of effects that both models have; what came or went is for ``compare_causes``."""
+    after = {name_of(t): t for t in new.effects if t.axis in common}
     changes: list[Change] = []
-    said: list[str] = []
-    for key, term in before.items():
-        base = f"{term.axis}.{'.'.join(p for p in (term.cause, term.element, term.other_axis) if p)}"
-        if key in after:
-            for parameter, value in term.parameters.items():
-                if parameter in after[key].parameters:
-                    changes.append(
-                        _pair(
-                            f"{base}.{parameter}",
-                            f"{term.axis}: {describe(term)}, {parameter}",
-                            term.axis,
-                            "effect",
-                            value,
-                            after[key].parameters[parameter],
-                            repeatability,
-                        )
-                    )
+    for term in old.effects:
+        now = after.get(name_of(term))
+        if now is None:
             continue
-        twin = _same_place(term, after.values(), before)
-        said.append(
-            f"{term.axis}: {describe(term)} is described as {twin.cause.replace('_', ' ')} now."
-            if twin
-            else f"{term.axis}: {describe(term)}{_size(term)} is no longer found."
-        )
-    for key, term in after.items():
-        if key not in before and _same_place(term, before.values(), after) is None:
-            said.append(f"{term.axis}: {describe(term)}{_size(term)} is new.")
-    return changes, said
-
-
-def _same_place(
-    term: EffectTerm, others: Iterable[EffectTerm], own: Mapping[Any, EffectTerm]
-) -> EffectTerm | None:
-    """Another kind of friction at the same place, that this side does not have too."""
-    for other in others:
-        if (
-            _key(other) not in own
-            and (other.axis, other.element) == (term.axis, term.element)
-            and other.cause.endswith("_friction")
-            and term.cause.endswith("_friction")
-        ):
-            return other
-    return None
-
-
-def _size(term: EffectTerm) -> str:
-    main = _main(term)
-    if main is None:
-        return ""
-    name, value = main
-    shown = differing_number(value.value, value.std or abs(value.value) * 0.01)
-    spread = f" ± {differing_number(value.std, value.std)}" if value.std else ""
-    return f" ({name.replace('_', ' ')} {shown}{spread}{' ' + value.unit if value.unit else ''})"
+        changes += [
+            _pair(
+                f"{name_of(term)}.{parameter}",
+                f"{term.axis}: {describe(term)}, {parameter}",
+                term.axis,
+                "effect",
+                value,
+                now.parameters[parameter],
+                repeatability,
+            )
+            for parameter, value in term.parameters.items()
+            if parameter in now.parameters
+        ]
+    return changes

@@ -9,6 +9,8 @@ from invid.comparison.changes import Change, Comparison
 
 PRACTICAL = 0.02
 """Below it a change gets no interpretation: a tool change of interest exceeds about 2 % (a convention)."""
+ALIKE = 3.0
+"""Ratio of bounds up to which one figure stands for all kinds of parameters (a convention)."""
 HELD = (
     "A change in brackets that is not new − old is the change with all other parameters held equal: the "
     "errors of the values go together, so it is better known than they are."
@@ -28,32 +30,35 @@ def differing_number(value: float, std: float) -> str:
     return f"{value:.{decimals}f}"
 
 
-def sentences(c: Comparison, *, joint_alpha: float) -> tuple[str, ...]:
-    """What changed, what did not, what cannot be told; each as a technician would want to hear it."""
-    everything = c.parameters + c.effects
+def sentences(c: Comparison, *, joint_alpha: float, causes: Sequence[str] = ()) -> tuple[str, ...]:
+    """What changed, what did not, what cannot be told; each as a technician would want to hear it.
+
+    ``causes``: what is to be said of the causes, whose sizes are left out of the rest.
+    """
+    told = {f"{x.name}.{x.parameter}" for x in c.causes}
+    everything = c.parameters + tuple(x for x in c.effects if x.name not in told)
     changed = [x for x in everything if x.status == "changed"]
     unchanged = [x for x in everything if x.status == "unchanged"]
     separate = [x for x in everything if x.rivals]
     open_ones = [x for x in everything if x.status == "cannot_tell" and not x.rivals]
     said = interpret(changed, c.parameters) + _one_of(separate)
-    said += list(c.structure)
+    said += [*c.structure, *causes]
     spread_out = c.joint_p is not None and c.joint_p < joint_alpha and not changed and not separate
     if spread_out:
         said.append(
             f"Something changed (joint test, p = {c.joint_p:.1g}), but the data cannot tell which parameter: "
             "the uncertainties of several go together. A longer measurement would."
         )
-    else_ = "else " if changed or c.structure or separate else ""
-    worst = 100 * max((x.bound or 0.0 for x in unchanged), default=0.0)
+    else_ = "else " if changed or c.structure or separate or c.causes else ""
     if unchanged and spread_out:
-        said.append(f"{_count(len(unchanged))} unchanged within ±{worst:.2g} %.")
+        said.append(f"{_count(len(unchanged))} unchanged {within(unchanged)}.")
     elif unchanged and not open_ones:
         said.append(f"Nothing {else_}changed.")
-        said.append(f"{_all(len(unchanged), bool(else_))} within ±{worst:.2g} %.")
+        said.append(f"{_all(len(unchanged), bool(else_))} {within(unchanged)}.")
     elif unchanged:
         said.append(
-            f"Nothing {else_}changed as far as the data tell: {_count(len(unchanged))} unchanged within "
-            f"±{worst:.2g} %."
+            f"Nothing {else_}changed as far as the data tell: {_count(len(unchanged))} unchanged "
+            f"{within(unchanged)}."
         )
     if open_ones:
         said.append(f"Cannot tell for {_listing([x.label for x in open_ones])}: {_reasons(open_ones)}.")
@@ -85,6 +90,27 @@ def _one_of(separate: Sequence[Change]) -> list[str]:
         labels = [left.pop(name).label for name in group]
         said.append(f"One of these changed, the data do not tell which: {_listing(labels)}.")
     return said
+
+
+_KINDS = {
+    "mass": "masses",
+    "inertia": "whole inertias",
+    "spring": "springs",
+    "ground_spring": "springs to ground",
+    "damper": "dampers",
+    "coupling": "couplings",
+    "effect": "causes",
+}
+
+
+def within(unchanged: Sequence[Change]) -> str:
+    """ "within ±0.2 %", or for each kind its own where one would hide what the others can tell."""
+    worst: dict[str, float] = {}
+    for x in unchanged:
+        worst[x.kind] = max(worst.get(x.kind, 0.0), x.bound or 0.0)
+    if max(worst.values()) <= ALIKE * min(worst.values()):
+        return f"within ±{100 * max(worst.values()):.2g} %"
+    return "within " + ", ".join(f"±{100 * b:.2g} % ({_KINDS.get(k, k)})" for k, b in worst.items())
 
 
 def _all(count: int, other: bool) -> str:

@@ -9,6 +9,7 @@ from invid.config.experiments import (
 )
 from invid.config.load import load_config, parse_config
 from invid.config.schema import (
+    AcceptableConfig,
     AxisConfig,
     BusConfig,
     CellConfig,
@@ -18,6 +19,7 @@ from invid.config.schema import (
 )
 
 __all__ = [
+    "AcceptableConfig",
     "AxisConfig",
     "BusConfig",
     "CellConfig",

@@ -53,6 +53,45 @@ class LimitsConfig(Strict):
     )
 
 
+def _angle(name: str) -> Any:
+    """A positive angle, or a length on a linear axis."""
+    return Field(default=None, gt=0, validation_alias=AliasChoices(name, f"{name}_rad", f"{name}_m"))
+
+
+class AcceptableConfig(Strict):
+    """How much of a finding this axis may show: the diagnosis says ``as_expected`` up to it, ``act`` beyond.
+
+    Each is optional; where one is missing, published figures for such drives are the measure
+    (docs/reference/causes.md). Angles and lengths are those of the recording's positions.
+    """
+
+    friction_fraction_of_rated: float | None = Field(default=None, gt=0)
+    torque_ripple_fraction_of_rated: float | None = Field(default=None, gt=0)
+    torque_offset_fraction_of_rated: float | None = Field(default=None, gt=0)
+    gravity_fraction_of_rated: float | None = Field(default=None, gt=0)
+    torque_gain_error_fraction: float | None = Field(default=None, gt=0)
+    torque_delay: float | None = Field(
+        default=None, gt=0, validation_alias=AliasChoices("torque_delay", "torque_delay_s")
+    )
+    backlash: float | None = _angle("backlash")
+    """Full free play."""
+    lost_motion: float | None = _angle("lost_motion")
+    """Between loading from one side and from the other (hysteresis)."""
+    transmission_error: float | None = _angle("transmission_error")
+    """Peak to peak."""
+    encoder_error: float | None = _angle("encoder_error")
+    """Amplitude."""
+    stiffening_fraction: float | None = Field(default=None, gt=0)
+    """Change of the stiffness at rated torque."""
+    stiffness_drift_fraction: float | None = Field(default=None, gt=0)
+    """Change during one measurement."""
+    load_change_fraction: float | None = Field(default=None, gt=0)
+    """Of the final mass, during one measurement."""
+    resonance_change_fraction: float | None = Field(default=None, gt=0)
+    """Of the lowest resonance, by anything that is not in the chain of masses and springs."""
+    dropped_samples_fraction: float | None = Field(default=None, gt=0)
+
+
 class AxisConfig(Strict):
     """One drive."""
 
@@ -88,6 +127,8 @@ class AxisConfig(Strict):
     masses: int | None = Field(default=None, ge=1)
     hold: HoldConfig = HoldConfig()
     limits: LimitsConfig
+    acceptable: AcceptableConfig = AcceptableConfig()
+    """What of a finding is nothing to worry about on this axis."""
 
 
 class SafetyConfig(Strict):

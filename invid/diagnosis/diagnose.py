@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal
 
+from invid.diagnosis.consequence import with_consequences
 from invid.diagnosis.extended_model import extended_model
 from invid.diagnosis.known_effects import folded
 from invid.diagnosis.rules.declared_masses import with_the_declared_mass
@@ -57,7 +58,9 @@ def diagnose(
     """
     recording, told = without_glitches(recording)
     result = _diagnosed(recording, model, masses)
-    return replace(result, warnings=tuple(dict.fromkeys([*result.warnings, *told]))) if told else result
+    if told:
+        result = replace(result, warnings=tuple(dict.fromkeys([*result.warnings, *told])))
+    return with_consequences(result, recording)
 
 
 def _diagnosed(

@@ -62,6 +62,49 @@ class Alternative:
     other_axis: str | None = None
 
 
+class Grade(StrEnum):
+    """What a finding means for the robot."""
+
+    AS_EXPECTED = "as_expected"
+    """Within what is given for this robot, or usual for such drives: nothing to do."""
+    WATCH = "watch"
+    """More than usual, or nothing is known to judge it by: compare it with the next measurement."""
+    ACT = "act"
+    """Beyond the limit: look at the machine."""
+
+    @property
+    def rank(self) -> int:
+        """0 for the most serious."""
+        return (Grade.ACT, Grade.WATCH, Grade.AS_EXPECTED).index(self)
+
+
+@dataclass(frozen=True)
+class Consequence:
+    """What one finding means: its grade, by which figure, and its size as a person would state it.
+
+    ``measures`` are the sizes by name (``docs/reference/causes.md``), in SI units or as fractions;
+    ``source`` names the publication, the config or nothing.
+    """
+
+    grade: Grade
+    text: str
+    reason: str
+    share_of_rated_torque: float | None = None
+    source: str | None = None
+    measures: Mapping[str, float] = field(default_factory=dict)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return {
+            "grade": str(self.grade),
+            "share_of_rated_torque": self.share_of_rated_torque,
+            "text": self.text,
+            "reason": self.reason,
+            "source": self.source,
+            "measures": dict(self.measures),
+        }
+
+
 @dataclass(frozen=True)
 class Finding:
     """A named cause at its place, with its held-out gain."""
@@ -74,6 +117,7 @@ class Finding:
     alternatives: tuple[Alternative, ...] = ()
     separating_experiment: Mapping[str, Any] | None = None
     sentence: str = ""
+    consequence: Consequence | None = None
 
     @property
     def cause(self) -> str:
@@ -128,6 +172,16 @@ class Diagnosis:
     """What a technician can act on, most important first."""
     details: Mapping[str, Any] = field(default_factory=dict)
     """Further facts: null test (chi2, dof, p), causes the record could not have shown, …"""
+    headline: str = ""
+    """One sentence for the person beside the robot."""
+
+    @property
+    def grade(self) -> Grade | None:
+        """The most serious of the findings; ``None`` where something is there that has no name."""
+        if self.verdict is Verdict.UNEXPLAINED or not self.model.fit.get("trustworthy", True):
+            return None
+        grades = [f.consequence.grade for f in self.findings if f.consequence is not None]
+        return min(grades, key=lambda g: g.rank, default=Grade.AS_EXPECTED)
 
     def save(self, path: str | Path) -> None:
         """Write the ``invid-diagnosis`` file; InputError where that cannot be."""
@@ -156,6 +210,7 @@ def diagnosis_to_json(diagnosis: Diagnosis) -> dict[str, Any]:
             if f.separating_experiment is None
             else dict(f.separating_experiment),
             "sentence": f.sentence,
+            "consequence": None if f.consequence is None else f.consequence.to_json(),
         }
 
     unexplained = diagnosis.unexplained
@@ -163,6 +218,8 @@ def diagnosis_to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
         "verdict": str(diagnosis.verdict),
+        "headline": diagnosis.headline,
+        "grade": None if diagnosis.grade is None else str(diagnosis.grade),
         "residual": [
             {
                 "axis": r.axis,
@@ -242,10 +299,12 @@ def load_diagnosis(path: str | Path) -> Diagnosis:
 __all__ = [
     "Alternative",
     "AxisResidual",
+    "Consequence",
     "Diagnosis",
     "EffectTerm",
     "Estimate",
     "Finding",
+    "Grade",
     "Unexplained",
     "Verdict",
     "diagnosis_from_json",

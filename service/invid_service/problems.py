@@ -28,6 +28,7 @@ CATALOGUE: dict[str, tuple[int, str]] = {
     "cell-not-found": (404, "There is no such cell"),
     "identification-not-found": (404, "There is no such identification"),
     "model-not-found": (404, "There is no such model"),
+    "parameter-not-found": (404, "There is no such parameter or cause"),
     "artefact-not-found": (404, "This result does not exist (yet)"),
     "method-not-allowed": (405, "This address does not take this method"),
     "run-in-progress": (409, "Another identification is in progress on this cell"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -76,3 +77,25 @@ def test_the_files_of_the_contract_are_written(demo: tuple[dict, Path]) -> None:
     report = (out / "report.html").read_text()
     assert "<svg" in report
     assert "http://" not in report.replace("http://www.w3.org", "")
+
+
+def test_the_readme_shows_what_the_demo_says(demo: tuple[dict, Path]) -> None:
+    """But for digits: the noise is that of the run."""
+    readme = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+    block = readme[readme.index("<!-- demo output") :].split("```")[1]
+    shown = re.sub(r"[\d.]+", "0", block)
+    assert re.sub(r"[\d.]+", "0", demo[0]["headline"]) in shown
+    lines = {re.sub(r"[\d.]+", "0", s) for s in demo[0]["sentences"]}
+    assert all(line in shown for line in lines)
+    assert f"diagnosis: {demo[0]['verdict']}" in block
+
+
+def test_the_demo_says_that_its_friction_is_as_expected(demo: tuple[dict, Path]) -> None:
+    """0.2 % of rated torque: the truth of the config, of which nobody has to do anything."""
+    diagnosis = json.loads((demo[1] / "diagnosis.json").read_text())
+    assert diagnosis["grade"] == "as_expected"
+    assert "nothing to do" in diagnosis["headline"]
+    for f in diagnosis["findings"]:
+        assert f["consequence"]["grade"] == "as_expected", f
+        if f["cause"] == "coulomb_friction":
+            assert abs(f["consequence"]["share_of_rated_torque"] - 0.002) < 0.0003

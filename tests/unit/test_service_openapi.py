@@ -35,6 +35,7 @@ CONTRACT = {
     ("get", "/api/v1/cells/{cell}/models"),
     ("post", "/api/v1/cells/{cell}/models/{model}/restore"),
     ("get", "/api/v1/cells/{cell}/changes"),
+    ("get", "/api/v1/cells/{cell}/series"),
     ("get", "/api/v1/health/live"),
     ("get", "/api/v1/health/ready"),
     ("get", "/api/v1/metrics"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from invid.comparison.compare import Change, Comparison
+from invid.comparison.compare import CauseChange, Change, Comparison
 
 
 def changes_view(c: Comparison, sides: tuple[list[str], list[str]]) -> dict[str, Any]:
@@ -17,12 +17,21 @@ def changes_view(c: Comparison, sides: tuple[list[str], list[str]]) -> dict[str,
         "sentences": list(c.sentences),
         "parameters": [_entry(p) for p in c.parameters],
         "effects": [_entry(p) for p in c.effects],
+        "causes": [_cause(x) for x in c.causes],
         "structure": list(c.structure),
         "false_alarm_rate": c.alpha,
         "repeatability": {"factor": c.repeatability.factor, "pairs": c.repeatability.pairs},
         "averaged": {"from": sides[0], "to": sides[1]},
         "warnings": list(c.warnings),
     }
+
+
+def _cause(c: CauseChange) -> dict[str, Any]:
+    document = c.to_json()
+    document["from"], document["to"] = document.pop("old"), document.pop("new")
+    document["difference_std"] = document.pop("std")
+    document["reason"] = c.reason or None
+    return document
 
 
 def _entry(p: Change) -> dict[str, Any]:

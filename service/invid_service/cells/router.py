@@ -84,7 +84,7 @@ async def _cell_view(service: Service, cell: Cell) -> CellView:
         last_identification=view(last[0], service.jobs.live(last[0].id)) if last else None,
         links={
             name: address("cells", cell.id, name)
-            for name in ("readiness", "identifications", "stop", "model", "models", "changes")
+            for name in ("readiness", "identifications", "stop", "model", "models", "changes", "series")
         },
     )
 
@@ -222,7 +222,8 @@ async def changes(
     to_model: Annotated[str | None, Query(alias="to", max_length=40, pattern=r"^[A-Za-z0-9-]+$")] = None,
     averaged: bool | None = None,
 ) -> dict[str, Any]:
-    """For each parameter: changed, unchanged within ±x %, or cannot tell.
+    """For each parameter: changed, unchanged within ±x %, or cannot tell; for each cause: appeared, grew,
+    shrank, unchanged, gone, or cannot tell.
 
     Default: the model in force against the one in force before it, the latter averaged with the accepted
     models before it that agree with it: smaller changes are found so. With `from`, exactly the two models

@@ -334,6 +334,7 @@ class JobManager:
         changes = await asyncio.to_thread(self._results.against_accepted, run.record)
         if changes is not None:
             summary = {**summary, "changes": changes}
+            summary["headline"] = f"{summary.get('headline', '')} {changes['new_causes']}".strip()
         await self._move(run, State.AWAITING_ACCEPT, {"summary": summary})
         if job.mode != "test" and self._results.may_auto_accept(summary):
             await self.decide(run, accept=True, by="auto")

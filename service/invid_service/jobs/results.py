@@ -10,6 +10,7 @@ from typing import Any
 
 from sqlalchemy.exc import SQLAlchemyError
 
+from invid.comparison.causes import new_since
 from invid.comparison.compare import Comparison, compare
 from invid.errors import InvidError
 from invid.model.document import Model, model_from_json
@@ -111,7 +112,9 @@ class Results:
             if old is None or new is None:
                 return None
             found, sides = self.changes(run.cell, old, new, averaged=True)
-            return {"from": old.id, **changes_view(found, sides)}
+            at = self._store.approvals(run.cell)[0].at
+            since = new_since(found.causes, f"{at.day} {at:%B}")
+            return {"from": old.id, "new_causes": since, **changes_view(found, sides)}
         except (InvidError, SQLAlchemyError) as error:
             log.error("run %s: no comparison with the accepted model: %s", run.id, error)
             return None
@@ -124,7 +127,11 @@ class Results:
         bounds, changes = self._auto, summary.get("changes")
         if bounds is None or changes is None or summary.get("verdict") not in bounds.verdicts:
             return False
-        if changes["structure"]:  # an effect that came or went, another number of masses
+        if changes["structure"]:  # another number of masses
+            return False
+        if any(c["from"] is None or c["to"] is None for c in changes["causes"]):  # one that came or went
+            return False
+        if any(c["status"] in ("grew", "shrank") for c in changes["causes"]):
             return False
         for p in changes["parameters"]:
             old, difference, std = p["from"]["value"], p["difference"], p["difference_std"]

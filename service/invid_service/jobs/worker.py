@@ -15,12 +15,15 @@ import threading
 import time
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
 
 from invid.errors import InvidError, SafetyStop
 from invid_service.jobs.orphans import hold
 from invid_service.jobs.protocol import ErrorInfo, Job
 from invid_service.precedence import as_everyone, behind_parent
+
+if TYPE_CHECKING:
+    from invid.model.diagnosis_document import Finding
 
 _PROGRESS_PERIOD_S = 0.2
 _QUEUE = 200
@@ -195,7 +198,11 @@ def analyse(job: Job, line: Line, seen: Mapping[str, Any] | None) -> dict[str, A
     line.tell("progress", fraction=0.88, phase="diagnosing")
     diagnosis = diagnose(recording, model=model)
     line.tell("progress", fraction=0.95, phase="writing the report")
-    best = diagnosis.model if diagnosis.findings else model
+    best = diagnosis.model
+    if not diagnosis.findings:
+        # The identification's own numbers, with what the search for causes said of them.
+        judged = {k: v for k, v in best.fit.items() if k in ("verdict", "trustworthy", "doubts", "unseen")}
+        best = replace(model, fit={**model.fit, **judged})
     save_text(job.folder / "model.json", dump_json({**model_to_json(best), **flag}))
     save_text(job.folder / "diagnosis.json", dump_json({**diagnosis_to_json(diagnosis), **flag}))
     report = render_report(recording, model, diagnosis)
@@ -206,10 +213,26 @@ def analyse(job: Job, line: Line, seen: Mapping[str, Any] | None) -> dict[str, A
     said = [] if seen is None else seen["warnings"]
     return {
         "verdict": str(diagnosis.verdict),
+        "headline": diagnosis.headline,
+        "grade": None if diagnosis.grade is None else str(diagnosis.grade),
+        "findings": [summary_of(f) for f in diagnosis.findings],
         "sentences": list(diagnosis.sentences),
         "explained_fraction": diagnosis.explained_fraction,
         "trustworthy": bool(best.fit.get("trustworthy", True)),
         "warnings": list(dict.fromkeys([*said, *model.warnings, *diagnosis.warnings])),
+    }
+
+
+def summary_of(finding: Finding) -> dict[str, Any]:
+    """One finding as a list shows it: what, where, how serious."""
+    means = finding.consequence
+    return {
+        "cause": finding.effect.cause,
+        "axis": finding.effect.axis,
+        "element": finding.effect.element,
+        "other_axis": finding.effect.other_axis,
+        "sentence": finding.sentence,
+        "consequence": None if means is None else means.to_json(),
     }
 
 

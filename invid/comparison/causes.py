@@ -1,0 +1,398 @@
+"""Causes of two models: which appeared, grew, shrank, stayed, went, or cannot be told.
+
+A cause that both models have is compared by its main parameter. One that only one of them has is another
+matter: the other run did not report it, which says that it was *small* there, not that it was nothing. The
+test asks how probable it is, at best over all true sizes x, that one run reports nothing and the other a size
+of x̂ or more:
+
+    p = max over x of  Φ(T − x/σ₂) · Φ((x − x̂)/σ₁)
+
+with σ₁ of the run that found it, σ₂ what the other run would have had (σ₁ times the ratio of the two runs'
+standard deviations of the axis' masses and springs: their noise, duration and amplitude) and T the size in
+standard deviations from which a diagnosis names a cause. All causes are tested together (Holm).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+from scipy import special
+
+from invid.comparison.changes import Change, Repeatability, Status
+from invid.comparison.joint_test import two_sided
+from invid.comparison.pairs import describe, name_of
+from invid.comparison.sentences import differing_number, percent
+from invid.effects.registry import CATALOGUE
+from invid.model.document import EffectTerm, Estimate, Model
+from invid.numerics.distributions import chi2_isf, normal_isf
+
+_NAMED = math.sqrt(chi2_isf(1e-5, 1))
+"""Size, in standard deviations, from which a diagnosis names a cause: a chance of one in a thousand over
+about a hundred candidates (``invid.diagnosis.acceptance``)."""
+_SEEN = _NAMED + normal_isf(0.05)
+"""Size that is named in 95 of 100 runs."""
+_BY_CAUSE = {e.cause: e for e in CATALOGUE}
+
+
+class CauseStatus(StrEnum):
+    """What became of a cause."""
+
+    APPEARED = "appeared"
+    GREW = "grew"
+    SHRANK = "shrank"
+    UNCHANGED = "unchanged"
+    GONE = "gone"
+    CANNOT_TELL = "cannot_tell"
+
+
+CHANGED = (CauseStatus.APPEARED, CauseStatus.GREW, CauseStatus.SHRANK, CauseStatus.GONE)
+
+
+@dataclass(frozen=True)
+class CauseChange:
+    """One cause, before and after, by its main ``parameter``; ``None`` where a run did not find it.
+
+    ``difference`` ± ``std`` is that of its size (its amount, of a gain its distance from 1); ``bound`` the
+    largest relative change that the data still allow; ``detectable`` the size that a run without the cause
+    would have seen in 95 of 100 cases.
+    """
+
+    name: str
+    cause: str
+    axis: str
+    element: str | None
+    other_axis: str | None
+    parameter: str
+    unit: str | None
+    label: str
+    old: Estimate | None
+    new: Estimate | None
+    status: CauseStatus
+    reason: str = ""
+    difference: float | None = None
+    std: float | None = None
+    p_value: float | None = None
+    p_adjusted: float | None = None
+    bound: float | None = None
+    detectable: float | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+
+        def estimate(e: Estimate | None) -> dict[str, Any] | None:
+            return None if e is None else {"value": e.value, "std": e.std}
+
+        return {
+            "name": self.name,
+            "cause": self.cause,
+            "axis": self.axis,
+            "element": self.element,
+            "other_axis": self.other_axis,
+            "parameter": self.parameter,
+            "unit": self.unit,
+            "label": self.label,
+            "old": estimate(self.old),
+            "new": estimate(self.new),
+            "status": str(self.status),
+            "reason": self.reason,
+            "difference": self.difference,
+            "std": self.std,
+            "p": self.p_value,
+            "p_adjusted": self.p_adjusted,
+            "within_percent": None if self.bound is None else 100.0 * self.bound,
+            "detectable": self.detectable,
+        }
+
+
+def main_parameter(term: EffectTerm) -> str | None:
+    """Name of the parameter that is an effect's size."""
+    effect = _BY_CAUSE.get(term.cause)
+    if effect is not None and effect.main in term.parameters:
+        return effect.main
+    return next(iter(term.parameters), None)
+
+
+def compare_causes(
+    old: Model,
+    new: Model,
+    common: Sequence[str],
+    *,
+    alpha: float,
+    tolerance: float,
+    repeatability: float = 0.0,
+    scatter: Repeatability | None = None,
+) -> tuple[CauseChange, ...]:
+    """What became of every cause that one of two models has on their common axes.
+
+    Parameters
+    ----------
+    alpha
+        Probability of calling any cause changed where none did.
+    tolerance
+        ±x as a fraction: a cause that could have changed by more unseen is not called unchanged.
+    repeatability
+        Relative standard deviation between measurements of an unchanged robot.
+    scatter
+        How much more the cell varies from run to run than the fits say.
+    """
+    scatter = Repeatability() if scatter is None else scatter
+    before = {name_of(t): t for t in old.effects if t.axis in common}
+    after = {name_of(t): t for t in new.effects if t.axis in common}
+    found: list[CauseChange] = []
+    for name in dict.fromkeys([*before, *after]):
+        was, now = before.get(name), after.get(name)
+        twin = None
+        if now is None and was is not None:
+            if _same_place(was, after.values(), before) is not None:
+                continue  # told of the law that describes it now
+        elif was is None and now is not None:
+            twin = _same_place(now, before.values(), after)
+        found.append(_paired(name, was, now, twin, (old, new), repeatability, scatter))
+    return _judged(found, alpha, tolerance, scatter)
+
+
+def _paired(
+    name: str,
+    was: EffectTerm | None,
+    now: EffectTerm | None,
+    twin: EffectTerm | None,
+    models: tuple[Model, Model],
+    repeatability: float,
+    scatter: Repeatability,
+) -> CauseChange:
+    """One cause with its difference and p value, not judged yet."""
+    term = now if now is not None else was
+    if term is None:
+        raise ValueError(f"{name}: neither model has it")
+    parameter = main_parameter(term) or ""
+    a, b = (None if t is None else t.parameters.get(parameter) for t in (was, now))
+    unit = (b or a or Estimate(0.0)).unit
+    change = CauseChange(
+        name,
+        term.cause,
+        term.axis,
+        term.element,
+        term.other_axis,
+        parameter,
+        unit,
+        f"{term.axis}: {describe(term)}",
+        a,
+        b,
+        CauseStatus.CANNOT_TELL,
+    )
+    if twin is not None:
+        return replace(change, reason=f"it was described as {twin.cause.replace('_', ' ')} before")
+    if any(e is not None and not (e.std is not None and e.std > 0) for e in (a, b)) or (
+        a is None and b is None
+    ):
+        return replace(change, reason="a model gives no uncertainty for it")
+    if a is not None and b is not None:
+        spread = [math.hypot(e.std or 0.0, repeatability * e.value) for e in (a, b)]
+        std = scatter.factor * math.hypot(*spread)
+        p = two_sided((b.value - a.value) / std, scatter.dof)
+        size = abs(b.value - _nothing(parameter)) - abs(a.value - _nothing(parameter))
+        return replace(change, difference=size, std=std, p_value=p)
+    return _one_sided(change, models, repeatability, scatter)
+
+
+def _nothing(parameter: str) -> float:
+    """The value at which a cause is none."""
+    return 1.0 if parameter == "gain" else 0.0
+
+
+def _one_sided(
+    change: CauseChange, models: tuple[Model, Model], repeatability: float, scatter: Repeatability
+) -> CauseChange:
+    """A cause that one run alone found, against what the other could have seen."""
+    mine, other = (1, 0) if change.old is None else (0, 1)
+    found = change.new if change.old is None else change.old
+    if found is None or found.std is None:
+        return change
+    which = "old" if other == 0 else "new"
+    doubt = _not_looked_for(models[other], which)
+    ratio = None if doubt else noise_ratio(models[mine], models[other], change.axis)
+    if ratio is None:
+        return replace(change, reason=doubt or f"what the {which} run could have seen is not known")
+    own = scatter.factor * math.hypot(found.std, repeatability * found.value)
+    theirs = max(ratio, 1e-9) * scatter.factor * found.std
+    size = abs(found.value - _nothing(change.parameter))
+    x = np.linspace(0.0, size + 6 * own, 400)
+    p = float(np.max(special.ndtr(_NAMED - x / theirs) * special.ndtr((x - size) / own)))
+    sign = 1.0 if mine == 1 else -1.0
+    return replace(
+        change, difference=sign * size, std=math.hypot(own, theirs), p_value=p, detectable=_SEEN * theirs
+    )
+
+
+def _not_looked_for(model: Model, which: str) -> str:
+    """Why a cause may be missing in a model without being absent; empty where nothing says so."""
+    verdict = model.fit.get("verdict")
+    if verdict in ("consistent", "explained") or (verdict is None and model.effects):
+        return ""
+    if verdict is None:
+        return f"the {which} model does not say that causes were looked for"
+    return f"something in the {which} run had no name; it may have been this"
+
+
+def noise_ratio(mine: Model, other: Model, axis: str) -> float | None:
+    """Standard deviations of the other run over mine, relative, median over masses and springs of an axis."""
+    i, j = mine.axes.index(axis), other.axes.index(axis)
+    ratios: list[float] = []
+    for own, theirs, a, b in (
+        (mine.std.masses[i], other.std.masses[j], mine.chains.masses[i], other.chains.masses[j]),
+        (mine.std.springs[i], other.std.springs[j], mine.chains.springs[i], other.chains.springs[j]),
+    ):
+        if own.size == theirs.size:
+            ratios += [float(x) for x in (theirs / b) / (own / a)]
+    known = [r for r in ratios if math.isfinite(r) and r > 0]
+    return float(np.median(known)) if known else None
+
+
+def _same_place(
+    term: EffectTerm, others: Iterable[EffectTerm], own: Mapping[str, EffectTerm]
+) -> EffectTerm | None:
+    """Another kind of friction at the same place, that this side does not have too."""
+    for other in others:
+        if (
+            name_of(other) not in own
+            and (other.axis, other.element) == (term.axis, term.element)
+            and other.cause.endswith("_friction")
+            and term.cause.endswith("_friction")
+        ):
+            return other
+    return None
+
+
+def _judged(
+    found: Sequence[CauseChange], alpha: float, tolerance: float, scatter: Repeatability
+) -> tuple[CauseChange, ...]:
+    """Status of every cause by Holm's step-down procedure over all that can be tested."""
+    tested = [k for k, c in enumerate(found) if c.p_value is not None]
+    out, running = list(found), 0.0
+    for rank, k in enumerate(sorted(tested, key=lambda k: found[k].p_value or 0.0)):
+        c = found[k]
+        running = max(running, min(1.0, (len(tested) - rank) * (c.p_value or 0.0)))
+        out[k] = replace(_status(c, running < alpha, alpha, tolerance), p_adjusted=running)
+    return tuple(out)
+
+
+def _status(c: CauseChange, significant: bool, alpha: float, tolerance: float) -> CauseChange:
+    if c.difference is None or c.std is None:
+        return c
+    if c.old is None or c.new is None:
+        status = CauseStatus.APPEARED if c.old is None else CauseStatus.GONE
+        if significant and abs(c.difference) >= (c.detectable or 0.0):
+            return replace(c, status=status)
+        which = "old" if c.old is None else "new"
+        size = differing_number(c.detectable or 0.0, (c.detectable or 0.0) / 20)
+        unit = f" {c.unit}" if c.unit and c.unit != "1" else ""
+        return replace(c, reason=f"the {which} run would have seen it from {size}{unit} on")
+    if significant:
+        return replace(c, status=CauseStatus.GREW if c.difference >= 0 else CauseStatus.SHRANK)
+    scale = abs(c.old.value)
+    bound = (abs(c.difference) + normal_isf(alpha) * c.std) / scale if scale > 0 else None
+    if bound is not None and bound <= tolerance:
+        return replace(c, status=CauseStatus.UNCHANGED, bound=bound)
+    reason = "it was 0" if bound is None else f"a change of up to {percent(bound)} would not be seen"
+    return replace(c, reason=reason, bound=bound)
+
+
+def with_cause_verdicts(effects: Sequence[Change], causes: Sequence[CauseChange]) -> tuple[Change, ...]:
+    """The parameters of effects, the main one of each as its cause was judged: one number, one verdict."""
+    by_name = {f"{c.name}.{c.parameter}": c for c in causes if c.old is not None and c.new is not None}
+    words = {CauseStatus.UNCHANGED: Status.UNCHANGED, CauseStatus.CANNOT_TELL: Status.CANNOT_TELL}
+    out = []
+    for e in effects:
+        c = by_name.get(e.name)
+        if c is None or c.p_value is None:
+            out.append(e)
+            continue
+        status = words.get(c.status, Status.CHANGED)
+        out.append(
+            replace(
+                e,
+                status=status,
+                reason=c.reason,
+                std=c.std,
+                bound=c.bound,
+                p_value=c.p_value,
+                p_adjusted=c.p_adjusted,
+            )
+        )
+    return tuple(out)
+
+
+# --- words ------------------------------------------------------------------------------------------
+_WORDS = {CauseStatus.GREW: "grew", CauseStatus.SHRANK: "shrank", CauseStatus.GONE: "is no longer found"}
+
+
+def cause_sentences(causes: Sequence[CauseChange]) -> list[str]:
+    """What became of the causes, those that changed first, each with the size that was or is."""
+    said = [sentence_of(c) for c in causes if c.status in CHANGED]
+    same = [c for c in causes if c.status is CauseStatus.UNCHANGED]
+    if same:
+        worst = percent(max(c.bound or 0.0 for c in same))
+        said.append(f"{_and([c.label.replace(': ', ' ') for c in same])} unchanged within ±{worst}.")
+    said += [
+        f"{c.label}: cannot tell whether it changed: {c.reason}."
+        for c in causes
+        if c.status is CauseStatus.CANNOT_TELL
+    ]
+    return said
+
+
+def sentence_of(c: CauseChange) -> str:
+    """ "A2: backlash at spring 1 is new: gap 0.0003 ± 0.00002 rad. Check …"."""
+    check = _BY_CAUSE[c.cause].check if c.cause in _BY_CAUSE else ""
+    if c.status is CauseStatus.APPEARED:
+        return f"{c.label} is new: {c.parameter.replace('_', ' ')} {_size(c.new, c.unit)}. {check}".rstrip()
+    if c.status is CauseStatus.GONE:
+        return f"{c.label} is no longer found (it was {_size(c.old, c.unit)})."
+    more = f" {check}" if c.status is CauseStatus.GREW and check else ""
+    return f"{c.label} {_WORDS[c.status]}: {_size(c.old, c.unit)} → {_size(c.new, c.unit)}.{more}"
+
+
+def new_since(causes: Sequence[CauseChange], since: str) -> str:
+    """One sentence on what is new or more since a date; empty where nothing is."""
+    worse = [c for c in causes if c.status in (CauseStatus.APPEARED, CauseStatus.GREW)]
+    if not worse:
+        return ""
+    said = []
+    for c in worse[:2]:
+        effect = _BY_CAUSE.get(c.cause)
+        title = (effect.title if effect else c.cause.replace("_", " ")).split(" (")[0]
+        place = f" at {c.element}" if c.element and c.element != "mass 1" else ""
+        how = (
+            f"{title} of {_size(c.new, c.unit)}"
+            if c.old is None
+            else f"{title} grew to {_size(c.new, c.unit)}"
+        )
+        said.append(f"{how} on {c.axis}{place}")
+    more = f" and {len(worse) - 2} more" if len(worse) > 2 else ""
+    first = _BY_CAUSE.get(worse[0].cause)
+    check = f"; {first.check[0].lower()}{first.check[1:].rstrip('.')}" if first and len(worse) == 1 else ""
+    kind = "New" if worse[0].old is None else "More"
+    return f"{kind} since {since}: {', '.join(said)}{more}{check}."
+
+
+def _size(e: Estimate | None, unit: str | None) -> str:
+    if e is None:
+        return "nothing"
+    of = f" {unit}" if unit and unit != "1" else ""
+    if e.std is None or not e.std > 0:
+        return f"{e.value:.4g}{of}"
+    if abs(e.value) < 1e-2 and unit in ("rad", "m", "s"):
+        thousand = Estimate(1e3 * e.value, 1e3 * e.std)
+        return _size(thousand, f"m{unit}")
+    return f"{differing_number(e.value, e.std)} ± {differing_number(e.std, e.std)}{of}"
+
+
+def _and(words: Sequence[str]) -> str:
+    if len(words) == 1:
+        return f"{words[0]} is"
+    return f"{', '.join(words[:-1])} and {words[-1]} are"

@@ -1,0 +1,243 @@
+"""Does it matter: the grade of every finding with its reason, the order of the findings, the headline.
+
+One place for what the words of a diagnosis promise, whichever engine found them (``with_consequences``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from invid.config import CellConfig, parse_config
+from invid.diagnosis.confidence import CONTESTED
+from invid.diagnosis.consequence_measures import OWN_LIMIT, TORQUES, Machine, measures_of, number, phrase
+from invid.diagnosis.consequence_rules import BY_CAUSE as RULES
+from invid.diagnosis.consequence_rules import Rule
+from invid.diagnosis.headline import headline
+from invid.diagnosis.sentences import BY_CAUSE
+from invid.errors import ConfigError
+from invid.model.diagnosis_document import Consequence, Diagnosis, Finding, Grade, Unexplained, Verdict
+from invid.model.document import EffectTerm
+from invid.recording.model import Recording, Role
+
+EXPLAINED = 0.9
+"""Share of what was missing that named causes take away where a diagnosis is called explained (contract)."""
+MISSED = 0.5
+"""Share of the torque from which a model that misses it is not to be trusted (contract)."""
+_STEP = 10
+"""Samples over which a speed is taken: a single one would be that of the encoder's last count."""
+
+
+def machine_of(diagnosis: Diagnosis, recording: Recording) -> tuple[Machine, list[str]]:
+    """What sizes are compared with, from the recording and the config that it carries; and warnings."""
+    config, warnings = None, []
+    if recording.config:
+        try:
+            config = parse_config(recording.config, source=f"{recording.source}: config")
+        except ConfigError as error:
+            # Foreign files may carry anything there; only limits that somebody meant are missed.
+            if "acceptable" in recording.config:
+                warnings.append(f"its limits for findings (acceptable) are not used: {error}")
+    axes = {} if config is None else {a.name: a for a in config.axes}
+    rated = (
+        {}
+        if recording.rated_torque is None
+        else dict(zip(recording.axes, recording.rated_torque, strict=True))
+    )
+    rated = {name: float(size) for name, size in rated.items() if np.isfinite(size) and size > 0}
+    for name, axis in axes.items():
+        if axis.rated_torque is not None:
+            rated.setdefault(name, axis.rated_torque)
+    speed = {name: _fastest(recording, i) for i, name in enumerate(recording.axes)}
+    speed |= {name: axis.limits.velocity for name, axis in axes.items()}
+    return Machine(
+        chains=diagnosis.model.chains,
+        linear=recording.linear,
+        rated=rated,
+        speed=speed,
+        duration=sum(e.duration for e in recording.experiments),
+        acceptable=_acceptable(config),
+    ), warnings
+
+
+def _acceptable(config: CellConfig | None) -> dict[str, dict[str, float]]:
+    axes = () if config is None else config.axes
+    return {a.name: a.acceptable.model_dump(exclude_none=True) for a in axes}
+
+
+def _fastest(recording: Recording, axis: int) -> float:
+    """Largest speed of an axis in the recording [rad/s or m/s]."""
+    speeds = [0.0]
+    for e in recording.experiments:
+        if e.samples > _STEP:
+            moved = e.position[_STEP:, axis] - e.position[:-_STEP, axis]
+            speeds.append(float(np.nanmax(np.abs(moved))) * e.sample_rate_hz / _STEP)
+    return max(speeds)
+
+
+def consequence_of(term: EffectTerm, machine: Machine) -> Consequence:
+    """Grade, sizes and reason of one effect: own limits first, then published figures, else neither."""
+    sizes = measures_of(term, machine)
+    text = ", ".join(phrase(name, value, machine.linear) for name, value in sizes.items())
+    torques = [value for name, value in sizes.items() if name in TORQUES]
+    own = machine.acceptable.get(term.axis, {})
+    judged: list[tuple[Grade, str, str]] = []
+    for name, value in sizes.items():
+        limit = own.get(OWN_LIMIT.get(name, name))
+        if limit is not None:
+            grade = Grade.AS_EXPECTED if abs(value) <= limit else Grade.ACT
+            shown = number(name, limit, machine.linear)
+            judged.append((grade, f"the config accepts up to {shown}", "config"))
+            continue
+        for rule in RULES.get(term.cause, ()):
+            if rule.measure != name or (machine.linear and not rule.linear):
+                continue
+            grade = Grade.ACT if value > rule.serious else Grade.WATCH
+            grade = Grade.AS_EXPECTED if value <= rule.expected else grade
+            judged.append((grade, _usual(rule, machine.linear), rule.source))
+    if not judged:
+        return Consequence(
+            Grade.WATCH,
+            text,
+            _no_figure(term, machine, sizes),
+            max(torques, default=None),
+            None,
+            sizes,
+        )
+    grade, reason, source = min(judged, key=lambda j: j[0].rank)
+    return Consequence(grade, text, reason, max(torques, default=None), source, sizes)
+
+
+def _usual(rule: Rule, linear: bool) -> str:
+    """Up to where such drives are like that; by physics there may be nothing beside it."""
+    if rule.expected == 0:
+        return "none is expected"
+    return f"up to {number(rule.measure, rule.expected, linear)} is usual for such drives"
+
+
+def _no_figure(term: EffectTerm, machine: Machine, sizes: dict[str, float]) -> str:
+    wanted = {r.measure for r in RULES.get(term.cause, ())}
+    if wanted and not wanted & sizes.keys() and term.axis not in machine.rated:
+        return "no figure to judge by: the rated torque is not in the recording"
+    return "no figure to judge by; a limit of this axis can stand in its config (acceptable)"
+
+
+def with_consequences(diagnosis: Diagnosis, recording: Recording) -> Diagnosis:
+    """The same diagnosis, graded: findings by consequence, a headline, words that keep the contract."""
+    machine, warnings = machine_of(diagnosis, recording)
+    graded = [_graded(f, machine) for f in diagnosis.findings]
+    rank = {id(f): _rank(f) for f in graded}
+    findings = tuple(sorted(graded, key=lambda f: rank[id(f)]))
+    result = replace(
+        diagnosis,
+        findings=findings,
+        sentences=_sentences(diagnosis, graded, findings),
+        warnings=tuple(dict.fromkeys([*diagnosis.warnings, *warnings])),
+    )
+    result = _missed(_as_promised(result), recording)
+    # A later comparison asks whether a cause that is not in the model was looked for.
+    model = replace(result.model, fit={**result.model.fit, "verdict": str(result.verdict)})
+    result = replace(result, model=model)
+    return replace(result, headline=headline(result))
+
+
+def _graded(finding: Finding, machine: Machine) -> Finding:
+    most = CONTESTED if finding.alternatives else 1.0
+    consequence = consequence_of(finding.effect, machine)
+    return replace(
+        finding,
+        confidence=min(finding.confidence, most),
+        consequence=consequence,
+        sentence=_with_grade(finding, consequence),
+    )
+
+
+def _rank(finding: Finding) -> tuple[int, float]:
+    """Most serious first; within a grade what it gains."""
+    grade = Grade.WATCH if finding.consequence is None else finding.consequence.grade
+    return grade.rank, -finding.fraction
+
+
+def _with_grade(finding: Finding, consequence: Consequence) -> str:
+    """The finding's sentence with what it means; what is as expected asks nobody to check anything."""
+    effect, said = BY_CAUSE.get(finding.effect.cause), finding.sentence
+    if not said or not consequence.text:
+        return said
+    if effect is not None and consequence.grade is Grade.AS_EXPECTED:
+        said = said.removesuffix(f" {effect.check}")
+    size = consequence.text[:1].upper() + consequence.text[1:]
+    if consequence.source is None:
+        return f"{said.rstrip('.')}. {size}."
+    how = "as expected" if consequence.grade is Grade.AS_EXPECTED else "too much"
+    how = "more than usual" if consequence.grade is Grade.WATCH else how
+    return f"{said.rstrip('.')}. {size}: {how} ({consequence.reason})."
+
+
+def _sentences(
+    diagnosis: Diagnosis, graded: Sequence[Finding], findings: Sequence[Finding]
+) -> tuple[str, ...]:
+    """The diagnosis' sentences, those of findings by consequence in the places where they stood."""
+    own = [f.sentence for f in diagnosis.findings]
+    ordered = iter([f.sentence for f in findings if f.sentence])
+    if sum(s in own for s in diagnosis.sentences) != sum(bool(f.sentence) for f in graded):
+        return diagnosis.sentences
+    return tuple(next(ordered) if s in own else s for s in diagnosis.sentences)
+
+
+def _as_promised(diagnosis: Diagnosis) -> Diagnosis:
+    """``explained`` only where the named causes take away nine tenths of what was missing (contract)."""
+    share = diagnosis.explained_fraction
+    if diagnosis.verdict is not Verdict.EXPLAINED or share is None or share >= EXPLAINED:
+        return diagnosis
+    left = diagnosis.unexplained
+    if left is None:
+        worst = max(diagnosis.residual, key=lambda r: r.after / max(r.noise_floor, 1e-300))
+        left = Unexplained(
+            worst.axis,
+            (),
+            (),
+            f"{worst.axis}: {worst.after:.3g} {worst.unit} rms is left over a noise floor of "
+            f"{worst.noise_floor:.3g} {worst.unit}, {1 - share:.0%} of what was missing on all axes",
+        )
+    return replace(
+        diagnosis,
+        verdict=Verdict.PARTLY_EXPLAINED,
+        unexplained=left,
+        sentences=tuple(dict.fromkeys([*diagnosis.sentences, left.sentence])),
+    )
+
+
+def _missed(diagnosis: Diagnosis, recording: Recording) -> Diagnosis:
+    """A model that misses more than half of the torque is not to be trusted, and that comes first."""
+    share = missed_share(diagnosis, recording)
+    if not share > MISSED:
+        return diagnosis
+    said = (
+        f"The model cannot be trusted: it misses {share:.0%} of the torque. See that the torque channel is "
+        "the motor's, that every axis moves freely, and that the number of masses fits."
+    )
+    doubts = list(diagnosis.model.fit.get("doubts", ()))
+    model = replace(
+        diagnosis.model, fit={**diagnosis.model.fit, "trustworthy": False, "doubts": [*doubts, said]}
+    )
+    return replace(
+        diagnosis,
+        model=model,
+        warnings=(said, *diagnosis.warnings),
+        sentences=(said, *diagnosis.sentences),
+        details={**diagnosis.details, "missed_fraction": share},
+    )
+
+
+def missed_share(diagnosis: Diagnosis, recording: Recording) -> float:
+    """Rms that the extended model misses beyond noise, over the rms of the torque, all axes together."""
+    left = sum(max(r.after**2 - r.noise_floor**2, 0.0) for r in diagnosis.residual)
+    held = recording.with_role(Role.VALIDATE) or recording.experiments
+    power = np.zeros(recording.axis_count)
+    samples = sum(e.samples for e in held)
+    for e in held:
+        power += np.nansum(np.square(e.torque), axis=0)
+    total = float(power.sum()) / max(samples, 1)
+    return float(np.sqrt(left / total)) if total > 0 else 0.0

@@ -1,0 +1,142 @@
+"""History of one parameter or cause over the models of a cell, with its uncertainty."""
+
+from __future__ import annotations
+
+import asyncio
+import csv
+import io
+import math
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Depends, Query, Request, Response
+from pydantic import BaseModel
+
+from invid.comparison.causes import main_parameter
+from invid.comparison.pairs import name_of
+from invid.errors import InvidError
+from invid.model.document import Estimate, Model, parameter_vector, stds_by_name, units
+from invid_service.auth import Reader
+from invid_service.context import Context
+from invid_service.jobs.results import load
+from invid_service.problems import EVERYWHERE, Problem
+from invid_service.query import refuse_unknown_parameters
+from invid_service.store.store import StoredModel
+
+router = APIRouter(tags=["cells"], responses=EVERYWHERE, dependencies=[Depends(refuse_unknown_parameters)])
+MOST = 200
+"""Models looked at, the newest first."""
+_KINDS = {
+    "mass": "mass",
+    "spring": "stiffness",
+    "ground_spring": "stiffness",
+    "damper": "damping",
+    "coupling": "mass",
+}
+
+
+class Point(BaseModel):
+    """One model's value; null where it does not have the cause."""
+
+    model: str
+    created: str
+    mode: str
+    accepted: bool
+    value: float | None
+    std: float | None
+
+
+class Series(BaseModel):
+    """Oldest first."""
+
+    cell: str
+    parameter: str
+    unit: str | None
+    points: list[Point]
+    simulated: bool
+
+
+def sizes_of(model: Model) -> dict[str, Estimate]:
+    """Everything of a model that has a history, by name: parameters, causes, and parameters of causes."""
+    stds, unit = stds_by_name(model), units(model.linear)
+    found: dict[str, Estimate] = {}
+    for name, value in zip(*parameter_vector(model.chains), strict=True):
+        std = stds.get(name, math.nan)
+        kind = name.split(".")[1]
+        found[name] = Estimate(float(value), std if math.isfinite(std) else None, unit[_KINDS[kind]])
+    for term in model.effects:
+        for parameter, estimate in term.parameters.items():
+            found[f"{name_of(term)}.{parameter}"] = estimate
+        main = main_parameter(term)
+        if main is not None:
+            found[name_of(term)] = term.parameters[main]
+    return found
+
+
+@router.get(
+    "/cells/{cell}/series",
+    response_model=Series,
+    responses={200: {"content": {"text/csv": {"schema": {"type": "string"}}}}},
+)
+async def series(
+    cell: str,
+    service: Context,
+    _caller: Reader,
+    request: Request,
+    parameter: Annotated[str, Query(max_length=200)],
+    format: Literal["json", "csv"] | None = None,
+) -> Response | Series:
+    """History of a parameter (`A1.mass.1`, `A1-A2.coupling`) or a cause (`A2.backlash.spring 1`).
+
+    JSON, or CSV with `format=csv` or `Accept: text/csv`. Oldest first; of a cause a model without it has
+    null. The names are those of `GET /cells/{cell}/changes`.
+    """
+    found = service.cell(cell)
+    models = await asyncio.to_thread(service.store.models, found.id, MOST)
+    accepted = {a.model for a in await asyncio.to_thread(service.store.approvals, found.id)}
+    unit, points, known = await asyncio.to_thread(_points, list(reversed(models)), accepted, parameter)
+    if parameter not in known:
+        near = ", ".join(sorted(known)[:40]) or "no model yet"
+        raise Problem(
+            "parameter-not-found",
+            f"no model of cell {found.id} has {parameter[:64]!r}; known: {near}",
+            simulated=found.simulated,
+        )
+    if format == "csv" or (format is None and "text/csv" in request.headers.get("accept", "")):
+        return Response(_csv(parameter, unit, points), media_type="text/csv; charset=utf-8")
+    return Series(cell=found.id, parameter=parameter, unit=unit, points=points, simulated=found.simulated)
+
+
+def _points(
+    models: list[StoredModel], accepted: set[str], parameter: str
+) -> tuple[str | None, list[Point], set[str]]:
+    unit, points, known = None, [], set[str]()
+    for stored in models:
+        try:
+            sizes = sizes_of(load(stored))
+        except InvidError:  # a damaged text is said where the model itself is asked for
+            continue
+        known |= sizes.keys()
+        one = sizes.get(parameter)
+        unit = one.unit if one is not None else unit
+        points.append(
+            Point(
+                model=stored.id,
+                created=stored.created.isoformat(),
+                mode=stored.mode,
+                accepted=stored.id in accepted,
+                value=None if one is None else one.value,
+                std=None if one is None or one.std is None or not math.isfinite(one.std) else one.std,
+            )
+        )
+    return unit, points, known
+
+
+def _csv(parameter: str, unit: str | None, points: list[Point]) -> str:
+    """Header with the unit, one row a model; a missing number is an empty field."""
+    out = io.StringIO()
+    rows: Any = csv.writer(out)
+    of = f" [{unit}]" if unit else ""
+    rows.writerow(["created", "model", "mode", "accepted", f"{parameter}{of}", f"std{of}"])
+    for p in points:
+        rows.writerow([p.created, p.model, p.mode, str(p.accepted).lower(), p.value, p.std])
+    return out.getvalue()

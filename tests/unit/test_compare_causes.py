@@ -1,0 +1,179 @@
+"""What `compare` says of causes: appeared, grew, shrank, gone or not, and how often that is wrong."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from invid.comparison.causes import CHANGED, compare_causes, new_since
+from invid.comparison.compare import ALPHA, TOLERANCE, CauseChange, CauseStatus, Comparison, Status, compare
+from invid.model.chains import CoupledChains
+from invid.model.document import ChainStd, EffectTerm, Estimate, Model, model_from_json, model_to_json
+
+AXES = ("A1", "A2", "A3")
+TORQUE, GAP = 0.4, 3e-4
+STD = {"coulomb_friction": 0.01, "viscous_friction": 0.02, "backlash": 1e-5}
+
+
+def friction(axis: str, torque: float = TORQUE, std: float = 0.01) -> EffectTerm:
+    return EffectTerm("coulomb_friction", axis, {"torque": Estimate(torque, std, "N·m")}, "mass 1")
+
+
+def viscous(axis: str, coefficient: float = 0.2) -> EffectTerm:
+    return EffectTerm(
+        "viscous_friction", axis, {"coefficient": Estimate(coefficient, 0.02, "N·m·s/rad")}, "mass 1"
+    )
+
+
+def play(gap: float = GAP, std: float = 1e-5) -> EffectTerm:
+    return EffectTerm("backlash", "A2", {"gap": Estimate(gap, std, "rad")}, "spring 1")
+
+
+def model(*effects: EffectTerm, verdict: str | None = "explained", relative: float = 1e-3) -> Model:
+    chains = CoupledChains.build([[1.0, 2.0]] * 3, [[1000.0]] * 3, [[0.5]] * 3, np.zeros((3, 3)), axes=AXES)
+    std = ChainStd(
+        masses=tuple(relative * m for m in chains.masses),
+        springs=tuple(relative * k for k in chains.springs),
+        dampers=tuple(0.05 * d for d in chains.dampers),
+        couplings=np.full((3, 3), 1e-3),
+        ground_springs=np.full(3, np.nan),
+    )
+    fit = {} if verdict is None else {"verdict": verdict}
+    return Model("cell", "refined", chains, std, effects=effects, fit=fit)
+
+
+def drawn(base: Model, rng: np.random.Generator) -> Model:
+    """Another estimate of the same robot: every number off by its own standard deviation."""
+
+    def off(values: tuple, stds: tuple) -> list:
+        return [v + s * rng.standard_normal(v.size) for v, s in zip(values, stds, strict=True)]
+
+    chains = CoupledChains.build(
+        off(base.chains.masses, base.std.masses),
+        off(base.chains.springs, base.std.springs),
+        off(base.chains.dampers, base.std.dampers),
+        base.chains.couplings,
+        axes=AXES,
+    )
+    effects = tuple(
+        replace(
+            t,
+            parameters={
+                n: replace(e, value=e.value + e.std * rng.standard_normal()) for n, e in t.parameters.items()
+            },
+        )
+        for t in base.effects
+    )
+    return replace(base, chains=chains, effects=effects)
+
+
+def usual() -> tuple[EffectTerm, ...]:
+    """What the case study shows: dry and viscous friction on three axes."""
+    return (*(friction(a) for a in AXES), *(viscous(a) for a in AXES))
+
+
+def of(c: Comparison, name: str) -> CauseChange:
+    return next(x for x in c.causes if x.name == name)
+
+
+def test_no_more_than_two_in_a_hundred_pairs_of_runs_call_an_unchanged_cause_changed() -> None:
+    rng = np.random.default_rng(20261124)
+    base, trials = model(*usual(), play()), 200
+    false = 0
+    for _ in range(trials):
+        causes = compare(drawn(base, rng), drawn(base, rng)).causes
+        assert len(causes) == 7
+        false += any(c.status in CHANGED for c in causes)
+    assert false / trials <= 0.02
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_cause_that_grew_or_shrank_by_five_deviations_is_found_and_no_other(side: float) -> None:
+    rng = np.random.default_rng(41)
+    base, trials = model(*usual(), play()), 1000
+    other = GAP + side * 5 * math.sqrt(2) * STD["backlash"]
+    changed = model(*usual(), play(other))
+    name, word = "A2.backlash.spring 1", CauseStatus.GREW if side > 0 else CauseStatus.SHRANK
+    found = others = 0
+    for _ in range(trials):
+        pair = drawn(base, rng), drawn(changed, rng)
+        causes = compare_causes(*pair, AXES, alpha=ALPHA, tolerance=TOLERANCE)
+        found += any(c.status is word and c.name == name for c in causes)
+        others += any(c.status in CHANGED and c.name != name for c in causes)
+    assert found / trials >= 0.95
+    assert others / trials <= 0.03
+
+
+def reported(size: float, std: float, rng: np.random.Generator) -> Model:
+    """A run that names the play only where it is beyond 4.4 standard deviations, as a diagnosis does."""
+    seen = size + std * rng.standard_normal()
+    return model(*usual(), *((play(seen, std),) if seen > 4.4 * std else ()))
+
+
+def test_a_cause_at_the_edge_of_what_is_named_does_not_appear_and_vanish_from_run_to_run() -> None:
+    """Now named, now not, of one and the same size: neither appeared nor gone."""
+    rng = np.random.default_rng(5)
+    wrong = one_sided = 0
+    for _ in range(400):
+        size = 1e-5 * rng.uniform(3.0, 7.0)
+        c = compare(reported(size, 1e-5, rng), reported(size, 1e-5, rng))
+        causes = [x for x in c.causes if x.cause == "backlash"]
+        one_sided += any(x.old is None or x.new is None for x in causes)
+        wrong += any(x.status in CHANGED for x in causes)
+    assert one_sided > 50  # the case that matters did occur
+    assert wrong / 400 <= 0.02
+
+
+def test_a_cause_that_was_nothing_and_is_large_has_appeared_and_the_other_way_round_gone() -> None:
+    came = compare(model(*usual()), model(*usual(), play()))
+    assert of(came, "A2.backlash.spring 1").status is CauseStatus.APPEARED
+    assert any(s.startswith("A2: backlash at spring 1 is new: gap 0.30 ± 0.01 mrad.") for s in came.sentences)
+    went = compare(model(*usual(), play()), model(*usual()))
+    assert of(went, "A2.backlash.spring 1").status is CauseStatus.GONE
+    assert new_since(came.causes, "12 October").startswith(
+        "New since 12 October: free play in the transmission of 0.30 ± 0.01 mrad on A2 at spring 1; check"
+    )
+    assert new_since(went.causes, "12 October") == ""
+
+
+@pytest.mark.parametrize(
+    ("old", "why"),
+    [
+        (model(verdict=None), "does not say that causes were looked for"),
+        (model(*usual(), verdict="partly_explained"), "had no name; it may have been this"),
+        (model(verdict="unexplained"), "had no name; it may have been this"),
+        (model(*usual(), relative=0.05), "the old run would have seen it from"),
+    ],
+)
+def test_a_run_that_could_not_have_seen_a_cause_says_nothing_about_it(old: Model, why: str) -> None:
+    found = of(compare(old, model(*usual(), play())), "A2.backlash.spring 1")
+    assert found.status is CauseStatus.CANNOT_TELL
+    assert why in found.reason
+
+
+def test_the_parameter_of_a_cause_and_the_cause_have_one_verdict() -> None:
+    c = compare(model(*usual()), model(friction("A1", 0.6), *usual()[1:]))
+    grown = of(c, "A1.coulomb_friction.mass 1")
+    size = next(e for e in c.effects if e.name == "A1.coulomb_friction.mass 1.torque")
+    assert (grown.status, size.status) == (CauseStatus.GREW, Status.CHANGED)
+    assert of(c, "A2.coulomb_friction.mass 1").status is CauseStatus.UNCHANGED
+    document = json.loads(json.dumps(c.to_json()))
+    assert {x["status"] for x in document["causes"]} == {"grew", "unchanged", "cannot_tell"}
+
+
+def test_the_mark_of_a_search_survives_the_model_file() -> None:
+    again = model_from_json(json.loads(json.dumps(model_to_json(model(*usual())))))
+    assert of(compare(again, model(*usual(), play())), "A2.backlash.spring 1").status is CauseStatus.APPEARED
+
+
+def test_a_torque_scale_that_comes_nearer_to_one_shrank() -> None:
+    def scale(gain: float) -> EffectTerm:
+        return EffectTerm("torque_gain", "A1", {"gain": Estimate(gain, 0.002, "1")})
+
+    c = compare(model(scale(0.9)), model(scale(0.99)))
+    assert of(c, "A1.torque_gain").status is CauseStatus.SHRANK
+    assert of(compare(model(), model(scale(0.9))), "A1.torque_gain").status is CauseStatus.APPEARED

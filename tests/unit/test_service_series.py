@@ -1,0 +1,103 @@
+"""Changes of causes and the history of one number, through REST."""
+
+from __future__ import annotations
+
+import csv
+import io
+from pathlib import Path
+from typing import Any
+
+from service_doubles import Director, model_document, running, wait_for
+
+API = "/api/v1/cells/cell"
+PLAY = {"cause": "backlash", "axis": "A2", "element": "spring 1"}
+
+
+def document(gap: float | None, verdict: str = "explained") -> dict[str, Any]:
+    """The test cell's model, with free play or without."""
+    made = model_document()
+    made["fit"] = {"verdict": verdict}
+    if gap is not None:
+        sizes = {"gap": {"value": gap, "std": 1e-5, "unit": "rad"}}
+        made["effects"] = [{**PLAY, "parameters": sizes}]
+    return made
+
+
+def accept(client: Any, director: Director, made: dict[str, Any]) -> dict[str, Any]:
+    """One run whose result is ``made``, accepted; the run as it awaited that."""
+    director.model = lambda: made
+    answer = client.post(f"{API}/identifications", json={"mode": "full", "arm": True})
+    location = answer.headers["Location"]
+    run = wait_for(client, location, "awaiting_accept")
+    client.post(f"{location}/actions", json={"type": "accept"})
+    return run
+
+
+def test_a_cause_that_appears_is_in_the_headline_and_in_the_changes(tmp_path: Path) -> None:
+    director = Director()
+    with running(tmp_path, director) as (client, _):
+        accept(client, director, document(None))
+        run = accept(client, director, document(3e-4))
+        assert "free play in the transmission of 0.30 ± 0.01 mrad on A2" in run["summary"]["headline"]
+        assert "New since " in run["summary"]["headline"]
+        (cause,) = client.get(f"{API}/changes").json()["causes"]
+        assert (cause["name"], cause["status"]) == ("A2.backlash.spring 1", "appeared")
+        assert cause["from"] is None
+        assert cause["to"]["value"] == 3e-4
+
+
+def test_a_cause_that_the_run_before_had_no_name_for_cannot_be_called_new(tmp_path: Path) -> None:
+    director = Director()
+    with running(tmp_path, director) as (client, _):
+        accept(client, director, document(None, "partly_explained"))
+        run = accept(client, director, document(3e-4))
+        assert "New since" not in run["summary"]["headline"]
+        assert run["summary"]["changes"]["causes"][0]["status"] == "cannot_tell"
+
+
+def test_a_cause_that_came_is_never_accepted_without_a_person(tmp_path: Path) -> None:
+    director = Director()
+    with running(
+        tmp_path, director, auto_accept={"max_change_percent": 50.0, "verdicts": ["consistent"]}
+    ) as (
+        client,
+        _,
+    ):
+        accept(client, director, document(None))
+        director.model = lambda: document(3e-4)
+        location = client.post(f"{API}/identifications", json={"mode": "full", "arm": True}).headers[
+            "Location"
+        ]
+        assert wait_for(client, location, "awaiting_accept")["state"] == "awaiting_accept"
+
+
+def test_the_history_of_a_parameter_and_of_a_cause_is_a_series_in_json_and_csv(tmp_path: Path) -> None:
+    director = Director()
+    with running(tmp_path, director) as (client, _):
+        for gap in (None, 3e-4, 5e-4):
+            accept(client, director, document(gap))
+        play = client.get(f"{API}/series", params={"parameter": "A2.backlash.spring 1"}).json()
+        assert [p["value"] for p in play["points"]] == [None, 3e-4, 5e-4]
+        assert [p["std"] for p in play["points"]] == [None, 1e-5, 1e-5]
+        assert (play["unit"], play["simulated"]) == ("rad", True)
+        assert all(p["accepted"] for p in play["points"])
+        mass = client.get(f"{API}/series", params={"parameter": "A2.mass.3", "format": "csv"})
+        assert mass.headers["content-type"].startswith("text/csv")
+        rows = list(csv.reader(io.StringIO(mass.text)))
+        assert rows[0][4:] == ["A2.mass.3 [kg·m²]", "std [kg·m²]"]
+        assert len(rows) == 4
+        assert abs(float(rows[1][4]) - 6.0) < 0.01
+        asked = client.get(f"{API}/series", params={"parameter": "A2.mass.3"}, headers={"Accept": "text/csv"})
+        assert asked.text == mass.text
+
+
+def test_an_unknown_parameter_is_a_problem_that_names_the_known_ones(tmp_path: Path) -> None:
+    director = Director()
+    with running(tmp_path, director) as (client, _):
+        accept(client, director, document(None))
+        answer = client.get(f"{API}/series", params={"parameter": "A9.mass.1"})
+        assert answer.status_code == 404
+        assert answer.json()["type"] == "urn:invid:problem:parameter-not-found"
+        assert "A1.mass.1" in answer.json()["detail"]
+        assert client.get(f"{API}/series").status_code == 422
+        assert client.get(f"{API}/series?parameter=A1.mass.1&unit=mm").status_code == 422
