@@ -67,10 +67,13 @@ def open_adapter(bus: BusConfig) -> can.BusABC:
         )
     except Exception as error:  # every vendor's code raises what it likes
         said = " ".join(str(error).split()) or type(error).__name__
-        needs = NEEDS.get(bus.interface, "install what its driver asks for")
+        needs = NEEDS.get(bus.interface, "")
         if isinstance(error, _MISSING) or (isinstance(error, OSError) and "library" in said):
-            raise BusError(f"{who}: the driver of this interface is not there ({said}); {needs}") from None
+            raise BusError(
+                f"{who}: the driver of this interface is not there ({said}); {needs or 'install it'}"
+            ) from None
         raise BusError(
             f"{who}: cannot be opened ({said}); check that the interface is there, up and not in use, and "
-            f"bus.channel and bus.options in the config. Where its driver is missing: {needs}"
+            "bus.channel and bus.options in the config"
+            + (f". Where its driver is missing: {needs}" if needs else "")
         ) from None
