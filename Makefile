@@ -48,9 +48,10 @@ system-packages:
 
 lock: $(STAMP)
 	$(BIN)/python -m pip install --quiet uv
-	$(BIN)/uv pip compile pyproject.toml --universal --all-extras --python-version 3.11 --no-annotate -q -o requirements.lock
-	$(BIN)/uv pip compile pyproject.toml --universal --extra postgres --extra parquet --python-version 3.11 \
-	  --no-annotate -q -c requirements.lock -o requirements-runtime.lock
+	$(BIN)/uv pip compile pyproject.toml --universal --extra dev --extra postgres --extra parquet \
+	  --extra slcan --extra gs-usb --python-version 3.11 --no-annotate -q -o requirements.lock
+	$(BIN)/uv pip compile pyproject.toml --universal --extra postgres --extra parquet --extra slcan \
+	  --extra gs-usb --python-version 3.11 --no-annotate -q -c requirements.lock -o requirements-runtime.lock
 
 clean:
 	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache .hypothesis invid-demo

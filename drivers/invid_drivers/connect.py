@@ -1,11 +1,12 @@
-"""Config to cell: the only place that names adapters."""
+"""Config to cell."""
 
 from __future__ import annotations
 
 import can
 
 from invid.config import CellConfig
-from invid.errors import BusError, ConfigError
+from invid.errors import ConfigError
+from invid_drivers.adapters import open_adapter
 from invid_drivers.cia402.bus import Cia402Cell
 from invid_drivers.cia402.journal import Journal, Reservation, journal_path
 
@@ -19,7 +20,6 @@ def is_virtual(config: CellConfig) -> bool:
 
 def open_bus(config: CellConfig) -> can.BusABC:
     """The bus a config names; BusError where it cannot be opened."""
-    bus = config.bus
     if is_virtual(config):
         if config.simulation is None:
             raise ConfigError(
@@ -28,23 +28,7 @@ def open_bus(config: CellConfig) -> can.BusABC:
         from invid_drivers.simulated import open_virtual_bus
 
         return open_virtual_bus(config)
-    try:
-        return can.Bus(
-            interface=bus.interface,
-            channel=bus.channel,
-            **{"bitrate": bus.bitrate_bit_per_s, **bus.options},
-        )
-    except can.CanInterfaceNotImplementedError as error:
-        raise ConfigError(
-            f"bus.interface {bus.interface!r} is not known to python-can or its driver is missing ({error}); "
-            "known are " + ", ".join(sorted(can.VALID_INTERFACES))
-        ) from None
-    except (can.CanError, OSError, ValueError, TypeError, ImportError) as error:
-        raise BusError(
-            f"bus {bus.interface} {bus.channel}: cannot be opened ({error}); check that the interface is "
-            "there, up "
-            "and not in use, and bus.channel in the config"
-        ) from None
+    return open_adapter(config.bus)
 
 
 def connect(config: CellConfig) -> Cia402Cell:

@@ -23,6 +23,7 @@ from invid.sweep.recorder import Recorder
 from invid_drivers.cia402.bus import Cia402Cell
 from invid_drivers.collecting import Judged
 from invid_drivers.connect import connect, is_virtual
+from invid_drivers.round_trip import probe, require
 
 __all__ = ["MeasurementResult", "Progress", "measure_to_file"]
 
@@ -181,6 +182,8 @@ def run_measurement(
         if stop is not None:
             cell.cancelled = stop.is_set
         cell.check()
+        if not config.simulated:  # before anything is enabled: what would end with missing answers is refused
+            notes = [*notes, *require(probe(cell.link, config, plan, cell.cancelled), config)]
         header = _header(config, cell)
         if open_sink is not None:
             recorder = open_sink(header)

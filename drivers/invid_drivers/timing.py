@@ -79,13 +79,13 @@ def timing_of(config: CellConfig) -> Timing:
     cycle = config.bus.cycle_s
     if is_virtual(config):
         return Timing(cycle, None, 0.0, False)
-    with _priority() as realtime:
+    with priority() as realtime:
         jitter, skipped = wake_jitter(cycle)
     return Timing(cycle, jitter, skipped, realtime)
 
 
 @contextlib.contextmanager
-def _priority() -> Iterator[bool]:
+def priority() -> Iterator[bool]:
     """SCHED_FIFO for this thread meanwhile, where the system allows it: the cycle has it too."""
     thread = threading.get_native_id()
     try:

@@ -22,6 +22,9 @@ class BusConfig(Strict):
     cycle_s: float = Field(default=0.001, gt=0, le=0.1)
     """SYNC period."""
     max_load: float = Field(default=0.8, gt=0, le=1.0)
+    round_trip_s: float | None = Field(default=None, gt=0, le=0.1)
+    """A frame out and one back through the adapter, where it is known better than ``check`` can probe it: the
+    drives' own time for SDO is in the probe."""
     options: dict[str, Any] = Field(default_factory=dict)
     """Passed to python-can as they are."""
 

@@ -60,12 +60,13 @@ def require_budget(config: CellConfig) -> BusBudget:
         raise ConfigError(
             f"bus: {len(config.axes)} drives every {bus.cycle_s * 1e3:g} ms load a bus of "
             f"{bus.bitrate_bit_per_s / 1e3:g} kbit/s to {budget.load:.0%} in the worst case, more than "
-            f"max_load {budget.max_load:.0%}; set cycle_s to {_round_up(budget.shortest_cycle_s):g} or longer"
+            f"max_load {budget.max_load:.0%}; set cycle_s to {next_cycle(budget.shortest_cycle_s):g} or "
+            "longer"
         )
     return budget
 
 
-def _round_up(seconds: float) -> float:
+def next_cycle(seconds: float) -> float:
     """The next cycle time that a drive is likely to take."""
     for step in (0.0005, 0.001, 0.002, 0.004, 0.005, 0.008, 0.01, 0.02, 0.05, 0.1):
         if step >= seconds:

@@ -57,7 +57,7 @@ def test_the_number_of_pdos_is_the_vendors(profile: str, rpdos: int, tpdos: int)
 
 
 def test_a_drive_without_torque_mode_refuses_it() -> None:
-    master = with_axis(objects={"profile": "pilz"})
+    master = with_axis(objects={"profile": "faulhaber_3150"})
     assert not master.read(1, 0x6502) & (1 << 9)
     assert master.write(1, 0x6060, 0, "b", 10) == 0x06090030
     assert master.write(1, 0x6060, 0, "b", 8) == 0

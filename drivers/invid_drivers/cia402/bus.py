@@ -107,6 +107,11 @@ class Cia402Cell:
             self._cycle.scale(i, position=position, torque=r.scaling.torque(1))
         return self.reports
 
+    @property
+    def link(self) -> Link:
+        """The bus, for whoever probes it before the drives are enabled."""
+        return self._link
+
     def _pre_operational(self) -> None:
         self._link.nmt(NMT_PRE_OPERATIONAL)
         self._link.wait(0.02)

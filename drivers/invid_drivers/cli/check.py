@@ -12,7 +12,8 @@ from invid.config import CellConfig, load_config
 from invid.planning import make_plan
 from invid.planning.hold_laws import master_hold
 from invid_drivers.cli.measure import plan_text
-from invid_drivers.connect import connect
+from invid_drivers.connect import connect, is_virtual
+from invid_drivers.round_trip import probe, require
 from invid_drivers.timing import timing_of
 
 
@@ -22,7 +23,8 @@ def preflight(config: CellConfig) -> dict[str, Any]:
     Raises
     ------
     ConfigError, DriveError, BusError
-        The first thing that would keep a measurement from starting.
+        The first thing that would keep a measurement from starting, a cycle that the adapter does not carry
+        among them.
     """
     for axis in config.axes:
         master_hold(axis, config.bus.cycle_s)
@@ -30,11 +32,14 @@ def preflight(config: CellConfig) -> dict[str, Any]:
     cell = connect(config)
     try:
         reports = cell.check()
+        found = None if is_virtual(config) else probe(cell.link, config, plan)
     finally:
         complaints = cell.close()
     warnings = [*plan.warnings, *complaints]
     timing = timing_of(config)
     warnings += timing.warnings(plan)
+    if found is not None:
+        warnings += require(found, config)
     for r in reports:
         warnings += r.warnings
     return {
@@ -48,6 +53,7 @@ def preflight(config: CellConfig) -> dict[str, Any]:
             "max_load": plan.budget.max_load,
             "jitter_rms_us": timing.to_json()["jitter_rms_us"],
             "highest_trustworthy_Hz": timing.highest_hz,
+            "round_trip": None if found is None else found.to_json(),
         },
         "timing": timing.to_json(),
         "drives": [r.to_json() for r in reports],
@@ -72,6 +78,12 @@ def _text(config: CellConfig, document: dict[str, Any]) -> str:
         f"{config.robot}: ready. Bus {bus['interface']} {bus['channel']}, load {bus['load']:.0%} of "
         f"{bus['max_load']:.0%}; frequencies up to {bus['highest_trustworthy_Hz']:.0f} Hz can be trusted"
     ]
+    if bus["round_trip"] is not None:
+        lines.append(
+            "  adapter: {count} round trips of {median_ms:.2g} ms, 99 % within {bound_ms:.2g} ms, the worst "
+            "{worst_ms:.2g} ms".format(**bus["round_trip"])
+            + f"; carries cycles from {bus['round_trip']['shortest_cycle_s'] * 1e3:g} ms"
+        )
     for drive, limit in zip(document["drives"], document["limits"], strict=True):
         unit, torque = ("m", "N") if config.linear else ("rad", "N·m")
         lines.append(

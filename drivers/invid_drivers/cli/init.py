@@ -11,13 +11,19 @@ import typer
 from invid.cli.output import EXIT_OK, emit, note
 from invid.config import parse_config
 from invid.errors import BusError, InputError
+from invid.planning import bus_load
+from invid.planning.round_trip import SHARE, bound, shortest_cycle
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.link import Link, SdoAbortedError, SdoError
 from invid_drivers.cia402.objects import Object
-from invid_drivers.connect import open_bus
+from invid_drivers.connect import is_virtual, open_bus
+from invid_drivers.round_trip import sample
 
 ANSWER_S = 0.05
 """A node answers an SDO request within a few milliseconds; 127 silent ids then take seven seconds."""
+
+MAX_LOAD = 0.8
+CYCLES = (0.001, 0.002, 0.004, 0.01, 0.02)
 
 MODES = {4: "profile torque", 8: "cyclic position", 10: "cyclic torque"}
 
@@ -41,7 +47,11 @@ class Found:
 
 def scan(bus: can.BusABC, *, first: int = 1, last: int = 127) -> list[Found]:
     """Ask every node id for 0x1000 and, where one answers, who it is. Reads only."""
-    link = Link(bus, heartbeat_s=1.0)
+    return ask_all(Link(bus, heartbeat_s=1.0), first=first, last=last)
+
+
+def ask_all(link: Link, *, first: int = 1, last: int = 127) -> list[Found]:
+    """Who answers on a link."""
     link.answer_s = ANSWER_S
     found = []
     for node_id in range(first, last + 1):
@@ -71,8 +81,13 @@ def scan(bus: can.BusABC, *, first: int = 1, last: int = 127) -> list[Found]:
     return found
 
 
-def first_config(interface: str, channel: str, bitrate: int, nodes: list[Found]) -> str:
-    """YAML text of a config for the drives found; limits are timid and to be set by a person."""
+def first_config(
+    interface: str, channel: str, bitrate: int, nodes: list[Found], round_trip_s: float = 0.0
+) -> str:
+    """YAML text of a config for the drives found; limits are timid and to be set by a person.
+
+    The cycle is the shortest that bus load and the adapter's round trip [s] carry.
+    """
     lines = [
         "# Written by `invid init`. Check every limit before anything moves.",
         "format: invid-config",
@@ -83,7 +98,11 @@ def first_config(interface: str, channel: str, bitrate: int, nodes: list[Found])
         f"  interface: {interface}",
         f"  channel: {channel}",
         f"  bitrate_bit_per_s: {bitrate}",
-        f"  cycle_s: {_cycle(len(nodes), bitrate):g}",
+        f"  cycle_s: {_cycle(len(nodes), bitrate, round_trip_s):g}"
+        + (
+            f"           # the adapter's round trip is {round_trip_s * 1e3:.2g} ms (99 %)"
+            * (round_trip_s > 0)
+        ),
         "axes:",
     ]
     for n, node in enumerate(nodes, start=1):
@@ -105,13 +124,10 @@ def first_config(interface: str, channel: str, bitrate: int, nodes: list[Found])
     return "\n".join(lines) + "\n"
 
 
-def _cycle(drives: int, bitrate: int) -> float:
-    from invid.planning import bus_load
-
-    for cycle in (0.001, 0.002, 0.004, 0.01):
-        if bus_load(drives, cycle_s=cycle, bitrate=bitrate) <= 0.8:
-            return cycle
-    return 0.02
+def _cycle(drives: int, bitrate: int, round_trip_s: float) -> float:
+    """Not below 1 ms, which few drives take."""
+    loaded = next((c for c in CYCLES if bus_load(drives, cycle_s=c, bitrate=bitrate) <= MAX_LOAD), CYCLES[-1])
+    return shortest_cycle(round_trip_s, drives, bitrate, loaded)
 
 
 def register(app: typer.Typer) -> None:
@@ -138,20 +154,27 @@ def register(app: typer.Typer) -> None:
         )
         bus = open_bus(probe)
         try:
-            nodes = scan(bus)
+            link = Link(bus, heartbeat_s=1.0)
+            nodes = ask_all(link)
+            drives = [n for n in nodes if n.is_drive and n.node_id <= 126]
+            round_trip = (
+                bound(sample(link, [d.node_id for d in drives], every_s=CYCLES[0]), SHARE)
+                if drives and not is_virtual(probe)
+                else 0.0
+            )
         finally:
             bus.shutdown()
-        drives = [n for n in nodes if n.is_drive and n.node_id <= 126]
         if not drives:
             seen = (
                 f"{len(nodes)} nodes answered, none of them a CiA 402 drive" if nodes else "no node answered"
             )
             raise BusError(f"{interface} {channel}: {seen}; check power, cable, termination and bit rate")
-        text = first_config(interface, channel, bitrate, drives)
+        text = first_config(interface, channel, bitrate, drives, round_trip)
         parse_config(text, source=str(out))
         out.write_text(text, encoding="utf-8")
         document = {
             "config": str(out),
+            "round_trip_ms": round_trip * 1e3,
             "drives": [
                 {
                     "node_id": d.node_id,

@@ -21,6 +21,7 @@ from invid.planning.expected_covariance import Noise
 from invid.planning.goal import GoalPlan, plan_for_goal
 from invid.planning.separating_experiments import to_separate
 from invid.sweep import Progress
+from invid_drivers.cli.confirmation import confirm
 from invid_drivers.cli.expectation import NOTHING, belief_of, expectation, expected_text, noise_of
 from invid_drivers.goal import Reached, measure_to_goal
 from invid_drivers.measurement import MeasurementResult, measure_to_file
@@ -330,6 +331,12 @@ def register(app: typer.Typer) -> None:
             "--separate",
             help="Diagnosis: run what tells its alternatives apart instead.",
         ),
+        confirmed: bool = typer.Option(
+            False,
+            "--yes",
+            "--confirmed",
+            help="The emergency stop is within reach and people are out: do not ask.",
+        ),
         as_json: bool = typer.Option(False, "--json", help="One JSON document on stdout."),
     ) -> int:
         """Shake the axes and record position and torque."""
@@ -354,16 +361,18 @@ def register(app: typer.Typer) -> None:
                 return tell_design(
                     cell, screening_plan(cell, from_model(accepted, cell), noise), as_json=as_json
                 )
-            return run_screening(
-                cell, accepted, _required(out), noise, wanted, max_duration, update, as_json=as_json
-            )
+            out = _required(out)
+            confirm(cell, confirmed=confirmed)
+            return run_screening(cell, accepted, out, noise, wanted, max_duration, update, as_json=as_json)
         if goal is not None:
             design = design_for(
                 cell, belief, noise_of(cell, noise_from), goal, chosen, amplitude, max_duration
             )
             if dry_run:
                 return tell_design(cell, design, as_json=as_json)
-            return run_design(cell, design, _required(out), as_json=as_json)
+            out = _required(out)
+            confirm(cell, confirmed=confirmed)
+            return run_design(cell, design, out, as_json=as_json)
         if dry_run:
             plan = make_plan(cell, axes=chosen, amplitude_scale=amplitude, model=chains)
             found = expectation(cell, plan, belief, noise_of(cell, noise_from))
@@ -388,6 +397,7 @@ def register(app: typer.Typer) -> None:
             emit(document, "\n".join(shown), as_json=as_json)
             return EXIT_OK
         out = _required(out)
+        confirm(cell, confirmed=confirmed)
         with stop_on_signals() as stop:
             try:
                 result = measure_to_file(

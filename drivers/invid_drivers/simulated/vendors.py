@@ -48,12 +48,12 @@ PROFILES: dict[str, Profile] = {
     ),
     "schunk": Profile(
         lacks=frozenset({0x6071, 0x6072, 0x6076, 0x605A, 0x6007, 0x6087}) | _NO_GEAR,
-        values={(0x6502, 0): 0x00000080, (0x1008, 0): "Schunk (simulated)"},
+        values={(0x6502, 0): 0x00000043, (0x1008, 0): "Schunk (simulated)"},
         rpdos=2,
     ),
     "pilz": Profile(
         lacks=frozenset({0x6071, 0x6072, 0x6076, 0x605A, 0x6007, 0x6087}) | _NO_GEAR,
-        values={(0x6502, 0): 0x00000080, (0x1008, 0): "PRBT (simulated)"},
+        values={(0x6502, 0): 0x00000043, (0x1008, 0): "PRBT (simulated)"},
         rpdos=2,
     ),
     "faulhaber_3150": Profile(

@@ -174,7 +174,7 @@ function showPlan(run) {
     const travel = most(f.travel, l?.position, "±", ""), speed = most(f.velocity, l?.velocity, "", "/s");
     return { cells: [el("b", {}, f.axis), `±${fmt(f.peak_torque, 3)} ${f.unit}`, travel, speed] };
   }));
-  $("plan-facts").textContent = `Takes about ${fmt(plan.duration_s, 3)} s of robot time in ${plan.experiments?.length ?? "?"} experiments. Motion stops by itself at the limits.`;
+  $("plan-facts").textContent = `Takes about ${fmt(plan.duration_s, 3)} s of robot time in ${plan.experiments?.length ?? "?"} experiments. Motion stops by itself at the limits.${run.simulated ? "" : " Arm only where the emergency stop is within reach and nobody is within reach of the axes."}`;
   fill($("plan-warnings"), (plan.warnings ?? []).map((w) => el("li", {}, w)));
 }
 
