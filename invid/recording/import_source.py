@@ -13,6 +13,7 @@ from invid.recording.hdf5 import FORMAT, read_recording
 from invid.recording.import_map import ImportMap, Source
 from invid.recording.importer import Import, import_files, read_table
 from invid.recording.model import Recording
+from invid.recording.spool import is_spool
 from invid.recording.suggest import Suggestion, suggest
 
 
@@ -49,7 +50,11 @@ def import_source(
 
 def recording_as_it_is(sources: Sequence[Path]) -> Recording | None:
     """The recording that the one file already is; ``None`` where it is none."""
-    if len(sources) != 1 or not sources[0].is_file() or not h5py.is_hdf5(sources[0]):
+    if len(sources) != 1 or not sources[0].is_file():
+        return None
+    if is_spool(sources[0]):
+        return read_recording(sources[0])
+    if not h5py.is_hdf5(sources[0]):
         return None
     try:
         with h5py.File(sources[0], "r") as file:

@@ -149,6 +149,7 @@ class SimulatedCell:
             cycle_s=self.config.bus.cycle_s,
             linear=linear,
             velocity_in_rpm=known.velocity_in_rpm,
+            mode_ns=(round(settings.mode_change_s * _NS), round(settings.mode_display_s * _NS)),
         )
         node.application = drive
         command = self.plant.command[row]

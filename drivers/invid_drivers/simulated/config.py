@@ -144,6 +144,10 @@ class AxisSimulation(Strict):
     )
     """Default: twice rated torque."""
     sdo_response_s: float = Field(default=0.0002, ge=0, le=1)
+    mode_change_s: float = Field(default=0.0, ge=0, le=10)
+    """From 0x6060 to the mode acting."""
+    mode_display_s: float = Field(default=0.0, ge=0, le=10)
+    """From the mode acting to 0x6061 showing it."""
     objects: ObjectsConfig = ObjectsConfig()
 
 

@@ -43,6 +43,7 @@ class Drive:
         cycle_s: float,
         linear: bool,
         velocity_in_rpm: bool = False,
+        mode_ns: tuple[int, int] = (0, 0),
     ) -> None:
         if rated_torque <= 0 or counts_per_unit <= 0:
             raise ConfigError("simulation: rated torque and encoder counts must be positive")
@@ -50,6 +51,7 @@ class Drive:
         self.rated_torque, self.counts_per_unit, self.direction = rated_torque, counts_per_unit, direction
         self._gains, self._brake_torque, self._cycle_s = gains, brake_torque, cycle_s
         self._counts_per_rev = 0.0 if linear else 2.0 * math.pi * counts_per_unit
+        self._change_ns, self._display_ns = mode_ns
         self._delay: deque[float] = deque([0.0] * delay_cycles)
         self._lag: deque[int] = deque([0] * lag_cycles)
         self._command = plant.command[row]
@@ -87,7 +89,8 @@ class Drive:
 
     def _forget(self) -> None:
         self._controlword = 0
-        self.mode = 0
+        self.mode = self._wanted_mode = self._shown_mode = 0
+        self._mode_due_ns = self._shown_due_ns = 0
         self._after_stop: State | None = None
         self._steady = False
         self._shown_nmt = Nmt.INITIALISING
@@ -148,7 +151,7 @@ class Drive:
         if (
             self._steady
             and word == self._controlword
-            and self._e_mode.value == self.mode
+            and self._e_mode.value == self.mode == self._shown_mode
             and self.node.state is self._shown_nmt
         ):
             limited = self._internal_limit
@@ -165,7 +168,7 @@ class Drive:
         """A tick in which something may change."""
         if word != self._controlword:
             self._control(word, now_ns)
-        self._select_mode()
+        self._select_mode(now_ns)
         if self._after_stop is not None:
             self._continue_stop(now_ns)
         elif self.state is State.OPERATION_ENABLED:
@@ -212,15 +215,19 @@ class Drive:
             if number == 3 and command is Command.ENABLE_OPERATION:
                 self._enter(State.OPERATION_ENABLED)
 
-    def _select_mode(self) -> None:
+    def _select_mode(self, now_ns: int) -> None:
         wanted = int(self._e_mode.value)
-        if wanted == self.mode:
-            return
-        self._steady = False
-        if wanted == 0 or self.node.od.number(0x6502) & _MODE_BITS.get(wanted, 0):
-            self.mode = wanted
-            self._target_counts = None
-            self._demand = 0.0
+        if wanted != self._wanted_mode:
+            self._wanted_mode, self._mode_due_ns = wanted, now_ns + self._change_ns
+        if wanted != self.mode and now_ns >= self._mode_due_ns:
+            self._steady = False
+            if wanted == 0 or self.node.od.number(0x6502) & _MODE_BITS.get(wanted, 0):
+                self.mode = wanted
+                self._shown_due_ns = now_ns + self._display_ns
+                self._target_counts = None
+                self._demand = 0.0
+        if now_ns >= self._shown_due_ns:
+            self._shown_mode = self.mode
 
     # --- modes -----------------------------------------------------------------------------------
     def _operate(self, now_ns: int) -> None:
@@ -401,4 +408,4 @@ class Drive:
             elif self.mode == PROFILE_TORQUE and self._demand == self._e_target_torque.value:
                 word |= 0x400
         self._e_statusword.value = word if self.statusword_lie is None else self.statusword_lie
-        self._e_display.value = self.mode if self.mode_lie is None else self.mode_lie
+        self._e_display.value = self._shown_mode if self.mode_lie is None else self.mode_lie
