@@ -124,6 +124,17 @@ def test_a_slow_drive_shows_and_takes_its_new_mode_late() -> None:
     master.close()
 
 
+def test_a_drive_that_takes_its_time_to_enable_gives_no_torque_meanwhile() -> None:
+    master = started(enable_s=0.2, enable=False)
+    master.bus.clock.sleep_until(master.next_sync)
+    status = []
+    for k in range(300):
+        status.append(master.cycle([100], (0x06, 0x06, 0x07, 0x07)[k] if k < 4 else 0x0F)[1][2] & 0x6F)
+        assert status[-1] == OE or torque(master) == 0.0
+    assert status.index(OE) == pytest.approx(204, abs=3)
+    master.close()
+
+
 def test_a_drive_that_watches_its_sync_faults_where_there_is_none() -> None:
     master = started(sync_timeout_s=0.02)
     master.wait(0.05)

@@ -12,6 +12,8 @@ class Behaviour:
     limits_in_torque_mode: bool = True
     """Whether 0x6072, 0x607D and 0x607F count in the torque modes too; in position mode and on ramps they
     always do."""
+    enable_ns: int = 0
+    """From the command to enable to torque: the motor is magnetised, a relay closes."""
     mode_change_ns: int = 0
     """From 0x6060 to the new mode acting and showing in 0x6061; the old one acts meanwhile."""
     sync_timeout_ns: int = 0

@@ -171,6 +171,8 @@ class AxisSimulation(Strict):
     """What 0x6085 holds, in the drive's own unit."""
     ramp_unit: Literal["counts_per_s2", "rpm_per_s"] = "counts_per_s2"
     """Unit of 0x6084 and 0x6085."""
+    enable_s: float = Field(default=0.0, ge=0, le=2)
+    """From the command to enable to operation enabled; there is no torque before."""
     mode_change_s: float = Field(default=0.0, ge=0, le=2)
     """From 0x6060 to the new mode acting and showing in 0x6061."""
     sync_timeout_s: float = Field(default=0.0, ge=0, le=10)

@@ -104,6 +104,7 @@ class Drive:
         self._stop_deadline_ns = 0
         self._demand = 0.0
         self._mode_due_ns: int | None = None
+        self._enable_due_ns: int | None = None
         self._sync_ns = 0
         self._sent: float | None = None
         """Torque in the plant's table, in thousandths; None while it follows something else."""
@@ -130,7 +131,7 @@ class Drive:
             self._target_counts = None
             self._demand = 0.0
         self.state = state
-        self._after_stop = None
+        self._after_stop = self._enable_due_ns = None
         if not energised:
             self._command[kernel.MODE] = kernel.MODE_OFF
             self._sent = None
@@ -172,6 +173,8 @@ class Drive:
         """A tick in which something may change."""
         if word != self._controlword:
             self._control(word, now_ns)
+        if self._enable_due_ns is not None and now_ns >= self._enable_due_ns:
+            self._enter(State.OPERATION_ENABLED)
         self._select_mode(now_ns)
         if self._after_stop is not None:
             self._continue_stop(now_ns)
@@ -214,10 +217,20 @@ class Drive:
             od.put(0x603F, 0, 0)
             self._enter(target)
             self.node.emergency(0x0000, 0x00)
+        elif number == 4:
+            self._enable(now_ns)
         else:
             self._enter(target)
             if number == 3 and command is Command.ENABLE_OPERATION:
-                self._enter(State.OPERATION_ENABLED)
+                self._enable(now_ns)
+
+    def _enable(self, now_ns: int) -> None:
+        """Transition 4, as fast as the drive is."""
+        if self._behaviour.enable_ns:
+            self._steady = False
+            self._enable_due_ns = now_ns + self._behaviour.enable_ns
+        else:
+            self._enter(State.OPERATION_ENABLED)
 
     def _select_mode(self, now_ns: int) -> None:
         wanted = int(self._e_mode.value)
