@@ -330,6 +330,12 @@ class Bench:
 
         return self._status(run)
 
+    def close(self) -> None:
+        """The port that no command has taken."""
+        if self._port is not None:
+            self._port.shutdown()
+            self._port = None
+
     @staticmethod
     def _status(command: Callable[[], None]) -> tuple[int, str]:
         try:
