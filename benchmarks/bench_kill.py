@@ -138,6 +138,8 @@ def _judge_cell(document: dict[str, Any], complaints: list[str]) -> None:
 def _judge_record(
     out: Path, victim: str, killed: float, ended: bool, complaints: list[str]
 ) -> tuple[int, float]:
+    if victim == "parent" and not out.exists():
+        out = out.with_name(f"{out.name}.rows")  # nobody was left to make a recording of them
     if not out.exists():
         return 0, 0.0
     try:

@@ -5,7 +5,12 @@ command, the service's runner) only relays: this process owns bus and drives, th
 
 - The parent dies: its end of the socket closes (and the kernel sends SIGTERM), the sweep fades out and
   stops the drives by itself.
+- The parent no longer answers (it was stopped, its computer starved it): so it does when nothing has come
+  from it for ``KEEP_ALIVE_S``.
 - This process dies: its heartbeat ends, and the drives stop by their heartbeat consumer (0x1016).
+
+What a stop waits for is this process alone: the parent relays it from a thread that touches neither disk nor
+terminal, and Ctrl-C in a terminal comes here directly as well.
 """
 
 from __future__ import annotations
@@ -35,10 +40,9 @@ from invid.chains import CoupledChains
 from invid.config import CellConfig
 from invid.errors import BusError, InvidError, SafetyStop
 from invid.plan.model import Plan, PlannedExperiment
-from invid.recording import Outcome, Recording, RecordingWriter
+from invid.recording import Outcome, Recording
 from invid.sweep import Progress, Sample
-from invid.sweep.recorder import Recorder
-from invid_drivers.collecting import Judged
+from invid_drivers.filing import Filing, Teller
 from invid_drivers.memory import lock_memory
 
 PRIORITY = 50
@@ -49,9 +53,14 @@ _PR_SET_PDEATHSIG = 1
 STOP_S = 30.0
 """Longest way of the cycle process to its end when its parent leaves: fade, quick stop, two seconds for each
 drive that does not answer, restoring objects. Then it is killed, and heartbeat loss stops the drives."""
-RELAY_POLL_S = 0.05
 POST_S = 0.05
 """Rows leave the cycle process this often: what a sudden death of it may cost."""
+KEEP_ALIVE_S = 1.0
+"""A parent from which nothing came for so long counts as gone. It speaks ten times as often; a busy computer
+may hold a process up for some tenths of a second."""
+SPEAK_S = 0.1
+SECOND_LOOK_S = 0.1
+"""Within the keep-alive: where the whole computer stood still, the parent gets this long to speak again."""
 
 
 def make_realtime() -> tuple[str, ...]:
@@ -88,19 +97,11 @@ def die_with_parent(parent: int) -> None:
 def leave_by(stop: threading.Event) -> None:
     """What a terminal or the system may send ends in an orderly stop, never in the sudden end of the cycle.
 
-    A terminal sends to the whole group, so here too: Ctrl-C and Ctrl-Z, which the parent relays, and hanging
-    up (a closed terminal, a lost SSH connection) and Ctrl-\\, which may have ended the parent already.
+    A terminal sends to the whole group, so here too: Ctrl-C, Ctrl-Z, Ctrl-\\, and hanging up (a closed
+    terminal, a lost SSH connection). The parent, which relays them as well, may hang in a disk or have ended.
     """
-    for number in (signal.SIGINT, signal.SIGTSTP):
-        signal.signal(number, signal.SIG_IGN)
-    for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT):
+    for number in (signal.SIGINT, signal.SIGTSTP, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT):
         signal.signal(number, lambda *_: stop.set())
-
-
-def row_format(axes: int) -> np.dtype[Any]:
-    """One cycle on its way to the parent."""
-    per_axis = (("position", "<f8"), ("torque", "<f8"), ("demand", "<f8"), ("status", "<u2"), ("fresh", "?"))
-    return np.dtype([("slot", "<i8"), ("time", "<f8"), *((name, code, (axes,)) for name, code in per_axis)])
 
 
 class RemoteSink:
@@ -153,6 +154,14 @@ class RemoteSink:
         self._post()
 
 
+SILENT = f"the command that started the measurement did not answer for {KEEP_ALIVE_S:g} s"
+
+
+def spoke(connection: Connection) -> bool:
+    """Whether the parent says something within its keep-alive."""
+    return connection.poll(KEEP_ALIVE_S - SECOND_LOOK_S) or connection.poll(SECOND_LOOK_S)
+
+
 def child_main(fd: int) -> None:
     """Run one measurement; everything goes back over the socket ``fd``."""
     from invid_drivers.measurement import run_measurement, start_measurement
@@ -165,11 +174,18 @@ def child_main(fd: int) -> None:
     outbox: queue.SimpleQueue[tuple[Any, ...] | None] = queue.SimpleQueue()
     answers: dict[int, bool | None] = {}
 
+    silent = threading.Event()
+
     def listen() -> None:
         try:
             with contextlib.suppress(EOFError, OSError):
-                while isinstance(message := connection.recv(), tuple):
-                    answers[message[0]] = message[1]
+                while spoke(connection):
+                    message = connection.recv()
+                    if message == "stop":
+                        return
+                    if isinstance(message, tuple):
+                        answers[message[0]] = message[1]
+                silent.set()
         finally:
             stop.set()  # whatever ended this thread: nobody could stop the axes any more
 
@@ -210,6 +226,8 @@ def child_main(fd: int) -> None:
             asked=ask if task["judged"] else None,
         )
         outbox.put(("result", result))
+    except SafetyStop as error:
+        outbox.put(("error", type(error).__name__, f"{SILENT}: {error}" if silent.is_set() else str(error)))
     except InvidError as error:
         outbox.put(("error", type(error).__name__, str(error)))
     except Exception as error:  # the parent must hear of it: its exit status depends on it
@@ -245,7 +263,7 @@ def measure_in_process(
             stdout=subprocess.DEVNULL,
         )
     connection = Connection(ours.detach())
-    relay = _Relay(out, go_on)
+    relay = Relay(Filing(out, go_on), stop, progress)
     try:
         connection.send(
             {
@@ -259,117 +277,117 @@ def measure_in_process(
                 "judged": go_on is not None,
             }
         )
-        return relay.run(connection, progress, stop)
+        result = relay.run(connection)
     except (EOFError, ConnectionError) as error:
         if isinstance(error, InvidError):
-            raise
-        raise BusError(
+            raise _with_file(error, _end(relay, connection, child)) from None
+        failed = BusError(
             f"the cycle process ended unexpectedly (exit {child.poll()}): the drives stop by their heartbeat "
             "watch; make sure that they have, and look into the system's log"
-        ) from None
-    finally:
-        # Closing the socket stops the child if it still runs; then the file.
-        connection.close()
-        try:
-            child.wait(timeout=STOP_S)
-        except subprocess.TimeoutExpired:
-            child.kill()
-            child.wait()
-        relay.close()
+        )
+        raise _with_file(failed, _end(relay, connection, child)) from None
+    except InvidError as error:
+        raise _with_file(error, _end(relay, connection, child)) from None
+    except BaseException:
+        _end(relay, connection, child)
+        raise
+    failure = _end(relay, connection, child)
+    if failure is not None:
+        raise failure
+    return result
 
 
-class _Relay:
-    """The parent's side: messages to file, progress and result."""
+def _end(relay: Relay, connection: Connection, child: subprocess.Popen[bytes]) -> InvidError | None:
+    """The drives first: closing the socket stops the child if it still runs; then the file."""
+    relay.end()
+    connection.close()
+    try:
+        child.wait(timeout=STOP_S)
+    except subprocess.TimeoutExpired:
+        child.kill()
+        child.wait()
+    return relay.close()
 
-    def __init__(self, out: Path, go_on: Callable[[Recording], bool] | None = None) -> None:
-        self._out, self._go_on = out, go_on
-        self._judged: Judged | None = None
-        self._verdicts: queue.SimpleQueue[tuple[int, bool]] = queue.SimpleQueue()
-        self._recorder: Recorder | None = None
-        self._row_format = row_format(0)
-        self._outcome = Outcome.FAILED
 
-    def run(
+def _with_file(error: InvidError, failure: InvidError | None) -> InvidError:
+    """What ended the run, and what became of its file where that failed too."""
+    return error if failure is None or failure is error else type(error)(f"{error}. {failure}")
+
+
+class Relay:
+    """The parent's side: a stop to the cycle process, what comes from it to file, progress and result.
+
+    Nothing here waits for disk, judge or terminal: the file has its own thread, and so has who is told.
+    """
+
+    def __init__(
         self,
-        connection: Connection,
-        progress: Callable[[Progress], None] | None,
+        filing: Filing,
         stop: threading.Event | None,
-    ) -> Any:
-        """Relay until the result is there; raises what the child raised."""
-        asked = False
+        progress: Callable[[Progress], None] | None,
+    ) -> None:
+        self._filing = filing
+        self._stop = stop if stop is not None else threading.Event()
+        self._over = threading.Event()
+        self._outcome = Outcome.FAILED
+        self._teller = Teller(progress)
+        self._speaker: threading.Thread | None = None
+
+    def run(self, connection: Connection) -> Any:
+        """Relay until the result is there; raises what the child raised, or what the file did."""
+        self._speaker = threading.Thread(target=self._speak, args=(connection,), daemon=True)
+        self._speaker.start()
         while True:
-            if stop is not None and stop.is_set() and not asked:
-                asked = True
-                connection.send("stop")
-            while not self._verdicts.empty():
-                connection.send(self._verdicts.get())
-            if not connection.poll(RELAY_POLL_S):
-                continue
             message = connection.recv()
             kind = message[0]
             if kind == "progress":
-                if progress is not None:
-                    progress(message[1])
-            elif kind == "open":
-                self._open(*message[1:])
-            elif kind == "ask":
-                threading.Thread(target=self._judge, args=message[1:], daemon=True).start()
+                self._teller.tell(message[1])
             elif kind == "result":
                 self._outcome = Outcome.COMPLETED
+                self._raise_of_file()
                 return message[1]
             elif kind == "error":
                 known = getattr(errors, message[1], None)
                 if isinstance(known, type) and issubclass(known, InvidError):
                     if issubclass(known, SafetyStop):
+                        self._raise_of_file()  # that is why it was stopped
                         self._outcome = Outcome.ABORTED
                     raise known(message[2])
                 raise RuntimeError(message[2])
-            elif self._recorder is not None:
-                self._record(self._recorder, kind, message)
+            else:
+                self._filing.put(message)
 
-    def _open(self, header: Recording, cycle_s: float) -> None:
-        count = len(header.axes)
-        self._row_format = row_format(count)
-        if self._go_on is None:
-            self._recorder = Recorder(lambda: RecordingWriter(self._out, header), cycle_s, count)
-            return
-        self._judged = Judged(self._out, header, self._go_on)
-        self._recorder = Recorder(self._judged.open, cycle_s, count)
+    def _raise_of_file(self) -> None:
+        if self._filing.error is not None:
+            self._outcome = Outcome.FAILED
+            raise self._filing.error
 
-    def _judge(self, number: int) -> None:
-        """Answer whether the next experiment is needed; a judge that fails ends nothing."""
-        needed = True
-        try:
-            needed = self._judged is None or self._judged.ask(number)
-        finally:
-            self._verdicts.put((number, needed))
+    def _speak(self, connection: Connection) -> None:
+        """Say that this process is there, and what it has to say, until all is over."""
+        asked = False
+        with contextlib.suppress(OSError):  # the cycle process has gone: the receiving end notices
+            while not self._over.is_set():
+                if not asked and (self._stop.is_set() or self._filing.error is not None):
+                    asked = True
+                    connection.send("stop")
+                connection.send("alive")
+                while (verdict := self._filing.verdict()) is not None:
+                    connection.send(verdict)
+                if asked:
+                    self._over.wait(SPEAK_S)
+                else:
+                    self._stop.wait(SPEAK_S)
 
-    def _record(self, recorder: Recorder, kind: str, message: tuple[Any, ...]) -> None:
-        if kind == "begin":
-            recorder.begin(*message[1:])
-        elif kind == "end":
-            recorder.end()
-        elif kind == "rows":
-            for slot, time, position, torque, demand, status, fresh in np.frombuffer(
-                message[1], dtype=self._row_format
-            ):
-                sample = Sample(
-                    int(slot),
-                    float(time),
-                    position.tolist(),
-                    torque.tolist(),
-                    status.tolist(),
-                    fresh.tolist(),
-                )
-                recorder.row(sample, demand.tolist())
+    def end(self) -> None:
+        """Nothing more is said."""
+        self._over.set()
+        if self._speaker is not None:
+            self._speaker.join(2 * SPEAK_S)
+        self._teller.end()
 
-    def close(self) -> None:
-        """Write what is left, mark and close the file, if one was opened."""
-        if self._recorder is not None:
-            try:
-                self._recorder.end()
-            finally:
-                self._recorder.close(self._outcome)
+    def close(self) -> InvidError | None:
+        """Write what is left, mark and close the file, if one was opened; however long the disk takes."""
+        return self._filing.close(self._outcome)
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ from invid.recording.hdf5 import FORMAT as RECORDING_FORMAT
 from invid.recording.hdf5 import read_recording, write_recording
 from invid.recording.import_map import ImportMap, Source, load_map
 from invid.recording.importer import Import, import_files, read_table
+from invid.recording.spool import is_spool
 from invid.recording.suggest import Suggestion, suggest
 
 
@@ -61,7 +62,11 @@ def register(app: typer.Typer) -> None:
 
 
 def _already_a_recording(source: list[Path]) -> Any:
-    if len(source) != 1 or not source[0].is_file() or not h5py.is_hdf5(source[0]):
+    if len(source) != 1 or not source[0].is_file():
+        return None
+    if is_spool(source[0]):
+        return read_recording(source[0])
+    if not h5py.is_hdf5(source[0]):
         return None
     try:
         with h5py.File(source[0], "r") as file:

@@ -21,6 +21,7 @@ from invid.errors import RecordingError
 from invid.recording.attributes import Attributes, read_attributes
 from invid.recording.check import COLUMNS, check_recording
 from invid.recording.model import Experiment, Kind, Outcome, Recording, Role
+from invid.recording.spool import as_hdf5, is_spool
 
 FORMAT = "invid-recording"
 FORMAT_VERSION = 1
@@ -68,7 +69,7 @@ class _Budget:
 
 
 def read_recording(path: str | Path, *, max_values: int = MAX_VALUES) -> Recording:
-    """The recording in an HDF5 file.
+    """The recording in an HDF5 file, or in the rows that a cut-off measurement left (``.rows``).
 
     Raises
     ------
@@ -88,7 +89,7 @@ def read_recording(path: str | Path, *, max_values: int = MAX_VALUES) -> Recordi
     if size == 0:
         raise RecordingError(f"{source}: the file is empty; it is not a recording")
     try:
-        with h5py.File(path, "r") as file:
+        with as_hdf5(path) if is_spool(path) else h5py.File(path, "r") as file:
             recording = _read_root(file, source, _Budget(max_values))
     except RecordingError:
         raise

@@ -1,68 +1,64 @@
 """``RecordingWriter``: the recording written while it is measured.
 
-Rows are gathered in memory and go to the file in one burst for every second of data, followed by a
-flush; between bursts libhdf5 is not touched, so a process killed at any other instant leaves a whole,
-readable file that lacks at most the last second. A file without the attribute ``outcome`` is such a
-cut-off one. A burst costs a few milliseconds: in a real-time cycle, append between experiments or
-from another process.
+Rows are gathered in memory and go to disk in one write for every second of data, into a file of their own
+beside the recording (``.rows``, see ``invid.recording.spool``). ``close`` makes the HDF5 file of them, in
+memory and then in one piece. A process killed at any instant leaves the rows, which lack at most the last
+second; ``read_recording`` and ``invid import`` read them. A recording without the attribute ``outcome`` is
+such a cut-off one.
 """
 
 from __future__ import annotations
 
+import contextlib
+import os
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-import h5py
 import numpy as np
 import numpy.typing as npt
 
 from invid.arrays import frozen_float
 from invid.errors import RecordingError, SafetyStop
-from invid.recording.hdf5 import experiment_attributes, root_attributes, set_attributes
+from invid.recording.hdf5 import experiment_attributes, root_attributes
 from invid.recording.model import Experiment, Kind, Outcome, Recording, Role
+from invid.recording.spool import Spool, as_hdf5
 
 _FLUSH_S = 0.9
 """Data gathered before a burst [s]; below the promised second by one slow append."""
-_CHUNK_ROWS = 1024
 ROOM_BYTES = 8 << 20
-"""Kept free on the disk: libhdf5 that meets a full one loses the whole file and takes the process with it,
-and closing needs some. A guess at what others may write in a second; 50 s of rows of six axes at 1 kHz."""
+"""Kept free on the disk beside what closing needs, which is at most as much again as the rows take. A guess
+at what others may write in a second; 50 s of rows of six axes at 1 kHz."""
 
 
 class RecordingWriter:
     """Context manager: ``begin``, ``append`` rows, ``end``, …, ``close(outcome)``.
 
-    ``header`` is a ``Recording`` whose experiments are ignored. Where ``path`` is free the file grows
-    there; where a file already stands it grows beside it (``.part``) and replaces it at ``close``, so
-    that a failed start never costs an earlier recording. Leaving the ``with`` block without ``close``
-    closes as completed, as aborted (SafetyStop, KeyboardInterrupt) or as failed (any other exception).
+    ``header`` is a ``Recording`` whose experiments are ignored. ``path`` is replaced at ``close`` and not
+    before, so that a failed start never costs an earlier recording. Leaving the ``with`` block without
+    ``close`` closes as completed, as aborted (SafetyStop, KeyboardInterrupt) or as failed (any other
+    exception).
     """
 
     def __init__(self, path: str | Path, header: Recording) -> None:
         self.path = Path(path)
-        self._target = self.path.with_name(self.path.name + ".part") if self.path.exists() else self.path
         self._axes = header.axes
         self._keys = 0
-        self._group: h5py.Group | None = None
+        self._inside = False
         self._rows: list[tuple[npt.NDArray[Any], ...]] = []
         self._names: tuple[str, ...] = ()
         self._first = 0.0
         self._full = False
+        self._spool: Spool | None = None
+        attributes = {k: v for k, v in root_attributes(header).items() if k != "outcome"}
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self._require_room("nothing was recorded")
-            self._file: h5py.File | None = h5py.File(self._target, "w")
-            set_attributes(self._file, {k: v for k, v in root_attributes(header).items() if k != "outcome"})
-            self._file.create_group("experiments")
-            self._file.flush()
-        except RecordingError:
-            raise
-        except (OSError, RuntimeError) as error:
-            reason = getattr(error, "strerror", None) or str(error)
-            raise RecordingError(f"{self.path}: cannot be written: {reason}") from None
+            self._spool = Spool(self.path, attributes)
+        except OSError as error:
+            raise RecordingError(f"{self.path}: cannot be written: {error.strerror or error}") from None
 
     def begin(
         self,
@@ -79,7 +75,7 @@ class RecordingWriter:
         attributes: Mapping[str, Any] | None = None,
     ) -> str:
         """Open the next experiment and return its key. ``demand`` and ``status`` say what is logged."""
-        if self._group is not None:
+        if self._inside:
             self.end()
         count = len(self._axes)
         empty = frozen_float(np.zeros((0, count)))
@@ -97,22 +93,9 @@ class RecordingWriter:
             torque=empty,
             attributes=dict(attributes or {}),
         )
-        group = self._open().create_group(f"experiments/{header.key}")
-        set_attributes(group, experiment_attributes(header))
         names = ["time", "position", "torque"] + ["torque_demand"] * demand + ["status"] * status
-        for name in names:
-            width = () if name == "time" else (count,)
-            group.create_dataset(
-                name,
-                shape=(0, *width),
-                maxshape=(None, *width),
-                chunks=(_CHUNK_ROWS, *width),
-                dtype=np.uint16 if name == "status" else np.float64,
-                compression="gzip",
-                compression_opts=1,
-                shuffle=True,
-            )
-        self._group, self._names = group, tuple(names)
+        self._guarded(lambda spool: spool.begin(header.key, names, experiment_attributes(header)))
+        self._inside, self._names = True, tuple(names)
         self._keys += 1
         return header.key
 
@@ -125,7 +108,7 @@ class RecordingWriter:
         status: npt.ArrayLike | None = None,
     ) -> None:
         """Add rows: ``time`` (k,) [s], the rest (k, M). One row may be given as a scalar and (M,)."""
-        if self._group is None:
+        if not self._inside:
             raise RecordingError(f"{self.path}: rows appended outside an experiment; call begin first")
         given = {
             "time": time,
@@ -159,62 +142,95 @@ class RecordingWriter:
             self.flush()
 
     def flush(self) -> None:
-        """Write the gathered rows and flush the file.
+        """Write the gathered rows.
 
         Raises
         ------
         RecordingError
-            The disk is nearly full. The gathered rows are dropped; what was written before stays, and the
-            file can still be closed.
+            The disk is nearly full or does not take them. The gathered rows are dropped; what was written
+            before stays, and the recording can still be closed.
         """
-        if self._group is not None and self._rows:
-            try:
-                self._require_room("the recording so far is kept")
-            except RecordingError:
-                self._rows, self._full = [], True
-                raise
-            for i, name in enumerate(self._names):
-                block = np.concatenate([r[i] for r in self._rows])
-                dataset = self._group[name]
-                start = dataset.shape[0]
-                dataset.resize(start + block.shape[0], axis=0)
-                dataset[start:] = block
-            self._rows = []
-        self._open().flush()
+        if not self._inside or not self._rows:
+            return
+        try:
+            self._require_room("the recording so far is kept")
+            block = [np.concatenate([r[i] for r in self._rows]) for i in range(len(self._names))]
+            self._guarded(lambda spool: spool.rows(block))
+        except RecordingError:
+            self._rows, self._full = [], True
+            raise
+        self._rows = []
+
+    def _guarded(self, write: Callable[[Spool], None]) -> None:
+        spool = self._spool
+        if spool is None:
+            raise RecordingError(f"{self.path}: the recording is closed; nothing more can be written")
+        try:
+            write(spool)
+        except OSError as error:
+            raise RecordingError(
+                f"{self.path}: the disk takes no more rows ({error.strerror or error}); "
+                "the recording so far is kept"
+            ) from None
 
     def _require_room(self, kept: str) -> None:
         free = shutil.disk_usage(self.path.parent).free
-        if free < ROOM_BYTES:
+        needed = ROOM_BYTES + (self._spool.size if self._spool is not None else 0)
+        if free < needed:
             raise RecordingError(
-                f"{self.path}: the disk is nearly full: {free / 2**20:.1f} MiB are free, {ROOM_BYTES >> 20} "
-                f"MiB are kept back to close the file; {kept}. Free some space and measure again"
+                f"{self.path}: the disk is nearly full: {free / 2**20:.1f} MiB are free, "
+                f"{needed / 2**20:.0f} MiB are kept back to close the file; {kept}. "
+                "Free some space and measure again"
             )
 
     def end(self) -> None:
-        """Close the experiment; one without rows is taken out again."""
-        if self._group is None:
+        """Close the experiment; one without rows leaves nothing."""
+        if not self._inside:
             return
-        self.flush()
-        if self._group["time"].shape[0] == 0:
-            del self._open()[self._group.name]
-        self._group = None
-        self._open().flush()
+        try:
+            self.flush()
+        finally:
+            self._inside = False
+        self._guarded(Spool.end)
 
     def close(self, outcome: Outcome | str = Outcome.COMPLETED) -> None:
-        """Mark how the measurement ended and put the file in its place; safe to call twice."""
-        if self._file is None:
-            return
-        self.end()
-        self._file.attrs["outcome"] = str(Outcome(outcome))
-        self._file.close()
-        self._file = None
-        if self._target != self.path:
-            self._target.replace(self.path)
+        """Mark how the measurement ended and put the file in its place; safe to call twice.
 
-    def _open(self) -> h5py.File:
-        if self._file is None:
-            raise RecordingError(f"{self.path}: the recording is closed; nothing more can be written")
-        return self._file
+        Raises
+        ------
+        RecordingError
+            The disk does not take it; the rows that it took before stay in their own file, which is named.
+        """
+        spool = self._spool
+        if spool is None:
+            return
+        refused = None
+        try:
+            self.end()
+        except RecordingError as error:
+            refused = error  # what was taken before is closed all the same
+        self._rows, self._spool = [], None
+        with contextlib.suppress(OSError):
+            spool.outcome(str(Outcome(outcome)))
+        spool.close()
+        part = self.path.with_name(self.path.name + ".part")
+        try:
+            with as_hdf5(spool.path) as file:
+                file.attrs["outcome"] = str(Outcome(outcome))
+                file.flush()
+                image = file.id.get_file_image()
+            _write_whole(part, image)
+            part.replace(self.path)
+        except OSError as error:
+            with contextlib.suppress(OSError):
+                part.unlink(missing_ok=True)
+            raise RecordingError(
+                f"{self.path}: cannot be written ({error.strerror or error}). What was measured is in "
+                f"{spool.path}: free some space, then `invid import {spool.path} -o {self.path}`"
+            ) from None
+        spool.remove()
+        if refused is not None:
+            raise refused
 
     def __enter__(self) -> RecordingWriter:
         return self
@@ -231,3 +247,14 @@ class RecordingWriter:
             self.close(Outcome.ABORTED)
         else:
             self.close(Outcome.FAILED)
+
+
+def _write_whole(path: Path, data: bytes) -> None:
+    """By plain ``write``: a disk that takes no more is an error here and no end of the process."""
+    file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o666)
+    try:
+        rest = memoryview(data)
+        while rest:
+            rest = rest[os.write(file, rest) :]
+    finally:
+        os.close(file)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import struct
@@ -17,7 +18,8 @@ import pytest
 
 from invid.cli.app import run
 from invid.errors import InvidError, RecordingError
-from invid.recording import read_recording, write_recording
+from invid.recording import Outcome, read_recording, write_recording
+from invid.recording.spool import Spool
 
 
 def foreign(path: Path, *, n: int = 50, axes: int = 2) -> Path:
@@ -161,12 +163,96 @@ def test_a_measurement_killed_in_the_middle_loses_at_most_the_last_second(tmp_pa
         written = int(process.stdout.readline())
     process.send_signal(signal.SIGKILL)
     process.wait()
+    assert not path.exists()
+    assert run(["import", str(tmp_path / "r.h5.rows"), "-o", str(path)]) == 0
     recording = read_recording(path)
     assert recording.outcome is None
     kept = recording.experiments[0].samples
     assert written >= 3400
     assert kept >= written - 1000  # it may have gone on between its last word and its end
     assert np.array_equal(recording.experiments[0].position[:, 0], np.arange(kept))
+
+
+_FULL = """
+import resource, sys, numpy as np
+from invid.errors import RecordingError
+from invid.recording import Kind, Outcome, Recording, RecordingWriter
+head = Recording(robot="r", axes=("A1",), position_unit="rad", torque_unit="N·m",
+                 created="2026-01-01T00:00:00Z", experiments=())
+w = RecordingWriter(sys.argv[1], head)
+w.begin(kind=Kind.OTHER, excited_axis=0, sample_rate_hz=1000.0, demand=False, status=False)
+resource.setrlimit(resource.RLIMIT_FSIZE, (100_000,) * 2)
+noise = np.random.default_rng(1).standard_normal((10000, 1)).round(int(sys.argv[2]))
+try:
+    for k in range(0, 10000, 100):
+        w.append(np.arange(k, k + 100) / 1000, noise[k : k + 100], noise[k : k + 100])
+except RecordingError as error:
+    print(error)
+if sys.argv[3] == "1":
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 100_000))
+try:
+    w.close(Outcome.FAILED)
+except RecordingError as error:
+    print(error)
+"""
+
+
+@pytest.mark.parametrize(("worse", "where"), [("1", "r.h5.rows"), ("0", "r.h5")])
+def test_a_disk_that_takes_no_more_ends_the_writing_in_order_and_what_it_took_is_readable(
+    tmp_path, worse, where
+):
+    """The kernel refuses any file beyond a limit; where it is lower still at the end, the rows remain."""
+    path = tmp_path / "r.h5"
+    process = subprocess.run(
+        [sys.executable, "-c", _FULL, str(path), "3", worse], capture_output=True, text=True, check=False
+    )
+    assert process.returncode == 0, process.stderr  # no segmentation fault at the end
+    assert "takes no more rows (File too large)" in process.stdout
+    recording = read_recording(tmp_path / where)
+    kept = recording.experiments[0].samples
+    assert 75_000 < 24 * kept < 100_000
+    assert path.exists() is (where == "r.h5")
+    assert ("What was measured is in" in process.stdout) is (where != "r.h5")
+    if where == "r.h5":
+        assert recording.outcome is Outcome.FAILED
+
+
+def test_rows_cut_anywhere_are_read_up_to_the_cut_and_never_raise_anything_else(tmp_path):
+    spool = Spool(tmp_path / "r.h5", {"format": "invid-recording", "format_version": 1,
+        "created": "2026-01-01", "robot": "r", "axes": '["A1"]',
+        "position_unit": "rad", "torque_unit": "N·m"})  # fmt: skip
+    attributes = {"kind": "other", "role": "identify", "excited_axis": 0, "period_samples": 0,
+        "hold_gain": np.zeros(1), "frequencies_hz": np.zeros(0), "sample_rate_hz": 100.0}  # fmt: skip
+    spool.begin("000", ["time", "position", "torque"], attributes)
+    ends = []
+    for k in range(5):
+        spool.rows([np.arange(10 * k, 10 * k + 10) / 100, np.ones((10, 1)), np.ones((10, 1))])
+        ends.append(spool.size)
+    spool.close()
+    whole = spool.path.read_bytes()
+    rng = np.random.default_rng(2)
+    path = tmp_path / "cut.rows"
+    for cut in rng.integers(0, len(whole), 60):
+        path.write_bytes(whole[:cut])
+        frames = sum(cut >= end for end in ends)
+        if frames:
+            assert read_recording(path).experiments[0].samples == 10 * frames
+        else:
+            with pytest.raises(RecordingError):
+                read_recording(path)
+    for _ in range(60):
+        raw = bytearray(whole)
+        raw[int(rng.integers(len(raw)))] ^= 1 << int(rng.integers(8))
+        path.write_bytes(bytes(raw))
+        with contextlib.suppress(RecordingError):
+            read_recording(path)
+
+
+def test_rows_that_an_earlier_cut_left_are_not_overwritten(tmp_path):
+    (tmp_path / "r.h5.rows").write_bytes(b"earlier")
+    Spool(tmp_path / "r.h5", {}).close()
+    assert (tmp_path / "r.h5.rows").read_bytes() == b"earlier"
+    assert (tmp_path / "r.h5.2.rows").exists()
 
 
 CAN_MAP = """

@@ -33,20 +33,14 @@ def _signals_as_before() -> Iterator[None]:
         signal.signal(number, handler)
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
-def test_a_closed_terminal_stops_the_cycle_process_in_order(number: signal.Signals) -> None:
+@pytest.mark.parametrize("number", SIGNALS)
+def test_keys_and_a_closed_terminal_stop_the_cycle_process_in_order_whatever_its_parent_does(
+    number: signal.Signals,
+) -> None:
     stop = threading.Event()
     leave_by(stop)
     os.kill(os.getpid(), number)
     assert stop.wait(5.0)
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTSTP])
-def test_keys_pressed_in_the_terminal_are_the_parents_to_relay(number: signal.Signals) -> None:
-    stop = threading.Event()
-    leave_by(stop)
-    os.kill(os.getpid(), number)
-    assert not stop.is_set()
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGTSTP])

@@ -1,0 +1,174 @@
+"""What comes from the cycle process, to file, by a thread of its own: a disk may stall, a stop may not."""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from invid.errors import InvidError, RecordingError
+from invid.recording import Outcome, Recording, RecordingWriter
+from invid.sweep import Progress, Sample
+from invid.sweep.recorder import Recorder
+from invid_drivers.collecting import Judged
+
+QUEUE_BYTES = 64 << 20
+"""Rows that may wait for the disk: 3 minutes of eight axes at 1 kHz. Beyond that the measurement ends."""
+MOST_NEWS, LAST_NEWS_S = 100, 0.2
+"""Progress that waits for a terminal: twenty seconds of it, and how long the end waits for it."""
+
+
+def row_format(axes: int) -> np.dtype[Any]:
+    """One cycle on its way to the file."""
+    per_axis = (("position", "<f8"), ("torque", "<f8"), ("demand", "<f8"), ("status", "<u2"), ("fresh", "?"))
+    return np.dtype([("slot", "<i8"), ("time", "<f8"), *((name, code, (axes,)) for name, code in per_axis)])
+
+
+class Filing:
+    """Messages of the cycle process to the recording, in their order and without making anybody wait.
+
+    ``error`` is set where the disk takes no more, or not fast enough; rows that come after that are dropped.
+    """
+
+    def __init__(self, out: Path, go_on: Callable[[Recording], bool] | None) -> None:
+        self._out, self._go_on = out, go_on
+        self.error: InvidError | None = None
+        self._messages: queue.SimpleQueue[tuple[Any, ...] | None] = queue.SimpleQueue()
+        self._verdicts: queue.SimpleQueue[tuple[int, bool]] = queue.SimpleQueue()
+        self._waiting = 0
+        self._lock = threading.Lock()
+        self._judged: Judged | None = None
+        self._recorder: Recorder | None = None
+        self._row_format = row_format(0)
+        self._outcome = Outcome.FAILED
+        self._failure: InvidError | None = None
+        self._thread = threading.Thread(target=self._work, daemon=True)
+        self._thread.start()
+
+    def put(self, message: tuple[Any, ...]) -> None:
+        """A message for the file; never waits."""
+        if message[0] == "rows":
+            if self.error is not None:
+                return
+            with self._lock:
+                full = self._waiting + len(message[1]) > QUEUE_BYTES
+                self._waiting += 0 if full else len(message[1])
+            if full:
+                self.error = RecordingError(
+                    f"{self._out}: the disk has taken nothing while {QUEUE_BYTES >> 20} MiB of rows came; "
+                    "the measurement was ended, and what came after them is lost. Use a faster disk"
+                )
+                return
+        self._messages.put(message)
+
+    def verdict(self) -> tuple[int, bool] | None:
+        """The next answer of the judge: number of the experiment, whether the next one is needed."""
+        return None if self._verdicts.empty() else self._verdicts.get()
+
+    def close(self, outcome: Outcome) -> InvidError | None:
+        """Wait for the disk, then mark and close the file; what went wrong with it, if anything did."""
+        self._outcome = outcome
+        self._messages.put(None)
+        while self._thread.is_alive():
+            self._thread.join(0.1)  # in pieces: Ctrl-C must come through
+        return self._failure or self.error
+
+    def _work(self) -> None:
+        try:
+            while (message := self._messages.get()) is not None:
+                try:
+                    self._take(message)
+                except InvidError as error:
+                    self.error = self.error or error
+                if message[0] == "rows":
+                    with self._lock:
+                        self._waiting -= len(message[1])
+            self._end()
+        except InvidError as error:
+            self._failure = error
+        except Exception as error:  # whoever closes hears of it
+            self._failure = RecordingError(f"{self._out}: cannot be written: {type(error).__name__}: {error}")
+        self.error = self.error or self._failure
+
+    def _take(self, message: tuple[Any, ...]) -> None:
+        kind, recorder = message[0], self._recorder
+        if kind == "open":
+            self._open(*message[1:])
+        elif kind == "ask":
+            # here, because what it judges was written by now; the judge takes its time in a thread of its own
+            threading.Thread(target=self._judge, args=message[1:], daemon=True).start()
+        elif recorder is None:
+            return
+        elif kind == "begin":
+            recorder.begin(*message[1:])
+        elif kind == "end":
+            recorder.end()
+        elif kind == "rows" and self.error is None:
+            for slot, time, position, torque, demand, status, fresh in np.frombuffer(
+                message[1], dtype=self._row_format
+            ):
+                sample = Sample(
+                    int(slot),
+                    float(time),
+                    position.tolist(),
+                    torque.tolist(),
+                    status.tolist(),
+                    fresh.tolist(),
+                )
+                recorder.row(sample, demand.tolist())
+
+    def _open(self, header: Recording, cycle_s: float) -> None:
+        count = len(header.axes)
+        self._row_format = row_format(count)
+        if self._go_on is None:
+            self._recorder = Recorder(lambda: RecordingWriter(self._out, header), cycle_s, count)
+            return
+        self._judged = Judged(self._out, header, self._go_on)
+        self._recorder = Recorder(self._judged.open, cycle_s, count)
+
+    def _judge(self, number: int) -> None:
+        """Answer whether the next experiment is needed; a judge that fails ends nothing."""
+        needed = True
+        try:
+            needed = self._judged is None or self._judged.ask(number)
+        finally:
+            self._verdicts.put((number, needed))
+
+    def _end(self) -> None:
+        if self._recorder is None:
+            return
+        try:
+            self._recorder.end()
+        finally:
+            self._recorder.close(self._outcome if self.error is None else Outcome.FAILED)
+
+
+class Teller:
+    """Tells whoever wants to know how far it is: a terminal that stands makes nobody wait."""
+
+    def __init__(self, progress: Callable[[Progress], None] | None) -> None:
+        self._progress = progress
+        self._news: queue.SimpleQueue[Progress | None] = queue.SimpleQueue()
+        self._thread = threading.Thread(target=self._work, daemon=True)
+        if progress is not None:
+            self._thread.start()
+
+    def tell(self, progress: Progress) -> None:
+        """Never waits; what nobody takes is not kept for long."""
+        if self._news.qsize() < MOST_NEWS:
+            self._news.put(progress)
+
+    def end(self) -> None:
+        """What is left is told where that takes no longer than a moment."""
+        self._news.put(None)
+        if self._thread.is_alive():
+            self._thread.join(LAST_NEWS_S)
+
+    def _work(self) -> None:
+        while (progress := self._news.get()) is not None:
+            if self._progress is not None:
+                self._progress(progress)
