@@ -38,9 +38,12 @@ from invid_drivers.cia402.bus import Cia402Cell
 from invid_drivers.cia402.journal import Journal
 from invid_drivers.measurement import run_measurement
 from invid_drivers.simulated import VirtualTimeBus, open_virtual_bus
+from invid_drivers.simulated.faults import FaultConfig
 
 UNATTENDED_S = 2.0
 """Between the first command and the next: nobody is there, the heartbeat is gone."""
+RAMP_S, REST_POLL_S, AT_REST = 1.0, 0.01, 0.02
+"""A quick stop's ramp that still runs when the command has ended may take so long [s] to this speed [rad/s]."""
 FOREIGN_NODE = 20
 LATE_CUT_S = 0.2
 """A quick stop through a wrong sign is ended by voltage off; see ``EXEMPTIONS``."""
@@ -268,7 +271,7 @@ def cell_config(case: Case, seed: int) -> CellConfig:
         if axis["rated_torque_Nm"] is None:
             del axis["rated_torque_Nm"]
     simulation["defaults"] |= {"limits_in_torque_mode": False, "brake": False, "enable_s": 0.2}
-    simulation |= {"seed": seed, "foreign_nodes": [FOREIGN_NODE], "faults": case.faults, **case.simulation}
+    simulation |= {"seed": seed, "foreign_nodes": [FOREIGN_NODE], **case.simulation}
     return parse_config(yaml.safe_dump(data))
 
 
@@ -305,7 +308,7 @@ class Bench:
 
     def measure(self, out: Path, *, stop_s: float | None = None, hold_only: bool = False) -> tuple[int, str]:
         """Exit status and message of ``invid measure``."""
-        stop = Stop(self.clock.now, stop_s)
+        stop = Stop(self.clock.now, None if stop_s is None else self.clock.now() + stop_s)
 
         def progress(report: Progress) -> None:
             if hold_only and report.phase.startswith("trying"):
@@ -344,6 +347,19 @@ class Bench:
             return error.exit_code, str(error)
         return 0, ""
 
+    def plan(self, faults: list[dict[str, Any]]) -> None:
+        """Faults, their times counted from now."""
+        now = self.clock.now()
+        for fault in faults:
+            self.cell.plan_fault(FaultConfig.model_validate({**fault, "at_s": fault["at_s"] + now}))
+
+    def wait_for_rest(self) -> None:
+        """Where a ramp still runs when a command has ended, its end; one that falls does not get there."""
+        for _ in range(round(RAMP_S / REST_POLL_S)):
+            if np.abs(self.judge.watch.velocities).max() < AT_REST:
+                return
+            self.wait(REST_POLL_S)
+
     def wait(self, seconds: float) -> None:
         """Nobody does anything."""
         self.clock.sleep_until(self.clock.now() + seconds)
@@ -359,9 +375,11 @@ def run_one(kind: str, rng: np.random.Generator, folder: Path) -> RunOutcome:
     bench = Bench(config, folder)
     judge = bench.judge
     with writes(bench.cell) as written:
+        bench.plan(case.faults)
         status, said = bench.measure(out, stop_s=case.stop_s)
         complaints = [] if status in EXPECTED[kind] else [f"exit {status} ({said[:160]})"]
         complaints += _recording(out, status)
+        bench.wait_for_rest()
         judge.stopped()
         bench.wait(UNATTENDED_S)
         complaints += _motion(judge, kind)
@@ -374,7 +392,7 @@ def run_one(kind: str, rng: np.random.Generator, folder: Path) -> RunOutcome:
         bench.wait(1.0)
         complaints += [f"second measure: {c}" for c in (*judge.loads(), *judge.states())]
         complaints += judge.settings(written)
-    complaints += judge.foreign()
+    complaints += judge.foreign(other_master=kind == "other nmt")
     return RunOutcome(
         kind, status, (checked, again), float(max(excess, 0.0)), tuple(dict.fromkeys(complaints)), said[:200]
     )

@@ -355,6 +355,10 @@ class SimulatedCell:
         """The drive of an axis."""
         return self.drives[[a.name for a in self.config.axes].index(str(axis))]
 
+    def plan_fault(self, fault: FaultConfig) -> None:
+        """Let a fault happen when its time or state comes, for campaigns."""
+        self._injector.plan(fault)
+
     def begin_fault(self, fault: FaultConfig) -> None:
         """Let a fault happen now, for tests and campaigns."""
         self._injector.begin(fault, self.now_ns)
