@@ -43,7 +43,7 @@ from invid_drivers.simulated.faults import FaultConfig
 UNATTENDED_S = 2.0
 """Between the first command and the next: nobody is there, the heartbeat is gone."""
 RAMP_S, REST_POLL_S, AT_REST = 1.0, 0.01, 0.02
-"""A quick stop's ramp that still runs when the command has ended may take so long [s] to this speed [rad/s]."""
+"""A ramp that still runs when the command has ended may take so long [s] to this speed [rad/s]."""
 FOREIGN_NODE = 20
 LATE_CUT_S = 0.2
 """A quick stop through a wrong sign is ended by voltage off; see ``EXEMPTIONS``."""
