@@ -242,17 +242,21 @@ class Motion:
                 last[i], before[i] = position[i], sample.time
 
     def change(self, modes: Sequence[Mode], feedback: list[Feedback]) -> None:
-        """New modes and feedback. Torque starts at the bias, as the hold left it."""
-        demand = list(self._zero)
-        for f in feedback:
-            demand[f.axis] = f.bias
-        self.feedback, self._demand = feedback, demand
+        """New modes and feedback, while the cycle goes on.
+
+        Until every drive is in its mode, an axis that its drive shall hold keeps the feedback it had, and one
+        that comes into torque mode has its own already: torque closes its loop whenever the drive takes it.
+        """
         if list(modes) != self._modes:
-            self.cell.set_modes(modes, demand)
+            coming = {f.axis for f in feedback}
+            self.feedback = [*feedback, *(f for f in self.feedback if f.axis not in coming)]
+            self.cell.set_modes(modes)
             self._modes = list(modes)
-            self.watching.pause()
-            self._velocity = [0.0] * self.count
-            self._last_time = [0.0] * self.count
+            done = self.done_s
+            while self.cell.changing:
+                self.play(None, 1)
+            self.done_s = done  # no part of the plan
+        self.feedback, self._demand = feedback, list(self._zero)
         self.watching.settle()
 
     def centre(self, excited: set[int], *, lowest: float, path: bool = False) -> None:

@@ -99,8 +99,14 @@ class Cell(Protocol):
         """Enable every axis in its mode, at rest where it stands."""
         ...
 
-    def set_modes(self, modes: Sequence[Mode], torque: Sequence[float]) -> None:
-        """Change modes while energised; ``torque`` is applied to axes in torque mode from then on."""
+    def set_modes(self, modes: Sequence[Mode]) -> None:
+        """Ask for other modes while energised; they may come about in later cycles (``changing``)."""
+        ...
+
+    @property
+    def changing(self) -> bool:
+        """Whether an axis has not taken the mode that was asked for; ``exchange`` must go on, with torque for
+        it, whichever mode it is in."""
         ...
 
     def exchange(self, torque: Sequence[float]) -> Sample:

@@ -99,12 +99,6 @@ class Watch:
         """Windows are around these positions from now on."""
         self._origin = list(position)
 
-    def pause(self) -> None:
-        """The cycle was interrupted on purpose (change of mode): no velocity or slot across the gap."""
-        self._last_slot = None
-        for samples in self._history:
-            samples.clear()
-
     @property
     def excited(self) -> set[int]:
         """Axes that must move."""

@@ -147,7 +147,7 @@ def drives(request: pytest.FixtureRequest) -> Iterator[Cia402Cell]:
 class TestPromisesOfEveryDrive:
     def test_positive_torque_moves_an_axis_forward_and_a_held_axis_stays(self, drives: Cia402Cell) -> None:
         drives.energise([Mode.HOLD, Mode.HOLD])
-        drives.set_modes([Mode.TORQUE, Mode.HOLD], [0.0, 0.0])
+        drives.set_modes([Mode.TORQUE, Mode.HOLD])
         first = list(drives.exchange([0.0, 0.0]).position)
         for _ in range(200):
             sample = drives.exchange([1.0, 1.0])
@@ -478,7 +478,7 @@ def positions_of_a_moving_axis(
 def _moving(cell: Cia402Cell, cycles: int, meddle: Any) -> tuple[list[float], list[bool], list[int]]:
     cell.check()
     cell.energise(held(cell))
-    cell.set_modes([Mode.TORQUE, Mode.HOLD], [0.0, 0.0])
+    cell.set_modes([Mode.TORQUE, Mode.HOLD])
     for _ in range(50):
         first = cell.exchange([1.0, 0.0]).slot + 1
     cell._link.get = meddle(cell._link.get)  # type: ignore[method-assign]

@@ -121,7 +121,7 @@ def test_a_drive_whose_gaps_are_bridged_by_the_config_runs_and_is_left_as_it_was
     assert not any("EDS" in w for w in report.warnings)
     entries = {(e.index, e.sub): e.value for e in simulated(cell)}
     cell.energise([Mode.HOLD])
-    cell.set_modes([Mode.TORQUE], [0.0])
+    cell.set_modes([Mode.TORQUE])
     for _ in range(20):
         sample = cell.exchange([1.0])
     assert sample.fresh == [True]

@@ -67,7 +67,7 @@ def without(cell: Cia402Cell, lost: Callable[[int], bool]) -> Callable[[float], 
 def running(cell: Cia402Cell) -> None:
     cell.check()
     cell.energise(held(cell))
-    cell.set_modes([Mode.TORQUE, Mode.HOLD], zero(cell))
+    cell.set_modes([Mode.TORQUE, Mode.HOLD])
     for _ in range(20):
         cell.exchange(zero(cell))
 
@@ -206,29 +206,6 @@ def test_an_error_that_nobody_expected_in_the_quick_stop_still_switches_off() ->
     cell.stop()
     assert {d.state.name for d in drives} <= OFF
     assert cell.close() == []
-
-
-def test_a_drive_silent_at_a_change_of_mode_does_not_leave_the_others_under_their_last_torque() -> None:
-    cfg = config()
-    bus = open_virtual_bus(cfg)
-    cell = Cia402Cell(bus, cfg)
-    plant = bus.cell.plant
-    motor = plant.structure.motors[0]
-    try:
-        running(cell)
-        for _ in range(50):
-            cell.exchange([0.5, 0.0])
-        speed, place = plant.velocities[motor], plant.positions[motor]
-        bus.cell.drives[1].node.silent = True
-        with pytest.raises(DriveError, match="A2"):
-            cell.set_modes([Mode.TORQUE, Mode.TORQUE], [0.5, 0.0])
-        # 0.5 N·m on 1 kg·m² goes on for the two tries of a tenth of a second
-        assert plant.velocities[motor] - speed == pytest.approx(0.5 * 0.2, abs=0.04)
-        cell.stop()
-        assert bus.cell.drives[0].state.name in OFF
-        assert abs(plant.positions[motor] - place) < 0.06
-    finally:
-        cell.close()
 
 
 def test_a_drive_put_in_place_of_another_does_not_get_the_others_values() -> None:

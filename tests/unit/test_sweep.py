@@ -67,10 +67,12 @@ class RigidCell:
         self.disturb: Callable[[RigidCell, Sample], None] = lambda cell, sample: None
         self.demands: list[list[float]] = []
 
+    changing = False
+
     def energise(self, modes: Sequence[Mode]) -> None:
         self.modes, self.energised = list(modes), True
 
-    def set_modes(self, modes: Sequence[Mode], torque: Sequence[float]) -> None:
+    def set_modes(self, modes: Sequence[Mode]) -> None:
         self.modes = list(modes)
 
     def exchange(self, torque: Sequence[float]) -> Sample:

@@ -17,20 +17,16 @@ from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402 import states
 from invid_drivers.cia402.axis import Drive, DriveReport
 from invid_drivers.cia402.cycle import Cycle
+from invid_drivers.cia402.cycle_time import tell_cycle
 from invid_drivers.cia402.jitter import Jitter
 from invid_drivers.cia402.journal import Journal
-from invid_drivers.cia402.link import ANSWER_S, NMT_PRE_OPERATIONAL, NMT_START, Link
+from invid_drivers.cia402.link import NMT_PRE_OPERATIONAL, NMT_START, Link
+from invid_drivers.cia402.mode_change import CHANGE_S
 from invid_drivers.cia402.states import DriveState, OperationMode, state_of
 from invid_drivers.cia402.way_out import WayOut
 
 ENABLE_S = 3.0
 """Longest way to operation enabled: brakes take a few hundred milliseconds to open."""
-ENERGISED_ANSWER_S = 0.1
-"""A request while axes follow their last torque waits so long for its answer, twice, or as long as the
-config forgives missing TPDOs. Ten times what slow drives take; an axis that 0.1 N·m accelerates per kg·m²
-moves by 2 mrad in the two. A guess."""
-MODE_CHANGE_S = 0.2
-"""Longest change of mode while axes follow their last torque; drives take some milliseconds. A guess."""
 
 
 class Cia402Cell:
@@ -122,13 +118,14 @@ class Cia402Cell:
         for drive, report in zip(self._drives, self._reports, strict=True):
             drive.protect(report, self._config.safety.heartbeat_s)
             drive.map_pdos()
+            tell_cycle(drive, self._config.bus.cycle_s)
         for i, mode in enumerate(modes):
             self._now_in(i, mode)
         for drive, report, mode in zip(self._drives, self._reports, modes, strict=True):
             drive.command(od.TARGET_TORQUE, 0)
             if mode is Mode.HOLD:
                 drive.command(od.TARGET_POSITION, drive.read(od.POSITION))
-            drive.set_mode(self._operation_mode(report, mode))
+            drive.set_mode(self._operation_mode(report, mode), CHANGE_S)
         self._link.events.clear()
         for peer in self._link.peers.values():
             peer.last_heartbeat = None
@@ -178,29 +175,21 @@ class Cia402Cell:
                     f"shows {seen}; check its supply, its enable input, safe torque off and the brake"
                 )
 
-    def set_modes(self, modes: Sequence[Mode], torque: Sequence[float]) -> None:
-        """Change modes while energised; an axis that is to be held keeps its present place.
+    def set_modes(self, modes: Sequence[Mode]) -> None:
+        """Ask for other modes while energised; the change goes on in the cycles to come (``changing``).
 
-        No cycle runs meanwhile and the other axes keep their last torque: nobody waits long for a drive.
+        An axis that is to be held keeps the place at which it is asked; torque for every axis that changes is
+        taken from ``exchange`` meanwhile.
         """
-        silence = self._config.safety.missed_tpdos * self._config.bus.cycle_s
-        self._link.answer_s = min(ANSWER_S, max(ENERGISED_ANSWER_S, silence))
-        try:
-            self._set_modes(modes, torque)
-        finally:
-            self._link.answer_s = ANSWER_S
-        self._cycle.restart_slots()
+        for i, (report, mode) in enumerate(zip(self._reports, modes, strict=True)):
+            operation = self._operation_mode(report, mode)
+            if operation is not self._cycle.operation[i]:
+                self._cycle.change(i, mode, operation)
 
-    def _set_modes(self, modes: Sequence[Mode], torque: Sequence[float]) -> None:
-        for i, (drive, report, mode) in enumerate(zip(self._drives, self._reports, modes, strict=True)):
-            if mode is self._cycle.modes[i]:
-                continue
-            if mode is Mode.HOLD:
-                drive.command(od.TARGET_POSITION, drive.read(od.POSITION))
-            else:
-                drive.command(od.TARGET_TORQUE, report.scaling.permille(torque[i]))
-            drive.set_mode(self._operation_mode(report, mode), MODE_CHANGE_S)
-            self._now_in(i, mode)
+    @property
+    def changing(self) -> bool:
+        """Whether a drive does not show yet the mode that it was asked for."""
+        return self._cycle.changing
 
     # --- the cycle -----------------------------------------------------------------------------
     def exchange(self, torque: Sequence[float]) -> Sample:

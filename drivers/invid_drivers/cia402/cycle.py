@@ -18,6 +18,7 @@ from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402 import states
 from invid_drivers.cia402.jitter import Jitter
 from invid_drivers.cia402.link import Link
+from invid_drivers.cia402.mode_change import EVERY_CYCLES, ModeChange, upload
 from invid_drivers.cia402.states import OperationMode
 from invid_drivers.cia402.units import wrapped_difference
 
@@ -41,7 +42,7 @@ HEARTBEAT_PERIODS = 3.5
 
 _RPDO = struct.Struct("<Hh")
 _TPDO = struct.Struct("<ihH")
-_MODE_REQUEST = bytes((0x40, od.MODE_DISPLAY.index & 0xFF, od.MODE_DISPLAY.index >> 8, 0, 0, 0, 0, 0))
+_MODE_REQUEST = upload(od.MODE_DISPLAY)
 
 
 class Cycle:
@@ -84,6 +85,9 @@ class Cycle:
         self._next_listen = -math.inf
         self._answered_s = 0.5 * self._cycle
         self._mode_asked = 0
+        self._changes: dict[int, ModeChange] = {}
+        self._changes_asked = 0
+        self._counts = [0] * count
         self._next_mode_poll = 0.0
 
     def scale(self, axis: int, *, position: float, torque: float) -> None:
@@ -91,6 +95,21 @@ class Cycle:
         self._position_unit[axis] = position
         self._torque_unit[axis] = torque
         self._per_mille[axis] = 1.0 / torque
+
+    @property
+    def changing(self) -> bool:
+        """Whether a drive does not show yet the mode that it was asked for."""
+        return bool(self._changes)
+
+    def change(self, axis: int, mode: Mode, operation: OperationMode) -> None:
+        """Ask a drive for another mode, in the cycles to come.
+
+        From now on until it shows its mode, an axis is sent torque: it follows that as soon as it is in
+        torque mode, and until it holds.
+        """
+        self.modes[axis] = Mode.TORQUE
+        held = mode is Mode.HOLD
+        self._changes[axis] = ModeChange(operation, self._link.clock.now(), held=held)
 
     def restart_slots(self) -> None:
         """The next SYNC is at the next whole slot from now: SDO traffic took time of its own."""
@@ -130,7 +149,9 @@ class Cycle:
             for i in range(len(fresh)):
                 fresh[i] = False
         link.beat(instant)
-        if instant >= self._next_mode_poll:
+        if self._changes:
+            self._go_on_changing(instant)
+        elif instant >= self._next_mode_poll:
             self._watch_slowly(instant)
         if link.events:
             sample.events = link.events
@@ -260,6 +281,7 @@ class Cycle:
             self._link.sort(message)
             return False
         counts, permille, status = _TPDO.unpack(data)
+        self._counts[axis] = counts
         origin = self._origin[axis]
         if origin is None:
             origin = self._origin[axis] = counts
@@ -279,7 +301,10 @@ class Cycle:
             return
         self._link.answered(self._nodes[axis])
         data = bytes(message.data)
-        if len(data) == 8 and data[1:4] == _MODE_REQUEST[1:4] and data[0] & 0xE0 == 0x40:
+        change = self._changes.get(axis)
+        if change is not None:
+            change.answered(data, self._link.clock.now())
+        elif len(data) == 8 and data[1:4] == _MODE_REQUEST[1:4] and data[0] & 0xE0 == 0x40:
             shown = int.from_bytes(data[4:5], "little", signed=True)
             wanted = self.operation[axis]
             if shown != int(wanted):
@@ -295,6 +320,33 @@ class Cycle:
                 self._sort(message)
             elif self._owed[axis]:
                 self._owed[axis] -= 1
+
+    def _go_on_changing(self, now: float) -> None:
+        """What came of the changes of mode, and the next request of one of them."""
+        for axis, change in list(self._changes.items()):
+            why = change.failure(now)
+            if self.control[axis] != states.ENABLE_OPERATION:
+                del self._changes[axis]  # on the way out nobody changes modes
+            elif why is not None:
+                del self._changes[axis]
+                name = self._config.axes[axis].name
+                mode = change.operation.name.lower()
+                text = f"axis {name} (node {self._nodes[axis]}): mode {mode} was asked for, but {why}"
+                self._link.events.append(Event(Severity.DRIVE, text, name))
+            elif change.done:
+                del self._changes[axis]
+                self.operation[axis] = change.operation
+                held = change.operation is OperationMode.CYCLIC_POSITION
+                self.modes[axis] = Mode.HOLD if held else Mode.TORQUE
+        if self._slot % EVERY_CYCLES:
+            return
+        waiting = list(self._changes)
+        for k in range(len(waiting)):
+            axis = waiting[(self._changes_asked + k) % len(waiting)]
+            request = self._changes[axis].request(now, self._counts[axis])
+            if request is not None and self._link.ask(self._nodes[axis], request):
+                self._changes_asked += k + 1
+                return
 
     def _watch_slowly(self, now: float) -> None:
         """Heartbeats and bus state; 0x6061 of one axis after another."""

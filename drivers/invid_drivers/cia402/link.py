@@ -206,16 +206,18 @@ class Link:
             client = self._sdo[node_id] = _PumpedSdo(self, node_id)
         return client
 
-    def ask(self, node_id: int, request: bytes) -> None:
+    def ask(self, node_id: int, request: bytes) -> bool:
         """An SDO request whose answer nobody waits for; none while an earlier one is unanswered.
 
-        A drive has one buffer for SDO: what comes while it works on a request is lost.
+        Whether it was sent. A drive has one buffer for SDO: what comes while it works on a request is lost.
         """
         now = self.clock.now()
         since = self._asked.get(node_id)
         if since is None or now - since > UNANSWERED_S:
             self._asked[node_id] = now
             self.send(0x600 + node_id, request)
+            return True
+        return False
 
     def answered(self, node_id: int) -> None:
         """An SDO answer of the node was seen."""

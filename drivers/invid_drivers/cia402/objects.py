@@ -49,6 +49,7 @@ class Object:
 
 DEVICE_TYPE = Object(0x1000, 0, "I", "device type")
 ERROR_REGISTER = Object(0x1001, 0, "B", "error register")
+SYNC_PERIOD = Object(0x1006, 0, "I", "communication cycle period")
 CONSUMER_HEARTBEAT = Object(0x1016, 1, "I", "consumer heartbeat")
 PRODUCER_HEARTBEAT = Object(0x1017, 0, "H", "producer heartbeat")
 VENDOR_ID = Object(0x1018, 1, "I", "vendor id")
@@ -78,6 +79,8 @@ GEAR_MOTOR = Object(0x6091, 1, "I", "gear ratio, motor revolutions")
 GEAR_SHAFT = Object(0x6091, 2, "I", "gear ratio, shaft revolutions")
 FEED = Object(0x6092, 1, "I", "feed constant, feed")
 FEED_REVOLUTIONS = Object(0x6092, 2, "I", "feed constant, shaft revolutions")
+INTERPOLATION_VALUE = Object(0x60C2, 1, "B", "interpolation time, value")
+INTERPOLATION_EXPONENT = Object(0x60C2, 2, "b", "interpolation time, power of ten")
 SUPPORTED_MODES = Object(0x6502, 0, "I", "supported drive modes")
 
 RPDO_MAP = (CONTROLWORD, TARGET_TORQUE)

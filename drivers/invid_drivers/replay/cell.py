@@ -86,8 +86,13 @@ class ReplayCell:
         self._row = 0
         self.energised = True
 
-    def set_modes(self, modes: Sequence[Mode], torque: Sequence[float]) -> None:
+    def set_modes(self, modes: Sequence[Mode]) -> None:
         """What was held is in the recording."""
+
+    @property
+    def changing(self) -> bool:
+        """Never."""
+        return False
 
     def exchange(self, torque: Sequence[float]) -> Sample:
         """The next sample; BusError after the last."""

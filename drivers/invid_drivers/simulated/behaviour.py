@@ -15,7 +15,9 @@ class Behaviour:
     enable_ns: int = 0
     """From the command to enable to torque: the motor is magnetised, a relay closes."""
     mode_change_ns: int = 0
-    """From 0x6060 to the new mode acting and showing in 0x6061; the old one acts meanwhile."""
+    """From 0x6060 to the new mode acting; the old one acts meanwhile."""
+    mode_display_ns: int = 0
+    """From the mode acting to 0x6061 showing it."""
     sync_timeout_ns: int = 0
     """Longest gap between two SYNCs in a cyclic mode before error 0x8700; 0: any."""
     ramp_counts: float = 1.0

@@ -176,6 +176,7 @@ class SimulatedCell:
                 limits_in_torque_mode=settings.limits_in_torque_mode,
                 enable_ns=round(settings.enable_s * _NS),
                 mode_change_ns=round(settings.mode_change_s * _NS),
+                mode_display_ns=round(settings.mode_display_s * _NS),
                 sync_timeout_ns=round(settings.sync_timeout_s * _NS),
                 ramp_counts=ramp_counts,
             ),

@@ -173,11 +173,13 @@ class AxisSimulation(Strict):
     """Unit of 0x6084 and 0x6085."""
     enable_s: float = Field(default=0.0, ge=0, le=2)
     """From the command to enable to operation enabled; there is no torque before."""
-    mode_change_s: float = Field(default=0.0, ge=0, le=2)
-    """From 0x6060 to the new mode acting and showing in 0x6061."""
     sync_timeout_s: float = Field(default=0.0, ge=0, le=10)
     """Longest gap between SYNCs in a cyclic mode before the drive's error 0x8700; 0: any."""
     sdo_response_s: float = Field(default=0.0002, ge=0, le=1)
+    mode_change_s: float = Field(default=0.0, ge=0, le=10)
+    """From 0x6060 to the mode acting."""
+    mode_display_s: float = Field(default=0.0, ge=0, le=10)
+    """From the mode acting to 0x6061 showing it."""
     objects: ObjectsConfig = ObjectsConfig()
 
 

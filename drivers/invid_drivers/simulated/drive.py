@@ -97,13 +97,13 @@ class Drive:
 
     def _forget(self) -> None:
         self._controlword = 0
-        self.mode = 0
+        self.mode = self._wanted_mode = self._shown_mode = 0
+        self._mode_due_ns = self._shown_due_ns = 0
         self._after_stop: State | None = None
         self._steady = False
         self._shown_nmt = Nmt.INITIALISING
         self._stop_deadline_ns = 0
         self._demand = 0.0
-        self._mode_due_ns: int | None = None
         self._enable_due_ns: int | None = None
         self._sync_ns = 0
         self._sent: float | None = None
@@ -156,7 +156,7 @@ class Drive:
         if (
             self._steady
             and word == self._controlword
-            and self._e_mode.value == self.mode
+            and self._e_mode.value == self.mode == self._shown_mode
             and self.node.state is self._shown_nmt
         ):
             limited = self._internal_limit
@@ -234,20 +234,17 @@ class Drive:
 
     def _select_mode(self, now_ns: int) -> None:
         wanted = int(self._e_mode.value)
-        if wanted == self.mode:
-            self._mode_due_ns = None
-            return
-        self._steady = False
-        if self._behaviour.mode_change_ns:
-            if self._mode_due_ns is None:
-                self._mode_due_ns = now_ns + self._behaviour.mode_change_ns
-            if now_ns < self._mode_due_ns:
-                return
-            self._mode_due_ns = None
-        if wanted == 0 or self.node.od.number(0x6502) & _MODE_BITS.get(wanted, 0):
-            self.mode = wanted
-            self._target_counts = None
-            self._demand = 0.0
+        if wanted != self._wanted_mode:
+            self._wanted_mode, self._mode_due_ns = wanted, now_ns + self._behaviour.mode_change_ns
+        if wanted != self.mode and now_ns >= self._mode_due_ns:
+            self._steady = False
+            if wanted == 0 or self.node.od.number(0x6502) & _MODE_BITS.get(wanted, 0):
+                self.mode = wanted
+                self._shown_due_ns = now_ns + self._behaviour.mode_display_ns
+                self._target_counts = None
+                self._demand = 0.0
+        if now_ns >= self._shown_due_ns:
+            self._shown_mode = self.mode
 
     # --- modes -----------------------------------------------------------------------------------
     def _limit_torque(self, *, by_loop: bool) -> int:
@@ -458,4 +455,4 @@ class Drive:
             elif self.mode == PROFILE_TORQUE and self._demand == self._e_target_torque.value:
                 word |= 0x400
         self._e_statusword.value = word if self.statusword_lie is None else self.statusword_lie
-        self._e_display.value = self.mode if self.mode_lie is None else self.mode_lie
+        self._e_display.value = self._shown_mode if self.mode_lie is None else self.mode_lie

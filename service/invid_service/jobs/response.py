@@ -1,6 +1,6 @@
 """The response as it grows on the page while the robot is being measured.
 
-A process of its own, at the lowest priority, looks at the growing file: the cycle that shakes the robot
+A process of its own, at the lowest priority, looks at the growing rows: the cycle that shakes the robot
 is not disturbed by it. After each experiment |Θ|/|T| of every driven axis on the excited lines is told.
 It is a live picture, no result: with several axes moving at once it is not the FRF, which needs all
 experiments and comes with the result.
@@ -21,6 +21,9 @@ from typing import Any
 import h5py
 import numpy as np
 
+from invid.errors import InvidError
+from invid.recording.spool import SUFFIX, as_hdf5, finished_experiments
+
 _MOST_LINES = 300
 _LOOK_EVERY_S = 0.5
 
@@ -35,14 +38,11 @@ class ResponseWatch:
         self._thread = threading.Thread(target=self._hear, name="response", daemon=True)
 
     def __enter__(self) -> ResponseWatch:
-        # Without locking: libhdf5 would refuse to read what another process writes. The writer leaves a
-        # whole file between its bursts; a look that meets a burst fails and is repeated.
         with contextlib.suppress(OSError):
             self._process = subprocess.Popen(
                 [sys.executable, "-m", "invid_service.jobs.response", str(self._path)],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
-                env={**os.environ, "HDF5_USE_FILE_LOCKING": "FALSE"},
             )
             self._thread.start()
         return self
@@ -59,7 +59,7 @@ class ResponseWatch:
                 process.wait()
             self._thread.join(1.0)
         # Nothing moves any more: what a starved process did not get to see is looked at here.
-        with contextlib.suppress(OSError, KeyError, ValueError, RuntimeError):
+        with contextlib.suppress(OSError, KeyError, ValueError, RuntimeError, InvidError):
             for response in look(self._path, self._told):
                 self._tell(response)
 
@@ -75,20 +75,26 @@ class ResponseWatch:
 
 def look(path: Path, told: set[str]) -> Iterator[dict[str, Any]]:
     """Responses of the finished experiments that were not told yet."""
-    if not path.exists():
-        return
-    with h5py.File(path, "r") as file:
-        keys = sorted(file["experiments"])
-        # The newest may still be growing, unless the file is closed.
-        finished = keys if "outcome" in file.attrs else keys[:-1]
-        for key in finished:
-            if key in told:
-                continue
-            node = file["experiments"][key]
-            response = response_of(node) if node["time"].shape[0] else None
-            told.add(key)
-            if response is not None:
-                yield {"experiment": key, **response}
+    rows = path.with_name(path.name + SUFFIX)
+    if rows.exists():
+        finished = finished_experiments(rows)
+        if finished > len(told):
+            with as_hdf5(rows) as file:
+                yield from _responses(file, sorted(file["experiments"])[:finished], told)
+    elif path.exists():
+        with h5py.File(path, "r") as file:
+            yield from _responses(file, sorted(file["experiments"]), told)
+
+
+def _responses(file: h5py.File, keys: list[str], told: set[str]) -> Iterator[dict[str, Any]]:
+    for key in keys:
+        if key in told:
+            continue
+        node = file["experiments"][key]
+        response = response_of(node) if node["time"].shape[0] else None
+        told.add(key)
+        if response is not None:
+            yield {"experiment": key, **response}
 
 
 def main() -> None:
@@ -104,7 +110,7 @@ def main() -> None:
     last = False
     while not last:
         last = ended.wait(_LOOK_EVERY_S)
-        with contextlib.suppress(OSError, KeyError, ValueError, RuntimeError):
+        with contextlib.suppress(OSError, KeyError, ValueError, RuntimeError, InvidError):
             for response in look(path, told):
                 sys.stdout.write(json.dumps(response) + "\n")
                 sys.stdout.flush()

@@ -1,0 +1,200 @@
+"""Changes of mode with drives that take their time: SYNC goes on, and so does every loop. Judged on the
+frames on the wire, and on the plant."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import can
+import numpy as np
+import pytest
+from test_adapter_promises import config, held, zero
+
+from invid.config import CellConfig
+from invid.plan import make_plan
+from invid.sweep import Mode
+from invid_drivers.cia402.bus import Cia402Cell
+from invid_drivers.cia402.cycle_time import interpolation_time
+from invid_drivers.measurement import run_measurement
+from invid_drivers.simulated import VirtualTimeBus, open_virtual_bus
+
+ENERGISED = {"OPERATION_ENABLED", "QUICK_STOP_ACTIVE", "FAULT_REACTION_ACTIVE"}
+CYCLE = 0.002
+
+
+class Wire:
+    """When SYNC was sent, and whether any axis was energised then; who carried which torque."""
+
+    def __init__(self, bus: VirtualTimeBus) -> None:
+        self.syncs: list[tuple[float, bool]] = []
+        self.torque: dict[int, list[tuple[float, int]]] = {}
+        self._bus, self._send = bus, bus.send
+        bus.send = self  # type: ignore[method-assign,assignment]
+
+    def __call__(self, msg: can.Message, timeout: float | None = None) -> None:
+        now = self._bus.clock.now()
+        if msg.arbitration_id == 0x80:
+            self.syncs.append((now, any(d.state.name in ENERGISED for d in self._bus.cell.drives)))
+        elif msg.arbitration_id & 0x780 == 0x200:
+            value = int.from_bytes(msg.data[2:4], "little", signed=True)
+            self.torque.setdefault(msg.arbitration_id & 0x7F, []).append((now, value))
+        self._send(msg, timeout)
+
+    @property
+    def longest_gap(self) -> float:
+        """In cycles, between two SYNCs with an energised axis at the first."""
+        pairs = zip(self.syncs, self.syncs[1:], strict=False)
+        return max(after - before for (before, on), (after, _) in pairs if on) / CYCLE
+
+
+def slow(seed: int) -> dict[str, Any]:
+    rng = np.random.default_rng(seed)
+    return {
+        "axes": {
+            name: {
+                "sdo_response_s": float(rng.uniform(0.05, 0.2)),
+                "mode_change_s": float(rng.uniform(0.0, 0.4)),
+                "mode_display_s": float(rng.uniform(0.0, 0.4)),
+                "rated_torque_Nm": 10,
+                "encoder_counts_per_rev": 1 << 20,
+            }
+            for name in ("A1", "A2")
+        }
+    }
+
+
+def small(cfg: CellConfig) -> CellConfig:
+    data = cfg.model_dump(mode="json", exclude_none=True, by_alias=True)
+    data["experiments"] = [
+        {"kind": "multisine", "band_Hz": [2, 12], "period_s": 1.024, "periods": 1, "settle_periods": 0,
+         "experiments": 1}
+    ]  # fmt: skip
+    data["safety"] = {"missed_tpdos": 5, "overrun_cycles": 5}
+    return CellConfig.model_validate(data)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_measurement_on_slow_drives_never_leaves_an_energised_axis_without_sync_for_three_cycles(
+    seed: int, tmp_path: Path
+) -> None:
+    cfg = small(config(slow(seed)))
+    bus = open_virtual_bus(cfg)
+    wire = Wire(bus)
+    plan = make_plan(cfg)
+    result = run_measurement(cfg, plan, Cia402Cell(bus, cfg), tmp_path / "run.h5")
+    assert str(result.outcome) == "completed"
+    assert wire.longest_gap <= 3
+    assert max(p["travel"] for p in result.peaks.values()) < 1.0
+
+
+def test_while_one_drive_takes_its_time_every_axis_in_torque_mode_follows_its_own_loop() -> None:
+    cfg = config(slow(1))
+    bus = open_virtual_bus(cfg)
+    cell = Cia402Cell(bus, cfg)
+    wire = Wire(bus)
+    plant = bus.cell.plant
+    try:
+        cell.check()
+        cell.energise(held(cell))
+        cell.set_modes([Mode.TORQUE, Mode.HOLD])
+        while cell.changing:
+            cell.exchange(zero(cell))
+        cell.set_modes([Mode.TORQUE, Mode.TORQUE])
+        began, sent = bus.clock.now(), 0
+        motors = plant.structure.motors
+        while cell.changing:
+            sample = cell.exchange([-20.0 * (cell._cycle.sample.position[0] - 0.05), 0.3])
+            sent += 1
+        took = bus.clock.now() - began
+        assert took > 0.3
+        assert sent == pytest.approx(took / CYCLE, abs=2)
+        torques = [value for when, value in wire.torque[1] if when > began]
+        assert len(set(torques)) > 50  # a loop, not one torque held
+        assert {value for when, value in wire.torque[2] if when > began} == {30}
+        # it is in torque mode when it says so, and moves by what was sent
+        assert plant.positions[motors[1]] > 0
+        assert sample.fresh == [True, True]
+        cell.set_modes(held(cell))
+        x = list(sample.position)
+        began = bus.clock.now()
+        while cell.changing:  # axis 1 under the damping of its own loop, axis 2 too, until each is held
+            speed = [(now - last) / CYCLE for now, last in zip(cell._cycle.sample.position, x, strict=True)]
+            x = list(cell._cycle.sample.position)
+            cell.exchange([-10.0 * v for v in speed])
+        assert bus.clock.now() - began > 0.3
+        before = plant.positions[motors].copy()
+        for _ in range(200):
+            cell.exchange([0.0, 0.0])
+        assert np.abs(plant.velocities[motors]).max() < 1e-3
+        assert np.abs(plant.positions[motors] - before).max() < 0.02
+        assert wire.longest_gap <= 3
+    finally:
+        assert cell.close() == []
+
+
+@pytest.mark.parametrize("silent", [True, False])
+def test_a_drive_that_does_not_change_its_mode_ends_the_measurement_by_name_and_nobody_waits_for_it(
+    silent: bool,
+) -> None:
+    cfg = config()
+    bus = open_virtual_bus(cfg)
+    cell = Cia402Cell(bus, cfg)
+    wire = Wire(bus)
+    try:
+        cell.check()
+        cell.energise(held(cell))
+        drive = bus.cell.drives[1]
+        if silent:
+            drive.node._sdo.answer = lambda request: None  # type: ignore[method-assign]
+        else:
+            drive.mode_lie = 8
+        cell.set_modes([Mode.HOLD, Mode.TORQUE])
+        said = []
+        while cell.changing:
+            said += [e.text for e in cell.exchange(zero(cell)).events]
+        assert len(said) == 1
+        assert "axis A2" in said[0]
+        assert ("does not answer" if silent else "shows mode 8") in said[0]
+        assert wire.longest_gap <= 3
+    finally:
+        cell.close()
+
+
+def test_the_cycle_is_written_where_the_drive_has_the_objects_and_put_back() -> None:
+    cfg = config()
+    bus = open_virtual_bus(cfg)
+    cell = Cia402Cell(bus, cfg)
+    od = bus.cell.drives[0].node.od
+    cell.check()
+    cell.energise(held(cell))
+    assert (od.number(0x1006), od.number(0x60C2, 1), od.number(0x60C2, 2)) == (2000, 2, -3)
+    assert cell.close() == []
+    assert (od.number(0x1006), od.number(0x60C2, 1), od.number(0x60C2, 2)) == (0, 1, -3)
+
+
+@pytest.mark.parametrize(
+    ("cycle", "expected"),
+    [(0.001, (1, -3)), (0.0005, (5, -4)), (0.00025, (25, -5)), (0.004, (4, -3)), (1 / 3000, None)],
+)
+def test_the_interpolation_time_is_the_cycle_exactly_or_not_written(
+    cycle: float, expected: tuple[int, int] | None
+) -> None:
+    assert interpolation_time(cycle) == expected
+
+
+def test_a_mode_that_the_drive_refuses_is_named() -> None:
+    cfg = config()
+    bus = open_virtual_bus(cfg)
+    cell = Cia402Cell(bus, cfg)
+    try:
+        cell.check()
+        cell.energise(held(cell))
+        bus.cell.drives[0].node.od.put(0x6502, 0, 1 << 7)
+        cell.set_modes([Mode.TORQUE, Mode.HOLD])
+        said = [e.text for _ in range(100) for e in cell.exchange(zero(cell)).events]
+        assert len(said) == 1
+        assert "axis A1" in said[0]
+        assert "0x6060 mode of operation was refused" in said[0]
+    finally:
+        cell.close()
