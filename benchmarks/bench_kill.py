@@ -1,9 +1,11 @@
-"""kill -9 of the parent, of the cycle process, of the simulated cell, at random moments of a real-time run.
+"""kill -9 of the parent, the cycle process, the simulated cell, at random moments of a real-time run; the
+parent stopped; Ctrl-C while the disk stalls.
 
     python benchmarks/bench_kill.py [--runs 20] [--seed 0] [--results runs.jsonl] [--markdown]
 
 Afterwards: every drive of a cell that still runs is off, and no axis outside its window; nobody is left
-running; the command ends with the right status; the recording opens and has the samples up to the kill.
+running; the command ends with the right status; the recording opens and has the samples up to the kill. Where
+nothing is killed, the quick stop is on the bus in the time stated.
 """
 
 from __future__ import annotations
@@ -26,9 +28,10 @@ from processes import children, start, wait_for
 
 from invid.errors import InvidError
 from invid.recording import Outcome, read_recording
+from invid_drivers.simulated.unix_bus import UnixBus
 
 CONFIG = Path(__file__).parents[1] / "configs" / "case-study-unix.yaml"
-VICTIMS = ("parent", "cycle process", "simulated cell")
+VICTIMS = ("parent", "cycle process", "simulated cell", "parent stopped", "disk stalled")
 CYCLE_S, PERIOD_S, PERIODS = 0.004, 2.048, 8
 ROWS = round(PERIODS * PERIOD_S / CYCLE_S)
 RUN_S = 38.0
@@ -42,6 +45,25 @@ WINDOW, TOP_SPEED, DRIVE_MARGIN, QUICK_STOP = 0.5, 3.0, 1.25, 10.0
 FURTHEST = DRIVE_MARGIN * WINDOW + (DRIVE_MARGIN * TOP_SPEED) ** 2 / (2 * QUICK_STOP) + 0.02
 """A drive without its master stops by its own limits, a quarter above the config's, with its quick stop of
 10 rad/s²; 0.02 rad for one cycle of it and the springs."""
+QUICK_STOP_S = {"parent stopped": 1.0 + 0.1 + 0.3, "disk stalled": 0.1 + 0.3}
+"""From a parent that answers no more, or a Ctrl-C, to the quick stop on the bus: the documented keep-alive,
+the fade, and what a busy machine takes."""
+STALL = """
+import os, time
+from invid.recording import RecordingWriter
+
+def stalled(method):
+    def waits(*arguments, **named):
+        while os.path.exists("stall"):
+            time.sleep(0.01)
+        return method(*arguments, **named)
+    return waits
+
+for name, method in list(vars(RecordingWriter).items()):
+    if callable(method):
+        setattr(RecordingWriter, name, stalled(method))
+"""
+"""A disk that takes nothing as long as a file named stall is there."""
 START_S = 400.0
 """Longest start of a command on a machine that is very busy with other things."""
 
@@ -89,24 +111,32 @@ def run_one(victim: str, rng: np.random.Generator, folder: Path) -> Kill:
     measure = None
     try:
         wait_for(cell, folder / "cell.txt", "ready", START_S)
-        measure = start(folder, "measure", str(path), "-o", str(out), "--json", errors="measure.txt")
+        (folder / "sitecustomize.py").write_text(STALL, encoding="utf-8")
+        stall = {"PYTHONPATH": str(folder)} if victim == "disk stalled" else {}
+        measure = start(folder, "measure", str(path), "-o", str(out), "--json", errors="measure.txt", **stall)
         wait_for(measure, folder / "measure.txt", "enabling", START_S)
-        moment = float(rng.uniform(0.0, RUN_S))
+        # a run whose disk stalls must not be over before
+        moment = float(rng.uniform(0.0, 0.7 * RUN_S if victim in QUICK_STOP_S else RUN_S))
+        if victim == "disk stalled":
+            (folder / "stall").touch()
         time.sleep(moment)
         cycle = children(measure.pid)
-        target = {"parent": [measure.pid], "cycle process": cycle, "simulated cell": [cell.pid]}[victim]
+        targets = {"parent": [measure.pid], "cycle process": cycle, "simulated cell": [cell.pid]}
+        target = targets.get(victim, [])
         phase = (folder / "measure.txt").read_text().strip().rsplit("left", 1)[-1].strip()
         killed = time.monotonic()
         ended = measure.poll() is not None
         for pid in target:
             os.kill(pid, signal.SIGKILL)
+        if victim in QUICK_STOP_S and not ended:
+            _hold_up(victim, measure, folder, complaints)
         try:
             status: int | None = measure.wait(timeout=60)
         except subprocess.TimeoutExpired:
             status = None
             complaints.append("the command did not end")
-        wanted = {"parent": -9, "cycle process": 5, "simulated cell": 5}[victim]
-        if status != wanted and not ended and target:
+        wanted = {"parent": -9, "cycle process": 5, "simulated cell": 5}.get(victim, 4)
+        if status != wanted and not ended and (target or victim in QUICK_STOP_S):
             complaints.append(f"exit {status}")
         # heartbeat watch of three halves of a second, quick stop, and the orphan's own way out
         end = time.monotonic() + 15.0
@@ -125,6 +155,29 @@ def run_one(victim: str, rng: np.random.Generator, folder: Path) -> Kill:
                 process.kill()
                 process.communicate()
     return Kill(victim, moment, phase, status, rows, lost, tuple(complaints))
+
+
+def _hold_up(victim: str, measure: subprocess.Popen[str], folder: Path, complaints: list[str]) -> None:
+    """Stop the parent, or ask to stop while the disk takes nothing; when is the quick stop on the bus?"""
+    bus = UnixBus(str(folder / "bus.sock"))
+    try:
+        measure.send_signal(signal.SIGSTOP if victim == "parent stopped" else signal.SIGINT)
+        began = time.monotonic()
+        took = None
+        while took is None and time.monotonic() < began + 10.0:
+            message = bus.recv(0.1)
+            # controlword first: bit 1 set, bit 2 clear
+            if message is not None and 0x200 < message.arbitration_id < 0x280 and message.data[0] & 6 == 2:
+                took = time.monotonic() - began
+    finally:
+        bus.shutdown()
+    if took is None or took > QUICK_STOP_S[victim]:
+        when = "never" if took is None else f"after {took:.2f} s"
+        complaints.append(f"the quick stop came {when}")
+    time.sleep(2.0)
+    if victim == "parent stopped":
+        measure.send_signal(signal.SIGCONT)
+    (folder / "stall").unlink(missing_ok=True)
 
 
 def _judge_cell(document: dict[str, Any], complaints: list[str]) -> None:
@@ -150,26 +203,26 @@ def _judge_record(
             complaints.append(f"the recording does not open: {error}")
         return 0, 0.0
     rows = sum(e.samples for e in recording.experiments)
-    wanted = None if victim == "parent" else Outcome.FAILED
+    wanted = None if victim == "parent" else Outcome.ABORTED if victim in QUICK_STOP_S else Outcome.FAILED
     complete = rows >= ROWS
     if not ended and not complete and recording.outcome is not wanted:
         complaints.append(f"marked {recording.outcome}")
     # SYNC instants are of the machine's monotonic clock, as the moment of the kill
     lost = 0.0 if complete or not rows else killed - float(recording.experiments[-1].time[-1])
-    if lost > LOST_S[victim]:
+    if lost > LOST_S.get(victim, np.inf):
         complaints.append(f"the last {lost:.2f} s are lost")
     return rows, max(lost, 0.0)
 
 
-def campaign(runs: int, seed: int, results: Path | None) -> list[Kill]:
+def campaign(victims: tuple[str, ...], runs: int, seed: int, results: Path | None) -> list[Kill]:
     """``runs`` kills of each victim; what stands in ``results`` is not run again."""
     done: list[Kill] = []
     if results is not None and results.exists():
         rows = [json.loads(line) for line in results.read_text(encoding="utf-8").splitlines()]
         done = [Kill(**{**row, "complaints": tuple(row["complaints"])}) for row in rows]
-    for n in range(len(done), runs * len(VICTIMS)):
+    for n in range(len(done), runs * len(victims)):
         with tempfile.TemporaryDirectory() as folder:
-            kill = run_one(VICTIMS[n % len(VICTIMS)], np.random.default_rng([seed, n]), Path(folder))
+            kill = run_one(victims[n % len(victims)], np.random.default_rng([seed, n]), Path(folder))
         done.append(kill)
         if results is not None:
             with results.open("a", encoding="utf-8") as file:
@@ -203,10 +256,12 @@ def main() -> int:
     parser.add_argument("--runs", type=int, default=20, help="of each victim")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--results", type=Path)
+    parser.add_argument("--victim", choices=VICTIMS, help="this one alone")
     parser.add_argument("--markdown", action="store_true")
     arguments, _ = parser.parse_known_args()
     began = time.monotonic()
-    kills = campaign(arguments.runs, arguments.seed, arguments.results)
+    victims = (arguments.victim,) if arguments.victim else VICTIMS
+    kills = campaign(victims, arguments.runs, arguments.seed, arguments.results)
     print(table(kills, markdown=arguments.markdown))
     bad = [(n, k) for n, k in enumerate(kills) if k.complaints]
     for n, k in bad:

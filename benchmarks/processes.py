@@ -11,7 +11,7 @@ from pathlib import Path
 INVID = [sys.executable, "-c", "from invid.cli import main; main()"]
 
 
-def start(folder: Path, *arguments: str, errors: str) -> subprocess.Popen[str]:
+def start(folder: Path, *arguments: str, errors: str, **environment: str) -> subprocess.Popen[str]:
     """A command in a process of its own, its stderr in a file of the folder."""
     with (folder / errors).open("w") as said:
         return subprocess.Popen(
@@ -20,7 +20,7 @@ def start(folder: Path, *arguments: str, errors: str) -> subprocess.Popen[str]:
             stderr=said,
             text=True,
             cwd=folder,
-            env={**os.environ, "XDG_STATE_HOME": str(folder / "state")},
+            env={**os.environ, "XDG_STATE_HOME": str(folder / "state"), **environment},
         )
 
 

@@ -71,6 +71,7 @@ class VirtualWire:
         self.frames = 0
         self.busy_ns = 0
         cell.transmit = self._from_node
+        cell.loops_back = True
 
     @property
     def waiting(self) -> int:

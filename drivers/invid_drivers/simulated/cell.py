@@ -17,10 +17,13 @@ from invid.config.schema import AxisConfig, CellConfig
 from invid.errors import ConfigError
 from invid.numerics.arrays import Float64
 from invid_drivers.simulated import kernel
+from invid_drivers.simulated.behaviour import Behaviour
+from invid_drivers.simulated.brake import Brake
 from invid_drivers.simulated.config import AxisSimulation, simulation_of, truth
 from invid_drivers.simulated.drive import Drive
 from invid_drivers.simulated.eds import apply_eds
 from invid_drivers.simulated.faults import FaultConfig, disturb
+from invid_drivers.simulated.foreign import foreign_node
 from invid_drivers.simulated.injection import FaultInjector
 from invid_drivers.simulated.node import Handler, Node
 from invid_drivers.simulated.object_dictionary import drive_dictionary
@@ -56,6 +59,8 @@ class SimulatedCell:
         """Set by the bus: (identifier, data, delay [ns])."""
         self.master_off = False
         """True while the master's own port is bus-off."""
+        self.loops_back = False
+        """Set by a bus that hands what nodes send to the other nodes too."""
         self._timers: list[tuple[int, int, Callable[[int], None]]] = []
         self._count = 0
         self._dispatch: dict[int, list[Handler]] | None = None
@@ -94,6 +99,11 @@ class SimulatedCell:
         self._noisy = bool(self._noise_scale.any())
         for fault in self.simulation.faults:
             self._injector.plan(fault)
+        self.foreign = [
+            foreign_node(number, self, heartbeat_s=self.simulation.foreign_heartbeat_s)
+            for number in self.simulation.foreign_nodes
+        ]
+        self._load(axes)
         for drive in self.drives:
             drive.node.power_on(0)
         self.schedule(_TICK_NS, self._watchdog)
@@ -111,6 +121,11 @@ class SimulatedCell:
         )
         rated = settings.rated_torque or axis.rated_torque or 100.0
         counts_per_unit = settings.encoder_counts / (1.0 if linear else 2.0 * math.pi)
+        # 0x6085 counts motor revolutions per minute and second with some drives
+        ramp_counts = 1.0 if settings.ramp_unit == "counts_per_s2" else settings.encoder_counts / 60.0
+        ramps = [
+            max(1, round(a * counts_per_unit / ramp_counts)) for a in (2.0, settings.quick_stop_deceleration)
+        ]
         od = drive_dictionary(
             axis.node_id,
             name="invid drive",
@@ -119,6 +134,7 @@ class SimulatedCell:
             linear=linear,
             serial=axis.node_id,
             profile=profile,
+            ramps=(ramps[0], ramps[1]),
         )
         if objects.eds is not None:
             apply_eds(od, Path(objects.eds), axis.node_id)
@@ -126,12 +142,24 @@ class SimulatedCell:
             entry = od.find(*_address(name))
             if entry is not None:
                 entry.mappable = ""
+        for name in objects.read_only:
+            entry = od.find(*_address(name))
+            if entry is not None:
+                entry.access = "ro"
         node = Node(
             axis.node_id,
             od,
             self,
             sdo_ns=round(settings.sdo_response_s * _NS),
             boot_ns=round(self.simulation.boot_s * _NS),
+        )
+        load = abs(settings.load.torque)
+        brake = Brake(
+            self.plant.command[row],
+            self._after,
+            torque=(settings.brake_torque or 2.0 * rated) if settings.brake else 0.0,
+            delay_ns=round(settings.brake_delay_s * _NS),
+            prop=2.0 * load if settings.load.propped else 0.0,
         )
         bandwidth = 2.0 * math.pi * settings.position_loop_Hz
         drive = Drive(
@@ -143,13 +171,20 @@ class SimulatedCell:
             direction=axis.direction,
             # 0.7 of critical damping on the motor mass alone; passive, so stable on any structure
             gains=(motor * bandwidth**2, 1.4 * motor * bandwidth),
-            brake_torque=(settings.brake_torque or 2.0 * rated) if settings.brake else 0.0,
+            brake=brake,
+            behaviour=Behaviour(
+                limits_in_torque_mode=settings.limits_in_torque_mode,
+                enable_ns=round(settings.enable_s * _NS),
+                mode_change_ns=round(settings.mode_change_s * _NS),
+                mode_display_ns=round(settings.mode_display_s * _NS),
+                sync_timeout_ns=round(settings.sync_timeout_s * _NS),
+                ramp_counts=ramp_counts,
+            ),
             delay_cycles=settings.command_delay_cycles,
             lag_cycles=settings.actual_torque_lag_cycles,
             cycle_s=self.config.bus.cycle_s,
             linear=linear,
             velocity_in_rpm=known.velocity_in_rpm,
-            mode_ns=(round(settings.mode_change_s * _NS), round(settings.mode_display_s * _NS)),
         )
         node.application = drive
         command = self.plant.command[row]
@@ -159,6 +194,26 @@ class SimulatedCell:
         command[kernel.TORQUE_STEPS] = settings.torque_steps_permille
         command[kernel.LAG] = _lag(self.plant.h, settings.current_loop_s)
         return drive
+
+    def _load(self, axes: list[AxisSimulation]) -> None:
+        """Put the loads on, with every spring stretched as it is at rest behind a motor that stands."""
+        structure, external = self.plant.structure, self.plant.external
+        for motor, settings, count in zip(
+            structure.motors, axes, structure.chains.masses_per_branch, strict=True
+        ):
+            last = settings.load.element == "last mass"
+            external[int(motor) + (count - 1 if last else 0)] -= settings.load.torque
+        inner = np.setdiff1d(np.arange(structure.dofs), structure.motors)
+        if inner.size and external.any():
+            stiffness = structure.stiffness[np.ix_(inner, inner)]
+            self.plant.state[inner] = np.linalg.lstsq(stiffness, external[inner], rcond=None)[0]
+
+    def _after(self, delay_ns: int, callback: Callable[[int], None]) -> None:
+        def due(now_ns: int) -> None:
+            self.plant.advance_to(now_ns)
+            callback(now_ns)
+
+        self.schedule(self.now_ns + delay_ns, due)
 
     def _set_motor_effects(self) -> None:
         names = [a.name for a in self.config.axes]
@@ -196,6 +251,12 @@ class SimulatedCell:
         else:
             self.transmit(can_id, data, delay_ns)
 
+    def hear(self, can_id: int, data: bytes) -> None:
+        """A frame of somebody who is neither the master nor one of the cell's nodes."""
+        self.transmit(can_id, data, 0)
+        if not self.loops_back:
+            self.deliver(can_id, data, self.now_ns)
+
     def schedule(self, due_ns: int, callback: Callable[[int], None]) -> None:
         """Call ``callback`` at ``due_ns`` or as soon as possible after."""
         self._count += 1
@@ -231,8 +292,8 @@ class SimulatedCell:
 
     def _wire_up(self) -> dict[int, list[Handler]]:
         table: dict[int, list[Handler]] = {}
-        for drive in self.drives:
-            for can_id, handler in drive.node.handlers():
+        for node in (*(d.node for d in self.drives), *self.foreign):
+            for can_id, handler in node.handlers():
                 table.setdefault(can_id, []).append(handler)
         for sync_id in {d.node.sync_id for d in self.drives} - {-1}:
             members = [d for d in self.drives if d.node.sync_id == sync_id]
@@ -294,6 +355,10 @@ class SimulatedCell:
     def drive(self, axis: str | None) -> Drive:
         """The drive of an axis."""
         return self.drives[[a.name for a in self.config.axes].index(str(axis))]
+
+    def plan_fault(self, fault: FaultConfig) -> None:
+        """Let a fault happen when its time or state comes, for campaigns."""
+        self._injector.plan(fault)
 
     def begin_fault(self, fault: FaultConfig) -> None:
         """Let a fault happen now, for tests and campaigns."""

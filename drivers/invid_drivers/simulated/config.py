@@ -6,7 +6,7 @@ Units stand in the keys. For a linear axis read N for Nm and m for rad: both spe
 from __future__ import annotations
 
 import re
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import AliasChoices, Field, ValidationError, field_validator, model_validator
 
@@ -80,6 +80,15 @@ class FrictionConfig(Strict):
     )
 
 
+class LoadConfig(Strict):
+    """A constant torque, as gravity exerts on an arm that hardly turns."""
+
+    torque: float = Field(default=0.0, validation_alias=AliasChoices("torque", "torque_Nm", "force_N"))
+    element: Literal["motor", "last mass"] = "last mass"
+    propped: bool = True
+    """Something carries it until the drive is enabled for the first time; else it falls from the start."""
+
+
 class ObjectsConfig(Strict):
     """How one drive's object dictionary departs from the generic one."""
 
@@ -90,6 +99,8 @@ class ObjectsConfig(Strict):
     values: dict[str, int | str] = Field(default_factory=dict)
     """Start values, as "0x605A": 6 or "0x608F:1": 4096."""
     not_mappable: list[str] = Field(default_factory=list)
+    read_only: list[str] = Field(default_factory=list)
+    """Objects that cannot be written though they usually can."""
     dummy_mapping: bool | None = None
     eds: str | None = None
     """An EDS file: its objects and no others, with its values."""
@@ -101,7 +112,7 @@ class ObjectsConfig(Strict):
             raise ValueError(f"unknown profile; known are {list(PROFILES)}")
         return value
 
-    @field_validator("lacks", "values", "not_mappable")
+    @field_validator("lacks", "values", "not_mappable", "read_only")
     @classmethod
     def _addresses(cls, value: Any) -> Any:
         for name in value:
@@ -143,6 +154,27 @@ class AxisSimulation(Strict):
         default=None, gt=0, validation_alias=AliasChoices("brake_torque", "brake_torque_Nm", "brake_force_N")
     )
     """Default: twice rated torque."""
+    brake_delay_s: float = Field(default=0.0, ge=0, le=2)
+    """From the loss of torque to the brake's closing; the axis is free meanwhile."""
+    load: LoadConfig = LoadConfig()
+    limits_in_torque_mode: bool = True
+    """False: 0x6072, 0x607D and 0x607F count in position mode and on ramps only, as with many drives."""
+    quick_stop_deceleration: float = Field(
+        default=10.0,
+        gt=0,
+        validation_alias=AliasChoices(
+            "quick_stop_deceleration",
+            "quick_stop_deceleration_rad_per_s2",
+            "quick_stop_deceleration_m_per_s2",
+        ),
+    )
+    """What 0x6085 holds, in the drive's own unit."""
+    ramp_unit: Literal["counts_per_s2", "rpm_per_s"] = "counts_per_s2"
+    """Unit of 0x6084 and 0x6085."""
+    enable_s: float = Field(default=0.0, ge=0, le=2)
+    """From the command to enable to operation enabled; there is no torque before."""
+    sync_timeout_s: float = Field(default=0.0, ge=0, le=10)
+    """Longest gap between SYNCs in a cyclic mode before the drive's error 0x8700; 0: any."""
     sdo_response_s: float = Field(default=0.0002, ge=0, le=1)
     mode_change_s: float = Field(default=0.0, ge=0, le=10)
     """From 0x6060 to the mode acting."""
@@ -174,6 +206,10 @@ class SimulationConfig(Strict):
     tx_queue_frames: int = Field(default=256, ge=1)
     """Frames that the master may have waiting on the virtual bus."""
     boot_s: float = Field(default=0.002, ge=0, le=60)
+    foreign_nodes: list[int] = Field(default_factory=list)
+    """Node ids of devices on the bus that are not the cell's: operational, as their own master left them."""
+    foreign_heartbeat_s: float = Field(default=0.0, ge=0, le=10)
+    """Period of their heartbeats; 0: none."""
 
     def axis(self, name: str) -> AxisSimulation:
         """The settings of one axis: its own over ``defaults``."""

@@ -10,6 +10,8 @@ from collections import deque
 
 from invid.errors import ConfigError
 from invid_drivers.simulated import kernel
+from invid_drivers.simulated.behaviour import Behaviour
+from invid_drivers.simulated.brake import Brake
 from invid_drivers.simulated.limits import Limits
 from invid_drivers.simulated.node import Nmt, Node
 from invid_drivers.simulated.object_dictionary import Entry, ObjectDictionary, SdoAbort
@@ -20,8 +22,12 @@ PROFILE_TORQUE, CYCLIC_POSITION, CYCLIC_TORQUE = 4, 8, 10
 _MODE_BITS = {PROFILE_TORQUE: 1 << 3, CYCLIC_POSITION: 1 << 7, CYCLIC_TORQUE: 1 << 9}
 _ENERGISED = (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE)
 
+_UNLIMITED = 0xFFFF
+"""Thousandths: twice what 0x6071 can ask for."""
+
 # EMCY codes of CiA 402
 FOLLOWING_ERROR, REFERENCE_LIMIT, OVERSPEED, HEARTBEAT = 0x8611, 0x8612, 0x8480, 0x8130
+SYNC_LOST = 0x8700
 
 
 class Drive:
@@ -37,21 +43,21 @@ class Drive:
         counts_per_unit: float,
         direction: int,
         gains: tuple[float, float],
-        brake_torque: float,
+        brake: Brake,
+        behaviour: Behaviour,
         delay_cycles: int,
         lag_cycles: int,
         cycle_s: float,
         linear: bool,
         velocity_in_rpm: bool = False,
-        mode_ns: tuple[int, int] = (0, 0),
     ) -> None:
         if rated_torque <= 0 or counts_per_unit <= 0:
             raise ConfigError("simulation: rated torque and encoder counts must be positive")
         self.node, self._plant, self.row = node, plant, row
         self.rated_torque, self.counts_per_unit, self.direction = rated_torque, counts_per_unit, direction
-        self._gains, self._brake_torque, self._cycle_s = gains, brake_torque, cycle_s
+        self._gains, self.brake, self._cycle_s = gains, brake, cycle_s
+        self._behaviour = behaviour
         self._counts_per_rev = 0.0 if linear else 2.0 * math.pi * counts_per_unit
-        self._change_ns, self._display_ns = mode_ns
         self._delay: deque[float] = deque([0.0] * delay_cycles)
         self._lag: deque[int] = deque([0] * lag_cycles)
         self._command = plant.command[row]
@@ -63,7 +69,8 @@ class Drive:
         # what faults set
         self.ignore_quick_stop = False
         self.ignore_controlword = False
-        self.brake_stuck = False
+        self.ignore_target = False
+        self.torque_lie: int | None = None
         self.statusword_lie: int | None = None
         self.mode_lie: int | None = None
         od = node.od
@@ -80,6 +87,7 @@ class Drive:
         self._velocity_in_rpm = velocity_in_rpm
         self.configured()
         self._torque_unit = direction * rated_torque / 1000.0
+        self._limit = -1
         self._forget()
 
     @staticmethod
@@ -96,7 +104,8 @@ class Drive:
         self._shown_nmt = Nmt.INITIALISING
         self._stop_deadline_ns = 0
         self._demand = 0.0
-        self._limit = -1
+        self._enable_due_ns: int | None = None
+        self._sync_ns = 0
         self._sent: float | None = None
         """Torque in the plant's table, in thousandths; None while it follows something else."""
         self._target_counts: int | None = None
@@ -122,31 +131,27 @@ class Drive:
             self._target_counts = None
             self._demand = 0.0
         self.state = state
-        self._after_stop = None
+        self._after_stop = self._enable_due_ns = None
         if not energised:
             self._command[kernel.MODE] = kernel.MODE_OFF
             self._sent = None
             self._demand = 0.0
             for i in range(len(self._delay)):
                 self._delay[i] = 0.0
-        released = energised and not self.brake_stuck
-        self._command[kernel.BRAKE] = 0.0 if released else self._brake_torque
+        self.brake.follow(energised)
 
     def unsettle(self) -> None:
         """Look at everything in the next tick: something changed from outside."""
         self._steady = False
 
-    def refresh_brake(self) -> None:
-        """Apply a change of ``brake_stuck``."""
-        self._command[kernel.BRAKE] = (
-            0.0 if self.state in _ENERGISED and not self.brake_stuck else self._brake_torque
-        )
-
     # --- one step --------------------------------------------------------------------------------
     def tick(self, now_ns: int) -> None:
         """Feedback, commands, modes, supervision, statusword."""
         self._e_position.value, self._e_velocity.value, permille, _ = self.measured
-        self._e_torque.value = self._lagged(permille) if self._lag else permille
+        shown = self._lagged(permille) if self._lag else permille
+        self._e_torque.value = shown if self.torque_lie is None else self.torque_lie
+        if self.synchronous:
+            self._sync_ns = now_ns
         word: int = self._e_controlword.value  # type: ignore[assignment]
         if (
             self._steady
@@ -168,6 +173,8 @@ class Drive:
         """A tick in which something may change."""
         if word != self._controlword:
             self._control(word, now_ns)
+        if self._enable_due_ns is not None and now_ns >= self._enable_due_ns:
+            self._enter(State.OPERATION_ENABLED)
         self._select_mode(now_ns)
         if self._after_stop is not None:
             self._continue_stop(now_ns)
@@ -210,33 +217,55 @@ class Drive:
             od.put(0x603F, 0, 0)
             self._enter(target)
             self.node.emergency(0x0000, 0x00)
+        elif number == 4:
+            self._enable(now_ns)
         else:
             self._enter(target)
             if number == 3 and command is Command.ENABLE_OPERATION:
-                self._enter(State.OPERATION_ENABLED)
+                self._enable(now_ns)
+
+    def _enable(self, now_ns: int) -> None:
+        """Transition 4, as fast as the drive is."""
+        if self._behaviour.enable_ns:
+            self._steady = False
+            self._enable_due_ns = now_ns + self._behaviour.enable_ns
+        else:
+            self._enter(State.OPERATION_ENABLED)
 
     def _select_mode(self, now_ns: int) -> None:
         wanted = int(self._e_mode.value)
         if wanted != self._wanted_mode:
-            self._wanted_mode, self._mode_due_ns = wanted, now_ns + self._change_ns
+            self._wanted_mode, self._mode_due_ns = wanted, now_ns + self._behaviour.mode_change_ns
         if wanted != self.mode and now_ns >= self._mode_due_ns:
             self._steady = False
             if wanted == 0 or self.node.od.number(0x6502) & _MODE_BITS.get(wanted, 0):
                 self.mode = wanted
-                self._shown_due_ns = now_ns + self._display_ns
+                self._shown_due_ns = now_ns + self._behaviour.mode_display_ns
                 self._target_counts = None
                 self._demand = 0.0
         if now_ns >= self._shown_due_ns:
             self._shown_mode = self.mode
 
     # --- modes -----------------------------------------------------------------------------------
-    def _operate(self, now_ns: int) -> None:
-        limit: int = self._e_max_torque.value  # type: ignore[assignment]
+    def _limit_torque(self, *, by_loop: bool) -> int:
+        """Put the limit in force into the plant's table; the limit in thousandths.
+
+        ``by_loop``: the drive's own position loop asks for the torque, not the master.
+        """
+        limit = _UNLIMITED
+        if by_loop or self._behaviour.limits_in_torque_mode:
+            limit = self._e_max_torque.value  # type: ignore[assignment]
         if limit != self._limit:
             self._limit = limit
             self._command[kernel.LIMIT] = limit * self.rated_torque / 1000.0
+        return limit
+
+    def _operate(self, now_ns: int) -> None:
+        limit = self._limit_torque(by_loop=self.mode == CYCLIC_POSITION)
         wanted: float
-        if self.mode == CYCLIC_TORQUE:
+        if self.ignore_target:
+            wanted = 0.0
+        elif self.mode == CYCLIC_TORQUE:
             wanted = self._e_target_torque.value + self._e_offset.value  # type: ignore[operator,assignment]
         elif self.mode == CYCLIC_POSITION:
             self._follow_position()
@@ -268,8 +297,15 @@ class Drive:
         """Position reference equal to what the encoder shows."""
         return self.measured[3] / self.counts_per_unit
 
+    def _saturated(self) -> bool:
+        """Whether the drive's own loop asks for more torque than 0x6072 allows."""
+        return abs(float(self._plant.motor_state[self.row, kernel.RECORDED])) >= 0.999 * float(
+            self._command[kernel.LIMIT]
+        )
+
     def _hold_here(self, speed: float = 0.0, deceleration: float = 0.0) -> None:
         command = self._command
+        self._limit_torque(by_loop=True)
         command[kernel.GAIN_P], command[kernel.GAIN_D] = self._gains
         command[kernel.POSITION] = self._here()
         command[kernel.VELOCITY] = speed
@@ -282,7 +318,7 @@ class Drive:
         command = self._command
         target = int(self._e_target_position.value)
         low, high = self._limits.low, self._limits.high
-        self._internal_limit = False
+        self._internal_limit = self._saturated()
         if not low <= target <= high:
             target = max(low, min(high, target))
             self._internal_limit = True
@@ -303,7 +339,7 @@ class Drive:
     def _begin_stop(self, target: State, deceleration_counts: int, now_ns: int) -> None:
         """Decelerate under position control; enter ``target`` at standstill."""
         speed = self.direction * self.measured[1] / self.counts_per_unit
-        deceleration = deceleration_counts / self.counts_per_unit
+        deceleration = deceleration_counts * self._behaviour.ramp_counts / self.counts_per_unit
         if deceleration <= 0.0:
             self._enter(target)
             return
@@ -370,6 +406,17 @@ class Drive:
         self._limits = Limits.of(self.node.od, self._counts_per_rev, rpm=self._velocity_in_rpm)
 
     def _supervise(self, now_ns: int) -> None:
+        behaviour = self._behaviour
+        if (
+            behaviour.sync_timeout_ns
+            and self.mode in (CYCLIC_POSITION, CYCLIC_TORQUE)
+            and now_ns - self._sync_ns > behaviour.sync_timeout_ns
+        ):
+            self.fail(SYNC_LOST, 0x10, now_ns)
+            return
+        if self.mode != CYCLIC_POSITION and not behaviour.limits_in_torque_mode:
+            self._following = False
+            return
         position, speed, _, _ = self.measured
         limits = self._limits
         if not -limits.fastest <= speed <= limits.fastest:
@@ -402,7 +449,7 @@ class Drive:
             word |= 0x800
         if state is State.OPERATION_ENABLED and self._after_stop is None:
             if self.mode in (CYCLIC_POSITION, CYCLIC_TORQUE):
-                word |= 0x1000
+                word |= 0 if self.ignore_target else 0x1000
                 if self._following:
                     word |= 0x2000
             elif self.mode == PROFILE_TORQUE and self._demand == self._e_target_torque.value:

@@ -32,6 +32,9 @@ DRIVE_FAULTS = (
     "push",
     "statusword",
     "mode_display",
+    "torque_display",
+    "ignore_target",
+    "other_master",
 )
 
 
@@ -58,6 +61,9 @@ class FaultConfig(Strict):
         "push",
         "statusword",
         "mode_display",
+        "torque_display",
+        "ignore_target",
+        "other_master",
     ]
     axis: str | None = None
     """None: the master's own port for bus_off, every frame for faults on frames."""
@@ -81,7 +87,12 @@ class FaultConfig(Strict):
     signal: Literal["torque", "encoder"] = "torque"
     limit: float = Field(default=0.0, ge=0, validation_alias="limit_Nm")
     torque: float = Field(default=0.0, validation_alias="torque_Nm")
-    value: int = Field(default=0, ge=-128, le=0xFFFF)
+    value: int = Field(default=0, ge=-32768, le=0xFFFF)
+    # another master on the bus
+    traffic: Literal["sync", "nmt", "sdo", "heartbeat"] = "sync"
+    """SDO to the drive of ``axis``; NMT: the command in ``value`` to every node."""
+    period_s: float | None = Field(default=None, gt=0)
+    """None: one frame."""
 
     @model_validator(mode="after")
     def _when_and_where(self) -> FaultConfig:
@@ -90,7 +101,7 @@ class FaultConfig(Strict):
         needs_axis = self.kind in DRIVE_FAULTS and self.kind != "bus_off"
         if (needs_axis or self.at_state is not None) and self.axis is None:
             raise ValueError(f"fault {self.kind}: give the axis")
-        if self.kind == "mode_display" and self.value > 127:
+        if self.kind == "mode_display" and not -128 <= self.value <= 127:
             raise ValueError(f"fault mode_display: value {self.value} is no mode; it must be -128 to 127")
         return self
 

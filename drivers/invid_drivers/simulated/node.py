@@ -284,7 +284,8 @@ class Node:
                 except SdoAbort:
                     entries = []
                 kind = od.number(0x13FF + number, 2)
-                self._rpdos.append(pdo.ReceivePdo(number, value & 0x7FF, kind, entries))
+                event_ns = od.number(0x13FF + number, 5) * _MS
+                self._rpdos.append(pdo.ReceivePdo(number, value & 0x7FF, kind, entries, event_ns))
             number += 1
         number = 1
         while (cob := od.find(0x17FF + number, 1)) is not None:
@@ -321,6 +322,8 @@ class Node:
         size = received.packing.size
 
         def take(data: bytes, now_ns: int) -> None:
+            if received.event_ns:
+                self._expect_next(received, now_ns)
             if len(data) < size:
                 self.emergency(0x8210, self.od.number(0x1001) | 0x10)
             elif received.synchronous:
@@ -331,6 +334,24 @@ class Node:
                 self.events(now_ns)
 
         return take
+
+    def _expect_next(self, received: pdo.ReceivePdo, now_ns: int) -> None:
+        """CiA 301's time-out of a receive PDO: it counts from the first one on."""
+        watched, received.due_ns = received.due_ns is not None, now_ns + received.event_ns
+
+        def look(at_ns: int) -> None:
+            due = received.due_ns
+            if due is None or received not in self._rpdos:
+                return
+            if at_ns < due:
+                self._host.schedule(due, look)
+                return
+            received.due_ns = None
+            self.emergency(0x8250, 0x10)
+            self.application.connection_lost(at_ns)
+
+        if not watched:
+            self._host.schedule(received.due_ns, look)
 
     def _transmit(self, made: pdo.TransmitPdo, data: bytes, now_ns: int) -> None:
         made.last, made.sent_ns, made.seen = data, now_ns, 0

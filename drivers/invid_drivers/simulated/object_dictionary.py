@@ -173,11 +173,13 @@ def drive_dictionary(
     linear: bool,
     serial: int,
     profile: Profile,
+    ramps: tuple[int, int] | None = None,
 ) -> ObjectDictionary:
     """The generic drive with one vendor's departures applied.
 
     ``rated_torque`` [N·m or N] goes into 0x6076 in thousandths; ``encoder_counts`` per revolution
-    or metre into 0x608F. Velocities are in counts per second.
+    or metre into 0x608F. Velocities are in counts per second. ``ramps``: 0x6084 and 0x6085 as the drive
+    counts them; default 2 and 10 rad/s² (m/s²) in counts.
     """
     od = ObjectDictionary()
     add = od.add
@@ -206,6 +208,8 @@ def drive_dictionary(
             add(index, 0, code, "wo", 0, "w")
     _add_pdos(od, node_id, profile)
     _add_drive_profile(od, rated_torque, encoder_counts, linear)
+    for index, ramp in zip((0x6084, 0x6085), ramps or (), strict=False):
+        od.entry(index).value = od.entry(index).default = ramp
     for index in profile.lacks:
         od.remove(index)
     for (index, sub), value in profile.values.items():

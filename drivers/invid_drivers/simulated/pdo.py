@@ -13,10 +13,13 @@ INVALID = 0x80000000
 class ReceivePdo:
     """A PDO that the node receives; synchronous ones take effect at the next SYNC."""
 
-    __slots__ = ("can_id", "entries", "number", "packing", "pending", "synchronous")
+    __slots__ = ("can_id", "due_ns", "entries", "event_ns", "number", "packing", "pending", "synchronous")
 
-    def __init__(self, number: int, can_id: int, kind: int, entries: list[Entry]) -> None:
+    def __init__(self, number: int, can_id: int, kind: int, entries: list[Entry], event_ns: int = 0) -> None:
         self.number, self.can_id, self.entries = number, can_id, entries
+        self.event_ns = event_ns
+        """Longest time to the next one, by sub 5 of its communication object; 0: any."""
+        self.due_ns: int | None = None
         self.synchronous = kind <= 240
         self.packing = struct.Struct("<" + "".join(e.code for e in entries))
         self.pending: bytes | None = None

@@ -1,0 +1,24 @@
+"""Where simulated drives that all follow CiA 402 differ from each other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Behaviour:
+    """What one drive does its own way; the defaults are the kindest."""
+
+    limits_in_torque_mode: bool = True
+    """Whether 0x6072, 0x607D and 0x607F count in the torque modes too; in position mode and on ramps they
+    always do."""
+    enable_ns: int = 0
+    """From the command to enable to torque: the motor is magnetised, a relay closes."""
+    mode_change_ns: int = 0
+    """From 0x6060 to the new mode acting; the old one acts meanwhile."""
+    mode_display_ns: int = 0
+    """From the mode acting to 0x6061 showing it."""
+    sync_timeout_ns: int = 0
+    """Longest gap between two SYNCs in a cyclic mode before error 0x8700; 0: any."""
+    ramp_counts: float = 1.0
+    """Counts/s² in one unit of 0x6084 and 0x6085."""

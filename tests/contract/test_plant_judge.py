@@ -1,0 +1,183 @@
+"""The judge of the campaign must be able to say no: whoever does harm is convicted by each of its rules."""
+
+from __future__ import annotations
+
+import struct
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from node_master import Master
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+import bench_real_drives
+from bench_real_drives import Case, cell_config, make_case, run_one
+from plant_judge import Judge, writes
+
+from invid_drivers.cia402.bus import Cia402Cell
+
+# One worker: what numba compiles for the plant is compiled once.
+pytestmark = pytest.mark.xdist_group("faults")
+AXES = ("A1", "A2", "A3")
+LOADED = {"load": {"torque_Nm": 5.0, "element": "motor"}, "enable_s": 0.0}
+
+
+def case(axes: dict[str, dict[str, Any]] | None = None, **drive: Any) -> Case:
+    """Three axes, A1 as given."""
+    drives: dict[str, dict[str, Any]] = {name: {"enable_s": 0.0} for name in AXES}
+    drives["A1"] |= drive
+    return Case("none", {name: dict((axes or {}).get(name, {})) for name in AXES}, drives)
+
+
+class Harm:
+    """A hand-made master that does what no master should, and the judge that watches."""
+
+    def __init__(self, drawn: Case, mode: int = 10) -> None:
+        self.config = cell_config(drawn, 1)
+        self.master = Master(self.config)
+        self.cell = self.master.bus.cell
+        self.judge = Judge(self.config, self.cell)
+        self.master.prepare(mode)
+
+    def shake(self, permille: int, cycles: int, word: int = 0x0F) -> None:
+        for _ in range(cycles):
+            self.master.cycle([permille, 0, 0], word, 0.004)
+
+
+def test_torque_above_the_config_or_above_what_was_commissioned_is_seen() -> None:
+    fine = Harm(case())
+    fine.master.enable()
+    fine.shake(490, 20)  # of 50 N·m; 25 are allowed
+    assert fine.judge.torque() == []
+    fine.shake(600, 20)
+    assert any("30 N·m in torque mode, limit 25" in c for c in fine.judge.torque())
+    fine.master.close()
+    tight = Harm(case(objects={"values": {"0x6072": 100}}))
+    tight.master.enable()
+    tight.shake(200, 20)
+    assert any("10 N·m in torque mode, limit 5" in c for c in tight.judge.torque())
+    tight.master.close()
+
+
+def test_a_drives_own_loop_is_judged_by_its_own_limit_where_nobody_can_write_it() -> None:
+    for read_only, complaints in ((["0x6072"], 0), ([], 1)):
+        harm = Harm(case(objects={"values": {"0x6072": 900}, "read_only": read_only}), mode=8)
+        harm.master.enable()
+        for step in range(40):  # 0.5 rad in 0.16 s: more than 25 N·m
+            harm.master.cycle([step * 1000, 0, 0], 0x0F, 0.004)
+        assert len(harm.judge.torque()) == complaints, harm.judge.torque()
+        harm.master.close()
+
+
+def test_travel_beyond_window_and_budget_is_seen_and_a_drives_tighter_window_counts() -> None:
+    edge = round(0.05 * 524288 / (2 * np.pi))
+    values = {"0x607D:1": -edge, "0x607D:2": edge}
+    for drive, cycles in (({}, 500), ({"objects": {"values": values}}, 150)):
+        harm = Harm(case(**drive))
+        harm.master.enable()
+        harm.shake(100, 10)
+        assert harm.judge.travel() == []
+        harm.shake(100, cycles)
+        assert any(c.startswith("A1: ") and "budgets beyond" in c for c in harm.judge.travel())
+        harm.master.close()
+
+
+def test_a_loaded_axis_that_is_let_go_is_seen_and_one_that_is_held_is_not() -> None:
+    harm = Harm(case(**LOADED), mode=8)
+    harm.master.enable()
+    for _ in range(50):
+        harm.master.cycle([0, 0, 0], 0x0F, 0.004)
+    harm.judge.stopped()
+    for _ in range(100):
+        harm.master.cycle([0, 0, 0], 0x0F, 0.004)
+    assert harm.judge.loads() == []
+    for _ in range(100):
+        harm.master.cycle([0, 0, 0], 0x00, 0.004)
+    assert any("A1: loaded, moved" in c for c in harm.judge.loads())
+    harm.master.close()
+
+
+def test_a_drive_that_is_left_energised_is_seen_but_a_loaded_one_may_hold_itself() -> None:
+    harm = Harm(case(**LOADED), mode=8)
+    harm.master.write(1, 0x605A, 0, "h", 6)
+    harm.master.enable()
+    assert [c.split()[0] for c in harm.judge.states()] == ["A1", "A2", "A3"]
+    for _ in range(100):
+        harm.master.cycle([0, 0, 0], 0x02, 0.004)
+    assert harm.cell.drives[0].state.name == "QUICK_STOP_ACTIVE"
+    assert harm.judge.states() == []
+    harm.master.close()
+
+
+def test_a_command_to_every_node_and_a_write_to_a_foreign_one_are_seen() -> None:
+    harm = Harm(case())
+    harm.master.wait(0.01)
+    complaints = harm.judge.foreign()  # Master.prepare starts every node
+    assert "NMT command 1 to every node" in complaints
+    harm.master.bus.send_raw(0, b"\x80\x00")
+    head = struct.pack("<BHB", 0x2B, 0x1017, 0)
+    harm.master.bus.send_raw(0x600 + bench_real_drives.FOREIGN_NODE, head + b"\x64\0\0\0")
+    harm.master.wait(0.01)
+    complaints = harm.judge.foreign()
+    assert "1 writes to foreign node 20" in complaints
+    assert "foreign node 20 was set PRE_OPERATIONAL" in complaints
+    harm.master.close()
+
+
+@pytest.mark.parametrize(
+    ("index", "sub", "code", "value", "wider"),
+    [
+        (0x6072, 0, "H", 500, True), (0x6072, 0, "H", 200, False),
+        (0x607D, 1, "i", -2000, True), (0x607D, 1, "i", -500, False), (0x607D, 2, "i", 2000, True),
+        (0x607F, 0, "I", 0xFFFFFFFF, True), (0x6065, 0, "I", 999, False), (0x6066, 0, "H", 200, True),
+        (0x1016, 1, "I", 0x7F0200, True), (0x1016, 1, "I", 0x7F0010, False), (0x1016, 1, "I", 0, True),
+        (0x605A, 0, "h", 6, False),
+    ],
+)  # fmt: skip
+def test_a_write_that_permits_more_than_was_found_is_seen(
+    index: int, sub: int, code: str, value: int, wider: bool
+) -> None:
+    values = {
+        "0x6072": 300, "0x607D:1": -1000, "0x607D:2": 1000, "0x607F": 9999, "0x6065": 1000, "0x6066": 100,
+        "0x1016:1": 0x7F0064,
+    }  # fmt: skip
+    harm = Harm(case(objects={"values": values}))
+    with writes(harm.cell) as written:
+        assert harm.master.write(1, index, sub, code, value) == 0
+    assert bool(harm.judge.settings(written)) is wider
+    harm.master.close()
+
+
+def test_a_product_without_its_way_out_is_convicted_whatever_it_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Cia402Cell, "stop", lambda self: None)
+    monkeypatch.setattr(Cia402Cell, "close", lambda self: [])
+    monkeypatch.setattr("invid_drivers.cia402.axis.Drive.protect", lambda self, *a, **k: None)
+    outcome = run_one("emcy", np.random.default_rng(1), tmp_path)
+    assert any("ended in OPERATION_ENABLED" in c for c in outcome.complaints)
+
+
+def test_an_exit_status_that_the_kind_does_not_call_for_and_a_lost_recording_are_seen(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bench_real_drives, "run_measurement", lambda *a, **k: None)
+    outcome = run_one("no servo", np.random.default_rng(1), tmp_path)
+    assert any(c.startswith("exit 0") for c in outcome.complaints)
+    assert "no recording was left" in outcome.complaints
+    monkeypatch.setattr(
+        bench_real_drives, "run_measurement", lambda *a, **k: a[3].write_bytes(b"no HDF5") and None
+    )
+    outcome = run_one("none", np.random.default_rng(1), tmp_path)
+    assert any("does not open" in c for c in outcome.complaints)
+
+
+@pytest.mark.parametrize("kind", list(bench_real_drives.EXPECTED))
+def test_every_kind_draws_a_cell_that_has_a_load_and_can_be_built(kind: str) -> None:
+    for seed in range(5):
+        drawn = make_case(kind, np.random.default_rng(seed))
+        config = cell_config(drawn, seed)
+        assert any("load" in d for d in drawn.drives.values())
+        assert config.simulated
