@@ -31,7 +31,7 @@ from plant_judge import Judge, writes
 
 from invid.config import CellConfig, parse_config
 from invid.errors import InvidError
-from invid.plan import make_plan
+from invid.planning import make_plan
 from invid.recording import read_recording
 from invid.sweep import Progress
 from invid_drivers.cia402.bus import Cia402Cell

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from invid.arrays import Float64
+from invid.numerics.arrays import Float64
 from invid_drivers.simulated import kernel
 
 Schedule = Callable[[int, Callable[[int], None]], None]
