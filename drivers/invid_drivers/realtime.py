@@ -34,6 +34,7 @@ from invid.arrays import frozen_float
 from invid.chains import CoupledChains
 from invid.config import CellConfig
 from invid.errors import BusError, InvidError, SafetyStop
+from invid.plan.belief import Belief
 from invid.plan.model import Plan, PlannedExperiment
 from invid.recording import Outcome, Recording, RecordingWriter
 from invid.sweep import Progress, Sample
@@ -228,7 +229,7 @@ def measure_in_process(
     amplitude_scale: float,
     progress: Callable[[Progress], None] | None,
     stop: threading.Event | None,
-    model: CoupledChains | None,
+    model: CoupledChains | Belief | None,
     plan: Plan | None = None,
     go_on: Callable[[Recording], bool] | None = None,
 ) -> Any:

@@ -6,6 +6,9 @@ from collections import deque
 from dataclasses import dataclass
 from itertools import pairwise
 
+import numpy as np
+
+from invid.arrays import Float64
 from invid.errors import BusError, DriveError, SafetyStop
 from invid.sweep.halting import Halting
 from invid.sweep.ports import Sample, Severity
@@ -98,6 +101,11 @@ class Watch:
     def start(self, position: list[float]) -> None:
         """Windows are around these positions from now on."""
         self._origin = list(position)
+
+    @property
+    def peaks(self) -> Float64:
+        """(3, M) largest travel, velocity and torque so far."""
+        return np.array([self._travel, self._speed, self._torque])
 
     def pause(self) -> None:
         """The cycle was interrupted on purpose (change of mode): no velocity or slot across the gap."""
