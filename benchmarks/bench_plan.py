@@ -80,7 +80,7 @@ def foretold(seeds: range, folder: Path) -> bool:
     config = cell(0)
     belief, noise = true_belief(config), sensor_noise(config)
     plan = plan_for_goal(config, belief, noise, GOAL).plan
-    plan = replace(plan, experiments=plan.experiments[:1])
+    plan = plan.first(1)
     said = expected(config, plan, belief, noise)
     found, stated = [], []
     for seed in seeds:

@@ -16,7 +16,8 @@ from invid.config import CellConfig
 from invid.errors import BusError, ConfigError, DriveError, SafetyStop
 from invid.model.chains import CoupledChains
 from invid.numerics.arrays import frozen_float
-from invid.planning import Plan, make_plan
+from invid.planning import AxisForecast, Plan, make_plan
+from invid.planning.belief import Belief
 from invid.recording import Outcome, Recording, RecordingWriter
 from invid.sweep import Progress, Sink, Sweep, SweepResult
 from invid.sweep.recorder import Recorder
@@ -41,6 +42,8 @@ class MeasurementResult:
     skipped_slots: int = 0
     missed_tpdos: dict[str, int] = field(default_factory=dict)
     peaks: dict[str, dict[str, float]] = field(default_factory=dict)
+    forecast: tuple[AxisForecast, ...] = ()
+    """What was announced after the trials."""
     jitter_us: dict[str, float] | None = None
     """Lateness of SYNC against its slot, in real time: median, 99th and 99.9th percentile, worst."""
     jitter_histogram: dict[str, int] | None = None
@@ -59,6 +62,7 @@ class MeasurementResult:
             "skipped_slots": self.skipped_slots,
             "missed_tpdos": self.missed_tpdos,
             "peaks": self.peaks,
+            "forecast": [f.to_json() for f in self.forecast],
             "jitter_us": self.jitter_us,
             "jitter_histogram": self.jitter_histogram,
             "drives": list(self.drives),
@@ -74,7 +78,7 @@ def measure_to_file(
     amplitude_scale: float = 1.0,
     progress: Callable[[Progress], None] | None = None,
     stop: threading.Event | None = None,
-    model: CoupledChains | None = None,
+    model: CoupledChains | Belief | None = None,
     plan: Plan | None = None,
     go_on: Callable[[Recording], bool] | None = None,
 ) -> MeasurementResult:
@@ -128,7 +132,7 @@ def start_measurement(
     config: CellConfig,
     axes: Sequence[str] | None,
     amplitude_scale: float,
-    model: CoupledChains | None,
+    model: CoupledChains | Belief | None,
     plan: Plan | None = None,
 ) -> tuple[Plan, Cia402Cell]:
     """Plan (the given one, if any) and connected cell; nothing is written into a drive yet."""
@@ -285,6 +289,7 @@ def _result(
                 strict=False,
             )
         },
+        forecast=result.forecast,
         jitter_us=None if is_virtual(config) else cell.jitter.percentiles(),
         jitter_histogram=None if is_virtual(config) else cell.jitter.to_json(),
         drives=tuple(r.to_json() for r in cell.reports),

@@ -39,6 +39,7 @@ from invid.config import CellConfig
 from invid.errors import BusError, InvidError, SafetyStop
 from invid.model.chains import CoupledChains
 from invid.numerics.arrays import frozen_float
+from invid.planning.belief import Belief
 from invid.planning.model import Plan, PlannedExperiment
 from invid.recording import Outcome, Recording
 from invid.sweep import Progress, Sample
@@ -246,7 +247,7 @@ def measure_in_process(
     amplitude_scale: float,
     progress: Callable[[Progress], None] | None,
     stop: threading.Event | None,
-    model: CoupledChains | None,
+    model: CoupledChains | Belief | None,
     plan: Plan | None = None,
     go_on: Callable[[Recording], bool] | None = None,
 ) -> Any:

@@ -61,7 +61,7 @@ class Rescreening:
 def screening_plan(config: CellConfig, belief: Belief, noise: Noise) -> GoalPlan:
     """One block on all axes."""
     design = plan_for_goal(config, belief, noise, SCREEN_GOAL)
-    plan = replace(design.plan, experiments=design.plan.experiments[: design.needed])
+    plan = design.plan.first(design.needed)
     return replace(design, plan=plan, amplitudes=design.amplitudes[: design.needed])
 
 

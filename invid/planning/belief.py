@@ -112,3 +112,20 @@ def guess(config: CellConfig) -> Belief | None:
         "a guess from the config's inertias (no model given): orders of magnitude only",
         True,
     )
+
+
+def rigid(config: CellConfig) -> Belief | None:
+    """Rigid masses of the inertias in the config, each by itself; ``None`` where one of them is missing."""
+    inertia = [a.inertia for a in config.axes]
+    if any(i is None for i in inertia):
+        return None
+    count = len(inertia)
+    zero = frozen_float(np.zeros(count))
+    chains = CoupledChains.build(
+        [np.array([float(i or 0.0)]) for i in inertia],
+        [np.zeros(0)] * count,
+        [np.zeros(0)] * count,
+        np.zeros((count, count)),
+        axes=[a.name for a in config.axes],
+    )
+    return Belief(chains, zero, zero, "the inertia in the config", True)

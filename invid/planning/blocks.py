@@ -16,17 +16,18 @@ from invid.planning.belief import Belief
 from invid.planning.build import CREEP_TRAVEL
 from invid.planning.design import ROBUST_SHARE, LineDesign, interleaved, line_design
 from invid.planning.expected_covariance import Expected, Noise, expected, parameter_scale
+from invid.planning.forecast import MARGIN, QUANTITIES, usable
 from invid.planning.model import PlannedExperiment
 from invid.planning.response import foretold_motion, hold_gains
 from invid.recording.model import Kind, Role
 from invid.signals import excitation
 
+LIMITS = ("position window", "velocity limit", "torque limit")
+TORQUE = QUANTITIES.index("torque")
 RAMP_S = 0.25
 """Raised-cosine start and end of a block."""
 FRICTION_FACTOR = 13.0
 """Peak torque over Coulomb torque below which sticking shows (notes, case study)."""
-NEAR = 0.8
-"""Share of the position window and of the velocity limit that may be used, as in the sweep."""
 TAIL = 0.025
 """Power of the best design that lies below, and as much above, the band called informative."""
 PRICINGS = 3
@@ -92,28 +93,25 @@ class BlockDesigner:
             over = self._over(self._make(length, 0, 1.0))
             if not over:
                 return
-            for axis, kind, ratio in over:
+            # Less torque moves less: travel and speed have their price after that.
+            strong = [o for o in over if o[1] == TORQUE]
+            for axis, kind, ratio in strong or over:
                 limits = self.config.axes[axis].limits
-                travels = kind == "position window"
-                which = self.prices[0] if travels else self.prices[1]
-                self.touched.add(f"{kind} of {self.config.axes[axis].name}")
-                if attempt < PRICINGS:
-                    unit = self.limits[axis] * self.share / (limits.position if travels else limits.velocity)
-                    which[axis] = max(which[axis], unit**2) * ratio**2
-                else:
-                    self.reduced[axis] /= 1.02 * ratio
+                self.touched.add(f"{LIMITS[kind]} of {self.config.axes[axis].name}")
+                if attempt < PRICINGS and kind != TORQUE:
+                    limit = (limits.position, limits.velocity)[kind]
+                    price = self.prices[kind]
+                    price[axis] = max(price[axis], (self.limits[axis] * self.share / limit) ** 2) * ratio**2
+                    continue
+                for i in (axis,) if axis in self.excited else self.excited:
+                    self.reduced[i] /= 1.02 * ratio
 
-    def _over(self, block: PlannedExperiment) -> list[tuple[int, str, float]]:
+    def _over(self, block: PlannedExperiment) -> list[tuple[int, int, float]]:
+        """Axis, kind of limit and how far beyond what is usable of it the announcement would lie."""
         motion = foretold_motion(self.config, block, self.belief)
-        found = []
-        for i, axis in enumerate(self.config.axes):
-            for kind, value, limit in (
-                ("position window", np.abs(motion.position[:, i]).max(), axis.limits.position),
-                ("velocity limit", np.abs(motion.velocity[:, i]).max(), axis.limits.velocity),
-            ):
-                if value > NEAR * limit:
-                    found.append((i, kind, float(value / (NEAR * limit))))
-        return found
+        peaks = [np.abs(x).max(axis=0) for x in (motion.position, motion.velocity, motion.torque)]
+        over = MARGIN * np.array(peaks) / usable(self.config)
+        return [(int(i), int(k), float(over[k, i])) for i, k in np.argwhere(over.T > 1.0)]
 
     def peaks(self, rung: float) -> Float64:
         """(M,) peak torque."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,16 +17,18 @@ from invid.config import (
 from invid.errors import ConfigError, InputError
 from invid.model.chains import CoupledChains
 from invid.numerics.arrays import Float64, frozen_float
-from invid.planning.budget import require_budget
-from invid.planning.forecast import forecast
-from invid.planning.model import AxisForecast, Plan, PlannedExperiment
+from invid.planning.belief import Belief, rigid
+from invid.planning.budget import BusBudget, require_budget
+from invid.planning.forecast import fitted, limit_forecast, model_forecast, model_trials
+from invid.planning.model import Plan, PlannedExperiment
+from invid.planning.phases import FADE_S, REST_S, fade_s, phases_of, trials_of
 from invid.recording.model import Kind, Role
 from invid.signals import excitation
 
-REST_S = 1.0
-"""Pause between experiments in which the hold brings every axis back to its place."""
-FADE_S = 0.5
-"""Length of the raised-cosine start and end of an excitation."""
+UNKNOWN = (
+    "no model of this cell: how far it moves is not known before the trial at a small amplitude, which "
+    "lowers every torque so that it stays within what is announced here"
+)
 CREEP_TRAVEL = 0.5
 """Share of the position window (±) that a creep may use; the excitation needs the rest."""
 
@@ -43,7 +46,7 @@ def make_plan(
     *,
     axes: Sequence[str] | None = None,
     amplitude_scale: float = 1.0,
-    model: CoupledChains | None = None,
+    model: CoupledChains | Belief | None = None,
 ) -> Plan:
     """The plan of a cell's experiments.
 
@@ -54,7 +57,9 @@ def make_plan(
     amplitude_scale
         Factor on every torque, 0 < scale ≤ 1.
     model
-        The last accepted model: expected travel comes from it, resonances included.
+        The last accepted model, with its friction where that is known: what is announced comes from it, and
+        torque is planned so that it keeps the limits. Without one the limits are announced, and the trial
+        of the sweep lowers the torque.
 
     Raises
     ------
@@ -94,35 +99,64 @@ def make_plan(
         except InputError as error:
             raise ConfigError(f"experiments: {error}") from None
         for e in made:
-            experiments.append(_numbered(e, len(experiments)))
+            experiments.append(replace(e, key=f"{len(experiments):03d}"))
     if not experiments:
         raise ConfigError(f"experiments: none excites any of the axes {', '.join(axes or names)}")
-    expected = forecast(config, experiments, model=model)
+    warnings = []
+    if not any(e.role is Role.VALIDATE for e in experiments):
+        warnings.append("no experiment has role 'validate': a diagnosis will have to hold data out by itself")
+    belief = model if isinstance(model, Belief) or model is None else _frictionless(model)
+    return assemble(config, experiments, belief, budget, share=amplitude_scale, warnings=warnings)
+
+
+def assemble(
+    config: CellConfig,
+    experiments: Sequence[PlannedExperiment],
+    belief: Belief | None,
+    budget: BusBudget,
+    *,
+    share: float,
+    warnings: Sequence[str] = (),
+) -> Plan:
+    """Experiments with their trials, phases and forecast; torque lowered where the model leaves a limit.
+
+    ``share`` is the factor on every torque that was asked for.
+    """
+    known = belief is not None and not belief.guessed
+    experiments, said = tuple(experiments), list(warnings)
+    inertia: list[float | None] = [a.inertia for a in config.axes]
+    if belief is not None and known:
+        inertia = [a.inertia or float(m) for a, m in zip(config.axes, belief.inertia, strict=True)]
+        experiments, peaks, lowered = fitted(config, experiments, belief)
+        said += lowered
+        trials = model_trials(config, trials_of(config, experiments), peaks, belief)
+        expected = model_forecast(config, experiments, peaks, belief)
+    else:
+        rough = rigid(config) if belief is None else None
+        if rough is not None:
+            experiments, _, lowered = fitted(config, experiments, rough)
+            said += lowered
+        trials = trials_of(config, experiments)
+        expected = limit_forecast(config, share)
+        said.append(UNKNOWN)
     return Plan(
-        axes=names,
+        axes=tuple(a.name for a in config.axes),
         cycle_s=config.bus.cycle_s,
-        experiments=tuple(experiments),
+        experiments=experiments,
         rest_s=REST_S,
         budget=budget,
         forecast=expected,
-        warnings=tuple(_warnings(config, expected, experiments)),
+        warnings=tuple(said),
+        trials=trials,
+        phases=phases_of(config, experiments, trials, inertia=inertia),
+        inertia=tuple(inertia),
     )
 
 
-def _numbered(e: PlannedExperiment, number: int) -> PlannedExperiment:
-    return PlannedExperiment(
-        key=f"{number:03d}",
-        kind=e.kind,
-        role=e.role,
-        excited=e.excited,
-        torque=e.torque,
-        reference=e.reference,
-        record_from=e.record_from,
-        record_to=e.record_to,
-        period_samples=e.period_samples,
-        frequencies_hz=e.frequencies_hz,
-        attributes=e.attributes,
-    )
+def _frictionless(chains: CoupledChains) -> Belief:
+    zero = frozen_float(np.zeros(chains.branches))
+    bare = replace(chains, ground_dampers=zero)
+    return Belief(bare, chains.ground_dampers, zero, "the last model", False)
 
 
 def _multisine(
@@ -147,7 +181,7 @@ def _multisine(
     signal = excitation.multisine(lines, period, rate, rng=rng, rotations=turns)
     # Runs of one count only are orthogonal; a single validating run takes the phases as drawn, each
     # axis with its own so that the axes do not all push at the same moment.
-    fade = round(FADE_S * rate)
+    fade = round(fade_s(float(signal.frequencies.min())) * rate)
     result = []
     for run in range(runs):
         one = np.zeros((period, peaks.size))
@@ -195,11 +229,11 @@ def _stepped_sine(
 ) -> list[PlannedExperiment]:
     """One experiment per axis and frequency: each is periodic by itself."""
     rate = 1.0 / config.bus.cycle_s
-    fade = round(FADE_S * rate)
     result = []
     for axis in excited:
         for wanted in spec.frequencies_Hz:
             _below_nyquist(wanted, rate)
+            fade = round(fade_s(wanted) * rate)
             period = max(2, round(rate / wanted))
             frequency = rate / period
             settle, keep = spec.settle_cycles * period, spec.cycles * period
@@ -231,10 +265,14 @@ def _chirp(
 ) -> list[PlannedExperiment]:
     rate = 1.0 / config.bus.cycle_s
     _below_nyquist(spec.band_Hz[1], rate)
-    fade = round(FADE_S * rate)
+    fade = round(fade_s(spec.band_Hz[0]) * rate)
     samples = round(spec.duration_s * rate)
-    wave = excitation.ramped(excitation.chirp(spec.band_Hz, samples, rate), fade, fade)
-    after = 2 * fade  # the record ends with the ringing after the sweep, not in the middle of it
+    wave = excitation.ramped(
+        excitation.chirp(spec.band_Hz, samples, rate), min(fade, samples // 4), round(FADE_S * rate)
+    )
+    after = round(
+        2 * FADE_S * rate
+    )  # the record ends with the ringing after the sweep, not in the middle of it
     result = []
     for axis in excited:
         torque = np.zeros((samples + after, peaks.size))
@@ -304,28 +342,3 @@ def _below_nyquist(frequency: float, rate: float) -> None:
             f"experiments: {frequency:g} Hz is above a tenth of the cycle rate ({rate / 10:g} Hz), the "
             "highest frequency to trust; shorten cycle_s or lower the band"
         )
-
-
-def _warnings(
-    config: CellConfig, expected: Sequence[AxisForecast], experiments: Sequence[PlannedExperiment]
-) -> list[str]:
-    warnings = []
-    # Where an accepted model is given, it says how far an axis goes.
-    unknown = {f.axis for f in expected if f.travel is None}
-    for axis in config.axes:
-        if axis.inertia is None and axis.name in unknown:
-            warnings.append(
-                f"axis {axis.name}: no inertia in the config, so travel is only known after the trial at low "
-                "amplitude; it is scaled down there where it would leave the position window"
-            )
-    for f in expected:
-        if f.travel is not None and f.travel > f.travel_limit:
-            unit = "m" if config.linear else "rad"
-            warnings.append(
-                f"axis {f.axis}: at full amplitude it would go {f.travel:.3g} {unit} by its {f.basis}, "
-                f"its window is {f.travel_limit:g}; the trial scales the torque down, but check limits and "
-                "inertia"
-            )
-    if not any(e.role is Role.VALIDATE for e in experiments):
-        warnings.append("no experiment has role 'validate': a diagnosis will have to hold data out by itself")
-    return warnings

@@ -1,86 +1,238 @@
-"""Travel, velocity and power to expect, from the last model or a rigid guess."""
+"""What a run may at most do, from the last model or, where nobody knows the plant, from the limits."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from invid.config import CellConfig
-from invid.model.chains import CoupledChains
-from invid.model.forward import frf
-from invid.numerics.arrays import Float64
+from invid.numerics.arrays import Float64, frozen_float
 from invid.planning.belief import Belief
-from invid.planning.model import AxisForecast, PlannedExperiment
-from invid.planning.response import foretold_motion
-from invid.recording.model import Kind
+from invid.planning.model import AxisForecast, PlannedExperiment, Trial
+from invid.planning.phases import REST_S, SIGN_TRAVEL, excerpt, sign_amplitude, sign_doublet
+from invid.planning.response import foretold_motion, held_by_drive, hold_gains
 
+MARGIN = 1.25
+"""Motion and torque announced over those that the model foretells. Empirical: the models that an
+identification returns foretell the peaks of the same machine to a tenth, with 5 % of friction
+(``bench_announced.py``); what goes beyond the margin the trial sees, and scales down."""
+DRIVE_HOLDS_HZ = (5.0, 15.0, 50.0)
+"""Nobody has told how stiff the loops inside the drives are: the worst of these counts, as bandwidths on the
+rigid axis."""
+READING = 0.03
+"""Noise of 0x6077 as a share of rated torque: six standard deviations of 0.5 %, as the watch allows."""
+FULL = 0.95
+"""Share of a limit that what is announced may use."""
+MOST_SPREAD = 10.0
+"""An axis that a trial hardly moves says no more about the experiments than this."""
+AGAIN = 2.0
+"""Motion in the doublets over that of one from rest: each begins where the one before left the axis."""
+ROUNDS = 6
 NEVER_BACK = 2.5
 """Creep in rms velocities of the shaking above which a motor hardly turns back (once in a hundred, normal).
 ``bench_identify.py --case creep``, peak twice the friction: there every seed is good to 1 %; with three
 fifths of it two seeds were, with three tenths none."""
 
 
-def forecast(
-    config: CellConfig, experiments: Sequence[PlannedExperiment], *, model: CoupledChains | None = None
-) -> tuple[AxisForecast, ...]:
-    """Peak torque, travel, velocity and power of every axis over all experiments.
+@dataclass(frozen=True, eq=False)
+class Peaks:
+    """What an experiment does to every axis, without any margin.
 
-    With a model the response at every line is G(ω)·T(ω), resonances and couplings included, summed in
-    magnitude. With an inertia alone it is Σ|T|/(S·ω²): rigid, so flexible modes may exceed it. With
-    neither nothing is foretold and the trial at low amplitude must tell.
+    Attributes
+    ----------
+    motion
+        (3, M) largest travel, velocity and torque; in proportion to the amplitude.
+    friction
+        (3, M) what dry friction adds whatever the amplitude is: how far from its place it lets an axis rest,
+        and the torque that it takes of an axis that is led.
+    """
+
+    motion: Float64
+    friction: Float64
+
+    @property
+    def bound(self) -> Float64:
+        """(3, M) with the margin of a model."""
+        return MARGIN * self.motion + self.friction
+
+
+def highest(parts: Sequence[Float64], axes: int) -> Float64:
+    """(3, M) largest of several."""
+    result: Float64 = np.max([np.zeros((3, axes)), *parts], axis=0)
+    return result
+
+
+def peaks_of(config: CellConfig, experiment: PlannedExperiment, belief: Belief) -> Peaks:
+    """Start, run-in, record, end and the rest after it, from rest.
+
+    Friction is left out of the motion, which it only lessens.
     """
     count = len(config.axes)
-    peak = np.zeros(count)
-    travel, velocity = np.zeros(count), np.zeros(count)
-    for e in experiments:
-        peak = np.maximum(peak, np.abs(e.torque).max(axis=0, initial=0.0))
-        x, v = _motion(config, e, model)
-        travel, velocity = np.maximum(travel, x), np.maximum(velocity, v)
-    known = "model" if model is not None else "inertia"
-    result = []
-    for i, axis in enumerate(config.axes):
-        has = model is not None or axis.inertia is not None
-        result.append(
-            AxisForecast(
-                axis=axis.name,
-                unit="N" if config.linear else "N·m",
-                peak_torque=float(peak[i]),
-                travel=float(travel[i]) if has else None,
-                velocity=float(velocity[i]) if has else None,
-                power=float(peak[i] * velocity[i]) if has else None,
-                travel_limit=axis.limits.position,
-                basis=known if has else "unknown",
-            )
-        )
-    return tuple(result)
+    free = replace(belief, coulomb=np.zeros(count))
+    rest = round(REST_S / config.bus.cycle_s)
+    whole = _with_rest(experiment, rest)
+    bandwidths = DRIVE_HOLDS_HZ if held_by_drive(config, experiment).any() else DRIVE_HOLDS_HZ[:1]
+    found = []
+    for bandwidth in bandwidths:
+        motion = foretold_motion(config, whole, free, drive_hold_hz=bandwidth)
+        found.append(np.abs([motion.position, motion.velocity, motion.torque]).max(axis=1))
+    stiffness, _ = hold_gains(config, experiment, belief)
+    led = np.array([i in experiment.excited for i in range(count)])
+    friction = led * np.stack([belief.coulomb / stiffness, np.zeros(count), belief.coulomb])
+    return Peaks(highest(found, count), friction)
 
 
-def forecast_motion(
-    config: CellConfig, experiments: Sequence[PlannedExperiment], belief: Belief
+def _with_rest(e: PlannedExperiment, rest: int) -> PlannedExperiment:
+    torque = np.concatenate((e.torque, np.zeros((rest, e.torque.shape[1]))))
+    path = e.reference
+    if path is not None:
+        path = np.concatenate((path, np.repeat(path[-1:], rest, axis=0)))
+    return replace(e, torque=torque, reference=path)
+
+
+def model_trials(
+    config: CellConfig,
+    trials: Sequence[Trial],
+    peaks: Sequence[Peaks],
+    belief: Belief,
+) -> tuple[Trial, ...]:
+    """The trials with the spread that the model foretells; ``peaks`` are those of all experiments."""
+    found = []
+    for trial in trials:
+        own = np.maximum(peaks_of(config, excerpt(config, trial, 1), belief).motion, 1e-300)
+        whole = highest([peaks[k].motion for k in trial.covers], len(config.axes))
+        found.append(replace(trial, spread=frozen_float(np.clip(whole / own, 1.0, MOST_SPREAD))))
+    return tuple(found)
+
+
+def model_forecast(
+    config: CellConfig, experiments: Sequence[PlannedExperiment], peaks: Sequence[Peaks], belief: Belief
 ) -> tuple[AxisForecast, ...]:
-    """The same from the motion in time, transients, holds and friction included."""
-    count = len(config.axes)
-    peak, travel, velocity = np.zeros(count), np.zeros(count), np.zeros(count)
-    for e in experiments:
-        motion = foretold_motion(config, e, belief)
-        peak = np.maximum(peak, np.abs(e.torque).max(axis=0, initial=0.0))
-        travel = np.maximum(travel, np.abs(motion.position).max(axis=0))
-        velocity = np.maximum(velocity, np.abs(motion.velocity).max(axis=0))
+    """The announcement from a model."""
+    bounds = highest([p.bound for p in peaks], len(config.axes))
+    for i in sorted({i for e in experiments for i in e.excited}):
+        first, _ = sign_amplitude(config, experiments, i)
+        doublet = sign_doublet(config, i, first, float(belief.inertia[i]))
+        bounds = np.maximum(bounds, AGAIN * peaks_of(config, doublet, belief).bound)
+        bounds[0, i] = max(bounds[0, i], SIGN_TRAVEL * config.axes[i].limits.position)
+    for i, axis in enumerate(config.axes):
+        bounds[2, i] += READING * (axis.rated_torque or axis.limits.torque)
+        if axis.gravity_loaded:
+            bounds[2, i] = axis.limits.torque  # what gravity asks for is only known when it hangs
+    return announced(config, np.minimum(bounds, limits_of(config)), "model")
+
+
+def limit_forecast(config: CellConfig, share: float) -> tuple[AxisForecast, ...]:
+    """The announcement where nothing is known: the sweep keeps below this share of the limits.
+
+    ``share`` is the share of the amplitude that was asked for: a plant that may use its whole window at full
+    amplitude uses no more of it at less. What a drive needs to hold its axis while others move is not known:
+    it has its whole torque.
+    """
+    bounds = limits_of(config)
+    bounds[0] *= max(share, SIGN_TRAVEL)
+    for i, axis in enumerate(config.axes):
+        if axis.inertia is not None:
+            # √(A·x/m), the speed of a mass that a doublet of torque A moves by x; half of it may be the motor
+            doublet = np.sqrt(config.safety.test_amplitude * bounds[2, i] * bounds[0, i] / axis.inertia)
+            bounds[1, i] *= max(share, min(2.0 * AGAIN * float(doublet) / bounds[1, i], 1.0))
+    return announced(config, bounds, "limits")
+
+
+def limits_of(config: CellConfig) -> Float64:
+    """(3, M) limits of travel, velocity and torque."""
+    return np.array([[a.limits.position, a.limits.velocity, a.limits.torque] for a in config.axes]).T
+
+
+def usable(config: CellConfig) -> Float64:
+    """(3, M) what may be planned with: the limits less a little, torque less the noise of its reading."""
+    most = FULL * limits_of(config)
+    room = READING * np.array([a.rated_torque or a.limits.torque for a in config.axes])
+    most[2] = np.maximum(most[2] - room, 0.5 * most[2])
+    return most
+
+
+def announced(config: CellConfig, bounds: Float64, basis: str) -> tuple[AxisForecast, ...]:
+    """(3, M) bounds in words."""
     return tuple(
         AxisForecast(
             axis=axis.name,
             unit="N" if config.linear else "N·m",
-            peak_torque=float(peak[i]),
-            travel=float(travel[i]),
-            velocity=float(velocity[i]),
-            power=float(peak[i] * velocity[i]),
+            peak_torque=float(bounds[2, i]),
+            travel=float(bounds[0, i]),
+            velocity=float(bounds[1, i]),
+            power=float(bounds[2, i] * bounds[1, i]),
             travel_limit=axis.limits.position,
-            basis="guess" if belief.guessed else "model",
+            basis=basis,
         )
         for i, axis in enumerate(config.axes)
     )
+
+
+QUANTITIES = ("travel", "velocity", "torque")
+
+
+def fitted(
+    config: CellConfig, experiments: Sequence[PlannedExperiment], belief: Belief
+) -> tuple[tuple[PlannedExperiment, ...], list[Peaks], list[str]]:
+    """The experiments with as much torque as the limits allow by the model, their peaks, and what was done.
+
+    Where an excited axis would leave a limit its own torque is lowered, in every experiment alike so that
+    they go on complementing each other; where a held axis would, that of those which shake it.
+    """
+    count = len(config.axes)
+    most = usable(config)
+    factor, binding = np.ones(count), dict[int, str]()
+    peaks = [peaks_of(config, e, belief) for e in experiments]
+    for _ in range(ROUNDS):
+        lower = np.ones(count)
+        for e, p in zip(experiments, peaks, strict=True):
+            if not e.torque.any():
+                continue  # a slow move has no amplitude: its path was checked against the limits
+            over = MARGIN * p.motion / np.maximum(most - p.friction, most / 2)
+            for i in np.flatnonzero(over.max(axis=0) > 1.0):
+                for j in e.excited if i not in e.excited else (int(i),):
+                    if 1.0 / over[:, i].max() < lower[j]:
+                        lower[j] = 1.0 / over[:, i].max()
+                        what = QUANTITIES[int(over[:, i].argmax())]
+                        binding[j] = f"{what} of {config.axes[i].name}"
+        if lower.min() >= 1.0:
+            break
+        # a hair more, so that rounds end
+        factor *= np.where(lower < 1.0, 0.99 * lower, 1.0)
+        changed = {int(j) for j in np.flatnonzero(lower < 1.0)}
+        scaled = [_scaled(config, e, factor) if changed & set(e.excited) else None for e in experiments]
+        peaks = [p if e is None else peaks_of(config, e, belief) for e, p in zip(scaled, peaks, strict=True)]
+    result = tuple(_scaled(config, e, factor) for e in experiments)
+    said = [
+        f"axis {config.axes[j].name}: its torque is planned at {factor[j]:.0%} of what was asked for, so "
+        f"that the {why} stays within its limit by {belief.source}"
+        for j, why in sorted(binding.items())
+        if factor[j] < 1.0
+    ]
+    return result, peaks, said
+
+
+def _scaled(config: CellConfig, e: PlannedExperiment, factor: Float64) -> PlannedExperiment:
+    """With every torque, and the travel of a creep, times the factor of its axis."""
+    if factor.min() >= 1.0:
+        return e
+    path = e.reference
+    if path is not None and e.torque.any():
+        # a creep turns round earlier at the same speed
+        most = factor * np.abs(path).max(axis=0)
+        span = np.where(most > 0, 4 * most, np.inf)
+        path = np.where(most > 0, _folded(path, most, span), path)
+    return replace(e, torque=frozen_float(e.torque * factor), reference=path)
+
+
+def _folded(path: Float64, most: Float64, span: Float64) -> Float64:
+    safe = np.where(np.isfinite(span), span, 1.0)
+    way = np.cumsum(np.abs(np.diff(path, axis=0, prepend=path[:1])), axis=0)
+    result: Float64 = most * (1.0 - np.abs(np.mod(way / safe * 4 + 1.0, 4.0) - 2.0))
+    return result
 
 
 def turning_back(config: CellConfig, experiment: PlannedExperiment, belief: Belief) -> list[str]:
@@ -98,35 +250,3 @@ def turning_back(config: CellConfig, experiment: PlannedExperiment, belief: Beli
         for i, axis in enumerate(config.axes)
         if 0 < creep[i] < NEVER_BACK * swing[i]
     ]
-
-
-def _motion(config: CellConfig, e: PlannedExperiment, model: CoupledChains | None) -> tuple[Float64, Float64]:
-    count = len(config.axes)
-    if e.kind is Kind.CONSTANT_VELOCITY and e.reference is not None:
-        rate = 1.0 / config.bus.cycle_s
-        return np.abs(e.reference).max(axis=0), np.abs(np.diff(e.reference, axis=0)).max(axis=0) * rate
-    rows = e.torque[e.record_from : e.record_from + e.period_samples] if e.period_samples else e.torque
-    spectrum = np.fft.rfft(rows, axis=0) * (2.0 / len(rows))
-    omega = 2 * np.pi * np.fft.rfftfreq(len(rows), config.bus.cycle_s)
-    keep = np.abs(spectrum).max(axis=1) > 1e-6 * max(float(np.abs(spectrum).max()), 1e-300)
-    # Below the band is leakage of the ramps, which division by ω² would blow up.
-    low, _ = e.attributes.get("band_hz", (0.0, 0.0))
-    keep &= omega > np.pi * low
-    keep[0] = False
-    omega, spectrum = omega[keep], spectrum[keep]
-    if not omega.size:
-        return np.zeros(count), np.zeros(count)
-    if model is not None:
-        response = np.abs(np.einsum("fij,fj->fi", frf(model, omega), spectrum))
-    else:
-        inertia = np.array([a.inertia if a.inertia is not None else np.inf for a in config.axes])
-        response = np.abs(spectrum) / (omega[:, None] ** 2 * inertia)
-    offset = np.abs(e.reference).max(axis=0) if e.reference is not None else np.zeros(count)
-    if e.period_samples:
-        return response.sum(axis=0) + offset, (omega[:, None] * response).sum(axis=0)
-    # A sweep is at one frequency at a time: its spectrum adds up to its peak only in rms.
-    scale = np.sqrt(2.0)
-    return (
-        np.sqrt((response**2).sum(axis=0)) * scale + offset,
-        np.sqrt(((omega[:, None] * response) ** 2).sum(axis=0)) * scale,
-    )

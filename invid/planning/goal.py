@@ -19,10 +19,11 @@ from invid.errors import ConfigError
 from invid.planning.belief import Belief
 from invid.planning.blocks import FRICTION_FACTOR, BlockDesigner
 from invid.planning.budget import require_budget
-from invid.planning.build import REST_S
+from invid.planning.build import assemble
 from invid.planning.expected_covariance import Expected, Noise
-from invid.planning.forecast import forecast_motion, turning_back
+from invid.planning.forecast import turning_back
 from invid.planning.model import Plan, PlannedExperiment
+from invid.planning.phases import REST_S
 
 BLOCKS_S = (5.0, 6.5, 8.0, 10.0, 13.0, 16.0, 20.0)
 """Lengths of a block. Shorter than 5 s the lines lie so far apart that a fit from nothing may miss a
@@ -75,7 +76,7 @@ class GoalPlan:
             )
         return (
             f"{self.goal:.2g} is not expected within the limits: {name} would reach "
-            f"{worst:.2g} in {self.plan.duration_s:.0f} s; what binds: {', '.join(self.binding)}"
+            f"{worst:.2g} in {self.plan.shaking_s:.0f} s; what binds: {', '.join(self.binding)}"
         )
 
     def to_json(self) -> dict[str, Any]:
@@ -133,9 +134,7 @@ def plan_for_goal(
 
     def plan_of(blocks: Sequence[PlannedExperiment]) -> Plan:
         numbered = tuple(replace(e, key=f"{k:03d}") for k, e in enumerate(blocks))
-        return Plan(
-            known, config.bus.cycle_s, numbered, REST_S, budget, forecast_motion(config, numbered, belief)
-        )
+        return assemble(config, numbered, belief, budget, share=amplitude_scale)
 
     lengths = [t * max(1.0, 0.5 / designer.band[0]) for t in BLOCKS_S]
     lengths = [t for t in lengths if t + REST_S <= max_duration_s] or [max(max_duration_s - REST_S, 1.0)]
@@ -211,8 +210,9 @@ def _finish(
         plan=replace(
             plan,
             warnings=(
+                *plan.warnings,
                 *designer.warnings(rungs[0]),
-                *turning_back(designer.config, blocks[0], designer.belief),
+                *turning_back(designer.config, plan.experiments[0], designer.belief),
             ),
         ),
         goal=goal,

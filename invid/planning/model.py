@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
 from typing import Any
 
 from invid.numerics.arrays import Float64
@@ -48,27 +49,86 @@ class PlannedExperiment:
         return self.excited[0] if len(self.excited) == 1 else -1
 
 
+class Step(StrEnum):
+    """What a phase of a sweep is for."""
+
+    SETTLE = "settle"
+    """Held where every axis stands."""
+    SIGNS = "signs"
+    """Doublets on one axis: do torque and encoder agree in sign?"""
+    TRIAL = "trial"
+    """The start of an experiment at a tenth, then at a third of its amplitude."""
+    EXPERIMENT = "experiment"
+    """A rest, then one experiment with its start, run-in, record and end."""
+    RETURN = "return"
+    """Every axis back to its place and to rest, before the drives are switched off."""
+
+
+@dataclass(frozen=True)
+class PhasePlan:
+    """One phase: its step, the number of its axis (signs), trial or experiment, and its length."""
+
+    step: Step
+    number: int
+    name: str
+    cycles: int
+    """Expected length in SYNC cycles, rests included; doublets may take more or fewer."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """What is tried at a small amplitude for the experiments that it stands for.
+
+    Attributes
+    ----------
+    covers
+        Numbers of those experiments.
+    spread
+        (3, M) how much further, faster and stronger they may be than the trial's own start at the same
+        amplitude.
+    """
+
+    experiment: PlannedExperiment
+    covers: tuple[int, ...]
+    spread: Float64
+
+
 @dataclass(frozen=True)
 class AxisForecast:
-    """What an axis may see, at full amplitude."""
+    """What an axis may at most see from the first cycle to the last, trials and moves included."""
 
     axis: str
     unit: str
     peak_torque: float
-    travel: float | None
-    """Largest expected distance from the start; ``None`` where no inertia is known."""
-    velocity: float | None
-    power: float | None
+    """Excitation, hold and, on a held axis, the reaction to the others; with the noise of its reading."""
+    travel: float
+    """Distance from where it stood at the start [rad or m]."""
+    velocity: float
+    power: float
     """Peak torque times peak velocity [W]."""
     travel_limit: float
     """The position window: beyond it the motion is stopped, whatever was expected."""
     basis: str
-    """``model``, ``inertia`` or ``unknown``."""
+    """``model``: foretold from the last model; ``limits``: nobody knows the plant, and the sweep keeps below
+    these; ``trial``: measured at a small amplitude."""
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return {
+            "axis": self.axis,
+            "unit": self.unit,
+            "peak_torque": self.peak_torque,
+            "travel": self.travel,
+            "travel_limit": self.travel_limit,
+            "velocity": self.velocity,
+            "power_W": self.power,
+            "basis": self.basis,
+        }
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Experiments in order, and the facts of a dry run."""
+    """Experiments in order, the phases around them, and the facts of a dry run."""
 
     axes: tuple[str, ...]
     cycle_s: float
@@ -77,6 +137,10 @@ class Plan:
     budget: BusBudget
     forecast: tuple[AxisForecast, ...]
     warnings: tuple[str, ...] = ()
+    trials: tuple[Trial, ...] = ()
+    phases: tuple[PhasePlan, ...] = ()
+    inertia: tuple[float | None, ...] = ()
+    """Rigid inertia of each axis by the config, else by the model; ``None``: the sign trial must tell."""
 
     @property
     def excited(self) -> tuple[int, ...]:
@@ -85,9 +149,20 @@ class Plan:
 
     @property
     def duration_s(self) -> float:
-        """Robot time of the experiments and the rests between them, trials of the signs apart [s]."""
+        """Robot time of the whole run: settling, trials, experiments and the rests between them [s]."""
+        return sum(p.cycles for p in self.phases) * self.cycle_s
+
+    @property
+    def shaking_s(self) -> float:
+        """Robot time of the experiments and the rests between them [s]."""
         cycles = sum(e.cycles for e in self.experiments)
         return cycles * self.cycle_s + len(self.experiments) * self.rest_s
+
+    def first(self, count: int) -> Plan:
+        """The plan with its first ``count`` experiments only."""
+        kept = tuple(p for p in self.phases if p.step is not Step.EXPERIMENT or p.number < count)
+        trials = tuple(replace(t, covers=tuple(k for k in t.covers if k < count)) for t in self.trials)
+        return replace(self, experiments=self.experiments[:count], phases=kept, trials=trials)
 
     def to_json(self) -> dict[str, Any]:
         """Facts for a person or a page, in plain values."""
@@ -112,18 +187,6 @@ class Plan:
                 }
                 for e in self.experiments
             ],
-            "forecast": [
-                {
-                    "axis": f.axis,
-                    "unit": f.unit,
-                    "peak_torque": f.peak_torque,
-                    "travel": f.travel,
-                    "travel_limit": f.travel_limit,
-                    "velocity": f.velocity,
-                    "power_W": f.power,
-                    "basis": f.basis,
-                }
-                for f in self.forecast
-            ],
+            "forecast": [f.to_json() for f in self.forecast],
             "warnings": list(self.warnings),
         }

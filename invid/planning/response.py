@@ -14,10 +14,11 @@ import numpy as np
 
 from invid.config import CellConfig
 from invid.model.chains import CoupledChains
-from invid.numerics.arrays import Complex128, Float64
+from invid.numerics.arrays import Bool, Complex128, Float64
 from invid.planning.belief import Belief
 from invid.planning.hold_laws import centring, following, master_hold
 from invid.planning.model import PlannedExperiment
+from invid.planning.phases import lowest_frequency
 from invid.recording.model import Kind
 
 SHIFT = 14.0
@@ -41,14 +42,12 @@ class Motion:
     torque: Float64
 
 
-def lowest_line(experiment: PlannedExperiment) -> float:
-    """Lowest excited frequency [Hz], which the centring hold follows."""
-    if experiment.frequencies_hz.size:
-        return float(experiment.frequencies_hz.min())
-    return float(experiment.attributes.get("band_hz", (1.0, 0.0))[0])
-
-
-def hold_gains(config: CellConfig, experiment: PlannedExperiment, belief: Belief) -> tuple[Float64, Float64]:
+def hold_gains(
+    config: CellConfig,
+    experiment: PlannedExperiment,
+    belief: Belief,
+    drive_hold_hz: float = DRIVE_HOLD_HZ,
+) -> tuple[Float64, Float64]:
     """(M,) stiffness and (M,) damping of the hold of every axis, as the sweep sets them."""
     cycle = config.bus.cycle_s
     stiffness, damping = np.zeros(len(config.axes)), np.zeros(len(config.axes))
@@ -58,7 +57,7 @@ def hold_gains(config: CellConfig, experiment: PlannedExperiment, belief: Belief
             gains = (
                 following(inertia, cycle)
                 if experiment.kind is Kind.CONSTANT_VELOCITY
-                else centring(inertia, lowest_line(experiment), cycle)
+                else centring(inertia, lowest_frequency([experiment]), cycle)
             )
             stiffness[i], damping[i] = gains.stiffness, gains.damping
             continue
@@ -66,18 +65,33 @@ def hold_gains(config: CellConfig, experiment: PlannedExperiment, belief: Belief
         if held is not None:
             stiffness[i], damping[i] = held.stiffness, held.damping
         else:
-            omega = 2 * np.pi * DRIVE_HOLD_HZ
+            omega = 2 * np.pi * drive_hold_hz
             stiffness[i] = belief.inertia[i] * omega**2
             damping[i] = 1.4 * belief.inertia[i] * omega
     return stiffness, damping
 
 
+def held_by_drive(config: CellConfig, experiment: PlannedExperiment) -> Bool:
+    """(M,) axes that stand still inside their drives."""
+    return np.array(
+        [i not in experiment.excited and a.hold.mode == "drive" for i, a in enumerate(config.axes)]
+    )
+
+
 def foretold_motion(
-    config: CellConfig, experiment: PlannedExperiment, belief: Belief, *, scale: float = 1.0
+    config: CellConfig,
+    experiment: PlannedExperiment,
+    belief: Belief,
+    *,
+    scale: float = 1.0,
+    drive_hold_hz: float = DRIVE_HOLD_HZ,
 ) -> Motion:
-    """Motion of all motors over the whole experiment, from rest."""
+    """Motion of all motors over the whole experiment, from rest.
+
+    ``drive_hold_hz`` is the bandwidth believed of the position loops inside the drives.
+    """
     cycle, count = config.bus.cycle_s, experiment.cycles
-    stiffness, damping = hold_gains(config, experiment, belief)
+    stiffness, damping = hold_gains(config, experiment, belief, drive_hold_hz)
     drive = scale * experiment.torque
     if experiment.reference is not None:
         path = experiment.reference
@@ -94,10 +108,17 @@ def foretold_motion(
     keep = omega <= 2 * np.pi * min(top, 0.45 / cycle)
     s: Complex128 = np.asarray(sigma + 1j * omega[keep], dtype=np.complex128)
     held = np.exp(-s * cycle / 2) * np.sinc(1j * s * cycle / 2 / np.pi)  # (1 − e^{−sh})/(sh)
-    law = stiffness + damping * s[:, None]
+    # A hold of the master answers a sample at the next SYNC, with the mean velocity of the last cycle, and
+    # keeps its torque for a cycle; the loop inside a drive is fast against all that is shaken.
+    z = np.exp(-s * cycle)[:, None]
+    law = np.where(
+        held_by_drive(config, experiment),
+        stiffness + damping * s[:, None],
+        held[:, None] * z * (stiffness + damping * (1.0 - z) / cycle),
+    )
     plant = _stiffness(belief.chains, belief.viscous, s)
     index = np.arange(law.shape[1])
-    plant[:, index, index] += held[:, None] * law
+    plant[:, index, index] += law
     answer = np.linalg.inv(plant)
 
     def spectrum(values: Float64) -> Complex128:
@@ -121,7 +142,7 @@ def foretold_motion(
             friction = new if not friction.any() else friction + RELAXATION * (new - friction)
             motion = np.einsum("fij,fj->fi", answer, commanded + spectrum(friction))
     position, velocity = wave(motion), wave(s[:, None] * motion)
-    torque = drive - stiffness * position - damping * velocity
+    torque = drive - wave(law * motion)
     return Motion(position[:count], velocity[:count], torque[:count])
 
 

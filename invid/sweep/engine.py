@@ -8,11 +8,12 @@ from dataclasses import dataclass, field
 
 from invid.config import CellConfig
 from invid.planning.hold_laws import master_hold
-from invid.planning.model import Plan, PlannedExperiment
+from invid.planning.model import AxisForecast, PhasePlan, Plan, Step
+from invid.planning.phases import lowest_frequency
 from invid.recording.model import Kind
 from invid.sweep.motion import Motion
 from invid.sweep.ports import Cell, Sink
-from invid.sweep.rehearsal import CLIMB_S, TRIAL_PERIOD_S, Rehearsal, lowest_frequency
+from invid.sweep.rehearsal import Rehearsal
 from invid.sweep.watch import Statistics
 
 DECIDE_S, DECIDE_POLL_S = 60.0, 0.1
@@ -31,6 +32,8 @@ class Progress:
     """0…1."""
     eta_s: float
     """Remaining robot time [s]."""
+    forecast: tuple[AxisForecast, ...] = ()
+    """What is announced now: before the trials by the plan, after them by what they measured."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +45,8 @@ class SweepResult:
     inertia: dict[str, float]
     """Rigid inertia of each excited axis as the trial saw it [kg·m² or kg]."""
     statistics: Statistics
+    forecast: tuple[AxisForecast, ...] = ()
+    """What was announced after the trials."""
     warnings: tuple[str, ...] = ()
     measured_s: float = 0.0
 
@@ -64,10 +69,8 @@ class Sweep:
     def __post_init__(self) -> None:
         self._motion = Motion(self.plan, self.config, self.cell, self.stop, self._report)
         self._rehearsal = Rehearsal(self._motion, self.warnings)
-        self._total_s = self.plan.duration_s + self._trial_s()
-
-    def _trial_s(self) -> float:
-        return 2.0 * len(self.plan.excited) + TRIAL_PERIOD_S + CLIMB_S + self.plan.rest_s
+        self._total_s = self.plan.duration_s
+        self._forecast = self.plan.forecast
 
     # --- the run -------------------------------------------------------------------------------
     def run(self) -> SweepResult:
@@ -82,25 +85,36 @@ class Sweep:
         for axis in self.config.axes:
             master_hold(axis, self.plan.cycle_s)  # refuses an unstable hold before anything is enabled
         try:
-            self._motion.start()
-            for i in self.plan.excited:
-                self._rehearsal.try_signs(i)
-            self._rehearsal.try_amplitude()
-            for number, experiment in enumerate(self.plan.experiments):
-                self._experiment(experiment, number)
-                if number + 1 < len(self.plan.experiments) and self._enough(number):
-                    self._total_s = self._motion.done_s
-                    break
+            for phase in self.plan.phases:
+                match phase.step:
+                    case Step.SETTLE:
+                        self._motion.start()
+                    case Step.SIGNS:
+                        self._rehearsal.try_signs(phase.number)
+                    case Step.TRIAL:
+                        self._rehearsal.try_amplitude(self.plan.trials[phase.number])
+                        self._forecast = self._rehearsal.forecast()
+                    case Step.EXPERIMENT:
+                        self._experiment(phase)
+                        more = phase.number + 1 < len(self.plan.experiments)
+                        if more and self._enough(phase.number):
+                            self._total_s = self._motion.done_s
+                            break
+                    case Step.RETURN:
+                        self._motion.phase, self._motion.experiment = phase.name, None
+                        self._motion.rest(set(self._motion.led))
         finally:
             self.cell.stop()
+        measured_s = self._motion.done_s
         self._motion.phase, self._motion.done_s = "done", self._total_s
         self._report()
         return SweepResult(
-            scale=self._rehearsal.scale,
+            scale=float(self._rehearsal.scales.min()),
             inertia={self.plan.axes[i]: m for i, m in self._motion.inertia.items()},
             statistics=self._motion.watching.statistics,
+            forecast=self._forecast,
             warnings=tuple(self.warnings),
-            measured_s=self._total_s,
+            measured_s=measured_s,
         )
 
     @property
@@ -123,18 +137,18 @@ class Sweep:
         )
         return True
 
-    def _experiment(self, experiment: PlannedExperiment, number: int) -> None:
-        self._motion.phase = f"experiment {number + 1} of {len(self.plan.experiments)}"
+    def _experiment(self, phase: PhasePlan) -> None:
+        experiment, scale = self.plan.experiments[phase.number], float(self._rehearsal.scales[phase.number])
+        self._motion.phase = phase.name
         self._motion.experiment = experiment
         path = experiment.kind is Kind.CONSTANT_VELOCITY
         excited = set(experiment.excited)
+        self._motion.rest(excited)
         self._motion.centre(excited, lowest=lowest_frequency([experiment]), path=path)
-        cycle = self.plan.cycle_s
-        self._motion.play(None, round(self.plan.rest_s / cycle))
         gains = [float("nan")] * self._motion.count
         for f in self._motion.feedback:
             gains[f.axis] = f.gains.stiffness
-        self.sink.begin(experiment, gains, self._rehearsal.scale)
+        self.sink.begin(experiment, gains, scale)
         self._motion.must_move = set() if path else excited
         self._motion.watching.standing.slowest(lowest_frequency([experiment]))
         try:
@@ -142,7 +156,7 @@ class Sweep:
                 experiment.torque,
                 experiment.cycles,
                 reference=experiment.reference,
-                scale=self._rehearsal.scale,
+                scale=scale,
                 sink=self.sink,
                 rows=(experiment.record_from, experiment.record_to),
             )
@@ -166,5 +180,6 @@ class Sweep:
                 else None,
                 fraction=done / self._total_s if self._total_s > 0 else 1.0,
                 eta_s=max(self._total_s - done, 0.0),
+                forecast=self._forecast,
             )
         )

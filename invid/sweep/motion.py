@@ -13,14 +13,15 @@ from invid.errors import SafetyStop
 from invid.numerics.arrays import Bool, Float64
 from invid.planning.hold_laws import Gains, centring, following, least_damping, master_hold
 from invid.planning.model import Plan, PlannedExperiment
+from invid.planning.phases import CATCH_HZ, SETTLE_S
 from invid.sweep.ports import Cell, Mode, Sample, Sink
 from invid.sweep.watch import AxisLimits, Statistics, Watch
 
-SETTLE_S = 0.3
-"""Held by the drives before anything else, to measure the torque that the holds need (gravity)."""
 FADE_S = 0.1
 """A stop on request fades the torque out in this time before the quick stop."""
 PROGRESS_S = 0.2
+CATCH_SHARE, CATCH_LEAST_HZ = 0.5, 0.2
+"""Bringing an axis back to rest takes no more than half of the announced torque, if a weak hold can do it."""
 
 
 @dataclass
@@ -44,6 +45,12 @@ class Log:
     """Where the row's torque and position came with its SYNC; elsewhere they are the last ones."""
     time: Float64
     """(n,) SYNC instants [s]."""
+
+
+def joined(logs: Sequence[Log]) -> Log:
+    """Several stretches as one."""
+    names = ("demand", "torque", "position", "fresh", "time")
+    return Log(*(np.concatenate([getattr(log, name) for log in logs]) for name in names))
 
 
 class Motion:
@@ -82,12 +89,19 @@ class Motion:
         self._watch: Watch | None = None
         self.must_move: set[int] = set()
         """Axes whose encoders may not stand still while rows are recorded."""
+        self.led: set[int] = set()
+        """Axes that are or were shaken, in torque mode around their places."""
         self._recorded = self._living = False
 
     @property
     def statistics(self) -> Statistics:
         """What was seen so far."""
         return self._watch.statistics if self._watch is not None else Statistics()
+
+    @property
+    def place(self) -> list[float]:
+        """Where each axis was last seen [rad or m]."""
+        return list(self._last)
 
     @property
     def watching(self) -> Watch:
@@ -166,7 +180,8 @@ class Motion:
         demand = self._demand
         first, last = rows
         edge = round(0.5 / cycle)
-        shaken = (edge, cycles - edge)
+        acting = cycles if torque is None else int(np.flatnonzero(torque.any(axis=1)).max(initial=-1)) + 1
+        shaken = (edge, min(cycles, acting) - edge)
         kept: tuple[list[list[float]], ...] = ([], [], [], [])
         instants: list[float] = []
         start: int | None = None
@@ -242,11 +257,15 @@ class Motion:
                 last[i], before[i] = position[i], sample.time
 
     def change(self, modes: Sequence[Mode], feedback: list[Feedback]) -> None:
-        """New modes and feedback, while the cycle goes on.
+        """New modes and feedback, while the cycle goes on. Torque starts at the bias, as the hold left it.
 
         Until every drive is in its mode, an axis that its drive shall hold keeps the feedback it had, and one
         that comes into torque mode has its own already: torque closes its loop whenever the drive takes it.
         """
+        demand = list(self._zero)
+        for f in feedback:
+            demand[f.axis] = f.bias
+        self.led = set()
         if list(modes) != self._modes:
             coming = {f.axis for f in feedback}
             self.feedback = [*feedback, *(f for f in self.feedback if f.axis not in coming)]
@@ -256,7 +275,7 @@ class Motion:
             while self.cell.changing:
                 self.play(None, 1)
             self.done_s = done  # no part of the plan
-        self.feedback, self._demand = feedback, list(self._zero)
+        self.feedback, self._demand = feedback, demand
         self.watching.settle()
 
     def centre(self, excited: set[int], *, lowest: float, path: bool = False) -> None:
@@ -267,7 +286,7 @@ class Motion:
         for i, settings in enumerate(self.config.axes):
             limit = settings.limits.torque
             if i in excited:
-                inertia = self.inertia.get(i) or settings.inertia or 0.0
+                inertia = self.inertia.get(i) or self.plan.inertia[i] or 0.0
                 gains = following(inertia, cycle) if path else centring(inertia, lowest, cycle)
                 modes.append(Mode.TORQUE)
                 feedback.append(Feedback(i, gains, self.bias[i], limit))
@@ -277,7 +296,31 @@ class Motion:
             if held is not None:
                 feedback.append(Feedback(i, held, self.bias[i], limit))
         self.change(modes, feedback)
+        self.led = set(excited)
         self.watching.held = set(range(self.count)) - excited
+
+    def rest(self, excited: set[int]) -> Log:
+        """Excited axes brought back to their places and to rest, the others held as configured.
+
+        Those that were excited before come to rest first: a stiff hold that takes over an axis on its way
+        stops it with all its torque.
+        """
+        if self.led and self.led != excited:
+            self.rest(set(self.led))
+        self.centre(excited, lowest=CATCH_HZ)
+        cycle = self.plan.cycle_s
+        for f in self.feedback:
+            i = f.axis
+            if i not in excited:
+                continue
+            # An axis that is far away or fast is brought back more gently.
+            away, speed = abs(self._last[i] - self.origin[i]), abs(self._velocity[i])
+            lowest = CATCH_HZ
+            most = CATCH_SHARE * self.plan.forecast[i].peak_torque
+            while f.gains.stiffness * away + f.gains.damping * speed > most and lowest > CATCH_LEAST_HZ:
+                lowest /= 2
+                f.gains = centring(self.inertia.get(i) or self.plan.inertia[i] or 0.0, lowest, cycle)
+        return self.play(None, round(self.plan.rest_s / cycle), log=True)
 
     def _hold_gains(self, axis: int) -> Gains | None:
         """Gains of a held axis; ``None``: inside the drive."""

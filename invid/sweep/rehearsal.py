@@ -2,40 +2,72 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from invid.errors import SafetyStop
+from invid.numerics.arrays import Float64
+from invid.planning.forecast import FULL, QUANTITIES, READING, announced, limits_of
 from invid.planning.hold_laws import Gains
-from invid.planning.model import PlannedExperiment
+from invid.planning.model import AxisForecast, PlannedExperiment, Trial
+from invid.planning.phases import (
+    CATCH_HZ,
+    FIRST_S,
+    SIGN_CATCH_S,
+    SIGN_FIRST_S,
+    SIGN_LAST_S,
+    SIGN_MOST,
+    excerpt,
+    lowest_frequency,
+    sign_amplitude,
+    sign_wanted,
+    trial_shares,
+)
 from invid.recording.model import Kind
-from invid.signals.excitation import doublet, ramped
+from invid.signals.excitation import doublet
 from invid.sweep import trials
-from invid.sweep.motion import Feedback, Motion
+from invid.sweep.motion import Feedback, Log, Motion, joined
 from invid.sweep.ports import Mode
 
-TRIAL_FIRST_S, TRIAL_LAST_S = 0.02, 1.28
-"""Lengths of the doublets, doubled until the axis has moved enough."""
-TRIAL_COUNTS, TRIAL_WINDOW = 50, 0.01
-"""Enough is 50 encoder counts and 1 % of the position window: the slope is then good to a few per cent."""
-TRIAL_MOST = 0.1
-"""A trial ends when it has used a tenth of the position window."""
+TRIAL_CLIMB, TRIAL_AGAIN_S = 2.0, 0.08
+"""Where the longest doublet does not move an axis, its torque is doubled, up to what is planned, and it
+begins again at this length."""
 LATE_TRIALS = 20
 """Trials that say nothing because somebody was late, before the measurement gives up: seven seconds at least,
 so that a few in which a computer is busy with something else do not end it; each trial is as small as the
 others and the axis is caught after it. Empirical: a machine on which one SYNC in twenty comes late spoils one
 doublet in three."""
-CATCH_S = 0.3
-"""For a weak hold of 1 Hz to catch what a trial left moving."""
+SLEEP_COUNTS = 20
+"""An encoder that dies shows so many counts first; fewer are what ringing leaves of a coarse one."""
 LEAST_COUNTS = 5
 """Less than this after the longest doublet, and the axis did not move."""
-NEAR_LIMIT = 0.8
-"""The trial foretells the motion at full amplitude; beyond this share of a limit it is scaled down."""
-TRIAL_PERIOD_S = 10.0
-CLIMB_S = 4.0
-"""Second step of the amplitude's trial, at the root of the first share: friction that hides motion at a
-tenth of the amplitude hides less of it at a third."""
+SMOOTH_S = 0.02
+"""The torque that a drive reads while it holds is averaged over this time: shorter than what is shaken."""
+NOISE_STD = 4.0
+"""Standard deviations of its noise (0.5 % of rated) taken off its peak."""
+MOST_GROWTH = 1.6
+"""A straight line through zero at a tenth of the amplitude and the motion at a third rises so much; one that
+begins later has stuck there, and nothing more can be said."""
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What an excerpt did at a share of its amplitude.
+
+    ``motion`` (2, M): largest travel and velocity; ``early``: those of the first seconds, common to both
+    steps of a trial; ``torque`` (M,): largest torque beyond what rest asks for.
+    """
+
+    share: float
+    motion: Float64
+    early: Float64
+    torque: Float64
+
+    @property
+    def stacked(self) -> Float64:
+        """(3, M)."""
+        return np.concatenate([self.motion, self.torque[None]])
 
 
 class Rehearsal:
@@ -44,16 +76,17 @@ class Rehearsal:
     def __init__(self, motion: Motion, warnings: list[str]) -> None:
         self._motion = motion
         self.warnings = warnings
-        self.scale = 1.0
-        """Factor on every torque of the plan; below 1 where a limit would be near."""
+        self.scales = np.ones(len(motion.plan.experiments))
+        """Factor on the torque of every experiment; below 1 where a limit would be near."""
+        self.bounds: Float64 = np.zeros((3, motion.count))
+        """(3, M) travel, velocity and torque of the experiments, by the trials."""
 
     def try_signs(self, axis: int) -> None:
-        """Doublets of at most a tenth of the amplitude, longer and longer, until the axis has moved."""
+        """Doublets of a tenth of the amplitude, longer and then stronger, until the axis has moved."""
         settings = self._motion.config.axes[axis]
         name, limits = settings.name, settings.limits
         cycle = self._motion.plan.cycle_s
-        peak = max(float(np.abs(e.torque[:, axis]).max()) for e in self._motion.plan.experiments)
-        amplitude = self._motion.config.safety.test_amplitude * (peak if peak > 0 else 0.5 * limits.torque)
+        amplitude, most = sign_amplitude(self._motion.config, self._motion.plan.experiments, axis)
         self._motion.phase, self._motion.experiment = f"trying the signs of {name}", None
         modes = self._motion.resting_modes()
         modes[axis] = Mode.TORQUE
@@ -66,8 +99,8 @@ class Rehearsal:
         self._motion.watching.held = set(range(self._motion.count)) - {axis}
         resolution = self._motion.cell.resolution[axis]
         # The slope is of the sampled position, so the axis must move many counts.
-        wanted = max(TRIAL_COUNTS * resolution, TRIAL_WINDOW * limits.position)
-        length = TRIAL_FIRST_S
+        wanted = sign_wanted(limits, resolution)
+        length = SIGN_FIRST_S
         sign = 0.0
         seen: list[trials.Response] = []
         spoilt: list[trials.Response] = []
@@ -92,12 +125,12 @@ class Rehearsal:
                 spoilt.append(found)
                 if len(spoilt) > LATE_TRIALS:
                     raise trials.too_late(name, [*seen, *spoilt])
-                self._catch(axis, settings.inertia or found.inertia)
+                self._catch(axis, self._motion.plan.inertia[axis] or found.inertia)
                 self._motion.change(modes, others)
                 continue
             if asleep and found.displacement < LEAST_COUNTS * resolution:
                 break
-            if found.stood and not asleep and found.displacement >= LEAST_COUNTS * resolution:
+            if found.stood and not asleep and found.displacement >= SLEEP_COUNTS * resolution:
                 # It moved and then stood under a torque that moves it: once more before that is believed.
                 asleep = True
                 continue
@@ -110,16 +143,22 @@ class Rehearsal:
                 continue
             if sign < -trials.DECISIVE or (found.displacement >= wanted and sign > trials.DECISIVE):
                 break
-            if length * 2 > TRIAL_LAST_S or found.displacement > TRIAL_MOST * limits.position:
+            if found.displacement > SIGN_MOST * limits.position:
                 break
-            length *= 2
+            if length * 2 <= SIGN_LAST_S:
+                length *= 2
+                continue
+            if amplitude * TRIAL_CLIMB > most or found.displacement >= wanted:
+                break
+            # What holds it against a small torque is most often friction; a stronger doublet starts short.
+            amplitude, length = TRIAL_CLIMB * amplitude, TRIAL_AGAIN_S
         unit, torque_unit = ("m", "N") if self._motion.config.linear else ("rad", "N·m")
         if found.displacement < LEAST_COUNTS * resolution:
             raise SafetyStop(
                 f"axis {name}: {amplitude:.3g} {torque_unit} for {length:.2g} s moved the encoder by "
-                f"{found.displacement / resolution:.0f} counts: the brake is closed, the encoder is "
-                "stuck, or friction is "
-                "above the trial torque; free the axis, or raise limits.torque if the axis may take more"
+                f"{found.displacement / resolution:.0f} counts: the brake is closed, the encoder is stuck, "
+                "or friction takes all of the planned torque; see that the brake opens and turn the axis by "
+                "hand"
             )
         if abs(sign) <= trials.DECISIVE:
             if sum(r.late_edges for r in seen) > sum(r.edges for r in seen):
@@ -129,7 +168,8 @@ class Rehearsal:
                 "deviations); the encoder is coarse or the torque small"
             )
         trials.judge(name, found, sign, amplitude=amplitude, unit=unit, torque_unit=torque_unit)
-        self._motion.inertia[axis] = settings.inertia if settings.inertia is not None else found.inertia
+        known = self._motion.plan.inertia[axis]
+        self._motion.inertia[axis] = known if known is not None else found.inertia
         self._catch(axis, self._motion.inertia[axis])
         if self._motion.cell.can_hold[axis]:
             self._motion.change(self._motion.resting_modes(), [f for f in others if f.axis != axis])
@@ -137,69 +177,141 @@ class Rehearsal:
     def _catch(self, axis: int, inertia: float) -> None:
         """Back to where it stood, gently."""
         self._motion.inertia[axis] = inertia
-        self._motion.centre({axis}, lowest=3.0)
-        self._motion.play(None, round(CATCH_S / self._motion.plan.cycle_s))
+        self._motion.centre({axis}, lowest=CATCH_HZ)
+        self._motion.play(None, round(SIGN_CATCH_S / self._motion.plan.cycle_s))
 
-    def try_amplitude(self) -> None:
-        """A tenth, then a third of the largest shaking: does full amplitude stay within the limits?"""
-        shaking = [e for e in self._motion.plan.experiments if e.kind is not Kind.CONSTANT_VELOCITY]
-        if not shaking:
-            return
-        peaks = [float(np.abs(e.torque).max(initial=0.0)) for e in shaking]
-        # the first of the largest; runs of one multisine differ by rounding
-        experiment = next(e for e, p in zip(shaking, peaks, strict=True) if p >= 0.999 * max(peaks))
-        share = self._motion.config.safety.test_amplitude
+    def try_amplitude(self, trial: Trial) -> None:
+        """A tenth, then a third of the shaking: does full amplitude stay within what was announced?
+
+        What is measured there, times what the experiments may do beyond it, bounds them; every torque of the
+        plan is scaled down where that bound lies beyond the announced figures or 95 % of a limit.
+        """
+        experiment, config = trial.experiment, self._motion.config
         self._motion.phase, self._motion.experiment = "trying the amplitude", experiment
-        self._motion.centre(set(experiment.excited), lowest=lowest_frequency([experiment]))
-        self._motion.watching.standing.slowest(lowest_frequency([experiment]))
-        self._try_share(experiment, share, TRIAL_PERIOD_S)
-        self._try_share(experiment, min(float(np.sqrt(share)), NEAR_LIMIT) * self.scale, CLIMB_S)
+        lowest = lowest_frequency([experiment])
+        self._motion.rest(set(experiment.excited))
+        self._motion.watching.standing.slowest(lowest)
+        self._motion.watching.standing.forget()
+        first, second = trial_shares(config, experiment)
+        allowed = self._allowed()
+        seen = self._try_share(excerpt(config, trial, 0), first)
+        # Friction may have hidden half of the motion.
+        room = float(np.min(allowed[:2] / np.maximum(2.0 * seen.motion, 1e-300)))
+        share = min(second, first * max(room, 1.0))
+        again = self._try_share(excerpt(config, trial, 1), share)
+        linear = again.stacked / share
+        linear[:2] *= _growth(seen, again)
+        bound = linear * trial.spread
+        bound[2] += np.abs(self._motion.bias)
+        path = experiment.reference
+        if path is not None:
+            bound[0] += np.abs(path).max(axis=0)
+        scale = self._scale_down(bound, allowed)
+        self.scales[list(trial.covers)] = scale
+        self.bounds = np.maximum(self.bounds, scale * bound)
 
-    def _try_share(self, experiment: PlannedExperiment, share: float, seconds: float) -> None:
-        """The first seconds at a share of the amplitude, and what full amplitude would be by them."""
-        excited, cycle = set(experiment.excited), self._motion.plan.cycle_s
-        cycles = min(experiment.cycles, round(seconds / cycle))
+    def _allowed(self) -> Float64:
+        """(3, M) what was announced, or 95 % of the limits where that is less."""
+        plan, config = self._motion.plan, self._motion.config
+        told = np.array([[f.travel, f.velocity, f.peak_torque] for f in plan.forecast]).T
+        allowed: Float64 = np.minimum(told, FULL * limits_of(config))
+        return allowed
+
+    def _scale_down(self, bound: Float64, allowed: Float64) -> float:
+        """The largest scale at which the bounds are allowed; what it is for becomes a warning."""
+        share = allowed / np.maximum(bound, 1e-300)
+        if share.min() >= 1.0:
+            return 1.0
+        k, i = np.unravel_index(int(np.argmin(share)), share.shape)
+        units = ("m", "m/s", "N") if self._motion.config.linear else ("rad", "rad/s", "N·m")
+        self.warnings.append(
+            f"axis {self._motion.plan.axes[i]}: at the planned amplitude the {QUANTITIES[k]} could be "
+            f"{bound[k, i]:.3g} {units[k]} by the trial, {allowed[k, i]:.3g} is allowed; every torque is "
+            f"scaled by {share[k, i]:.2f}"
+        )
+        return float(share[k, i])
+
+    def forecast(self) -> tuple[AxisForecast, ...]:
+        """What is announced after the trials: never more than before them."""
+        plan, config = self._motion.plan, self._motion.config
+        told = np.array([[f.travel, f.velocity, f.peak_torque] for f in plan.forecast]).T
+        if not self.bounds.any() or all(f.basis == "model" for f in plan.forecast):
+            return plan.forecast
+        bounds = self.bounds.copy()
+        bounds[2] += READING * np.array(self._motion.cell.rated_torque)
+        bounds = np.maximum(bounds, self._motion.watching.peaks)
+        for e in plan.experiments:
+            if e.kind is Kind.CONSTANT_VELOCITY:  # follows its path, with what torque that takes
+                bounds[:, list(e.excited)] = told[:, list(e.excited)]
+        return announced(config, np.minimum(bounds, told), "trial")
+
+    def _try_share(self, experiment: PlannedExperiment, share: float) -> Seen:
+        """An excerpt at a share of its amplitude, and what it did."""
+        motion = self._motion
+        excited, cycle = set(experiment.excited), motion.plan.cycle_s
+        cycles = experiment.cycles
         # the fades at the ends of the excitation stand still by themselves
         fade = min(round(0.5 / cycle), cycles // 4)
-        rows = ramped(experiment.torque[:cycles] * share, 0, fade)
-        opening = self._motion.play(rows[:fade], fade, log=True)
-        self._motion.watching.excited = excited
-        body = self._motion.play(rows[fade:-fade], cycles - 2 * fade, log=True)
-        self._motion.watching.excited = set()
-        self._motion.watching.learn_standing(excited)
-        position, time, fresh = (
-            np.concatenate(parts)
-            for parts in (
-                (opening.position, body.position),
-                (opening.time, body.time),
-                (opening.fresh, body.fresh),
-            )
-        )
-        self._motion.play(rows[-fade:], fade)
-        self._motion.play(None, round(self._motion.plan.rest_s / cycle))
-        for i in sorted(excited):
-            limits = self._motion.config.axes[i].limits
-            came = fresh[:, i]
-            motion, instants = position[came, i] - self._motion.origin[i], time[came]
-            travel = float(np.abs(motion).max(initial=0.0)) / share
-            step = max(1, round(0.004 / cycle))
-            moved = np.abs(motion[step:] - motion[:-step]) - self._motion.cell.resolution[i]
+        motion.centre(excited, lowest=lowest_frequency([experiment]))
+        before = np.array(motion.place)
+        rows, path = experiment.torque * share, experiment.reference
+
+        def play(first: int, last: int) -> Log:
+            part = None if path is None else path[first:last]
+            return motion.play(rows[first:last], last - first, reference=part, log=True)
+
+        opening = play(0, fade)
+        motion.watching.excited = excited
+        body = play(fade, cycles - fade)
+        motion.watching.excited = set()
+        motion.watching.learn_standing(excited)
+        ending = play(cycles - fade, cycles)
+        rest = motion.rest(excited)
+        kept = joined([opening, body, ending, rest])
+        led = np.zeros_like(kept.position) if path is None else _until(path, len(kept.position))
+        travel, velocity = np.zeros(motion.count), np.zeros(motion.count)
+        early = np.zeros((2, motion.count))
+        step = max(1, round(0.004 / cycle))
+        common = round(FIRST_S / cycle) - fade
+        for i in range(motion.count):
+            came = np.flatnonzero(kept.fresh[:, i])
+            away = np.abs(kept.position[came, i] - led[came, i] - before[i])
+            moved = np.abs(kept.position[came[step:], i] - kept.position[came[:-step], i])
             # over the time it took: a skipped slot would pass for a leap
-            velocity = float((moved / (instants[step:] - instants[:-step])).max(initial=0.0)) / share
-            for what, value, limit in (
-                ("travel", travel, limits.position),
-                ("velocity", velocity, limits.velocity),
-            ):
-                if value * self.scale > NEAR_LIMIT * limit:
-                    self.scale = NEAR_LIMIT * limit / value
-                    self.warnings.append(
-                        f"axis {self._motion.plan.axes[i]}: at full amplitude the {what} would be "
-                        f"{value:.3g}, limit {limit:g}; every torque is scaled by {self.scale:.2f}"
-                    )
+            speed = (moved - motion.cell.resolution[i]) / (kept.time[came[step:]] - kept.time[came[:-step]])
+            travel[i], velocity[i] = away.max(initial=0.0), max(speed.max(initial=0.0), 0.0)
+            early[0, i] = away[came < common].max(initial=0.0)
+            early[1, i] = max(speed[came[step:] < common].max(initial=0.0), 0.0)
+        return Seen(share, np.stack([travel, velocity]), early, self._torque(kept))
+
+    def _torque(self, kept: Log) -> Float64:
+        """(M,) largest torque beyond the bias: commanded, or measured where a drive holds its axis."""
+        motion = self._motion
+        bias, rated = np.array(motion.bias), np.array(motion.cell.rated_torque)
+        commanded = np.abs(kept.demand - bias).max(axis=0, initial=0.0)
+        window = max(1, round(SMOOTH_S / motion.plan.cycle_s))
+        total = np.cumsum(np.concatenate([np.zeros((1, motion.count)), kept.torque - bias]), axis=0)
+        smooth = np.abs(total[window:] - total[:-window]).max(axis=0, initial=0.0) / window
+        noise = NOISE_STD * READING / 6 * rated / np.sqrt(window)
+        led = [f.axis for f in motion.feedback]
+        held = ~np.isin(np.arange(motion.count), led)
+        largest: Float64 = np.where(held, np.maximum(smooth - noise, 0.0), commanded)
+        return largest
 
 
-def lowest_frequency(experiments: Sequence[PlannedExperiment]) -> float:
-    """The slowest line of experiments [Hz]."""
-    lines = [float(e.frequencies_hz.min()) for e in experiments if e.frequencies_hz.size]
-    lines += [float(e.attributes["band_hz"][0]) for e in experiments if "band_hz" in e.attributes]
-    return min(lines, default=1.0)
+def _until(path: Float64, rows: int) -> Float64:
+    """The path, its last place kept."""
+    result: Float64 = path[np.minimum(np.arange(rows), len(path) - 1)]
+    return result
+
+
+def _growth(first: Seen, second: Seen) -> Float64:
+    """(2, M) how much more than in proportion to the torque an axis moves at full amplitude.
+
+    Dry friction takes a constant share of the torque: motion over amplitude is a straight line that begins
+    above zero. It is drawn through the same seconds at both shares.
+    """
+    slope = (second.early - first.early) / max(second.share - first.share, 1e-9)
+    full = second.early + slope * (1.0 - second.share)
+    growth: Float64 = np.clip(full * second.share / np.maximum(second.early, 1e-300), 1.0, MOST_GROWTH)
+    return growth

@@ -55,6 +55,10 @@ class Standing:
         """The slowest line of the excitation from here on [Hz]."""
         self._least = STUCK_PERIODS / lowest_hz if lowest_hz > 0 else STUCK_S
 
+    def forget(self) -> None:
+        """Another excitation is tried at a small amplitude: until it is learned, an axis may stand long."""
+        self._allowed = [STUCK_S] * len(self._allowed)
+
     def learn(self, axes: set[int]) -> None:
         """From here on, these axes may stand three times as long as they have stood while excited."""
         for i in axes:

@@ -233,7 +233,7 @@ def judge(axis: str, found: Response, score: float, *, amplitude: float, unit: s
             f"in a trial at {amplitude:.3g} {torque_unit}; the drive's torque signs disagree: correct its "
             "configuration"
         )
-    if score < 0:
+    if score < -DECISIVE:
         raise SafetyStop(
             f"axis {axis}: positive torque moved the encoder backwards in a trial at {amplitude:.3g} "
             f"{torque_unit} ({found.displacement:.3g} {unit}); encoder and motor disagree in sign: swap two "

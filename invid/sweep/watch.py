@@ -6,7 +6,10 @@ from collections import deque
 from dataclasses import dataclass
 from itertools import pairwise
 
+import numpy as np
+
 from invid.errors import BusError, DriveError, SafetyStop
+from invid.numerics.arrays import Float64
 from invid.sweep.halting import Halting
 from invid.sweep.ports import Sample, Severity
 from invid.sweep.stuck_encoder import Standing
@@ -98,6 +101,11 @@ class Watch:
     def start(self, position: list[float]) -> None:
         """Windows are around these positions from now on."""
         self._origin = list(position)
+
+    @property
+    def peaks(self) -> Float64:
+        """(3, M) largest travel, velocity and torque so far."""
+        return np.array([self._travel, self._speed, self._torque])
 
     @property
     def excited(self) -> set[int]:

@@ -7,6 +7,9 @@ from invid.config import CellConfig, parse_config
 from invid.errors import ConfigError
 from invid.model.chains import case_study
 from invid.planning import bus_load, frame_bits, make_plan
+from invid.planning.belief import Belief, rigid
+from invid.planning.forecast import peaks_of
+from invid.planning.response import foretold_motion
 from invid.recording import Kind, Role
 
 
@@ -58,7 +61,8 @@ def test_the_excitation_matrix_over_the_runs_is_well_conditioned_at_every_line()
         [np.fft.rfft(e.torque[e.record_from : e.record_from + n], axis=0)[lines] for e in runs], axis=-1
     )
     scaled = spectra / np.array([10.0, 20.0, 30.0])[None, :, None]
-    assert np.linalg.cond(scaled).max() < 1.01
+    # an axis whose inertia lets it move further is planned with a little less torque
+    assert np.linalg.cond(scaled).max() < 1.05
 
 
 def test_no_plan_asks_for_more_torque_than_the_limit() -> None:
@@ -105,30 +109,42 @@ def test_axes_that_are_not_chosen_get_no_torque() -> None:
         make_plan(cell(), axes=["B9"])
 
 
-def test_travel_of_a_sine_on_a_rigid_mass_is_foretold_from_its_inertia() -> None:
-    plan = make_plan(cell("[{kind: stepped_sine, frequencies_Hz: [2.0], axes: [A1], amplitude: 0.5}]"))
-    # A/(S·ω²) with 5 N·m on 5 kg·m² at 2 Hz
-    assert plan.forecast[0].travel == pytest.approx(5.0 / (5.0 * (2 * np.pi * 2.0) ** 2), rel=0.02)
-    assert plan.forecast[0].peak_torque == pytest.approx(5.0, rel=1e-3)
-    assert plan.forecast[1].travel == 0
+def test_travel_of_a_sine_on_a_rigid_mass_is_foretold_with_its_start() -> None:
+    config = cell("[{kind: stepped_sine, frequencies_Hz: [2.0], axes: [A1], amplitude: 0.5}]")
+    known = rigid(config)
+    assert known is not None
+    (e,) = make_plan(config).experiments
+    travel, velocity, torque = peaks_of(config, e, known).motion
+    # A/(S·ω²) with 5 N·m on 5 kg·m² at 2 Hz; starting over one cycle adds little
+    assert 1.0 < travel[0] / (5.0 / (5.0 * (2 * np.pi * 2.0) ** 2)) < 1.5
+    assert 1.0 < velocity[0] / (5.0 / (5.0 * 2 * np.pi * 2.0)) < 1.5
+    assert torque[0] > 0.9 * 5.0
+    assert not np.any([travel[1:], velocity[1:]])
 
 
-def test_a_model_foretells_more_travel_than_the_rigid_guess_where_a_resonance_is_shaken() -> None:
+def test_a_model_foretells_more_travel_than_a_rigid_mass_where_a_resonance_is_shaken() -> None:
     config = cell("[{kind: stepped_sine, frequencies_Hz: [3.92], axes: [A1]}]")
-    rigid = make_plan(config).forecast[0].travel
-    modelled = make_plan(config, model=case_study(damping_ratio=0.01)).forecast[0].travel
-    assert rigid is not None
-    assert modelled is not None
-    assert modelled > 3 * rigid
+    (e,) = make_plan(config).experiments
+    zero = np.zeros(3)
+    plant = Belief(case_study(damping_ratio=0.01), zero, zero, "case study", False)
+    known = rigid(config)
+    assert known is not None
+    assert peaks_of(config, e, plant).motion[1, 0] > 1.5 * peaks_of(config, e, known).motion[1, 0]
 
 
-def test_missing_inertias_are_complained_of_only_where_no_model_says_how_far_an_axis_goes() -> None:
+def test_without_a_model_the_limits_are_announced_and_it_is_said_why() -> None:
     config = cell()
-    bare = config.model_copy(update={"axes": [a.model_copy(update={"inertia": None}) for a in config.axes]})
-    assert sum("no inertia" in w for w in make_plan(bare).warnings) == 3
-    known = make_plan(bare, model=case_study(damping_ratio=0.01))
-    assert all(f.travel is not None for f in known.forecast)
-    assert not any("no inertia" in w for w in known.warnings)
+    for share in (1.0, 0.1):
+        plan = make_plan(config, amplitude_scale=share)
+        for f, axis in zip(plan.forecast, config.axes, strict=True):
+            assert f.basis == "limits"
+            assert f.peak_torque == axis.limits.torque
+            assert 0.1 * axis.limits.position <= f.travel <= axis.limits.position
+        assert any("no model of this cell" in w for w in plan.warnings)
+    assert plan.forecast[0].travel < config.axes[0].limits.position / 2
+    known = make_plan(config, model=case_study(damping_ratio=0.01))
+    assert all(f.basis == "model" for f in known.forecast)
+    assert not any("no model" in w for w in known.warnings)
 
 
 def test_a_move_that_leaves_the_window_is_refused() -> None:
@@ -156,9 +172,44 @@ def test_a_plan_is_plain_json() -> None:
     assert json.loads(json.dumps(document)) == document
 
 
-def test_travel_beyond_the_window_is_said_before_anything_moves() -> None:
+def test_where_the_inertia_says_that_an_axis_leaves_its_window_its_torque_is_lowered_and_it_is_said() -> None:
     usual, light = cell(), cell()
-    axes = [light.axes[0].model_copy(update={"inertia": 0.001}), *light.axes[1:]]
-    assert not any("would go" in w for w in make_plan(usual).warnings)
-    (said,) = [w for w in make_plan(light.model_copy(update={"axes": axes})).warnings if "would go" in w]
-    assert said.startswith("axis A1")
+    axes = [light.axes[0].model_copy(update={"inertia": 0.05}), *light.axes[1:]]
+    plan = make_plan(light.model_copy(update={"axes": axes}))
+    (said,) = [w for w in plan.warnings if "planned at" in w and w.startswith("axis A1")]
+    assert "travel of A1" in said
+    first, other = (np.abs(p.experiments[0].torque).max(axis=0) for p in (plan, make_plan(usual)))
+    assert first[0] < 0.5 * other[0]
+    assert first[1] == pytest.approx(other[1])
+
+
+def test_no_limit_is_left_by_what_is_announced_from_a_model() -> None:
+    config = cell()
+    axes = [
+        a.model_copy(update={"limits": a.limits.model_copy(update={"position": 0.02})}) for a in config.axes
+    ]
+    tight = config.model_copy(update={"axes": axes})
+    plant = Belief(case_study(damping_ratio=0.01), np.zeros(3), np.zeros(3), "case study", False)
+    plan = make_plan(tight, model=plant)
+    for e in plan.experiments:
+        motion = foretold_motion(tight, e, plant)
+        assert np.abs(motion.position).max() < 0.02
+        told = np.array([[f.travel, f.velocity, f.peak_torque] for f in plan.forecast]).T
+        seen = np.abs([motion.position, motion.velocity, motion.torque]).max(axis=1)
+        assert np.all(seen <= told)
+
+
+def test_the_plan_lasts_as_long_as_its_phases() -> None:
+    plan = make_plan(cell())
+    assert plan.duration_s == pytest.approx(sum(p.cycles for p in plan.phases) * plan.cycle_s)
+    assert plan.duration_s > plan.shaking_s
+    assert [p.step for p in plan.phases if p.step != "experiment"] == [
+        "settle",
+        "signs",
+        "signs",
+        "signs",
+        "trial",
+        "return",
+    ]
+    short = plan.first(2)
+    assert len(short.experiments) == sum(p.step == "experiment" for p in short.phases) == 2

@@ -70,7 +70,7 @@ def accepted(tmp_path_factory: pytest.TempPathFactory) -> Model:
     belief = guess(config)
     assert belief is not None
     plan = plan_for_goal(config, belief, sensor_noise(config), 1e-3).plan
-    measure_to_file(config, path, plan=replace(plan, experiments=plan.experiments[:1]))
+    measure_to_file(config, path, plan=plan.first(1))
     return identify(read_recording(path), masses=(3, 3, 3))
 
 

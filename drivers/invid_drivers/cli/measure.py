@@ -98,14 +98,15 @@ def plan_text(plan: Plan, robot: str) -> str:
         lines.append(
             f"  {e.key:<11}{e.kind!s:<18}{e.role!s:<10}{axes:<14}{e.cycles * plan.cycle_s:>8.1f}  {band}"
         )
-    lines.append(f"  {'axis':<11}{'peak torque':<18}{'travel':<22}{'velocity':<18}power")
+    lines.append("  at most, from the first cycle to the last, trials, starts and moves included:")
+    lines.append(f"  {'axis':<11}{'torque':<18}{'travel':<22}{'velocity':<18}power")
     for f in plan.forecast:
         unit = "m" if f.unit == "N" else "rad"
         cells = (
             f"{f.peak_torque:.3g} {f.unit}",
-            f"≤ {f.travel_limit:.3g} {unit} (window)" if f.travel is None else f"±{f.travel:.3g} {unit}",
-            "known after trial" if f.velocity is None else f"{f.velocity:.3g} {unit}/s",
-            "" if f.power is None else f"{f.power:.3g} W",
+            f"±{f.travel:.3g} {unit}",
+            f"{f.velocity:.3g} {unit}/s",
+            f"{f.power:.3g} W",
         )
         lines.append(
             f"  {f.axis:<11}" + "".join(f"{c:<{w}}" for c, w in zip(cells, (18, 22, 18, 0), strict=True))
@@ -345,7 +346,7 @@ def register(app: typer.Typer) -> None:
             cell = cell_to_separate(cell, separate, goal=goal, screening=screening)
         chosen = None if axes is None else [a.strip() for a in axes.split(",") if a.strip()]
         belief = belief_of(cell, model)
-        chains = None if model is None or belief is None else belief.chains
+        known = None if model is None else belief
         if update is not None and not screening:
             raise InputError("--update is for --screen: it writes the model with its changed parts")
         if screening:
@@ -374,7 +375,7 @@ def register(app: typer.Typer) -> None:
             confirm(cell, confirmed=confirmed)
             return run_design(cell, design, out, as_json=as_json)
         if dry_run:
-            plan = make_plan(cell, axes=chosen, amplitude_scale=amplitude, model=chains)
+            plan = make_plan(cell, axes=chosen, amplitude_scale=amplitude, model=known)
             found = expectation(cell, plan, belief, noise_of(cell, noise_from))
             timing = timing_of(cell)
             document = {
@@ -407,7 +408,7 @@ def register(app: typer.Typer) -> None:
                     amplitude_scale=amplitude,
                     progress=ProgressLine(),
                     stop=stop,
-                    model=chains,
+                    model=known,
                 )
             except KeyboardInterrupt:
                 raise SafetyStop("stopped at once on request; the drives were told to switch off") from None

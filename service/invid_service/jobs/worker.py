@@ -32,7 +32,7 @@ FIXES = {
     "ConfigError": "correct the cell's configuration",
     "RecordingError": "check the file; the contract of recordings is in the documentation",
     "NotIdentifiableError": "measure longer, with more amplitude or on more axes",
-    "SafetyStop": "look at the robot: clear the cause, then start again with a lower amplitude",
+    "SafetyStop": "look at the robot, clear the cause that is named, then start again",
     "DriveError": "look at the drive's display and cable, then start again",
     "BusError": "check the CAN adapter, its cable and its termination, then start again",
 }
@@ -129,15 +129,17 @@ def measure(job: Job, line: Line) -> dict[str, Any]:
     from invid.errors import ConfigError
     from invid.model.document import model_from_json
     from invid.planning import make_plan
+    from invid.planning.belief import from_model
     from invid_drivers.measurement import measure_to_file
     from invid_service.jobs.response import ResponseWatch
 
     if job.config is None:
         raise ConfigError("the job has no configuration")
     config = CellConfig.model_validate(job.config)
-    model = None if job.model is None else model_from_json(job.model, source="accepted model").chains
-    if model is not None and model.axes != tuple(a.name for a in config.axes):
-        model = None
+    accepted = None if job.model is None else model_from_json(job.model, source="accepted model")
+    if accepted is not None and accepted.axes != tuple(a.name for a in config.axes):
+        accepted = None
+    model = None if accepted is None else from_model(accepted, config, source="the accepted model")
     plan = make_plan(config, axes=job.axes, amplitude_scale=job.amplitude_scale, model=model)
     line.tell("planned", plan=_plain(plan.to_json()), arm=job.arm)
     del plan

@@ -1,0 +1,252 @@
+"""What a sweep plays, phase by phase: one list that the engine runs and the forecast works out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from invid.config import CellConfig
+from invid.config.schema import LimitsConfig
+from invid.numerics.arrays import Float64, frozen_float
+from invid.planning.model import PhasePlan, PlannedExperiment, Step, Trial
+from invid.recording.model import Kind, Role
+from invid.signals import excitation
+
+SETTLE_S = 0.3
+"""Held by the drives before anything else, to measure the torque that the holds need (gravity)."""
+REST_S = 1.0
+"""Pause between experiments in which the hold brings every axis back to its place."""
+FADE_S = 0.5
+"""Least length of the raised-cosine start and end of an excitation."""
+FIRST_S, CLIMB_S = 5.0, 10.0
+"""Length of the two steps of a trial: at a tenth of the amplitude, and at about a third."""
+CLIMB_CYCLES = 3.0
+"""And never below three cycles of the slowest line."""
+FIRST_MOST, CLIMB_MOST = 0.25, 0.8
+"""Largest shares of the two steps."""
+SWEEP_S = 6.0
+"""Length of the quick sweep on which single-axis experiments are tried."""
+SIGN_FIRST_S, SIGN_LAST_S = 0.02, 1.28
+"""Lengths of the doublets of the sign trial, doubled until the axis has moved enough."""
+SIGN_COUNTS, SIGN_WINDOW = 50, 0.01
+"""Enough is 50 encoder counts and 1 % of the window: the slope is then good to a few per cent."""
+SIGN_MOST = 0.025
+"""And never more of the window than that, whatever the encoder: the next doublet, twice as long, moves an
+axis at most four times as far."""
+SIGN_FAR = 4 * SIGN_MOST
+SIGN_TRAVEL = 0.25
+"""Announced for the doublets, as a share of the window: until the axis is caught, and when the motor that was
+held lets go while masses swing behind it. Empirical: 0.21 at most (``bench_announced.py``)."""
+SIGN_QUIET_S, SIGN_CATCH_S = 0.07, 0.8
+"""Stillness around each doublet, and the time in which the axis is caught after the last."""
+SIGN_EDGE_S = 0.04
+CATCH_HZ = 3.0
+"""At rest an excited axis is brought back as if 3 Hz were the slowest line: a hold of 1 Hz, weaker where that
+would ask for much torque. The hold of the shaking would let it drift for seconds."""
+SIGN_UNKNOWN_S = 1.5
+"""Expected length of a sign trial on an axis whose inertia nobody has named: doublets up to 0.64 s."""
+SPREAD_FIRST, SPREAD_EACH = 1.25, 0.6
+"""Without a model: motion of all runs of a multisine over that of the ten seconds that the trial plays,
+first + each·√(M − 1) with M axes shaken. The runs differ in the phases of the axes alone: what M axes do to
+one adds up as a random walk. Empirical (``bench_announced.py``)."""
+SPREAD_TORQUE = 1.25
+"""The same for the torque, most of which is the excitation itself."""
+SPREAD_SWEEP = (1.5, 2.0, 1.5)
+"""Travel, velocity and torque of stepped sines and chirps over those of the quick sweep, which stays on a
+resonance for a shorter time. Empirical (``bench_announced.py``)."""
+
+
+def fade_s(lowest_hz: float) -> float:
+    """Length of the start of an excitation [s]: a cycle of its slowest line.
+
+    A sine that starts at once on a free mass leaves it drifting at its peak velocity until the weak
+    centring hold has caught it: twice the travel of the sine itself. A start over one cycle leaves a tenth.
+    """
+    return max(FADE_S, 1.0 / lowest_hz)
+
+
+def lowest_frequency(experiments: Sequence[PlannedExperiment]) -> float:
+    """The slowest line of experiments [Hz]."""
+    lines = [float(e.frequencies_hz.min()) for e in experiments if e.frequencies_hz.size]
+    lines += [float(e.attributes["band_hz"][0]) for e in experiments if "band_hz" in e.attributes]
+    return min(lines, default=1.0)
+
+
+def sign_amplitude(
+    config: CellConfig, experiments: Sequence[PlannedExperiment], axis: int
+) -> tuple[float, float]:
+    """Peak torque of the first doublets of an axis, and the most that they climb to where it does not move.
+
+    A tenth of the plan's, and no less than a twentieth of the limit: a plan of little torque must not be
+    tried with less than dry friction takes.
+    """
+    peak = max((float(np.abs(e.torque[:, axis]).max(initial=0.0)) for e in experiments), default=0.0)
+    half = 0.5 * config.axes[axis].limits.torque
+    first = config.safety.test_amplitude * max(peak, half)
+    return first, max(first, peak if peak > 0 else half)
+
+
+def sign_wanted(limits: LimitsConfig, resolution: float) -> float:
+    """Motion [rad or m] at which the doublets of an axis may end."""
+    return min(max(SIGN_WINDOW * limits.position, SIGN_COUNTS * resolution), SIGN_MOST * limits.position)
+
+
+def sign_seconds(config: CellConfig, axis: int, amplitude: float, inertia: float | None) -> float:
+    """Expected length of the sign trial of an axis [s]; a mass m moves by A·T²/(16·m) in a doublet."""
+    if inertia is None:
+        return SIGN_UNKNOWN_S
+    settings = config.axes[axis]
+    wanted = sign_wanted(settings.limits, settings.position_per_count or 0.0)
+    length, seconds = SIGN_FIRST_S, SIGN_QUIET_S + SIGN_FIRST_S
+    while amplitude * length**2 / (16 * inertia) < wanted and 2 * length <= SIGN_LAST_S:
+        length *= 2
+        seconds += length + SIGN_QUIET_S
+    return seconds + SIGN_CATCH_S
+
+
+def sign_doublet(config: CellConfig, axis: int, amplitude: float, inertia: float) -> PlannedExperiment:
+    """The doublet that moves a rigid axis as far as one may, and its catch."""
+    cycle = config.bus.cycle_s
+    far = SIGN_FAR * config.axes[axis].limits.position
+    length = min(max(np.sqrt(16 * inertia * far / amplitude), SIGN_FIRST_S), SIGN_LAST_S)
+    wave = amplitude * excitation.doublet(round(length / cycle))
+    torque = np.zeros((wave.size + round(SIGN_CATCH_S / cycle), len(config.axes)))
+    torque[: wave.size, axis] = wave
+    # its edges rounded: what is worked out on lines up to 100 Hz may have nothing beyond them
+    edge = np.hanning(max(round(SIGN_EDGE_S / cycle), 1) + 2)
+    torque[:, axis] = np.convolve(torque[:, axis], edge / edge.sum())[: len(torque)]
+    return PlannedExperiment(
+        key="",
+        kind=Kind.OTHER,
+        role=Role.IDENTIFY,
+        excited=(axis,),
+        torque=frozen_float(torque),
+        reference=None,
+        record_from=0,
+        record_to=0,
+        period_samples=0,
+        frequencies_hz=frozen_float([CATCH_HZ]),
+    )
+
+
+def trials_of(config: CellConfig, experiments: Sequence[PlannedExperiment]) -> tuple[Trial, ...]:
+    """One trial for each kind of experiment on each set of axes, slow moves apart.
+
+    A multisine is tried on the largest of its runs; the stepped sines and chirps of an axis on one quick
+    sweep through their band. A slow move follows its path whatever the plant is: it needs none.
+    """
+    families: dict[tuple[bool, tuple[int, ...]], list[int]] = {}
+    for number, e in enumerate(experiments):
+        if e.kind is not Kind.CONSTANT_VELOCITY:
+            families.setdefault((e.kind is Kind.MULTISINE, e.excited), []).append(number)
+    found = []
+    for (multisine, _), covers in families.items():
+        covered = [experiments[k] for k in covers]
+        peaks = [float(np.abs(e.torque).max(initial=0.0)) for e in covered]
+        if max(peaks) <= 0:
+            continue
+        # the first of the largest; runs of one multisine differ by rounding
+        largest = next(e for e, p in zip(covered, peaks, strict=True) if p >= 0.999 * max(peaks))
+        if not multisine:
+            largest = _quick_sweep(config, covered, largest, max(peaks))
+        further = SPREAD_FIRST + SPREAD_EACH * np.sqrt(len(largest.excited) - 1)
+        more = (further, further, SPREAD_TORQUE) if multisine else SPREAD_SWEEP
+        spread = np.outer(more, np.ones(len(config.axes)))
+        found.append(Trial(largest, tuple(covers), frozen_float(spread)))
+    return tuple(found)
+
+
+def _quick_sweep(
+    config: CellConfig, covered: Sequence[PlannedExperiment], largest: PlannedExperiment, peak: float
+) -> PlannedExperiment:
+    rate = 1.0 / config.bus.cycle_s
+    low = lowest_frequency(covered)
+    high = max(
+        max(float(e.frequencies_hz.max(initial=0.0)) for e in covered),
+        max(float(e.attributes.get("band_hz", (0.0, 0.0))[1]) for e in covered),
+        1.2 * low,
+    )
+    fade = round(fade_s(low) * rate)
+    samples = round((SWEEP_S + fade_s(low)) * rate) + fade
+    # the slow start stays at the lowest frequency, which moves an axis furthest
+    first = fade + round(1.0 / low * rate)
+    phase = np.cumsum(
+        np.concatenate([np.full(first, low), np.linspace(low, high, max(samples - first, 1))])
+    ) * (2 * np.pi / rate)
+    torque = np.zeros((phase.size, len(config.axes)))
+    torque[:, largest.excited[0]] = peak * excitation.ramped(np.sin(phase), fade, round(FADE_S * rate))
+    return PlannedExperiment(
+        key="",
+        kind=Kind.CHIRP,
+        role=Role.IDENTIFY,
+        excited=largest.excited,
+        torque=frozen_float(torque),
+        reference=None,
+        record_from=0,
+        record_to=0,
+        period_samples=0,
+        frequencies_hz=frozen_float([]),
+        attributes={"band_hz": [low, high]},
+    )
+
+
+def trial_shares(config: CellConfig, experiment: PlannedExperiment) -> tuple[float, float]:
+    """Shares of the amplitude of a trial's two steps: friction that hides motion in the first hides less
+    in the second.
+
+    As with the signs no axis is tried with less than a twentieth of its torque, or friction would hide all.
+    """
+    first = config.safety.test_amplitude
+    for i in experiment.excited:
+        peak = float(np.abs(experiment.torque[:, i]).max(initial=0.0))
+        if peak > 0:
+            first = max(first, 0.5 * config.safety.test_amplitude * config.axes[i].limits.torque / peak)
+    first = min(first, FIRST_MOST)
+    return first, min(float(np.sqrt(first)), CLIMB_MOST)
+
+
+def excerpt(config: CellConfig, trial: Trial, step: int) -> PlannedExperiment:
+    """What a trial plays in its step 0 or 1 at full amplitude, faded out at its end."""
+    cycle, e = config.bus.cycle_s, trial.experiment
+    seconds = max((FIRST_S, CLIMB_S)[step], CLIMB_CYCLES * step / lowest_frequency([e]))
+    cycles = min(e.cycles, round(seconds / cycle))
+    fade = min(round(FADE_S / cycle), cycles // 4)
+    torque: Float64 = excitation.ramped(e.torque[:cycles], 0, fade)
+    reference = None if e.reference is None else frozen_float(e.reference[:cycles])
+    return replace(e, torque=frozen_float(torque), reference=reference, record_from=0, record_to=cycles)
+
+
+def phases_of(
+    config: CellConfig,
+    experiments: Sequence[PlannedExperiment],
+    trials: Sequence[Trial],
+    *,
+    inertia: Sequence[float | None],
+) -> tuple[PhasePlan, ...]:
+    """Everything from enabling to the end, in order, with its expected length in cycles."""
+    cycle = config.bus.cycle_s
+    rest = round(REST_S / cycle)
+    found = [PhasePlan(Step.SETTLE, 0, "settling", round(SETTLE_S / cycle))]
+    for i in sorted({i for e in experiments for i in e.excited}):
+        seconds = sign_seconds(config, i, sign_amplitude(config, experiments, i)[0], inertia[i])
+        name = f"trying the signs of {config.axes[i].name}"
+        found.append(PhasePlan(Step.SIGNS, i, name, round(seconds / cycle)))
+    led: tuple[int, ...] = ()
+
+    def change(excited: tuple[int, ...]) -> int:
+        """Cycles of the rest before others are shaken: those that were come to rest first."""
+        nonlocal led
+        before, led = led, excited
+        return rest if before in ((), excited) else 2 * rest
+
+    for number, trial in enumerate(trials):
+        cycles = change(trial.experiment.excited)
+        cycles += sum(excerpt(config, trial, step).cycles + rest for step in (0, 1))
+        found.append(PhasePlan(Step.TRIAL, number, "trying the amplitude", cycles))
+    for number, e in enumerate(experiments):
+        name = f"experiment {number + 1} of {len(experiments)}"
+        found.append(PhasePlan(Step.EXPERIMENT, number, name, e.cycles + change(e.excited)))
+    found.append(PhasePlan(Step.RETURN, 0, "coming to rest", rest))
+    return tuple(found)
