@@ -32,7 +32,7 @@ def preflight(config: CellConfig) -> dict[str, Any]:
         reports = cell.check()
     finally:
         complaints = cell.close()
-    warnings = [*plan.warnings, *complaints]
+    warnings = [*plan.warnings, *complaints, *cell.notes]
     timing = timing_of(config)
     warnings += timing.warnings(plan)
     for r in reports:

@@ -14,6 +14,7 @@ from invid.errors import BusError, InputError
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.link import Link, SdoAbortedError, SdoError
 from invid_drivers.cia402.objects import Object
+from invid_drivers.cia402.reservation import Reservation
 from invid_drivers.connect import open_bus
 
 ANSWER_S = 0.05
@@ -40,8 +41,13 @@ class Found:
 
 
 def scan(bus: can.BusABC, *, first: int = 1, last: int = 127) -> list[Found]:
-    """Ask every node id for 0x1000 and, where one answers, who it is. Reads only."""
-    link = Link(bus, heartbeat_s=1.0)
+    """Ask every node id for 0x1000 and, where one answers, who it is.
+
+    Reads only, and not on the bus of another master (BusError).
+    """
+    link = Link(bus, heartbeat_s=0.1)
+    link.listen()
+    link.refuse_others("nothing was sent")
     link.answer_s = ANSWER_S
     found = []
     for node_id in range(first, last + 1):
@@ -136,11 +142,15 @@ def register(app: typer.Typer) -> None:
             "limits: {torque_Nm: 1, position_window_rad: 1, velocity_rad_per_s: 1}}]\n",
             source="scan",
         )
-        bus = open_bus(probe)
+        reservation = Reservation(interface, channel)
         try:
-            nodes = scan(bus)
+            bus = open_bus(probe)
+            try:
+                nodes = scan(bus)
+            finally:
+                bus.shutdown()
         finally:
-            bus.shutdown()
+            reservation.release()
         drives = [n for n in nodes if n.is_drive and n.node_id <= 126]
         if not drives:
             seen = (
