@@ -8,7 +8,8 @@ from invid.config import CellConfig
 from invid.errors import ConfigError
 from invid_drivers.adapters import open_adapter
 from invid_drivers.cia402.bus import Cia402Cell
-from invid_drivers.cia402.journal import Journal, Reservation, journal_path
+from invid_drivers.cia402.journal import Journal, journal_path
+from invid_drivers.cia402.reservation import Reservation
 
 VIRTUAL = "invid-virtual"
 
@@ -42,7 +43,9 @@ def connect(config: CellConfig) -> Cia402Cell:
     journal = None
     if not is_virtual(config):
         path = journal_path(config.bus.interface, config.bus.channel)
-        reservation = Reservation(path)  # before the journal is read: the one before may still be writing it
+        reservation = Reservation(
+            config.bus.interface, config.bus.channel
+        )  # before the journal is read: the one before may still be writing it
         journal = Journal(path)
         journal.reservation = reservation
     bus = None

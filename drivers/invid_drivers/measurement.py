@@ -259,7 +259,7 @@ def _result(
 ) -> MeasurementResult:
     seen = result.statistics
     axes = cell.axes
-    warnings = [*result.warnings, *complaints]
+    warnings = [*result.warnings, *complaints, *cell.notes]
     for report in cell.reports:
         warnings += report.warnings
         warnings += [f"axis {report.axis}: the drive lacks {what}" for what in report.lacks]

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 import can
 
 from invid.config import CellConfig
-from invid.errors import DriveError, InvidError, SafetyStop
+from invid.errors import BusError, DriveError, InvidError, SafetyStop
 from invid.sweep.ports import Clock, Mode, Sample, Severity
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402 import states
@@ -40,6 +40,7 @@ class Cia402Cell:
         self._reports: list[DriveReport] = []
         self._cycle = Cycle(self._link, config)
         self._touched = False
+        self._listened = False
         self._stopped = True
         self.held_at_end: tuple[str, ...] = ()
         """Gravity-loaded axes that their drives hold in quick stop active."""
@@ -93,11 +94,18 @@ class Cia402Cell:
     def check(self) -> tuple[DriveReport, ...]:
         """Restore what an earlier run left behind, then ask every drive what it can do. Moves nothing."""
         self._link.require_bus()
+        if not self._listened:
+            self._link.listen()
+            self._listened = True
+        self._link.refuse_others("nothing was sent")
         self._pre_operational()
         for drive in self._drives:
             if self.journal.of_node(drive.node_id):
                 drive.restore()
         self._reports = [d.check() for d in self._drives]
+        for drive in self._drives:
+            self._refuse_owned(drive)
+        self._link.refuse_others("nothing was moved")
         for i, r in enumerate(self._reports):
             position = r.scaling.direction * r.scaling.position_per_count
             self._cycle.scale(i, position=position, torque=r.scaling.torque(1))
@@ -109,8 +117,28 @@ class Cia402Cell:
         return self._link
 
     def _pre_operational(self) -> None:
-        self._link.nmt(NMT_PRE_OPERATIONAL)
+        for drive in self._drives:
+            self._link.nmt(NMT_PRE_OPERATIONAL, drive.node_id)
         self._link.wait(0.02)
+
+    def _refuse_owned(self, drive: Drive) -> None:
+        """BusError where a drive watches the heartbeat of a node that is there: it belongs to that master."""
+        watched = drive.find(od.CONSUMER_HEARTBEAT) or 0
+        producer = watched >> 16 & 0x7F
+        if watched & 0xFFFF and any(f.node == producer for f in self._link.others.values()):
+            raise BusError(
+                f"axis {drive.name} (node {drive.node_id}): it watches the heartbeat of node {producer} "
+                "(0x1016), which is on this bus: it belongs to that master. Switch that off, or clear 0x1016 "
+                "if it is none"
+            )
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Who else is on the bus, and is left alone."""
+        slaves = sorted({f.node for f in self._link.others.values() if f.node is not None})
+        others = [f.text for f in self._link.others.values() if not f.master and f.node is None]
+        said = [f"node {n} is on the bus too, is not in the config, and is left alone" for n in slaves]
+        return (*said, *(f"{text} are on the bus too" for text in others))
 
     def energise(self, modes: Sequence[Mode]) -> None:
         """Protect, map, start and enable every drive at rest where it stands."""
@@ -132,9 +160,11 @@ class Cia402Cell:
                 drive.command(od.TARGET_POSITION, drive.read(od.POSITION))
             drive.set_mode(self._operation_mode(report, mode), CHANGE_S)
         self._link.events.clear()
+        self._link.refuse_others("nothing was moved")
         for peer in self._link.peers.values():
             peer.last_heartbeat = None
-        self._link.nmt(NMT_START)
+        for drive in self._drives:
+            self._link.nmt(NMT_START, drive.node_id)
         self._link.wait(0.005)
         self._cycle.restart_slots()
         self._enable()

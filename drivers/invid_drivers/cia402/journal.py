@@ -7,17 +7,13 @@ one order that drives accept.
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
-import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from invid.errors import BusError
-
-PATIENCE_S = 5.0
-"""For an orphaned cycle process that stops its drives: fade, quick stop and restoring take two seconds."""
+from invid_drivers.cia402.reservation import Reservation
 
 
 @dataclass(frozen=True)
@@ -84,46 +80,6 @@ class Journal:
         part = self.path.with_suffix(".part")
         part.write_text("".join(json.dumps(asdict(e)) + "\n" for e in self._entries), encoding="utf-8")
         part.replace(self.path)
-
-
-class Reservation:
-    """A bus has one master: a second one would take drives out of operation under the first, and its journal.
-
-    The kernel ends it with the process, however that dies. A cycle process whose parent was killed is still
-    stopping its drives: the next one waits for it.
-
-    Raises
-    ------
-    BusError
-        Another process has the bus and keeps it.
-    """
-
-    def __init__(self, path: Path, patience_s: float = PATIENCE_S) -> None:
-        self._file: int | None = None
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = os.open(path.with_suffix(".lock"), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
-        except OSError:
-            return  # nor can a journal be written there: refused before anything is written into a drive
-        end = time.monotonic() + patience_s
-        while True:
-            try:
-                fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                return
-            except OSError:
-                if time.monotonic() >= end:
-                    self.release()
-                    raise BusError(
-                        f"another invid process is using this bus (it holds {path.with_suffix('.lock')}); "
-                        "wait until its measurement has ended, or stop it"
-                    ) from None
-                time.sleep(0.05)
-
-    def release(self) -> None:
-        """Safe to call twice."""
-        if self._file is not None:
-            os.close(self._file)
-            self._file = None
 
 
 def _read(path: Path) -> list[Entry]:

@@ -7,6 +7,7 @@ nothing else ever touches the bus and virtual time only advances here.
 from __future__ import annotations
 
 import time
+from collections import Counter
 from dataclasses import dataclass, field
 
 import can
@@ -16,9 +17,7 @@ from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError, SdoEr
 
 from invid.errors import BusError
 from invid.sweep.ports import Clock, Event, Severity
-
-MASTER_ID = 127
-"""Node id of the service in its own heartbeat; axes have 1…126."""
+from invid_drivers.cia402.others import LISTEN_BEATS, LISTEN_S, MASTER_ID, Foreign, foreign
 
 SHORTEST_WAIT_S = 1e-6
 """A rest of a wait below a bus's clock tick would never pass in virtual time."""
@@ -28,6 +27,8 @@ LATE_ANSWER_S = 0.05
 ANSWER_S = 1.0
 """How long a request waits for its answer; a drive answers in milliseconds, a simulated one on a busy
 computer may need longer."""
+MOST_ECHOES = 1000
+"""Frames whose echo is waited for; one that an adapter lost is forgotten with all others beyond that."""
 UNANSWERED_S = 1.0
 """A question of the cycle that stayed unanswered so long may be asked again."""
 
@@ -82,8 +83,13 @@ class Link:
             arbitration_id=0x700 + MASTER_ID, data=b"\x05", is_extended_id=False, check=False
         )
         self.beating = False
+        self.others: dict[str, Foreign] = {}
+        """What was heard of others on the bus, by its words."""
+        self._names: dict[int, str] = {}
+        self._echoing: bool | None = None
+        self._echoes: Counter[tuple[int, bytes]] = Counter()
         self.answer_s = ANSWER_S
-        """How long a request waits for its answer, twice; less while other axes follow their last torque."""
+        """How long a request waits for its answer, twice."""
 
     # --- frames --------------------------------------------------------------------------------
     def send(self, cob_id: int, data: bytes) -> None:
@@ -92,6 +98,8 @@ class Link:
 
     def put(self, message: can.Message) -> None:
         """One frame; BusError where the bus does not take it."""
+        if self._echoing is not False:
+            self._expect_echo(message)
         try:
             self.bus.send(message)
         except can.CanError as error:
@@ -138,8 +146,12 @@ class Link:
             self._error_frame(message)
             return
         if message.is_remote_frame or message.is_extended_id:
+            self._look_for_others(message)
             return
         cob, data = message.arbitration_id, bytes(message.data)
+        if self._echoing is not False and self._is_echo(cob, data):
+            return
+        self._look_for_others(message)
         node = self.peers.get(cob & 0x7F)
         if cob & 0x780 == 0x580:
             self.answered(cob & 0x7F)
@@ -150,6 +162,49 @@ class Link:
             self._heard(node, data)
         elif cob & 0x780 == 0x080:
             self._emergency(node, data)
+
+    def listen(self) -> None:
+        """Send nothing, and hear who is there."""
+        self.wait(max(LISTEN_S, LISTEN_BEATS * self._heartbeat_s))
+
+    def refuse_others(self, done: str) -> None:
+        """BusError where another master was heard; ``done``: what became of the axes."""
+        heard = [f.text for f in self.others.values() if f.master]
+        if heard:
+            raise BusError(_another(", ".join(heard[:5]), done))
+
+    def _look_for_others(self, message: can.Message) -> None:
+        found = foreign(message, self._names)
+        if found is None or found.text in self.others:
+            return
+        self.others[found.text] = found
+        if found.master:
+            self.events.append(Event(Severity.BUS, _another(found.text, "the axes were stopped")))
+
+    def _expect_echo(self, message: can.Message) -> None:
+        if len(self._echoes) > MOST_ECHOES:
+            self._echoes.clear()
+        self._echoes[message.arbitration_id, bytes(message.data)] += 1
+
+    def _is_echo(self, cob: int, data: bytes) -> bool:
+        """Whether a frame is our own, given back by the adapter: one for each that was sent, no more.
+
+        An adapter gives it back when it is on the wire, so before the answer to it: one that gave back
+        nothing by the first answer to an SDO request gives back nothing.
+        """
+        if self._echoes[cob, data] > 0:
+            self._echoes[cob, data] -= 1
+            self._echoing = True
+            return True
+        del self._echoes[cob, data]
+        if (
+            self._echoing is None
+            and cob & 0x780 == 0x580
+            and any(c & 0x780 == 0x600 for c, _ in self._echoes)
+        ):
+            self._echoing = False
+            self._echoes.clear()
+        return False
 
     def _heard(self, node: Peer, data: bytes) -> None:
         if not data:
@@ -193,10 +248,13 @@ class Link:
     # --- services ------------------------------------------------------------------------------
     def add_peer(self, node_id: int, name: str) -> Peer:
         """Listen to a node."""
+        self._names[node_id] = name
         return self.peers.setdefault(node_id, Peer(node_id, name))
 
-    def nmt(self, command: int, node_id: int = 0) -> None:
-        """NMT command to one node or (0) to all."""
+    def nmt(self, command: int, node_id: int) -> None:
+        """NMT command to one of our nodes; never to all, who may be others'."""
+        if node_id not in self.peers:
+            raise BusError(f"node {node_id} is not in the config: it gets no NMT command")
         self.send(0x000, bytes((command, node_id)))
 
     def sdo(self, node_id: int) -> SdoClient:
@@ -301,6 +359,13 @@ class _PumpedSdo(SdoClient):
         if answer[0] == 0x80:
             raise SdoAbortedError(int.from_bytes(answer[4:8], "little"))
         return answer
+
+
+def _another(heard: str, done: str) -> str:
+    return (
+        f"another master is on this bus: {heard} was heard; {done}. End the program or switch off the device "
+        "that sends it, or measure on a bus of its own"
+    )
 
 
 def _emcy_words(code: int) -> str:

@@ -35,7 +35,7 @@ def preflight(config: CellConfig) -> dict[str, Any]:
         found = None if is_virtual(config) else probe(cell.link, config, plan)
     finally:
         complaints = cell.close()
-    warnings = [*plan.warnings, *complaints]
+    warnings = [*plan.warnings, *complaints, *cell.notes]
     timing = timing_of(config)
     warnings += timing.warnings(plan)
     if found is not None:

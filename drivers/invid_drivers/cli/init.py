@@ -16,6 +16,7 @@ from invid.planning.round_trip import SHARE, bound, shortest_cycle
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.link import Link, SdoAbortedError, SdoError
 from invid_drivers.cia402.objects import Object
+from invid_drivers.cia402.reservation import Reservation
 from invid_drivers.connect import is_virtual, open_bus
 from invid_drivers.round_trip import sample
 
@@ -46,8 +47,19 @@ class Found:
 
 
 def scan(bus: can.BusABC, *, first: int = 1, last: int = 127) -> list[Found]:
-    """Ask every node id for 0x1000 and, where one answers, who it is. Reads only."""
-    return ask_all(Link(bus, heartbeat_s=1.0), first=first, last=last)
+    """Ask every node id for 0x1000 and, where one answers, who it is.
+
+    Reads only, and not on the bus of another master (BusError).
+    """
+    return ask_all(quiet_link(bus), first=first, last=last)
+
+
+def quiet_link(bus: can.BusABC) -> Link:
+    """A link that has listened before it sends anything; BusError where another master is on the bus."""
+    link = Link(bus, heartbeat_s=0.1)
+    link.listen()
+    link.refuse_others("nothing was sent")
+    return link
 
 
 def ask_all(link: Link, *, first: int = 1, last: int = 127) -> list[Found]:
@@ -152,18 +164,22 @@ def register(app: typer.Typer) -> None:
             "limits: {torque_Nm: 1, position_window_rad: 1, velocity_rad_per_s: 1}}]\n",
             source="scan",
         )
-        bus = open_bus(probe)
+        reservation = Reservation(interface, channel)
         try:
-            link = Link(bus, heartbeat_s=1.0)
-            nodes = ask_all(link)
-            drives = [n for n in nodes if n.is_drive and n.node_id <= 126]
-            round_trip = (
-                bound(sample(link, [d.node_id for d in drives], every_s=CYCLES[0]), SHARE)
-                if drives and not is_virtual(probe)
-                else 0.0
-            )
+            bus = open_bus(probe)
+            try:
+                link = quiet_link(bus)
+                nodes = ask_all(link)
+                drives = [n for n in nodes if n.is_drive and n.node_id <= 126]
+                round_trip = (
+                    bound(sample(link, [d.node_id for d in drives], every_s=CYCLES[0]), SHARE)
+                    if drives and not is_virtual(probe)
+                    else 0.0
+                )
+            finally:
+                bus.shutdown()
         finally:
-            bus.shutdown()
+            reservation.release()
         if not drives:
             seen = (
                 f"{len(nodes)} nodes answered, none of them a CiA 402 drive" if nodes else "no node answered"
