@@ -27,8 +27,9 @@ FULL = 0.95
 """Share of a limit that what is announced may use."""
 MOST_SPREAD = 10.0
 """An axis that a trial hardly moves says no more about the experiments than this."""
-AGAIN = 2.0
-"""Motion in the doublets over that of one from rest: each begins where the one before left the axis moving."""
+AGAIN = 3.0
+"""Motion in the doublets over that of one from rest: each begins where the one before left the axis moving.
+Empirical (``bench_announced.py``)."""
 ROUNDS = 6
 NEVER_BACK = 2.5
 """Creep in rms velocities of the shaking above which a motor hardly turns back (once in a hundred, normal).

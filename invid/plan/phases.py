@@ -47,7 +47,7 @@ CATCH_HZ = 3.0
 would ask for much torque. The hold of the shaking would let it drift for seconds."""
 SIGN_UNKNOWN_S = 1.5
 """Expected length of a sign trial on an axis whose inertia nobody has named: doublets up to 0.64 s."""
-SPREAD_FIRST, SPREAD_EACH = 1.25, 0.6
+SPREAD_FIRST, SPREAD_EACH = 1.25, 0.95
 """Without a model: motion of all runs of a multisine over that of the ten seconds that the trial plays,
 first + each·√(M − 1) with M axes shaken. The runs differ in the phases of the axes alone: what M axes do to
 one adds up as a random walk. Empirical (``bench_announced.py``)."""

@@ -42,6 +42,7 @@ SLEEP_COUNTS = 20
 """An encoder that dies shows so many counts first; fewer are what ringing leaves of a coarse one."""
 LEAST_COUNTS = 5
 """Less than this after the longest doublet, and the axis did not move."""
+GENTLE, LEAST_SHARE = 1.0 / 3.0, 0.01
 SMOOTH_S = 0.02
 """The torque that a drive reads while it holds is averaged over this time: shorter than what is shaken."""
 NOISE_STD = 4.0
@@ -194,7 +195,10 @@ class Rehearsal:
         self._motion.watching.standing.forget()
         first, second = trial_shares(config, experiment)
         allowed = self._allowed()
-        seen = self._try_share(excerpt(config, trial, 0), first)
+        gentle = self._gentle(experiment, allowed[0])
+        # Less than what friction surely lets through says nothing of an encoder that stands.
+        seen = self._try_share(excerpt(config, trial, 0), min(first, gentle), moves=gentle >= first)
+        first = min(first, gentle)
         # Friction may have hidden half of the motion.
         room = float(np.min(allowed[:2] / np.maximum(2.0 * seen.motion, 1e-300)))
         share = min(second, first * max(room, 1.0))
@@ -209,6 +213,18 @@ class Rehearsal:
         scale = self._scale_down(bound, allowed)
         self.scales[list(trial.covers)] = scale
         self.bounds = np.maximum(self.bounds, scale * bound)
+
+    def _gentle(self, experiment: PlannedExperiment, travel: Float64) -> float:
+        """Share at which a sine of the slowest line moves each axis, as heavy as the signs showed it, by less
+        than a third of what is allowed."""
+        omega = 2 * np.pi * lowest_frequency([experiment])
+        share = 1.0
+        for i in experiment.excited:
+            peak = float(np.abs(experiment.torque[:, i]).max(initial=0.0))
+            inertia = self._motion.inertia.get(i, 0.0)
+            if peak > 0 and 0 < inertia < np.inf:
+                share = min(share, GENTLE * float(travel[i]) * inertia * omega**2 / peak)
+        return max(share, LEAST_SHARE)
 
     def _allowed(self) -> Float64:
         """(3, M) what was announced, or 95 % of the limits where that is less."""
@@ -245,8 +261,8 @@ class Rehearsal:
                 bounds[:, list(e.excited)] = told[:, list(e.excited)]
         return announced(config, np.minimum(bounds, told), "trial")
 
-    def _try_share(self, experiment: PlannedExperiment, share: float) -> Seen:
-        """An excerpt at a share of its amplitude, and what it did."""
+    def _try_share(self, experiment: PlannedExperiment, share: float, *, moves: bool = True) -> Seen:
+        """What an excerpt does at a share of its amplitude; ``moves``: whether it must move its axes."""
         motion = self._motion
         excited, cycle = set(experiment.excited), motion.plan.cycle_s
         cycles = experiment.cycles
@@ -261,10 +277,11 @@ class Rehearsal:
             return motion.play(rows[first:last], last - first, reference=part, log=True)
 
         opening = play(0, fade)
-        motion.watching.excited = excited
+        motion.watching.excited = excited if moves else set()
         body = play(fade, cycles - fade)
         motion.watching.excited = set()
-        motion.watching.learn_standing(excited)
+        if moves:
+            motion.watching.learn_standing(excited)
         ending = play(cycles - fade, cycles)
         rest = motion.rest(excited)
         kept = joined([opening, body, ending, rest])
