@@ -16,7 +16,7 @@ from invid.model import parameter_vector
 from invid.plan.belief import Belief
 from invid.plan.build import CREEP_TRAVEL
 from invid.plan.design import ROBUST_SHARE, LineDesign, interleaved, line_design
-from invid.plan.forecast import MARGIN, QUANTITIES, usable
+from invid.plan.forecast import QUANTITIES, usable, with_margin
 from invid.plan.model import PlannedExperiment
 from invid.plan.response import foretold_motion, hold_gains
 from invid.recording.model import Kind, Role
@@ -109,8 +109,7 @@ class BlockDesigner:
     def _over(self, block: PlannedExperiment) -> list[tuple[int, int, float]]:
         """Axis, kind of limit and how far beyond what is usable of it the announcement would lie."""
         motion = foretold_motion(self.config, block, self.belief)
-        peaks = [np.abs(x).max(axis=0) for x in (motion.position, motion.velocity, motion.torque)]
-        over = MARGIN * np.array(peaks) / usable(self.config)
+        over = with_margin(motion, block.torque) / usable(self.config)
         return [(int(i), int(k), float(over[k, i])) for i, k in np.argwhere(over.T > 1.0)]
 
     def peaks(self, rung: float) -> Float64:

@@ -12,7 +12,7 @@ from invid.config import CellConfig
 from invid.plan.belief import Belief
 from invid.plan.model import AxisForecast, PlannedExperiment, Trial
 from invid.plan.phases import REST_S, SIGN_TRAVEL, excerpt, sign_amplitude, sign_doublet
-from invid.plan.response import foretold_motion, held_by_drive, hold_gains
+from invid.plan.response import Motion, foretold_motion, held_by_drive, hold_gains
 
 MARGIN = 1.25
 """Motion and torque announced over those that the model foretells. Empirical: the models that an
@@ -39,12 +39,13 @@ fifths of it two seeds were, with three tenths none."""
 
 @dataclass(frozen=True, eq=False)
 class Peaks:
-    """What an experiment does to every axis, without any margin.
+    """What an experiment at most does to every axis.
 
     Attributes
     ----------
     motion
-        (3, M) largest travel, velocity and torque; in proportion to the amplitude.
+        (3, M) largest travel, velocity and torque, with the margin of a model on all but the planned
+        excitation itself; in proportion to the amplitude.
     friction
         (3, M) what dry friction adds whatever the amplitude is: how far from its place it lets an axis rest,
         and the torque that it takes of an axis that is led.
@@ -55,8 +56,8 @@ class Peaks:
 
     @property
     def bound(self) -> Float64:
-        """(3, M) with the margin of a model."""
-        return MARGIN * self.motion + self.friction
+        """(3, M) of both."""
+        return self.motion + self.friction
 
 
 def highest(parts: Sequence[Float64], axes: int) -> Float64:
@@ -78,11 +79,18 @@ def peaks_of(config: CellConfig, experiment: PlannedExperiment, belief: Belief) 
     found = []
     for bandwidth in bandwidths:
         motion = foretold_motion(config, whole, free, drive_hold_hz=bandwidth)
-        found.append(np.abs([motion.position, motion.velocity, motion.torque]).max(axis=1))
+        found.append(with_margin(motion, whole.torque))
     stiffness, _ = hold_gains(config, experiment, belief)
     led = np.array([i in experiment.excited for i in range(count)])
     friction = led * np.stack([belief.coulomb / stiffness, np.zeros(count), belief.coulomb])
     return Peaks(highest(found, count), friction)
+
+
+def with_margin(motion: Motion, excitation: Float64) -> Float64:
+    """(3, M) largest travel, velocity and torque with the margin of a model; ``excitation`` is known."""
+    held = excitation + MARGIN * (motion.torque - excitation)
+    result: Float64 = np.abs([MARGIN * motion.position, MARGIN * motion.velocity, held]).max(axis=1)
+    return result
 
 
 def _with_rest(e: PlannedExperiment, rest: int) -> PlannedExperiment:
@@ -192,7 +200,7 @@ def fitted(
         for e, p in zip(experiments, peaks, strict=True):
             if not e.torque.any():
                 continue  # a slow move has no amplitude: its path was checked against the limits
-            over = MARGIN * p.motion / np.maximum(most - p.friction, most / 2)
+            over = p.motion / np.maximum(most - p.friction, most / 2)
             for i in np.flatnonzero(over.max(axis=0) > 1.0):
                 for j in e.excited if i not in e.excited else (int(i),):
                     if 1.0 / over[:, i].max() < lower[j]:
