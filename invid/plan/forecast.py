@@ -112,7 +112,8 @@ def model_trials(
     for trial in trials:
         own = np.maximum(peaks_of(config, excerpt(config, trial, 1), belief).motion, 1e-300)
         whole = highest([peaks[k].motion for k in trial.covers], len(config.axes))
-        found.append(replace(trial, spread=frozen_float(np.clip(whole / own, 1.0, MOST_SPREAD))))
+        spread = frozen_float(np.clip(whole / own, 1.0, MOST_SPREAD))
+        found.append(replace(trial, spread=spread, usual=spread))
     return tuple(found)
 
 

@@ -205,14 +205,18 @@ class Rehearsal:
         again = self._try_share(excerpt(config, trial, 1), share)
         linear = again.stacked / share
         linear[:2] *= _growth(seen, again)
-        bound = linear * trial.spread
-        bound[2] += np.abs(self._motion.bias)
         path = experiment.reference
-        if path is not None:
-            bound[0] += np.abs(path).max(axis=0)
-        scale = self._scale_down(bound, allowed)
+        led = 0.0 if path is None else np.abs(path).max(axis=0)
+
+        def bound(spread: Float64) -> Float64:
+            most: Float64 = linear * spread
+            most[2] += np.abs(self._motion.bias)
+            most[0] += led
+            return most
+
+        scale = self._scale_down(bound(trial.usual), allowed)
         self.scales[list(trial.covers)] = scale
-        self.bounds = np.maximum(self.bounds, scale * bound)
+        self.bounds = np.maximum(self.bounds, scale * bound(trial.spread))
 
     def _gentle(self, experiment: PlannedExperiment, travel: Float64) -> float:
         """Share at which a sine of the slowest line moves each axis, as heavy as the signs showed it, by less
@@ -299,7 +303,8 @@ class Rehearsal:
             travel[i], velocity[i] = away.max(initial=0.0), max(speed.max(initial=0.0), 0.0)
             early[0, i] = away[came < common].max(initial=0.0)
             early[1, i] = max(speed[came[step:] < common].max(initial=0.0), 0.0)
-        return Seen(share, np.stack([travel, velocity]), early, self._torque(kept))
+        # the rest has a hold of its own, whatever the share
+        return Seen(share, np.stack([travel, velocity]), early, self._torque(joined([opening, body, ending])))
 
     def _torque(self, kept: Log) -> Float64:
         """(M,) largest torque beyond the bias: commanded, or measured where a drive holds its axis."""
