@@ -19,6 +19,14 @@ from invid.planning.expected_covariance import Expected, Noise, expected, parame
 from invid.planning.forecast import MARGIN, QUANTITIES, usable
 from invid.planning.model import PlannedExperiment
 from invid.planning.response import foretold_motion, hold_gains
+from invid.planning.expected_covariance import Expected, Noise, expected, parameter_scale
+from invid.model.document import parameter_vector
+from invid.planning.belief import Belief
+from invid.planning.build import CREEP_TRAVEL
+from invid.planning.design import LineDesign, ROBUST_SHARE, interleaved, line_design
+from invid.planning.forecast import QUANTITIES, usable, with_margin
+from invid.planning.model import PlannedExperiment
+from invid.planning.response import foretold_motion, hold_gains
 from invid.recording.model import Kind, Role
 from invid.signals import excitation
 
@@ -109,8 +117,7 @@ class BlockDesigner:
     def _over(self, block: PlannedExperiment) -> list[tuple[int, int, float]]:
         """Axis, kind of limit and how far beyond what is usable of it the announcement would lie."""
         motion = foretold_motion(self.config, block, self.belief)
-        peaks = [np.abs(x).max(axis=0) for x in (motion.position, motion.velocity, motion.torque)]
-        over = MARGIN * np.array(peaks) / usable(self.config)
+        over = with_margin(motion, block.torque) / usable(self.config)
         return [(int(i), int(k), float(over[k, i])) for i, k in np.argwhere(over.T > 1.0)]
 
     def peaks(self, rung: float) -> Float64:

@@ -13,6 +13,10 @@ from invid.planning.belief import Belief
 from invid.planning.model import AxisForecast, PlannedExperiment, Trial
 from invid.planning.phases import REST_S, SIGN_TRAVEL, excerpt, sign_amplitude, sign_doublet
 from invid.planning.response import foretold_motion, held_by_drive, hold_gains
+from invid.plan.belief import Belief
+from invid.plan.model import AxisForecast, PlannedExperiment, Trial
+from invid.plan.phases import REST_S, SIGN_TRAVEL, excerpt, sign_amplitude, sign_doublet
+from invid.plan.response import Motion, foretold_motion, held_by_drive, hold_gains
 
 MARGIN = 1.25
 """Motion and torque announced over those that the model foretells. Empirical: the models that an
@@ -27,8 +31,14 @@ FULL = 0.95
 """Share of a limit that what is announced may use."""
 MOST_SPREAD = 10.0
 """An axis that a trial hardly moves says no more about the experiments than this."""
+<<<<<<< HEAD:invid/planning/forecast.py
 AGAIN = 2.0
 """Motion in the doublets over that of one from rest: each begins where the one before left the axis."""
+=======
+AGAIN = 3.0
+"""Motion in the doublets over that of one from rest: each begins where the one before left the axis moving.
+Empirical (``bench_announced.py``)."""
+>>>>>>> motion:invid/plan/forecast.py
 ROUNDS = 6
 NEVER_BACK = 2.5
 """Creep in rms velocities of the shaking above which a motor hardly turns back (once in a hundred, normal).
@@ -38,12 +48,13 @@ fifths of it two seeds were, with three tenths none."""
 
 @dataclass(frozen=True, eq=False)
 class Peaks:
-    """What an experiment does to every axis, without any margin.
+    """What an experiment at most does to every axis.
 
     Attributes
     ----------
     motion
-        (3, M) largest travel, velocity and torque; in proportion to the amplitude.
+        (3, M) largest travel, velocity and torque, with the margin of a model on all but the planned
+        excitation itself; in proportion to the amplitude.
     friction
         (3, M) what dry friction adds whatever the amplitude is: how far from its place it lets an axis rest,
         and the torque that it takes of an axis that is led.
@@ -54,8 +65,8 @@ class Peaks:
 
     @property
     def bound(self) -> Float64:
-        """(3, M) with the margin of a model."""
-        return MARGIN * self.motion + self.friction
+        """(3, M) of both."""
+        return self.motion + self.friction
 
 
 def highest(parts: Sequence[Float64], axes: int) -> Float64:
@@ -77,11 +88,18 @@ def peaks_of(config: CellConfig, experiment: PlannedExperiment, belief: Belief) 
     found = []
     for bandwidth in bandwidths:
         motion = foretold_motion(config, whole, free, drive_hold_hz=bandwidth)
-        found.append(np.abs([motion.position, motion.velocity, motion.torque]).max(axis=1))
+        found.append(with_margin(motion, whole.torque))
     stiffness, _ = hold_gains(config, experiment, belief)
     led = np.array([i in experiment.excited for i in range(count)])
     friction = led * np.stack([belief.coulomb / stiffness, np.zeros(count), belief.coulomb])
     return Peaks(highest(found, count), friction)
+
+
+def with_margin(motion: Motion, excitation: Float64) -> Float64:
+    """(3, M) largest travel, velocity and torque with the margin of a model; ``excitation`` is known."""
+    held = excitation + MARGIN * (motion.torque - excitation)
+    result: Float64 = np.abs([MARGIN * motion.position, MARGIN * motion.velocity, held]).max(axis=1)
+    return result
 
 
 def _with_rest(e: PlannedExperiment, rest: int) -> PlannedExperiment:
@@ -103,7 +121,8 @@ def model_trials(
     for trial in trials:
         own = np.maximum(peaks_of(config, excerpt(config, trial, 1), belief).motion, 1e-300)
         whole = highest([peaks[k].motion for k in trial.covers], len(config.axes))
-        found.append(replace(trial, spread=frozen_float(np.clip(whole / own, 1.0, MOST_SPREAD))))
+        spread = frozen_float(np.clip(whole / own, 1.0, MOST_SPREAD))
+        found.append(replace(trial, spread=spread, usual=spread))
     return tuple(found)
 
 
@@ -191,7 +210,7 @@ def fitted(
         for e, p in zip(experiments, peaks, strict=True):
             if not e.torque.any():
                 continue  # a slow move has no amplitude: its path was checked against the limits
-            over = MARGIN * p.motion / np.maximum(most - p.friction, most / 2)
+            over = p.motion / np.maximum(most - p.friction, most / 2)
             for i in np.flatnonzero(over.max(axis=0) > 1.0):
                 for j in e.excited if i not in e.excited else (int(i),):
                     if 1.0 / over[:, i].max() < lower[j]:

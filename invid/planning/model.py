@@ -91,6 +91,8 @@ class Trial:
     experiment: PlannedExperiment
     covers: tuple[int, ...]
     spread: Float64
+    usual: Float64
+    """(3, M) the same for nearly all cells: by this the torque is lowered."""
 
 
 @dataclass(frozen=True)

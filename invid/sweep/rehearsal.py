@@ -42,6 +42,7 @@ SLEEP_COUNTS = 20
 """An encoder that dies shows so many counts first; fewer are what ringing leaves of a coarse one."""
 LEAST_COUNTS = 5
 """Less than this after the longest doublet, and the axis did not move."""
+GENTLE, LEAST_SHARE = 1.0 / 3.0, 0.01
 SMOOTH_S = 0.02
 """The torque that a drive reads while it holds is averaged over this time: shorter than what is shaken."""
 NOISE_STD = 4.0
@@ -194,21 +195,40 @@ class Rehearsal:
         self._motion.watching.standing.forget()
         first, second = trial_shares(config, experiment)
         allowed = self._allowed()
-        seen = self._try_share(excerpt(config, trial, 0), first)
+        gentle = self._gentle(experiment, allowed[0])
+        # Less than what friction surely lets through says nothing of an encoder that stands.
+        seen = self._try_share(excerpt(config, trial, 0), min(first, gentle), moves=gentle >= first)
+        first = min(first, gentle)
         # Friction may have hidden half of the motion.
         room = float(np.min(allowed[:2] / np.maximum(2.0 * seen.motion, 1e-300)))
         share = min(second, first * max(room, 1.0))
         again = self._try_share(excerpt(config, trial, 1), share)
         linear = again.stacked / share
         linear[:2] *= _growth(seen, again)
-        bound = linear * trial.spread
-        bound[2] += np.abs(self._motion.bias)
         path = experiment.reference
-        if path is not None:
-            bound[0] += np.abs(path).max(axis=0)
-        scale = self._scale_down(bound, allowed)
+        led = 0.0 if path is None else np.abs(path).max(axis=0)
+
+        def bound(spread: Float64) -> Float64:
+            most: Float64 = linear * spread
+            most[2] += np.abs(self._motion.bias)
+            most[0] += led
+            return most
+
+        scale = self._scale_down(bound(trial.usual), allowed)
         self.scales[list(trial.covers)] = scale
-        self.bounds = np.maximum(self.bounds, scale * bound)
+        self.bounds = np.maximum(self.bounds, scale * bound(trial.spread))
+
+    def _gentle(self, experiment: PlannedExperiment, travel: Float64) -> float:
+        """Share at which a sine of the slowest line moves each axis, as heavy as the signs showed it, by less
+        than a third of what is allowed."""
+        omega = 2 * np.pi * lowest_frequency([experiment])
+        share = 1.0
+        for i in experiment.excited:
+            peak = float(np.abs(experiment.torque[:, i]).max(initial=0.0))
+            inertia = self._motion.inertia.get(i, 0.0)
+            if peak > 0 and 0 < inertia < np.inf:
+                share = min(share, GENTLE * float(travel[i]) * inertia * omega**2 / peak)
+        return max(share, LEAST_SHARE)
 
     def _allowed(self) -> Float64:
         """(3, M) what was announced, or 95 % of the limits where that is less."""
@@ -245,8 +265,8 @@ class Rehearsal:
                 bounds[:, list(e.excited)] = told[:, list(e.excited)]
         return announced(config, np.minimum(bounds, told), "trial")
 
-    def _try_share(self, experiment: PlannedExperiment, share: float) -> Seen:
-        """An excerpt at a share of its amplitude, and what it did."""
+    def _try_share(self, experiment: PlannedExperiment, share: float, *, moves: bool = True) -> Seen:
+        """What an excerpt does at a share of its amplitude; ``moves``: whether it must move its axes."""
         motion = self._motion
         excited, cycle = set(experiment.excited), motion.plan.cycle_s
         cycles = experiment.cycles
@@ -261,10 +281,11 @@ class Rehearsal:
             return motion.play(rows[first:last], last - first, reference=part, log=True)
 
         opening = play(0, fade)
-        motion.watching.excited = excited
+        motion.watching.excited = excited if moves else set()
         body = play(fade, cycles - fade)
         motion.watching.excited = set()
-        motion.watching.learn_standing(excited)
+        if moves:
+            motion.watching.learn_standing(excited)
         ending = play(cycles - fade, cycles)
         rest = motion.rest(excited)
         kept = joined([opening, body, ending, rest])
@@ -282,7 +303,8 @@ class Rehearsal:
             travel[i], velocity[i] = away.max(initial=0.0), max(speed.max(initial=0.0), 0.0)
             early[0, i] = away[came < common].max(initial=0.0)
             early[1, i] = max(speed[came[step:] < common].max(initial=0.0), 0.0)
-        return Seen(share, np.stack([travel, velocity]), early, self._torque(kept))
+        # the rest has a hold of its own, whatever the share
+        return Seen(share, np.stack([travel, velocity]), early, self._torque(joined([opening, body, ending])))
 
     def _torque(self, kept: Log) -> Float64:
         """(M,) largest torque beyond the bias: commanded, or measured where a drive holds its axis."""

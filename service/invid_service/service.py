@@ -132,7 +132,12 @@ class Service:
         return found
 
     async def readiness(
-        self, cell: Cell, mode: str | None = None, *, ignore: LiveRun | None = None
+        self,
+        cell: Cell,
+        mode: str | None = None,
+        *,
+        ignore: LiveRun | None = None,
+        axes: tuple[str, ...] | None = None,
     ) -> Readiness:
         """Whether the cell can start, judged now."""
         occupied = self.jobs.occupying(cell.id)
@@ -152,6 +157,7 @@ class Service:
                 shutting_down=self.shutting_down,
                 has_model=has_model,
                 mode=mode,  # type: ignore[arg-type]
+                axes=axes,
             )
         )
 

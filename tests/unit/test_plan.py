@@ -10,6 +10,10 @@ from invid.planning import bus_load, frame_bits, make_plan
 from invid.planning.belief import Belief, rigid
 from invid.planning.forecast import peaks_of
 from invid.planning.response import foretold_motion
+from invid.plan import bus_load, frame_bits, make_plan
+from invid.plan.belief import Belief, rigid
+from invid.plan.forecast import MARGIN, peaks_of
+from invid.plan.response import foretold_motion
 from invid.recording import Kind, Role
 
 
@@ -114,11 +118,11 @@ def test_travel_of_a_sine_on_a_rigid_mass_is_foretold_with_its_start() -> None:
     known = rigid(config)
     assert known is not None
     (e,) = make_plan(config).experiments
-    travel, velocity, torque = peaks_of(config, e, known).motion
+    travel, velocity, torque = peaks_of(config, e, known).motion / MARGIN
     # A/(S·ω²) with 5 N·m on 5 kg·m² at 2 Hz; starting over one cycle adds little
     assert 1.0 < travel[0] / (5.0 / (5.0 * (2 * np.pi * 2.0) ** 2)) < 1.5
     assert 1.0 < velocity[0] / (5.0 / (5.0 * 2 * np.pi * 2.0)) < 1.5
-    assert torque[0] > 0.9 * 5.0
+    assert torque[0] * MARGIN > 0.9 * 5.0
     assert not np.any([travel[1:], velocity[1:]])
 
 

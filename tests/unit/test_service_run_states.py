@@ -153,6 +153,18 @@ def test_readiness_and_the_conflict_of_a_start_give_the_same_reasons(
         assert all(r["text"] and r["fix"] for r in ready["reasons"])
 
 
+def test_a_start_on_some_axes_only_is_refused_before_anything_moves_and_says_why(tmp_path: Path) -> None:
+    with running(tmp_path) as (client, director):
+        refused = problem(client.post(START, json={"mode": "full", "axes": ["A1"]}), 409, "not-ready")
+        (reason,) = refused["reasons"]
+        assert reason["code"] == "axes_left_out"
+        assert "A2, A3 would be held" in reason["text"]
+        assert reason["fix"] == "choose all axes"
+        assert not director.workers
+        all_of_them = {"mode": "full", "axes": ["A3", "A2", "A1"]}
+        assert client.post(START, json=all_of_them).status_code == 202
+
+
 def test_the_same_idempotency_key_gives_the_same_run_and_another_body_is_refused(tmp_path: Path) -> None:
     with running(tmp_path) as (client, director):
         headers = {"Idempotency-Key": "plc-7"}

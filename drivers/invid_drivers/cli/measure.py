@@ -20,6 +20,13 @@ from invid.planning.belief import Belief, from_model
 from invid.planning.expected_covariance import Noise
 from invid.planning.goal import GoalPlan, plan_for_goal
 from invid.planning.separating_experiments import to_separate
+from invid.expected import Noise
+from invid.model import Model, load_json, load_model, save_model
+from invid.plan import Plan, make_plan
+from invid.plan.belief import Belief, from_model
+from invid.plan.goal import GoalPlan, plan_for_goal
+from invid.plan.subset import require_all_axes
+from invid.separate import to_separate
 from invid.sweep import Progress
 from invid_drivers.cli.confirmation import confirm
 from invid_drivers.cli.expectation import NOTHING, belief_of, expectation, expected_text, noise_of
@@ -301,7 +308,7 @@ def register(app: typer.Typer) -> None:
         out: Path | None = typer.Option(None, "-o", "--out", help="Recording to write (HDF5)."),
         dry_run: bool = typer.Option(False, "--dry-run", help="Print the plan; open no bus, move nothing."),
         axes: str | None = typer.Option(
-            None, "--axes", help="Excite only these, as A1,A2; the others are held."
+            None, "--axes", help="Axes to excite, as A1,A2: all, unless --separate says what for."
         ),
         amplitude: float = typer.Option(1.0, "--amplitude", help="Factor on every torque, at most 1."),
         model: Path | None = typer.Option(
@@ -345,6 +352,8 @@ def register(app: typer.Typer) -> None:
         if separate is not None:
             cell = cell_to_separate(cell, separate, goal=goal, screening=screening)
         chosen = None if axes is None else [a.strip() for a in axes.split(",") if a.strip()]
+        if separate is None:
+            require_all_axes(cell, chosen)
         belief = belief_of(cell, model)
         known = None if model is None else belief
         if update is not None and not screening:

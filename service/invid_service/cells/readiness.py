@@ -9,6 +9,7 @@ from typing import Literal
 from pydantic import BaseModel
 
 from invid.config import CellConfig
+from invid.plan.subset import axes_left_out, subset_sentence
 from invid_service.jobs.live import LiveRun
 
 
@@ -16,7 +17,13 @@ class Reason(BaseModel):
     """Why not: a stable code, a sentence, a way out."""
 
     code: Literal[
-        "run_in_progress", "disk_full", "store_unavailable", "bus_missing", "no_model", "shutting_down"
+        "run_in_progress",
+        "disk_full",
+        "store_unavailable",
+        "bus_missing",
+        "no_model",
+        "shutting_down",
+        "axes_left_out",
     ]
     text: str
     fix: str
@@ -43,6 +50,8 @@ class Situation:
     has_model: bool
     mode: Literal["simulate", "test", "full"] | None = None
     """The mode asked for; ``None``: whether any measurement could start."""
+    axes: tuple[str, ...] | None = None
+    """The axes to shake; ``None``: all."""
 
 
 def readiness(s: Situation) -> Readiness:
@@ -98,6 +107,15 @@ def readiness(s: Situation) -> Readiness:
                 code="no_model",
                 text="a real cell is simulated with its accepted model, and it has none yet",
                 fix="identify the cell in mode full and accept the result first",
+            )
+        )
+    left_out = axes_left_out(s.config, s.axes)
+    if left_out:
+        reasons.append(
+            Reason(
+                code="axes_left_out",
+                text=subset_sentence(left_out),
+                fix="choose all axes",
             )
         )
     return Readiness(can_start=not reasons, reasons=reasons, simulated=s.config.simulated)

@@ -41,7 +41,7 @@ async def start_identification(
                 raise _reused(key, cell) from None
             if earlier is not None:
                 return earlier
-        await _refuse_if_not_ready(service, cell, body.mode)
+        await _refuse_if_not_ready(service, cell, body)
         record = service.new_run(cell, body.mode, list(body.axes or cell.axes), caller)
         in_force = await asyncio.to_thread(service.results.in_force, cell.id)
         job = _job(service, cell, record, body, in_force)
@@ -71,8 +71,8 @@ def _reused(key: str, cell: Cell) -> Problem:
     )
 
 
-async def _refuse_if_not_ready(service: Service, cell: Cell, mode: str) -> None:
-    ready = await service.readiness(cell, mode)
+async def _refuse_if_not_ready(service: Service, cell: Cell, body: StartBody) -> None:
+    ready = await service.readiness(cell, body.mode, axes=None if body.axes is None else tuple(body.axes))
     if ready.can_start:
         return
     members: dict[str, Any] = {
