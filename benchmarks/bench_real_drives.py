@@ -45,6 +45,7 @@ UNATTENDED_S = 2.0
 RAMP_S, REST_POLL_S, AT_REST = 1.0, 0.01, 0.02
 """A ramp that still runs when the command has ended may take so long [s] to this speed [rad/s]."""
 FOREIGN_NODE = 20
+RESET_NODE = 0x81
 LATE_CUT_S = 0.2
 """A quick stop through a wrong sign is ended by voltage off; see ``EXEMPTIONS``."""
 
@@ -237,6 +238,9 @@ def make_case(kind: str, rng: np.random.Generator) -> Case:
             case.simulation["foreign_heartbeat_s"] = 0.1
         case _:
             _, traffic, *before = kind.split(" ")
+            command = int(rng.choice([0x80, 0x02, 0x81, 0x01]))
+            if command == RESET_NODE:  # the drive of the load reboots: see NEEDS_BRAKE
+                _give_brake(case, loaded, 0.02)
             case.faults = [
                 {
                     "kind": "other_master",
@@ -244,7 +248,7 @@ def make_case(kind: str, rng: np.random.Generator) -> Case:
                     "traffic": traffic,
                     "at_s": 0.0 if before else at_s,
                     "period_s": None if traffic == "nmt" else float(rng.choice([0.002, 0.01, 0.1])),
-                    "value": int(rng.choice([0x80, 0x02, 0x81, 0x01])),
+                    "value": command,
                 }
             ]
     return case
