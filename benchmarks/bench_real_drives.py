@@ -55,8 +55,6 @@ EXEMPTIONS = {
     "encoder_stuck": "not where the drive itself held the axis when its encoder died (as the old campaign)",
     "sign_flip torque": "0.2 s more at top speed: only voltage off ends a loop closed through a wrong sign",
     "sign_flip encoder": "as sign_flip torque",
-    "ignore_quick_stop": "0.2 s more at top speed: as a loop that nothing but voltage off ends",
-    "ignore_controlword": "as a dead master: only its heartbeat watch ends what the drive does",
 }
 """All of them. Torque by the drive's own loop is judged by its own limit where that cannot be written."""
 
@@ -68,7 +66,7 @@ NEEDS_BRAKE = {
 """Faults that take the torque or the sight of the loaded drive away: nobody can hold such an axis without
 a brake, so it has one."""
 DEAD_MASTER = {"node_silent", "bus_off node", "bus_off master", "drop", "ignore_controlword", "delay"}
-"""The drive may not hear its master: its heartbeat watch acts."""
+"""The drive may not hear its master, or obeys nobody: its heartbeat watch acts."""
 
 REFUSED = {2, 4, 5}
 # What each kind may end in: 0 done, 2 refused, 4 safety, 5 bus or drive.
@@ -415,7 +413,7 @@ def _excess(judge: Judge, kind: str) -> float:
 
 
 def _late_cut(kind: str) -> float:
-    return LATE_CUT_S if kind.startswith(("sign_flip", "ignore_quick_stop")) else 0.0
+    return LATE_CUT_S if kind.startswith("sign_flip") else 0.0
 
 
 def _recording(out: Path, status: int) -> list[str]:
