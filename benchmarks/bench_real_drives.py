@@ -45,6 +45,7 @@ UNATTENDED_S = 2.0
 RAMP_S, REST_POLL_S, AT_REST = 1.0, 0.01, 0.02
 """A ramp that still runs when the command has ended may take so long [s] to this speed [rad/s]."""
 FOREIGN_NODE = 20
+RESET_NODE = 0x81
 LATE_CUT_S = 0.2
 """A quick stop through a wrong sign is ended by voltage off; see ``EXEMPTIONS``."""
 
@@ -54,8 +55,6 @@ EXEMPTIONS = {
     "encoder_stuck": "not where the drive itself held the axis when its encoder died (as the old campaign)",
     "sign_flip torque": "0.2 s more at top speed: only voltage off ends a loop closed through a wrong sign",
     "sign_flip encoder": "as sign_flip torque",
-    "ignore_quick_stop": "0.2 s more at top speed: as a loop that nothing but voltage off ends",
-    "ignore_controlword": "as a dead master: only its heartbeat watch ends what the drive does",
 }
 """All of them. Torque by the drive's own loop is judged by its own limit where that cannot be written."""
 
@@ -67,7 +66,7 @@ NEEDS_BRAKE = {
 """Faults that take the torque or the sight of the loaded drive away: nobody can hold such an axis without
 a brake, so it has one."""
 DEAD_MASTER = {"node_silent", "bus_off node", "bus_off master", "drop", "ignore_controlword", "delay"}
-"""The drive may not hear its master: its heartbeat watch acts."""
+"""The drive may not hear its master, or obeys nobody: its heartbeat watch acts."""
 
 REFUSED = {2, 4, 5}
 # What each kind may end in: 0 done, 2 refused, 4 safety, 5 bus or drive.
@@ -237,6 +236,9 @@ def make_case(kind: str, rng: np.random.Generator) -> Case:
             case.simulation["foreign_heartbeat_s"] = 0.1
         case _:
             _, traffic, *before = kind.split(" ")
+            command = int(rng.choice([0x80, 0x02, 0x81, 0x01]))
+            if command == RESET_NODE:  # the drive of the load reboots: see NEEDS_BRAKE
+                _give_brake(case, loaded, 0.02)
             case.faults = [
                 {
                     "kind": "other_master",
@@ -244,7 +246,7 @@ def make_case(kind: str, rng: np.random.Generator) -> Case:
                     "traffic": traffic,
                     "at_s": 0.0 if before else at_s,
                     "period_s": None if traffic == "nmt" else float(rng.choice([0.002, 0.01, 0.1])),
-                    "value": int(rng.choice([0x80, 0x02, 0x81, 0x01])),
+                    "value": command,
                 }
             ]
     return case
@@ -411,7 +413,7 @@ def _excess(judge: Judge, kind: str) -> float:
 
 
 def _late_cut(kind: str) -> float:
-    return LATE_CUT_S if kind.startswith(("sign_flip", "ignore_quick_stop")) else 0.0
+    return LATE_CUT_S if kind.startswith("sign_flip") else 0.0
 
 
 def _recording(out: Path, status: int) -> list[str]:

@@ -110,6 +110,19 @@ def test_a_quick_stop_takes_the_way_of_its_ramp_whatever_counts_it(unit: str) ->
     master.close()
 
 
+def test_a_drive_without_the_object_of_its_ramp_still_stops_and_holds() -> None:
+    axis = {"brake": False, "load": {"torque_Nm": 5.0}, "objects": {"lacks": ["0x6085"]}}
+    master = started(mode=8, **axis)
+    master.write(1, 0x605A, 0, "h", 6)
+    for _ in range(50):
+        master.cycle([0], 0x0F)
+    for _ in range(300):
+        master.cycle([0], 0x0B)
+    assert master.bus.cell.drives[0].state == QSA
+    assert abs(place(master)) < 0.001
+    master.close()
+
+
 def test_a_slow_drive_shows_and_takes_its_new_mode_late() -> None:
     master = started(mode_change_s=0.3, enable=False)
     master.wait(0.4)

@@ -22,3 +22,5 @@ class Behaviour:
     """Longest gap between two SYNCs in a cyclic mode before error 0x8700; 0: any."""
     ramp_counts: float = 1.0
     """Counts/s² in one unit of 0x6084 and 0x6085."""
+    own_ramp: int = 0
+    """Ramp of a drive that lacks 0x6084 or 0x6085, in their unit."""

@@ -179,6 +179,7 @@ class SimulatedCell:
                 mode_display_ns=round(settings.mode_display_s * _NS),
                 sync_timeout_ns=round(settings.sync_timeout_s * _NS),
                 ramp_counts=ramp_counts,
+                own_ramp=ramps[1],
             ),
             delay_cycles=settings.command_delay_cycles,
             lag_cycles=settings.actual_torque_lag_cycles,

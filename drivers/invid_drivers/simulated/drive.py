@@ -342,6 +342,8 @@ class Drive:
         deceleration = deceleration_counts * self._behaviour.ramp_counts / self.counts_per_unit
         if deceleration <= 0.0:
             self._enter(target)
+            if target in _ENERGISED:
+                self._hold_here()  # no ramp: it is held where it is
             return
         self._hold_here(speed, deceleration)
         self._steady = False
@@ -359,6 +361,10 @@ class Drive:
             if target is not None and target is not self.state:
                 self._enter(target)
 
+    def _ramp(self, index: int) -> int:
+        """A ramp in the drive's unit; without its object the drive has one all the same."""
+        return self.node.od.number(index, missing=self._behaviour.own_ramp)
+
     def _quick_stop(self, now_ns: int) -> None:
         od = self.node.od
         option = od.number(0x605A, missing=2)
@@ -368,7 +374,7 @@ class Drive:
         self._enter(State.QUICK_STOP_ACTIVE)
         stay = option in (5, 6, 7, 8)
         target = State.QUICK_STOP_ACTIVE if stay else State.SWITCH_ON_DISABLED
-        ramp = od.number(0x6084 if option in (1, 5) else 0x6085, missing=0)
+        ramp = self._ramp(0x6084 if option in (1, 5) else 0x6085)
         self._begin_stop(target, ramp, now_ns)
 
     def fail(self, code: int, register: int, now_ns: int) -> None:
@@ -383,7 +389,7 @@ class Drive:
             self._enter(State.FAULT)
         else:
             self._enter(State.FAULT_REACTION_ACTIVE)
-            self._begin_stop(State.FAULT, od.number(0x6084 if option == 1 else 0x6085, missing=0), now_ns)
+            self._begin_stop(State.FAULT, self._ramp(0x6084 if option == 1 else 0x6085), now_ns)
         self._show()
 
     def connection_lost(self, now_ns: int) -> None:
