@@ -16,14 +16,6 @@ from invid.planning.belief import Belief
 from invid.planning.build import CREEP_TRAVEL
 from invid.planning.design import ROBUST_SHARE, LineDesign, interleaved, line_design
 from invid.planning.expected_covariance import Expected, Noise, expected, parameter_scale
-from invid.planning.forecast import MARGIN, QUANTITIES, usable
-from invid.planning.model import PlannedExperiment
-from invid.planning.response import foretold_motion, hold_gains
-from invid.planning.expected_covariance import Expected, Noise, expected, parameter_scale
-from invid.model.document import parameter_vector
-from invid.planning.belief import Belief
-from invid.planning.build import CREEP_TRAVEL
-from invid.planning.design import LineDesign, ROBUST_SHARE, interleaved, line_design
 from invid.planning.forecast import QUANTITIES, usable, with_margin
 from invid.planning.model import PlannedExperiment
 from invid.planning.response import foretold_motion, hold_gains

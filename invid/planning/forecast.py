@@ -12,11 +12,7 @@ from invid.numerics.arrays import Float64, frozen_float
 from invid.planning.belief import Belief
 from invid.planning.model import AxisForecast, PlannedExperiment, Trial
 from invid.planning.phases import REST_S, SIGN_TRAVEL, excerpt, sign_amplitude, sign_doublet
-from invid.planning.response import foretold_motion, held_by_drive, hold_gains
-from invid.plan.belief import Belief
-from invid.plan.model import AxisForecast, PlannedExperiment, Trial
-from invid.plan.phases import REST_S, SIGN_TRAVEL, excerpt, sign_amplitude, sign_doublet
-from invid.plan.response import Motion, foretold_motion, held_by_drive, hold_gains
+from invid.planning.response import Motion, foretold_motion, held_by_drive, hold_gains
 
 MARGIN = 1.25
 """Motion and torque announced over those that the model foretells. Empirical: the models that an
@@ -31,14 +27,9 @@ FULL = 0.95
 """Share of a limit that what is announced may use."""
 MOST_SPREAD = 10.0
 """An axis that a trial hardly moves says no more about the experiments than this."""
-<<<<<<< HEAD:invid/planning/forecast.py
-AGAIN = 2.0
-"""Motion in the doublets over that of one from rest: each begins where the one before left the axis."""
-=======
 AGAIN = 3.0
 """Motion in the doublets over that of one from rest: each begins where the one before left the axis moving.
 Empirical (``bench_announced.py``)."""
->>>>>>> motion:invid/plan/forecast.py
 ROUNDS = 6
 NEVER_BACK = 2.5
 """Creep in rms velocities of the shaking above which a motor hardly turns back (once in a hundred, normal).

@@ -8,12 +8,8 @@ from invid.errors import ConfigError
 from invid.model.chains import case_study
 from invid.planning import bus_load, frame_bits, make_plan
 from invid.planning.belief import Belief, rigid
-from invid.planning.forecast import peaks_of
+from invid.planning.forecast import MARGIN, peaks_of
 from invid.planning.response import foretold_motion
-from invid.plan import bus_load, frame_bits, make_plan
-from invid.plan.belief import Belief, rigid
-from invid.plan.forecast import MARGIN, peaks_of
-from invid.plan.response import foretold_motion
 from invid.recording import Kind, Role
 
 

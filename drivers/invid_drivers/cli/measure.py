@@ -20,13 +20,7 @@ from invid.planning.belief import Belief, from_model
 from invid.planning.expected_covariance import Noise
 from invid.planning.goal import GoalPlan, plan_for_goal
 from invid.planning.separating_experiments import to_separate
-from invid.expected import Noise
-from invid.model import Model, load_json, load_model, save_model
-from invid.plan import Plan, make_plan
-from invid.plan.belief import Belief, from_model
-from invid.plan.goal import GoalPlan, plan_for_goal
-from invid.plan.subset import require_all_axes
-from invid.separate import to_separate
+from invid.planning.subset import require_all_axes
 from invid.sweep import Progress
 from invid_drivers.cli.confirmation import confirm
 from invid_drivers.cli.expectation import NOTHING, belief_of, expectation, expected_text, noise_of
