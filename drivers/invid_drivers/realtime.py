@@ -208,6 +208,7 @@ def child_main(fd: int) -> None:
             open_sink=open_sink,
             notes=notes,
             asked=ask if task["judged"] else None,
+            model=task["model"],
         )
         outbox.put(("result", result))
     except InvidError as error:

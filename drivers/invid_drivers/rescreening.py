@@ -80,7 +80,7 @@ def screen_cell(
     """Screen, and measure again what changed; ``out`` then holds the records of both."""
     belief = from_model(model, config)
     design = screening_plan(config, belief, noise)
-    result = measure_to_file(config, out, progress=progress, stop=stop, plan=design.plan)
+    result = measure_to_file(config, out, progress=progress, stop=stop, plan=design.plan, model=belief.chains)
     record = read_recording(out)
     found = screen(record, model)
     tell(found.sentence)
@@ -114,7 +114,9 @@ def screen_cell(
 
     part = out.with_name(out.name + ".again")
     try:
-        second = measure_to_file(config, part, progress=progress, stop=stop, plan=again.plan, go_on=go_on)
+        second = measure_to_file(
+            config, part, progress=progress, stop=stop, plan=again.plan, go_on=go_on, model=now.chains
+        )
         both = joined(record, read_recording(part))
     finally:
         part.unlink(missing_ok=True)

@@ -6,6 +6,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from invid.chains import CoupledChains
 from invid.config import CellConfig
 from invid.plan.model import Plan, PlannedExperiment
 from invid.recording.model import Kind
@@ -15,6 +16,8 @@ from invid.sweep.ports import Cell, Sink
 from invid.sweep.rehearsal import CLIMB_S, TRIAL_PERIOD_S, Rehearsal, lowest_frequency
 from invid.sweep.watch import Statistics
 
+TRIAL_SIGNS_S = 3.5
+"""What the trial of the signs of one axis takes about (case study)."""
 DECIDE_S, DECIDE_POLL_S = 60.0, 0.1
 """The axes are held this long while whoever ordered the measurement judges what is there."""
 
@@ -60,14 +63,29 @@ class Sweep:
     go_on: Callable[[int], bool | None] | None = None
     """Asked after each experiment but the last, with its number: True next one, False enough, ``None`` not
     known yet (the axes are held, and it is asked again)."""
+    model: CoupledChains | None = None
+    """The last accepted model: what an axis is expected to weigh where the config does not say."""
 
     def __post_init__(self) -> None:
         self._motion = Motion(self.plan, self.config, self.cell, self.stop, self._report)
-        self._rehearsal = Rehearsal(self._motion, self.warnings)
+        self._rehearsal = Rehearsal(self._motion, self.warnings, self._stated_inertia())
         self._total_s = self.plan.duration_s + self._trial_s()
 
+    def _stated_inertia(self) -> list[tuple[float, str] | None]:
+        """Rigid inertia of each axis [kg·m² or kg] and who says it."""
+        key = "mass_kg" if self.config.linear else "inertia_kgm2"
+        stated: list[tuple[float, str] | None] = []
+        for i, axis in enumerate(self.config.axes):
+            if axis.inertia is not None:
+                stated.append((axis.inertia, f"{key} of the config"))
+            elif self.model is not None:
+                stated.append((float(self.model.masses[i].sum()), "the last model"))
+            else:
+                stated.append(None)
+        return stated
+
     def _trial_s(self) -> float:
-        return 2.0 * len(self.plan.excited) + TRIAL_PERIOD_S + CLIMB_S + self.plan.rest_s
+        return TRIAL_SIGNS_S * len(self.plan.excited) + TRIAL_PERIOD_S + CLIMB_S + self.plan.rest_s
 
     # --- the run -------------------------------------------------------------------------------
     def run(self) -> SweepResult:

@@ -6,30 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from invid.errors import SafetyStop
-from invid.excitation import doublet, ramped
+from invid.excitation import ramped
 from invid.plan.model import PlannedExperiment
 from invid.recording.model import Kind
-from invid.sweep import trials
-from invid.sweep.holds import Gains
-from invid.sweep.motion import Feedback, Motion
-from invid.sweep.ports import Mode
+from invid.sweep.motion import Motion
+from invid.sweep.sign_trial import SignTrial
 
-TRIAL_FIRST_S, TRIAL_LAST_S = 0.02, 1.28
-"""Lengths of the doublets, doubled until the axis has moved enough."""
-TRIAL_COUNTS, TRIAL_WINDOW = 50, 0.01
-"""Enough is 50 encoder counts and 1 % of the position window: the slope is then good to a few per cent."""
-TRIAL_MOST = 0.1
-"""A trial ends when it has used a tenth of the position window."""
-LATE_TRIALS = 20
-"""Trials that say nothing because somebody was late, before the measurement gives up: seven seconds at least,
-so that a few in which a computer is busy with something else do not end it; each trial is as small as the
-others and the axis is caught after it. Empirical: a machine on which one SYNC in twenty comes late spoils one
-doublet in three."""
-CATCH_S = 0.3
-"""For a weak hold of 1 Hz to catch what a trial left moving."""
-LEAST_COUNTS = 5
-"""Less than this after the longest doublet, and the axis did not move."""
 NEAR_LIMIT = 0.8
 """The trial foretells the motion at full amplitude; beyond this share of a limit it is scaled down."""
 TRIAL_PERIOD_S = 10.0
@@ -41,104 +23,19 @@ tenth of the amplitude hides less of it at a third."""
 class Rehearsal:
     """What is tried before anything is recorded."""
 
-    def __init__(self, motion: Motion, warnings: list[str]) -> None:
+    def __init__(
+        self, motion: Motion, warnings: list[str], stated: Sequence[tuple[float, str] | None]
+    ) -> None:
         self._motion = motion
+        self._stated = stated
+        """Inertia of each axis and who says it."""
         self.warnings = warnings
         self.scale = 1.0
         """Factor on every torque of the plan; below 1 where a limit would be near."""
 
     def try_signs(self, axis: int) -> None:
-        """Doublets of at most a tenth of the amplitude, longer and longer, until the axis has moved."""
-        settings = self._motion.config.axes[axis]
-        name, limits = settings.name, settings.limits
-        cycle = self._motion.plan.cycle_s
-        peak = max(float(np.abs(e.torque[:, axis]).max()) for e in self._motion.plan.experiments)
-        amplitude = self._motion.config.safety.test_amplitude * (peak if peak > 0 else 0.5 * limits.torque)
-        self._motion.phase, self._motion.experiment = f"trying the signs of {name}", None
-        modes = self._motion.resting_modes()
-        modes[axis] = Mode.TORQUE
-        others = [
-            Feedback(i, Gains(0.0, 0.0), self._motion.bias[i], limit.limits.torque)
-            for i, limit in enumerate(self._motion.config.axes)
-            if modes[i] is Mode.TORQUE
-        ]
-        self._motion.change(modes, others)
-        self._motion.watching.held = set(range(self._motion.count)) - {axis}
-        resolution = self._motion.cell.resolution[axis]
-        # The slope is of the sampled position, so the axis must move many counts.
-        wanted = max(TRIAL_COUNTS * resolution, TRIAL_WINDOW * limits.position)
-        length = TRIAL_FIRST_S
-        sign = 0.0
-        seen: list[trials.Response] = []
-        spoilt: list[trials.Response] = []
-        doubted = asleep = False
-        while True:
-            wave = amplitude * doublet(round(length / cycle))
-            quiet = max(8, round(trials.EDGE_S / cycle) + max(trials.LAGS))
-            rows = np.zeros((wave.size + 2 * quiet, self._motion.count))
-            rows[quiet:-quiet, axis] = wave
-            kept = self._motion.play(rows, len(rows), log=True)
-            found = trials.response(
-                kept.time,
-                kept.demand[:, axis] - self._motion.bias[axis],
-                kept.torque[:, axis] - self._motion.bias[axis],
-                kept.position[:, axis] - kept.position[0, axis],
-                count=resolution,
-                rated=self._motion.cell.rated_torque[axis],
-                fresh=kept.fresh[:, axis],
-            )
-            if found.late:
-                # Nothing can be said of this one. A pause in a doublet leaves the axis drifting: catch it.
-                spoilt.append(found)
-                if len(spoilt) > LATE_TRIALS:
-                    raise trials.too_late(name, [*seen, *spoilt])
-                self._catch(axis, settings.inertia or found.inertia)
-                self._motion.change(modes, others)
-                continue
-            if asleep and found.displacement < LEAST_COUNTS * resolution:
-                break
-            if found.stood and not asleep and found.displacement >= LEAST_COUNTS * resolution:
-                # It moved and then stood under a torque that moves it: once more before that is believed.
-                asleep = True
-                continue
-            seen.append(found)
-            sign = trials.sign_score(seen)
-            if (sign < -trials.DECISIVE or found.opposed) and not doubted:
-                # A wrong sign is wrong twice; a computer that was late in the first trial is not.
-                doubted = True
-                seen.clear()
-                continue
-            if sign < -trials.DECISIVE or (found.displacement >= wanted and sign > trials.DECISIVE):
-                break
-            if length * 2 > TRIAL_LAST_S or found.displacement > TRIAL_MOST * limits.position:
-                break
-            length *= 2
-        unit, torque_unit = ("m", "N") if self._motion.config.linear else ("rad", "N·m")
-        if found.displacement < LEAST_COUNTS * resolution:
-            raise SafetyStop(
-                f"axis {name}: {amplitude:.3g} {torque_unit} for {length:.2g} s moved the encoder by "
-                f"{found.displacement / resolution:.0f} counts: the brake is closed, the encoder is "
-                "stuck, or friction is "
-                "above the trial torque; free the axis, or raise limits.torque if the axis may take more"
-            )
-        if abs(sign) <= trials.DECISIVE:
-            if sum(r.late_edges for r in seen) > sum(r.edges for r in seen):
-                raise trials.too_late(name, [*seen, *spoilt])
-            self.warnings.append(
-                f"axis {name}: the trial could hardly tell the encoder's sign ({sign:+.1f} standard "
-                "deviations); the encoder is coarse or the torque small"
-            )
-        trials.judge(name, found, sign, amplitude=amplitude, unit=unit, torque_unit=torque_unit)
-        self._motion.inertia[axis] = settings.inertia if settings.inertia is not None else found.inertia
-        self._catch(axis, self._motion.inertia[axis])
-        if self._motion.cell.can_hold[axis]:
-            self._motion.change(self._motion.resting_modes(), [f for f in others if f.axis != axis])
-
-    def _catch(self, axis: int, inertia: float) -> None:
-        """Back to where it stood, gently."""
-        self._motion.inertia[axis] = inertia
-        self._motion.centre({axis}, lowest=3.0)
-        self._motion.play(None, round(CATCH_S / self._motion.plan.cycle_s))
+        """Doublets of at most a tenth of the amplitude: signs, motion, and scales against the inertia."""
+        SignTrial(self._motion, axis, self._stated[axis], self.warnings).run()
 
     def try_amplitude(self) -> None:
         """A tenth, then a third of the largest shaking: does full amplitude stay within the limits?"""

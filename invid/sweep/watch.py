@@ -104,6 +104,7 @@ class Watch:
         self._last_slot = None
         for samples in self._history:
             samples.clear()
+        self._halting.pause()
 
     @property
     def excited(self) -> set[int]:

@@ -268,7 +268,7 @@ def test_a_few_lost_tpdos_are_survived() -> None:
 
 def test_a_person_who_pushes_the_arm_is_noticed_by_the_window() -> None:
     cell = RigidCell()
-    cell.disturb = after(21.0, lambda c, s: c.push.__setitem__(0, 30.0))
+    cell.disturb = after(24.0, lambda c, s: c.push.__setitem__(0, 30.0))
     rows, error, _ = run(cell)
     assert isinstance(error, SafetyStop)
     assert len(rows.kept) == 1

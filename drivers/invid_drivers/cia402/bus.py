@@ -40,7 +40,10 @@ class Cia402Cell:
         self._config = config
         self._link = Link(bus, heartbeat_s=config.safety.heartbeat_s)
         self.journal = journal if journal is not None else Journal(None)
-        self._drives = [Drive(self._link, a, self.journal, linear=config.linear) for a in config.axes]
+        self._drives = [
+            Drive(self._link, a, self.journal, linear=config.linear, heartbeat_s=config.safety.heartbeat_s)
+            for a in config.axes
+        ]
         self._reports: list[DriveReport] = []
         self._cycle = Cycle(self._link, config)
         self._touched = False
@@ -79,6 +82,11 @@ class Cia402Cell:
         return tuple(self._reports)
 
     @property
+    def notes(self) -> tuple[str, ...]:
+        """What turned out when the drives' protection was written, in words."""
+        return tuple(note for d in self._drives for note in d.protection.notes)
+
+    @property
     def can_hold(self) -> tuple[bool, ...]:
         """Whether each drive can hold its place by itself."""
         return tuple(r.can_hold for r in self._reports)
@@ -98,10 +106,11 @@ class Cia402Cell:
         """Restore what an earlier run left behind, then ask every drive what it can do. Moves nothing."""
         self._link.require_bus()
         self._pre_operational()
-        for drive in self._drives:
-            if self.journal.of_node(drive.node_id):
-                drive.restore()
-        self._reports = [d.check() for d in self._drives]
+        left = [drive.restore() for drive in self._drives]
+        try:
+            self._reports = [d.check(found) for d, found in zip(self._drives, left, strict=True)]
+        except DriveError as error:  # what was left as somebody set it is said once
+            raise DriveError(". ".join([str(error), *(s for found in left for s in found)])) from None
         for i, r in enumerate(self._reports):
             position = r.scaling.direction * r.scaling.position_per_count
             self._cycle.scale(i, position=position, torque=r.scaling.torque(1))
@@ -120,7 +129,7 @@ class Cia402Cell:
         self._link.beating = True
         self._pre_operational()
         for drive, report in zip(self._drives, self._reports, strict=True):
-            drive.protect(report, self._config.safety.heartbeat_s)
+            drive.protect(report)
             drive.map_pdos()
         for i, mode in enumerate(modes):
             self._now_in(i, mode)
@@ -249,7 +258,7 @@ class Cia402Cell:
             if drive.name in left:
                 continue
             try:
-                drive.restore()
+                complaints += drive.restore()
             except InvidError as error:
                 complaints.append(str(error))
 

@@ -23,6 +23,8 @@ class Vendor:
         Current in mA at rated torque, to scale ``torque_limit``.
     velocity_in_rpm
         0x607F is in rpm, not in counts per second.
+    zero_as_shipped
+        Limits that are 0 until somebody sets them: 0 is then no commissioned value.
     advice
         For the technician, where something of the above is missing.
     """
@@ -31,6 +33,7 @@ class Vendor:
     torque_limit: Object | None = None
     nominal_current: Object | None = None
     velocity_in_rpm: bool = False
+    zero_as_shipped: tuple[str, ...] = ()
     advice: str = ""
 
 
@@ -47,7 +50,8 @@ VENDORS: dict[str, Vendor] = {
     "nanotec_c5e": Vendor(
         "Nanotec C5-E",
         velocity_in_rpm=True,
-        advice="0x6072 starts at 0 and is raised to the torque limit; 0x1016 is missing",
+        zero_as_shipped=("0x6072",),
+        advice="0x6072 starts at 0; 0x1016 is missing",
     ),
     "zeroerr_erob": Vendor("ZeroErr eRob", advice="give position_rad_per_count of the motor encoder"),
     "schunk": Vendor("Schunk", advice="has no 0x6071: torque cannot be commanded"),

@@ -23,7 +23,7 @@ from invid.separate import to_separate
 from invid.sweep import Progress
 from invid_drivers.cli.expectation import NOTHING, belief_of, expectation, expected_text, noise_of
 from invid_drivers.goal import Reached, measure_to_goal
-from invid_drivers.measurement import MeasurementResult, measure_to_file
+from invid_drivers.measurement import MeasurementResult, ask_limits, measure_to_file
 from invid_drivers.rescreening import screen_cell, screening_plan
 from invid_drivers.timing import timing_of
 
@@ -297,7 +297,11 @@ def register(app: typer.Typer) -> None:
     def measure(
         config: Path = typer.Argument(..., help="The cell's config."),
         out: Path | None = typer.Option(None, "-o", "--out", help="Recording to write (HDF5)."),
-        dry_run: bool = typer.Option(False, "--dry-run", help="Print the plan; open no bus, move nothing."),
+        dry_run: bool = typer.Option(
+            False,
+            "--dry-run",
+            help="Print the plan; move nothing. Drives that are there are asked for their limits.",
+        ),
         axes: str | None = typer.Option(
             None, "--axes", help="Excite only these, as A1,A2; the others are held."
         ),
@@ -365,6 +369,8 @@ def register(app: typer.Typer) -> None:
                 return tell_design(cell, design, as_json=as_json)
             return run_design(cell, design, _required(out), as_json=as_json)
         if dry_run:
+            make_plan(cell, axes=chosen, amplitude_scale=amplitude, model=chains)  # before a bus is opened
+            cell, limited = ask_limits(cell)
             plan = make_plan(cell, axes=chosen, amplitude_scale=amplitude, model=chains)
             found = expectation(cell, plan, belief, noise_of(cell, noise_from))
             timing = timing_of(cell)
@@ -376,7 +382,7 @@ def register(app: typer.Typer) -> None:
                 "expected": None if found is None else found.to_json(),
                 "timing": timing.to_json(),
             }
-            beyond = timing.warnings(plan)
+            beyond = [*limited, *timing.warnings(plan)]
             document["warnings"] = [*document["warnings"], *beyond]
             said = f"  note: {NOTHING}" if found is None else expected_text(found, linear=cell.linear)
             shown = [
