@@ -13,15 +13,18 @@ from typing import Any, Protocol
 import yaml
 
 from invid.config import CellConfig
-from invid.errors import BusError, ConfigError, DriveError, SafetyStop
+from invid.errors import BusError, ConfigError, DriveError, InvidError, SafetyStop
 from invid.model.chains import CoupledChains
 from invid.numerics.arrays import frozen_float
 from invid.planning import AxisForecast, Plan, make_plan
 from invid.planning.belief import Belief
+from invid.planning.fit import fit_to_limits
 from invid.recording import Outcome, Recording, RecordingWriter
 from invid.sweep import Progress, Sink, Sweep, SweepResult
 from invid.sweep.recorder import Recorder
+from invid_drivers.cia402.axis import DriveReport
 from invid_drivers.cia402.bus import Cia402Cell
+from invid_drivers.cia402.limits import tighten, tightened_limits
 from invid_drivers.collecting import Judged
 from invid_drivers.connect import connect, is_virtual
 from invid_drivers.round_trip import probe, require
@@ -135,10 +138,57 @@ def start_measurement(
     model: CoupledChains | Belief | None,
     plan: Plan | None = None,
 ) -> tuple[Plan, Cia402Cell]:
-    """Plan (the given one, if any) and connected cell; nothing is written into a drive yet."""
+    """Plan (the given one, if any) and connected cell, whose drives were asked for their limits.
+
+    The plan is made with the tightest of the drives', the config's and the EDS files' limits; a given one is
+    scaled down to them.
+    """
     if plan is None:
-        plan = make_plan(config, axes=axes, amplitude_scale=amplitude_scale, model=model)
-    return plan, connect(config)
+        # refused here, before a bus is opened
+        make_plan(config, axes=axes, amplitude_scale=amplitude_scale, model=model)
+    cell = connect(config)
+    try:
+        cell.check()
+        tighter = tighten(config, cell.reports)
+        if plan is None:
+            plan = plan_within(config, tighter, cell.reports, axes, amplitude_scale, model)
+        return fit_to_limits(plan, config, tighter), cell
+    except BaseException:
+        cell.close()
+        raise
+
+
+def plan_within(
+    config: CellConfig,
+    tighter: CellConfig,
+    reports: Sequence[DriveReport],
+    axes: Sequence[str] | None = None,
+    amplitude_scale: float = 1.0,
+    model: CoupledChains | Belief | None = None,
+) -> Plan:
+    """The plan under the effective limits; where it cannot be made, who limits is said."""
+    try:
+        return make_plan(tighter, axes=axes, amplitude_scale=amplitude_scale, model=model)
+    except ConfigError as error:
+        raise ConfigError("; ".join([str(error), *tightened_limits(config, reports)])) from None
+
+
+def ask_limits(config: CellConfig) -> tuple[CellConfig, list[str]]:
+    """The config with the limits that its drives leave, and what is to be said of it.
+
+    Where nobody can be asked, the config's own limits and why.
+    """
+    try:
+        cell = connect(config)
+    except InvidError as error:
+        return config, [f"the drives were not asked, the limits are the config's: {error}"]
+    try:
+        cell.check()
+    except InvidError as error:
+        return config, [f"the drives are not ready, the limits are the config's: {error}"]
+    finally:
+        cell.close()
+    return tighten(config, cell.reports), list(tightened_limits(config, cell.reports))
 
 
 def _require_file(out: Path) -> None:
@@ -185,7 +235,11 @@ def run_measurement(
         _require_file(out)
         if stop is not None:
             cell.cancelled = stop.is_set
-        cell.check()
+        if not cell.reports:
+            cell.check()
+        tighter = tighten(config, cell.reports)
+        plan = fit_to_limits(plan, config, tighter)
+        notes = [*notes, *tightened_limits(config, cell.reports)]
         if not config.simulated:  # before anything is enabled: what would end with missing answers is refused
             notes = [*notes, *require(probe(cell.link, config, plan, cell.cancelled), config)]
         header = _header(config, cell)
@@ -196,7 +250,7 @@ def run_measurement(
             recorder, asked = Recorder(judged.open, plan.cycle_s, len(plan.axes)), judged.ask
         else:
             recorder = Recorder(lambda: RecordingWriter(out, header), plan.cycle_s, len(plan.axes))
-        sweep = Sweep(plan, config, cell, recorder, progress=progress, stop=stop, go_on=asked)
+        sweep = Sweep(plan, tighter, cell, recorder, progress=progress, stop=stop, go_on=asked)
         result = sweep.run()
         outcome = Outcome.COMPLETED
         complaints = cell.close()

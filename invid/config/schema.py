@@ -95,6 +95,18 @@ class AcceptableConfig(Strict):
     dropped_samples_fraction: float | None = Field(default=None, gt=0)
 
 
+OVERRIDABLE = {
+    "0x1000": "",
+    "0x6072": "",
+    "0x6075": "",
+    "0x6076": "rated_torque",
+    "0x608F": "position_per_count",
+    "0x6091": "position_per_count",
+    "0x6092": "position_per_count",
+}
+"""Objects that an axis may override, and the field that then counts."""
+
+
 class AxisConfig(Strict):
     """One drive."""
 
@@ -109,29 +121,52 @@ class AxisConfig(Strict):
         gt=0,
         validation_alias=AliasChoices("rated_torque", "rated_torque_Nm", "rated_force_N"),
     )
-    """Used where the drive's 0x6076 is missing or zero."""
+    """From the plate; must agree with the drive's 0x6076, and is used where that is missing or zero."""
     position_per_count: float | None = Field(
         default=None,
         gt=0,
         validation_alias=AliasChoices("position_per_count", "position_rad_per_count", "position_m_per_count"),
     )
-    """Motor position per count of 0x6064; default from 0x608F and 0x6091."""
+    """Motor position per count of 0x6064; must agree with 0x608F, 0x6091 and 0x6092, its default."""
     direction: Literal[1, -1] = 1
     inertia: float | None = Field(
         default=None, gt=0, validation_alias=AliasChoices("inertia", "inertia_kgm2", "mass_kg")
     )
-    """Rigid inertia seen by the motor, roughly: predicts travel before anything moves."""
+    """Rigid inertia seen by the motor, roughly: predicts travel before anything moves. The trial of the signs
+    compares it with what it measures, which is then used."""
     gravity_loaded: bool = False
     """Zero torque would let it fall: it is never left without torque or brake."""
     brake: Literal["none", "drive"] = "none"
     """``drive``: the drive closes a brake by itself when it is disabled."""
     allow_missing_heartbeat: bool = False
     """Opt-in needed where the drive cannot watch the master's heartbeat (0x1016)."""
+    overrides: dict[str, str] = Field(default_factory=dict)
+    """Objects of the drive that this config contradicts on purpose, each with the reason: "0x6076", "0x608F",
+    "0x6091" and "0x6092" give way to the config's rated torque and position per count, "0x6075" to the vendor
+    table's nominal current; "0x6072" may be raised where it is 0 as shipped; "0x1000" may say another kind of
+    drive."""
     masses: int | None = Field(default=None, ge=1)
     hold: HoldConfig = HoldConfig()
     limits: LimitsConfig
     acceptable: AcceptableConfig = AcceptableConfig()
     """What of a finding is nothing to worry about on this axis."""
+
+    @model_validator(mode="after")
+    def _overrides(self) -> AxisConfig:
+        for name, reason in self.overrides.items():
+            if name not in OVERRIDABLE:
+                raise ValueError(f"overrides names {name!r}; it may name {', '.join(OVERRIDABLE)}")
+            if not reason.strip():
+                raise ValueError(
+                    f"overrides names {name} without a reason; say why the drive is not believed"
+                )
+            field = OVERRIDABLE[name]
+            if field and getattr(self, field) is None:
+                raise ValueError(
+                    f"overrides names {name}, but there is no {field} to use in its place; give it or leave "
+                    f"{name} out"
+                )
+        return self
 
 
 class SafetyConfig(Strict):

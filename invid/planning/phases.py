@@ -42,6 +42,11 @@ held lets go while masses swing behind it. Empirical: 0.21 at most (``bench_anno
 SIGN_QUIET_S, SIGN_CATCH_S = 0.07, 0.8
 """Stillness around each doublet, and the time in which the axis is caught after the last."""
 SIGN_EDGE_S = 0.04
+SLOW_WINDOW, SLOW_SHARE = 0.04, 0.2
+"""The slow doublet that weighs an axis whose inertia is stated: aims at 4 % of the window with a fifth of the
+trial's amplitude, which friction leaves more of than of less."""
+SIGN_STEPS = 2
+"""Doublets of the shortest length at smaller torques before the first: a scale may be ten times wrong."""
 CATCH_HZ = 3.0
 """At rest an excited axis is brought back as if 3 Hz were the slowest line: a hold of 1 Hz, weaker where that
 would ask for much torque. The hold of the shaking would let it drift for seconds."""
@@ -102,10 +107,13 @@ def sign_seconds(config: CellConfig, axis: int, amplitude: float, inertia: float
         return SIGN_UNKNOWN_S
     settings = config.axes[axis]
     wanted = sign_wanted(settings.limits, settings.position_per_count or 0.0)
-    length, seconds = SIGN_FIRST_S, SIGN_QUIET_S + SIGN_FIRST_S
+    length, seconds = SIGN_FIRST_S, (1 + SIGN_STEPS) * (SIGN_QUIET_S + SIGN_FIRST_S)
     while amplitude * length**2 / (16 * inertia) < wanted and 2 * length <= SIGN_LAST_S:
         length *= 2
         seconds += length + SIGN_QUIET_S
+    slow = np.sqrt(16 * inertia * SLOW_WINDOW * settings.limits.position / (SLOW_SHARE * amplitude))
+    if slow > length:
+        seconds += min(float(slow), SIGN_LAST_S) + SIGN_QUIET_S
     return seconds + SIGN_CATCH_S
 
 

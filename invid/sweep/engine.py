@@ -16,6 +16,8 @@ from invid.sweep.ports import Cell, Sink
 from invid.sweep.rehearsal import Rehearsal
 from invid.sweep.watch import Statistics
 
+TRIAL_SIGNS_S = 3.5
+"""What the trial of the signs of one axis takes about (case study)."""
 DECIDE_S, DECIDE_POLL_S = 60.0, 0.1
 """The axes are held this long while whoever ordered the measurement judges what is there."""
 
@@ -68,9 +70,19 @@ class Sweep:
 
     def __post_init__(self) -> None:
         self._motion = Motion(self.plan, self.config, self.cell, self.stop, self._report)
-        self._rehearsal = Rehearsal(self._motion, self.warnings)
+        self._rehearsal = Rehearsal(self._motion, self.warnings, self._stated_inertia())
         self._total_s = self.plan.duration_s
         self._forecast = self.plan.forecast
+
+    def _stated_inertia(self) -> list[tuple[float, str] | None]:
+        """Rigid inertia of each axis [kg·m² or kg] and who says it."""
+        key = "mass_kg" if self.config.linear else "inertia_kgm2"
+        return [
+            None
+            if value is None
+            else (value, f"{key} of the config" if axis.inertia is not None else "the last model")
+            for axis, value in zip(self.config.axes, self.plan.inertia, strict=True)
+        ]
 
     # --- the run -------------------------------------------------------------------------------
     def run(self) -> SweepResult:

@@ -31,6 +31,10 @@ class Halting:
         self._greatest = [0.0] * count
         self._still = [0.0] * count
 
+    def pause(self) -> None:
+        """Another controller takes over: a drive that begins to hold an axis may stop it at once."""
+        self._seen = [None] * len(self._seen)
+
     def check(self, sample: Sample) -> None:
         """Raise SafetyStop where an encoder has stopped as no mass stops."""
         for i, fresh in enumerate(sample.fresh):

@@ -275,6 +275,7 @@ class Motion:
             while self.cell.changing:
                 self.play(None, 1)
             self.done_s = done  # no part of the plan
+            self.watching.hand_over()
         self.feedback, self._demand = feedback, demand
         self.watching.settle()
 

@@ -2,46 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from invid.errors import SafetyStop
 from invid.numerics.arrays import Float64
 from invid.planning.forecast import FULL, QUANTITIES, READING, announced, limits_of
-from invid.planning.hold_laws import Gains
 from invid.planning.model import AxisForecast, PlannedExperiment, Trial
 from invid.planning.phases import (
-    CATCH_HZ,
     FIRST_S,
-    SIGN_CATCH_S,
-    SIGN_FIRST_S,
-    SIGN_LAST_S,
-    SIGN_MOST,
     excerpt,
     lowest_frequency,
-    sign_amplitude,
-    sign_wanted,
     trial_shares,
 )
 from invid.recording.model import Kind
-from invid.signals.excitation import doublet
-from invid.sweep import trials
-from invid.sweep.motion import Feedback, Log, Motion, joined
-from invid.sweep.ports import Mode
+from invid.sweep.motion import Log, Motion, joined
+from invid.sweep.sign_trial import SignTrial
 
-TRIAL_CLIMB, TRIAL_AGAIN_S = 2.0, 0.08
-"""Where the longest doublet does not move an axis, its torque is doubled, up to what is planned, and it
-begins again at this length."""
-LATE_TRIALS = 20
-"""Trials that say nothing because somebody was late, before the measurement gives up: seven seconds at least,
-so that a few in which a computer is busy with something else do not end it; each trial is as small as the
-others and the axis is caught after it. Empirical: a machine on which one SYNC in twenty comes late spoils one
-doublet in three."""
-SLEEP_COUNTS = 20
-"""An encoder that dies shows so many counts first; fewer are what ringing leaves of a coarse one."""
-LEAST_COUNTS = 5
-"""Less than this after the longest doublet, and the axis did not move."""
 GENTLE, LEAST_SHARE = 1.0 / 3.0, 0.01
 SMOOTH_S = 0.02
 """The torque that a drive reads while it holds is averaged over this time: shorter than what is shaken."""
@@ -74,8 +52,12 @@ class Seen:
 class Rehearsal:
     """What is tried before anything is recorded."""
 
-    def __init__(self, motion: Motion, warnings: list[str]) -> None:
+    def __init__(
+        self, motion: Motion, warnings: list[str], stated: Sequence[tuple[float, str] | None]
+    ) -> None:
         self._motion = motion
+        self._stated = stated
+        """Inertia of each axis and who says it."""
         self.warnings = warnings
         self.scales = np.ones(len(motion.plan.experiments))
         """Factor on the torque of every experiment; below 1 where a limit would be near."""
@@ -83,103 +65,8 @@ class Rehearsal:
         """(3, M) travel, velocity and torque of the experiments, by the trials."""
 
     def try_signs(self, axis: int) -> None:
-        """Doublets of a tenth of the amplitude, longer and then stronger, until the axis has moved."""
-        settings = self._motion.config.axes[axis]
-        name, limits = settings.name, settings.limits
-        cycle = self._motion.plan.cycle_s
-        amplitude, most = sign_amplitude(self._motion.config, self._motion.plan.experiments, axis)
-        self._motion.phase, self._motion.experiment = f"trying the signs of {name}", None
-        modes = self._motion.resting_modes()
-        modes[axis] = Mode.TORQUE
-        others = [
-            Feedback(i, Gains(0.0, 0.0), self._motion.bias[i], limit.limits.torque)
-            for i, limit in enumerate(self._motion.config.axes)
-            if modes[i] is Mode.TORQUE
-        ]
-        self._motion.change(modes, others)
-        self._motion.watching.held = set(range(self._motion.count)) - {axis}
-        resolution = self._motion.cell.resolution[axis]
-        # The slope is of the sampled position, so the axis must move many counts.
-        wanted = sign_wanted(limits, resolution)
-        length = SIGN_FIRST_S
-        sign = 0.0
-        seen: list[trials.Response] = []
-        spoilt: list[trials.Response] = []
-        doubted = asleep = False
-        while True:
-            wave = amplitude * doublet(round(length / cycle))
-            quiet = max(8, round(trials.EDGE_S / cycle) + max(trials.LAGS))
-            rows = np.zeros((wave.size + 2 * quiet, self._motion.count))
-            rows[quiet:-quiet, axis] = wave
-            kept = self._motion.play(rows, len(rows), log=True)
-            found = trials.response(
-                kept.time,
-                kept.demand[:, axis] - self._motion.bias[axis],
-                kept.torque[:, axis] - self._motion.bias[axis],
-                kept.position[:, axis] - kept.position[0, axis],
-                count=resolution,
-                rated=self._motion.cell.rated_torque[axis],
-                fresh=kept.fresh[:, axis],
-            )
-            if found.late:
-                # Nothing can be said of this one. A pause in a doublet leaves the axis drifting: catch it.
-                spoilt.append(found)
-                if len(spoilt) > LATE_TRIALS:
-                    raise trials.too_late(name, [*seen, *spoilt])
-                self._catch(axis, self._motion.plan.inertia[axis] or found.inertia)
-                self._motion.change(modes, others)
-                continue
-            if asleep and found.displacement < LEAST_COUNTS * resolution:
-                break
-            if found.stood and not asleep and found.displacement >= SLEEP_COUNTS * resolution:
-                # It moved and then stood under a torque that moves it: once more before that is believed.
-                asleep = True
-                continue
-            seen.append(found)
-            sign = trials.sign_score(seen)
-            if (sign < -trials.DECISIVE or found.opposed) and not doubted:
-                # A wrong sign is wrong twice; a computer that was late in the first trial is not.
-                doubted = True
-                seen.clear()
-                continue
-            if sign < -trials.DECISIVE or (found.displacement >= wanted and sign > trials.DECISIVE):
-                break
-            if found.displacement > SIGN_MOST * limits.position:
-                break
-            if length * 2 <= SIGN_LAST_S:
-                length *= 2
-                continue
-            if amplitude * TRIAL_CLIMB > most or found.displacement >= wanted:
-                break
-            # What holds it against a small torque is most often friction; a stronger doublet starts short.
-            amplitude, length = TRIAL_CLIMB * amplitude, TRIAL_AGAIN_S
-        unit, torque_unit = ("m", "N") if self._motion.config.linear else ("rad", "N·m")
-        if found.displacement < LEAST_COUNTS * resolution:
-            raise SafetyStop(
-                f"axis {name}: {amplitude:.3g} {torque_unit} for {length:.2g} s moved the encoder by "
-                f"{found.displacement / resolution:.0f} counts: the brake is closed, the encoder is stuck, "
-                "or friction takes all of the planned torque; see that the brake opens and turn the axis by "
-                "hand"
-            )
-        if abs(sign) <= trials.DECISIVE:
-            if sum(r.late_edges for r in seen) > sum(r.edges for r in seen):
-                raise trials.too_late(name, [*seen, *spoilt])
-            self.warnings.append(
-                f"axis {name}: the trial could hardly tell the encoder's sign ({sign:+.1f} standard "
-                "deviations); the encoder is coarse or the torque small"
-            )
-        trials.judge(name, found, sign, amplitude=amplitude, unit=unit, torque_unit=torque_unit)
-        known = self._motion.plan.inertia[axis]
-        self._motion.inertia[axis] = known if known is not None else found.inertia
-        self._catch(axis, self._motion.inertia[axis])
-        if self._motion.cell.can_hold[axis]:
-            self._motion.change(self._motion.resting_modes(), [f for f in others if f.axis != axis])
-
-    def _catch(self, axis: int, inertia: float) -> None:
-        """Back to where it stood, gently."""
-        self._motion.inertia[axis] = inertia
-        self._motion.centre({axis}, lowest=CATCH_HZ)
-        self._motion.play(None, round(SIGN_CATCH_S / self._motion.plan.cycle_s))
+        """Doublets of a tenth of the amplitude: signs, motion, and scales against the stated inertia."""
+        SignTrial(self._motion, axis, self._stated[axis], self.warnings).run()
 
     def try_amplitude(self, trial: Trial) -> None:
         """A tenth, then a third of the shaking: does full amplitude stay within what was announced?

@@ -102,6 +102,10 @@ class Watch:
         """Windows are around these positions from now on."""
         self._origin = list(position)
 
+    def hand_over(self) -> None:
+        """Another controller takes an axis over: it may stop it at once, as no mass stops."""
+        self._halting.pause()
+
     @property
     def peaks(self) -> Float64:
         """(3, M) largest travel, velocity and torque so far."""

@@ -21,6 +21,7 @@ COUNTS = 1 << 20
 
 # index: (type, access, value)
 OBJECTS: dict[int, tuple[DT, str, int]] = {
+    0x1000: (DT.UNSIGNED32, "ro", 0x00020192),
     0x6007: (DT.INTEGER16, "rw", 1),
     0x603F: (DT.UNSIGNED16, "ro", 0),
     0x6040: (DT.UNSIGNED16, "rw", 0),

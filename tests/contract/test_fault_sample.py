@@ -45,6 +45,6 @@ def test_the_campaign_notices_a_drive_that_is_left_energised(
     monkeypatch.setattr(Cia402Cell, "stop", lambda self: None)
     monkeypatch.setattr(Cia402Cell, "close", lambda self: [])
     # a drive that hears SYNC no longer stops by its own heartbeat watch; take that away as well
-    monkeypatch.setattr("invid_drivers.cia402.axis.Drive.protect", lambda self, report, heartbeat_s: None)
+    monkeypatch.setattr("invid_drivers.cia402.axis.Drive.protect", lambda self, report: None)
     outcome = campaign.run_one("emcy", np.random.default_rng(1), tmp_path)
     assert any("OPERATION_ENABLED" in c for c in outcome.complaints)

@@ -105,7 +105,15 @@ RUNS = [
     ("generic", {}, []),
     ("epos4", SCALES, ["0x6072 max torque: 0x3001:2"]),
     ("elmo_gold", {"rated_torque_Nm": 100}, []),
-    ("nanotec_c5e", {"rated_torque_Nm": 100, "allow_missing_heartbeat": True}, ["0x1016", "0x6007"]),
+    (
+        "nanotec_c5e",
+        {
+            "rated_torque_Nm": 100,
+            "allow_missing_heartbeat": True,
+            "overrides": {"0x6072": "0 as shipped, nobody set it"},
+        },
+        ["0x1016", "0x6007"],
+    ),
     ("zeroerr_erob", SCALES, ["0x6072 max torque: only the master", "0x605A", "0x6007"]),
 ]
 
@@ -173,7 +181,8 @@ def changed(name: str, tmp_path: Path, key: str = "DefaultValue", **values: int)
     ],
 )
 def test_the_speed_limit_reaches_every_drive_in_its_own_unit(name: str, speed: float) -> None:
-    cell = connect(config(file(name), file(name), name, allow_missing_heartbeat=True, **SCALES))
+    axis = {"allow_missing_heartbeat": True, "overrides": {"0x6072": "0 as shipped"}, **SCALES}
+    cell = connect(config(file(name), file(name), name, **axis))
     cell.energise([Mode.HOLD])
     assert simulated(cell).number(0x607F) == pytest.approx(speed, abs=1)
     assert cell.close() == []
@@ -199,10 +208,26 @@ def test_a_torque_limit_above_what_the_eds_allows_is_the_highest_that_it_allows(
 
 def test_a_feed_constant_of_the_shaft_behind_a_gear_is_taken_back_to_the_motor(tmp_path: Path) -> None:
     # 360000 user units a turn of the shaft, for which the motor turns 50 times in 3 turns of the shaft
-    node = changed("generic", tmp_path, o6092sub1=360_000, o6091sub1=50, o6091sub2=3)
+    node = changed("generic", tmp_path, o6092sub1=360_000, o6091sub1=50, o6091sub2=3, o608Fsub1=0)
     cell = connect(config(node, node))
     (report,) = cell.check()
     assert report.scaling.position_per_count == pytest.approx(6.283185307 * (50 / 3) / 360_000)
+    cell.close()
+
+
+def test_units_of_the_user_that_are_not_the_encoders_are_to_be_named_in_the_config(tmp_path: Path) -> None:
+    node = changed("generic", tmp_path, o6092sub1=360_000)
+    cell = connect(config(node, node))
+    with pytest.raises(DriveError, match=r"contradicts itself.*0x6092 say 1.7453.*0x608F say 1.1984"):
+        cell.check()
+    cell.close()
+    for says in (1.745329e-5, 1.19842e-5):
+        cell = connect(config(node, node, position_rad_per_count=says))
+        assert cell.check()[0].scaling.position_per_count == says
+        cell.close()
+    cell = connect(config(node, node, position_rad_per_count=4.8e-5))
+    with pytest.raises(DriveError, match=r"position_rad_per_count is 4\.8e-05"):
+        cell.check()
     cell.close()
 
 

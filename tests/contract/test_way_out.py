@@ -209,6 +209,7 @@ def test_an_error_that_nobody_expected_in_the_quick_stop_still_switches_off() ->
 
 
 def test_a_drive_put_in_place_of_another_does_not_get_the_others_values() -> None:
+    """The other's values wait in the journal, and are told, until the other is back."""
     cell = simulated()
     try:
         cell.check()
@@ -216,12 +217,17 @@ def test_a_drive_put_in_place_of_another_does_not_get_the_others_values() -> Non
         serial = drive.node.od.number(0x1018, 4)
         assert serial
         before = drive.node.od.number(0x6072)
-        for of, node in ((serial + 1, 1), (cell._drives[1]._serial, 2)):
-            cell.journal.add(Entry(node, of, 0x6072, 0, "0b00"))
-        cell.check()
+        wrote = f"{before:04x}"
+        wrote = wrote[2:] + wrote[:2]
+        of_another = Entry(1, serial + 1, 0x6072, 0, "0b00", wrote)
+        for entry in (of_another, Entry(2, cell._drives[1].serial, 0x6072, 0, "0b00", wrote)):
+            cell.journal.add(entry)
+        reports = cell.check()
         assert drive.node.od.number(0x6072) == before
         assert drives_of(cell)[1].node.od.number(0x6072) == 11
-        assert cell.journal.entries == ()
+        assert cell.journal.entries == (of_another,)
+        (said,) = reports[0].warnings
+        assert f"serial number {serial + 1}" in said
     finally:
         cell.close()
 

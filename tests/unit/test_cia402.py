@@ -101,12 +101,13 @@ def test_torque_beyond_the_type_is_clipped_and_does_not_wrap() -> None:
     assert od.MAX_TORQUE.pack(-5) == b"\0\0"
 
 
-def test_a_motor_revolution_comes_from_the_encoder_resolution_or_the_feed_constant() -> None:
+def test_a_count_comes_from_the_encoder_resolution_or_the_feed_constant_and_one_and_one_say_nothing() -> None:
     tau = 6.283185307179586
     assert position_per_count(4096, 1) == pytest.approx(tau / 4096)
-    assert position_per_count(4096, 1, feed=3600, feed_revolutions=1) == pytest.approx(tau / 3600)
     assert position_per_count(500_000, 1, linear=True) == pytest.approx(2e-6)
     assert position_per_count(0, 1) is None
+    assert position_per_count(4096, 0) is None
+    assert position_per_count(1, 1) is None
 
 
 @pytest.mark.parametrize(("data", "value"), [(b"\xff", -1), (b"\x01", 1), (b"\xfe\xff", -2)])

@@ -36,7 +36,10 @@ class Cia402Cell:
         self._config = config
         self._link = Link(bus, heartbeat_s=config.safety.heartbeat_s)
         self.journal = journal if journal is not None else Journal(None)
-        self._drives = [Drive(self._link, a, self.journal, linear=config.linear) for a in config.axes]
+        self._drives = [
+            Drive(self._link, a, self.journal, linear=config.linear, heartbeat_s=config.safety.heartbeat_s)
+            for a in config.axes
+        ]
         self._reports: list[DriveReport] = []
         self._cycle = Cycle(self._link, config)
         self._touched = False
@@ -99,10 +102,11 @@ class Cia402Cell:
             self._listened = True
         self._link.refuse_others("nothing was sent")
         self._pre_operational()
-        for drive in self._drives:
-            if self.journal.of_node(drive.node_id):
-                drive.restore()
-        self._reports = [d.check() for d in self._drives]
+        left = [drive.restore() for drive in self._drives]
+        try:
+            self._reports = [d.check(found) for d, found in zip(self._drives, left, strict=True)]
+        except DriveError as error:  # what was left as somebody set it is said once
+            raise DriveError(". ".join([str(error), *(s for found in left for s in found)])) from None
         for drive in self._drives:
             self._refuse_owned(drive)
         self._link.refuse_others("nothing was moved")
@@ -134,11 +138,12 @@ class Cia402Cell:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Who else is on the bus, and is left alone."""
+        """Who else is on the bus, and is left alone; what turned out when protection was written."""
         slaves = sorted({f.node for f in self._link.others.values() if f.node is not None})
         others = [f.text for f in self._link.others.values() if not f.master and f.node is None]
         said = [f"node {n} is on the bus too, is not in the config, and is left alone" for n in slaves]
-        return (*said, *(f"{text} are on the bus too" for text in others))
+        protection = (note for d in self._drives for note in d.protection.notes)
+        return (*said, *(f"{text} are on the bus too" for text in others), *protection)
 
     def energise(self, modes: Sequence[Mode]) -> None:
         """Protect, map, start and enable every drive at rest where it stands."""
@@ -149,7 +154,7 @@ class Cia402Cell:
         self._link.beating = True
         self._pre_operational()
         for drive, report in zip(self._drives, self._reports, strict=True):
-            drive.protect(report, self._config.safety.heartbeat_s)
+            drive.protect(report)
             drive.map_pdos()
             tell_cycle(drive, self._config.bus.cycle_s)
         for i, mode in enumerate(modes):
@@ -273,7 +278,7 @@ class Cia402Cell:
             if drive.name in left:
                 continue
             try:
-                drive.restore()
+                complaints += drive.restore()
             except InvidError as error:
                 complaints.append(str(error))
 

@@ -1,14 +1,15 @@
 """What the service wrote into a drive, and what stood there before: undone on every way out.
 
 The journal goes to disk before each write. After a power cut the next start finds it and restores the
-drive before anything else. Undoing the entries from the last to the first also undoes PDO maps in the
-one order that drives accept.
+drive before anything else, where it still shows what was written (see ``restoration``). Undoing the entries
+from the last to the first also undoes PDO maps in the one order that drives accept.
 """
 
 from __future__ import annotations
 
 import json
 import os
+from collections.abc import Collection
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -18,13 +19,15 @@ from invid_drivers.cia402.reservation import Reservation
 
 @dataclass(frozen=True)
 class Entry:
-    """One write: where, and the bytes before it (hex)."""
+    """One write: where, the bytes before it and the bytes written (hex)."""
 
     node_id: int
     serial: int
     index: int
     sub: int
     before: str
+    wrote: str | None = None
+    """``None`` in journals of versions that did not note it."""
 
 
 class Journal:
@@ -54,8 +57,11 @@ class Journal:
             return
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            with self.path.open("a", encoding="utf-8") as file:
-                file.write(json.dumps(asdict(entry)) + "\n")
+            with self.path.open("a+b") as file:
+                # A line that a power cut left half written must not take this one with it.
+                file.seek(max(0, file.seek(0, os.SEEK_END) - 1))
+                torn = file.read(1) not in (b"", b"\n")
+                file.write(b"\n" * torn + _line(entry))
                 file.flush()
                 os.fsync(file.fileno())
         except OSError as error:
@@ -71,23 +77,48 @@ class Journal:
 
     def forget(self, node_id: int) -> None:
         """A node is as it was."""
-        self._entries = [e for e in self._entries if e.node_id != node_id]
+        self.keep(node_id, ())
+
+    def keep(self, node_id: int, entries: Collection[Entry]) -> None:
+        """Of a node, only these entries are not undone yet."""
+        kept = set(map(id, entries))  # a value may be written twice: equal entries are two
+        self._entries = [e for e in self._entries if e.node_id != node_id or id(e) in kept]
         if self.path is None:
             return
-        if not self._entries:
-            self.path.unlink(missing_ok=True)
-            return
-        part = self.path.with_suffix(".part")
-        part.write_text("".join(json.dumps(asdict(e)) + "\n" for e in self._entries), encoding="utf-8")
-        part.replace(self.path)
+        try:
+            if not self._entries:
+                self.path.unlink(missing_ok=True)
+                return
+            part = self.path.with_suffix(".part")
+            with part.open("wb") as file:
+                file.write(b"".join(map(_line, self._entries)))
+                file.flush()
+                os.fsync(file.fileno())  # before it takes the old one's place: a power cut leaves one of them
+            part.replace(self.path)
+        except OSError as error:
+            raise BusError(
+                f"journal {self.path}: cannot be written ({error.strerror}); what it says of settings that "
+                "are restored is compared with the drive at the next start, and left as it is"
+            ) from None
+
+
+def _line(entry: Entry) -> bytes:
+    return json.dumps(asdict(entry)).encode() + b"\n"
 
 
 def _read(path: Path) -> list[Entry]:
+    try:
+        text = path.read_text(encoding="utf-8", errors="replace")
+    except OSError as error:
+        raise BusError(
+            f"journal {path}: cannot be read ({error.strerror}), and what an earlier run left in the "
+            "drives is not known without it; make it readable, or set XDG_STATE_HOME to another folder"
+        ) from None
     entries = []
-    for line in path.read_text(encoding="utf-8").splitlines():
+    for line in text.splitlines():
         try:
             entry = Entry(**json.loads(line))
-            bytes.fromhex(entry.before)
+            bytes.fromhex(entry.before + (entry.wrote or ""))
         except (ValueError, TypeError):
             continue  # a line cut off by the power cut: its write was never made
         entries.append(entry)

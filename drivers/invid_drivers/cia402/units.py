@@ -5,6 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+LEAST_COUNTS = 6
+"""Counts of a turn that the coarsest feedback has: the six states of three Hall sensors."""
+
 
 @dataclass(frozen=True)
 class Scaling:
@@ -41,17 +44,13 @@ class Scaling:
         return max(-32768, min(32767, round(self.direction * torque / self.rated_torque * 1000.0)))
 
 
-def position_per_count(
-    increments: int, revolutions: int, *, linear: bool = False, feed: int = 0, feed_revolutions: int = 0
-) -> float | None:
-    """Motor position of one count from 0x608F (and 0x6092 where it rescales 0x6064).
+def position_per_count(increments: int, revolutions: int, *, linear: bool = False) -> float | None:
+    """Motor position of one count [rad or m] where ``increments`` of them are so many turns of the motor.
 
-    ``None`` where the objects say nothing (zero). For a linear axis a revolution stands for a metre,
-    as the encoder's increments do.
+    ``None`` where the objects say nothing: zero, or fewer than ``LEAST_COUNTS`` a turn, as in drives that
+    come with 1 and 1. For a linear axis a revolution stands for a metre, as the encoder's increments do.
     """
-    if feed > 0 and feed_revolutions > 0:
-        increments, revolutions = feed, feed_revolutions
-    if increments <= 0 or revolutions <= 0:
+    if revolutions <= 0 or increments < LEAST_COUNTS * revolutions:
         return None
     per_turn = 1.0 if linear else 2.0 * math.pi
     return per_turn * revolutions / increments

@@ -25,6 +25,8 @@ class Vendor(Manual):
         Current in mA at rated torque, to scale ``torque_limit``.
     velocity_in_rpm
         0x607F is in rpm, not in counts per second. Assumed where it is unknown: of the two it is the tighter.
+    zero_as_shipped
+        Limits that are 0 until somebody sets them: 0 is then no commissioned value.
     advice
         For the technician, where something of the above is missing.
     """
@@ -33,6 +35,7 @@ class Vendor(Manual):
     torque_limit: Object | None = None
     nominal_current: Object | None = None
     velocity_in_rpm: bool = False
+    zero_as_shipped: tuple[str, ...] = ()
     advice: str = ""
 
 
@@ -105,7 +108,8 @@ VENDORS: dict[str, Vendor] = {
     "nanotec_c5e": Vendor(
         "Nanotec C5-E",
         velocity_in_rpm=True,
-        advice="0x6072 starts at 0 and is raised to the torque limit; 0x1016 is missing",
+        zero_as_shipped=("0x6072",),
+        advice="0x6072 starts at 0; 0x1016 is missing",
         cyclic_torque=YES,
         enforces_torque_limit=YES,
         quick_stop_default=1,

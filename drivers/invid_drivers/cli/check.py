@@ -9,16 +9,18 @@ import typer
 
 from invid.cli.output import EXIT_OK, emit
 from invid.config import CellConfig, load_config
-from invid.planning import make_plan
+from invid.planning import Plan, make_plan
 from invid.planning.hold_laws import master_hold
+from invid_drivers.cia402.limits import tighten, tightened_limits
 from invid_drivers.cli.measure import plan_text
 from invid_drivers.connect import connect, is_virtual
+from invid_drivers.measurement import plan_within
 from invid_drivers.round_trip import probe, require
 from invid_drivers.timing import timing_of
 
 
-def preflight(config: CellConfig) -> dict[str, Any]:
-    """Config, holds, plan, bus budget, every drive's capabilities and safety objects.
+def preflight(config: CellConfig) -> tuple[Plan, dict[str, Any]]:
+    """Config, holds, plan, bus budget, every drive's capabilities, safety objects and limits.
 
     Raises
     ------
@@ -28,21 +30,23 @@ def preflight(config: CellConfig) -> dict[str, Any]:
     """
     for axis in config.axes:
         master_hold(axis, config.bus.cycle_s)
-    plan = make_plan(config)
+    plan = make_plan(config)  # refused before a bus is opened
     cell = connect(config)
     try:
         reports = cell.check()
         found = None if is_virtual(config) else probe(cell.link, config, plan)
     finally:
         complaints = cell.close()
-    warnings = [*plan.warnings, *complaints, *cell.notes]
+    tighter = tighten(config, reports)
+    plan = plan_within(config, tighter, reports)
+    warnings = [*plan.warnings, *complaints, *cell.notes, *tightened_limits(config, reports)]
     timing = timing_of(config)
     warnings += timing.warnings(plan)
     if found is not None:
         warnings += require(found, config)
     for r in reports:
         warnings += r.warnings
-    return {
+    return plan, {
         "robot": config.robot,
         "simulated": config.simulated,
         "ready": True,
@@ -64,15 +68,16 @@ def preflight(config: CellConfig) -> dict[str, Any]:
                 "position": a.limits.position,
                 "velocity": a.limits.velocity,
                 "hold": a.hold.mode,
+                "sources": {what: limit["source"] for what, limit in r.limits.to_json().items()},
             }
-            for a in config.axes
+            for a, r in zip(tighter.axes, reports, strict=True)
         ],
         "plan": plan.to_json(),
         "warnings": warnings,
     }
 
 
-def _text(config: CellConfig, document: dict[str, Any]) -> str:
+def _text(config: CellConfig, plan: Plan, document: dict[str, Any]) -> str:
     bus = document["bus"]
     lines = [
         f"{config.robot}: ready. Bus {bus['interface']} {bus['channel']}, load {bus['load']:.0%} of "
@@ -92,8 +97,8 @@ def _text(config: CellConfig, document: dict[str, Any]) -> str:
             "limits "
             f"{limit['torque']:g} {torque}, ±{limit['position']:g} {unit}, {limit['velocity']:g} {unit}/s"
         )
+        lines += [f"    {what} limited by {source}" for what, source in limit["sources"].items()]
         lines += [f"    lacks {what}" for what in drive["lacks"]]
-    plan = make_plan(config)
     lines.append(plan_text(plan, "plan"))
     lines += [f"  note: {w}" for w in document["warnings"] if w not in plan.warnings]
     return "\n".join(lines)
@@ -109,6 +114,6 @@ def register(app: typer.Typer) -> None:
     ) -> int:
         """Preflight: config, bus budget, drives, safety objects, limits; moves nothing."""
         cell = load_config(config)
-        document = preflight(cell)
-        emit(document, _text(cell, document), as_json=as_json)
+        plan, document = preflight(cell)
+        emit(document, _text(cell, plan, document), as_json=as_json)
         return EXIT_OK

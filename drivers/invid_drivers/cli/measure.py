@@ -25,7 +25,7 @@ from invid.sweep import Progress
 from invid_drivers.cli.confirmation import confirm
 from invid_drivers.cli.expectation import NOTHING, belief_of, expectation, expected_text, noise_of
 from invid_drivers.goal import Reached, measure_to_goal
-from invid_drivers.measurement import MeasurementResult, measure_to_file
+from invid_drivers.measurement import MeasurementResult, ask_limits, measure_to_file
 from invid_drivers.rescreening import screen_cell, screening_plan
 from invid_drivers.timing import timing_of
 
@@ -300,7 +300,11 @@ def register(app: typer.Typer) -> None:
     def measure(
         config: Path = typer.Argument(..., help="The cell's config."),
         out: Path | None = typer.Option(None, "-o", "--out", help="Recording to write (HDF5)."),
-        dry_run: bool = typer.Option(False, "--dry-run", help="Print the plan; open no bus, move nothing."),
+        dry_run: bool = typer.Option(
+            False,
+            "--dry-run",
+            help="Print the plan; move nothing. Drives that are there are asked for their limits.",
+        ),
         axes: str | None = typer.Option(
             None, "--axes", help="Axes to excite, as A1,A2: all, unless --separate says what for."
         ),
@@ -378,6 +382,8 @@ def register(app: typer.Typer) -> None:
             confirm(cell, confirmed=confirmed)
             return run_design(cell, design, out, as_json=as_json)
         if dry_run:
+            make_plan(cell, axes=chosen, amplitude_scale=amplitude, model=known)  # before a bus is opened
+            cell, limited = ask_limits(cell)
             plan = make_plan(cell, axes=chosen, amplitude_scale=amplitude, model=known)
             found = expectation(cell, plan, belief, noise_of(cell, noise_from))
             timing = timing_of(cell)
@@ -389,7 +395,7 @@ def register(app: typer.Typer) -> None:
                 "expected": None if found is None else found.to_json(),
                 "timing": timing.to_json(),
             }
-            beyond = timing.warnings(plan)
+            beyond = [*limited, *timing.warnings(plan)]
             document["warnings"] = [*document["warnings"], *beyond]
             said = f"  note: {NOTHING}" if found is None else expected_text(found, linear=cell.linear)
             shown = [

@@ -270,7 +270,7 @@ def _add_drive_profile(
     add(0x6072, 0, "H", "rw", 3000, "rw")
     add(0x6073, 0, "H", "rw", 3000)
     add(0x6074, 0, "h", "ro", 0, "r")
-    add(0x6075, 0, "I", "rw", rated)
+    add(0x6075, 0, "I", "rw", 3000)  # mA, as the vendor's area says below
     add(0x6076, 0, "I", "rw", rated)
     add(0x6077, 0, "h", "ro", 0, "r")
     add(0x6078, 0, "h", "ro", 0, "r")

@@ -1,0 +1,142 @@
+"""Objects of one drive over SDO: read, found or missing, and written with the journal first."""
+
+from __future__ import annotations
+
+from invid.config import AxisConfig
+from invid.errors import DriveError
+from invid_drivers.cia402 import objects as od
+from invid_drivers.cia402.declared import declared_of
+from invid_drivers.cia402.journal import Entry, Journal
+from invid_drivers.cia402.link import Link, SdoAbortedError, SdoCommunicationError, SdoError
+from invid_drivers.cia402.objects import Object
+from invid_drivers.cia402.vendors import VENDORS, vendor
+
+PROTECTION = (
+    od.CONSUMER_HEARTBEATS, od.CONSUMER_HEARTBEAT, od.PRODUCER_HEARTBEAT, od.ABORT_CONNECTION,
+    od.QUICK_STOP_OPTION, od.MAX_TORQUE, od.MAX_CURRENT, od.POSITION_LIMIT_LOW, od.POSITION_LIMIT_HIGH,
+    od.MAX_VELOCITY, od.MAX_MOTOR_SPEED, od.FOLLOWING_WINDOW, od.FOLLOWING_TIME,
+)  # fmt: skip
+"""What keeps an axis from doing harm by itself: asked for whatever an EDS says."""
+
+
+class Access:
+    """The objects of one axis's drive; everything goes through the link."""
+
+    def __init__(self, link: Link, config: AxisConfig, journal: Journal, *, linear: bool) -> None:
+        self.config = config
+        self.name, self.node_id = config.name, config.node_id
+        self.who = f"axis {self.name} (node {self.node_id})"
+        self.link, self.journal, self.linear = link, journal, linear
+        self.serial = 0
+        """0x1018:4, from ``check`` on."""
+        row = vendor(config.vendor)
+        if row is None:
+            raise DriveError(
+                f"axis {self.name}: vendor {config.vendor!r} is not in the table; known are "
+                f"{', '.join(sorted(VENDORS))} (generic asks the drive for everything)"
+            )
+        self.vendor = row
+        self.declared, self.eds_warnings = declared_of(self.name, config.eds, config.node_id)
+        link.add_peer(self.node_id, self.name)
+
+    def read(self, what: Object) -> int:
+        """Value of an object; DriveError where there is no answer or the drive refuses."""
+        return what.unpack(self.upload(what))
+
+    def find(self, what: Object) -> int | None:
+        """Value of an object; ``None`` where the drive lacks it.
+
+        What the EDS does not list is not asked for, but for the drive's own protection: there firmware newer
+        than the file may have more.
+        """
+        declared = self.declared
+        if declared is not None and what not in PROTECTION and declared.find(what.index, what.sub) is None:
+            return None
+        try:
+            return what.unpack(self.link.sdo(self.node_id).upload(what.index, what.sub))
+        except SdoAbortedError:
+            return None
+        except SdoError as error:
+            raise self.silence(what, error) from None
+
+    def write(self, what: Object, value: int) -> None:
+        """Write, journal first; DriveError where the drive refuses."""
+        data = what.pack(value)
+        before = self.peek(what)
+        if before == data:
+            return
+        if before is None:
+            self.download(what, data)
+            return
+        address = (self.node_id, self.serial, what.index, what.sub)
+        self.journal.add(Entry(*address, before.hex(), data.hex()))
+        self.download(what, data)
+        shown = self.peek(what)
+        if shown is not None and shown not in (data, before):
+            # rounded or completed by the drive: that is what it will show when this is undone
+            self.journal.add(Entry(*address, before.hex(), shown.hex()))
+
+    def peek(self, what: Object) -> bytes | None:
+        """Bytes of an object; ``None`` where the drive refuses to show it."""
+        try:
+            return bytes(self.link.sdo(self.node_id).upload(what.index, what.sub))[: what.size]
+        except SdoAbortedError:
+            return None
+        except SdoError as error:
+            raise self.silence(what, error) from None
+
+    def upload(self, what: Object) -> bytes:
+        """Bytes of an object as they came; DriveError where there is no answer or the drive refuses."""
+        try:
+            return bytes(self.link.sdo(self.node_id).upload(what.index, what.sub))
+        except SdoAbortedError as error:
+            raise DriveError(
+                f"axis {self.name} (node {self.node_id}): {what.address} {what.name} cannot be read: "
+                f"{abort_in_words(error)}"
+            ) from None
+        except SdoError as error:
+            raise self.silence(what, error) from None
+
+    def download(self, what: Object, data: bytes) -> None:
+        """Write without journal; DriveError where the drive refuses."""
+        try:
+            self.link.sdo(self.node_id).download(what.index, what.sub, data)
+        except SdoAbortedError as error:
+            raise DriveError(
+                f"axis {self.name} (node {self.node_id}): {what.address} {what.name} cannot be written "
+                f"(0x{data[::-1].hex()}): {abort_in_words(error)}"
+            ) from None
+        except SdoError as error:
+            raise self.silence(what, error) from None
+
+    def command(self, what: Object, value: int) -> None:
+        """Write an object that is part of running (controlword, mode, targets): not journalled."""
+        self.download(what, what.pack(value))
+
+    def silence(self, what: Object, error: Exception) -> DriveError:
+        """The error of a drive that does not answer, or not as SDO has it."""
+        if isinstance(error, SdoCommunicationError):
+            return DriveError(
+                f"axis {self.name}: node {self.node_id} does not answer ({what.address} {what.name}); check "
+                "that the drive has power, node_id and bit rate, and the cable"
+            )
+        return DriveError(f"axis {self.name} (node {self.node_id}): {what.address} {what.name}: {error}")
+
+
+_ABORTS = {
+    0x06020000: "the object does not exist",
+    0x06090011: "the subindex does not exist",
+    0x06010002: "it is read-only",
+    0x06010001: "it is write-only",
+    0x06040041: "it cannot be mapped into a PDO",
+    0x06040042: "the PDO would be too long",
+    0x06090030: "the value is out of range",
+    0x06090031: "the value is too high",
+    0x06090032: "the value is too low",
+    0x08000022: "not in the drive's present state",
+}
+
+
+def abort_in_words(error: SdoAbortedError) -> str:
+    code = int(error.code)
+    return f"{_ABORTS.get(code, 'refused')} (SDO abort 0x{code:08X})"

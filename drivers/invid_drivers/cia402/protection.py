@@ -1,0 +1,303 @@
+"""A drive's own protection: what limits stand in it, and writing the tighter ones before it is enabled."""
+
+from __future__ import annotations
+
+import math
+
+from invid.errors import DriveError
+from invid_drivers.cia402 import objects as od
+from invid_drivers.cia402.access import Access
+from invid_drivers.cia402.limits import (
+    EffectiveLimits,
+    Limit,
+    counts_of_window,
+    distance_to_edge,
+    position_range,
+    tighter,
+    tighter_watch,
+    tightest,
+    watched,
+)
+from invid_drivers.cia402.link import MASTER_ID, SdoAbortedError, SdoError
+from invid_drivers.cia402.objects import Object
+from invid_drivers.cia402.scales import require_nominal_current
+from invid_drivers.cia402.units import Scaling
+
+DRIVE_MARGIN = 1.25
+"""The drive's own windows are a quarter wider than the master's: the master, who sees all axes and can
+tell a runaway, acts first, and the drive where the master does not."""
+FOLLOWING_MS = 10
+"""A following error outside its window is a fault after so long."""
+READ_ONLY = frozenset({0x06010000, 0x06010002, 0x08000020, 0x08000021})
+"""SDO aborts that mean that an object is not to be written at all, whatever the value."""
+WATCHED = {
+    0x6072: "the torque",
+    0x607D: "the position window",
+    0x607F: "the velocity",
+    0x6065: "a held axis",
+    0x6066: "a held axis",
+}
+"""What a limit of the drive is of, for messages."""
+
+
+class Protection:
+    """What one drive does by itself, whatever becomes of the master."""
+
+    def __init__(self, drive: Access, heartbeat_s: float) -> None:
+        self._drive = drive
+        self._beat_ms = max(1, round(heartbeat_s * 1000))
+        self._watch_ms = 3 * self._beat_ms
+        """One lost heartbeat and one late one do not stop the cell."""
+        self.notes: tuple[str, ...] = ()
+        """What turned out when it was written, in words."""
+
+    def limits(self, scaling: Scaling, warnings: list[str]) -> EffectiveLimits:
+        """The tightest of drive, config and EDS."""
+        drive = self._drive
+        limits = drive.config.limits
+        length, torque = ("m", "N") if drive.linear else ("rad", "N·m")
+        here = drive.read(od.POSITION)
+        return EffectiveLimits(
+            torque=tightest(
+                Limit(limits.torque, f"limits.{'force_N' if drive.linear else 'torque_Nm'} of the config"),
+                self._torque_limits(scaling, torque, warnings),
+            ),
+            position=tightest(
+                Limit(limits.position, f"limits.position_window_{length} of the config"),
+                self._position_limits(scaling, here),
+            ),
+            velocity=tightest(
+                Limit(limits.velocity, f"limits.velocity_{length}_per_s of the config"),
+                self._velocity_limits(scaling),
+            ),
+        )
+
+    def _torque_limits(self, scaling: Scaling, unit: str, warnings: list[str]) -> list[Limit]:
+        drive = self._drive
+        rated, found = scaling.rated_torque, []
+        permille = drive.find(od.MAX_TORQUE)
+        if permille == 0:
+            self._require_shipped_zero(od.MAX_TORQUE, warnings)
+        elif permille is not None:
+            found.append(
+                Limit(permille * rated / 1000, f"0x6072 of the drive: {permille} ‰ of {rated:g} {unit}")
+            )
+        current = drive.find(od.MAX_CURRENT)
+        if current:
+            found.append(
+                Limit(current * rated / 1000, f"0x6073 of the drive: {current} ‰ of its rated current")
+            )
+        vendors, nominal = drive.vendor.torque_limit, drive.vendor.nominal_current
+        if vendors is not None and nominal is not None:
+            present, whole = drive.find(vendors), drive.find(nominal)
+            if present == 0:
+                self._require_shipped_zero(vendors, warnings)
+            elif present is not None and whole:
+                warnings += require_nominal_current(drive, nominal, whole)
+                found.append(
+                    Limit(present / whole * rated, f"{vendors.address} of the drive: {present} of {whole} mA")
+                )
+        highest = None if drive.declared is None else drive.declared.find(od.MAX_TORQUE.index, 0)
+        if highest is not None and highest.high is not None and highest.high > 0:
+            found.append(
+                Limit(highest.high * rated / 1000, f"HighLimit of 0x6072 in the EDS: {highest.high} ‰")
+            )
+        return found
+
+    def _require_shipped_zero(self, what: Object, warnings: list[str]) -> None:
+        """A limit of 0 is raised only where nobody commissioned it, and the config says so."""
+        drive = self._drive
+        declared = None if drive.declared is None else drive.declared.find(what.index, what.sub)
+        shipped = what.address in drive.vendor.zero_as_shipped or (
+            declared is not None and declared.default == 0
+        )
+        reason = drive.config.overrides.get(what.address)
+        if shipped and reason is not None:
+            warnings.append(
+                f"{drive.who}: {what.address} {what.name} is 0, as the drive is shipped; it is raised while "
+                f"measuring, as overrides says ({reason})"
+            )
+            return
+        way_out = "set it with the drive's tool: no limit is raised from here"
+        if shipped:
+            way_out = (
+                "it is shipped so: where nobody set it on purpose, say so (overrides: "
+                f'{{"{what.address}": "reason"}}), or set it with its tool'
+            )
+        raise DriveError(
+            f"{drive.who}: {what.address} {what.name} is 0: the drive gives no torque; {way_out}"
+        )
+
+    def _position_limits(self, scaling: Scaling, here: int) -> list[Limit]:
+        drive = self._drive
+        found = position_range(drive.find(od.POSITION_LIMIT_LOW), drive.find(od.POSITION_LIMIT_HIGH))
+        if found is None:
+            return []
+        low, high = found
+        left = distance_to_edge(here, low, high)
+        if left <= 0:
+            raise DriveError(
+                f"{drive.who}: it stands at {here}, outside of or at the edge of the drive's software "
+                f"position limits (0x607D: {low} to {high}); move it inside, or correct 0x607D with the "
+                "drive's tool"
+            )
+        value = left * scaling.position_per_count
+        return [Limit(value, f"0x607D of the drive: {low} to {high}, the axis stands at {here}")]
+
+    def _velocity_limits(self, scaling: Scaling) -> list[Limit]:
+        drive = self._drive
+        found = []
+        profile = drive.find(od.MAX_VELOCITY)
+        if profile:
+            unit = "rpm" if drive.vendor.velocity_in_rpm else "counts/s"
+            found.append(
+                Limit(profile * self._per_velocity(scaling), f"0x607F of the drive: {profile} {unit}")
+            )
+        motor = drive.find(od.MAX_MOTOR_SPEED)
+        if motor and not drive.linear:
+            found.append(Limit(motor * 2 * math.pi / 60, f"0x6080 of the drive: {motor} rpm"))
+        return found
+
+    def _per_velocity(self, scaling: Scaling) -> float:
+        """Velocity of one in 0x607F."""
+        drive = self._drive
+        if drive.vendor.velocity_in_rpm:
+            return (1.0 if drive.linear else 2 * math.pi) / 60
+        return scaling.position_per_count
+
+    def _wanted(self, scaling: Scaling, limits: EffectiveLimits) -> list[tuple[Object, int, int]]:
+        """Limits of the drive as (object, found, wanted), in the order in which they may be written."""
+        drive = self._drive
+        permille = math.ceil(limits.torque.value / scaling.rated_torque * 1000 - 1e-9)
+        window = counts_of_window(drive.config.limits.position, DRIVE_MARGIN, scaling.position_per_count)
+        speed = math.ceil(DRIVE_MARGIN * drive.config.limits.velocity / self._per_velocity(scaling))
+        here = drive.read(od.POSITION)
+        low, high = drive.find(od.POSITION_LIMIT_LOW), drive.find(od.POSITION_LIMIT_HIGH)
+        edges = [
+            (od.POSITION_LIMIT_LOW, low, here - window),
+            (od.POSITION_LIMIT_HIGH, high, here + window),
+        ]
+        if high is not None and here - window > high:
+            edges.reverse()  # the low edge would pass the high one
+        wanted: list[tuple[Object, int | None, int]] = [
+            *self._torque_protection(permille),
+            *edges,
+            (od.MAX_VELOCITY, drive.find(od.MAX_VELOCITY), max(1, speed)),
+            (od.FOLLOWING_WINDOW, drive.find(od.FOLLOWING_WINDOW), window),
+            (od.FOLLOWING_TIME, drive.find(od.FOLLOWING_TIME), FOLLOWING_MS),
+        ]
+        off = position_range(low, high) is None
+        result = []
+        for what, found, want in wanted:
+            if found is None:
+                continue
+            free = off and what.index == od.POSITION_LIMIT_LOW.index
+            free = free or (what is od.MAX_TORQUE and found == 0)  # as shipped, or refused before
+            result.append((what, found, want if free else tighter(what, found, want)))
+        return result
+
+    def _torque_protection(self, permille: int) -> list[tuple[Object, int | None, int]]:
+        drive = self._drive
+        present = drive.find(od.MAX_TORQUE)
+        if present is not None:
+            return [(od.MAX_TORQUE, present, permille)]
+        limit, nominal = drive.vendor.torque_limit, drive.vendor.nominal_current
+        rated = None if limit is None or nominal is None else drive.find(nominal)
+        if limit is None or not rated:
+            return []
+        return [(limit, drive.find(limit), math.ceil(rated * permille / 1000))]
+
+    def unwritable(self, scaling: Scaling, limits: EffectiveLimits) -> list[str]:
+        """Limits that are too permissive and cannot be written, in words.
+
+        By the EDS, or found by writing what stands there.
+        """
+        drive = self._drive
+        lacks = []
+        for what, found, wanted in self._wanted(scaling, limits):
+            if found == wanted:
+                continue
+            entry = None if drive.declared is None else drive.declared.find(what.index, what.sub)
+            refused = entry is not None and entry.access in ("ro", "const")
+            if not refused:
+                try:
+                    drive.link.sdo(drive.node_id).download(what.index, what.sub, what.pack(found))
+                except SdoAbortedError as error:
+                    refused = int(error.code) in READ_ONLY
+                except SdoError as error:
+                    raise drive.silence(what, error) from None
+            if refused:
+                lacks.append(_only_the_master(what, found, wanted))
+        return lacks
+
+    def _heartbeat_entry(self) -> tuple[Object, int] | None:
+        """The entry of 0x1016 for this master, and what stands there; ``None`` where all watch others."""
+        drive = self._drive
+        count = drive.find(od.CONSUMER_HEARTBEATS) or 1
+        free = None
+        for sub in range(1, count + 1):
+            what = od.CONSUMER_HEARTBEAT if sub == 1 else Object(0x1016, sub, "I", "consumer heartbeat")
+            data = drive.peek(what)
+            if data is None:
+                continue
+            found = what.unpack(data)
+            node, ms = watched(found)
+            if node == MASTER_ID and ms:
+                return what, found
+            if free is None and (not node or not ms):
+                free = what, found
+        return free
+
+    def heartbeat_lacks(self) -> list[str]:
+        """What of the master's death the drive would not notice; DriveError where it must."""
+        drive = self._drive
+        entry = self._heartbeat_entry()
+        if entry is None:
+            if not drive.config.allow_missing_heartbeat:
+                raise DriveError(
+                    f"{drive.who}: every entry of 0x1016 watches another node, none is free to watch "
+                    "this computer: if it dies, the axis keeps its last torque. Free one with the drive's "
+                    "tool, or, where another device stops the axis then, set allow_missing_heartbeat: "
+                    "true for it"
+                )
+            return ["0x1016 consumer heartbeat: every entry watches another node, none this master"]
+        node, ms = watched(entry[1])
+        if node == MASTER_ID and 0 < ms < self._watch_ms * 2 // 3:
+            raise DriveError(
+                f"{drive.who}: 0x1016 of the drive watches this master for {ms} ms, and is not loosened; "
+                f"set safety.heartbeat_s to {ms // 3 / 1000:g} at most: three heartbeats must fit"
+            )
+        return []
+
+    def write(self, scaling: Scaling, limits: EffectiveLimits) -> None:
+        """Never less than the drive has; what turned out not to be writable is in ``notes``."""
+        drive, config = self._drive, self._drive.config
+        self.notes = ()
+        entry = None if drive.find(od.CONSUMER_HEARTBEAT) is None else self._heartbeat_entry()
+        if entry is not None:
+            drive.write(entry[0], tighter_watch(entry[1], MASTER_ID, self._watch_ms))
+        stays = config.gravity_loaded and config.brake == "none"
+        for what, wanted in (
+            (od.PRODUCER_HEARTBEAT, self._beat_ms),
+            (od.ABORT_CONNECTION, 3),  # quick stop
+            (od.QUICK_STOP_OPTION, 6 if stays else 2),  # stop on the ramp, then stay or switch off
+        ):
+            found = drive.find(what)
+            if found is not None:
+                drive.write(what, tighter(what, found, wanted))
+        for what, found, wanted in self._wanted(scaling, limits):
+            if found == wanted:
+                continue  # tight enough, read-only or not
+            try:
+                drive.write(what, wanted)
+            except DriveError as error:
+                if "cannot be written" not in str(error):
+                    raise
+                self.notes += (f"axis {drive.name}: {_only_the_master(what, found, wanted)}",)
+
+
+def _only_the_master(what: Object, found: int, wanted: int) -> str:
+    return (
+        f"{what.address} {what.name}: it is {found}, {wanted} is wanted, and it cannot be written; only the "
+        f"master watches {WATCHED.get(what.index, 'that')}"
+    )

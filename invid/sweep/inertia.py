@@ -1,0 +1,147 @@
+"""How heavy an axis is by its trial, and whether that fits what is stated: the last look at its scales.
+
+A wrong scale of torque or position makes an axis look lighter or heavier by the same factor. What a trial
+shows lies between two bounds. A jump of torque accelerates the first mass alone (1/m₁, springs do not matter
+at once), so the first mass can never be heavier than the whole branch; a doublet slower than the modes moves
+the whole branch.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from invid.errors import SafetyStop
+from invid.numerics.arrays import Bool, Float64
+
+AGREES = 3.0
+"""Stated and measured inertia may differ by this factor. "Roughly" in a config, a tool that was changed, and
+what friction and modes leave to a trial stay within two (a guess for the first, measured on the case study
+for the last); what goes wrong with scales is 4 (lines taken for counts), 10 (a unit), 16 (bits) or a gear."""
+NOTED = 0.25
+"""Beyond this share a difference is worth a line: a trial is good to ten per cent or so (case study)."""
+SLOW_S = 0.5
+"""A doublet of this length moves the whole branch when its lowest mode is above 3 Hz: its torque lies around
+1/length. In a shorter one outer masses may not have followed, and the axis may be heavier than it seems."""
+FITS = 0.3
+"""Where more than this share of the path is left over, the axis did not move as a mass with friction: the
+elastic axes of the case study leave 0.2 at most, one that only bends against what holds it more."""
+SLIDES = 2.0
+"""Counts within a twentieth of the doublet from which the axis counts as sliding."""
+
+
+@dataclass(frozen=True)
+class Branch:
+    """A rigid mass with dry friction that moves as the axis did."""
+
+    inertia: float
+    """[kg·m² or kg]"""
+    friction: float
+    """[N·m or N]"""
+    left: float
+    """What is left of the path, rms, as a share of its range."""
+    length_s: float
+    """Of the doublet."""
+
+    @property
+    def fits(self) -> bool:
+        """Whether the axis moved so at all."""
+        return self.inertia > 0 and self.left <= FITS
+
+
+def rigid_branch(time: Float64, demand: Float64, position: Float64, fresh: Bool, *, count: float) -> Branch:
+    """Least squares of x'' = (τ − f·sign x')/J over a doublet, integrated twice.
+
+    Parameters
+    ----------
+    time
+        (n,) SYNC instants [s].
+    demand, position
+        (n,) torque around its value at rest, and position.
+    fresh
+        (n,) rows whose position came with its SYNC.
+    count
+        Position of one encoder count.
+    """
+    acting = np.flatnonzero(demand)
+    step = float(np.median(np.diff(time)))
+    span = max(1, round(acting.size / 40))
+    shown = np.interp(time, time[fresh], position[fresh])
+    ahead = np.concatenate([shown[span:], np.full(span, shown[-1])])
+    behind = np.concatenate([np.full(span, shown[0]), shown[:-span]])
+    way = ahead - behind
+    slides = np.abs(way) > SLIDES * count
+    torque, friction = np.where(slides, demand, 0.0), np.where(slides, np.sign(way), 0.0)
+    path_torque, path_friction = (_integrated(c, step) for c in (torque, friction))
+    drift = time - time[0]
+    columns = np.column_stack([path_torque, -path_friction, drift, np.ones_like(drift)])[fresh]
+    x = position[fresh]
+    solution = np.linalg.lstsq(columns, x, rcond=None)[0]
+    if solution[1] < 0:  # friction that drives is none
+        columns = columns[:, [0, 2, 3]]
+        solution = np.linalg.lstsq(columns, x, rcond=None)[0]
+        share = 0.0
+    else:
+        share = float(solution[1])
+    rest = float(np.sqrt(np.mean((x - columns @ solution) ** 2)))
+    reach = float(np.ptp(x))
+    mobility = float(solution[0])
+    inertia = 1.0 / mobility if mobility > 0 else math.inf
+    return Branch(
+        inertia=inertia,
+        friction=share * inertia if math.isfinite(inertia) else 0.0,
+        left=rest / reach if reach > 0 else math.inf,
+        length_s=acting.size * step,
+    )
+
+
+def _integrated(acceleration: Float64, step: float) -> Float64:
+    """Position from rest under an acceleration that is constant over each cycle."""
+    velocity = np.concatenate([[0.0], np.cumsum(acceleration)[:-1]]) * step
+    way = velocity * step + 0.5 * acceleration * step**2
+    path: Float64 = np.concatenate([[0.0], np.cumsum(way)[:-1]])
+    return path
+
+
+def compare(
+    axis: str,
+    stated: float,
+    source: str,
+    *,
+    first_mass: float,
+    branch: Branch | None,
+    unit: str,
+) -> str:
+    """What to say of a measured inertia beside the stated one, empty where they agree.
+
+    ``first_mass`` is the lightest that the jumps of acceleration allow (0: they tell nothing), ``branch`` the
+    rigid mass of the slowest doublet (``None``: it tells nothing).
+
+    Raises
+    ------
+    SafetyStop
+        They differ by more than a flexible axis and the trial allow.
+    """
+    heavy = first_mass > AGREES * stated
+    light = False
+    seen = f"its first mass alone is at least {first_mass:.3g} {unit}"
+    if not heavy and branch is not None:
+        seen = f"the trial moved it like {branch.inertia:.3g} {unit}"
+        heavy = branch.inertia > AGREES * stated
+        light = branch.length_s >= SLOW_S and branch.inertia < stated / AGREES
+    if heavy or light:
+        raise SafetyStop(
+            f"axis {axis}: {seen}, {source} says {stated:.3g} {unit}: more than {AGREES:g} times "
+            f"{'as heavy' if heavy else 'lighter'}, which no elastic axis explains; a scale is wrong, or the "
+            "inertia. Compare 0x6076 (rated torque) with the motor's plate, and 0x608F, 0x6091, 0x6092 "
+            "(counts of a turn) with encoder and gear; if they are right, correct the inertia. Nothing was "
+            "recorded yet"
+        )
+    if branch is None or abs(branch.inertia - stated) <= NOTED * stated:
+        return ""
+    return (
+        f"axis {axis}: the trial moved it like {branch.inertia:.3g} {unit}, {source} says {stated:.3g}; "
+        "what was measured is used"
+    )

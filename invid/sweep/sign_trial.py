@@ -1,0 +1,282 @@
+"""Small doublets before anything else: do the signs agree, does it move, do the scales fit its inertia."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from invid.config import AxisConfig
+from invid.errors import SafetyStop
+from invid.numerics.arrays import Float64
+from invid.planning.hold_laws import Gains
+from invid.planning.phases import (
+    CATCH_HZ,
+    SIGN_CATCH_S,
+    SIGN_COUNTS,
+    SIGN_FIRST_S,
+    SIGN_LAST_S,
+    SIGN_MOST,
+    SLOW_SHARE,
+    SLOW_WINDOW,
+    sign_amplitude,
+    sign_wanted,
+)
+from invid.signals.excitation import doublet
+from invid.sweep import trials
+from invid.sweep.inertia import Branch, compare, rigid_branch
+from invid.sweep.motion import Feedback, Log, Motion
+from invid.sweep.ports import Mode
+
+TRIAL_CLIMB, TRIAL_AGAIN_S = 2.0, 0.08
+"""Where the longest doublet does not move an axis, its torque is doubled, up to what is planned, and it
+begins again at this length."""
+FIRST_SHARES = (0.1, 0.3, 1.0)
+"""Shares of the trial's amplitude at the shortest doublet. The last is a tenth of the shaking: with a scale
+of torque ten times wrong it is the shaking itself, which is within the torque limit."""
+LEAST_GROWTH = 1.2
+"""A doublet that may not be longer by more than this says nothing new."""
+SLOW_TRIALS = 5
+"""The slow doublet that moves the whole branch is longer again where outer masses turn out to follow."""
+SLEEP_COUNTS = 20
+"""An encoder that dies shows so many counts first; fewer are what ringing leaves of a coarse one."""
+LATE_TRIALS = 20
+"""Trials that say nothing because somebody was late, before the measurement gives up: seven seconds at least,
+so that a few in which a computer is busy with something else do not end it; each trial is as small as the
+others and the axis is caught after it. Empirical: a machine on which one SYNC in twenty comes late spoils one
+doublet in three."""
+LEAST_COUNTS = 5
+"""Less than this after the longest doublet, and the axis did not move."""
+LEAST_STEPS = 2.0
+"""Thousandths of rated torque below which a doublet is not commanded at all: 0x6071 has no smaller steps."""
+SEEN_SHARE = 0.01
+"""Share of rated torque from which 0x6077 must show a doublet: ten of its steps."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One doublet and what it did."""
+
+    response: trials.Response
+    log: Log
+    torque_still: bool
+    """Whether 0x6077 showed one value all through."""
+
+
+class SignTrial:
+    """The trial of one axis; the others are held."""
+
+    def __init__(
+        self, motion: Motion, axis: int, stated: tuple[float, str] | None, warnings: list[str]
+    ) -> None:
+        self._motion, self._axis, self._stated = motion, axis, stated
+        self._warnings = warnings
+        self._settings: AxisConfig = motion.config.axes[axis]
+        self._count = motion.cell.resolution[axis]
+        self._rated = motion.cell.rated_torque[axis]
+        self._amplitude, self._most = sign_amplitude(motion.config, motion.plan.experiments, axis)
+        self._unit, self._torque_unit = ("m", "N") if motion.config.linear else ("rad", "N·m")
+        self._modes = motion.resting_modes()
+        self._modes[axis] = Mode.TORQUE
+        self._others = [
+            Feedback(i, Gains(0.0, 0.0), motion.bias[i], a.limits.torque)
+            for i, a in enumerate(motion.config.axes)
+            if self._modes[i] is Mode.TORQUE
+        ]
+        self._spoilt: list[trials.Response] = []
+        self._seen: list[trials.Response] = []
+        self._still: list[bool] = []
+
+    def run(self) -> None:
+        """SafetyStop where signs or scales are wrong, or nothing moves."""
+        motion, axis = self._motion, self._axis
+        motion.phase, motion.experiment = f"trying the signs of {self._settings.name}", None
+        motion.change(self._modes, self._others)
+        motion.watching.held = set(range(motion.count)) - {axis}
+        amplitude, length, last = self._grow()
+        self._require_torque(last.response, amplitude)
+        self._require_motion(last.response, amplitude, length)
+        self._require_signs(last.response, amplitude)
+        branch = self._weigh(last, amplitude, length)
+        self._compare(branch, last.response)
+        known = self._stated[0] if self._stated is not None else last.response.inertia
+        self._catch(branch.inertia if branch is not None else known)
+        if motion.cell.can_hold[axis]:
+            motion.change(motion.resting_modes(), [f for f in self._others if f.axis != axis])
+
+    # --- doublets ------------------------------------------------------------------------------
+    def _play(self, amplitude: float, length: float) -> Trial:
+        """One doublet with quiet before and after it."""
+        motion, axis, cycle = self._motion, self._axis, self._motion.plan.cycle_s
+        wave = amplitude * doublet(round(length / cycle))
+        quiet = max(8, round(trials.EDGE_S / cycle) + max(trials.LAGS))
+        rows = np.zeros((wave.size + 2 * quiet, motion.count))
+        rows[quiet:-quiet, axis] = wave
+        kept = motion.play(rows, len(rows), log=True)
+        torque, came = kept.torque[:, axis], kept.fresh[:, axis]
+        found = trials.response(
+            kept.time,
+            self._demand(kept),
+            torque - motion.bias[axis],
+            kept.position[:, axis] - kept.position[0, axis],
+            count=self._count,
+            rated=self._rated,
+            fresh=came,
+        )
+        still = came.sum() >= trials.SIDE_ROWS and bool(np.ptp(torque[came]) == 0)
+        if amplitude >= SEEN_SHARE * self._rated:
+            self._still.append(still)
+        return Trial(found, kept, still)
+
+    def _demand(self, kept: Log) -> Float64:
+        demand: Float64 = kept.demand[:, self._axis] - self._motion.bias[self._axis]
+        return demand
+
+    def _spoil(self, found: trials.Response) -> None:
+        """Nothing can be said of this one. A pause in a doublet leaves the axis drifting: catch it."""
+        self._spoilt.append(found)
+        if len(self._spoilt) > LATE_TRIALS:
+            raise trials.too_late(self._settings.name, [*self._seen, *self._spoilt])
+        self._catch(self._stated[0] if self._stated else found.inertia)
+        self._motion.change(self._modes, self._others)
+
+    def _catch(self, inertia: float) -> None:
+        """Back to where it stood, gently."""
+        self._motion.inertia[self._axis] = inertia
+        self._motion.centre({self._axis}, lowest=CATCH_HZ)
+        self._motion.play(None, round(SIGN_CATCH_S / self._motion.plan.cycle_s))
+
+    def _grow(self) -> tuple[float, float, Trial]:
+        """Stronger, then longer, then again stronger doublets until the axis has moved; the last amplitude,
+        length and trial."""
+        limits = self._settings.limits
+        # The slope is of the sampled position, so the axis must move many counts.
+        wanted = sign_wanted(limits, self._count)
+        far = SIGN_MOST * limits.position
+        least = LEAST_STEPS / 1000 * self._rated
+        shares = [s for s in FIRST_SHARES if s == 1.0 or s * self._amplitude >= least]
+        amplitude, length = shares.pop(0) * self._amplitude, SIGN_FIRST_S
+        doubted = asleep = False
+        while True:
+            trial = self._play(amplitude, length)
+            found = trial.response
+            if found.late:
+                self._spoil(found)
+                continue
+            if shares and found.displacement <= far:
+                amplitude = shares.pop(0) * self._amplitude
+                continue
+            shares.clear()
+            if asleep and found.displacement < LEAST_COUNTS * self._count:
+                break
+            if found.stood and not asleep and found.displacement >= SLEEP_COUNTS * self._count:
+                # It moved and then stood under a torque that moves it: once more before that is believed.
+                asleep = True
+                continue
+            self._seen.append(found)
+            sign = trials.sign_score(self._seen)
+            if (sign < -trials.DECISIVE or found.opposed) and not doubted:
+                # A wrong sign is wrong twice; a computer that was late in the first trial is not.
+                doubted = True
+                self._seen.clear()
+                continue
+            if sign < -trials.DECISIVE or (found.displacement >= wanted and sign > trials.DECISIVE):
+                break
+            if found.displacement > far:
+                break
+            if length * 2 <= SIGN_LAST_S:
+                length *= 2
+                continue
+            if amplitude * TRIAL_CLIMB > self._most or found.displacement >= wanted:
+                break
+            # What holds it against a small torque is most often friction; a stronger doublet starts short.
+            amplitude, length = TRIAL_CLIMB * amplitude, TRIAL_AGAIN_S
+        return amplitude, length, trial
+
+    # --- verdicts ------------------------------------------------------------------------------
+    def _require_torque(self, found: trials.Response, amplitude: float) -> None:
+        """0x6077 must show what is commanded well above its steps."""
+        if not self._still or not all(self._still):
+            return
+        moved = found.displacement >= LEAST_COUNTS * self._count
+        raise SafetyStop(
+            f"axis {self._settings.name}: the measured torque (0x6077) did not change while {amplitude:.3g} "
+            f"{self._torque_unit} ({amplitude / self._rated:.1%} of rated) were commanded, and the axis "
+            + (
+                "moved: the drive does not show its torque; let it update 0x6077, or nothing can be "
+                "identified"
+                if moved
+                else "did not move: the drive gives no torque; look at its torque and current limits, safe "
+                "torque off and its torque mode"
+            )
+        )
+
+    def _require_motion(self, found: trials.Response, amplitude: float, length: float) -> None:
+        if found.displacement >= LEAST_COUNTS * self._count:
+            return
+        raise SafetyStop(
+            f"axis {self._settings.name}: {amplitude:.3g} {self._torque_unit} for {length:.2g} s moved the "
+            f"encoder by {found.displacement / self._count:.0f} counts: the brake is closed, the encoder is "
+            "stuck, or friction takes all of the planned torque; see that the brake opens and turn the axis "
+            "by hand"
+        )
+
+    def _require_signs(self, found: trials.Response, amplitude: float) -> None:
+        name, seen = self._settings.name, self._seen
+        sign = trials.sign_score(seen)
+        if abs(sign) <= trials.DECISIVE:
+            if sum(r.late_edges for r in seen) > sum(r.edges for r in seen):
+                raise trials.too_late(name, [*seen, *self._spoilt])
+            self._warnings.append(
+                f"axis {name}: the trial could hardly tell the encoder's sign ({sign:+.1f} standard "
+                "deviations); the encoder is coarse or the torque small"
+            )
+        trials.judge(name, found, sign, amplitude=amplitude, unit=self._unit, torque_unit=self._torque_unit)
+
+    # --- inertia -------------------------------------------------------------------------------
+    def _weigh(self, last: Trial, amplitude: float, length: float) -> Branch | None:
+        """The whole branch as a rigid mass, from slower doublets; ``None`` where it does not move so.
+
+        Where nobody has stated an inertia there is nothing to compare with.
+        """
+        if self._stated is None:
+            return None
+        window = self._settings.limits.position
+        slow = max(self._amplitude * SLOW_SHARE, LEAST_STEPS / 1000 * self._rated)
+        slow = min(amplitude, slow)
+        branch = self._branch(last.log)
+        for _ in range(SLOW_TRIALS):
+            inertia = branch.inertia if branch is not None else last.response.inertia
+            next_length = min(SIGN_LAST_S, float(np.sqrt(16 * inertia * SLOW_WINDOW * window / slow)))
+            if not next_length > LEAST_GROWTH * length:
+                break
+            trial = self._play(slow, next_length)
+            if trial.response.late:
+                self._spoil(trial.response)
+                continue
+            last, length = trial, next_length
+            branch = self._branch(last.log)
+        return branch
+
+    def _branch(self, kept: Log) -> Branch | None:
+        position = kept.position[:, self._axis] - kept.position[0, self._axis]
+        if np.ptp(position) < SIGN_COUNTS * self._count:
+            return None
+        fresh = kept.fresh[:, self._axis]
+        found = rigid_branch(kept.time, self._demand(kept), position, fresh, count=self._count)
+        return found if found.fits else None
+
+    def _compare(self, branch: Branch | None, found: trials.Response) -> None:
+        if self._stated is None:
+            return
+        stated, source = self._stated
+        jump = found.mobility + trials.DECISIVE * found.mobility_std
+        said = compare(
+            self._settings.name,
+            stated,
+            source,
+            first_mass=1.0 / jump if found.mobility > 0 and np.isfinite(jump) else 0.0,
+            branch=branch,
+            unit="kg" if self._motion.config.linear else "kg·m²",
+        )
+        self._warnings += [said] * bool(said)
