@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from invid.model.document import Estimate
-
-if TYPE_CHECKING:
-    from invid.comparison.causes import CauseChange
 
 
 class Status(StrEnum):
@@ -89,6 +86,73 @@ class Repeatability:
     factor: float = 1.0
     pairs: int = 0
     dof: float = float("inf")
+
+
+class CauseStatus(StrEnum):
+    """What became of a cause."""
+
+    APPEARED = "appeared"
+    GREW = "grew"
+    SHRANK = "shrank"
+    UNCHANGED = "unchanged"
+    GONE = "gone"
+    CANNOT_TELL = "cannot_tell"
+
+
+@dataclass(frozen=True)
+class CauseChange:
+    """One cause, before and after, by its main ``parameter``; ``None`` where a run did not find it.
+
+    ``difference`` ± ``std`` is that of its size (its amount, of a gain its distance from 1); ``bound`` the
+    largest relative change that the data still allow; ``detectable`` the size that a run without the cause
+    would have seen in 95 of 100 cases.
+    """
+
+    name: str
+    cause: str
+    axis: str
+    element: str | None
+    other_axis: str | None
+    parameter: str
+    unit: str | None
+    label: str
+    old: Estimate | None
+    new: Estimate | None
+    status: CauseStatus
+    reason: str = ""
+    difference: float | None = None
+    std: float | None = None
+    p_value: float | None = None
+    p_adjusted: float | None = None
+    bound: float | None = None
+    detectable: float | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+
+        def estimate(e: Estimate | None) -> dict[str, Any] | None:
+            return None if e is None else {"value": e.value, "std": e.std}
+
+        return {
+            "name": self.name,
+            "cause": self.cause,
+            "axis": self.axis,
+            "element": self.element,
+            "other_axis": self.other_axis,
+            "parameter": self.parameter,
+            "unit": self.unit,
+            "label": self.label,
+            "old": estimate(self.old),
+            "new": estimate(self.new),
+            "status": str(self.status),
+            "reason": self.reason,
+            "difference": self.difference,
+            "std": self.std,
+            "p": self.p_value,
+            "p_adjusted": self.p_adjusted,
+            "within_percent": None if self.bound is None else 100.0 * self.bound,
+            "detectable": self.detectable,
+        }
 
 
 @dataclass(frozen=True)

@@ -17,14 +17,8 @@ from dataclasses import replace
 import numpy as np
 
 from invid.comparison.baseline import pooled, together
-from invid.comparison.causes import (
-    CauseChange,
-    CauseStatus,
-    cause_sentences,
-    compare_causes,
-    with_cause_verdicts,
-)
-from invid.comparison.changes import Change, Comparison, Repeatability, Status
+from invid.comparison.causes import cause_sentences, compare_causes, with_cause_verdicts
+from invid.comparison.changes import CauseChange, CauseStatus, Change, Comparison, Repeatability, Status
 from invid.comparison.joint_test import Selection, Whitened, covariance_of, detectable, joint_p, select
 from invid.comparison.pairs import effects as paired_effects
 from invid.comparison.pairs import linear_parameters

@@ -18,6 +18,7 @@ from durand.network import NetworkABC
 from durand.scheduler import VirtualScheduler, set_scheduler
 
 COUNTS = 1 << 20
+LONGEST_STEP_S = 0.02
 
 # index: (type, access, value)
 OBJECTS: dict[int, tuple[DT, str, int]] = {
@@ -163,12 +164,14 @@ class DurandBus(can.BusABC):
         super().__init__(channel="durand")
 
     def advance(self, seconds: float) -> None:
-        """Let virtual time pass."""
-        if seconds > 0:
-            self.scheduler.run(seconds)
-            self.time += seconds
+        """Let virtual time pass, in steps: durand's scheduler never ends a run longer than an interval."""
+        while seconds > 0:
+            step = min(seconds, LONGEST_STEP_S)
+            self.scheduler.run(step)
+            self.time += step
             for drive in self.drives:
-                drive.step(seconds)
+                drive.step(step)
+            seconds -= step
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         self.sent.append((msg.arbitration_id, bytes(msg.data)))

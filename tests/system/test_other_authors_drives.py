@@ -101,7 +101,6 @@ def write_config(folder: Path, **second: Any) -> None:
     (folder / "cell.yaml").write_text(yaml.safe_dump(data), encoding="utf-8")
 
 
-@pytest.mark.xfail(strict=True, reason="issue 22, items 1 and 4: goes with the branches that mend them")
 def test_a_healthy_run_keeps_the_tightest_limits_and_leaves_a_foreign_node_alone(cell: OtherCell) -> None:
     scan = cell.invid(
         "init", "--interface", "invid-unix", "--channel", str(cell.folder / "bus.sock"), "-o", "first.yaml"

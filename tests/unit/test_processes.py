@@ -15,8 +15,8 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="helpers are for
 
 BEGIN = """
 import multiprocessing, os, threading, time
-from invid import processes
-from invid.processes import at_once
+from invid.numerics import parallel as processes
+from invid.numerics.parallel import at_once
 me = os.getpid()
 """
 
@@ -102,7 +102,7 @@ def test_helpers_end_with_a_caller_that_was_killed():
         text = '''
         import os, time
         os.sched_getaffinity = lambda _: set(range(3))
-        from invid.processes import at_once
+        from invid.numerics.parallel import at_once
         me = os.getpid()
         def run(k):
             if os.getpid() == me:
@@ -172,8 +172,8 @@ def test_a_diagnosis_is_the_same_on_one_core_and_on_two():
         import json, sys
         sys.path.insert(0, "tests")
         from hidden.generator import make
-        from invid.diagnosis import diagnosis_to_json
-        from invid.discrepancy import diagnose
+        from invid.model.diagnosis_document import diagnosis_to_json
+        from invid.diagnosis.diagnose import diagnose
 
         calls, answered = [], []
         taken, received = processes._taken, processes._received

@@ -294,10 +294,10 @@ def test_growing_motion_of_held_axes_is_called_an_unstable_hold() -> None:
     cell = RigidCell()
 
     def grow(c: RigidCell, s: Sample) -> None:
-        t = s.time - 17.0
+        t = s.time - 21.0
         s.position[0] += 1e-4 * np.exp(2.0 * t) * np.sin(60 * t)
 
-    cell.disturb = after(17.0, grow)
+    cell.disturb = after(21.0, grow)
     _, error, _ = run(cell, axes=["A2"], cfg=config(count=2, limits=""))
     assert isinstance(error, SafetyStop)
     assert "unstable" in str(error)  # long before its velocity is beyond any limit
