@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from invid.comparison.changes import Change, Comparison
+from invid.comparison.changes import CauseStatus, Change, Comparison
 
 PRACTICAL = 0.02
 """Below it a change gets no interpretation: a tool change of interest exceeds about 2 % (a convention)."""
@@ -42,19 +42,20 @@ def sentences(c: Comparison, *, joint_alpha: float, causes: Sequence[str] = ()) 
     separate = [x for x in everything if x.rivals]
     open_ones = [x for x in everything if x.status == "cannot_tell" and not x.rivals]
     said = interpret(changed, c.parameters) + _one_of(separate)
-    said += [*c.structure, *causes]
+    moved = any(x.status is not CauseStatus.UNCHANGED for x in c.causes)
+    said += [*c.structure, *(causes if moved else ())]
     spread_out = c.joint_p is not None and c.joint_p < joint_alpha and not changed and not separate
     if spread_out:
         said.append(
             f"Something changed (joint test, p = {c.joint_p:.1g}), but the data cannot tell which parameter: "
             "the uncertainties of several go together. A longer measurement would."
         )
-    else_ = "else " if changed or c.structure or separate or c.causes else ""
+    else_ = "else " if changed or c.structure or separate or moved else ""
     if unchanged and spread_out:
         said.append(f"{_count(len(unchanged))} unchanged {within(unchanged)}.")
     elif unchanged and not open_ones:
         said.append(f"Nothing {else_}changed.")
-        said.append(f"{_all(len(unchanged), bool(else_))} {within(unchanged)}.")
+        said.append(f"{_all(len(unchanged), bool(else_ or c.causes))} {within(unchanged)}.")
     elif unchanged:
         said.append(
             f"Nothing {else_}changed as far as the data tell: {_count(len(unchanged))} unchanged "
@@ -62,6 +63,8 @@ def sentences(c: Comparison, *, joint_alpha: float, causes: Sequence[str] = ()) 
         )
     if open_ones:
         said.append(f"Cannot tell for {_listing([x.label for x in open_ones])}: {_reasons(open_ones)}.")
+    if causes and not moved:
+        said += causes
     means = [
         f"the {side} values of {n} runs" for side, n in zip(("old", "new"), c.runs, strict=True) if n > 1
     ]

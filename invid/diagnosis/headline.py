@@ -76,8 +76,11 @@ def _grade(group: Sequence[Finding]) -> Grade:
 
 def _clause(group: Sequence[Finding], axes: Sequence[str], *, advice: bool) -> str:
     """ "Dry friction on all three axes, up to 0.2 % of rated torque: as expected, nothing to do"."""
-    titles = list(dict.fromkeys(title(f) for f in group))
-    text = f"{_together(titles)} {_where(group, axes)}"
+    if len(group) == 1:
+        text = f"{title(group[0])} {_where(group, axes)}"
+    else:
+        titles = list(dict.fromkeys(title_of(f.effect.cause) for f in group))
+        text = f"{_together(titles)} {_where(group, axes)}{_instead(group, axes)}"
     sizes = [
         f.consequence.text.split(", ")[0] for f in group if f.consequence is not None and f.consequence.text
     ]
@@ -90,6 +93,16 @@ def _clause(group: Sequence[Finding], axes: Sequence[str], *, advice: bool) -> s
     else:
         todo = _TODO[grade]
     return _upper(f"{text}: {todo}")
+
+
+def _instead(group: Sequence[Finding], axes: Sequence[str]) -> str:
+    """ " (on A2 it may be play instead)", of the findings that the data cannot tell from another cause."""
+    contested: dict[str, list[str]] = {}
+    for f in group:
+        for other in f.alternatives[:1]:
+            contested.setdefault(_lower(title_of(other.cause)), []).append(f.effect.axis)
+    said = _and([f"on {on_axes(where, axes)} it may be {other}" for other, where in contested.items()])
+    return f" ({said} instead)" if said else ""
 
 
 def _largest(group: Sequence[Finding]) -> str:

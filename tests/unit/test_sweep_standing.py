@@ -146,11 +146,11 @@ def test_a_gap_in_the_samples_is_no_leap_of_the_velocity() -> None:
 def test_a_stuck_encoder_of_an_excited_axis_is_found_within_three_times_its_longest_stand() -> None:
     cell = RigidCell()
     held: dict[str, float] = {}
-    cell.disturb = after(22.0, lambda c, s: s.position.__setitem__(0, held.setdefault("x", s.position[0])))
+    cell.disturb = after(23.0, lambda c, s: s.position.__setitem__(0, held.setdefault("x", s.position[0])))
     _, error, _ = run(cell)
     assert isinstance(error, SafetyStop)
     assert "A1" in str(error)
-    assert cell.clock.time < 22.0 + 0.4
+    assert cell.clock.time < 23.0 + 0.4
 
 
 def rows(path: Iterable[float]) -> Iterable[Sample]:

@@ -14,19 +14,23 @@ WORDS = "the emergency stop is within reach and nobody is within reach of the ax
 def confirm(cell: CellConfig, *, confirmed: bool) -> None:
     """Ask on the terminal, unless it was confirmed on the command line or no hardware stands behind the cell.
 
+    Without a terminal there is nobody to ask: whoever had the command started there answers for it, and is
+    told so.
+
     Raises
     ------
     InputError
-        The answer was not yes, or there is no terminal to ask on.
+        The answer was not yes.
     """
     if cell.simulated or confirmed:
         return
     axes = ", ".join(a.name for a in cell.axes)
     if sys.stdin is None or not sys.stdin.isatty():
-        raise InputError(
-            f"measure: {cell.robot} will move ({axes}), and there is no terminal to ask whether {WORDS}; "
-            "where that is so, add --confirmed"
+        note(
+            f"{cell.robot} will move: {axes}. Nobody could be asked (no terminal): whoever started this "
+            f"answers for it that {WORDS} (--confirmed says so)"
         )
+        return
     note(f"{cell.robot} will move: {axes}. Confirm that {WORDS}. Type yes to go on:")
     try:
         answer = sys.stdin.readline()
