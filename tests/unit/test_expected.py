@@ -156,8 +156,8 @@ def test_friction_of_an_accepted_model_is_part_of_the_belief(cell: CellConfig) -
     )
     belief = from_model(model, cell)
     assert belief.coulomb.tolist() == [0, 0.3, 0]
-    # the simulated plant's own ground dampers are counted once
-    assert belief.viscous == pytest.approx([0.05, 0.1, 0.9])
+    # the simulated plant's own ground dampers (0.1, 0.2 and 0.4) are counted once
+    assert belief.viscous == pytest.approx([0.1, 0.2, 1.1])
     assert not belief.chains.ground_dampers.any()
     other = CoupledChains.build([[1.0]], [[]], axes=["X"])
     with pytest.raises(ModelError, match="the model of"):
