@@ -86,22 +86,32 @@ def screen_cell(
     tell(found.sentence)
     if found.verdict != "changed" or found.fit is None:
         return Rescreening(result, found, None, duration_s=result.duration_s)
-    axes = tuple(a for a in model.axes if any(a in part_axes(p, model.axes) for p in found.parts))
+    changed = tuple(a for a in model.axes if any(a in part_axes(p, model.axes) for p in found.parts))
     now = replace(belief, chains=found.fit.chains, source="the screening record")
-    band = informative_band(config, now, noise, found.refuted, axes)
     wanted = goal if goal is not None else max(LEAST_GOAL, _worst(model, found.refuted))
-    again = plan_for_goal(
-        config,
-        now,
-        noise,
-        wanted,
-        axes=axes,
-        names=found.refuted,
-        band=band,
-        max_duration_s=max_duration_s,
-        seed=2,
-    )
-    tell(f"measuring {', '.join(axes)} again, {band[0]:.2g}…{band[1]:.2g} Hz: {again.sentence}")
+
+    def plan_on(axes: tuple[str, ...]) -> tuple[tuple[float, float], GoalPlan]:
+        band = informative_band(config, now, noise, found.refuted, axes)
+        plan = plan_for_goal(
+            config,
+            now,
+            noise,
+            wanted,
+            axes=axes,
+            names=found.refuted,
+            band=band,
+            max_duration_s=max_duration_s,
+            seed=2,
+        )
+        return band, plan
+
+    axes = changed
+    band, again = plan_on(axes)
+    if not again.reachable and len(axes) < len(model.axes):
+        # An axis that is held needs torque for every motion that its neighbours force on it; shaken, it follows.
+        every = plan_on(model.axes)
+        if every[1].expected.worst[1] < again.expected.worst[1]:
+            axes, (band, again) = model.axes, every
     new: list[Model] = []
 
     def go_on(recording: Recording) -> bool:
