@@ -108,7 +108,7 @@ def screen_cell(
     axes = changed
     band, again = plan_on(axes)
     if not again.reachable and len(axes) < len(model.axes):
-        # An axis that is held needs torque for every motion that its neighbours force on it; shaken, it follows.
+        # A held axis needs torque for every motion that its neighbours force on it; shaken, it follows.
         every = plan_on(model.axes)
         if every[1].expected.worst[1] < again.expected.worst[1]:
             axes, (band, again) = model.axes, every

@@ -18,7 +18,8 @@ from invid.diagnosis.time_domain_check import REFUSED, Replay, replay, with_repl
 from invid.diagnosis.verdict import document
 from invid.effects.effect import unit_of
 from invid.errors import InputError
-from invid.identification.identify import identify
+from invid.identification.identify import identify_chains
+from invid.identification.machine_kind import machine_kind
 from invid.likelihood.joint_fit import JointFit
 from invid.likelihood.null_test import null_test
 from invid.model.diagnosis_document import Diagnosis
@@ -67,13 +68,17 @@ def _diagnosed(
     recording: Recording, model: Model | None, masses: Sequence[int] | Literal["auto"] | None
 ) -> Diagnosis:
     """The diagnosis of a recording without glitches."""
-    if is_rigid_case(recording, masses if model is None else model.chains.masses_per_branch):
+    if model is not None and is_rigid_case(recording, model.chains.masses_per_branch):
         return diagnose_trajectory(recording, model=model)
     dropped = find_dropped(recording)
     sound = repaired(recording, dropped) if dropped else recording
     own = model is None
     if model is None:
-        model = identify(sound, masses=masses)
+        kind = machine_kind(recording, masses, lambda: identify_chains(sound, masses))
+        if kind.rigid:
+            result = diagnose_trajectory(recording)
+            return replace(result, warnings=(*result.warnings, kind.said)) if kind.said else result
+        model = identify_chains(sound, masses) if kind.model is None else kind.model
     elif model.provenance.get("recorded") != recording.created:
         said = (w.removeprefix(OF_GIVEN) for w in model.warnings)
         model = replace(model, warnings=tuple(f"{OF_GIVEN}{w}" for w in said))

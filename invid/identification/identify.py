@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, replace
 from typing import Any, Literal
 
@@ -12,6 +12,7 @@ from invid.errors import InputError, InvidError, NotIdentifiableError
 from invid.identification.crosscheck import compared, missed_by_structure, second_route, widened
 from invid.identification.fewer_masses import said_of_fewer
 from invid.identification.ground_springs import with_ground_springs
+from invid.identification.machine_kind import machine_kind, rigid_model
 from invid.identification.model_facts import BEATEN, SUSPECT, paper_model, refined_model
 from invid.identification.model_order import choose_order
 from invid.identification.starts import chain_starts, fit_sizes, measured_frf
@@ -26,8 +27,6 @@ from invid.model.parameters import ChainStructure
 from invid.modes.pole_search import searched_modes
 from invid.modes.settle import settled_frf
 from invid.recording.model import Recording, Role
-from invid.rigid_motion.diagnosis import identify_trajectory
-from invid.rigid_motion.record_kind import is_rigid_case
 from invid.signals.drive_torque import with_acting_torque
 from invid.signals.encoder_glitches import without_glitches
 from invid.signals.frf import FrfMatrix
@@ -84,43 +83,18 @@ def _model(
     recording: Recording, masses: Masses, method: Method, profile: bool, draws: tuple[int, int]
 ) -> Model:
     """Rigid inertias or chains, as the recording is."""
-    if method == "refined" and _may_be_rigid(recording, masses) and is_rigid_case(recording, masses):
-        return _rigid_or_chains(recording, masses, lambda: identify_trajectory(recording))
+    if method == "refined":
+        kind = machine_kind(recording, masses, lambda: identify_chains(recording, masses))
+        if kind.rigid:
+            return rigid_model(recording, kind)
+        if kind.model is not None and not (profile or draws[0]):
+            return kind.model
     return _chains(recording, masses, method, profile, draws)
 
 
-def _rigid_or_chains(recording: Recording, masses: Masses, rigid: Callable[[], Model]) -> Model:
-    """The rigid model, or that of chains where the rigid one knows no inertia and chains explain the data.
-
-    Broadband excitation of a chain, recorded without periods, looks like a motor on a spring to ground.
-    """
-    model: Model | None = None
-    failure: NotIdentifiableError | None = None
-    try:
-        model = rigid()
-    except NotIdentifiableError as error:
-        failure = error
-    if model is not None and _known(model):
-        return model
-    if masses is None or isinstance(masses, str):
-        try:
-            chains = _chains(recording, masses, "refined", False)
-        except InvidError:
-            chains = None
-        # Where they explain the records to their noise, doubts about their number of masses notwithstanding.
-        if chains is not None and (model is None or chains.fit["noise_chi2_per_dof"] < SUSPECT):
-            return chains
-    if model is None:
-        raise failure or NotIdentifiableError(f"{recording.source}: no rigid model")
-    return model
-
-
-def _known(rigid: Model) -> bool:
-    """Whether every inertia is known to a tenth (a guess: recorded moves give a per cent or two)."""
-    return all(
-        bool(np.all(std < 0.1 * np.abs(mass)))
-        for std, mass in zip(rigid.std.masses, rigid.chains.masses, strict=True)
-    )
+def identify_chains(recording: Recording, masses: Masses) -> Model:
+    """``identify`` for a machine that is known to be elastic, without intervals of its own."""
+    return _chains(recording, masses, "refined", False)
 
 
 def _chains(
@@ -184,15 +158,6 @@ def from_second_route(spectra: Sequence[LineSpectra], fit: Fit) -> tuple[Fit, Pa
     if again.noise_cost < 0.9 * fit.noise_cost:
         return again, second_route(spectra, again)
     return fit, paper
-
-
-def _may_be_rigid(recording: Recording, masses: Masses) -> bool:
-    """False where ``is_rigid_case`` is known to be false: more masses asked for, or periods of excitation."""
-    if masses is not None and not isinstance(masses, str) and any(n != 1 for n in masses):
-        return False
-    if any("position_source" in e.attributes for e in recording.experiments):
-        return True
-    return not any(e.period_samples and e.periods >= 2 for e in recording.experiments)
 
 
 def _by_paper(
@@ -275,4 +240,4 @@ def _sizes(recording: Recording, wanted: Sequence[int]) -> tuple[int, ...]:
     return sizes
 
 
-__all__ = ["fit_sizes", "identify", "measured_frf"]
+__all__ = ["fit_sizes", "identify", "identify_chains", "measured_frf"]

@@ -12,6 +12,7 @@ from invid.errors import NotIdentifiableError
 from invid.likelihood.covariance import physical_covariance, spread_of
 from invid.likelihood.excess_variance import excess_variance
 from invid.likelihood.levenberg_marquardt import Solution, gauss_newton
+from invid.likelihood.nuisance.gradual_reversals import with_gradual_reversals
 from invid.likelihood.nuisance.hold_timing import placed_holds, with_open_holds
 from invid.likelihood.nuisance.reversals import with_sharp_reversals
 from invid.likelihood.nuisance.torque_lags import (
@@ -101,6 +102,8 @@ def fit_structure(
     if thorough:
         problem, solution = _boundary(problem, solution, spectra)
         problem, solution = with_sharp_reversals(problem, solution, spectra)
+    problem, solution = with_gradual_reversals(problem, solution, spectra)
+    if thorough:
         problem, solution, holds = placed_holds(problem, solution, spectra)
         problem, solution = _inner_friction(problem, solution)
         problem, solution = with_torque_lags(problem, solution)

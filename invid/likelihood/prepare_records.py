@@ -137,6 +137,7 @@ def record_of(
         unseen=unseen,
         ends_in=s.transient and s.periods <= 1 and rows is None,
         alone=alone and rows is not None,
+        integrated=s.integrated,
     )
 
 

@@ -79,6 +79,7 @@ def problem_from_spectra(
                 step=1.0 / s.sample_rate_hz,
                 columns=np.zeros((int(used.sum()), motors, 0), dtype=complex),
                 stepped=None if s.stepped is None else s.stepped[used],
+                integrated=s.integrated,
             )
         )
     axes = structure.axes

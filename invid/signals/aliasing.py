@@ -21,7 +21,8 @@ class Images:
     no more than its motor's mass, the motion is −1/(mΩ²) times the torque, and sampling folds it back:
     E = −(1/m) (1 − e^{−jωh})/(jh) e^{−jω·late} Σ e^{−jkω_s·late}/(ω + kω_s)³. Beside the line's own motion
     it is (ω/ω_s)⁴·6.5: a hundred-thousandth at a thirtieth of the sampling rate, a quarter of a per cent at
-    a seventh.
+    a seventh. A position summed up from a sampled velocity (``integrated``) has the images of the velocity,
+    −j/(mΩ), over the line's own jω.
     """
 
     omega: Float64
@@ -32,9 +33,10 @@ class Images:
     """(F, images) of every image on every line."""
 
     @classmethod
-    def of(cls, omega: Float64, step: float) -> Images:
+    def of(cls, omega: Float64, step: float, *, integrated: bool = False) -> Images:
         """Those of samples of length ``step`` [s] on the lines ``omega`` (F,) [rad/s]."""
-        cubes = (omega[:, None] + _ORDERS * (2 * np.pi / step)) ** -3.0
+        image = omega[:, None] + _ORDERS * (2 * np.pi / step)
+        cubes = image**-2.0 / np.maximum(omega[:, None], 1e-300) if integrated else image**-3.0
         stepping = (1.0 - np.exp(-1j * omega * step)) / (1j * step)
         return cls(omega, step, 1.0 - np.sinc(omega * step / 2 / np.pi), -stepping[:, None] * cubes)
 

@@ -92,6 +92,8 @@ class LineSpectra:
     hold_gain: Float64 = field(default_factory=lambda: np.zeros(0))
     hold_torque: Complex128 | None = None
     """(F, M) the part of the torque that a hold inside the drive gave, where the recording tells it apart."""
+    integrated: bool = False
+    """Whether the position is a velocity's running sum."""
     stepped: Complex128 | None = None
     """(F, M) as recorded, the part held over each sample where ``torque`` has it as it acts (a demand)."""
 
@@ -282,6 +284,8 @@ def _whole(
     held = np.concatenate((np.zeros(motors), np.nan_to_num(staircase, nan=0.0)))
     mean = mean + ends * (1.0 - held)
     hz = np.arange(1, nyquist + 1) / (count * data.step)
+    if integrated(experiment):
+        mean[:, :motors] = _of_velocity(data.position, data.step, hz)
     top = highest_excited(experiment, hz, mean[None])
     quiet = (hz > 1.5 * hz[top]) & (hz < 0.45 / data.step)
     if quiet.sum() < 16:
@@ -294,6 +298,10 @@ def _whole(
     single = np.abs(windowed) ** 2
     rounding = _rounding(single, single, step, band)
     floor = np.maximum(np.maximum(floor, step**2 / 12 * 4 / count), 1e-300)
+    if integrated(experiment):
+        # White noise of a velocity is noise ∝ 1/ω of its integral; the quiet lines tell its level there.
+        drift = (np.median(hz[quiet]) / hz[band])[:, None] ** 2
+        rounding[:, :motors] = np.maximum(rounding[:, :motors], floor[:motors] * drift)
     covariance = flat_covariance(np.maximum(floor, rounding), int(band.sum()))
     excited = excited_lines(experiment, hz[band], mean[band], covariance, motors, count * data.step)
     return _assemble(
@@ -313,6 +321,31 @@ def _whole(
         rounding=rounding,
         warnings=warnings,
     )
+
+
+def integrated(experiment: Experiment) -> bool:
+    """Whether the record has no position but the running sum of a velocity."""
+    return bool(experiment.attributes.get("position_source") == "integrated_velocity")
+
+
+def _of_velocity(position: Float64, step: float, hz: Float64) -> Complex128:
+    """(F, M) position on the lines from a position (n, M) that is the running sum of a measured velocity.
+
+    A running sum is no integral near half the sampling rate; the velocity that was summed up has exact lines.
+    The steps of position and velocity between the record's ends count as sampling shows them, which is how
+    the boundary terms expect them: Σ 1/(ω + kω_s) = (h/2)/tan(ωh/2), Σ 1/(ω + kω_s)² = (h/2)²/sin²(ωh/2).
+    """
+    velocity = np.diff(position, axis=0) / step
+    velocity = np.concatenate((velocity, velocity[-1:]))  # the last one is in no sum
+    count = velocity.shape[0] - 1
+    omega = 2 * np.pi * hz[:, None]
+    once = (step / 2) / np.tan(omega * step / 2)
+    twice = ((step / 2) / np.sin(omega * step / 2)) ** 2
+    faster = (velocity[count] - velocity[0]) * (2.0 / (count * step))
+    moved = 2.0 * velocity[:count].mean(axis=0) + 0.5 * step * faster
+    smooth = _amplitudes(velocity[:count], hz.size) + 0.5 * step * faster - 1j * faster * once
+    out: Complex128 = smooth / (1j * omega) + 1j * moved * once + faster * twice
+    return out
 
 
 def _floor(data: Uniform, quiet: Bool, hz: Float64, period: int) -> tuple[Float64, float, Float64]:
@@ -397,4 +430,5 @@ def _assemble(
         floor=frozen_float(floor),
         rounding=frozen_float(rounding),
         hold_gain=frozen_float(experiment.hold_gain),
+        integrated=integrated(experiment),
     )

@@ -78,6 +78,8 @@ class Record:
     """(n//2 + 1, M) share of each line of the waves above the band in use that was taken for noise."""
     ends_in: bool = True
     """Whether the spectra hold the end-point correction h/2·(x_n − x_0) that makes a sum the integral."""
+    integrated: bool = False
+    """Whether the position is a velocity's running sum."""
 
     @property
     def samples(self) -> int:
@@ -122,7 +124,7 @@ class Record:
     @cached_property
     def folding(self) -> Images:
         """What a torque that is held over the sample folds onto the lines."""
-        return Images.of(self.omega, self.step)
+        return Images.of(self.omega, self.step, integrated=self.integrated)
 
     def unseen_speed(self, torque: Float64, axis: int) -> Float64:
         """(n,) velocity that a ``torque`` (n,) gives one unit of inertia on the lines that noise has hidden.

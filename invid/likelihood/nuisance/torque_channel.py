@@ -68,11 +68,12 @@ class Block:
     columns: Complex128
     lag_index: tuple[int, ...] = ()
     stepped: Complex128 | None = None
+    integrated: bool = False
 
     @cached_property
     def images(self) -> Images:
         """What a torque that is held over the sample folds onto the lines."""
-        return Images.of(self.omega, self.step)
+        return Images.of(self.omega, self.step, integrated=self.integrated)
 
 
 @dataclass(frozen=True, eq=False)
