@@ -30,7 +30,7 @@ from bench_faults import EXPECTED as OLD
 from plant_judge import Judge, writes
 
 from invid.config import CellConfig, parse_config
-from invid.errors import InvidError
+from invid.errors import DriveError, InvidError
 from invid.planning import make_plan
 from invid.recording import read_recording
 from invid.sweep import Progress
@@ -84,6 +84,7 @@ EXPECTED: dict[str, set[int]] = {
     "slow ramp": {2, 4, 5},
     "ramp unit": {2, 4, 5},
     "undeclared load": {0, 2, 4, 5},
+    "unstated load": {0, 2, 4, 5},
     "late brake": {0, 2, 4, 5},
     "no quick stop option": {0, 2, 4, 5},
     "no ramp": {0, 2, 4, 5},
@@ -143,7 +144,8 @@ def make_case(kind: str, rng: np.random.Generator) -> Case:
     axes: dict[str, dict[str, Any]] = {f"A{i}": {} for i in (1, 2, 3)}
     element = str(rng.choice(["motor", "last mass"]))
     drives[loaded]["load"] = {"torque_Nm": load, "element": element}
-    axes[loaded]["gravity_loaded"] = True
+    for name, keys in axes.items():
+        keys["gravity_loaded"] = name == loaded
     case = Case(kind, axes, drives)
     axis = f"A{rng.integers(1, 4)}"
     at_s = float(rng.uniform(0.45, 0.95 * RUN_S))
@@ -196,6 +198,10 @@ def make_case(kind: str, rng: np.random.Generator) -> Case:
             case.faults = [emcy]
         case "undeclared load":
             axes[loaded]["gravity_loaded"] = False
+            case.stop_s = at_s if rng.random() < 0.5 else None
+        case "unstated load":
+            for keys in axes.values():
+                keys["gravity_loaded"] = "unknown"
             case.stop_s = at_s if rng.random() < 0.5 else None
         case "late brake":
             _give_brake(case, loaded, float(rng.uniform(0.1, 0.6)))
@@ -331,6 +337,8 @@ class Bench:
             cell = self._connect()
             try:
                 cell.check()
+                if cell.not_ready:
+                    raise DriveError("; ".join(r.text for r in cell.not_ready))
             finally:
                 cell.close()
 
@@ -389,6 +397,7 @@ def run_one(kind: str, rng: np.random.Generator, folder: Path) -> RunOutcome:
         excess = _excess(judge, kind)
         complaints += [f"unattended: {c}" for c in (*judge.loads(), *judge.states())]
         checked, _ = bench.check()
+        complaints += judge.readiness(checked)
         bench.wait(0.1)
         complaints += [f"check: {c}" for c in judge.loads()]
         again, _ = bench.measure(folder / "again.h5", hold_only=True)

@@ -126,7 +126,6 @@ def test_a_healthy_run_keeps_the_tightest_limits_and_leaves_a_foreign_node_alone
     assert read_recording(cell.folder / "run.h5").experiments
 
 
-@pytest.mark.xfail(strict=True, reason="issue 22, item 3: goes with the branch that mends it")
 def test_a_loaded_axis_stays_where_it_stopped_until_the_user_acts(cell: OtherCell) -> None:
     run = cell.invid("measure", "cell.yaml", "-o", "run.h5")
     assert run.stderr is not None

@@ -6,6 +6,7 @@ Raw ``struct`` in the cycle; SDO, maps and states before and after it. Whoever e
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
 
 import can
@@ -18,11 +19,23 @@ from invid_drivers.cia402 import states
 from invid_drivers.cia402.axis import Drive, DriveReport
 from invid_drivers.cia402.cycle import Cycle
 from invid_drivers.cia402.cycle_time import tell_cycle
+from invid_drivers.cia402.hold_memory import HoldMemory, identity
+from invid_drivers.cia402.holding import (
+    AxisHolding,
+    Reason,
+    energised_reason,
+    found_holding,
+    require_holdable,
+    settle,
+)
 from invid_drivers.cia402.jitter import Jitter
-from invid_drivers.cia402.journal import Journal
+from invid_drivers.cia402.journal import Entry, Journal
 from invid_drivers.cia402.link import NMT_PRE_OPERATIONAL, NMT_START, Link
 from invid_drivers.cia402.mode_change import CHANGE_S
-from invid_drivers.cia402.states import DriveState, OperationMode, state_of
+from invid_drivers.cia402.protection import STAY, SWITCH_OFF
+from invid_drivers.cia402.states import DriveState, OperationMode, is_energised, state_of
+from invid_drivers.cia402.stop_test import StopTest
+from invid_drivers.cia402.takeover import require_ours, state_before_nmt
 from invid_drivers.cia402.way_out import WayOut
 
 ENABLE_S = 3.0
@@ -45,8 +58,13 @@ class Cia402Cell:
         self._touched = False
         self._listened = False
         self._stopped = True
+        self.memory = HoldMemory.beside(self.journal.path)
+        """What was seen of how each drive holds its axis."""
+        self.holdings: list[AxisHolding] = []
+        """How each axis is held when nobody commands it, from ``check`` on."""
+        self._powered: dict[str, DriveState] = {}
         self.held_at_end: tuple[str, ...] = ()
-        """Gravity-loaded axes that their drives hold in quick stop active."""
+        """Axes that their drives hold in quick stop active."""
         self.not_off: tuple[str, ...] = ()
         """Axes that were not seen to switch off."""
         self.cancelled: Callable[[], bool] = lambda: False
@@ -97,10 +115,16 @@ class Cia402Cell:
     def check(self) -> tuple[DriveReport, ...]:
         """Restore what an earlier run left behind, then ask every drive what it can do. Moves nothing."""
         self._link.require_bus()
+        for drive in self._drives:
+            drive.refuse_declared()
         if not self._listened:
             self._link.listen()
             self._listened = True
         self._link.refuse_others("nothing was sent")
+        found = [state_before_nmt(drive) for drive in self._drives]
+        self._powered = {
+            d.name: s for d, s in zip(self._drives, found, strict=True) if s is not None and is_energised(s)
+        }
         self._pre_operational()
         left = [drive.restore() for drive in self._drives]
         try:
@@ -109,6 +133,7 @@ class Cia402Cell:
             raise DriveError(". ".join([str(error), *(s for found in left for s in found)])) from None
         for drive in self._drives:
             self._refuse_owned(drive)
+        self._find_holdings()
         self._link.refuse_others("nothing was moved")
         for i, r in enumerate(self._reports):
             position = r.scaling.direction * r.scaling.position_per_count
@@ -121,9 +146,33 @@ class Cia402Cell:
         return self._link
 
     def _pre_operational(self) -> None:
+        """But for drives under power: leaving operational may make one of them let go."""
         for drive in self._drives:
-            self._link.nmt(NMT_PRE_OPERATIONAL, drive.node_id)
+            if drive.name not in self._powered:
+                self._link.nmt(NMT_PRE_OPERATIONAL, drive.node_id)
         self._link.wait(0.02)
+
+    def _find_holdings(self) -> None:
+        """DriveError where nothing would hold an axis that is or may be loaded."""
+        self.holdings = []
+        for drive, report in zip(self._drives, self._reports, strict=True):
+            state = self._powered.get(drive.name, DriveState.SWITCH_ON_DISABLED)
+            name = identity(report.vendor_id, report.product_code, report.serial)
+            holding = found_holding(drive, state, self.memory, name)
+            if not is_energised(state) and holding.seen.left_held:
+                holding.note(self.memory, left_held=False)
+            if not is_energised(state):
+                require_holdable(drive, holding)
+            self.holdings.append(holding)
+
+    @property
+    def not_ready(self) -> tuple[Reason, ...]:
+        """Axes that are energised though nobody measures; empty: none."""
+        return tuple(
+            energised_reason(h.config.name, h.config.node_id, h.state, h.seen.resumes)
+            for h in self.holdings
+            if is_energised(h.state)
+        )
 
     def _refuse_owned(self, drive: Drive) -> None:
         """BusError where a drive watches the heartbeat of a node that is there: it belongs to that master."""
@@ -143,20 +192,28 @@ class Cia402Cell:
         others = [f.text for f in self._link.others.values() if not f.master and f.node is None]
         said = [f"node {n} is on the bus too, is not in the config, and is left alone" for n in slaves]
         protection = (note for d in self._drives for note in d.protection.notes)
-        return (*said, *(f"{text} are on the bus too" for text in others), *protection)
+        holds = (s for h in self.holdings if (s := h.said(f"axis {h.config.name}")))
+        return (*said, *(f"{text} are on the bus too" for text in others), *protection, *holds)
 
     def energise(self, modes: Sequence[Mode]) -> None:
         """Protect, map, start and enable every drive at rest where it stands."""
         if not self._reports:
             self.check()
+        for drive, holding in zip(self._drives, self.holdings, strict=True):
+            if is_energised(holding.state):
+                require_ours(drive, holding)
         self._stopped = False
         self._touched = True
         self._link.beating = True
         self._pre_operational()
-        for drive, report in zip(self._drives, self._reports, strict=True):
+        for drive, report, holding in zip(self._drives, self._reports, self.holdings, strict=True):
+            # a loaded axis whose brake is not known to be in time may have to be held by its drive
+            sure = holding.loaded is False or holding.brake_in_time is True
+            drive.protection.quick_stop_option = SWITCH_OFF if sure or not holding.can_stay else STAY
             drive.protect(report)
-            drive.map_pdos()
-            tell_cycle(drive, self._config.bus.cycle_s)
+            if not holding.taken_over:
+                drive.map_pdos()
+                tell_cycle(drive, self._config.bus.cycle_s)
         for i, mode in enumerate(modes):
             self._now_in(i, mode)
         for drive, report, mode in zip(self._drives, self._reports, modes, strict=True):
@@ -172,7 +229,9 @@ class Cia402Cell:
             self._link.nmt(NMT_START, drive.node_id)
         self._link.wait(0.005)
         self._cycle.restart_slots()
+        self._cycle.leaving = False
         self._enable()
+        self._powered = {}
 
     def _operation_mode(self, report: DriveReport, mode: Mode) -> OperationMode:
         return report.torque_mode if mode is Mode.TORQUE else OperationMode.CYCLIC_POSITION
@@ -184,7 +243,9 @@ class Cia402Cell:
     def _enable(self) -> None:
         zero = [0.0] * len(self._drives)
         end = self.clock.now() + ENABLE_S
-        self._cycle.control[:] = [states.DISABLE_VOLTAGE] * len(self._drives)
+        self._cycle.control[:] = [
+            states.QUICK_STOP if h.taken_over else states.DISABLE_VOLTAGE for h in self.holdings
+        ]
         while True:
             sample = self.exchange(zero)
             for event in sample.events:
@@ -195,7 +256,10 @@ class Cia402Cell:
                 return
             for i, state in enumerate(found):
                 if sample.fresh[i]:
-                    self._cycle.control[i] = states.towards_enabled(state)
+                    resumes = self.holdings[i].taken_over and state is DriveState.QUICK_STOP_ACTIVE
+                    self._cycle.control[i] = (
+                        states.ENABLE_OPERATION if resumes else states.towards_enabled(state)
+                    )
             if self.cancelled():
                 raise SafetyStop(
                     "stopped on request while the drives were being enabled; nothing was recorded yet"
@@ -214,6 +278,45 @@ class Cia402Cell:
                     f"{ENABLE_S:g} s, the drive "
                     f"shows {seen}; check its supply, its enable input, safe torque off and the brake"
                 )
+
+    def secure(self, loaded: Sequence[bool]) -> bool:
+        """At rest and held: axes that carry nothing may switch off after a stop, the others are tested.
+
+        Whether there was a test. What was seen is in ``memory``.
+        """
+        settle(self.holdings, loaded, self.memory)
+        for drive, holding in zip(self._drives, self.holdings, strict=True):
+            if holding.loaded and holding.stays and not holding.can_stay:
+                require_holdable(drive, holding)
+        self._set_options()
+        test = StopTest(
+            self._config,
+            self._link,
+            self._drives,
+            self._cycle,
+            self.holdings,
+            self.memory,
+            resolution=self.resolution,
+            cancelled=self.cancelled,
+        )
+        return test.run()
+
+    def _set_options(self) -> None:
+        """0x605A as what each axis carries asks for; written between two SYNCs."""
+        what = od.QUICK_STOP_OPTION
+        for i, (drive, holding) in enumerate(zip(self._drives, self.holdings, strict=True)):
+            wanted = STAY if holding.stays or holding.needs_brake_test else SWITCH_OFF
+            before = drive.protection.quick_stop_option
+            if before == wanted or not holding.can_stay or not holding.option_writable:
+                continue
+            drive.protection.quick_stop_option = wanted
+            pack = (what.pack(before).hex(), what.pack(wanted).hex())
+            self.journal.add(Entry(drive.node_id, drive.serial, what.index, what.sub, *pack))
+            self._cycle.set_object(i, what, wanted)
+        zero = [0.0] * len(self._drives)
+        end = self.clock.now() + CHANGE_S
+        while self._cycle.changing and self.clock.now() < end:
+            self.exchange(zero)
 
     def set_modes(self, modes: Sequence[Mode]) -> None:
         """Ask for other modes while energised; the change goes on in the cycles to come (``changing``).
@@ -244,10 +347,26 @@ class Cia402Cell:
         """
         if self._stopped:
             return
-        way = WayOut(self._config, self._link, self._drives, self._cycle, self.exchange)
-        self.held_at_end = way.held_at_end
+        stays = [h.stays for h in self.holdings]
+        way = WayOut(self._config, self._link, self._drives, self._cycle, self.exchange, stays)
         self.not_off = way.take()
+        self.held_at_end = tuple(
+            h.config.name
+            for i, h in enumerate(self.holdings)
+            if h.stays and not self._is_surely_off(i) and h.config.name not in self.not_off
+        )
+        for h in self.holdings:
+            with contextlib.suppress(BusError):
+                if h.config.name in self.held_at_end or h.seen.left_held:
+                    h.note(self.memory, left_held=h.config.name in self.held_at_end)
+            if h.config.name in self.held_at_end:
+                h.state, h.taken_over = DriveState.QUICK_STOP_ACTIVE, True
+                self._powered[h.config.name] = h.state
         self._stopped = True
+
+    def _is_surely_off(self, axis: int) -> bool:
+        sample = self._cycle.sample
+        return sample.fresh[axis] and not is_energised(state_of(sample.status[axis]))
 
     def states(self) -> dict[str, DriveState]:
         """The last state heard of each drive."""
@@ -269,7 +388,7 @@ class Cia402Cell:
         return complaints
 
     def _restore(self, complaints: list[str]) -> None:
-        left = self._left_protected(complaints)
+        left = self._left_protected(complaints) | set(self._powered)
         for drive in self._drives:
             if drive.name not in left:
                 self._link.nmt(NMT_PRE_OPERATIONAL, drive.node_id)
@@ -282,13 +401,29 @@ class Cia402Cell:
             except InvidError as error:
                 complaints.append(str(error))
 
+    @property
+    def endings(self) -> tuple[str, ...]:
+        """Axes energised after the stop, by what, and what to do; and loaded ones without torque."""
+        said = [
+            f"axis {name} is energised: it is held by its drive in quick stop active, with its limits and "
+            "its heartbeat watch, which are restored when it is off. To have it off, support its load or set "
+            "its brake, then take the drive's enable or supply away and run `invid check`; the next "
+            "measurement takes it over as it is"
+            for name in self.held_at_end
+        ]
+        elsewhere = (*self.held_at_end, *self.not_off)
+        for i, h in enumerate(self.holdings):
+            name, words = h.config.name, state_of(self._cycle.sample.status[i]).words
+            if h.loaded and h.stays and name not in elsewhere and self._is_surely_off(i):
+                said.append(
+                    f"axis {name} carries a load and is without torque ({words}): its drive does not hold it "
+                    "any more. Support it before anybody goes near"
+                )
+        return tuple(said)
+
     def _left_protected(self, complaints: list[str]) -> set[str]:
         """Axes that keep their heartbeat watch and limits until the next start, because they may be on."""
-        for name in self.held_at_end:
-            complaints.append(
-                f"axis {name} is held by its drive in quick stop active; its objects are restored at the "
-                "next start. Set the brake before switching it off"
-            )
+        complaints += self.endings
         for name in self.not_off:
             complaints.append(
                 f"axis {name} was not seen to switch off; its objects, its heartbeat watch among them, stay "

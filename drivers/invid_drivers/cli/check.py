@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import typer
 
 from invid.cli.output import EXIT_OK, emit
 from invid.config import CellConfig, load_config
+from invid.errors import DriveError
 from invid.planning import Plan, make_plan
 from invid.planning.hold_laws import master_hold
 from invid_drivers.cia402.limits import tighten, tightened_limits
@@ -37,6 +39,7 @@ def preflight(config: CellConfig) -> tuple[Plan, dict[str, Any]]:
         found = None if is_virtual(config) else probe(cell.link, config, plan)
     finally:
         complaints = cell.close()
+    reasons = cell.not_ready
     tighter = tighten(config, reports)
     plan = plan_within(config, tighter, reports)
     warnings = [*plan.warnings, *complaints, *cell.notes, *tightened_limits(config, reports)]
@@ -49,7 +52,9 @@ def preflight(config: CellConfig) -> tuple[Plan, dict[str, Any]]:
     return plan, {
         "robot": config.robot,
         "simulated": config.simulated,
-        "ready": True,
+        "ready": not reasons,
+        "reasons": [asdict(r) for r in reasons],
+        "holding": [h.to_json() for h in cell.holdings],
         "bus": {
             "interface": config.bus.interface,
             "channel": config.bus.channel,
@@ -79,8 +84,9 @@ def preflight(config: CellConfig) -> tuple[Plan, dict[str, Any]]:
 
 def _text(config: CellConfig, plan: Plan, document: dict[str, Any]) -> str:
     bus = document["bus"]
+    ready = "ready" if document["ready"] else "NOT READY"
     lines = [
-        f"{config.robot}: ready. Bus {bus['interface']} {bus['channel']}, load {bus['load']:.0%} of "
+        f"{config.robot}: {ready}. Bus {bus['interface']} {bus['channel']}, load {bus['load']:.0%} of "
         f"{bus['max_load']:.0%}; frequencies up to {bus['highest_trustworthy_Hz']:.0f} Hz can be trusted"
     ]
     if bus["round_trip"] is not None:
@@ -99,6 +105,7 @@ def _text(config: CellConfig, plan: Plan, document: dict[str, Any]) -> str:
         )
         lines += [f"    {what} limited by {source}" for what, source in limit["sources"].items()]
         lines += [f"    lacks {what}" for what in drive["lacks"]]
+    lines += [f"  not ready: {r['text']}; {r['fix']}" for r in document["reasons"]]
     lines.append(plan_text(plan, "plan"))
     lines += [f"  note: {w}" for w in document["warnings"] if w not in plan.warnings]
     return "\n".join(lines)
@@ -116,4 +123,4 @@ def register(app: typer.Typer) -> None:
         cell = load_config(config)
         plan, document = preflight(cell)
         emit(document, _text(cell, plan, document), as_json=as_json)
-        return EXIT_OK
+        return EXIT_OK if document["ready"] else DriveError.exit_code
