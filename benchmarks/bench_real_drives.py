@@ -25,8 +25,9 @@ from typing import Any
 
 import numpy as np
 import yaml
-from bench_faults import CONFIG, CYCLE_S, RUN_S, draw
+from bench_faults import CONFIG, CYCLE_S, draw
 from bench_faults import EXPECTED as OLD
+from bench_faults import RUN_S as OLD_RUN_S
 from plant_judge import Judge, writes
 
 from invid.config import CellConfig, parse_config
@@ -44,6 +45,8 @@ UNATTENDED_S = 2.0
 """Between the first command and the next: nobody is there, the heartbeat is gone."""
 RAMP_S, REST_POLL_S, AT_REST = 1.0, 0.01, 0.02
 """A ramp that still runs when the command has ended may take so long [s] to this speed [rad/s]."""
+RUN_S = 30.0
+"""About how long a run takes, its load weighed and its stop test done; faults come at any moment of it."""
 FOREIGN_NODE = 20
 RESET_NODE = 0x81
 LATE_CUT_S = 0.2
@@ -153,6 +156,7 @@ def make_case(kind: str, rng: np.random.Generator) -> Case:
         _give_brake(case, loaded, 0.02)
     if kind in OLD:
         case.faults = [draw(rng, kind)]
+        case.faults[0]["at_s"] *= RUN_S / OLD_RUN_S
         if kind.startswith("ignore"):
             other = "A1" if case.faults[0]["axis"] != "A1" else "A2"
             case.faults.append(

@@ -152,8 +152,8 @@ class Drive(Access):
         why = None if self.declared is None else refusal(self.declared)
         if why is not None and self.declared is not None:
             raise DriveError(
-                f"{self.who}: by its EDS {self.declared.path.name} the drive {why}; this drive cannot be shaken. "
-                "Log its motion with another tool and use `invid import`; if the file is not this drive's, "
+                f"{self.who}: by its EDS {self.declared.path.name} the drive {why}; this drive cannot be "
+                "shaken. Log its motion with another tool and use `invid import`; if the file is not this drive's, "
                 "leave eds out and the drive itself is asked"
             )
 
