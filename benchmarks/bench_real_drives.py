@@ -66,8 +66,8 @@ NEEDS_BRAKE = {
     "ignore_quick_stop", "ignore_controlword", "brake_stuck", "torque_saturation", "slow mode",
     "corrupt",
 }  # fmt: skip
-"""Faults that take the torque or the sight of the loaded drive away: nobody can hold such an axis without
-a brake, so it has one."""
+"""Faults that take the torque or the sight of a drive away: without a brake nobody can hold such an axis
+where it is loaded, nor slow it down where it is not, so it has one (as every axis in the old campaign)."""
 DEAD_MASTER = {"node_silent", "bus_off node", "bus_off master", "drop", "ignore_controlword", "delay"}
 """The drive may not hear its master, or obeys nobody: its heartbeat watch acts."""
 
@@ -157,6 +157,8 @@ def make_case(kind: str, rng: np.random.Generator) -> Case:
     if kind in OLD:
         case.faults = [draw(rng, kind)]
         case.faults[0]["at_s"] *= RUN_S / OLD_RUN_S
+        if kind in NEEDS_BRAKE:
+            _give_brake(case, case.faults[0]["axis"], 0.02)
         if kind.startswith("ignore"):
             other = "A1" if case.faults[0]["axis"] != "A1" else "A2"
             case.faults.append(

@@ -263,11 +263,13 @@ def run_measurement(
         return _result(config, cell, out, result, [*notes, *complaints])
     except (SafetyStop, KeyboardInterrupt) as error:
         outcome = Outcome.ABORTED
+        cell.suspect(str(error))
         ending = _ending(cell)
         if ending and isinstance(error, SafetyStop):
             raise SafetyStop(f"{error}. {ending}") from None
         raise
     except (BusError, ConfigError) as error:
+        cell.suspect(str(error))
         ending = _ending(cell)
         if ending and not str(error).endswith(ending):
             raise type(error)(f"{error}. {ending}") from None

@@ -16,6 +16,8 @@ swings behind a held motor is not: under a Hann window all above 1.3 Hz then cou
 LOAD_SHARE = 0.02
 """Of rated torque: a hold that takes more carries a load. Offsets of current sensing are about 1 %, and what
 dry friction of a drive takes at rest, 2 % at least, does not fall (empirical, from vendors' figures)."""
+LIVELY = 100
+"""In so many samples a current loop under load shows more than one value of 0x6077."""
 SIGMAS = 4.0
 """And beyond the noise of the mean: 1 in 15,000 for an axis that carries nothing."""
 
@@ -51,7 +53,8 @@ def judge_loads(
         mean = float(np.average(rows, weights=weight))
         noise = float(np.std(np.diff(rows))) / np.sqrt(2.0) if rows.size > 1 else 0.0
         least = max(LOAD_SHARE * rated[i], SIGMAS * noise * np.sqrt((weight**2).sum()) / weight.sum())
-        carries = abs(mean) > least
+        says_nothing = rows.size > LIVELY and float(np.ptp(rows)) == 0.0
+        carries = abs(mean) > least and not says_nothing
         said = ""
         if carries and not axis.gravity_loaded:
             stated = "is false" if axis.gravity_loaded is False else "is not stated"
@@ -59,5 +62,6 @@ def judge_loads(
                 f"axis {axis.name}: gravity_loaded {stated}, but holding it at rest takes {mean:.3g} {unit}, "
                 f"more than {least:.2g}: it counts as loaded. Set gravity_loaded: true in the config"
             )
-        found.append(Load(mean, carries or axis.gravity_loaded is True, said))
+        stated = axis.gravity_loaded is True or (says_nothing and mean and axis.gravity_loaded is None)
+        found.append(Load(mean, bool(carries or stated), said))
     return tuple(found)

@@ -84,6 +84,8 @@ class Drive(Access):
     ) -> None:
         super().__init__(link, config, journal, linear=linear)
         self.protection = Protection(self, heartbeat_s)
+        self.left_alone = False
+        """What it shows may not be believed: nothing is written, not even what stands there."""
 
     # --- preflight -----------------------------------------------------------------------------
     def check(self, said: Sequence[str] = ()) -> DriveReport:
@@ -110,7 +112,9 @@ class Drive(Access):
                 "tool: this service never resets a fault by itself"
             )
         limits = self.protection.limits(scaling, warnings)
-        if not is_energised(state):  # under power nothing is written, not even what stands there already
+        if (
+            not is_energised(state) and not self.left_alone
+        ):  # under power nothing is written, not even what stands there already
             lacks += self.protection.unwritable(scaling, limits)
         return DriveReport(
             axis=self.name,
@@ -153,8 +157,8 @@ class Drive(Access):
         if why is not None and self.declared is not None:
             raise DriveError(
                 f"{self.who}: by its EDS {self.declared.path.name} the drive {why}; this drive cannot be "
-                "shaken. Log its motion with another tool and use `invid import`; if the file is not this drive's, "
-                "leave eds out and the drive itself is asked"
+                "shaken. Log its motion with another tool and use `invid import`; if the file is not this "
+                "drive's, leave eds out and the drive itself is asked"
             )
 
     def _compare_identity(self, who: str, warnings: list[str]) -> None:

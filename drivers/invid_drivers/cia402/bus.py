@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import can
 
@@ -27,12 +28,14 @@ from invid_drivers.cia402.holding import (
     found_holding,
     require_holdable,
     settle,
+    suspect_reason,
 )
 from invid_drivers.cia402.jitter import Jitter
 from invid_drivers.cia402.journal import Entry, Journal
 from invid_drivers.cia402.link import NMT_PRE_OPERATIONAL, NMT_START, Link
 from invid_drivers.cia402.mode_change import CHANGE_S
 from invid_drivers.cia402.protection import STAY, SWITCH_OFF
+from invid_drivers.cia402.relief import TorqueRelief
 from invid_drivers.cia402.states import DriveState, OperationMode, is_energised, state_of
 from invid_drivers.cia402.stop_test import StopTest
 from invid_drivers.cia402.takeover import require_ours, state_before_nmt
@@ -63,6 +66,7 @@ class Cia402Cell:
         self.holdings: list[AxisHolding] = []
         """How each axis is held when nobody commands it, from ``check`` on."""
         self._powered: dict[str, DriveState] = {}
+        self._relief: TorqueRelief | None = None
         self.held_at_end: tuple[str, ...] = ()
         """Axes that their drives hold in quick stop active."""
         self.not_off: tuple[str, ...] = ()
@@ -125,8 +129,16 @@ class Cia402Cell:
         self._powered = {
             d.name: s for d, s in zip(self._drives, found, strict=True) if s is not None and is_energised(s)
         }
+        for drive, state in zip(self._drives, found, strict=True):
+            seen = self.memory.of_node(drive.node_id)
+            drive.left_alone = seen is not None and bool(seen.suspect)
+            if drive.left_alone and state is not None:
+                self._powered.setdefault(drive.name, state)
         self._pre_operational()
-        left = [drive.restore() for drive in self._drives]
+        for drive, state in zip(self._drives, found, strict=True):
+            if state is None and (state := drive.quiet_state()) is not None and is_energised(state):
+                self._powered[drive.name] = state  # NMT stopped: it could not say so before
+        left = [() if drive.left_alone else drive.restore() for drive in self._drives]
         try:
             self._reports = [d.check(found) for d, found in zip(self._drives, left, strict=True)]
         except DriveError as error:  # what was left as somebody set it is said once
@@ -159,20 +171,40 @@ class Cia402Cell:
             state = self._powered.get(drive.name, DriveState.SWITCH_ON_DISABLED)
             name = identity(report.vendor_id, report.product_code, report.serial)
             holding = found_holding(drive, state, self.memory, name)
-            if not is_energised(state) and holding.seen.left_held:
+            if not holding.is_left_alone and holding.seen.left_held:
                 holding.note(self.memory, left_held=False)
-            if not is_energised(state):
+            if not holding.is_left_alone:
                 require_holdable(drive, holding)
             self.holdings.append(holding)
 
     @property
     def not_ready(self) -> tuple[Reason, ...]:
-        """Axes that are energised though nobody measures; empty: none."""
-        return tuple(
+        """Axes that are energised though nobody measures, or at which the last run ended; empty: none."""
+        powered = (
             energised_reason(h.config.name, h.config.node_id, h.state, h.seen.resumes)
             for h in self.holdings
             if is_energised(h.state)
         )
+        suspects = (
+            suspect_reason(h.config.name, h.config.node_id, h.seen.suspect)
+            for h in self.holdings
+            if h.seen.suspect
+        )
+        return (*suspects, *powered)
+
+    def clear(self, names: Sequence[str]) -> None:
+        """A person has found the cause: these axes may be enabled again. Before ``check``."""
+        for drive in self._drives:
+            for name, seen in list(self.memory.seen.items()):
+                if drive.name in names and seen.node_id == drive.node_id and seen.suspect:
+                    self.memory.keep(name, replace(seen, suspect=""))
+
+    def suspect(self, why: str) -> None:
+        """The run ended for a reason that names an axis first: remembered where that one carries a load."""
+        for h in self.holdings:
+            named = why.startswith((f"axis {h.config.name}:", f"axis {h.config.name} "))
+            if named and h.loaded and self._touched:
+                h.note(self.memory, suspect=why.partition(";")[0][:200])
 
     def _refuse_owned(self, drive: Drive) -> None:
         """BusError where a drive watches the heartbeat of a node that is there: it belongs to that master."""
@@ -199,6 +231,9 @@ class Cia402Cell:
         """Protect, map, start and enable every drive at rest where it stands."""
         if not self._reports:
             self.check()
+        for reason in self.not_ready:
+            if reason.code == "axis_suspect":
+                raise DriveError(f"{reason.text}; {reason.fix}")
         for drive, holding in zip(self._drives, self.holdings, strict=True):
             if is_energised(holding.state):
                 require_ours(drive, holding)
@@ -230,6 +265,8 @@ class Cia402Cell:
         self._link.wait(0.005)
         self._cycle.restart_slots()
         self._cycle.leaving = False
+        units = [(r.scaling.position_per_count, r.scaling.torque(1)) for r in self._reports]
+        self._relief = TorqueRelief(self._config, self._drives, self._cycle, units)
         self._enable()
         self._powered = {}
 
@@ -296,6 +333,7 @@ class Cia402Cell:
             self._cycle,
             self.holdings,
             self.memory,
+            exchange=self.exchange,
             resolution=self.resolution,
             cancelled=self.cancelled,
         )
@@ -337,7 +375,10 @@ class Cia402Cell:
     # --- the cycle -----------------------------------------------------------------------------
     def exchange(self, torque: Sequence[float]) -> Sample:
         """Targets out, SYNC at its slot, samples in."""
-        return self._cycle.exchange(torque)
+        sample = self._cycle.exchange(torque)
+        if self._relief is not None:
+            self._relief.look(sample, [h.loaded is not False for h in self.holdings])
+        return sample
 
     # --- the way out ---------------------------------------------------------------------------
     def stop(self) -> None:
@@ -429,4 +470,5 @@ class Cia402Cell:
                 f"axis {name} was not seen to switch off; its objects, its heartbeat watch among them, stay "
                 "as they are until the next start"
             )
-        return {*self.held_at_end, *self.not_off}
+        suspects = {h.config.name for h in self.holdings if h.seen.suspect}
+        return {*self.held_at_end, *self.not_off, *suspects}

@@ -333,7 +333,7 @@ class Cycle:
         """What came of the changes of mode, and the next request of one of them."""
         for axis, change in list(self._changes.items()):
             why = change.failure(now)
-            if self.leaving:
+            if self.leaving and change.operation is not None:
                 del self._changes[axis]
             elif why is not None and change.operation is not None:
                 del self._changes[axis]

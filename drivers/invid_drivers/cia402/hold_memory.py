@@ -28,6 +28,8 @@ class Seen:
     """How far it moved meanwhile [rad or m]."""
     left_held: bool = False
     """A run left it energised in quick stop active."""
+    suspect: str = ""
+    """Why a run ended at this axis while it carried a load: not enabled again until a person says so."""
 
 
 class HoldMemory:

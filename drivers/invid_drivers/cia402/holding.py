@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 from invid.config import AxisConfig, CellConfig
 from invid.errors import DriveError
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.access import Access
+from invid_drivers.cia402.axis import Drive
 from invid_drivers.cia402.hold_memory import HoldMemory, Seen
 from invid_drivers.cia402.link import SdoAbortedError, SdoError
 from invid_drivers.cia402.protection import READ_ONLY, STAYING
@@ -83,7 +84,7 @@ class AxisHolding:
         """A loaded axis that its drive must hold and was not seen to hold."""
         return bool(self.loaded) and self.stays and self.seen.holds is not True
 
-    def note(self, memory: HoldMemory, **seen: bool | float) -> None:
+    def note(self, memory: HoldMemory, **seen: bool | float | str) -> None:
         """Remember what was seen."""
         self.seen = replace(self.seen, **seen)  # type: ignore[arg-type]
         memory.keep(self.identity, self.seen)
@@ -106,6 +107,11 @@ class AxisHolding:
         if self.brake_in_time:
             return "brake"
         return "drive" if self.stays and self.seen.holds else "not known"
+
+    @property
+    def is_left_alone(self) -> bool:
+        """Under power, or perhaps: what it shows may not be believed. Nothing is sent to it."""
+        return is_energised(self.state) or bool(self.seen.suspect)
 
     def said(self, who: str) -> str:
         """How it is held, for ``check``; empty where it carries nothing."""
@@ -134,10 +140,12 @@ class AxisHolding:
         )
 
 
-def found_holding(drive: Access, state: DriveState, memory: HoldMemory, identity: str) -> AxisHolding:
+def found_holding(drive: Drive, state: DriveState, memory: HoldMemory, identity: str) -> AxisHolding:
     """What stands in the drive and in the memory; writes nothing under power."""
     option = drive.find(od.QUICK_STOP_OPTION)
-    writable = option is not None and (is_energised(state) or option in STAYING or _writable(drive, option))
+    writable = option is not None and (
+        is_energised(state) or drive.left_alone or option in STAYING or _writable(drive, option)
+    )
     return AxisHolding(
         drive.config,
         identity,
@@ -185,7 +193,7 @@ def require_holdable(drive: Access, holding: AxisHolding) -> None:
 class Reason:
     """Why a cell is not ready: a stable code, a sentence, the way out."""
 
-    code: str
+    code: Literal["axis_energised", "axis_suspect"]
     text: str
     fix: str
 
@@ -212,11 +220,23 @@ def energised_reason(name: str, node_id: int, state: DriveState, resumes: bool |
     )
 
 
-def left_held(config: CellConfig, memory: HoldMemory) -> tuple[Reason, ...]:
-    """Axes that a run left energised and nobody has seen off since, from the memory alone."""
+def suspect_reason(name: str, node_id: int, why: str) -> Reason:
+    """An axis that carries a load and at which the last run ended."""
+    return Reason(
+        "axis_suspect",
+        f"axis {name} (node {node_id}) carries a load, and the last run ended at it ({why}): what was wrong "
+        "may still be, and enabling it would drop it",
+        f"find the cause; then `invid check --cleared {name}`",
+    )
+
+
+def remembered(config: CellConfig, memory: HoldMemory) -> tuple[Reason, ...]:
+    """What the memory alone says: axes left energised and not seen off since; axes under suspicion."""
     found = []
     for axis in config.axes:
         seen = memory.of_node(axis.node_id)
+        if seen is not None and seen.suspect:
+            found.append(suspect_reason(axis.name, axis.node_id, seen.suspect))
         if seen is not None and seen.left_held:
             found.append(
                 energised_reason(axis.name, axis.node_id, DriveState.QUICK_STOP_ACTIVE, seen.resumes)

@@ -54,6 +54,8 @@ class Protection:
         """One lost heartbeat and one late one do not stop the cell."""
         self.quick_stop_option = SWITCH_OFF
         """What 0x605A is to be."""
+        self.torque_lowered: tuple[int, int] | None = None
+        """0x6072 as written and as found, where it was lowered."""
         self.notes: tuple[str, ...] = ()
         """What turned out when it was written, in words."""
 
@@ -147,8 +149,14 @@ class Protection:
                 f"position limits (0x607D: {low} to {high}); move it inside, or correct 0x607D with the "
                 "drive's tool"
             )
-        value = left * scaling.position_per_count
-        return [Limit(value, f"0x607D of the drive: {low} to {high}, the axis stands at {here}")]
+        value = left * scaling.position_per_count / DRIVE_MARGIN
+        return [
+            Limit(
+                value,
+                f"0x607D of the drive: {low} to {high}, the axis stands at {here}; a fifth is left to the "
+                "drive, which would fault at its edge",
+            )
+        ]
 
     def _velocity_limits(self, scaling: Scaling) -> list[Limit]:
         drive = self._drive
@@ -295,6 +303,8 @@ class Protection:
                 continue  # tight enough, read-only or not
             try:
                 drive.write(what, wanted)
+                if what is od.MAX_TORQUE and wanted < found:
+                    self.torque_lowered = wanted, found
             except DriveError as error:
                 if "cannot be written" not in str(error):
                     raise

@@ -44,12 +44,13 @@ class StopTest:
         holdings: Sequence[AxisHolding],
         memory: HoldMemory,
         *,
+        exchange: Callable[[Sequence[float]], Sample],
         resolution: Sequence[float],
         cancelled: Callable[[], bool],
     ) -> None:
         self._config, self._link, self._drives, self._cycle = config, link, drives, cycle
         self._holdings, self._memory = holdings, memory
-        self._cancelled = cancelled
+        self._cell_exchange, self._cancelled = exchange, cancelled
         self._zero = [0.0] * len(drives)
         self._still = [
             max(STILL_COUNTS * count, STILL_SHARE * axis.limits.position)
@@ -222,7 +223,7 @@ class StopTest:
 
     # --- one cycle -----------------------------------------------------------------------------
     def _exchange(self) -> Sample:
-        sample = self._cycle.exchange(self._zero)
+        sample = self._cell_exchange(self._zero)
         for event in sample.events:
             if event.severity is not Severity.NOTE:
                 raise SafetyStop(f"{event.text}, in the stop test")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ import typer
 
 from invid.cli.output import EXIT_OK, emit
 from invid.config import CellConfig, load_config
-from invid.errors import DriveError
+from invid.errors import DriveError, InputError
 from invid.planning import Plan, make_plan
 from invid.planning.hold_laws import master_hold
 from invid_drivers.cia402.limits import tighten, tightened_limits
@@ -21,8 +22,10 @@ from invid_drivers.round_trip import probe, require
 from invid_drivers.timing import timing_of
 
 
-def preflight(config: CellConfig) -> tuple[Plan, dict[str, Any]]:
+def preflight(config: CellConfig, cleared: Sequence[str] = ()) -> tuple[Plan, dict[str, Any]]:
     """Config, holds, plan, bus budget, every drive's capabilities, safety objects and limits.
+
+    ``cleared``: axes at which an earlier run ended and of which a person has found the cause.
 
     Raises
     ------
@@ -35,6 +38,7 @@ def preflight(config: CellConfig) -> tuple[Plan, dict[str, Any]]:
     plan = make_plan(config)  # refused before a bus is opened
     cell = connect(config)
     try:
+        cell.clear(cleared)
         reports = cell.check()
         found = None if is_virtual(config) else probe(cell.link, config, plan)
     finally:
@@ -117,10 +121,19 @@ def register(app: typer.Typer) -> None:
     @app.command()
     def check(
         config: Path = typer.Argument(..., help="The cell's config."),
+        cleared: str | None = typer.Option(
+            None,
+            "--cleared",
+            help="Loaded axes, as A1,A2, at which a run ended and whose cause has been found.",
+        ),
         as_json: bool = typer.Option(False, "--json", help="One JSON document on stdout."),
     ) -> int:
         """Preflight: config, bus budget, drives, safety objects, limits; moves nothing."""
         cell = load_config(config)
-        plan, document = preflight(cell)
+        names = [a.strip() for a in (cleared or "").split(",") if a.strip()]
+        unknown = [n for n in names if n not in {a.name for a in cell.axes}]
+        if unknown:
+            raise InputError(f"--cleared names {unknown[0]!r}; the axes are {[a.name for a in cell.axes]}")
+        plan, document = preflight(cell, names)
         emit(document, _text(cell, plan, document), as_json=as_json)
         return EXIT_OK if document["ready"] else DriveError.exit_code
