@@ -17,7 +17,8 @@ LOAD_SHARE = 0.02
 """Of rated torque: a hold that takes more carries a load. Offsets of current sensing are about 1 %, and what
 dry friction of a drive takes at rest, 2 % at least, does not fall (empirical, from vendors' figures)."""
 LIVELY = 100
-"""In so many samples a current loop under load shows more than one value of 0x6077."""
+"""In so many samples a current loop under load shows more than one value; a display that does not tells nothing
+(empirical: 0.1 % of rated torque is below the noise of current sensing)."""
 SIGMAS = 4.0
 """And beyond the noise of the mean: 1 in 15,000 for an axis that carries nothing."""
 
@@ -62,6 +63,6 @@ def judge_loads(
                 f"axis {axis.name}: gravity_loaded {stated}, but holding it at rest takes {mean:.3g} {unit}, "
                 f"more than {least:.2g}: it counts as loaded. Set gravity_loaded: true in the config"
             )
-        stated = axis.gravity_loaded is True or (says_nothing and mean and axis.gravity_loaded is None)
-        found.append(Load(mean, bool(carries or stated), said))
+        doubt = says_nothing and abs(mean) > least and axis.gravity_loaded is None
+        found.append(Load(mean, bool(carries or doubt or axis.gravity_loaded), said))
     return tuple(found)
