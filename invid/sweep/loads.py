@@ -17,8 +17,8 @@ LOAD_SHARE = 0.02
 """Of rated torque: a hold that takes more carries a load. Offsets of current sensing are about 1 %, and what
 dry friction of a drive takes at rest, 2 % at least, does not fall (empirical, from vendors' figures)."""
 LIVELY = 100
-"""In so many samples a current loop under load shows more than one value; a display that does not tells nothing
-(empirical: 0.1 % of rated torque is below the noise of current sensing)."""
+"""In so many samples a current loop under load shows more than one value; a display that does not tells
+nothing (empirical: 0.1 % of rated torque is below the noise of current sensing)."""
 SIGMAS = 4.0
 """And beyond the noise of the mean: 1 in 15,000 for an axis that carries nothing."""
 

@@ -337,7 +337,9 @@ class Cia402Cell:
             resolution=self.resolution,
             cancelled=self.cancelled,
         )
-        return test.run()
+        tested = test.run()
+        self._relief = None  # from here on torque at the limit is no weight
+        return tested
 
     def _set_options(self) -> None:
         """0x605A as what each axis carries asks for; written between two SYNCs."""
@@ -377,7 +379,8 @@ class Cia402Cell:
         """Targets out, SYNC at its slot, samples in."""
         sample = self._cycle.exchange(torque)
         if self._relief is not None:
-            self._relief.look(sample, [h.loaded is not False for h in self.holdings])
+            # one whose weight was held within its limit before is pushed by something else
+            self._relief.look(sample, [h.loaded is not False and not h.seen.loaded for h in self.holdings])
         return sample
 
     # --- the way out ---------------------------------------------------------------------------
