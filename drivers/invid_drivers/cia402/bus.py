@@ -7,6 +7,7 @@ Raw ``struct`` in the cycle; SDO, maps and states before and after it. Whoever e
 from __future__ import annotations
 
 import contextlib
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -41,6 +42,8 @@ from invid_drivers.cia402.stop_test import StopTest
 from invid_drivers.cia402.takeover import require_ours, state_before_nmt
 from invid_drivers.cia402.way_out import WayOut
 
+DEAD_PERMILLE = 5
+"""A drive without voltage shows at most half a per cent of rated torque, the noise of current sensing."""
 ENABLE_S = 3.0
 """Longest way to operation enabled: brakes take a few hundred milliseconds to open."""
 
@@ -67,6 +70,8 @@ class Cia402Cell:
         """How each axis is held when nobody commands it, from ``check`` on."""
         self._powered: dict[str, DriveState] = {}
         self._relief: TorqueRelief | None = None
+        self._torque_off: dict[int, float] = {}
+        """What each drive showed as torque without voltage [N·m or N]."""
         self.held_at_end: tuple[str, ...] = ()
         """Axes that their drives hold in quick stop active."""
         self.not_off: tuple[str, ...] = ()
@@ -200,10 +205,14 @@ class Cia402Cell:
                     self.memory.keep(name, replace(seen, suspect=""))
 
     def suspect(self, why: str) -> None:
-        """The run ended for a reason that names an axis first: remembered where that one carries a load."""
+        """The run ended for a reason that names axes: remembered where any axis carries a load.
+
+        What moves an axis that carries nothing moves the loaded ones that are coupled to it.
+        """
+        if not self._touched or not any(h.loaded for h in self.holdings):
+            return
         for h in self.holdings:
-            named = why.startswith((f"axis {h.config.name}:", f"axis {h.config.name} "))
-            if named and h.loaded and self._touched:
+            if re.search(rf"(?<!\w){re.escape(h.config.name)}(?!\w)", why):
                 h.note(self.memory, suspect=why.partition(";")[0][:200])
 
     def _refuse_owned(self, drive: Drive) -> None:
@@ -289,6 +298,9 @@ class Cia402Cell:
                 if event.severity is not Severity.NOTE:
                     raise DriveError(f"{event.text} while it was being enabled")
             found = [state_of(s) for s in sample.status]
+            for i, state in enumerate(found):
+                if sample.fresh[i] and not is_energised(state):
+                    self._torque_off[i] = sample.torque[i]
             if all(sample.fresh) and all(s is DriveState.OPERATION_ENABLED for s in found):
                 return
             for i, state in enumerate(found):
@@ -322,6 +334,7 @@ class Cia402Cell:
         Whether there was a test. What was seen is in ``memory``.
         """
         settle(self.holdings, loaded, self.memory)
+        self._refuse_dead_displays()
         for drive, holding in zip(self._drives, self.holdings, strict=True):
             if holding.loaded and holding.stays and not holding.can_stay:
                 require_holdable(drive, holding)
@@ -340,6 +353,17 @@ class Cia402Cell:
         tested = test.run()
         self._relief = None  # from here on torque at the limit is no weight
         return tested
+
+    def _refuse_dead_displays(self) -> None:
+        """SafetyStop where a load cannot be weighed: 0x6077 is the same with and without voltage."""
+        sample = self._cycle.sample
+        for i, (h, report) in enumerate(zip(self.holdings, self._reports, strict=True)):
+            off, unit = self._torque_off.get(i), abs(report.scaling.torque(1))
+            if h.loaded and off is not None and abs(off) > DEAD_PERMILLE * unit and sample.torque[i] == off:
+                raise SafetyStop(
+                    f"axis {h.config.name}: 0x6077 showed {off / unit:.0f} ‰ of rated torque before the drive "
+                    "was switched on and shows it while it holds a load: what it shows is not its torque"
+                )
 
     def _set_options(self) -> None:
         """0x605A as what each axis carries asks for; written between two SYNCs."""

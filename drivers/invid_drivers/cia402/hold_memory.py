@@ -29,7 +29,7 @@ class Seen:
     left_held: bool = False
     """A run left it energised in quick stop active."""
     suspect: str = ""
-    """Why a run ended at this axis while it carried a load: not enabled again until a person says so."""
+    """Why a run ended at this axis beside a load or under one: not enabled again until a person says so."""
 
 
 class HoldMemory:

@@ -221,11 +221,11 @@ def energised_reason(name: str, node_id: int, state: DriveState, resumes: bool |
 
 
 def suspect_reason(name: str, node_id: int, why: str) -> Reason:
-    """An axis that carries a load and at which the last run ended."""
+    """An axis of a cell with a load, at which the last run ended."""
     return Reason(
         "axis_suspect",
-        f"axis {name} (node {node_id}) carries a load, and the last run ended at it ({why}): what was wrong "
-        "may still be, and enabling it would drop it",
+        f"the last run ended at axis {name} (node {node_id}), beside a load or under one ({why}): what was "
+        "wrong may still be, and enabling it may drop the load",
         f"find the cause; then `invid check --cleared {name}`",
     )
 
