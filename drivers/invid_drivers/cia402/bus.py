@@ -6,10 +6,7 @@ Raw ``struct`` in the cycle; SDO, maps and states before and after it. Whoever e
 
 from __future__ import annotations
 
-import contextlib
-import re
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import can
 
@@ -21,29 +18,22 @@ from invid_drivers.cia402 import states
 from invid_drivers.cia402.axis import Drive, DriveReport
 from invid_drivers.cia402.cycle import Cycle
 from invid_drivers.cia402.cycle_time import tell_cycle
-from invid_drivers.cia402.hold_memory import HoldMemory, identity
+from invid_drivers.cia402.held_axes import HeldAxes
 from invid_drivers.cia402.holding import (
     AxisHolding,
     Reason,
-    energised_reason,
-    found_holding,
-    require_holdable,
-    settle,
-    suspect_reason,
 )
 from invid_drivers.cia402.jitter import Jitter
-from invid_drivers.cia402.journal import Entry, Journal
+from invid_drivers.cia402.journal import Journal
 from invid_drivers.cia402.link import NMT_PRE_OPERATIONAL, NMT_START, Link
 from invid_drivers.cia402.mode_change import CHANGE_S
 from invid_drivers.cia402.protection import STAY, SWITCH_OFF
 from invid_drivers.cia402.relief import TorqueRelief
 from invid_drivers.cia402.states import DriveState, OperationMode, is_energised, state_of
 from invid_drivers.cia402.stop_test import StopTest
-from invid_drivers.cia402.takeover import require_ours, state_before_nmt
+from invid_drivers.cia402.takeover import find_powered, require_ours
 from invid_drivers.cia402.way_out import WayOut
 
-DEAD_PERMILLE = 5
-"""A drive without voltage shows at most half a per cent of rated torque, the noise of current sensing."""
 ENABLE_S = 3.0
 """Longest way to operation enabled: brakes take a few hundred milliseconds to open."""
 
@@ -59,15 +49,13 @@ class Cia402Cell:
             Drive(self._link, a, self.journal, linear=config.linear, heartbeat_s=config.safety.heartbeat_s)
             for a in config.axes
         ]
+        self.held = HeldAxes(self._drives, self.journal)
+        """How each axis is held when nobody commands it."""
         self._reports: list[DriveReport] = []
         self._cycle = Cycle(self._link, config)
         self._touched = False
         self._listened = False
         self._stopped = True
-        self.memory = HoldMemory.beside(self.journal.path)
-        """What was seen of how each drive holds its axis."""
-        self.holdings: list[AxisHolding] = []
-        """How each axis is held when nobody commands it, from ``check`` on."""
         self._powered: dict[str, DriveState] = {}
         self._relief: TorqueRelief | None = None
         self._torque_off: dict[int, float] = {}
@@ -130,19 +118,9 @@ class Cia402Cell:
             self._link.listen()
             self._listened = True
         self._link.refuse_others("nothing was sent")
-        found = [state_before_nmt(drive) for drive in self._drives]
-        self._powered = {
-            d.name: s for d, s in zip(self._drives, found, strict=True) if s is not None and is_energised(s)
-        }
-        for drive, state in zip(self._drives, found, strict=True):
-            seen = self.memory.of_node(drive.node_id)
-            drive.left_alone = seen is not None and bool(seen.suspect)
-            if drive.left_alone and state is not None:
-                self._powered.setdefault(drive.name, state)
+        self._powered, silent = find_powered(self._drives, self.held.memory)
         self._pre_operational()
-        for drive, state in zip(self._drives, found, strict=True):
-            if state is None and (state := drive.quiet_state()) is not None and is_energised(state):
-                self._powered[drive.name] = state  # NMT stopped: it could not say so before
+        self._powered |= {d.name: s for d in silent if (s := d.quiet_state()) and is_energised(s)}
         left = [() if drive.left_alone else drive.restore() for drive in self._drives]
         try:
             self._reports = [d.check(found) for d, found in zip(self._drives, left, strict=True)]
@@ -150,7 +128,7 @@ class Cia402Cell:
             raise DriveError(". ".join([str(error), *(s for found in left for s in found)])) from None
         for drive in self._drives:
             self._refuse_owned(drive)
-        self._find_holdings()
+        self.held.find(self._reports, self._powered)
         self._link.refuse_others("nothing was moved")
         for i, r in enumerate(self._reports):
             position = r.scaling.direction * r.scaling.position_per_count
@@ -169,51 +147,29 @@ class Cia402Cell:
                 self._link.nmt(NMT_PRE_OPERATIONAL, drive.node_id)
         self._link.wait(0.02)
 
-    def _find_holdings(self) -> None:
-        """DriveError where nothing would hold an axis that is or may be loaded."""
-        self.holdings = []
-        for drive, report in zip(self._drives, self._reports, strict=True):
-            state = self._powered.get(drive.name, DriveState.SWITCH_ON_DISABLED)
-            name = identity(report.vendor_id, report.product_code, report.serial)
-            holding = found_holding(drive, state, self.memory, name)
-            if not holding.is_left_alone and holding.seen.left_held:
-                holding.note(self.memory, left_held=False)
-            if not holding.is_left_alone:
-                require_holdable(drive, holding)
-            self.holdings.append(holding)
+    @property
+    def holdings(self) -> list[AxisHolding]:
+        """How each axis is held when nobody commands it, from ``check`` on."""
+        return self.held.holdings
 
     @property
     def not_ready(self) -> tuple[Reason, ...]:
         """Axes that are energised though nobody measures, or at which the last run ended; empty: none."""
-        powered = (
-            energised_reason(h.config.name, h.config.node_id, h.state, h.seen.resumes)
-            for h in self.holdings
-            if is_energised(h.state)
-        )
-        suspects = (
-            suspect_reason(h.config.name, h.config.node_id, h.seen.suspect)
-            for h in self.holdings
-            if h.seen.suspect
-        )
-        return (*suspects, *powered)
+        return self.held.not_ready
+
+    @property
+    def endings(self) -> tuple[str, ...]:
+        """Axes energised after the stop, by what, and what to do; and loaded ones without torque."""
+        return self.held.endings(self.held_at_end, self.not_off, self._cycle.sample)
 
     def clear(self, names: Sequence[str]) -> None:
         """A person has found the cause: these axes may be enabled again. Before ``check``."""
-        for drive in self._drives:
-            for name, seen in list(self.memory.seen.items()):
-                if drive.name in names and seen.node_id == drive.node_id and seen.suspect:
-                    self.memory.keep(name, replace(seen, suspect=""))
+        self.held.clear(names)
 
     def suspect(self, why: str) -> None:
-        """The run ended for a reason that names axes: remembered where any axis carries a load.
-
-        What moves an axis that carries nothing moves the loaded ones that are coupled to it.
-        """
-        if not self._touched or not any(h.loaded for h in self.holdings):
-            return
-        for h in self.holdings:
-            if re.search(rf"(?<!\w){re.escape(h.config.name)}(?!\w)", why):
-                h.note(self.memory, suspect=why.partition(";")[0][:200])
+        """The run ended for a reason that names axes: remembered where any axis carries a load."""
+        if self._touched:
+            self.held.suspect(why)
 
     def _refuse_owned(self, drive: Drive) -> None:
         """BusError where a drive watches the heartbeat of a node that is there: it belongs to that master."""
@@ -331,21 +287,22 @@ class Cia402Cell:
     def secure(self, loaded: Sequence[bool]) -> bool:
         """At rest and held: axes that carry nothing may switch off after a stop, the others are tested.
 
-        Whether there was a test. What was seen is in ``memory``.
+        Whether there was a test. What was seen is remembered.
         """
-        settle(self.holdings, loaded, self.memory)
-        self._refuse_dead_displays()
-        for drive, holding in zip(self._drives, self.holdings, strict=True):
-            if holding.loaded and holding.stays and not holding.can_stay:
-                require_holdable(drive, holding)
-        self._set_options()
+        self.held.settle(loaded)
+        self.held.refuse_dead_displays(self._cycle.sample, self._torque_off, self._reports)
+        self.held.set_options(self._cycle)
+        zero = [0.0] * len(self._drives)
+        end = self.clock.now() + CHANGE_S
+        while self._cycle.changing and self.clock.now() < end:
+            self.exchange(zero)
         test = StopTest(
             self._config,
             self._link,
             self._drives,
             self._cycle,
             self.holdings,
-            self.memory,
+            self.held.memory,
             exchange=self.exchange,
             resolution=self.resolution,
             cancelled=self.cancelled,
@@ -353,34 +310,6 @@ class Cia402Cell:
         tested = test.run()
         self._relief = None  # from here on torque at the limit is no weight
         return tested
-
-    def _refuse_dead_displays(self) -> None:
-        """SafetyStop where a load cannot be weighed: 0x6077 is the same with and without voltage."""
-        sample = self._cycle.sample
-        for i, (h, report) in enumerate(zip(self.holdings, self._reports, strict=True)):
-            off, unit = self._torque_off.get(i), abs(report.scaling.torque(1))
-            if h.loaded and off is not None and abs(off) > DEAD_PERMILLE * unit and sample.torque[i] == off:
-                raise SafetyStop(
-                    f"axis {h.config.name}: 0x6077 showed {off / unit:.0f} ‰ of rated torque before the drive "
-                    "was switched on and shows it while it holds a load: what it shows is not its torque"
-                )
-
-    def _set_options(self) -> None:
-        """0x605A as what each axis carries asks for; written between two SYNCs."""
-        what = od.QUICK_STOP_OPTION
-        for i, (drive, holding) in enumerate(zip(self._drives, self.holdings, strict=True)):
-            wanted = STAY if holding.stays or holding.needs_brake_test else SWITCH_OFF
-            before = drive.protection.quick_stop_option
-            if before == wanted or not holding.can_stay or not holding.option_writable:
-                continue
-            drive.protection.quick_stop_option = wanted
-            pack = (what.pack(before).hex(), what.pack(wanted).hex())
-            self.journal.add(Entry(drive.node_id, drive.serial, what.index, what.sub, *pack))
-            self._cycle.set_object(i, what, wanted)
-        zero = [0.0] * len(self._drives)
-        end = self.clock.now() + CHANGE_S
-        while self._cycle.changing and self.clock.now() < end:
-            self.exchange(zero)
 
     def set_modes(self, modes: Sequence[Mode]) -> None:
         """Ask for other modes while energised; the change goes on in the cycles to come (``changing``).
@@ -421,20 +350,17 @@ class Cia402Cell:
         self.held_at_end = tuple(
             h.config.name
             for i, h in enumerate(self.holdings)
-            if h.stays and not self._is_surely_off(i) and h.config.name not in self.not_off
+            if h.stays and h.config.name not in self.not_off and not self._is_surely_off(i)
         )
-        for h in self.holdings:
-            with contextlib.suppress(BusError):
-                if h.config.name in self.held_at_end or h.seen.left_held:
-                    h.note(self.memory, left_held=h.config.name in self.held_at_end)
-            if h.config.name in self.held_at_end:
-                h.state, h.taken_over = DriveState.QUICK_STOP_ACTIVE, True
-                self._powered[h.config.name] = h.state
+        self.held.note_end(self.held_at_end)
+        self._powered |= dict.fromkeys(self.held_at_end, DriveState.QUICK_STOP_ACTIVE)
         self._stopped = True
 
     def _is_surely_off(self, axis: int) -> bool:
+        """By its last TPDO; where that did not come, it is asked."""
         sample = self._cycle.sample
-        return sample.fresh[axis] and not is_energised(state_of(sample.status[axis]))
+        state = state_of(sample.status[axis]) if sample.fresh[axis] else self._drives[axis].quiet_state()
+        return state is not None and not is_energised(state)
 
     def states(self) -> dict[str, DriveState]:
         """The last state heard of each drive."""
@@ -468,26 +394,6 @@ class Cia402Cell:
                 complaints += drive.restore()
             except InvidError as error:
                 complaints.append(str(error))
-
-    @property
-    def endings(self) -> tuple[str, ...]:
-        """Axes energised after the stop, by what, and what to do; and loaded ones without torque."""
-        said = [
-            f"axis {name} is energised: it is held by its drive in quick stop active, with its limits and "
-            "its heartbeat watch, which are restored when it is off. To have it off, support its load or set "
-            "its brake, then take the drive's enable or supply away and run `invid check`; the next "
-            "measurement takes it over as it is"
-            for name in self.held_at_end
-        ]
-        elsewhere = (*self.held_at_end, *self.not_off)
-        for i, h in enumerate(self.holdings):
-            name, words = h.config.name, state_of(self._cycle.sample.status[i]).words
-            if h.loaded and h.stays and name not in elsewhere and self._is_surely_off(i):
-                said.append(
-                    f"axis {name} carries a load and is without torque ({words}): its drive does not hold it "
-                    "any more. Support it before anybody goes near"
-                )
-        return tuple(said)
 
     def _left_protected(self, complaints: list[str]) -> set[str]:
         """Axes that keep their heartbeat watch and limits until the next start, because they may be on."""

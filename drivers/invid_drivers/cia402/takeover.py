@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from invid.errors import DriveError
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.axis import Drive
+from invid_drivers.cia402.hold_memory import HoldMemory
 from invid_drivers.cia402.holding import AxisHolding
-from invid_drivers.cia402.states import DriveState
+from invid_drivers.cia402.states import DriveState, is_energised
 
 NMT_OPERATIONAL, NMT_PRE_OPERATIONAL = 5, 127
 """In a heartbeat (CiA 301): the node answers SDO."""
@@ -23,6 +26,22 @@ def state_before_nmt(drive: Drive) -> DriveState | None:
         if heard in (NMT_OPERATIONAL, NMT_PRE_OPERATIONAL):
             drive.read(od.STATUSWORD)
     return state
+
+
+def find_powered(drives: Sequence[Drive], memory: HoldMemory) -> tuple[dict[str, DriveState], list[Drive]]:
+    """States of the drives to which nothing may be sent, and the drives that do not answer.
+
+    Energised ones, and those at which a run ended beside a load: what they show may not be believed.
+    """
+    powered, silent = {}, []
+    for drive in drives:
+        state, seen = state_before_nmt(drive), memory.of_node(drive.node_id)
+        drive.left_alone = seen is not None and bool(seen.suspect)
+        if state is None:
+            silent.append(drive)
+        elif drive.left_alone or is_energised(state):
+            powered[drive.name] = state
+    return powered, silent
 
 
 def require_ours(drive: Drive, holding: AxisHolding) -> None:
