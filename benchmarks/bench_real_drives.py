@@ -109,6 +109,7 @@ EXPECTED: dict[str, set[int]] = {
     "other heartbeat before": {0, 2, 4, 5},
     "foreign heartbeat": {0, 2, 4, 5},
     **OLD,
+    "corrupt": OLD["corrupt"] | {0},  # while the axes are only held, no drive follows what is corrupted
 }
 
 

@@ -27,7 +27,6 @@ from invid_drivers.cia402.jitter import Jitter
 from invid_drivers.cia402.journal import Journal
 from invid_drivers.cia402.link import NMT_PRE_OPERATIONAL, NMT_START, Link
 from invid_drivers.cia402.mode_change import CHANGE_S
-from invid_drivers.cia402.protection import STAY, SWITCH_OFF
 from invid_drivers.cia402.relief import TorqueRelief
 from invid_drivers.cia402.states import DriveState, OperationMode, is_energised, state_of
 from invid_drivers.cia402.stop_test import StopTest
@@ -207,9 +206,7 @@ class Cia402Cell:
         self._link.beating = True
         self._pre_operational()
         for drive, report, holding in zip(self._drives, self._reports, self.holdings, strict=True):
-            # a loaded axis whose brake is not known to be in time may have to be held by its drive
-            sure = holding.loaded is False or holding.brake_in_time is True
-            drive.protection.quick_stop_option = SWITCH_OFF if sure or not holding.can_stay else STAY
+            drive.protection.quick_stop_option = holding.first_option
             drive.protect(report)
             if not holding.taken_over:
                 drive.map_pdos()
@@ -285,17 +282,13 @@ class Cia402Cell:
                 )
 
     def secure(self, loaded: Sequence[bool]) -> bool:
-        """At rest and held: axes that carry nothing may switch off after a stop, the others are tested.
-
-        Whether there was a test. What was seen is remembered.
-        """
+        """Axes that carry nothing may switch off after a stop, the others are tested: whether there was one."""
         self.held.settle(loaded)
         self.held.refuse_dead_displays(self._cycle.sample, self._torque_off, self._reports)
         self.held.set_options(self._cycle)
-        zero = [0.0] * len(self._drives)
         end = self.clock.now() + CHANGE_S
         while self._cycle.changing and self.clock.now() < end:
-            self.exchange(zero)
+            self.exchange([0.0] * len(self._drives))
         test = StopTest(
             self._config,
             self._link,

@@ -17,7 +17,7 @@ from invid_drivers.cia402.access import Access
 from invid_drivers.cia402.axis import Drive
 from invid_drivers.cia402.hold_memory import HoldMemory, Seen
 from invid_drivers.cia402.link import SdoAbortedError, SdoError
-from invid_drivers.cia402.protection import READ_ONLY, STAYING
+from invid_drivers.cia402.protection import READ_ONLY, STAY, STAYING, SWITCH_OFF
 from invid_drivers.cia402.states import DriveState, is_energised
 
 DROP_SHARE = 0.02
@@ -73,6 +73,12 @@ class AxisHolding:
         if self.loaded is False:
             return False
         return self.config.brake != "drive" or self.brake_in_time is False
+
+    @property
+    def first_option(self) -> int:
+        """0x605A before the axis is weighed: without a brake known to be in time, its drive may have to hold."""
+        sure = self.loaded is False or self.brake_in_time is True
+        return SWITCH_OFF if sure or not self.can_stay else STAY
 
     @property
     def needs_brake_test(self) -> bool:

@@ -28,6 +28,8 @@ RESUME_S = 3.0
 """Longest way back to operation enabled."""
 SILENCE_S = 0.2
 """Beyond the drive's heartbeat watch: what it does then takes its time."""
+MISSES_MASTER = (0x8100, 0x8700)
+"""Classes of EMCY with which a drive says that its master is gone: communication, SYNC (CiA 301, 402)."""
 STILL_COUNTS, STILL_SHARE = 8, 0.0005
 """An axis that moved less, in counts and as a share of its window, stood."""
 
@@ -156,9 +158,13 @@ class StopTest:
         link = self._link
         link.beating = False
         watch = 3 * self._config.safety.heartbeat_s
+        began = link.clock.now()
         link.wait(1.5 * watch + SILENCE_S)
         link.beating = True
-        # an EMCY that says so is part of it; what else came is not
+        for peer in link.peers.values():
+            for said, code in peer.emcy:
+                if said >= began and code >= 0x0100 and code & 0xFF00 not in MISSES_MASTER:
+                    raise SafetyStop(f"axis {peer.name} reports error 0x{code:04X} in the stop test")
         link.events[:] = [e for e in link.events if e.severity is not Severity.DRIVE]
         for peer in link.peers.values():
             peer.last_heartbeat = None
