@@ -282,7 +282,7 @@ class Cia402Cell:
                 )
 
     def secure(self, loaded: Sequence[bool]) -> bool:
-        """Axes that carry nothing may switch off after a stop, the others are tested: whether there was one."""
+        """Axes that carry nothing may switch off after a stop, others are tested: whether any was."""
         self.held.settle(loaded)
         self.held.refuse_dead_displays(self._cycle.sample, self._torque_off, self._reports)
         self.held.set_options(self._cycle)

@@ -76,7 +76,7 @@ class AxisHolding:
 
     @property
     def first_option(self) -> int:
-        """0x605A before the axis is weighed: without a brake known to be in time, its drive may have to hold."""
+        """0x605A before the axis is weighed: its drive may have to hold it, unless a brake surely does."""
         sure = self.loaded is False or self.brake_in_time is True
         return SWITCH_OFF if sure or not self.can_stay else STAY
 

@@ -25,7 +25,7 @@ def confirm(cell: CellConfig, *, confirmed: bool) -> None:
     InputError
         The answer was not yes.
     """
-    if cell.simulated or confirmed:
+    if cell.simulated:
         return
     axes = ", ".join(a.name for a in cell.axes)
     tried = to_support(cell, HoldMemory.beside(journal_path(cell.bus.interface, cell.bus.channel)))
@@ -35,6 +35,8 @@ def confirm(cell: CellConfig, *, confirmed: bool) -> None:
             "load, that is tried first, at rest. Support it so that it cannot fall far and still hangs on "
             "its drive"
         )
+    if confirmed:
+        return
     if sys.stdin is None or not sys.stdin.isatty():
         note(
             f"{cell.robot} will move: {axes}. Nobody could be asked (no terminal): whoever started this "
