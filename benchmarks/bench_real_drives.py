@@ -25,16 +25,19 @@ from typing import Any
 
 import numpy as np
 import yaml
-from bench_faults import CONFIG, CYCLE_S, RUN_S, draw
+from bench_faults import CONFIG, CYCLE_S, draw
 from bench_faults import EXPECTED as OLD
+from bench_faults import RUN_S as OLD_RUN_S
 from plant_judge import Judge, writes
 
 from invid.config import CellConfig, parse_config
-from invid.errors import InvidError
+from invid.errors import DriveError, InvidError
 from invid.planning import make_plan
 from invid.recording import read_recording
 from invid.sweep import Progress
 from invid_drivers.cia402.bus import Cia402Cell
+from invid_drivers.cia402.hold_memory import HoldMemory
+from invid_drivers.cia402.holding import to_support
 from invid_drivers.cia402.journal import Journal
 from invid_drivers.measurement import run_measurement
 from invid_drivers.simulated import VirtualTimeBus, open_virtual_bus
@@ -44,6 +47,8 @@ UNATTENDED_S = 2.0
 """Between the first command and the next: nobody is there, the heartbeat is gone."""
 RAMP_S, REST_POLL_S, AT_REST = 1.0, 0.01, 0.02
 """A ramp that still runs when the command has ended may take so long [s] to this speed [rad/s]."""
+RUN_S = 26.0
+"""About how long a run takes, its load weighed and its stop test done; faults come at any moment of it."""
 FOREIGN_NODE = 20
 RESET_NODE = 0x81
 LATE_CUT_S = 0.2
@@ -63,8 +68,8 @@ NEEDS_BRAKE = {
     "ignore_quick_stop", "ignore_controlword", "brake_stuck", "torque_saturation", "slow mode",
     "corrupt",
 }  # fmt: skip
-"""Faults that take the torque or the sight of the loaded drive away: nobody can hold such an axis without
-a brake, so it has one."""
+"""Faults that take the torque or the sight of a drive away: without a brake nobody can hold such an axis
+where it is loaded, nor slow it down where it is not, so it has one (as every axis in the old campaign)."""
 DEAD_MASTER = {"node_silent", "bus_off node", "bus_off master", "drop", "ignore_controlword", "delay"}
 """The drive may not hear its master, or obeys nobody: its heartbeat watch acts."""
 
@@ -84,6 +89,7 @@ EXPECTED: dict[str, set[int]] = {
     "slow ramp": {2, 4, 5},
     "ramp unit": {2, 4, 5},
     "undeclared load": {0, 2, 4, 5},
+    "unstated load": {0, 2, 4, 5},
     "late brake": {0, 2, 4, 5},
     "no quick stop option": {0, 2, 4, 5},
     "no ramp": {0, 2, 4, 5},
@@ -103,6 +109,7 @@ EXPECTED: dict[str, set[int]] = {
     "other heartbeat before": {0, 2, 4, 5},
     "foreign heartbeat": {0, 2, 4, 5},
     **OLD,
+    "corrupt": OLD["corrupt"] | {0},  # while the axes are only held, no drive follows what is corrupted
 }
 
 
@@ -143,7 +150,8 @@ def make_case(kind: str, rng: np.random.Generator) -> Case:
     axes: dict[str, dict[str, Any]] = {f"A{i}": {} for i in (1, 2, 3)}
     element = str(rng.choice(["motor", "last mass"]))
     drives[loaded]["load"] = {"torque_Nm": load, "element": element}
-    axes[loaded]["gravity_loaded"] = True
+    for name, keys in axes.items():
+        keys["gravity_loaded"] = name == loaded
     case = Case(kind, axes, drives)
     axis = f"A{rng.integers(1, 4)}"
     at_s = float(rng.uniform(0.45, 0.95 * RUN_S))
@@ -151,6 +159,9 @@ def make_case(kind: str, rng: np.random.Generator) -> Case:
         _give_brake(case, loaded, 0.02)
     if kind in OLD:
         case.faults = [draw(rng, kind)]
+        case.faults[0]["at_s"] *= RUN_S / OLD_RUN_S
+        if kind in NEEDS_BRAKE:
+            _give_brake(case, case.faults[0]["axis"], 0.02)
         if kind.startswith("ignore"):
             other = "A1" if case.faults[0]["axis"] != "A1" else "A2"
             case.faults.append(
@@ -196,6 +207,10 @@ def make_case(kind: str, rng: np.random.Generator) -> Case:
             case.faults = [emcy]
         case "undeclared load":
             axes[loaded]["gravity_loaded"] = False
+            case.stop_s = at_s if rng.random() < 0.5 else None
+        case "unstated load":
+            for keys in axes.values():
+                keys["gravity_loaded"] = "unknown"
             case.stop_s = at_s if rng.random() < 0.5 else None
         case "late brake":
             _give_brake(case, loaded, float(rng.uniform(0.1, 0.6)))
@@ -313,8 +328,13 @@ class Bench:
         """Exit status and message of ``invid measure``."""
         stop = Stop(self.clock.now, None if stop_s is None else self.clock.now() + stop_s)
 
+        memory = HoldMemory.beside(self.folder / "bus.journal")
+        supported = bool(to_support(self.config, memory))
+
         def progress(report: Progress) -> None:
-            if hold_only and report.phase.startswith("trying"):
+            if hold_only and report.phase.startswith("trying") and not stop.is_set():
+                if supported:  # the technician was asked to support the load before its hold was tried
+                    self.judge.stopped()
                 stop.set()
 
         def run() -> None:
@@ -331,6 +351,8 @@ class Bench:
             cell = self._connect()
             try:
                 cell.check()
+                if cell.not_ready:
+                    raise DriveError("; ".join(r.text for r in cell.not_ready))
             finally:
                 cell.close()
 
@@ -389,6 +411,7 @@ def run_one(kind: str, rng: np.random.Generator, folder: Path) -> RunOutcome:
         excess = _excess(judge, kind)
         complaints += [f"unattended: {c}" for c in (*judge.loads(), *judge.states())]
         checked, _ = bench.check()
+        complaints += judge.readiness(checked)
         bench.wait(0.1)
         complaints += [f"check: {c}" for c in judge.loads()]
         again, _ = bench.measure(folder / "again.h5", hold_only=True)

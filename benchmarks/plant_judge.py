@@ -308,6 +308,17 @@ class Judge:
             and not (settings.load.torque and drive.state is State.QUICK_STOP_ACTIVE)
         ]
 
+    def readiness(self, status: int) -> list[str]:
+        """What is under power is not called ready, and stays as it is."""
+        energised = [
+            a.name for a, d in zip(self.config.axes, self.cell.drives, strict=True) if d.state not in SAFE
+        ]
+        return (
+            [f"check calls the cell ready with {', '.join(energised)} energised"]
+            if energised and not status
+            else []
+        )
+
     def foreign(self, *, other_master: bool = False) -> list[str]:
         """The master's NMT and writes go to configured nodes only, and others stay as they were found.
 

@@ -52,6 +52,8 @@ class MeasurementResult:
     jitter_histogram: dict[str, int] | None = None
     """How many SYNCs were at most so late."""
     drives: tuple[dict[str, Any], ...] = ()
+    energised: tuple[str, ...] = ()
+    """Axes that their drives hold in quick stop active."""
     warnings: tuple[str, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
@@ -69,6 +71,7 @@ class MeasurementResult:
             "jitter_us": self.jitter_us,
             "jitter_histogram": self.jitter_histogram,
             "drives": list(self.drives),
+            "energised": list(self.energised),
             "warnings": list(self.warnings),
         }
 
@@ -256,16 +259,20 @@ def run_measurement(
         complaints = cell.close()
         closed = True
         if cell.not_off:
-            raise DriveError(_not_off(cell.not_off))
+            raise DriveError(" ".join((_not_off(cell.not_off), *cell.endings)))
         return _result(config, cell, out, result, [*notes, *complaints])
     except (SafetyStop, KeyboardInterrupt) as error:
         outcome = Outcome.ABORTED
-        if cell.not_off and isinstance(error, SafetyStop):
-            raise SafetyStop(f"{error}. {_not_off(cell.not_off)}") from None
+        cell.suspect(str(error))
+        ending = _ending(cell)
+        if ending and isinstance(error, SafetyStop):
+            raise SafetyStop(f"{error}. {ending}") from None
         raise
-    except BusError as error:
-        if cell.not_off and not str(error).endswith(_not_off(cell.not_off)):
-            raise type(error)(f"{error}. {_not_off(cell.not_off)}") from None
+    except (BusError, ConfigError) as error:
+        cell.suspect(str(error))
+        ending = _ending(cell)
+        if ending and not str(error).endswith(ending):
+            raise type(error)(f"{error}. {ending}") from None
         raise
     finally:
         # The drives first: a file that cannot be closed must not keep an axis energised.
@@ -283,6 +290,13 @@ def _not_off(axes: tuple[str, ...]) -> str:
         "sure of "
         "it, with the emergency stop if need be"
     )
+
+
+def _ending(cell: Cia402Cell) -> str:
+    """After any end: the drives stopped, which of them are on and what to do; empty where all are off."""
+    cell.stop()
+    not_off = (_not_off(cell.not_off),) if cell.not_off else ()
+    return ". ".join((*not_off, *cell.endings))
 
 
 def _header(config: CellConfig, cell: Cia402Cell) -> Recording:
@@ -347,5 +361,6 @@ def _result(
         jitter_us=None if is_virtual(config) else cell.jitter.percentiles(),
         jitter_histogram=None if is_virtual(config) else cell.jitter.to_json(),
         drives=tuple(r.to_json() for r in cell.reports),
+        energised=cell.held_at_end,
         warnings=tuple(dict.fromkeys(warnings)),
     )

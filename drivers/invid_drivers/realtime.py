@@ -284,7 +284,8 @@ def measure_in_process(
             raise _with_file(error, _end(relay, connection, child)) from None
         failed = BusError(
             f"the cycle process ended unexpectedly (exit {child.poll()}): the drives stop by their heartbeat "
-            "watch; make sure that they have, and look into the system's log"
+            "watch; make sure that they have, and look into the system's log. An axis that carries a load is "
+            "held by its drive then: `invid check` says which are energised"
         )
         raise _with_file(failed, _end(relay, connection, child)) from None
     except InvidError as error:

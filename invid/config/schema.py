@@ -6,9 +6,9 @@ _N and _m; both fill the same field. ``simulation`` is validated by the simulate
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import AliasChoices, Field, model_validator
+from pydantic import AliasChoices, BeforeValidator, Field, model_validator
 
 from invid.config.experiments import ExperimentSpec, Strict
 
@@ -107,6 +107,11 @@ OVERRIDABLE = {
 """Objects that an axis may override, and the field that then counts."""
 
 
+def _known(value: Any) -> Any:
+    """ "unknown" is what a config says where nobody has looked yet."""
+    return None if value == "unknown" else value
+
+
 class AxisConfig(Strict):
     """One drive."""
 
@@ -134,10 +139,11 @@ class AxisConfig(Strict):
     )
     """Rigid inertia seen by the motor, roughly: predicts travel before anything moves. The trial of the signs
     compares it with what it measures, which is then used."""
-    gravity_loaded: bool = False
-    """Zero torque would let it fall: it is never left without torque or brake."""
+    gravity_loaded: Annotated[bool | None, BeforeValidator(_known)] = None
+    """Zero torque would let it fall: it is never left without torque or brake. ``None`` ("unknown", or not
+    stated): treated so until the torque that holds it at rest tells."""
     brake: Literal["none", "drive"] = "none"
-    """``drive``: the drive closes a brake by itself when it is disabled."""
+    """``drive``: the drive closes a brake by itself when it is disabled. How late it closes is measured."""
     allow_missing_heartbeat: bool = False
     """Opt-in needed where the drive cannot watch the master's heartbeat (0x1016)."""
     overrides: dict[str, str] = Field(default_factory=dict)

@@ -129,7 +129,7 @@ def model_forecast(
         bounds[0, i] = max(bounds[0, i], SIGN_TRAVEL * config.axes[i].limits.position)
     for i, axis in enumerate(config.axes):
         bounds[2, i] += READING * (axis.rated_torque or axis.limits.torque)
-        if axis.gravity_loaded:
+        if axis.gravity_loaded is not False:
             bounds[2, i] = axis.limits.torque  # what gravity asks for is only known when it hangs
     return announced(config, np.minimum(bounds, limits_of(config)), "model")
 

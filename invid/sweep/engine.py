@@ -101,6 +101,7 @@ class Sweep:
                 match phase.step:
                     case Step.SETTLE:
                         self._motion.start()
+                        self.warnings += [load.said for load in self._motion.loads if load.said]
                     case Step.SIGNS:
                         self._rehearsal.try_signs(phase.number)
                     case Step.TRIAL:

@@ -14,6 +14,7 @@ from invid.numerics.arrays import Bool, Float64
 from invid.planning.hold_laws import Gains, centring, following, least_damping, master_hold
 from invid.planning.model import Plan, PlannedExperiment
 from invid.planning.phases import CATCH_HZ, SETTLE_S
+from invid.sweep.loads import CONFIRM_S, Load, judge_loads
 from invid.sweep.ports import Cell, Mode, Sample, Sink
 from invid.sweep.watch import AxisLimits, Statistics, Watch
 
@@ -73,6 +74,8 @@ class Motion:
         """Where each axis stood at the start [rad or m]."""
         self.bias = [0.0] * count
         """Torque that each axis needs at rest [N·m or N]."""
+        self.loads: tuple[Load, ...] = ()
+        """What each axis carries, as the torque at rest said."""
         self._last: list[float] = [0.0] * count
         self._last_time = [0.0] * count
         self._velocity = [0.0] * count
@@ -115,8 +118,8 @@ class Motion:
         return [Mode.HOLD if can else Mode.TORQUE for can in self.cell.can_hold]
 
     def start(self) -> None:
-        """Enable, watch, and settle where every axis stands."""
-        cell, config = self.cell, self.config
+        """Enable, watch, settle where every axis stands, and see that what carries a load stays held."""
+        cell = self.cell
         # A drive that can hold starts holding; the others start at zero torque.
         if not cell.can_hold:
             raise SafetyStop("the cell was not checked before the sweep")
@@ -124,6 +127,15 @@ class Motion:
             raise SafetyStop("stopped on request before any drive was enabled; nothing was recorded yet")
         self._modes = self.resting_modes()
         cell.energise(self._modes)
+        self._begin()
+        self._settle()
+        while cell.secure([load.loaded for load in self.loads]):
+            self._begin()
+            self._settle()
+
+    def _begin(self) -> None:
+        """Watch every axis around where it stands now."""
+        cell, config = self.cell, self.config
         unit = "m" if config.linear else "rad"
         self._watch = Watch(
             [
@@ -148,14 +160,24 @@ class Motion:
         self._last, self._last_time = list(sample.position), [sample.time] * self.count
         self.watching.start(self.origin)
         self.watching.held = set(range(self.count))
+
+    def _settle(self) -> None:
+        """What each axis needs at rest, and so which are loaded."""
         self.phase = "settling"
+        held = [mode is Mode.HOLD for mode in self._modes]
+        rated = self.cell.rated_torque
         rows = self.play(None, round(SETTLE_S / self.plan.cycle_s), log=True)
-        torque = rows.torque[len(rows.torque) // 2 :]
-        for i, mode in enumerate(self._modes):
+        half = len(rows.torque) // 2
+        self.loads = judge_loads(self.config, rows.torque[half:], rows.fresh[half:], held, rated)
+        if any(load.loaded for load in self.loads):  # one must be sure of it, and of its torque
+            done = self.done_s
+            rows = self.play(None, round(CONFIRM_S / self.plan.cycle_s), log=True)
+            self.done_s = done  # no part of the plan
+            self.loads = judge_loads(self.config, rows.torque, rows.fresh, held, rated)
+        for i, load in enumerate(self.loads):
             # What the drive needs to hold an axis is what it needs when the master takes over; only a
-            # gravity-loaded axis is believed to need any, friction held at rest can be anything.
-            if mode is Mode.HOLD and config.axes[i].gravity_loaded:
-                self.bias[i] = float(np.mean(torque[:, i]))
+            # loaded axis is believed to need any, friction held at rest can be anything.
+            self.bias[i] = load.torque if held[i] and load.loaded and np.isfinite(load.torque) else 0.0
 
     # --- one cycle and many --------------------------------------------------------------------
     def play(

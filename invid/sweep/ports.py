@@ -99,6 +99,14 @@ class Cell(Protocol):
         """Enable every axis in its mode, at rest where it stands."""
         ...
 
+    def secure(self, loaded: Sequence[bool]) -> bool:
+        """At rest, every axis held: told which carry a load, sees that each of those stays held after a stop.
+
+        Whether axes were let go or stopped for it: they are held again, perhaps in another place. SafetyStop
+        where an axis would fall; what holds it then is the cell's to say.
+        """
+        ...
+
     def set_modes(self, modes: Sequence[Mode]) -> None:
         """Ask for other modes while energised; they may come about in later cycles (``changing``)."""
         ...

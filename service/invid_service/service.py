@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import logging
 import secrets
+import time
 from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -13,6 +14,8 @@ from datetime import UTC, datetime, timedelta
 
 from sqlalchemy.exc import SQLAlchemyError
 
+from invid_drivers.cia402.holding import Reason as CellReason
+from invid_drivers.readiness import not_ready
 from invid_service.audit import AuditLog
 from invid_service.auth import check_bind
 from invid_service.cells.readiness import Readiness, Situation, readiness
@@ -39,6 +42,8 @@ log = logging.getLogger(__name__)
 Clock = Callable[[], datetime]
 _RETENTION_PERIOD_S = 3600.0
 _STORE_PROBE_S = 1.0
+_DRIVES_S = 5.0
+"""Drives that were left energised are asked again after so long."""
 _KEY_PERIOD_S = 1.0
 """A key added, or revoked, counts within this time."""
 _ORPHAN_S = 3.0
@@ -65,6 +70,8 @@ class Service:
     uploads: int = 0
     """Uploads that are being received."""
     shutting_down: bool = False
+    _asking: asyncio.Lock = field(default_factory=asyncio.Lock)
+    _asked: dict[str, tuple[float, tuple[CellReason, ...]]] = field(default_factory=dict)
     _housekeeping: asyncio.Task[None] | None = None
     _key_watch: asyncio.Task[None] | None = None
 
@@ -141,6 +148,7 @@ class Service:
     ) -> Readiness:
         """Whether the cell can start, judged now."""
         occupied = self.jobs.occupying(cell.id)
+        drives = () if mode == "simulate" or occupied is not None else await self._drives(cell)
         answers, has_model = True, False
         try:
             async with asyncio.timeout(_STORE_PROBE_S):
@@ -158,8 +166,19 @@ class Service:
                 has_model=has_model,
                 mode=mode,  # type: ignore[arg-type]
                 axes=axes,
+                drives=drives,
             )
         )
+
+    async def _drives(self, cell: Cell) -> tuple[CellReason, ...]:
+        """What ``invid check`` has against the drives of a cell in which nothing runs."""
+        async with self._asking:
+            asked, reasons = self._asked.get(cell.id, (-_DRIVES_S, ()))
+            now = time.monotonic()
+            if now - asked >= (_DRIVES_S if reasons else 0.0):
+                reasons = await asyncio.to_thread(not_ready, cell.config)
+                self._asked[cell.id] = (time.monotonic(), reasons)
+            return reasons
 
     async def run(self, run_id: str) -> tuple[RunRecord, LiveRun | None]:
         """A run, from memory while it lives; Problem 404 where there is none."""

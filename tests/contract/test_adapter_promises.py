@@ -37,7 +37,10 @@ def config(simulation: dict[str, Any] | None = None, **axis: Any) -> CellConfig:
             "format": "invid-config",
             "robot": "promises",
             "bus": {"interface": "invid-virtual", "channel": "promises", "cycle_s": CYCLE},
-            "axes": [{"name": f"A{n}", "node_id": n, "limits": limits, **axis} for n in (1, 2)],
+            "axes": [
+                {"name": f"A{n}", "node_id": n, "limits": limits, "gravity_loaded": False, **axis}
+                for n in (1, 2)
+            ],
             "simulation": {
                 "plant": {"branches": [{"axis": "A1", "masses": [1.0]}, {"axis": "A2", "masses": [2.0]}]},
                 "defaults": {"rated_torque_Nm": 10, "encoder_counts_per_rev": 1 << 20},

@@ -36,6 +36,7 @@ def config(node: Path, named: Path | None, vendor: str = "generic", **axis: Any)
                 {
                     "name": "A1",
                     "node_id": 1,
+                    "gravity_loaded": False,
                     "vendor": vendor,
                     "eds": None if named is None else str(named),
                     "limits": {"torque_Nm": 5, "position_window_rad": 1.0, "velocity_rad_per_s": 10},

@@ -241,9 +241,9 @@ def test_a_cell_that_is_refused_leaves_the_bus_to_the_next(monkeypatch: pytest.M
     assert len(closed) == 1
 
 
-def called_runaways(speeds: list[float], **axis: Any) -> list[int]:
+def called_runaways(speeds: list[float], *, held: bool = False) -> list[int]:
     """Samples, 0.01 s apart, at which A1 (limit 10 rad/s) is called a runaway; A2 stands."""
-    guard, place, called = RunawayGuard(config(**axis)), 0.0, []
+    guard, place, called = RunawayGuard(config(), [held, False]), 0.0, []
     guard.faster(Sample(0, 0.0, [0.0, 0.0], [0.0, 0.0], [7, 7], [True, True], []))
     for k, speed in enumerate(speeds, start=1):
         place += 0.01 * speed
@@ -260,15 +260,13 @@ def test_an_axis_that_a_quick_stop_makes_faster_is_called_a_runaway_at_once() ->
 
 
 def test_a_loaded_axis_without_brake_is_let_go_only_after_five_samples_of_growing_speed() -> None:
-    loaded = {"gravity_loaded": True, "brake": "none"}
-    assert called_runaways([1.0, 2.0, 3.0, 4.0, 5.0], **loaded) == []
-    assert called_runaways([1.0, 2.0, 3.0, 4.0, 5.0, 6.0], **loaded) == [6]
-    assert called_runaways([1.0, 2.0, 3.0, 2.5, 4.0, 5.0, 6.0, 7.0], **loaded) == []
-    assert called_runaways([1.0, 2.0], gravity_loaded=True, brake="drive") == [2]
+    assert called_runaways([1.0, 2.0, 3.0, 4.0, 5.0], held=True) == []
+    assert called_runaways([1.0, 2.0, 3.0, 4.0, 5.0, 6.0], held=True) == [6]
+    assert called_runaways([1.0, 2.0, 3.0, 2.5, 4.0, 5.0, 6.0, 7.0], held=True) == []
 
 
 def test_an_axis_that_says_nothing_for_three_samples_of_the_quick_stop_is_called_silent() -> None:
-    guard = RunawayGuard(config())
+    guard = RunawayGuard(config(), [False, False])
     came = [True, False, False, True, False, False, False]
     found = [
         guard.silent(Sample(k, 0.01 * k, [0, 0], [0, 0], [7, 7], [c, True], [])) for k, c in enumerate(came)

@@ -126,7 +126,6 @@ def test_a_healthy_run_keeps_the_tightest_limits_and_leaves_a_foreign_node_alone
     assert read_recording(cell.folder / "run.h5").experiments
 
 
-@pytest.mark.xfail(strict=True, reason="issue 22, item 3: goes with the branch that mends it")
 def test_a_loaded_axis_stays_where_it_stopped_until_the_user_acts(cell: OtherCell) -> None:
     run = cell.invid("measure", "cell.yaml", "-o", "run.h5")
     assert run.stderr is not None
@@ -137,11 +136,16 @@ def test_a_loaded_axis_stays_where_it_stopped_until_the_user_acts(cell: OtherCel
     run.send_signal(signal.SIGINT)
     _, said = run.communicate(timeout=240)
     assert run.returncode == 4, said
+    assert "axis A2 is energised: it is held by its drive in quick stop active" in said
+    assert "axis A1 is energised" not in said
     cell.truth(mark=True)
     time.sleep(3.5)  # longer than the heartbeat watch
     assert cell.truth()["drives"][1]["travel"] <= HELD
     check = cell.invid("check", "cell.yaml")
-    check.communicate(timeout=240)
+    out, said = check.communicate(timeout=240)
+    assert check.returncode == 5, said + out
+    assert "NOT READY" in out
+    assert cell.truth()["drives"][1]["state"] == "quick stop active"
     again = cell.invid("measure", "cell.yaml", "-o", "again.h5")
     assert again.stderr is not None
     for line in again.stderr:

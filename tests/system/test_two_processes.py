@@ -252,7 +252,7 @@ def test_init_writes_a_first_config_from_a_live_cell(simcell: subprocess.Popen[s
     written = yaml.safe_load((folder / "first.yaml").read_text(encoding="utf-8"))
     assert written["bus"]["channel"] == str(folder / "bus.sock")
     assert [a["node_id"] for a in written["axes"]] == [1, 2, 3]
-    assert all(a["gravity_loaded"] for a in written["axes"])
+    assert all(a["gravity_loaded"] == "unknown" for a in written["axes"])
     check = start("check", "first.yaml", "--json", folder=folder)
     out, said = check.communicate(timeout=240)
     assert check.returncode == 0, said

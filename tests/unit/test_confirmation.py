@@ -12,6 +12,8 @@ import pytest
 import yaml
 
 from invid.config import CellConfig, load_config
+from invid_drivers.cia402.hold_memory import HoldMemory, Seen
+from invid_drivers.cia402.holding import to_support
 from invid_drivers.cli.confirmation import confirm
 
 ROOT = Path(__file__).parents[2]
@@ -91,3 +93,18 @@ def test_a_cell_with_a_simulation_is_not_asked_about(monkeypatch: pytest.MonkeyP
     bare = CellConfig.model_validate(cell.model_dump(exclude={"simulation"}, exclude_none=True))
     with pytest.raises(AssertionError, match="was asked"):
         confirm(bare, confirmed=False)
+
+
+def test_whose_load_to_support_before_a_stop_test_is_said_until_the_test_was_passed(tmp_path: Path) -> None:
+    path = hardware(tmp_path)
+    data = yaml.safe_load(path.read_text(encoding="utf-8"))
+    del data["axes"][1]["gravity_loaded"]
+    data["axes"][2]["gravity_loaded"] = True
+    path.write_text(yaml.safe_dump(data), encoding="utf-8")
+    cell = load_config(path)
+    memory = HoldMemory(tmp_path / "holds.json")
+    assert to_support(cell, memory) == ("A2", "A3")
+    memory.keep("drive of A3", Seen(3, loaded=True, holds=True, resumes=True))
+    assert to_support(cell, HoldMemory(tmp_path / "holds.json")) == ("A2",)
+    memory.keep("another drive at node 3", Seen(3))
+    assert to_support(cell, memory) == ("A2", "A3")

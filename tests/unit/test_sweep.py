@@ -72,6 +72,10 @@ class RigidCell:
     def energise(self, modes: Sequence[Mode]) -> None:
         self.modes, self.energised = list(modes), True
 
+    def secure(self, loaded: Sequence[bool]) -> bool:
+        self.loaded = list(loaded)
+        return False
+
     def set_modes(self, modes: Sequence[Mode]) -> None:
         self.modes = list(modes)
 

@@ -84,6 +84,8 @@ class Drive(Access):
     ) -> None:
         super().__init__(link, config, journal, linear=linear)
         self.protection = Protection(self, heartbeat_s)
+        self.left_alone = False
+        """What it shows may not be believed: nothing is written, not even what stands there."""
 
     # --- preflight -----------------------------------------------------------------------------
     def check(self, said: Sequence[str] = ()) -> DriveReport:
@@ -93,7 +95,7 @@ class Drive(Access):
         """
         who = f"axis {self.name} (node {self.node_id})"
         warnings: list[str] = [*said, *self.eds_warnings]
-        self._refuse_declared(who)
+        self.refuse_declared()
         self._require_servo(who, self.read(od.DEVICE_TYPE), warnings)
         self.serial = self.find(od.SERIAL_NUMBER) or 0
         self._compare_identity(who, warnings)
@@ -110,7 +112,9 @@ class Drive(Access):
                 "tool: this service never resets a fault by itself"
             )
         limits = self.protection.limits(scaling, warnings)
-        if not is_energised(state):  # under power nothing is written, not even what stands there already
+        if (
+            not is_energised(state) and not self.left_alone
+        ):  # under power nothing is written, not even what stands there already
             lacks += self.protection.unwritable(scaling, limits)
         return DriveReport(
             axis=self.name,
@@ -147,13 +151,14 @@ class Drive(Access):
                 )
             warnings.append(f"{said}: {' and '.join(names)}; used all the same, as overrides says ({reason})")
 
-    def _refuse_declared(self, who: str) -> None:
+    def refuse_declared(self) -> None:
+        """DriveError where the EDS says that the drive cannot do the job; asks nothing."""
         why = None if self.declared is None else refusal(self.declared)
         if why is not None and self.declared is not None:
             raise DriveError(
-                f"{who}: by its EDS {self.declared.path.name} the drive {why}; this drive cannot be shaken. "
-                "Log its motion with another tool and use `invid import`; if the file is not this drive's, "
-                "leave eds out and the drive itself is asked"
+                f"{self.who}: by its EDS {self.declared.path.name} the drive {why}; this drive cannot be "
+                "shaken. Log its motion with another tool and use `invid import`; if the file is not this "
+                "drive's, leave eds out and the drive itself is asked"
             )
 
     def _compare_identity(self, who: str, warnings: list[str]) -> None:

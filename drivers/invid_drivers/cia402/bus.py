@@ -18,11 +18,19 @@ from invid_drivers.cia402 import states
 from invid_drivers.cia402.axis import Drive, DriveReport
 from invid_drivers.cia402.cycle import Cycle
 from invid_drivers.cia402.cycle_time import tell_cycle
+from invid_drivers.cia402.held_axes import HeldAxes
+from invid_drivers.cia402.holding import (
+    AxisHolding,
+    Reason,
+)
 from invid_drivers.cia402.jitter import Jitter
 from invid_drivers.cia402.journal import Journal
 from invid_drivers.cia402.link import NMT_PRE_OPERATIONAL, NMT_START, Link
 from invid_drivers.cia402.mode_change import CHANGE_S
-from invid_drivers.cia402.states import DriveState, OperationMode, state_of
+from invid_drivers.cia402.relief import TorqueRelief
+from invid_drivers.cia402.states import DriveState, OperationMode, is_energised, state_of
+from invid_drivers.cia402.stop_test import StopTest
+from invid_drivers.cia402.takeover import find_powered, require_ours
 from invid_drivers.cia402.way_out import WayOut
 
 ENABLE_S = 3.0
@@ -40,13 +48,19 @@ class Cia402Cell:
             Drive(self._link, a, self.journal, linear=config.linear, heartbeat_s=config.safety.heartbeat_s)
             for a in config.axes
         ]
+        self.held = HeldAxes(self._drives, self.journal)
+        """How each axis is held when nobody commands it."""
         self._reports: list[DriveReport] = []
         self._cycle = Cycle(self._link, config)
         self._touched = False
         self._listened = False
         self._stopped = True
+        self._powered: dict[str, DriveState] = {}
+        self._relief: TorqueRelief | None = None
+        self._torque_off: dict[int, float] = {}
+        """What each drive showed as torque without voltage [N·m or N]."""
         self.held_at_end: tuple[str, ...] = ()
-        """Gravity-loaded axes that their drives hold in quick stop active."""
+        """Axes that their drives hold in quick stop active."""
         self.not_off: tuple[str, ...] = ()
         """Axes that were not seen to switch off."""
         self.cancelled: Callable[[], bool] = lambda: False
@@ -97,18 +111,23 @@ class Cia402Cell:
     def check(self) -> tuple[DriveReport, ...]:
         """Restore what an earlier run left behind, then ask every drive what it can do. Moves nothing."""
         self._link.require_bus()
+        for drive in self._drives:
+            drive.refuse_declared()
         if not self._listened:
             self._link.listen()
             self._listened = True
         self._link.refuse_others("nothing was sent")
+        self._powered, silent = find_powered(self._drives, self.held.memory)
         self._pre_operational()
-        left = [drive.restore() for drive in self._drives]
+        self._powered |= {d.name: s for d in silent if (s := d.quiet_state()) and is_energised(s)}
+        left = [() if drive.left_alone else drive.restore() for drive in self._drives]
         try:
             self._reports = [d.check(found) for d, found in zip(self._drives, left, strict=True)]
         except DriveError as error:  # what was left as somebody set it is said once
             raise DriveError(". ".join([str(error), *(s for found in left for s in found)])) from None
         for drive in self._drives:
             self._refuse_owned(drive)
+        self.held.find(self._reports, self._powered)
         self._link.refuse_others("nothing was moved")
         for i, r in enumerate(self._reports):
             position = r.scaling.direction * r.scaling.position_per_count
@@ -121,9 +140,35 @@ class Cia402Cell:
         return self._link
 
     def _pre_operational(self) -> None:
+        """But for drives under power: leaving operational may make one of them let go."""
         for drive in self._drives:
-            self._link.nmt(NMT_PRE_OPERATIONAL, drive.node_id)
+            if drive.name not in self._powered:
+                self._link.nmt(NMT_PRE_OPERATIONAL, drive.node_id)
         self._link.wait(0.02)
+
+    @property
+    def holdings(self) -> list[AxisHolding]:
+        """How each axis is held when nobody commands it, from ``check`` on."""
+        return self.held.holdings
+
+    @property
+    def not_ready(self) -> tuple[Reason, ...]:
+        """Axes that are energised though nobody measures, or at which the last run ended; empty: none."""
+        return self.held.not_ready
+
+    @property
+    def endings(self) -> tuple[str, ...]:
+        """Axes energised after the stop, by what, and what to do; and loaded ones without torque."""
+        return self.held.endings(self.held_at_end, self.not_off, self._cycle.sample)
+
+    def clear(self, names: Sequence[str]) -> None:
+        """A person has found the cause: these axes may be enabled again. Before ``check``."""
+        self.held.clear(names)
+
+    def suspect(self, why: str) -> None:
+        """The run ended for a reason that names axes: remembered where any axis carries a load."""
+        if self._touched:
+            self.held.suspect(why)
 
     def _refuse_owned(self, drive: Drive) -> None:
         """BusError where a drive watches the heartbeat of a node that is there: it belongs to that master."""
@@ -143,20 +188,29 @@ class Cia402Cell:
         others = [f.text for f in self._link.others.values() if not f.master and f.node is None]
         said = [f"node {n} is on the bus too, is not in the config, and is left alone" for n in slaves]
         protection = (note for d in self._drives for note in d.protection.notes)
-        return (*said, *(f"{text} are on the bus too" for text in others), *protection)
+        holds = (s for h in self.holdings if (s := h.said(f"axis {h.config.name}")))
+        return (*said, *(f"{text} are on the bus too" for text in others), *protection, *holds)
 
     def energise(self, modes: Sequence[Mode]) -> None:
         """Protect, map, start and enable every drive at rest where it stands."""
         if not self._reports:
             self.check()
+        for reason in self.not_ready:
+            if reason.code == "axis_suspect":
+                raise DriveError(f"{reason.text}; {reason.fix}")
+        for drive, holding in zip(self._drives, self.holdings, strict=True):
+            if is_energised(holding.state):
+                require_ours(drive, holding)
         self._stopped = False
         self._touched = True
         self._link.beating = True
         self._pre_operational()
-        for drive, report in zip(self._drives, self._reports, strict=True):
+        for drive, report, holding in zip(self._drives, self._reports, self.holdings, strict=True):
+            drive.protection.quick_stop_option = holding.first_option
             drive.protect(report)
-            drive.map_pdos()
-            tell_cycle(drive, self._config.bus.cycle_s)
+            if not holding.taken_over:
+                drive.map_pdos()
+                tell_cycle(drive, self._config.bus.cycle_s)
         for i, mode in enumerate(modes):
             self._now_in(i, mode)
         for drive, report, mode in zip(self._drives, self._reports, modes, strict=True):
@@ -172,7 +226,11 @@ class Cia402Cell:
             self._link.nmt(NMT_START, drive.node_id)
         self._link.wait(0.005)
         self._cycle.restart_slots()
+        self._cycle.leaving = False
+        units = [(r.scaling.position_per_count, r.scaling.torque(1)) for r in self._reports]
+        self._relief = TorqueRelief(self._config, self._drives, self._cycle, units)
         self._enable()
+        self._powered = {}
 
     def _operation_mode(self, report: DriveReport, mode: Mode) -> OperationMode:
         return report.torque_mode if mode is Mode.TORQUE else OperationMode.CYCLIC_POSITION
@@ -184,18 +242,26 @@ class Cia402Cell:
     def _enable(self) -> None:
         zero = [0.0] * len(self._drives)
         end = self.clock.now() + ENABLE_S
-        self._cycle.control[:] = [states.DISABLE_VOLTAGE] * len(self._drives)
+        self._cycle.control[:] = [
+            states.QUICK_STOP if h.taken_over else states.DISABLE_VOLTAGE for h in self.holdings
+        ]
         while True:
             sample = self.exchange(zero)
             for event in sample.events:
                 if event.severity is not Severity.NOTE:
                     raise DriveError(f"{event.text} while it was being enabled")
             found = [state_of(s) for s in sample.status]
+            for i, state in enumerate(found):
+                if sample.fresh[i] and not is_energised(state):
+                    self._torque_off[i] = sample.torque[i]
             if all(sample.fresh) and all(s is DriveState.OPERATION_ENABLED for s in found):
                 return
             for i, state in enumerate(found):
                 if sample.fresh[i]:
-                    self._cycle.control[i] = states.towards_enabled(state)
+                    resumes = self.holdings[i].taken_over and state is DriveState.QUICK_STOP_ACTIVE
+                    self._cycle.control[i] = (
+                        states.ENABLE_OPERATION if resumes else states.towards_enabled(state)
+                    )
             if self.cancelled():
                 raise SafetyStop(
                     "stopped on request while the drives were being enabled; nothing was recorded yet"
@@ -214,6 +280,29 @@ class Cia402Cell:
                     f"{ENABLE_S:g} s, the drive "
                     f"shows {seen}; check its supply, its enable input, safe torque off and the brake"
                 )
+
+    def secure(self, loaded: Sequence[bool]) -> bool:
+        """Axes that carry nothing may switch off after a stop, others are tested: whether any was."""
+        self.held.settle(loaded)
+        self.held.refuse_dead_displays(self._cycle.sample, self._torque_off, self._reports)
+        self.held.set_options(self._cycle)
+        end = self.clock.now() + CHANGE_S
+        while self._cycle.changing and self.clock.now() < end:
+            self.exchange([0.0] * len(self._drives))
+        test = StopTest(
+            self._config,
+            self._link,
+            self._drives,
+            self._cycle,
+            self.holdings,
+            self.held.memory,
+            exchange=self.exchange,
+            resolution=self.resolution,
+            cancelled=self.cancelled,
+        )
+        tested = test.run()
+        self._relief = None  # from here on torque at the limit is no weight
+        return tested
 
     def set_modes(self, modes: Sequence[Mode]) -> None:
         """Ask for other modes while energised; the change goes on in the cycles to come (``changing``).
@@ -234,7 +323,11 @@ class Cia402Cell:
     # --- the cycle -----------------------------------------------------------------------------
     def exchange(self, torque: Sequence[float]) -> Sample:
         """Targets out, SYNC at its slot, samples in."""
-        return self._cycle.exchange(torque)
+        sample = self._cycle.exchange(torque)
+        if self._relief is not None:
+            # one whose weight was held within its limit before is pushed by something else
+            self._relief.look(sample, [h.loaded is not False and not h.seen.loaded for h in self.holdings])
+        return sample
 
     # --- the way out ---------------------------------------------------------------------------
     def stop(self) -> None:
@@ -244,10 +337,23 @@ class Cia402Cell:
         """
         if self._stopped:
             return
-        way = WayOut(self._config, self._link, self._drives, self._cycle, self.exchange)
-        self.held_at_end = way.held_at_end
+        stays = [h.stays for h in self.holdings]
+        way = WayOut(self._config, self._link, self._drives, self._cycle, self.exchange, stays)
         self.not_off = way.take()
+        self.held_at_end = tuple(
+            h.config.name
+            for i, h in enumerate(self.holdings)
+            if h.stays and h.config.name not in self.not_off and not self._is_surely_off(i)
+        )
+        self.held.note_end(self.held_at_end)
+        self._powered |= dict.fromkeys(self.held_at_end, DriveState.QUICK_STOP_ACTIVE)
         self._stopped = True
+
+    def _is_surely_off(self, axis: int) -> bool:
+        """By its last TPDO; where that did not come, it is asked."""
+        sample = self._cycle.sample
+        state = state_of(sample.status[axis]) if sample.fresh[axis] else self._drives[axis].quiet_state()
+        return state is not None and not is_energised(state)
 
     def states(self) -> dict[str, DriveState]:
         """The last state heard of each drive."""
@@ -269,7 +375,7 @@ class Cia402Cell:
         return complaints
 
     def _restore(self, complaints: list[str]) -> None:
-        left = self._left_protected(complaints)
+        left = self._left_protected(complaints) | set(self._powered)
         for drive in self._drives:
             if drive.name not in left:
                 self._link.nmt(NMT_PRE_OPERATIONAL, drive.node_id)
@@ -284,14 +390,11 @@ class Cia402Cell:
 
     def _left_protected(self, complaints: list[str]) -> set[str]:
         """Axes that keep their heartbeat watch and limits until the next start, because they may be on."""
-        for name in self.held_at_end:
-            complaints.append(
-                f"axis {name} is held by its drive in quick stop active; its objects are restored at the "
-                "next start. Set the brake before switching it off"
-            )
+        complaints += self.endings
         for name in self.not_off:
             complaints.append(
                 f"axis {name} was not seen to switch off; its objects, its heartbeat watch among them, stay "
                 "as they are until the next start"
             )
-        return {*self.held_at_end, *self.not_off}
+        suspects = {h.config.name for h in self.holdings if h.seen.suspect}
+        return {*self.held_at_end, *self.not_off, *suspects}

@@ -18,7 +18,8 @@ from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402 import states
 from invid_drivers.cia402.jitter import Jitter
 from invid_drivers.cia402.link import Link
-from invid_drivers.cia402.mode_change import EVERY_CYCLES, ModeChange, upload
+from invid_drivers.cia402.mode_change import EVERY_CYCLES, ModeChange, SettingWrite, upload
+from invid_drivers.cia402.objects import Object
 from invid_drivers.cia402.states import OperationMode
 from invid_drivers.cia402.units import wrapped_difference
 
@@ -85,7 +86,9 @@ class Cycle:
         self._next_listen = -math.inf
         self._answered_s = 0.5 * self._cycle
         self._mode_asked = 0
-        self._changes: dict[int, ModeChange] = {}
+        self._changes: dict[int, ModeChange | SettingWrite] = {}
+        self.leaving = False
+        """On the way out nobody changes modes."""
         self._changes_asked = 0
         self._counts = [0] * count
         self._next_mode_poll = 0.0
@@ -110,6 +113,11 @@ class Cycle:
         self.modes[axis] = Mode.TORQUE
         held = mode is Mode.HOLD
         self._changes[axis] = ModeChange(operation, self._link.clock.now(), held=held)
+
+    def set_object(self, axis: int, what: Object, value: int) -> SettingWrite:
+        """Write an object of a drive in the cycles to come, while ``changing``."""
+        write = self._changes[axis] = SettingWrite(what, value)
+        return write
 
     def restart_slots(self) -> None:
         """The next SYNC is at the next whole slot from now: SDO traffic took time of its own."""
@@ -325,9 +333,9 @@ class Cycle:
         """What came of the changes of mode, and the next request of one of them."""
         for axis, change in list(self._changes.items()):
             why = change.failure(now)
-            if self.control[axis] != states.ENABLE_OPERATION:
-                del self._changes[axis]  # on the way out nobody changes modes
-            elif why is not None:
+            if self.leaving and change.operation is not None:
+                del self._changes[axis]
+            elif why is not None and change.operation is not None:
                 del self._changes[axis]
                 name = self._config.axes[axis].name
                 mode = change.operation.name.lower()
@@ -335,6 +343,8 @@ class Cycle:
                 self._link.events.append(Event(Severity.DRIVE, text, name))
             elif change.done:
                 del self._changes[axis]
+                if change.operation is None:
+                    continue
                 self.operation[axis] = change.operation
                 held = change.operation is OperationMode.CYCLIC_POSITION
                 self.modes[axis] = Mode.HOLD if held else Mode.TORQUE

@@ -34,6 +34,35 @@ def upload(what: Object) -> bytes:
     return struct.pack("<BHB", 0x40, what.index, what.sub).ljust(8, b"\0")
 
 
+class SettingWrite:
+    """One object written in the cycle; a drive that refuses keeps what it has."""
+
+    operation: OperationMode | None = None
+
+    def __init__(self, what: Object, value: int) -> None:
+        self._what, self._value = what, value
+        self.done = False
+        self.refused: str | None = None
+        """What the drive refused."""
+
+    def request(self, now: float, counts: int) -> bytes | None:
+        """The request, until it is answered."""
+        return None if self.done else download(self._what, self._value)
+
+    def answered(self, data: bytes, now: float) -> None:
+        """An SDO answer of the drive."""
+        named = len(data) == 8 and data[1:4] == struct.pack("<HB", self._what.index, self._what.sub)
+        if len(data) == 8 and data[0] == 0x80 and (named or not any(data[1:4])):
+            self.refused = f"SDO abort 0x{int.from_bytes(data[4:8], 'little'):08X}"
+            self.done = True
+        elif named and data[0] & 0xE0 == 0x60:
+            self.done = True
+
+    def failure(self, now: float) -> str | None:
+        """Nothing depends on it."""
+        return None
+
+
 class ModeChange:
     """One axis on its way: its place as target where it is to be held, 0x6060, then 0x6061 until it shows."""
 

@@ -28,6 +28,10 @@ DRIVE_MARGIN = 1.25
 tell a runaway, acts first, and the drive where the master does not."""
 FOLLOWING_MS = 10
 """A following error outside its window is a fault after so long."""
+STAYING = frozenset({5, 6, 7, 8})
+"""0x605A: the drive stops and stays in quick stop active (CiA 402-2)."""
+STAY, SWITCH_OFF = 6, 2
+"""On the quick stop's ramp, then stay, or switch off."""
 READ_ONLY = frozenset({0x06010000, 0x06010002, 0x08000020, 0x08000021})
 """SDO aborts that mean that an object is not to be written at all, whatever the value."""
 WATCHED = {
@@ -48,6 +52,10 @@ class Protection:
         self._beat_ms = max(1, round(heartbeat_s * 1000))
         self._watch_ms = 3 * self._beat_ms
         """One lost heartbeat and one late one do not stop the cell."""
+        self.quick_stop_option = SWITCH_OFF
+        """What 0x605A is to be."""
+        self.torque_lowered: tuple[int, int] | None = None
+        """0x6072 as written and as found, where it was lowered."""
         self.notes: tuple[str, ...] = ()
         """What turned out when it was written, in words."""
 
@@ -141,8 +149,14 @@ class Protection:
                 f"position limits (0x607D: {low} to {high}); move it inside, or correct 0x607D with the "
                 "drive's tool"
             )
-        value = left * scaling.position_per_count
-        return [Limit(value, f"0x607D of the drive: {low} to {high}, the axis stands at {here}")]
+        value = left * scaling.position_per_count / DRIVE_MARGIN
+        return [
+            Limit(
+                value,
+                f"0x607D of the drive: {low} to {high}, the axis stands at {here}; a fifth is left to the "
+                "drive, which would fault at its edge",
+            )
+        ]
 
     def _velocity_limits(self, scaling: Scaling) -> list[Limit]:
         drive = self._drive
@@ -271,29 +285,43 @@ class Protection:
 
     def write(self, scaling: Scaling, limits: EffectiveLimits) -> None:
         """Never less than the drive has; what turned out not to be writable is in ``notes``."""
-        drive, config = self._drive, self._drive.config
+        drive = self._drive
         self.notes = ()
         entry = None if drive.find(od.CONSUMER_HEARTBEAT) is None else self._heartbeat_entry()
         if entry is not None:
             drive.write(entry[0], tighter_watch(entry[1], MASTER_ID, self._watch_ms))
-        stays = config.gravity_loaded and config.brake == "none"
         for what, wanted in (
             (od.PRODUCER_HEARTBEAT, self._beat_ms),
             (od.ABORT_CONNECTION, 3),  # quick stop
-            (od.QUICK_STOP_OPTION, 6 if stays else 2),  # stop on the ramp, then stay or switch off
         ):
             found = drive.find(what)
             if found is not None:
                 drive.write(what, tighter(what, found, wanted))
+        self._write_quick_stop_option()
         for what, found, wanted in self._wanted(scaling, limits):
             if found == wanted:
                 continue  # tight enough, read-only or not
             try:
                 drive.write(what, wanted)
+                if what is od.MAX_TORQUE and wanted < found:
+                    self.torque_lowered = wanted, found
             except DriveError as error:
                 if "cannot be written" not in str(error):
                     raise
                 self.notes += (f"axis {drive.name}: {_only_the_master(what, found, wanted)}",)
+
+    def _write_quick_stop_option(self) -> None:
+        """Stop on the ramp, then stay or switch off; another way to stay does as well."""
+        drive, what, wanted = self._drive, od.QUICK_STOP_OPTION, self.quick_stop_option
+        found = drive.find(what)
+        if found is None or (wanted == STAY and found in STAYING):
+            return
+        try:
+            drive.write(what, wanted)
+        except DriveError as error:
+            if "cannot be written" not in str(error) or wanted == STAY:
+                raise
+            self.notes += (f"axis {drive.name}: {what.address} is {found} and cannot be written",)
 
 
 def _only_the_master(what: Object, found: int, wanted: int) -> str:

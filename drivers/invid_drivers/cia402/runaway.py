@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from invid.config import CellConfig
 from invid.sweep.ports import Sample
 
@@ -9,16 +11,16 @@ RUNAWAY_GROWTH, RUNAWAY_SHARE = 1.2, 0.02
 """A quick stop only slows down. Above 1.2 times the speed at its start, and 2 % of the limit for the
 noise of single counts, it does the opposite (empirical)."""
 LOADED_RUNAWAYS = 5
-"""A gravity-loaded axis without brake is cut off only after five samples in a row of growing speed."""
+"""An axis that its drive must hold is cut off only after five samples in a row of growing speed."""
 
 
 class RunawayGuard:
     """Compares the speed during a quick stop with the speed at its start."""
 
-    def __init__(self, config: CellConfig) -> None:
+    def __init__(self, config: CellConfig, held: Sequence[bool]) -> None:
         self._least = [RUNAWAY_SHARE * a.limits.velocity for a in config.axes]
         # A loaded axis without brake falls when it is let go: only a certain runaway is worse.
-        self._needed = [LOADED_RUNAWAYS if a.gravity_loaded and a.brake == "none" else 1 for a in config.axes]
+        self._needed = [LOADED_RUNAWAYS if stays else 1 for stays in held]
         count = len(config.axes)
         self._before: list[tuple[float, float] | None] = [None] * count
         self._entry = [-1.0] * count

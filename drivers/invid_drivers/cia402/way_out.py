@@ -38,25 +38,24 @@ class WayOut:
         drives: Sequence[Drive],
         cycle: Cycle,
         exchange: Callable[[Sequence[float]], Sample],
+        stays: Sequence[bool],
     ) -> None:
+        """``stays``: axes that their drives go on holding in quick stop active."""
         self._config = config
         self._link = link
         self._drives = drives
         self._cycle = cycle
         self._exchange = exchange
+        self._stays = tuple(stays)
         self._given_up: set[int] = set()
-
-    @property
-    def held_at_end(self) -> tuple[str, ...]:
-        """Gravity-loaded axes that their drives hold in quick stop active."""
-        return tuple(d.name for i, d in enumerate(self._drives) if not self._may_disable(i))
 
     def take(self) -> tuple[str, ...]:
         """Quick stop, disable voltage, NMT stop; the axes that were not seen to switch off. Never raises."""
         began = self._link.clock.now()
+        self._cycle.leaving = True
         with contextlib.suppress(Exception):
             self._cycle.control[:] = [states.QUICK_STOP] * len(self._drives)
-            guard = RunawayGuard(self._config)
+            guard = RunawayGuard(self._config, self._stays)
             self._drive_to(QUICK_STOP_S, lambda s: self._cut_runaways(guard, s) or self._at_rest(s))
         for i in range(len(self._drives)):
             if self._may_disable(i):
@@ -110,9 +109,8 @@ class WayOut:
         return state is not None
 
     def _may_disable(self, axis: int) -> bool:
-        """A gravity-loaded axis without a brake stays in quick stop active, which holds it."""
-        config = self._drives[axis].config
-        return not config.gravity_loaded or config.brake == "drive"
+        """An axis that would fall without torque stays in quick stop active, which holds it."""
+        return not self._stays[axis]
 
     def _cut_runaways(self, guard: RunawayGuard, sample: Sample) -> bool:
         """An axis that a quick stop makes faster has a wrong sign somewhere: only cutting it off helps."""

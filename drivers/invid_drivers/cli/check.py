@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +11,7 @@ import typer
 
 from invid.cli.output import EXIT_OK, emit
 from invid.config import CellConfig, load_config
+from invid.errors import DriveError, InputError
 from invid.planning import Plan, make_plan
 from invid.planning.hold_laws import master_hold
 from invid_drivers.cia402.limits import tighten, tightened_limits
@@ -19,8 +22,10 @@ from invid_drivers.round_trip import probe, require
 from invid_drivers.timing import timing_of
 
 
-def preflight(config: CellConfig) -> tuple[Plan, dict[str, Any]]:
+def preflight(config: CellConfig, cleared: Sequence[str] = ()) -> tuple[Plan, dict[str, Any]]:
     """Config, holds, plan, bus budget, every drive's capabilities, safety objects and limits.
+
+    ``cleared``: axes at which an earlier run ended and of which a person has found the cause.
 
     Raises
     ------
@@ -33,10 +38,12 @@ def preflight(config: CellConfig) -> tuple[Plan, dict[str, Any]]:
     plan = make_plan(config)  # refused before a bus is opened
     cell = connect(config)
     try:
+        cell.clear(cleared)
         reports = cell.check()
         found = None if is_virtual(config) else probe(cell.link, config, plan)
     finally:
         complaints = cell.close()
+    reasons = cell.not_ready
     tighter = tighten(config, reports)
     plan = plan_within(config, tighter, reports)
     warnings = [*plan.warnings, *complaints, *cell.notes, *tightened_limits(config, reports)]
@@ -49,7 +56,9 @@ def preflight(config: CellConfig) -> tuple[Plan, dict[str, Any]]:
     return plan, {
         "robot": config.robot,
         "simulated": config.simulated,
-        "ready": True,
+        "ready": not reasons,
+        "reasons": [asdict(r) for r in reasons],
+        "holding": [h.to_json() for h in cell.holdings],
         "bus": {
             "interface": config.bus.interface,
             "channel": config.bus.channel,
@@ -79,8 +88,9 @@ def preflight(config: CellConfig) -> tuple[Plan, dict[str, Any]]:
 
 def _text(config: CellConfig, plan: Plan, document: dict[str, Any]) -> str:
     bus = document["bus"]
+    ready = "ready" if document["ready"] else "NOT READY"
     lines = [
-        f"{config.robot}: ready. Bus {bus['interface']} {bus['channel']}, load {bus['load']:.0%} of "
+        f"{config.robot}: {ready}. Bus {bus['interface']} {bus['channel']}, load {bus['load']:.0%} of "
         f"{bus['max_load']:.0%}; frequencies up to {bus['highest_trustworthy_Hz']:.0f} Hz can be trusted"
     ]
     if bus["round_trip"] is not None:
@@ -99,6 +109,7 @@ def _text(config: CellConfig, plan: Plan, document: dict[str, Any]) -> str:
         )
         lines += [f"    {what} limited by {source}" for what, source in limit["sources"].items()]
         lines += [f"    lacks {what}" for what in drive["lacks"]]
+    lines += [f"  not ready: {r['text']}; {r['fix']}" for r in document["reasons"]]
     lines.append(plan_text(plan, "plan"))
     lines += [f"  note: {w}" for w in document["warnings"] if w not in plan.warnings]
     return "\n".join(lines)
@@ -110,10 +121,19 @@ def register(app: typer.Typer) -> None:
     @app.command()
     def check(
         config: Path = typer.Argument(..., help="The cell's config."),
+        cleared: str | None = typer.Option(
+            None,
+            "--cleared",
+            help="Loaded axes, as A1,A2, at which a run ended and whose cause has been found.",
+        ),
         as_json: bool = typer.Option(False, "--json", help="One JSON document on stdout."),
     ) -> int:
         """Preflight: config, bus budget, drives, safety objects, limits; moves nothing."""
         cell = load_config(config)
-        plan, document = preflight(cell)
+        names = [a.strip() for a in (cleared or "").split(",") if a.strip()]
+        unknown = [n for n in names if n not in {a.name for a in cell.axes}]
+        if unknown:
+            raise InputError(f"--cleared names {unknown[0]!r}; the axes are {[a.name for a in cell.axes]}")
+        plan, document = preflight(cell, names)
         emit(document, _text(cell, plan, document), as_json=as_json)
-        return EXIT_OK
+        return EXIT_OK if document["ready"] else DriveError.exit_code

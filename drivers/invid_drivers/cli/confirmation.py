@@ -7,6 +7,9 @@ import sys
 from invid.cli.output import note
 from invid.config import CellConfig
 from invid.errors import InputError
+from invid_drivers.cia402.hold_memory import HoldMemory
+from invid_drivers.cia402.holding import to_support
+from invid_drivers.cia402.journal import journal_path
 
 WORDS = "the emergency stop is within reach and nobody is within reach of the axes"
 
@@ -22,9 +25,18 @@ def confirm(cell: CellConfig, *, confirmed: bool) -> None:
     InputError
         The answer was not yes.
     """
-    if cell.simulated or confirmed:
+    if cell.simulated:
         return
     axes = ", ".join(a.name for a in cell.axes)
+    tried = to_support(cell, HoldMemory.beside(journal_path(cell.bus.interface, cell.bus.channel)))
+    if tried:
+        note(
+            f"{cell.robot}: how {', '.join(tried)} is held after a stop was not seen yet; where it carries a "
+            "load, that is tried first, at rest. Support it so that it cannot fall far and still hangs on "
+            "its drive"
+        )
+    if confirmed:
+        return
     if sys.stdin is None or not sys.stdin.isatty():
         note(
             f"{cell.robot} will move: {axes}. Nobody could be asked (no terminal): whoever started this "

@@ -127,7 +127,7 @@ def first_config(
         if node.rated_torque <= 0:
             lines.append("    rated_torque_Nm: 1      # the drive's 0x6076 is missing or 0: set it")
         lines += [
-            "    gravity_loaded: true    # set to false only where zero torque does not let it fall",
+            "    gravity_loaded: unknown # does it fall without torque? true or false; unknown is as true",
             "    limits:                 # a tenth of rated torque, three degrees: raise with care",
             f"      torque_Nm: {torque}",
             "      position_window_rad: 0.05",

@@ -131,6 +131,8 @@ def result_text(result: MeasurementResult) -> str:
         lines.append(f"  skipped SYNC slots: {result.skipped_slots}")
     if result.jitter_us:
         lines.append("  SYNC late by " + ", ".join(f"{k} {v:.0f} µs" for k, v in result.jitter_us.items()))
+    if result.energised:
+        lines.append(f"  energised, held by their drives: {', '.join(result.energised)}; see the notes")
     lines += [f"  note: {w}" for w in result.warnings]
     return "\n".join(lines)
 

@@ -86,6 +86,10 @@ class ReplayCell:
         self._row = 0
         self.energised = True
 
+    def secure(self, loaded: Sequence[bool]) -> bool:
+        """Nothing falls."""
+        return False
+
     def set_modes(self, modes: Sequence[Mode]) -> None:
         """What was held is in the recording."""
 

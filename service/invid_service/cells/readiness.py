@@ -10,6 +10,7 @@ from pydantic import BaseModel
 
 from invid.config import CellConfig
 from invid.planning.subset import axes_left_out, subset_sentence
+from invid_drivers.cia402.holding import Reason as CellReason
 from invid_service.jobs.live import LiveRun
 
 
@@ -24,6 +25,8 @@ class Reason(BaseModel):
         "no_model",
         "shutting_down",
         "axes_left_out",
+        "axis_energised",
+        "axis_suspect",
     ]
     text: str
     fix: str
@@ -52,6 +55,8 @@ class Situation:
     """The mode asked for; ``None``: whether any measurement could start."""
     axes: tuple[str, ...] | None = None
     """The axes to shake; ``None``: all."""
+    drives: tuple[CellReason, ...] = ()
+    """What ``invid check`` has against the drives."""
 
 
 def readiness(s: Situation) -> Readiness:
@@ -109,6 +114,8 @@ def readiness(s: Situation) -> Readiness:
                 fix="identify the cell in mode full and accept the result first",
             )
         )
+    if s.mode != "simulate":
+        reasons += [Reason(code=d.code, text=d.text, fix=d.fix) for d in s.drives]
     left_out = axes_left_out(s.config, s.axes)
     if left_out:
         reasons.append(

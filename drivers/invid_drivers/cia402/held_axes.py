@@ -1,0 +1,153 @@
+"""The axes of a cell and what holds them: before the drives are enabled, at rest, and after the stop."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from invid.errors import BusError, SafetyStop
+from invid.sweep.ports import Sample
+from invid_drivers.cia402 import objects as od
+from invid_drivers.cia402.axis import Drive, DriveReport
+from invid_drivers.cia402.cycle import Cycle
+from invid_drivers.cia402.hold_memory import HoldMemory, identity
+from invid_drivers.cia402.holding import (
+    AxisHolding,
+    Reason,
+    energised_reason,
+    found_holding,
+    require_holdable,
+    settle,
+    suspect_reason,
+)
+from invid_drivers.cia402.journal import Entry, Journal
+from invid_drivers.cia402.protection import STAY, SWITCH_OFF
+from invid_drivers.cia402.states import DriveState, is_energised, state_of
+
+DEAD_PERMILLE = 5
+"""A drive without voltage shows at most half a per cent of rated torque, the noise of current sensing."""
+
+
+class HeldAxes:
+    """What is known of every axis of one cell."""
+
+    def __init__(self, drives: Sequence[Drive], journal: Journal) -> None:
+        self._drives, self._journal = drives, journal
+        self.memory = HoldMemory.beside(journal.path)
+        """What was seen of how each drive holds its axis."""
+        self.holdings: list[AxisHolding] = []
+
+    def find(self, reports: Sequence[DriveReport], powered: Mapping[str, DriveState]) -> None:
+        """Ask each drive; DriveError where nothing would hold an axis that is or may be loaded.
+
+        ``powered``: states of drives that were not sent anything.
+        """
+        self.holdings = []
+        for drive, report in zip(self._drives, reports, strict=True):
+            state = powered.get(drive.name, DriveState.SWITCH_ON_DISABLED)
+            name = identity(report.vendor_id, report.product_code, report.serial)
+            holding = found_holding(drive, state, self.memory, name)
+            if not holding.is_left_alone:
+                if holding.seen.left_held:
+                    holding.note(self.memory, left_held=False)
+                require_holdable(drive, holding)
+            self.holdings.append(holding)
+
+    @property
+    def not_ready(self) -> tuple[Reason, ...]:
+        """Axes that are energised though nobody measures, or at which the last run ended; empty: none."""
+        powered = (
+            energised_reason(h.config.name, h.config.node_id, h.state, h.seen.resumes)
+            for h in self.holdings
+            if is_energised(h.state)
+        )
+        suspects = (
+            suspect_reason(h.config.name, h.config.node_id, h.seen.suspect)
+            for h in self.holdings
+            if h.seen.suspect
+        )
+        return (*suspects, *powered)
+
+    def clear(self, names: Sequence[str]) -> None:
+        """A person has found the cause: these axes may be enabled again."""
+        nodes = {d.node_id for d in self._drives if d.name in names}
+        for name, seen in list(self.memory.seen.items()):
+            if seen.node_id in nodes and seen.suspect:
+                self.memory.keep(name, replace(seen, suspect=""))
+
+    def suspect(self, why: str) -> None:
+        """A run ended for a reason that names axes: remembered where any axis carries a load.
+
+        What moves an axis that carries nothing moves the loaded ones that are coupled to it.
+        """
+        if not any(h.loaded for h in self.holdings):
+            return
+        for h in self.holdings:
+            if re.search(rf"(?<!\w){re.escape(h.config.name)}(?!\w)", why):
+                with contextlib.suppress(BusError):  # the error that is on its way says more
+                    h.note(self.memory, suspect=why.partition(";")[0][:200])
+
+    # --- at rest -------------------------------------------------------------------------------
+    def settle(self, loaded: Sequence[bool]) -> None:
+        """What the torque at rest said; DriveError where nothing will hold an axis that is loaded."""
+        settle(self.holdings, loaded, self.memory)
+        for drive, holding in zip(self._drives, self.holdings, strict=True):
+            if holding.loaded and holding.stays and not holding.can_stay:
+                require_holdable(drive, holding)
+
+    def refuse_dead_displays(
+        self, sample: Sample, off: Mapping[int, float], reports: Sequence[DriveReport]
+    ) -> None:
+        """SafetyStop where a load cannot be weighed: 0x6077 is the same with and without voltage."""
+        for i, (h, report) in enumerate(zip(self.holdings, reports, strict=True)):
+            shown, unit = off.get(i, 0.0), abs(report.scaling.torque(1))
+            if h.loaded and abs(shown) > DEAD_PERMILLE * unit and sample.torque[i] == shown:
+                raise SafetyStop(
+                    f"axis {h.config.name}: 0x6077 showed {shown / unit:.0f} ‰ of rated torque before the "
+                    "drive was switched on and shows it while it holds a load: it is not its torque"
+                )
+
+    def set_options(self, cycle: Cycle) -> None:
+        """0x605A as what each axis carries asks for; written between two SYNCs."""
+        what = od.QUICK_STOP_OPTION
+        for i, (drive, holding) in enumerate(zip(self._drives, self.holdings, strict=True)):
+            wanted = STAY if holding.stays or holding.needs_brake_test else SWITCH_OFF
+            before = drive.protection.quick_stop_option
+            if before == wanted or not holding.can_stay or not holding.option_writable:
+                continue
+            drive.protection.quick_stop_option = wanted
+            pack = (what.pack(before).hex(), what.pack(wanted).hex())
+            self._journal.add(Entry(drive.node_id, drive.serial, what.index, what.sub, *pack))
+            cycle.set_object(i, what, wanted)
+
+    # --- after the stop ------------------------------------------------------------------------
+    def note_end(self, held: Sequence[str]) -> None:
+        """Remember which axes their drives hold."""
+        for h in self.holdings:
+            is_held = h.config.name in held
+            if is_held or h.seen.left_held:
+                with contextlib.suppress(BusError):
+                    h.note(self.memory, left_held=is_held)
+            if is_held:
+                h.state, h.taken_over = DriveState.QUICK_STOP_ACTIVE, True
+
+    def endings(self, held: Sequence[str], not_off: Sequence[str], sample: Sample) -> tuple[str, ...]:
+        """Axes energised after the stop, by what, and what to do; and loaded ones without torque."""
+        said = [
+            f"axis {name} is energised: it is held by its drive in quick stop active, with its limits and "
+            "its heartbeat watch, which are restored when it is off. To have it off, support its load or set "
+            "its brake, then take the drive's enable or supply away and run `invid check`; the next "
+            "measurement takes it over as it is"
+            for name in held
+        ]
+        for i, h in enumerate(self.holdings):
+            state = state_of(sample.status[i])
+            falls = h.loaded and h.stays and h.config.name not in (*held, *not_off)
+            if falls and sample.fresh[i] and not is_energised(state):
+                said.append(
+                    f"axis {h.config.name} carries a load and is without torque ({state.words}): its drive "
+                    "does not hold it any more. Support it before anybody goes near"
+                )
+        return tuple(said)

@@ -1,0 +1,276 @@
+"""How each axis of a cell is held when nobody commands it: by its drive, by its brake, or not at all.
+
+An axis of which it is not known whether it carries a load counts as loaded until the torque that holds it at
+rest has told.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal
+
+from invid.config import AxisConfig, CellConfig
+from invid.errors import DriveError
+from invid_drivers.cia402 import objects as od
+from invid_drivers.cia402.access import Access
+from invid_drivers.cia402.axis import Drive
+from invid_drivers.cia402.hold_memory import HoldMemory, Seen
+from invid_drivers.cia402.link import SdoAbortedError, SdoError
+from invid_drivers.cia402.protection import READ_ONLY, STAY, STAYING, SWITCH_OFF
+from invid_drivers.cia402.states import DriveState, is_energised
+
+DROP_SHARE = 0.02
+"""Of the window: a brake that lets an axis fall further is too late to hold it."""
+
+
+@dataclass
+class AxisHolding:
+    """One axis: what is stated, what was found, what was seen."""
+
+    config: AxisConfig
+    identity: str
+    seen: Seen
+    state: DriveState
+    option: int | None
+    """0x605A as found; ``None``: the drive has none."""
+    option_writable: bool
+    watched: bool = True
+    """The drive notices that its master is gone (0x1016)."""
+
+    def __post_init__(self) -> None:
+        self.taken_over = self.state is DriveState.QUICK_STOP_ACTIVE
+        """Held by its drive since an earlier run: never let go before it is known what it carries."""
+        self.loaded = self.config.gravity_loaded
+        """``None``: not known yet."""
+        if self.seen.loaded:
+            self.loaded = True
+        elif self.taken_over and self.loaded is False:
+            self.loaded = None  # somebody left it held: the statement may be wrong
+
+    @property
+    def can_stay(self) -> bool:
+        """Whether 0x605A can have a value with which the drive stays in quick stop active."""
+        return self.option is not None and (self.option_writable or self.option in STAYING)
+
+    @property
+    def brake_in_time(self) -> bool | None:
+        """``None``: there is none, or nobody has measured it."""
+        if self.config.brake != "drive" or self.seen.brake_drop is None:
+            return None
+        return self.seen.brake_drop <= self.most_drop
+
+    @property
+    def most_drop(self) -> float:
+        """How far the axis may fall until its brake holds it [rad or m]."""
+        return DROP_SHARE * self.config.limits.position
+
+    @property
+    def stays(self) -> bool:
+        """Whether the drive must go on holding it when the master lets go."""
+        if self.taken_over:
+            return True
+        if self.loaded is False:
+            return False
+        return self.config.brake != "drive" or self.brake_in_time is False
+
+    @property
+    def first_option(self) -> int:
+        """0x605A before the axis is weighed: its drive may have to hold it, unless a brake surely does."""
+        sure = self.loaded is False or self.brake_in_time is True
+        return SWITCH_OFF if sure or not self.can_stay else STAY
+
+    @property
+    def needs_brake_test(self) -> bool:
+        """A loaded axis whose brake was never measured."""
+        return bool(self.loaded) and self.config.brake == "drive" and self.seen.brake_drop is None
+
+    @property
+    def needs_stop_test(self) -> bool:
+        """A loaded axis that its drive must hold and was not seen to hold."""
+        return bool(self.loaded) and self.stays and self.seen.holds is not True
+
+    def note(self, memory: HoldMemory, **seen: bool | float | str) -> None:
+        """Remember what was seen."""
+        self.seen = replace(self.seen, **seen)  # type: ignore[arg-type]
+        memory.keep(self.identity, self.seen)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        return {
+            "axis": self.config.name,
+            "loaded": self.loaded,
+            "state": self.state.words,
+            "held_by": self.held_by,
+            "seen": asdict(self.seen),
+        }
+
+    @property
+    def held_by(self) -> str:
+        """ "nothing needed", "drive", "brake", or "not known"."""
+        if self.loaded is False:
+            return "nothing needed"
+        if self.brake_in_time:
+            return "brake"
+        return "drive" if self.stays and self.seen.holds else "not known"
+
+    @property
+    def is_left_alone(self) -> bool:
+        """Under power, or perhaps: what it shows may not be believed. Nothing is sent to it."""
+        return is_energised(self.state) or bool(self.seen.suspect)
+
+    def said(self, who: str) -> str:
+        """How it is held, for ``check``; empty where it carries nothing."""
+        if self.loaded is False:
+            return ""
+        carries = (
+            f"{who}: carries a load" if self.loaded else f"{who}: whether it carries a load is not known"
+        )
+        if self.brake_in_time:
+            return (
+                f"{carries}; its brake holds it (it closes within {self.seen.brake_s:.2g} s, seen to let it "
+                f"move {self.seen.brake_drop:.2g})"
+            )
+        late = ", for its brake was seen to close too late" if self.brake_in_time is False else ""
+        if self.seen.holds:
+            return (
+                f"{carries}; its drive holds it after a quick stop and without its master (seen){late}. "
+                "After a fault of the drive itself nothing holds it"
+            )
+        what = "brake" if self.config.brake == "drive" and not late else "quick stop"
+        return (
+            f"{carries}, and its {what} was not seen to hold it{late}: the next measurement tries that at "
+            "rest first"
+            + ("" if self.loaded else ", if it is loaded")
+            + ". Support it so that it cannot fall far"
+        )
+
+
+def found_holding(drive: Drive, state: DriveState, memory: HoldMemory, identity: str) -> AxisHolding:
+    """What stands in the drive and in the memory; writes nothing under power."""
+    option = drive.find(od.QUICK_STOP_OPTION)
+    writable = option is not None and (
+        is_energised(state) or drive.left_alone or option in STAYING or _writable(drive, option)
+    )
+    return AxisHolding(
+        drive.config,
+        identity,
+        memory.of(identity, drive.node_id),
+        state,
+        option,
+        writable,
+        drive.find(od.CONSUMER_HEARTBEAT) is not None,
+    )
+
+
+def _writable(drive: Access, option: int) -> bool:
+    """By writing what stands there."""
+    declared = None if drive.declared is None else drive.declared.find(od.QUICK_STOP_OPTION.index, 0)
+    if declared is not None and declared.access in ("ro", "const"):
+        return False
+    try:
+        what = od.QUICK_STOP_OPTION
+        drive.link.sdo(drive.node_id).download(what.index, what.sub, what.pack(option))
+    except SdoAbortedError as error:
+        return int(error.code) not in READ_ONLY
+    except SdoError as error:
+        raise drive.silence(od.QUICK_STOP_OPTION, error) from None
+    return True
+
+
+def require_holdable(drive: Access, holding: AxisHolding) -> None:
+    """DriveError where nothing would hold an axis that is or may be loaded."""
+    h = holding
+    if h.loaded is False or h.can_stay or (h.config.brake == "drive" and h.brake_in_time is not False):
+        return
+    why = "it has no 0x605A" if h.option is None else f"its 0x605A is {h.option} and cannot be written"
+    load = "loaded" if h.loaded else "perhaps loaded (gravity_loaded is not stated)"
+    late = "; its brake was seen to close too late" if h.brake_in_time is False else ""
+    way_out = "use a drive that can, give the axis a brake that its drive closes (brake: drive), or unload it"
+    if not h.loaded:
+        way_out = f"where it does not fall without torque, set gravity_loaded: false; else {way_out}"
+    raise DriveError(
+        f"{drive.who}: {load}, and it is not known that its drive holds it after a quick stop or without its "
+        f"master: {why}{late}. It would fall; {way_out}"
+    )
+
+
+@dataclass(frozen=True)
+class Reason:
+    """Why a cell is not ready: a stable code, a sentence, the way out."""
+
+    code: Literal["axis_energised", "axis_suspect"]
+    text: str
+    fix: str
+
+
+def energised_reason(name: str, node_id: int, state: DriveState, resumes: bool | None) -> Reason:
+    """An axis that is under power before anybody asked for it."""
+    if state is DriveState.QUICK_STOP_ACTIVE:
+        then = (
+            "its drive does not go back to operation from there (transition 16)"
+            if resumes is False
+            else "`invid measure` takes it over without letting go"
+        )
+        return Reason(
+            "axis_energised",
+            f"axis {name} (node {node_id}) is energised: its drive holds it in {state.words}; {then}",
+            "to have it off, support its load or set its brake, then take the drive's enable or supply away "
+            "and run `invid check`",
+        )
+    return Reason(
+        "axis_energised",
+        f"axis {name} (node {node_id}) is energised: its drive is in {state.words}, and not by this program",
+        "end the program that drives it; or support its load, take the drive's enable or supply away, and "
+        "run `invid check`",
+    )
+
+
+def suspect_reason(name: str, node_id: int, why: str) -> Reason:
+    """An axis of a cell with a load, at which the last run ended."""
+    return Reason(
+        "axis_suspect",
+        f"the last run ended at axis {name} (node {node_id}), beside a load or under one ({why}): what was "
+        "wrong may still be, and enabling it may drop the load",
+        f"find the cause; then `invid check --cleared {name}`",
+    )
+
+
+def remembered(config: CellConfig, memory: HoldMemory) -> tuple[Reason, ...]:
+    """What the memory alone says: axes left energised and not seen off since; axes under suspicion."""
+    found = []
+    for axis in config.axes:
+        seen = memory.of_node(axis.node_id)
+        if seen is not None and seen.suspect:
+            found.append(suspect_reason(axis.name, axis.node_id, seen.suspect))
+        if seen is not None and seen.left_held:
+            found.append(
+                energised_reason(axis.name, axis.node_id, DriveState.QUICK_STOP_ACTIVE, seen.resumes)
+            )
+    return tuple(found)
+
+
+def to_support(config: CellConfig, memory: HoldMemory) -> tuple[str, ...]:
+    """Axes whose hold the next measurement tries: their loads must not be able to fall far."""
+    names = []
+    for axis in config.axes:
+        seen = memory.of_node(axis.node_id) or Seen(axis.node_id)
+        if axis.gravity_loaded is False and not seen.loaded:
+            continue
+        tried = seen.brake_drop is not None if axis.brake == "drive" else seen.holds is True
+        if not tried or (axis.brake == "drive" and _late(axis, seen) and not seen.holds):
+            names.append(axis.name)
+    return tuple(names)
+
+
+def _late(axis: AxisConfig, seen: Seen) -> bool:
+    return seen.brake_drop is not None and seen.brake_drop > DROP_SHARE * axis.limits.position
+
+
+def settle(holdings: Sequence[AxisHolding], loaded: Sequence[bool], memory: HoldMemory) -> None:
+    """What the torque at rest said: from now on it is known which axes are loaded."""
+    for h, carries in zip(holdings, loaded, strict=True):
+        h.loaded = bool(carries)
+        h.taken_over = False
+        if carries or h.seen.loaded:
+            h.note(memory, loaded=bool(carries))

@@ -1,0 +1,244 @@
+"""The stop test: at rest, load supported, each loaded axis is stopped as it may be later, and watched.
+
+A brake is tried by taking the voltage away; a drive that must hold by itself, by a quick stop, by silence of
+the master in quick stop active, by transition 16 back to operation, and by silence in operation. SYNC goes on
+but in the silences, which are a master that has died.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from invid.config import CellConfig
+from invid.errors import SafetyStop
+from invid.sweep.ports import Mode, Sample, Severity
+from invid_drivers.cia402 import states
+from invid_drivers.cia402.axis import Drive
+from invid_drivers.cia402.cycle import Cycle
+from invid_drivers.cia402.hold_memory import HoldMemory
+from invid_drivers.cia402.holding import AxisHolding
+from invid_drivers.cia402.link import NMT_START, Link
+from invid_drivers.cia402.states import DriveState, OperationMode, state_of
+
+HOLD_S = 0.4
+"""Watched after a quick stop: longer than the ramp from rest, and than a drive takes to switch itself off."""
+REST_S, BRAKE_S = 0.3, 2.0
+"""A brake has closed when the axis has stood for so long; longest time for it."""
+RESUME_S = 3.0
+"""Longest way back to operation enabled."""
+SILENCE_S = 0.2
+"""Beyond the drive's heartbeat watch: what it does then takes its time."""
+MISSES_MASTER = (0x8100, 0x8700)
+"""Classes of EMCY with which a drive says that its master is gone: communication, SYNC (CiA 301, 402)."""
+STILL_COUNTS, STILL_SHARE = 8, 0.0005
+"""An axis that moved less, in counts and as a share of its window, stood."""
+
+
+class StopTest:
+    """One test of the loaded axes of a cell that its drives hold."""
+
+    def __init__(
+        self,
+        config: CellConfig,
+        link: Link,
+        drives: Sequence[Drive],
+        cycle: Cycle,
+        holdings: Sequence[AxisHolding],
+        memory: HoldMemory,
+        *,
+        exchange: Callable[[Sequence[float]], Sample],
+        resolution: Sequence[float],
+        cancelled: Callable[[], bool],
+    ) -> None:
+        self._config, self._link, self._drives, self._cycle = config, link, drives, cycle
+        self._holdings, self._memory = holdings, memory
+        self._cell_exchange, self._cancelled = exchange, cancelled
+        self._zero = [0.0] * len(drives)
+        self._still = [
+            max(STILL_COUNTS * count, STILL_SHARE * axis.limits.position)
+            for count, axis in zip(resolution, config.axes, strict=True)
+        ]
+
+    def run(self) -> bool:
+        """Test what was not seen yet; whether anything was tested. All axes are held again by their drives.
+
+        Raises
+        ------
+        SafetyStop
+            An axis would fall, or cannot be taken back into operation without letting go.
+        """
+        brakes = [i for i, h in enumerate(self._holdings) if h.needs_brake_test]
+        if brakes:
+            self._try_brakes(brakes)
+        stops = [i for i, h in enumerate(self._holdings) if h.needs_stop_test]
+        if stops:
+            self._try_stop(stops)
+        return bool(brakes or stops)
+
+    # --- brakes --------------------------------------------------------------------------------
+    def _try_brakes(self, axes: Sequence[int]) -> None:
+        """Voltage off, and the last motion after it."""
+        sample = self._exchange()
+        start, began = list(sample.position), sample.time
+        place, moved_at = list(start), [began] * len(start)
+        drop = [0.0] * len(start)
+        for i in axes:
+            self._cycle.control[i] = states.DISABLE_VOLTAGE
+        while True:
+            sample = self._exchange()
+            for i in axes:
+                if not sample.fresh[i]:
+                    moved_at[i] = sample.time  # nobody knows
+                    continue
+                drop[i] = max(drop[i], abs(sample.position[i] - start[i]))
+                if abs(sample.position[i] - place[i]) > self._still[i]:
+                    place[i], moved_at[i] = sample.position[i], sample.time
+            if all(sample.time - moved_at[i] > REST_S for i in axes):
+                break
+            if sample.time - began > BRAKE_S:
+                falls = [self._name(i) for i in axes if sample.time - moved_at[i] <= REST_S]
+                raise SafetyStop(
+                    f"axis {', '.join(falls)}: its drive was switched off at rest, and {BRAKE_S:g} s later "
+                    "no brake held it (stop test). Set brake: none, or see to the brake"
+                )
+        for i in axes:
+            delay = max(0.0, moved_at[i] - began)
+            self._note(i, brake_s=delay, brake_drop=drop[i])
+        self._enable(axes)
+
+    # --- drives --------------------------------------------------------------------------------
+    def _try_stop(self, axes: Sequence[int]) -> None:
+        """Quick stop, silence, back, silence, back; the other axes are off during the silences."""
+        others = [i for i in range(len(self._drives)) if i not in axes]
+        start = list(self._exchange().position)
+        for i in axes:
+            self._cycle.control[i] = states.QUICK_STOP
+        self._watch(HOLD_S, axes, start, "after a quick stop")
+        for i in others:
+            self._cycle.control[i] = states.QUICK_STOP if self._holdings[i].stays else states.DISABLE_VOLTAGE
+        self._watch(HOLD_S, axes, start, "after a quick stop")
+        watched = [i for i in axes if self._holdings[i].watched]
+        if watched:
+            self._fall_silent(watched, start)
+        self._resume(axes)
+        if watched:
+            self._fall_silent(watched, start)
+            self._resume(axes)
+        for i in axes:
+            self._note(i, holds=True, resumes=True)
+        self._enable(others)
+
+    def _watch(self, seconds: float, axes: Sequence[int], start: Sequence[float], when: str) -> None:
+        """Each axis stays in quick stop active and in place; SafetyStop where one does not."""
+        sample = self._exchange()
+        end = sample.time + seconds
+        while sample.time < end:
+            sample = self._exchange()
+            self._require_place(sample, axes, start, when)
+        for i in axes:
+            state = state_of(sample.status[i])
+            if not sample.fresh[i] or state is not DriveState.QUICK_STOP_ACTIVE:
+                self._lets_go(i, f"{when} its drive is in {state.words}")
+
+    def _require_place(self, sample: Sample, axes: Sequence[int], start: Sequence[float], when: str) -> None:
+        for i in axes:
+            moved = abs(sample.position[i] - start[i])
+            if sample.fresh[i] and moved > max(self._holdings[i].most_drop, self._still[i]):
+                self._lets_go(i, f"{when} it moved by {moved:.2g} {'m' if self._config.linear else 'rad'}")
+
+    def _lets_go(self, axis: int, what: str) -> None:
+        self._note(axis, holds=False)
+        raise SafetyStop(
+            f"axis {self._name(axis)}: it carries a load, and {what} (stop test at rest): its drive would "
+            "let it fall. Use a brake that the drive closes (brake: drive), another drive, or unload the axis"
+        )
+
+    def _fall_silent(self, axes: Sequence[int], start: Sequence[float]) -> None:
+        """Send nothing for as long as the drives' heartbeat watch is, and more; then look."""
+        link = self._link
+        link.beating = False
+        watch = 3 * self._config.safety.heartbeat_s
+        began = link.clock.now()
+        link.wait(1.5 * watch + SILENCE_S)
+        link.beating = True
+        for peer in link.peers.values():
+            for said, code in peer.emcy:
+                if said >= began and code >= 0x0100 and code & 0xFF00 not in MISSES_MASTER:
+                    raise SafetyStop(f"axis {peer.name} reports error 0x{code:04X} in the stop test")
+        link.events[:] = [e for e in link.events if e.severity is not Severity.DRIVE]
+        for peer in link.peers.values():
+            peer.last_heartbeat = None
+        for drive in self._drives:
+            link.nmt(NMT_START, drive.node_id)  # a drive may leave operational when its master is gone
+        link.wait(0.005)
+        for i in axes:  # asked before it is commanded anything: what it did by itself
+            state = self._drives[i].quiet_state()
+            if state is not DriveState.QUICK_STOP_ACTIVE:
+                seen = "does not answer" if state is None else f"is in {state.words}"
+                self._lets_go(i, f"without its master for {watch:.2g} s its drive {seen}")
+            self._cycle.control[i] = states.QUICK_STOP
+        self._cycle.restart_slots()
+        self._watch(HOLD_S / 2, axes, start, "without its master")
+
+    # --- back ----------------------------------------------------------------------------------
+    def _resume(self, axes: Sequence[int]) -> None:
+        """Transition 16, position mode and present place first."""
+        self._hold_here(axes)
+        for i in axes:
+            self._cycle.control[i] = states.ENABLE_OPERATION
+        if not self._until_enabled(axes):
+            for i in axes:
+                if state_of(self._cycle.sample.status[i]) is not DriveState.OPERATION_ENABLED:
+                    self._cycle.control[i] = states.QUICK_STOP
+                    self._note(i, holds=True, resumes=False)
+            raise SafetyStop(
+                f"axis {', '.join(self._name(i) for i in axes)}: seen to be held after a quick stop, which "
+                "is remembered, but its drive does not go back to operation from there (transition 16). With "
+                "the load supported, take its enable or supply away and give it back, then start again"
+            )
+
+    def _enable(self, axes: Sequence[int]) -> None:
+        """Axes that were switched off, or are in quick stop active, enabled and held where they stand."""
+        if not axes:
+            return
+        self._hold_here(axes)
+        if not self._until_enabled(axes):
+            names = ", ".join(self._name(i) for i in axes)
+            raise SafetyStop(f"axis {names}: not enabled again within {RESUME_S:g} s after the stop test")
+
+    def _hold_here(self, axes: Sequence[int]) -> None:
+        for i in axes:
+            self._cycle.change(i, Mode.HOLD, OperationMode.CYCLIC_POSITION)
+        while self._cycle.changing:
+            self._exchange()
+
+    def _until_enabled(self, axes: Sequence[int]) -> bool:
+        sample = self._exchange()
+        end = sample.time + RESUME_S
+        while sample.time < end:
+            found = [state_of(s) for s in sample.status]
+            if all(sample.fresh[i] and found[i] is DriveState.OPERATION_ENABLED for i in axes):
+                return True
+            for i in axes:
+                if sample.fresh[i] and found[i] is not DriveState.QUICK_STOP_ACTIVE:
+                    self._cycle.control[i] = states.towards_enabled(found[i])
+                elif sample.fresh[i]:
+                    self._cycle.control[i] = states.ENABLE_OPERATION
+            sample = self._exchange()
+        return False
+
+    # --- one cycle -----------------------------------------------------------------------------
+    def _exchange(self) -> Sample:
+        sample = self._cell_exchange(self._zero)
+        for event in sample.events:
+            if event.severity is not Severity.NOTE:
+                raise SafetyStop(f"{event.text}, in the stop test")
+        if self._cancelled():
+            raise SafetyStop("stopped on request in the stop test; nothing was recorded yet")
+        return sample
+
+    def _note(self, axis: int, **seen: bool | float) -> None:
+        self._holdings[axis].note(self._memory, **seen)
+
+    def _name(self, axis: int) -> str:
+        return self._config.axes[axis].name

@@ -1,0 +1,83 @@
+"""A drive found under power: seen before it is sent anything, then taken over or left as it is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from invid.errors import DriveError
+from invid_drivers.cia402 import objects as od
+from invid_drivers.cia402.axis import Drive
+from invid_drivers.cia402.hold_memory import HoldMemory
+from invid_drivers.cia402.holding import AxisHolding
+from invid_drivers.cia402.states import DriveState, is_energised
+
+NMT_OPERATIONAL, NMT_PRE_OPERATIONAL = 5, 127
+"""In a heartbeat (CiA 301): the node answers SDO."""
+
+
+def state_before_nmt(drive: Drive) -> DriveState | None:
+    """The state of a drive that was sent nothing yet; ``None`` where it answers no SDO (NMT stopped).
+
+    DriveError where its heartbeat says that it should answer and it does not: what it is doing is not known.
+    """
+    state = drive.quiet_state()
+    if state is None:
+        heard = drive.link.peers[drive.node_id].nmt_state
+        if heard in (NMT_OPERATIONAL, NMT_PRE_OPERATIONAL):
+            drive.read(od.STATUSWORD)
+    return state
+
+
+def find_powered(drives: Sequence[Drive], memory: HoldMemory) -> tuple[dict[str, DriveState], list[Drive]]:
+    """States of the drives to which nothing may be sent, and the drives that do not answer.
+
+    Energised ones, and those at which a run ended beside a load: what they show may not be believed.
+    """
+    powered, silent = {}, []
+    for drive in drives:
+        state, seen = state_before_nmt(drive), memory.of_node(drive.node_id)
+        drive.left_alone = seen is not None and bool(seen.suspect)
+        if state is None:
+            silent.append(drive)
+        elif drive.left_alone or is_energised(state):
+            powered[drive.name] = state
+    return powered, silent
+
+
+def require_ours(drive: Drive, holding: AxisHolding) -> None:
+    """DriveError unless a drive under power is held as this program leaves it, and can be taken over."""
+    state = holding.state
+    way_out = (
+        "With its load supported, take its enable or supply away, run `invid check`, and start again; "
+        "nothing was sent to it"
+    )
+    if state is not DriveState.QUICK_STOP_ACTIVE:
+        raise DriveError(
+            f"{drive.who}: it is energised, in {state.words}, and not by this program: end the program that "
+            f"drives it. Or: {way_out[0].lower()}{way_out[1:]}"
+        )
+    if holding.seen.resumes is False:
+        raise DriveError(
+            f"{drive.who}: it is held in {state.words}, and does not go back to operation from there "
+            f"(transition 16, seen in a stop test): it cannot be taken over without letting go. {way_out}"
+        )
+    if not _is_mapped(drive):
+        raise DriveError(
+            f"{drive.who}: it is held in {state.words}, and its PDOs are not those of this program: they "
+            f"cannot be changed under power. {way_out}"
+        )
+
+
+def _is_mapped(drive: Drive) -> bool:
+    """Whether PDO 1 both ways is as ``map_pdos`` leaves it."""
+    for communication, mapping, wanted, cob in (
+        (od.rpdo_communication, od.rpdo_mapping, od.RPDO_MAP, 0x200 + drive.node_id),
+        (od.tpdo_communication, od.tpdo_mapping, od.TPDO_MAP, 0x180 + drive.node_id),
+    ):
+        if (drive.find(communication(1, 1)) or 0) & 0xBFFFFFFF != cob:
+            return False
+        if drive.find(mapping(1, 0)) != len(wanted):
+            return False
+        if any(drive.find(mapping(1, n)) != what.mapping for n, what in enumerate(wanted, start=1)):
+            return False
+    return True

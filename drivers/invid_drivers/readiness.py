@@ -1,0 +1,33 @@
+"""Why a cell is not ready: one answer for ``invid check`` and for the service."""
+
+from __future__ import annotations
+
+from invid.config import CellConfig
+from invid.errors import InvidError
+from invid_drivers.cia402.hold_memory import HoldMemory
+from invid_drivers.cia402.holding import Reason, remembered
+from invid_drivers.cia402.journal import journal_path
+from invid_drivers.connect import connect, is_virtual
+
+
+def not_ready(config: CellConfig) -> tuple[Reason, ...]:
+    """Axes that an earlier run left energised, or ended at; empty: none.
+
+    The bus is opened only where there was one: then the drives say whether they still are, as in ``check``.
+    """
+    if is_virtual(config):
+        return ()
+    said = remembered(config, HoldMemory.beside(journal_path(config.bus.interface, config.bus.channel)))
+    if not said:
+        return ()
+    try:
+        cell = connect(config)
+    except InvidError:
+        return said
+    try:
+        cell.check()
+        return cell.not_ready
+    except InvidError:
+        return said
+    finally:
+        cell.close()

@@ -1,0 +1,68 @@
+"""Which axes carry a load: what the torque that holds them at rest says of what the config states."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from invid.config import CellConfig
+from invid.numerics.arrays import Bool, Float64
+
+CONFIRM_S = 1.5
+"""A load is weighed, and one that the config does not state believed, over so long. Gravity is constant, what
+swings behind a held motor is not: under a Hann window all above 1.3 Hz then counts less than a thirtieth."""
+LOAD_SHARE = 0.02
+"""Of rated torque: a hold that takes more carries a load. Offsets of current sensing are about 1 %, and what
+dry friction of a drive takes at rest, 2 % at least, does not fall (empirical, from vendors' figures)."""
+LIVELY = 100
+"""In so many samples a current loop under load shows more than one value; a display that does not tells
+nothing (empirical: 0.1 % of rated torque is below the noise of current sensing)."""
+SIGMAS = 4.0
+"""And beyond the noise of the mean: 1 in 15,000 for an axis that carries nothing."""
+
+
+@dataclass(frozen=True)
+class Load:
+    """One axis at rest."""
+
+    torque: float
+    """Mean of what holds it [N·m or N]; NaN where the drive does not hold it by itself."""
+    loaded: bool
+    said: str = ""
+    """Where it contradicts the config or answers what that leaves open."""
+
+
+def judge_loads(
+    config: CellConfig, torque: Float64, fresh: Bool, held: Sequence[bool], rated: Sequence[float]
+) -> tuple[Load, ...]:
+    """Loads of all axes from torque (n, M) [N·m or N] at rest; ``held``: by their drives.
+
+    Rows are weighted with a Hann window.
+
+    A stated load is believed; a stated or unknown absence of one is not where the torque contradicts.
+    """
+    unit = "N" if config.linear else "N·m"
+    window = np.hanning(len(torque) + 2)[1:-1]
+    found = []
+    for i, axis in enumerate(config.axes):
+        rows, weight = torque[fresh[:, i], i], window[fresh[:, i]]
+        if not held[i] or rows.size == 0:
+            found.append(Load(float("nan"), axis.gravity_loaded is not False))
+            continue
+        mean = float(np.average(rows, weights=weight))
+        noise = float(np.std(np.diff(rows))) / np.sqrt(2.0) if rows.size > 1 else 0.0
+        least = max(LOAD_SHARE * rated[i], SIGMAS * noise * np.sqrt((weight**2).sum()) / weight.sum())
+        says_nothing = rows.size > LIVELY and float(np.ptp(rows)) == 0.0
+        carries = abs(mean) > least and not says_nothing
+        said = ""
+        if carries and not axis.gravity_loaded:
+            stated = "is false" if axis.gravity_loaded is False else "is not stated"
+            said = (
+                f"axis {axis.name}: gravity_loaded {stated}, but holding it at rest takes {mean:.3g} {unit}, "
+                f"more than {least:.2g}: it counts as loaded. Set gravity_loaded: true in the config"
+            )
+        doubt = says_nothing and abs(mean) > least and axis.gravity_loaded is None
+        found.append(Load(mean, bool(carries or doubt or axis.gravity_loaded), said))
+    return tuple(found)

@@ -1,0 +1,296 @@
+"""Nothing falls: loaded axes are seen to be held before they move, and are taken over without letting go.
+
+Judged on the drives and the plant: 1 N·m pulls A1 (1 kg·m², no brake unless told), which stands on a prop
+until its drive holds it first.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from test_adapter_promises import config, held, zero
+
+from invid.errors import DriveError, SafetyStop
+from invid.sweep import Mode
+from invid_drivers.cia402.bus import Cia402Cell
+from invid_drivers.cia402.hold_memory import HoldMemory
+from invid_drivers.cia402.holding import remembered, to_support
+from invid_drivers.cia402.journal import Journal
+from invid_drivers.simulated import VirtualTimeBus, open_virtual_bus
+from invid_drivers.simulated.state_machine import State
+
+ENERGISED = {State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE}
+FALLS = 0.02
+
+
+class Bench:
+    """One cell, its commands one after another, and what its loaded drive was in at every change."""
+
+    def __init__(self, folder: Path, drive: dict[str, Any] | None = None, **axis: Any) -> None:
+        self.config = config({"axes": {"A1": {"load": {"torque_Nm": 1.0}, "brake": False, **(drive or {})}}})
+        first = self.config.axes[0].model_copy(update={"gravity_loaded": True, **axis})
+        self.config = self.config.model_copy(update={"axes": [first, self.config.axes[1]]})
+        self.journal = folder / "bus.journal"
+        self._port: Any = open_virtual_bus(self.config)
+        self._wire = self._port.wire
+        self.cell = self._wire.cell
+        self.drive = self.cell.drives[0]
+        self.states: list[State] = []
+        enter = self.drive._enter
+
+        def entered(state: State) -> None:
+            self.states.append(state)
+            enter(state)
+
+        self.drive._enter = entered
+
+    def connect(self) -> Cia402Cell:
+        port = self._port or VirtualTimeBus(self.config.bus.channel, wire=self._wire)
+        self._port = None
+        return Cia402Cell(port, self.config, journal=Journal(self.journal))
+
+    @property
+    def place(self) -> float:
+        self.cell.plant.advance_to(self.cell.now_ns)
+        return float(self.cell.plant.positions[0])
+
+    @property
+    def memory(self) -> HoldMemory:
+        return HoldMemory.beside(self.journal)
+
+
+def enabled(bench: Bench) -> Cia402Cell:
+    master = bench.connect()
+    master.check()
+    master.energise(held(master))
+    for _ in range(50):
+        master.exchange(zero(master))
+    return master
+
+
+def left_held(bench: Bench) -> None:
+    """A first run, whose stop test is passed, ends with A1 held by its drive."""
+    master = enabled(bench)
+    assert master.secure([True, False])
+    master.close()
+
+
+def settings(bench: Bench) -> dict[tuple[int, int], Any]:
+    """All that can be written, but for 0x1003, in which the drive itself notes that its master is gone."""
+    rw = (e for e in bench.drive.node.od if e.access == "rw" and e.index != 0x1003)
+    return {(e.index, e.sub): e.value for e in rw}
+
+
+def test_a_drive_is_seen_to_hold_its_load_once_and_remembered_by_its_serial_number(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    assert to_support(bench.config, bench.memory) == ("A1",)
+    master = enabled(bench)
+    before = bench.place
+    assert master.secure([True, False])
+    assert abs(bench.place - before) < 0.001
+    assert State.QUICK_STOP_ACTIVE in bench.states
+    assert not master.secure([True, False])
+    said = master.close()
+    assert any("A1 is energised" in line and "support" in line for line in said)
+    seen = bench.memory.of_node(1)
+    assert seen is not None
+    assert seen.holds
+    assert seen.resumes
+    assert to_support(bench.config, bench.memory) == ()
+
+
+def test_check_leaves_a_held_axis_as_it_is_and_does_not_call_the_cell_ready(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    left_held(bench)
+    bench.states.clear()
+    entries = settings(bench)
+    commands: list[bytes] = []
+    receive = bench.cell.receive
+
+    def heard(can_id: int, data: bytes, now_ns: int) -> None:
+        if can_id == 0 and data[1] in (0, 1):
+            commands.append(data)
+        receive(can_id, data, now_ns)
+
+    bench.cell.receive = heard
+    master = bench.connect()
+    master.check()
+    assert [(r.code, "A1" in r.text) for r in master.not_ready] == [("axis_energised", True)]
+    assert [r.code for r in remembered(bench.config, bench.memory)] == ["axis_energised"]
+    master.close()
+    assert bench.states == []
+    assert commands == []
+    assert settings(bench) == entries
+    assert bench.drive.state is State.QUICK_STOP_ACTIVE
+
+
+def test_the_next_run_takes_a_held_axis_over_without_a_gap_in_its_torque(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    left_held(bench)
+    before = bench.place
+    bench.states.clear()
+    master = enabled(bench)
+    assert bench.drive.state is State.OPERATION_ENABLED
+    assert not master.secure([True, False])
+    master.close()
+    assert set(bench.states) <= ENERGISED
+    bench.cell.plant.advance_to(bench.cell.now_ns)
+    assert abs(bench.place - before) < 0.001
+
+
+def test_a_drive_without_transition_16_is_remembered_and_not_taken_over(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    enter = bench.drive._enter
+
+    def no_way_back(state: State) -> None:
+        if bench.drive.state is not State.QUICK_STOP_ACTIVE or state is not State.OPERATION_ENABLED:
+            enter(state)
+
+    bench.drive._enter = no_way_back
+    master = enabled(bench)
+    with pytest.raises(SafetyStop, match="transition 16"):
+        master.secure([True, False])
+    master.close()
+    assert bench.drive.state is State.QUICK_STOP_ACTIVE
+    again = bench.connect()
+    again.check()
+    with pytest.raises(DriveError, match=r"A1 .*cannot be taken over without letting go.*load supported"):
+        again.energise(held(again))
+    again.close()
+    assert bench.drive.state is State.QUICK_STOP_ACTIVE
+    assert abs(bench.place) < FALLS
+
+
+@pytest.mark.parametrize(
+    "objects",
+    [{"lacks": ["0x605A"]}, {"read_only": ["0x605A"]}],
+    ids=["missing", "read-only"],
+)
+@pytest.mark.parametrize("stated", [True, None], ids=["loaded", "unknown"])
+def test_an_axis_that_nothing_would_hold_is_refused_before_it_is_enabled(
+    tmp_path: Path, objects: dict[str, Any], stated: bool | None
+) -> None:
+    bench = Bench(tmp_path, {"objects": objects}, gravity_loaded=stated)
+    master = bench.connect()
+    with pytest.raises(DriveError, match=r"A1 .*0x605A.*brake: drive"):
+        master.check()
+    master.close()
+    assert bench.states == []
+
+
+def test_an_axis_stated_to_carry_nothing_needs_no_quick_stop_option(tmp_path: Path) -> None:
+    bench = Bench(
+        tmp_path, {"objects": {"lacks": ["0x605A"]}, "load": {"torque_Nm": 0.0}}, gravity_loaded=False
+    )
+    master = enabled(bench)
+    assert not master.secure([False, False])
+    assert master.close() == []
+
+
+def test_a_drive_that_does_not_notice_that_its_master_is_gone_fails_the_stop_test(tmp_path: Path) -> None:
+    bench = Bench(tmp_path, {"objects": {"lacks": ["0x6007"]}})
+    master = enabled(bench)
+    with pytest.raises(SafetyStop, match=r"A1.*without its master.*operation enabled"):
+        master.secure([True, False])
+    master.close()
+    assert bench.drive.state is State.QUICK_STOP_ACTIVE
+    assert abs(bench.place) < FALLS
+    seen = bench.memory.of_node(1)
+    assert seen is not None
+    assert seen.holds is False
+
+
+@pytest.mark.parametrize(("delay", "by"), [(0.02, "brake"), (0.4, "drive")])
+def test_a_brake_is_measured_and_one_that_is_late_is_not_relied_on(
+    tmp_path: Path, delay: float, by: str
+) -> None:
+    bench = Bench(tmp_path, {"brake": True, "brake_delay_s": delay}, brake="drive")
+    master = enabled(bench)
+    assert master.secure([True, False])
+    assert master.holdings[0].held_by == by
+    before = bench.place
+    master.close()
+    assert (bench.drive.state is State.QUICK_STOP_ACTIVE) == (by == "drive")
+    bench.cell.plant.advance_to(bench.cell.now_ns)
+    assert abs(bench.place - before) < FALLS
+    seen = bench.memory.of_node(1)
+    assert seen is not None
+    assert seen.brake_s is not None
+    if by == "drive":
+        assert seen.brake_s == pytest.approx(delay, abs=0.05)
+        assert seen.brake_drop == pytest.approx(0.5 * delay**2, rel=0.3)
+
+
+def test_an_axis_of_unknown_gravity_that_carries_nothing_may_switch_off_again(tmp_path: Path) -> None:
+    bench = Bench(tmp_path, {"load": {"torque_Nm": 0.0}}, gravity_loaded=None)
+    master = enabled(bench)
+    od = bench.drive.node.od
+    assert od.number(0x605A) == 6  # until it is known
+    assert not master.secure([False, False])
+    assert od.number(0x605A) == 2
+    assert master.close() == []
+    assert od.number(0x605A) == 2
+    assert bench.drive.state not in ENERGISED
+
+
+def test_a_stop_before_the_load_is_known_leaves_an_axis_of_unknown_gravity_held(tmp_path: Path) -> None:
+    bench = Bench(tmp_path, gravity_loaded=None)
+    master = enabled(bench)
+    master.stop()
+    assert master.held_at_end == ("A1",)
+    master.close()
+    assert bench.drive.state is State.QUICK_STOP_ACTIVE
+    assert abs(bench.place) < FALLS
+
+
+def test_a_load_that_the_config_denies_is_held_after_the_stop(tmp_path: Path) -> None:
+    bench = Bench(tmp_path, gravity_loaded=False)
+    master = enabled(bench)
+    assert master.secure([True, False])
+    master.close()
+    assert bench.drive.state is State.QUICK_STOP_ACTIVE
+    assert abs(bench.place) < FALLS
+
+
+def test_a_loaded_axis_at_which_a_run_ended_waits_for_a_person(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    master = enabled(bench)
+    master.secure([True, False])
+    master.stop()
+    master.suspect("axis A1: position left its window")
+    master.close()
+    again = bench.connect()
+    again.check()
+    assert {r.code for r in again.not_ready} == {"axis_suspect", "axis_energised"}
+    assert not any("A2" in r.text for r in again.not_ready)
+    with pytest.raises(DriveError, match="--cleared A1"):
+        again.energise(held(again))
+    again.close()
+    cleared = bench.connect()
+    cleared.clear(["A1"])
+    cleared.check()
+    cleared.energise([Mode.HOLD, Mode.HOLD])
+    assert bench.drive.state is State.OPERATION_ENABLED
+    cleared.close()
+    assert abs(bench.place) < FALLS
+
+
+def test_a_torque_limit_lowered_below_the_load_does_not_drop_it(tmp_path: Path) -> None:
+    # 0x6076 says 100 N·m, the motor has 10: 5 N·m of the config are 50 ‰, 0.5 N·m
+    bench = Bench(tmp_path, {"objects": {"values": {"0x6076": 100_000}}})
+    master = bench.connect()
+    master.check()
+    said = ""
+    try:
+        master.energise(held(master))
+        while not said and master.clock.now() < 10.0:
+            said = "".join(e.text for e in master.exchange(zero(master)).events)
+    except DriveError as error:
+        said = str(error)
+    assert "50 ‰" in said
+    master.close()
+    assert abs(bench.place) < FALLS
+    assert bench.drive.node.od.number(0x6072) <= 3000
+    assert bench.drive.state is State.QUICK_STOP_ACTIVE
