@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from invid.config import CellConfig
@@ -18,6 +18,8 @@ from invid.sweep.watch import Statistics
 
 TRIAL_SIGNS_S = 3.5
 """What the trial of the signs of one axis takes about (case study)."""
+WORTH_SAYING = 0.9
+"""A permitted speed that the measured inertia lowers by less than a tenth needs no words."""
 DECIDE_S, DECIDE_POLL_S = 60.0, 0.1
 """The axes are held this long while whoever ordered the measurement judges what is there."""
 
@@ -67,6 +69,9 @@ class Sweep:
     go_on: Callable[[int], bool | None] | None = None
     """Asked after each experiment but the last, with its number: True next one, False enough, ``None`` not
     known yet (the axes are held, and it is asked again)."""
+    permit: Callable[[Sequence[float | None], Sequence[float | None]], CellConfig] | None = None
+    """The limits anew, by the inertia and the hold torque of each axis as the trials of the signs measured
+    them: less speed is permitted to an axis that takes longer to stop than was stated."""
 
     def __post_init__(self) -> None:
         self._motion = Motion(self.plan, self.config, self.cell, self.stop, self._report)
@@ -104,9 +109,11 @@ class Sweep:
                     case Step.SIGNS:
                         self._rehearsal.try_signs(phase.number)
                     case Step.TRIAL:
+                        self._permit()
                         self._rehearsal.try_amplitude(self.plan.trials[phase.number])
                         self._forecast = self._rehearsal.forecast()
                     case Step.EXPERIMENT:
+                        self._permit()
                         self._experiment(phase)
                         more = phase.number + 1 < len(self.plan.experiments)
                         if more and self._enough(phase.number):
@@ -148,6 +155,27 @@ class Sweep:
             f"nobody said within {DECIDE_S:g} s whether to go on after experiment {number + 1}: ended there"
         )
         return True
+
+    def _permit(self) -> None:
+        """Limits by what was measured so far; never wider than before."""
+        motion = self._motion
+        if self.permit is None:
+            return
+        loads = [
+            b if a.gravity_loaded else None for a, b in zip(motion.config.axes, motion.bias, strict=True)
+        ]
+        measured = [motion.inertia.get(i) for i in range(motion.count)]
+        limits = self.permit(measured, loads)
+        for i, axis in enumerate(limits.axes):
+            before, now = motion.config.axes[i].limits.velocity, axis.limits.velocity
+            if now < before:
+                motion.permit(i, now)
+            if now < WORTH_SAYING * before:
+                unit = "m/s" if limits.linear else "rad/s"
+                self.warnings.append(
+                    f"axis {axis.name}: by the inertia and load that were measured, at most {now:.3g} {unit} "
+                    f"are permitted, not {before:.3g}, so that it comes to rest in time"
+                )
 
     def _experiment(self, phase: PhasePlan) -> None:
         experiment, scale = self.plan.experiments[phase.number], float(self._rehearsal.scales[phase.number])

@@ -110,6 +110,14 @@ class Motion:
             raise SafetyStop("the sweep watches nothing before it has started")
         return self._watch
 
+    def permit(self, axis: int, velocity: float) -> None:
+        """A lower limit for the velocity of one axis, from here on."""
+        axes = list(self.config.axes)
+        limits = axes[axis].limits.model_copy(update={"velocity": velocity})
+        axes[axis] = axes[axis].model_copy(update={"limits": limits})
+        self.config = self.config.model_copy(update={"axes": axes})
+        self.watching.permit(axis, velocity)
+
     def resting_modes(self) -> list[Mode]:
         """Held by its drive whatever can be."""
         return [Mode.HOLD if can else Mode.TORQUE for can in self.cell.can_hold]

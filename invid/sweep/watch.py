@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -105,6 +105,11 @@ class Watch:
     def hand_over(self) -> None:
         """Another controller takes an axis over: it may stop it at once, as no mass stops."""
         self._halting.pause()
+
+    def permit(self, axis: int, velocity: float) -> None:
+        """A lower limit for the velocity of one axis, from here on."""
+        self._limits[axis] = replace(self._limits[axis], velocity=velocity)
+        self._speed[axis] = min(self._speed[axis], velocity)  # only what is faster than ever is looked at
 
     @property
     def peaks(self) -> Float64:

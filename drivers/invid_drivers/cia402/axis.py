@@ -10,6 +10,7 @@ from typing import Any
 
 from invid.config import AxisConfig
 from invid.errors import BusError, DriveError
+from invid.planning.stopping_distance import StoppingFacts
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.access import Access
 from invid_drivers.cia402.declared import refusal
@@ -21,6 +22,7 @@ from invid_drivers.cia402.protection import Protection
 from invid_drivers.cia402.restoration import restore
 from invid_drivers.cia402.scales import read_scaling
 from invid_drivers.cia402.states import DriveState, OperationMode, is_energised, state_of
+from invid_drivers.cia402.stopping import event_timer
 from invid_drivers.cia402.units import Scaling
 
 INVALID = 1 << 31
@@ -57,6 +59,7 @@ class DriveReport:
     lacks: tuple[str, ...]
     warnings: tuple[str, ...]
     limits: EffectiveLimits
+    stopping: StoppingFacts
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
@@ -80,10 +83,31 @@ class Drive(Access):
     """One drive of the cell."""
 
     def __init__(
-        self, link: Link, config: AxisConfig, journal: Journal, *, linear: bool, heartbeat_s: float = 0.1
+        self,
+        link: Link,
+        config: AxisConfig,
+        journal: Journal,
+        *,
+        linear: bool,
+        heartbeat_s: float = 0.1,
+        cycle_s: float = 0.001,
+        most_skipped: int = 20,
     ) -> None:
         super().__init__(link, config, journal, linear=linear)
         self.protection = Protection(self, heartbeat_s)
+        self._cycle_s, self._most_skipped = cycle_s, most_skipped
+        self._timer: int | None = None
+        """0x1400:5 that goes with the map, from ``protect`` on."""
+
+    def _timer_ms(self) -> int | None:
+        """0x1400:5 as it is written; DriveError where the cycle cannot keep it."""
+        timer = event_timer(self, self._cycle_s, self._most_skipped)
+        if timer is not None and timer < 2 * self._cycle_s * 1000:
+            raise DriveError(
+                f"{self.who}: 0x1400:5 of the drive stops it after {timer} ms without its RPDO, and is not "
+                f"loosened; set bus.cycle_s to {timer / 2000:g} at most, or 0x1400:5 with the drive's tool"
+            )
+        return timer
 
     # --- preflight -----------------------------------------------------------------------------
     def check(self, said: Sequence[str] = ()) -> DriveReport:
@@ -124,6 +148,7 @@ class Drive(Access):
             lacks=tuple(lacks),
             warnings=tuple(warnings),
             limits=limits,
+            stopping=self.protection.stopping(scaling, limits, self._timer_ms()),
         )
 
     def _require_servo(self, who: str, device: int, warnings: list[str]) -> None:
@@ -253,6 +278,7 @@ class Drive(Access):
     def protect(self, report: DriveReport) -> None:
         """Give the drive its own protection before it is enabled, never less than it has."""
         self.protection.write(report.scaling, report.limits)
+        self._timer = self._timer_ms()
 
     def map_pdos(self) -> None:
         """RPDO 1: controlword, target torque. TPDO 1: position, torque, statusword. Both with SYNC."""
@@ -274,6 +300,8 @@ class Drive(Access):
                     self.write(mapping(1, sub), what.mapping)
                 self.write(mapping(1, 0), len(wanted))
                 self.write(communication(1, 2), SYNCHRONOUS)
+                if kind == "RPDO":
+                    self._write_timer()
                 self.write(communication(1, 1), cob)
             except DriveError as error:
                 if "does not answer" in str(error):
@@ -283,6 +311,16 @@ class Drive(Access):
                     f"{who}: {kind} 1 cannot be mapped to {names}: {error}; this drive cannot be run in "
                     "the cycle"
                 ) from None
+
+    def _write_timer(self) -> None:
+        """RPDOs that stay away are noticed sooner than heartbeats; a drive that refuses has its heartbeat."""
+        if self._timer is None:
+            return
+        try:
+            self.write(od.RPDO_EVENT_TIMER, self._timer)
+        except DriveError as error:
+            if "cannot be written" not in str(error) or self.vendor.rpdo_event_timer.certain:
+                raise
 
     def _pdos(self, kind: str) -> int:
         """How many PDOs of a kind the EDS lists; at most the eight that are switched off one by one."""

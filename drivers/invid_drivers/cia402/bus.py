@@ -37,7 +37,15 @@ class Cia402Cell:
         self._link = Link(bus, heartbeat_s=config.safety.heartbeat_s)
         self.journal = journal if journal is not None else Journal(None)
         self._drives = [
-            Drive(self._link, a, self.journal, linear=config.linear, heartbeat_s=config.safety.heartbeat_s)
+            Drive(
+                self._link,
+                a,
+                self.journal,
+                linear=config.linear,
+                heartbeat_s=config.safety.heartbeat_s,
+                cycle_s=config.bus.cycle_s,
+                most_skipped=max(config.safety.missed_tpdos, config.safety.overrun_cycles),
+            )
             for a in config.axes
         ]
         self._reports: list[DriveReport] = []
@@ -244,10 +252,22 @@ class Cia402Cell:
         """
         if self._stopped:
             return
-        way = WayOut(self._config, self._link, self._drives, self._cycle, self.exchange)
+        way = WayOut(self._config, self._link, self._drives, self._cycle, self.exchange, self._ramp_s)
         self.held_at_end = way.held_at_end
         self.not_off = way.take()
         self._stopped = True
+
+    @property
+    def _ramp_s(self) -> float:
+        """Longest quick stop from a velocity limit, by what the drives say of their ramps."""
+        return max(
+            (
+                a.limits.velocity / r.stopping.deceleration
+                for a, r in zip(self._config.axes, self._reports, strict=False)
+                if r.stopping.deceleration
+            ),
+            default=0.0,
+        )
 
     def states(self) -> dict[str, DriveState]:
         """The last state heard of each drive."""

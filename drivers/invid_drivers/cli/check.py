@@ -9,17 +9,18 @@ import typer
 
 from invid.cli.output import EXIT_OK, emit
 from invid.config import CellConfig, load_config
-from invid.planning import Plan, make_plan
+from invid.planning import make_plan
 from invid.planning.hold_laws import master_hold
-from invid_drivers.cia402.limits import tighten, tightened_limits
-from invid_drivers.cli.measure import plan_text
+from invid_drivers.cli.measure import budget_lines, plan_text
 from invid_drivers.connect import connect, is_virtual
-from invid_drivers.measurement import plan_within
 from invid_drivers.round_trip import probe, require
+from invid_drivers.stopping_budgets import Budgeted, plan_within
 from invid_drivers.timing import timing_of
 
+IN_TIME = "the way that the axis needs to come to rest"
 
-def preflight(config: CellConfig) -> tuple[Plan, dict[str, Any]]:
+
+def preflight(config: CellConfig) -> tuple[Budgeted, dict[str, Any]]:
     """Config, holds, plan, bus budget, every drive's capabilities, safety objects and limits.
 
     Raises
@@ -37,16 +38,16 @@ def preflight(config: CellConfig) -> tuple[Plan, dict[str, Any]]:
         found = None if is_virtual(config) else probe(cell.link, config, plan)
     finally:
         complaints = cell.close()
-    tighter = tighten(config, reports)
-    plan = plan_within(config, tighter, reports)
-    warnings = [*plan.warnings, *complaints, *cell.notes, *tightened_limits(config, reports)]
+    within = plan_within(config, reports)
+    plan, tighter = within.plan, within.config
+    warnings = [*plan.warnings, *complaints, *cell.notes, *within.said]
     timing = timing_of(config)
     warnings += timing.warnings(plan)
     if found is not None:
         warnings += require(found, config)
     for r in reports:
         warnings += r.warnings
-    return plan, {
+    return within, {
         "robot": config.robot,
         "simulated": config.simulated,
         "ready": True,
@@ -68,16 +69,21 @@ def preflight(config: CellConfig) -> tuple[Plan, dict[str, Any]]:
                 "position": a.limits.position,
                 "velocity": a.limits.velocity,
                 "hold": a.hold.mode,
-                "sources": {what: limit["source"] for what, limit in r.limits.to_json().items()},
+                "sources": {
+                    **{what: limit["source"] for what, limit in r.limits.to_json().items()},
+                    **({"velocity": IN_TIME} if b.permitted < b.case.velocity else {}),
+                },
             }
-            for a, r in zip(tighter.axes, reports, strict=True)
+            for a, r, b in zip(tighter.axes, reports, within.budgets, strict=True)
         ],
+        "budgets": [b.to_json() for b in within.budgets],
         "plan": plan.to_json(),
         "warnings": warnings,
     }
 
 
-def _text(config: CellConfig, plan: Plan, document: dict[str, Any]) -> str:
+def _text(config: CellConfig, within: Budgeted, document: dict[str, Any]) -> str:
+    plan = within.plan
     bus = document["bus"]
     lines = [
         f"{config.robot}: ready. Bus {bus['interface']} {bus['channel']}, load {bus['load']:.0%} of "
@@ -99,6 +105,7 @@ def _text(config: CellConfig, plan: Plan, document: dict[str, Any]) -> str:
         )
         lines += [f"    {what} limited by {source}" for what, source in limit["sources"].items()]
         lines += [f"    lacks {what}" for what in drive["lacks"]]
+    lines += budget_lines(within.budgets, linear=config.linear)
     lines.append(plan_text(plan, "plan"))
     lines += [f"  note: {w}" for w in document["warnings"] if w not in plan.warnings]
     return "\n".join(lines)
@@ -114,6 +121,6 @@ def register(app: typer.Typer) -> None:
     ) -> int:
         """Preflight: config, bus budget, drives, safety objects, limits; moves nothing."""
         cell = load_config(config)
-        plan, document = preflight(cell)
-        emit(document, _text(cell, plan, document), as_json=as_json)
+        within, document = preflight(cell)
+        emit(document, _text(cell, within, document), as_json=as_json)
         return EXIT_OK
