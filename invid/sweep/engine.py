@@ -127,6 +127,7 @@ class Sweep:
         measured_s = self._motion.done_s
         self._motion.phase, self._motion.done_s = "done", self._total_s
         self._report()
+        self.warnings += self._motion.watching.words.said()
         return SweepResult(
             scale=float(self._rehearsal.scales.min()),
             inertia={self.plan.axes[i]: m for i, m in self._motion.inertia.items()},

@@ -158,6 +158,7 @@ class Motion:
         self.watching.held = set(range(self.count))
         self.phase = "settling"
         rows = self.play(None, round(SETTLE_S / self.plan.cycle_s), log=True)
+        self.watching.words.learn_rest()
         torque = rows.torque[len(rows.torque) // 2 :]
         for i, mode in enumerate(self._modes):
             # What the drive needs to hold an axis is what it needs when the master takes over; only a
@@ -277,6 +278,7 @@ class Motion:
         if list(modes) != self._modes:
             coming = {f.axis for f in feedback}
             self.feedback = [*feedback, *(f for f in self.feedback if f.axis not in coming)]
+            self.watching.words.pause()
             self.cell.set_modes(modes)
             self._modes = list(modes)
             done = self.done_s
@@ -284,6 +286,7 @@ class Motion:
                 self.play(None, 1)
             self.done_s = done  # no part of the plan
             self.watching.hand_over()
+            self.watching.words.resume()
         self.feedback, self._demand = feedback, demand
         self.watching.settle()
 
