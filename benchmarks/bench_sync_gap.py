@@ -3,8 +3,8 @@
     python benchmarks/bench_sync_gap.py [--runs 20] [--seed 0] [--markdown]
 
 Whole measurements of the case study in virtual time at 250 Hz; every axis draws how long its drive takes to
-answer SDO (2 to 200 ms), to change its mode and to show it (up to 0.4 s each) and to enable (up to 0.3 s). Judged on
-the frames on the wire and on the states of the drives themselves. The bar is three cycles.
+answer SDO (2 to 200 ms), to change its mode and to show it (up to 0.4 s each) and to enable (up to 0.3 s).
+Judged on the frames on the wire and on the states of the drives themselves. The bar is three cycles.
 """
 
 from __future__ import annotations

@@ -49,13 +49,17 @@ def plan_within(
         The plan cannot be made, and who limits; or an axis cannot come to rest within its room.
     """
     tighter = tighten(config, reports)
+    if plan is not None:
+        require_torque(plan, reports)
     said = tightened_limits(config, reports)
 
     def made(limits: CellConfig) -> Plan:
         if plan is not None:
             return plan
         try:
-            return make_plan(limits, axes=axes, amplitude_scale=amplitude_scale, model=model)
+            found = make_plan(limits, axes=axes, amplitude_scale=amplitude_scale, model=model)
+            require_torque(found, reports)
+            return found
         except ConfigError as error:
             raise ConfigError("; ".join([str(error), *said])) from None
 
@@ -66,6 +70,18 @@ def plan_within(
     said = (*said, *(text for b in budgets for text in b.said(linear=config.linear)))
     limited = permitted(tighter, budgets)
     return Budgeted(first if limited is tighter else made(limited), limited, budgets, said)
+
+
+def require_torque(plan: Plan, reports: Sequence[DriveReport]) -> None:
+    """ConfigError where an axis is to follow a path whose drive holds it at its place meanwhile."""
+    for e in plan.experiments:
+        led = [reports[i].axis for i in e.excited if reports[i].by_offset and e.reference is not None]
+        if led:
+            raise ConfigError(
+                f"experiment {e.key} ({e.kind}) leads axis {', '.join(led)} along a path, but its drive "
+                "holds it at its place and takes a torque offset only; leave constant velocities and "
+                "creep to axes with cyclic synchronous torque"
+            )
 
 
 def _inertia(config: CellConfig, plan: Plan) -> list[float | None]:

@@ -188,7 +188,8 @@ class Sweep:
         self._motion.centre(excited, lowest=lowest_frequency([experiment]), path=path)
         gains = [float("nan")] * self._motion.count
         for f in self._motion.feedback:
-            gains[f.axis] = f.gains.stiffness
+            # a loop inside the drive: nobody knows how stiff it is
+            gains[f.axis] = float("nan") if self._motion.by_offset(f.axis) else f.gains.stiffness
         self.sink.begin(experiment, gains, scale)
         self._motion.must_move = set() if path else excited
         self._motion.watching.standing.slowest(lowest_frequency([experiment]))

@@ -110,6 +110,14 @@ class Motion:
             raise SafetyStop("the sweep watches nothing before it has started")
         return self._watch
 
+    def by_offset(self, axis: int) -> bool:
+        """Whether torque is added to a loop that the axis's drive keeps closed, also in ``Mode.TORQUE``.
+
+        A cell whose drives all have a torque mode need not say so.
+        """
+        told: Sequence[bool] = getattr(self.cell, "by_offset", ())
+        return bool(told) and told[axis]
+
     def permit(self, axis: int, velocity: float) -> None:
         """A lower limit for the velocity of one axis, from here on."""
         axes = list(self.config.axes)
@@ -163,7 +171,7 @@ class Motion:
         for i, mode in enumerate(self._modes):
             # What the drive needs to hold an axis is what it needs when the master takes over; only a
             # gravity-loaded axis is believed to need any, friction held at rest can be anything.
-            if mode is Mode.HOLD and config.axes[i].gravity_loaded:
+            if mode is Mode.HOLD and config.axes[i].gravity_loaded and not self.by_offset(i):
                 self.bias[i] = float(np.mean(torque[:, i]))
 
     # --- one cycle and many --------------------------------------------------------------------
@@ -300,6 +308,8 @@ class Motion:
             if i in excited:
                 inertia = self.inertia.get(i) or self.plan.inertia[i] or 0.0
                 gains = following(inertia, cycle) if path else centring(inertia, lowest, cycle)
+                if self.by_offset(i):
+                    gains = Gains(0.0, 0.0)  # its drive holds it all the time
                 modes.append(Mode.TORQUE)
                 feedback.append(Feedback(i, gains, self.bias[i], limit))
                 continue
@@ -328,6 +338,8 @@ class Motion:
             # An axis that is far away or fast is brought back more gently.
             away, speed = abs(self._last[i] - self.origin[i]), abs(self._velocity[i])
             lowest = CATCH_HZ
+            if self.by_offset(i):
+                continue
             most = CATCH_SHARE * self.plan.forecast[i].peak_torque
             while f.gains.stiffness * away + f.gains.damping * speed > most and lowest > CATCH_LEAST_HZ:
                 lowest /= 2
@@ -337,6 +349,8 @@ class Motion:
     def _hold_gains(self, axis: int) -> Gains | None:
         """Gains of a held axis; ``None``: inside the drive."""
         settings = self.config.axes[axis]
+        if self.by_offset(axis):
+            return None
         held = master_hold(settings, self.plan.cycle_s)
         if held is not None:
             return held

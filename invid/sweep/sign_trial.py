@@ -116,10 +116,13 @@ class SignTrial:
         kept = motion.play(rows, len(rows), log=True)
         motion.watching.words.require_no_limit([axis], f"{amplitude:.3g} {self._torque_unit}")
         torque, came = kept.torque[:, axis], kept.fresh[:, axis]
+        own = torque - motion.bias[axis]
+        if motion.by_offset(axis):
+            own = trials.without_loop(kept.time, self._demand(kept), own, kept.position[:, axis], came)
         found = trials.response(
             kept.time,
             self._demand(kept),
-            torque - motion.bias[axis],
+            own,
             kept.position[:, axis] - kept.position[0, axis],
             count=self._count,
             rated=self._rated,
@@ -246,9 +249,10 @@ class SignTrial:
     def _weigh(self, last: Trial, amplitude: float, length: float) -> Branch | None:
         """The whole branch as a rigid mass, from slower doublets; ``None`` where it does not move so.
 
-        Where nobody has stated an inertia there is nothing to compare with.
+        Where nobody has stated an inertia there is nothing to compare with; where the drive's own loop stays
+        closed, no axis moves so.
         """
-        if self._stated is None:
+        if self._stated is None or self._motion.by_offset(self._axis):
             return None
         window = self._settings.limits.position
         slow = max(self._amplitude * SLOW_SHARE, LEAST_STEPS / 1000 * self._rated)

@@ -56,6 +56,8 @@ class DriveReport:
     scaling: Scaling
     torque_mode: OperationMode
     can_hold: bool
+    by_offset: bool
+    """Shaken by its torque offset in cyclic synchronous position: the loop stays closed in the drive."""
     lacks: tuple[str, ...]
     warnings: tuple[str, ...]
     limits: EffectiveLimits
@@ -73,6 +75,7 @@ class DriveReport:
             "position_per_count": self.scaling.position_per_count,
             "torque_mode": self.torque_mode.name.lower(),
             "can_hold": self.can_hold,
+            "by_offset": self.by_offset,
             "lacks": list(self.lacks),
             "warnings": list(self.warnings),
             "limits": self.limits.to_json(),
@@ -96,6 +99,8 @@ class Drive(Access):
         super().__init__(link, config, journal, linear=linear)
         self.protection = Protection(self, heartbeat_s)
         self._cycle_s, self._most_skipped = cycle_s, most_skipped
+        self.by_offset = False
+        """Whether it is shaken by its torque offset (0x60B2); known from ``check`` on."""
         self._timer: int | None = None
         """0x1400:5 that goes with the map, from ``protect`` on."""
 
@@ -121,6 +126,7 @@ class Drive(Access):
         self._require_servo(who, self.read(od.DEVICE_TYPE), warnings)
         self.serial = self.find(od.SERIAL_NUMBER) or 0
         self._compare_identity(who, warnings)
+        self.by_offset = self._takes_offset()
         self._require_objects(who)
         mode, can_hold = self._modes(who, warnings)
         scaling = read_scaling(self, warnings)
@@ -145,6 +151,7 @@ class Drive(Access):
             scaling=scaling,
             torque_mode=mode,
             can_hold=can_hold,
+            by_offset=self.by_offset,
             lacks=tuple(lacks),
             warnings=tuple(warnings),
             limits=limits,
@@ -173,7 +180,8 @@ class Drive(Access):
             warnings.append(f"{said}: {' and '.join(names)}; used all the same, as overrides says ({reason})")
 
     def _refuse_declared(self, who: str) -> None:
-        why = None if self.declared is None else refusal(self.declared)
+        by_offset = self.vendor.takes_offset
+        why = None if self.declared is None else refusal(self.declared, by_offset=by_offset)
         if why is not None and self.declared is not None:
             raise DriveError(
                 f"{who}: by its EDS {self.declared.path.name} the drive {why}; this drive cannot be shaken. "
@@ -196,9 +204,19 @@ class Drive(Access):
                 self.declared = None
                 return
 
+    def _takes_offset(self) -> bool:
+        """No torque mode, but cyclic synchronous position with a torque offset."""
+        modes = self.find(od.SUPPORTED_MODES)
+        if modes is None or not modes & OperationMode.CYCLIC_POSITION.supported_bit:
+            return False
+        torque = OperationMode.CYCLIC_TORQUE.supported_bit | OperationMode.PROFILE_TORQUE.supported_bit
+        takes = not modes & torque and self.vendor.takes_offset
+        return takes and self.find(od.TORQUE_OFFSET) is not None
+
     def _require_objects(self, who: str) -> None:
+        command = od.TORQUE_OFFSET if self.by_offset else od.TARGET_TORQUE
         for what, why in (
-            (od.TARGET_TORQUE, "torque cannot be commanded"),
+            (command, "torque cannot be commanded"),
             (od.TORQUE, "torque cannot be measured"),
             (od.POSITION, "position cannot be measured"),
         ):
@@ -215,6 +233,12 @@ class Drive(Access):
             warnings.append(f"{who}: 0x6502 is missing; cyclic synchronous torque and position are assumed")
             return OperationMode.CYCLIC_TORQUE, True
         can_hold = bool(supported & OperationMode.CYCLIC_POSITION.supported_bit)
+        if self.by_offset:
+            warnings.append(
+                f"{who}: no torque mode; it is shaken by its torque offset (0x60B2) in cyclic synchronous "
+                "position: its own loop stays closed, and stiffens the axis below its bandwidth"
+            )
+            return OperationMode.CYCLIC_POSITION, True
         for mode in (OperationMode.CYCLIC_TORQUE, OperationMode.PROFILE_TORQUE):
             if supported & mode.supported_bit:
                 if mode is OperationMode.PROFILE_TORQUE:
@@ -224,7 +248,9 @@ class Drive(Access):
                 return mode, can_hold
         raise DriveError(
             f"{who}: the drive has no torque mode (0x6502 is 0x{supported:08X}, bits 9 and 3 are clear); "
-            "it cannot be shaken. Choose a drive or firmware with cyclic synchronous torque"
+            "it cannot be shaken. Choose a drive or firmware with cyclic synchronous torque, or with cyclic "
+            "synchronous position and a torque offset (0x60B2), or record with its own tool and use "
+            "`invid import`"
         )
 
     def _lacks(self, can_hold: bool) -> list[str]:
@@ -281,10 +307,14 @@ class Drive(Access):
         self._timer = self._timer_ms()
 
     def map_pdos(self) -> None:
-        """RPDO 1: controlword, target torque. TPDO 1: position, torque, statusword. Both with SYNC."""
+        """RPDO 1: controlword, target torque. TPDO 1: position, torque, statusword. Both with SYNC.
+
+        A drive that is shaken by its torque offset has that in place of the target torque.
+        """
+        targets = od.OFFSET_MAP if self.by_offset else od.RPDO_MAP
         who = f"axis {self.name} (node {self.node_id})"
         for kind, communication, mapping, wanted, cob in (
-            ("RPDO", od.rpdo_communication, od.rpdo_mapping, od.RPDO_MAP, 0x200 + self.node_id),
+            ("RPDO", od.rpdo_communication, od.rpdo_mapping, targets, 0x200 + self.node_id),
             ("TPDO", od.tpdo_communication, od.tpdo_mapping, od.TPDO_MAP, 0x180 + self.node_id),
         ):
             for number in range(2, self._pdos(kind) + 1):

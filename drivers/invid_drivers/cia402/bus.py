@@ -92,6 +92,11 @@ class Cia402Cell:
         return tuple(r.can_hold for r in self._reports)
 
     @property
+    def by_offset(self) -> tuple[bool, ...]:
+        """Whether each axis is shaken by its torque offset while its drive goes on holding it."""
+        return tuple(r.by_offset for r in self._reports)
+
+    @property
     def resolution(self) -> tuple[float, ...]:
         """Position of one encoder count of each axis [rad or m]."""
         return tuple(r.scaling.position_per_count for r in self._reports)
@@ -168,8 +173,8 @@ class Cia402Cell:
         for i, mode in enumerate(modes):
             self._now_in(i, mode)
         for drive, report, mode in zip(self._drives, self._reports, modes, strict=True):
-            drive.command(od.TARGET_TORQUE, 0)
-            if mode is Mode.HOLD:
+            drive.command(od.TORQUE_OFFSET if drive.by_offset else od.TARGET_TORQUE, 0)
+            if mode is Mode.HOLD or drive.by_offset:
                 drive.command(od.TARGET_POSITION, drive.read(od.POSITION))
             drive.set_mode(self._operation_mode(report, mode), CHANGE_S)
         self._link.events.clear()
@@ -233,6 +238,8 @@ class Cia402Cell:
             operation = self._operation_mode(report, mode)
             if operation is not self._cycle.operation[i]:
                 self._cycle.change(i, mode, operation)
+            elif report.by_offset:
+                self._cycle.modes[i] = mode  # its mode stays; what changes is whether it is sent torque
 
     @property
     def changing(self) -> bool:

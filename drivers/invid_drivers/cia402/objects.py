@@ -88,6 +88,7 @@ GEAR_MOTOR = Object(0x6091, 1, "I", "gear ratio, motor revolutions")
 GEAR_SHAFT = Object(0x6091, 2, "I", "gear ratio, shaft revolutions")
 FEED = Object(0x6092, 1, "I", "feed constant, feed")
 FEED_REVOLUTIONS = Object(0x6092, 2, "I", "feed constant, shaft revolutions")
+TORQUE_OFFSET = Object(0x60B2, 0, "h", "torque offset")
 INTERPOLATION_VALUE = Object(0x60C2, 1, "B", "interpolation time, value")
 INTERPOLATION_EXPONENT = Object(0x60C2, 2, "b", "interpolation time, power of ten")
 SUPPORTED_MODES = Object(0x6502, 0, "I", "supported drive modes")
@@ -96,6 +97,8 @@ KNOWN = {(o.index, o.sub): o for o in tuple(globals().values()) if isinstance(o,
 """Every object above by its address."""
 
 RPDO_MAP = (CONTROLWORD, TARGET_TORQUE)
+OFFSET_MAP = (CONTROLWORD, TORQUE_OFFSET)
+"""RPDO of a drive that is shaken by its torque offset."""
 TPDO_MAP = (POSITION, TORQUE, STATUSWORD)
 
 
