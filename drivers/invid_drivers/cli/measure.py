@@ -28,6 +28,7 @@ from invid_drivers.cli.expectation import NOTHING, belief_of, expectation, expec
 from invid_drivers.goal import Reached, measure_to_goal
 from invid_drivers.measurement import MeasurementResult, ask_drives, measure_to_file
 from invid_drivers.rescreening import screen_cell, screening_plan
+from invid_drivers.stop_flag import StopFlag
 from invid_drivers.timing import timing_of
 
 STDERR = 2
@@ -41,7 +42,7 @@ def stop_on_signals() -> Iterator[threading.Event]:
 
     Ctrl-Z too: a measurement cannot be suspended, the axes would go on without anybody who reads.
     """
-    stop = threading.Event()
+    stop = StopFlag()
 
     def ask(number: int, frame: object) -> None:
         if stop.is_set():
