@@ -19,15 +19,15 @@ from invid.numerics.arrays import frozen_float
 from invid.planning import AxisForecast, Plan, make_plan
 from invid.planning.belief import Belief
 from invid.planning.fit import fit_to_limits
+from invid.planning.stopping_distance import StoppingBudget
 from invid.recording import Outcome, Recording, RecordingWriter
 from invid.sweep import Progress, Sink, Sweep, SweepResult
 from invid.sweep.recorder import Recorder
-from invid_drivers.cia402.axis import DriveReport
 from invid_drivers.cia402.bus import Cia402Cell
-from invid_drivers.cia402.limits import tighten, tightened_limits
 from invid_drivers.collecting import Judged
 from invid_drivers.connect import connect, is_virtual
 from invid_drivers.round_trip import probe, require
+from invid_drivers.stopping_budgets import measured_budgets, plan_within
 
 __all__ = ["MeasurementResult", "Progress", "measure_to_file"]
 
@@ -152,46 +152,39 @@ def start_measurement(
     cell = connect(config)
     try:
         cell.check()
-        tighter = tighten(config, cell.reports)
-        if plan is None:
-            plan = plan_within(config, tighter, cell.reports, axes, amplitude_scale, model)
-        return fit_to_limits(plan, config, tighter), cell
+        found = plan_within(
+            config, cell.reports, axes=axes, amplitude_scale=amplitude_scale, model=model, plan=plan
+        )
+        return fit_to_limits(found.plan, config, found.config), cell
     except BaseException:
         cell.close()
         raise
 
 
-def plan_within(
+def ask_drives(
     config: CellConfig,
-    tighter: CellConfig,
-    reports: Sequence[DriveReport],
+    *,
     axes: Sequence[str] | None = None,
     amplitude_scale: float = 1.0,
     model: CoupledChains | Belief | None = None,
-) -> Plan:
-    """The plan under the effective limits; where it cannot be made, who limits is said."""
-    try:
-        return make_plan(tighter, axes=axes, amplitude_scale=amplitude_scale, model=model)
-    except ConfigError as error:
-        raise ConfigError("; ".join([str(error), *tightened_limits(config, reports)])) from None
+) -> tuple[Plan, CellConfig, tuple[StoppingBudget, ...], list[str]]:
+    """The plan within what the drives leave, the config with it, the budgets, and what is to be said of it.
 
-
-def ask_limits(config: CellConfig) -> tuple[CellConfig, list[str]]:
-    """The config with the limits that its drives leave, and what is to be said of it.
-
-    Where nobody can be asked, the config's own limits and why.
+    Where nobody can be asked, the config's own limits, no budgets, and why.
     """
+    plan = make_plan(config, axes=axes, amplitude_scale=amplitude_scale, model=model)
     try:
         cell = connect(config)
     except InvidError as error:
-        return config, [f"the drives were not asked, the limits are the config's: {error}"]
+        return plan, config, (), [f"the drives were not asked, the limits are the config's: {error}"]
     try:
         cell.check()
     except InvidError as error:
-        return config, [f"the drives are not ready, the limits are the config's: {error}"]
+        return plan, config, (), [f"the drives are not ready, the limits are the config's: {error}"]
     finally:
         cell.close()
-    return tighten(config, cell.reports), list(tightened_limits(config, cell.reports))
+    found = plan_within(config, cell.reports, axes=axes, amplitude_scale=amplitude_scale, model=model)
+    return found.plan, found.config, found.budgets, list(found.said)
 
 
 def _require_file(out: Path) -> None:
@@ -240,9 +233,9 @@ def run_measurement(
             cell.cancelled = stop.is_set
         if not cell.reports:
             cell.check()
-        tighter = tighten(config, cell.reports)
-        plan = fit_to_limits(plan, config, tighter)
-        notes = [*notes, *tightened_limits(config, cell.reports)]
+        found = plan_within(config, cell.reports, plan=plan)
+        plan = fit_to_limits(plan, config, found.config)
+        notes = [*notes, *found.said]
         if not config.simulated:  # before anything is enabled: what would end with missing answers is refused
             notes = [*notes, *require(probe(cell.link, config, plan, cell.cancelled), config)]
         header = _header(config, cell)
@@ -253,7 +246,10 @@ def run_measurement(
             recorder, asked = Recorder(judged.open, plan.cycle_s, len(plan.axes)), judged.ask
         else:
             recorder = Recorder(lambda: RecordingWriter(out, header), plan.cycle_s, len(plan.axes))
-        sweep = Sweep(plan, tighter, cell, recorder, progress=progress, stop=stop, go_on=asked)
+        permit = measured_budgets(found.config, cell.reports, plan)
+        sweep = Sweep(
+            plan, found.config, cell, recorder, progress=progress, stop=stop, go_on=asked, permit=permit
+        )
         result = sweep.run()
         outcome = Outcome.COMPLETED
         complaints = cell.close()

@@ -45,6 +45,7 @@ from invid.recording import Outcome, Recording
 from invid.sweep import Progress, Sample
 from invid_drivers.filing import Filing, Teller
 from invid_drivers.memory import lock_memory
+from invid_drivers.stop_flag import StopFlag
 
 PRIORITY = 50
 """SCHED_FIFO priority: above everything ordinary, below the kernel's own threads."""
@@ -95,7 +96,7 @@ def die_with_parent(parent: int) -> None:
         os.kill(os.getpid(), signal.SIGTERM)
 
 
-def leave_by(stop: threading.Event) -> None:
+def leave_by(stop: StopFlag) -> None:
     """What a terminal or the system may send ends in an orderly stop, never in the sudden end of the cycle.
 
     A terminal sends to the whole group, so here too: Ctrl-C, Ctrl-Z, Ctrl-\\, and hanging up (a closed
@@ -167,7 +168,7 @@ def child_main(fd: int) -> None:
     """Run one measurement; everything goes back over the socket ``fd``."""
     from invid_drivers.measurement import run_measurement, start_measurement
 
-    stop = threading.Event()
+    stop = StopFlag()
     leave_by(stop)
     connection = Connection(fd)
     task: Mapping[str, Any] = connection.recv()

@@ -54,6 +54,13 @@ class LimitsConfig(Strict):
     velocity: float = Field(
         gt=0, validation_alias=AliasChoices("velocity", "velocity_rad_per_s", "velocity_m_per_s")
     )
+    stopping_room: float | None = Field(
+        default=None,
+        gt=0,
+        validation_alias=AliasChoices("stopping_room", "stopping_room_rad", "stopping_room_m"),
+    )
+    """How far beyond its window an axis may come to rest after a stop, or after this computer has died.
+    Default: as far as the window. Where it could go further, less speed is permitted."""
 
 
 def _angle(name: str) -> Any:
@@ -151,6 +158,17 @@ class AxisConfig(Strict):
     "0x6091" and "0x6092" give way to the config's rated torque and position per count, "0x6075" to the vendor
     table's nominal current; "0x6072" may be raised where it is 0 as shipped; "0x1000" may say another kind of
     drive."""
+    quick_stop_deceleration: float | None = Field(
+        default=None,
+        gt=0,
+        validation_alias=AliasChoices(
+            "quick_stop_deceleration",
+            "quick_stop_deceleration_rad_per_s2",
+            "quick_stop_deceleration_m_per_s2",
+        ),
+    )
+    """Of the drive's quick stop, by its manual or its tool: used where 0x6085 is missing, and where it is not
+    known in what unit it counts."""
     masses: int | None = Field(default=None, ge=1)
     hold: HoldConfig = HoldConfig()
     limits: LimitsConfig
@@ -179,7 +197,8 @@ class SafetyConfig(Strict):
     """What the master watches beside the limits of each axis."""
 
     heartbeat_s: float = Field(default=0.1, gt=0, le=5)
-    """Period of the master's heartbeat; a drive that misses three of them stops by itself."""
+    """Period of the master's heartbeat; a drive that misses three of them stops by itself. Until then it goes
+    on with its last torque, so that it is part of the way to rest of a cell whose master has died."""
     missed_tpdos: int = Field(default=5, ge=1, le=1000)
     """Cycles in a row without an axis's TPDO before everything stops."""
     overrun_cycles: int = Field(default=20, ge=1)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from invid.config import CellConfig
@@ -18,6 +18,8 @@ from invid.sweep.watch import Statistics
 
 TRIAL_SIGNS_S = 3.5
 """What the trial of the signs of one axis takes about (case study)."""
+WORTH_SAYING = 0.9
+"""A permitted speed that the measured inertia lowers by less than a tenth needs no words."""
 DECIDE_S, DECIDE_POLL_S = 60.0, 0.1
 """The axes are held this long while whoever ordered the measurement judges what is there."""
 
@@ -67,6 +69,9 @@ class Sweep:
     go_on: Callable[[int], bool | None] | None = None
     """Asked after each experiment but the last, with its number: True next one, False enough, ``None`` not
     known yet (the axes are held, and it is asked again)."""
+    permit: Callable[[Sequence[float | None], Sequence[float | None]], CellConfig] | None = None
+    """The limits anew, by the inertia and the hold torque of each axis as the trials of the signs measured
+    them: less speed is permitted to an axis that takes longer to stop than was stated."""
 
     def __post_init__(self) -> None:
         self._motion = Motion(self.plan, self.config, self.cell, self.stop, self._report)
@@ -105,9 +110,11 @@ class Sweep:
                     case Step.SIGNS:
                         self._rehearsal.try_signs(phase.number)
                     case Step.TRIAL:
+                        self._permit()
                         self._rehearsal.try_amplitude(self.plan.trials[phase.number])
                         self._forecast = self._rehearsal.forecast()
                     case Step.EXPERIMENT:
+                        self._permit()
                         self._experiment(phase)
                         more = phase.number + 1 < len(self.plan.experiments)
                         if more and self._enough(phase.number):
@@ -121,6 +128,7 @@ class Sweep:
         measured_s = self._motion.done_s
         self._motion.phase, self._motion.done_s = "done", self._total_s
         self._report()
+        self.warnings += self._motion.watching.words.said()
         return SweepResult(
             scale=float(self._rehearsal.scales.min()),
             inertia={self.plan.axes[i]: m for i, m in self._motion.inertia.items()},
@@ -150,6 +158,27 @@ class Sweep:
         )
         return True
 
+    def _permit(self) -> None:
+        """Limits by what was measured so far; never wider than before."""
+        motion = self._motion
+        if self.permit is None:
+            return
+        loads = [
+            b if a.gravity_loaded else None for a, b in zip(motion.config.axes, motion.bias, strict=True)
+        ]
+        measured = [motion.inertia.get(i) for i in range(motion.count)]
+        limits = self.permit(measured, loads)
+        for i, axis in enumerate(limits.axes):
+            before, now = motion.config.axes[i].limits.velocity, axis.limits.velocity
+            if now < before:
+                motion.permit(i, now)
+            if now < WORTH_SAYING * before:
+                unit = "m/s" if limits.linear else "rad/s"
+                self.warnings.append(
+                    f"axis {axis.name}: by the inertia and load that were measured, at most {now:.3g} {unit} "
+                    f"are permitted, not {before:.3g}, so that it comes to rest in time"
+                )
+
     def _experiment(self, phase: PhasePlan) -> None:
         experiment, scale = self.plan.experiments[phase.number], float(self._rehearsal.scales[phase.number])
         self._motion.phase = phase.name
@@ -160,7 +189,8 @@ class Sweep:
         self._motion.centre(excited, lowest=lowest_frequency([experiment]), path=path)
         gains = [float("nan")] * self._motion.count
         for f in self._motion.feedback:
-            gains[f.axis] = f.gains.stiffness
+            # a loop inside the drive: nobody knows how stiff it is
+            gains[f.axis] = float("nan") if self._motion.by_offset(f.axis) else f.gains.stiffness
         self.sink.begin(experiment, gains, scale)
         self._motion.must_move = set() if path else excited
         self._motion.watching.standing.slowest(lowest_frequency([experiment]))

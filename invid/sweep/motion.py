@@ -113,6 +113,22 @@ class Motion:
             raise SafetyStop("the sweep watches nothing before it has started")
         return self._watch
 
+    def by_offset(self, axis: int) -> bool:
+        """Whether torque is added to a loop that the axis's drive keeps closed, also in ``Mode.TORQUE``.
+
+        A cell whose drives all have a torque mode need not say so.
+        """
+        told: Sequence[bool] = getattr(self.cell, "by_offset", ())
+        return bool(told) and told[axis]
+
+    def permit(self, axis: int, velocity: float) -> None:
+        """A lower limit for the velocity of one axis, from here on."""
+        axes = list(self.config.axes)
+        limits = axes[axis].limits.model_copy(update={"velocity": velocity})
+        axes[axis] = axes[axis].model_copy(update={"limits": limits})
+        self.config = self.config.model_copy(update={"axes": axes})
+        self.watching.permit(axis, velocity)
+
     def resting_modes(self) -> list[Mode]:
         """Held by its drive whatever can be."""
         return [Mode.HOLD if can else Mode.TORQUE for can in self.cell.can_hold]
@@ -167,6 +183,7 @@ class Motion:
         held = [mode is Mode.HOLD for mode in self._modes]
         rated = self.cell.rated_torque
         rows = self.play(None, round(SETTLE_S / self.plan.cycle_s), log=True)
+        self.watching.words.learn_rest()
         half = len(rows.torque) // 2
         self.loads = judge_loads(self.config, rows.torque[half:], rows.fresh[half:], held, rated)
         if any(load.loaded for load in self.loads):  # one must be sure of it, and of its torque
@@ -176,8 +193,10 @@ class Motion:
             self.loads = judge_loads(self.config, rows.torque, rows.fresh, held, rated)
         for i, load in enumerate(self.loads):
             # What the drive needs to hold an axis is what it needs when the master takes over; only a
-            # loaded axis is believed to need any, friction held at rest can be anything.
-            self.bias[i] = load.torque if held[i] and load.loaded and np.isfinite(load.torque) else 0.0
+            # loaded axis is believed to need any, friction held at rest can be anything. A drive that is
+            # shaken by its torque offset keeps its own loop, which holds it.
+            known = held[i] and load.loaded and np.isfinite(load.torque) and not self.by_offset(i)
+            self.bias[i] = load.torque if known else 0.0
 
     # --- one cycle and many --------------------------------------------------------------------
     def play(
@@ -291,6 +310,7 @@ class Motion:
         if list(modes) != self._modes:
             coming = {f.axis for f in feedback}
             self.feedback = [*feedback, *(f for f in self.feedback if f.axis not in coming)]
+            self.watching.words.pause()
             self.cell.set_modes(modes)
             self._modes = list(modes)
             done = self.done_s
@@ -298,6 +318,7 @@ class Motion:
                 self.play(None, 1)
             self.done_s = done  # no part of the plan
             self.watching.hand_over()
+            self.watching.words.resume()
         self.feedback, self._demand = feedback, demand
         self.watching.settle()
 
@@ -311,6 +332,8 @@ class Motion:
             if i in excited:
                 inertia = self.inertia.get(i) or self.plan.inertia[i] or 0.0
                 gains = following(inertia, cycle) if path else centring(inertia, lowest, cycle)
+                if self.by_offset(i):
+                    gains = Gains(0.0, 0.0)  # its drive holds it all the time
                 modes.append(Mode.TORQUE)
                 feedback.append(Feedback(i, gains, self.bias[i], limit))
                 continue
@@ -339,6 +362,8 @@ class Motion:
             # An axis that is far away or fast is brought back more gently.
             away, speed = abs(self._last[i] - self.origin[i]), abs(self._velocity[i])
             lowest = CATCH_HZ
+            if self.by_offset(i):
+                continue
             most = CATCH_SHARE * self.plan.forecast[i].peak_torque
             while f.gains.stiffness * away + f.gains.damping * speed > most and lowest > CATCH_LEAST_HZ:
                 lowest /= 2
@@ -348,6 +373,8 @@ class Motion:
     def _hold_gains(self, axis: int) -> Gains | None:
         """Gains of a held axis; ``None``: inside the drive."""
         settings = self.config.axes[axis]
+        if self.by_offset(axis):
+            return None
         held = master_hold(settings, self.plan.cycle_s)
         if held is not None:
             return held

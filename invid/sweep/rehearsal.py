@@ -161,6 +161,7 @@ class Rehearsal:
         fade = min(round(0.5 / cycle), cycles // 4)
         motion.centre(excited, lowest=lowest_frequency([experiment]))
         before = np.array(motion.place)
+        motion.watching.words.begin()
         rows, path = experiment.torque * share, experiment.reference
 
         def play(first: int, last: int) -> Log:
@@ -173,6 +174,8 @@ class Rehearsal:
         motion.watching.excited = set()
         if moves:
             motion.watching.learn_standing(excited)
+        words = f"{share:.0%} of the planned amplitude"
+        motion.watching.words.require_no_limit(range(motion.count), words)
         ending = play(cycles - fade, cycles)
         rest = motion.rest(excited)
         kept = joined([opening, body, ending, rest])

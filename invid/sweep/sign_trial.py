@@ -112,12 +112,17 @@ class SignTrial:
         quiet = max(8, round(trials.EDGE_S / cycle) + max(trials.LAGS))
         rows = np.zeros((wave.size + 2 * quiet, motion.count))
         rows[quiet:-quiet, axis] = wave
+        motion.watching.words.begin()
         kept = motion.play(rows, len(rows), log=True)
+        motion.watching.words.require_no_limit([axis], f"{amplitude:.3g} {self._torque_unit}")
         torque, came = kept.torque[:, axis], kept.fresh[:, axis]
+        own = torque - motion.bias[axis]
+        if motion.by_offset(axis):
+            own = trials.without_loop(kept.time, self._demand(kept), own, kept.position[:, axis], came)
         found = trials.response(
             kept.time,
             self._demand(kept),
-            torque - motion.bias[axis],
+            own,
             kept.position[:, axis] - kept.position[0, axis],
             count=self._count,
             rated=self._rated,
@@ -209,6 +214,7 @@ class SignTrial:
                 else "did not move: the drive gives no torque; look at its torque and current limits, safe "
                 "torque off and its torque mode"
             )
+            + self._ignored()
         )
 
     def _require_motion(self, found: trials.Response, amplitude: float, length: float) -> None:
@@ -218,8 +224,14 @@ class SignTrial:
             f"axis {self._settings.name}: {amplitude:.3g} {self._torque_unit} for {length:.2g} s moved the "
             f"encoder by {found.displacement / self._count:.0f} counts: the brake is closed, the encoder is "
             "stuck, or friction takes all of the planned torque; see that the brake opens and turn the axis "
-            "by hand"
+            "by hand" + self._ignored()
         )
+
+    def _ignored(self) -> str:
+        """What the drive says of a target that did nothing."""
+        if not self._motion.watching.words.ignores(self._axis):
+            return ""
+        return ". The drive does not say that it follows its target (statusword bit 12 is 0)"
 
     def _require_signs(self, found: trials.Response, amplitude: float) -> None:
         name, seen = self._settings.name, self._seen
@@ -237,9 +249,10 @@ class SignTrial:
     def _weigh(self, last: Trial, amplitude: float, length: float) -> Branch | None:
         """The whole branch as a rigid mass, from slower doublets; ``None`` where it does not move so.
 
-        Where nobody has stated an inertia there is nothing to compare with.
+        Where nobody has stated an inertia there is nothing to compare with; where the drive's own loop stays
+        closed, no axis moves so.
         """
-        if self._stated is None:
+        if self._stated is None or self._motion.by_offset(self._axis):
             return None
         window = self._settings.limits.position
         slow = max(self._amplitude * SLOW_SHARE, LEAST_STEPS / 1000 * self._rated)

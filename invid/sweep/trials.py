@@ -121,6 +121,24 @@ def response(
     )
 
 
+def without_loop(time: Float64, demand: Float64, torque: Float64, position: Float64, came: Bool) -> Float64:
+    """(n,) measured torque less what the drive's own loop gives, where that stays closed under the demand.
+
+    The loop answers the path, τ = k·x + d·ẋ + c; what it gives is told from the demand, at any of the first
+    lags, by least squares.
+    """
+    if came.sum() < 4 * SIDE_ROWS:
+        return torque
+    velocity = np.gradient(position, time)
+    lagged = [np.concatenate((np.zeros(k), demand[: demand.size - k])) for k in LAGS]
+    loop = np.stack([position, velocity, np.ones_like(position)], axis=1)
+    columns = np.concatenate([np.stack(lagged, axis=1), loop], axis=1)
+    scale = np.maximum(np.abs(columns).max(axis=0), 1e-300)
+    found = np.linalg.lstsq(columns[came] / scale, torque[came], rcond=None)[0] / scale
+    result: Float64 = torque - loop @ found[len(LAGS) :]
+    return result
+
+
 def _stood(demand: Float64, position: Float64, came: Bool) -> bool:
     acting = np.flatnonzero(demand)
     last = position[acting[-(acting.size // 4) :]][came[acting[-(acting.size // 4) :]]]

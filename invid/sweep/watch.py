@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
 from invid.errors import BusError, DriveError, SafetyStop
 from invid.numerics.arrays import Float64
+from invid.sweep.drive_word import DriveWords
 from invid.sweep.halting import Halting
 from invid.sweep.ports import Sample, Severity
 from invid.sweep.stuck_encoder import Standing
@@ -84,6 +85,7 @@ class Watch:
         self._energies: list[float] = []
         names = [a.name for a in limits]
         self.standing = Standing(names, cycle_s)
+        self.words = DriveWords(names, cycle_s)
         self._halting = Halting(names, [a.resolution for a in limits], limits[0].unit, cycle_s)
         self.held: set[int] = set()
         """Axes whose energy is watched for growth."""
@@ -105,6 +107,11 @@ class Watch:
     def hand_over(self) -> None:
         """Another controller takes an axis over: it may stop it at once, as no mass stops."""
         self._halting.pause()
+
+    def permit(self, axis: int, velocity: float) -> None:
+        """A lower limit for the velocity of one axis, from here on."""
+        self._limits[axis] = replace(self._limits[axis], velocity=velocity)
+        self._speed[axis] = min(self._speed[axis], velocity)  # only what is faster than ever is looked at
 
     @property
     def peaks(self) -> Float64:
@@ -201,6 +208,7 @@ class Watch:
                         "drive gives more than it was asked for: check rated_torque and the drive's tuning"
                     )
         self._watch_energy(energy)
+        self.words.check(sample)
         self._halting.check(sample)
         self.standing.check(sample)
 

@@ -79,7 +79,10 @@ def cell(tmp_path: Path) -> Iterator[OtherCell]:
 
 
 def write_config(folder: Path, **second: Any) -> None:
-    limits = {"torque_Nm": LIMIT, "position_window_rad": WINDOW, "velocity_rad_per_s": 3}
+    limits = {
+        "torque_Nm": LIMIT, "position_window_rad": WINDOW, "velocity_rad_per_s": 3,
+        "stopping_room_rad": 1000,  # in the three seconds that a drive waits for its master
+    }  # fmt: skip
     data = {
         "format": "invid-config",
         "robot": "another author's",

@@ -45,6 +45,10 @@ def config(folder: Path, *, interface: str = "invid-unix", channel: str | None =
         }
     ]
     data["safety"] = {"missed_tpdos": 500, "overrun_cycles": 500, "heartbeat_s": 1.0}
+    for axis in data[
+        "axes"
+    ]:  # nothing is there to hit in the three seconds that its drive waits for its master
+        axis["limits"]["stopping_room_rad"] = 1000
     path = folder / "cell.yaml"
     path.write_text(yaml.safe_dump(data), encoding="utf-8")
     return path

@@ -10,6 +10,7 @@ from typing import Any
 
 from invid.config import AxisConfig
 from invid.errors import BusError, DriveError
+from invid.planning.stopping_distance import StoppingFacts
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.access import Access
 from invid_drivers.cia402.declared import refusal
@@ -21,6 +22,7 @@ from invid_drivers.cia402.protection import Protection
 from invid_drivers.cia402.restoration import restore
 from invid_drivers.cia402.scales import read_scaling
 from invid_drivers.cia402.states import DriveState, OperationMode, is_energised, state_of
+from invid_drivers.cia402.stopping import event_timer
 from invid_drivers.cia402.units import Scaling
 
 INVALID = 1 << 31
@@ -54,9 +56,12 @@ class DriveReport:
     scaling: Scaling
     torque_mode: OperationMode
     can_hold: bool
+    by_offset: bool
+    """Shaken by its torque offset in cyclic synchronous position: the loop stays closed in the drive."""
     lacks: tuple[str, ...]
     warnings: tuple[str, ...]
     limits: EffectiveLimits
+    stopping: StoppingFacts
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
@@ -70,6 +75,7 @@ class DriveReport:
             "position_per_count": self.scaling.position_per_count,
             "torque_mode": self.torque_mode.name.lower(),
             "can_hold": self.can_hold,
+            "by_offset": self.by_offset,
             "lacks": list(self.lacks),
             "warnings": list(self.warnings),
             "limits": self.limits.to_json(),
@@ -80,12 +86,35 @@ class Drive(Access):
     """One drive of the cell."""
 
     def __init__(
-        self, link: Link, config: AxisConfig, journal: Journal, *, linear: bool, heartbeat_s: float = 0.1
+        self,
+        link: Link,
+        config: AxisConfig,
+        journal: Journal,
+        *,
+        linear: bool,
+        heartbeat_s: float = 0.1,
+        cycle_s: float = 0.001,
+        most_skipped: int = 20,
     ) -> None:
         super().__init__(link, config, journal, linear=linear)
         self.protection = Protection(self, heartbeat_s)
         self.left_alone = False
         """What it shows may not be believed: nothing is written, not even what stands there."""
+        self._cycle_s, self._most_skipped = cycle_s, most_skipped
+        self.by_offset = False
+        """Whether it is shaken by its torque offset (0x60B2); known from ``check`` on."""
+        self._timer: int | None = None
+        """0x1400:5 that goes with the map, from ``protect`` on."""
+
+    def _timer_ms(self) -> int | None:
+        """0x1400:5 as it is written; DriveError where the cycle cannot keep it."""
+        timer = event_timer(self, self._cycle_s, self._most_skipped)
+        if timer is not None and timer < 2 * self._cycle_s * 1000:
+            raise DriveError(
+                f"{self.who}: 0x1400:5 of the drive stops it after {timer} ms without its RPDO, and is not "
+                f"loosened; set bus.cycle_s to {timer / 2000:g} at most, or 0x1400:5 with the drive's tool"
+            )
+        return timer
 
     # --- preflight -----------------------------------------------------------------------------
     def check(self, said: Sequence[str] = ()) -> DriveReport:
@@ -99,6 +128,7 @@ class Drive(Access):
         self._require_servo(who, self.read(od.DEVICE_TYPE), warnings)
         self.serial = self.find(od.SERIAL_NUMBER) or 0
         self._compare_identity(who, warnings)
+        self.by_offset = self._takes_offset()
         self._require_objects(who)
         mode, can_hold = self._modes(who, warnings)
         scaling = read_scaling(self, warnings)
@@ -125,9 +155,11 @@ class Drive(Access):
             scaling=scaling,
             torque_mode=mode,
             can_hold=can_hold,
+            by_offset=self.by_offset,
             lacks=tuple(lacks),
             warnings=tuple(warnings),
             limits=limits,
+            stopping=self.protection.stopping(scaling, limits, self._timer_ms()),
         )
 
     def _require_servo(self, who: str, device: int, warnings: list[str]) -> None:
@@ -153,7 +185,8 @@ class Drive(Access):
 
     def refuse_declared(self) -> None:
         """DriveError where the EDS says that the drive cannot do the job; asks nothing."""
-        why = None if self.declared is None else refusal(self.declared)
+        by_offset = self.vendor.takes_offset
+        why = None if self.declared is None else refusal(self.declared, by_offset=by_offset)
         if why is not None and self.declared is not None:
             raise DriveError(
                 f"{self.who}: by its EDS {self.declared.path.name} the drive {why}; this drive cannot be "
@@ -176,9 +209,19 @@ class Drive(Access):
                 self.declared = None
                 return
 
+    def _takes_offset(self) -> bool:
+        """No torque mode, but cyclic synchronous position with a torque offset."""
+        modes = self.find(od.SUPPORTED_MODES)
+        if modes is None or not modes & OperationMode.CYCLIC_POSITION.supported_bit:
+            return False
+        torque = OperationMode.CYCLIC_TORQUE.supported_bit | OperationMode.PROFILE_TORQUE.supported_bit
+        takes = not modes & torque and self.vendor.takes_offset
+        return takes and self.find(od.TORQUE_OFFSET) is not None
+
     def _require_objects(self, who: str) -> None:
+        command = od.TORQUE_OFFSET if self.by_offset else od.TARGET_TORQUE
         for what, why in (
-            (od.TARGET_TORQUE, "torque cannot be commanded"),
+            (command, "torque cannot be commanded"),
             (od.TORQUE, "torque cannot be measured"),
             (od.POSITION, "position cannot be measured"),
         ):
@@ -195,6 +238,12 @@ class Drive(Access):
             warnings.append(f"{who}: 0x6502 is missing; cyclic synchronous torque and position are assumed")
             return OperationMode.CYCLIC_TORQUE, True
         can_hold = bool(supported & OperationMode.CYCLIC_POSITION.supported_bit)
+        if self.by_offset:
+            warnings.append(
+                f"{who}: no torque mode; it is shaken by its torque offset (0x60B2) in cyclic synchronous "
+                "position: its own loop stays closed, and stiffens the axis below its bandwidth"
+            )
+            return OperationMode.CYCLIC_POSITION, True
         for mode in (OperationMode.CYCLIC_TORQUE, OperationMode.PROFILE_TORQUE):
             if supported & mode.supported_bit:
                 if mode is OperationMode.PROFILE_TORQUE:
@@ -204,7 +253,9 @@ class Drive(Access):
                 return mode, can_hold
         raise DriveError(
             f"{who}: the drive has no torque mode (0x6502 is 0x{supported:08X}, bits 9 and 3 are clear); "
-            "it cannot be shaken. Choose a drive or firmware with cyclic synchronous torque"
+            "it cannot be shaken. Choose a drive or firmware with cyclic synchronous torque, or with cyclic "
+            "synchronous position and a torque offset (0x60B2), or record with its own tool and use "
+            "`invid import`"
         )
 
     def _lacks(self, can_hold: bool) -> list[str]:
@@ -258,12 +309,17 @@ class Drive(Access):
     def protect(self, report: DriveReport) -> None:
         """Give the drive its own protection before it is enabled, never less than it has."""
         self.protection.write(report.scaling, report.limits)
+        self._timer = self._timer_ms()
 
     def map_pdos(self) -> None:
-        """RPDO 1: controlword, target torque. TPDO 1: position, torque, statusword. Both with SYNC."""
+        """RPDO 1: controlword, target torque. TPDO 1: position, torque, statusword. Both with SYNC.
+
+        A drive that is shaken by its torque offset has that in place of the target torque.
+        """
+        targets = od.OFFSET_MAP if self.by_offset else od.RPDO_MAP
         who = f"axis {self.name} (node {self.node_id})"
         for kind, communication, mapping, wanted, cob in (
-            ("RPDO", od.rpdo_communication, od.rpdo_mapping, od.RPDO_MAP, 0x200 + self.node_id),
+            ("RPDO", od.rpdo_communication, od.rpdo_mapping, targets, 0x200 + self.node_id),
             ("TPDO", od.tpdo_communication, od.tpdo_mapping, od.TPDO_MAP, 0x180 + self.node_id),
         ):
             for number in range(2, self._pdos(kind) + 1):
@@ -279,6 +335,8 @@ class Drive(Access):
                     self.write(mapping(1, sub), what.mapping)
                 self.write(mapping(1, 0), len(wanted))
                 self.write(communication(1, 2), SYNCHRONOUS)
+                if kind == "RPDO":
+                    self._write_timer()
                 self.write(communication(1, 1), cob)
             except DriveError as error:
                 if "does not answer" in str(error):
@@ -288,6 +346,16 @@ class Drive(Access):
                     f"{who}: {kind} 1 cannot be mapped to {names}: {error}; this drive cannot be run in "
                     "the cycle"
                 ) from None
+
+    def _write_timer(self) -> None:
+        """RPDOs that stay away are noticed sooner than heartbeats; a drive that refuses has its heartbeat."""
+        if self._timer is None:
+            return
+        try:
+            self.write(od.RPDO_EVENT_TIMER, self._timer)
+        except DriveError as error:
+            if "cannot be written" not in str(error) or self.vendor.rpdo_event_timer.certain:
+                raise
 
     def _pdos(self, kind: str) -> int:
         """How many PDOs of a kind the EDS lists; at most the eight that are switched off one by one."""

@@ -45,7 +45,15 @@ class Cia402Cell:
         self._link = Link(bus, heartbeat_s=config.safety.heartbeat_s)
         self.journal = journal if journal is not None else Journal(None)
         self._drives = [
-            Drive(self._link, a, self.journal, linear=config.linear, heartbeat_s=config.safety.heartbeat_s)
+            Drive(
+                self._link,
+                a,
+                self.journal,
+                linear=config.linear,
+                heartbeat_s=config.safety.heartbeat_s,
+                cycle_s=config.bus.cycle_s,
+                most_skipped=max(config.safety.missed_tpdos, config.safety.overrun_cycles),
+            )
             for a in config.axes
         ]
         self.held = HeldAxes(self._drives, self.journal)
@@ -96,6 +104,11 @@ class Cia402Cell:
     def can_hold(self) -> tuple[bool, ...]:
         """Whether each drive can hold its place by itself."""
         return tuple(r.can_hold for r in self._reports)
+
+    @property
+    def by_offset(self) -> tuple[bool, ...]:
+        """Whether each axis is shaken by its torque offset while its drive goes on holding it."""
+        return tuple(r.by_offset for r in self._reports)
 
     @property
     def resolution(self) -> tuple[float, ...]:
@@ -214,8 +227,8 @@ class Cia402Cell:
         for i, mode in enumerate(modes):
             self._now_in(i, mode)
         for drive, report, mode in zip(self._drives, self._reports, modes, strict=True):
-            drive.command(od.TARGET_TORQUE, 0)
-            if mode is Mode.HOLD:
+            drive.command(od.TORQUE_OFFSET if drive.by_offset else od.TARGET_TORQUE, 0)
+            if mode is Mode.HOLD or drive.by_offset:
                 drive.command(od.TARGET_POSITION, drive.read(od.POSITION))
             drive.set_mode(self._operation_mode(report, mode), CHANGE_S)
         self._link.events.clear()
@@ -314,6 +327,8 @@ class Cia402Cell:
             operation = self._operation_mode(report, mode)
             if operation is not self._cycle.operation[i]:
                 self._cycle.change(i, mode, operation)
+            elif report.by_offset:
+                self._cycle.modes[i] = mode  # its mode stays; what changes is whether it is sent torque
 
     @property
     def changing(self) -> bool:
@@ -338,7 +353,9 @@ class Cia402Cell:
         if self._stopped:
             return
         stays = [h.stays for h in self.holdings]
-        way = WayOut(self._config, self._link, self._drives, self._cycle, self.exchange, stays)
+        way = WayOut(
+            self._config, self._link, self._drives, self._cycle, self.exchange, stays, self._ramp_s
+        )
         self.not_off = way.take()
         self.held_at_end = tuple(
             h.config.name
@@ -354,6 +371,17 @@ class Cia402Cell:
         sample = self._cycle.sample
         state = state_of(sample.status[axis]) if sample.fresh[axis] else self._drives[axis].quiet_state()
         return state is not None and not is_energised(state)
+    @property
+    def _ramp_s(self) -> float:
+        """Longest quick stop from a velocity limit, by what the drives say of their ramps."""
+        return max(
+            (
+                a.limits.velocity / r.stopping.deceleration
+                for a, r in zip(self._config.axes, self._reports, strict=False)
+                if r.stopping.deceleration
+            ),
+            default=0.0,
+        )
 
     def states(self) -> dict[str, DriveState]:
         """The last state heard of each drive."""

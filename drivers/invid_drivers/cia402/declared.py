@@ -5,7 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from invid.errors import ConfigError
-from invid_drivers.cia402.objects import RPDO_MAP, TPDO_MAP
+from invid_drivers.cia402 import objects as od
+from invid_drivers.cia402.objects import OFFSET_MAP, RPDO_MAP, TPDO_MAP
+from invid_drivers.cia402.states import OperationMode
 from invid_drivers.eds import Declared, parse_eds
 
 
@@ -27,9 +29,13 @@ def declared_of(axis: str, file: str | None, node_id: int) -> tuple[Declared | N
         return None, (f"axis {axis}: EDS {file} {error}; the drive itself is asked for everything",)
 
 
-def refusal(declared: Declared) -> str | None:
-    """Why a drive like this cannot be shaken; ``None`` where nothing speaks against it."""
-    for objects, what_is_lost in ((RPDO_MAP, "cannot be commanded"), (TPDO_MAP, "cannot be measured")):
+def refusal(declared: Declared, *, by_offset: bool = False) -> str | None:
+    """Why a drive like this cannot be shaken; ``None`` where nothing speaks against it.
+
+    ``by_offset``: its torque offset would do in place of its target torque.
+    """
+    wanted = OFFSET_MAP if by_offset and _has_offset_alone(declared) else RPDO_MAP
+    for objects, what_is_lost in ((wanted, "cannot be commanded"), (TPDO_MAP, "cannot be measured")):
         for what in objects:
             entry = declared.find(what.index, what.sub)
             if entry is None:
@@ -43,3 +49,13 @@ def refusal(declared: Declared) -> str | None:
         if count < 1:
             return f"has no {kind} PDO: nothing can be exchanged in every cycle"
     return None
+
+
+def _has_offset_alone(declared: Declared) -> bool:
+    """Cyclic synchronous position and a torque offset, but no target torque."""
+    modes = declared.find(od.SUPPORTED_MODES.index, 0)
+    found = 0 if modes is None or not isinstance(modes.default, int) else modes.default
+    torque = OperationMode.CYCLIC_TORQUE.supported_bit | OperationMode.PROFILE_TORQUE.supported_bit
+    follows = bool(found & OperationMode.CYCLIC_POSITION.supported_bit) and not found & torque
+    offset = all(declared.find(o.index, o.sub) is not None for o in (od.TORQUE_OFFSET, od.TORQUE))
+    return follows and offset and declared.find(od.TARGET_TORQUE.index, 0) is None

@@ -77,12 +77,18 @@ POSITION_LIMIT_LOW = Object(0x607D, 1, "i", "software position limit, min")
 POSITION_LIMIT_HIGH = Object(0x607D, 2, "i", "software position limit, max")
 MAX_VELOCITY = Object(0x607F, 0, "I", "max profile velocity")
 MAX_MOTOR_SPEED = Object(0x6080, 0, "I", "max motor speed")
+PROFILE_DECELERATION = Object(0x6084, 0, "I", "profile deceleration")
+QUICK_STOP_DECELERATION = Object(0x6085, 0, "I", "quick stop deceleration")
+ACCELERATION_NUMERATOR = Object(0x6097, 1, "I", "acceleration factor, numerator")
+ACCELERATION_DIVISOR = Object(0x6097, 2, "I", "acceleration factor, divisor")
+RPDO_EVENT_TIMER = Object(0x1400, 5, "H", "RPDO 1 event timer")
 ENCODER_INCREMENTS = Object(0x608F, 1, "I", "position encoder resolution, increments")
 ENCODER_REVOLUTIONS = Object(0x608F, 2, "I", "position encoder resolution, revolutions")
 GEAR_MOTOR = Object(0x6091, 1, "I", "gear ratio, motor revolutions")
 GEAR_SHAFT = Object(0x6091, 2, "I", "gear ratio, shaft revolutions")
 FEED = Object(0x6092, 1, "I", "feed constant, feed")
 FEED_REVOLUTIONS = Object(0x6092, 2, "I", "feed constant, shaft revolutions")
+TORQUE_OFFSET = Object(0x60B2, 0, "h", "torque offset")
 INTERPOLATION_VALUE = Object(0x60C2, 1, "B", "interpolation time, value")
 INTERPOLATION_EXPONENT = Object(0x60C2, 2, "b", "interpolation time, power of ten")
 SUPPORTED_MODES = Object(0x6502, 0, "I", "supported drive modes")
@@ -91,6 +97,8 @@ KNOWN = {(o.index, o.sub): o for o in tuple(globals().values()) if isinstance(o,
 """Every object above by its address."""
 
 RPDO_MAP = (CONTROLWORD, TARGET_TORQUE)
+OFFSET_MAP = (CONTROLWORD, TORQUE_OFFSET)
+"""RPDO of a drive that is shaken by its torque offset."""
 TPDO_MAP = (POSITION, TORQUE, STATUSWORD)
 
 

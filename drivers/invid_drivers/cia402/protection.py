@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from invid.errors import DriveError
+from invid.planning.stopping_distance import StoppingFacts
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.access import Access
 from invid_drivers.cia402.limits import (
@@ -21,6 +22,7 @@ from invid_drivers.cia402.limits import (
 from invid_drivers.cia402.link import MASTER_ID, SdoAbortedError, SdoError
 from invid_drivers.cia402.objects import Object
 from invid_drivers.cia402.scales import require_nominal_current
+from invid_drivers.cia402.stopping import SWITCHES_OFF, Stop, stop_of, stopping_facts
 from invid_drivers.cia402.units import Scaling
 
 DRIVE_MARGIN = 1.25
@@ -283,6 +285,25 @@ class Protection:
             )
         return []
 
+    def _stop(self, scaling: Scaling, limits: EffectiveLimits) -> tuple[int | None, Stop]:
+        """0x605A as it will be (``None``: nobody knows), and the stop that it makes."""
+        drive = self._drive
+        found, option = drive.find(od.QUICK_STOP_OPTION), drive.vendor.quick_stop_default
+        if found is not None:
+            option = tighter(od.QUICK_STOP_OPTION, found, self.quick_stop_option)
+        return option, stop_of(drive, scaling, option, limits.torque.value)
+
+    def stopping(self, scaling: Scaling, limits: EffectiveLimits, timer_ms: int | None) -> StoppingFacts:
+        """How the drive will stop, with what is written into it before it is enabled."""
+        drive = self._drive
+        entry = None if drive.find(od.CONSUMER_HEARTBEAT) is None else self._heartbeat_entry()
+        watch_ms = None
+        if entry is not None:
+            _, watch_ms = watched(tighter_watch(entry[1], MASTER_ID, self._watch_ms))
+        option, stop = self._stop(scaling, limits)
+        stays = option is not None and option not in SWITCHES_OFF
+        return stopping_facts(drive, scaling, stop, stays=stays, watch_ms=watch_ms, timer_ms=timer_ms)
+
     def write(self, scaling: Scaling, limits: EffectiveLimits) -> None:
         """Never less than the drive has; what turned out not to be writable is in ``notes``."""
         drive = self._drive
@@ -298,6 +319,7 @@ class Protection:
             if found is not None:
                 drive.write(what, tighter(what, found, wanted))
         self._write_quick_stop_option()
+        self._write_ramp(scaling, limits)
         for what, found, wanted in self._wanted(scaling, limits):
             if found == wanted:
                 continue  # tight enough, read-only or not
@@ -322,6 +344,20 @@ class Protection:
             if "cannot be written" not in str(error) or wanted == STAY:
                 raise
             self.notes += (f"axis {drive.name}: {what.address} is {found} and cannot be written",)
+    def _write_ramp(self, scaling: Scaling, limits: EffectiveLimits) -> None:
+        """The deceleration of the quick stop that was stated before."""
+        _, stop = self._stop(scaling, limits)
+        if stop.write is None:
+            return
+        try:
+            self._drive.write(*stop.write)
+        except DriveError as error:
+            if "cannot be written" not in str(error):
+                raise
+            self.notes += (
+                f"axis {self._drive.name}: {stop.write[0].address} {stop.write[0].name} cannot be written: "
+                "it may take longer to stop than was stated",
+            )
 
 
 def _only_the_master(what: Object, found: int, wanted: int) -> str:

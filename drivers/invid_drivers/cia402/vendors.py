@@ -38,6 +38,12 @@ class Vendor(Manual):
     zero_as_shipped: tuple[str, ...] = ()
     advice: str = ""
 
+    @property
+    def takes_offset(self) -> bool:
+        """Whether 0x60B2 may be tried in cyclic position: a source says so, or nothing was read at all and
+        the drive itself is asked."""
+        return self.torque_offset.certain or not self.sources
+
 
 def _read(source: str, *names: str) -> dict[str, str]:
     return dict.fromkeys(names, source)
@@ -186,6 +192,25 @@ VENDORS: dict[str, Vendor] = {
 }  # fmt: skip
 
 
+def ways() -> str:
+    """How each drive can be shaken, as a Markdown table: what was read, or what its EDS says."""
+    lines = ["| `vendor` | shaken by |", "| --- | --- |"]
+    for name, row in VENDORS.items():
+        if not row.sources:
+            way = "as the drive says: cyclic or profile torque, else the torque offset in cyclic position"
+        elif "EtherCAT" in row.advice:
+            way = "its own recorder and `invid import`"
+        elif row.cyclic_torque.certain:
+            also = ", and has the torque offset" if row.torque_offset.certain else ""
+            way = f"cyclic torque{also}"
+        elif row.torque_offset.certain:
+            way = "the torque offset in cyclic position"
+        else:
+            way = "its own recorder and `invid import`"
+        lines.append(f"| `{name}` | {way} |")
+    return "\n".join(lines)
+
+
 def vendor(name: str) -> Vendor | None:
     """The row of that name; ``None`` where there is none."""
     return VENDORS.get(name)
@@ -198,4 +223,4 @@ def reference() -> str:
 
 
 if __name__ == "__main__":
-    print(reference())
+    print(f"{reference()}\n\n{ways()}")

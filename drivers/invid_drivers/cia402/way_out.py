@@ -20,7 +20,9 @@ from invid_drivers.cia402.runaway import RunawayGuard
 from invid_drivers.cia402.states import DriveState, state_of
 
 QUICK_STOP_S = 1.0
-"""Longest quick stop before the voltage is taken away regardless."""
+"""Longest quick stop before the voltage is taken away regardless, where the drive's ramp is not longer."""
+RAMP_MARGIN = 1.25
+"""On the time of a ramp from the speed limit: the axis may be faster, the drive settles at its end."""
 DISABLE_S = 0.2
 STATE_POLL_S = 0.005
 """Between two questions for the statusword by SDO, on the way out."""
@@ -39,8 +41,11 @@ class WayOut:
         cycle: Cycle,
         exchange: Callable[[Sequence[float]], Sample],
         stays: Sequence[bool],
+        ramp_s: float = 0.0,
     ) -> None:
-        """``stays``: axes that their drives go on holding in quick stop active."""
+        """``stays``: axes that their drives go on holding in quick stop active; ``ramp_s``: longest that a
+        drive's quick stop takes, where that is known.
+        """
         self._config = config
         self._link = link
         self._drives = drives
@@ -48,6 +53,7 @@ class WayOut:
         self._exchange = exchange
         self._stays = tuple(stays)
         self._given_up: set[int] = set()
+        self._quick_stop_s = max(QUICK_STOP_S, RAMP_MARGIN * ramp_s)
 
     def take(self) -> tuple[str, ...]:
         """Quick stop, disable voltage, NMT stop; the axes that were not seen to switch off. Never raises."""
@@ -56,19 +62,20 @@ class WayOut:
         with contextlib.suppress(Exception):
             self._cycle.control[:] = [states.QUICK_STOP] * len(self._drives)
             guard = RunawayGuard(self._config, self._stays)
-            self._drive_to(QUICK_STOP_S, lambda s: self._cut_runaways(guard, s) or self._at_rest(s))
+            self._drive_to(self._quick_stop_s, lambda s: self._cut_runaways(guard, s) or self._at_rest(s))
         for i in range(len(self._drives)):
             if self._may_disable(i):
                 self._cycle.control[i] = states.DISABLE_VOLTAGE
         with contextlib.suppress(Exception):
             self._drive_to(DISABLE_S, self._disabled)
         unsure = [i for i in range(len(self._drives)) if self._may_disable(i) and self._may_be_on(i)]
+        deaf = {i for i in unsure if self._disobeys(i)}
         on = []
         for i in unsure:
             off = False
             with contextlib.suppress(Exception):
-                off = self._switch_off_by_sdo(i, began + QUICK_STOP_S)
-            if not off:
+                off = self._switch_off_by_sdo(i, began + self._quick_stop_s)
+            if not off or i in deaf:
                 on.append(self._drives[i].name)
         for i, drive in enumerate(self._drives):
             if self._may_disable(i):
@@ -81,6 +88,12 @@ class WayOut:
         return not self._cycle.sample.fresh[axis] or states.is_energised(
             state_of(self._cycle.sample.status[axis])
         )
+
+    def _disobeys(self, axis: int) -> bool:
+        """Still enabled after quick stop and disable voltage: if it is off a little later, that was its own
+        watch over RPDOs or heartbeat, and a person must know."""
+        sample = self._cycle.sample
+        return sample.fresh[axis] and state_of(sample.status[axis]) is DriveState.OPERATION_ENABLED
 
     def _switch_off_by_sdo(self, axis: int, ramp_ends: float) -> bool:
         """Ask a drive whose TPDOs did not show it off, switch it off where it is not; whether it is off.

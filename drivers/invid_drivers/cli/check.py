@@ -12,17 +12,17 @@ import typer
 from invid.cli.output import EXIT_OK, emit
 from invid.config import CellConfig, load_config
 from invid.errors import DriveError, InputError
-from invid.planning import Plan, make_plan
+from invid.planning import make_plan
 from invid.planning.hold_laws import master_hold
-from invid_drivers.cia402.limits import tighten, tightened_limits
-from invid_drivers.cli.measure import plan_text
+from invid_drivers.cli.measure import budget_lines, plan_text
 from invid_drivers.connect import connect, is_virtual
-from invid_drivers.measurement import plan_within
 from invid_drivers.round_trip import probe, require
+from invid_drivers.stopping_budgets import Budgeted, plan_within
 from invid_drivers.timing import timing_of
 
+IN_TIME = "the way that the axis needs to come to rest"
 
-def preflight(config: CellConfig, cleared: Sequence[str] = ()) -> tuple[Plan, dict[str, Any]]:
+def preflight(config: CellConfig, cleared: Sequence[str] = ()) -> tuple[Budgeted, dict[str, Any]]:
     """Config, holds, plan, bus budget, every drive's capabilities, safety objects and limits.
 
     ``cleared``: axes at which an earlier run ended and of which a person has found the cause.
@@ -44,16 +44,16 @@ def preflight(config: CellConfig, cleared: Sequence[str] = ()) -> tuple[Plan, di
     finally:
         complaints = cell.close()
     reasons = cell.not_ready
-    tighter = tighten(config, reports)
-    plan = plan_within(config, tighter, reports)
-    warnings = [*plan.warnings, *complaints, *cell.notes, *tightened_limits(config, reports)]
+    within = plan_within(config, reports)
+    plan, tighter = within.plan, within.config
+    warnings = [*plan.warnings, *complaints, *cell.notes, *within.said]
     timing = timing_of(config)
     warnings += timing.warnings(plan)
     if found is not None:
         warnings += require(found, config)
     for r in reports:
         warnings += r.warnings
-    return plan, {
+    return within, {
         "robot": config.robot,
         "simulated": config.simulated,
         "ready": not reasons,
@@ -77,16 +77,21 @@ def preflight(config: CellConfig, cleared: Sequence[str] = ()) -> tuple[Plan, di
                 "position": a.limits.position,
                 "velocity": a.limits.velocity,
                 "hold": a.hold.mode,
-                "sources": {what: limit["source"] for what, limit in r.limits.to_json().items()},
+                "sources": {
+                    **{what: limit["source"] for what, limit in r.limits.to_json().items()},
+                    **({"velocity": IN_TIME} if b.permitted < b.case.velocity else {}),
+                },
             }
-            for a, r in zip(tighter.axes, reports, strict=True)
+            for a, r, b in zip(tighter.axes, reports, within.budgets, strict=True)
         ],
+        "budgets": [b.to_json() for b in within.budgets],
         "plan": plan.to_json(),
         "warnings": warnings,
     }
 
 
-def _text(config: CellConfig, plan: Plan, document: dict[str, Any]) -> str:
+def _text(config: CellConfig, within: Budgeted, document: dict[str, Any]) -> str:
+    plan = within.plan
     bus = document["bus"]
     ready = "ready" if document["ready"] else "NOT READY"
     lines = [
@@ -110,6 +115,7 @@ def _text(config: CellConfig, plan: Plan, document: dict[str, Any]) -> str:
         lines += [f"    {what} limited by {source}" for what, source in limit["sources"].items()]
         lines += [f"    lacks {what}" for what in drive["lacks"]]
     lines += [f"  not ready: {r['text']}; {r['fix']}" for r in document["reasons"]]
+    lines += budget_lines(within.budgets, linear=config.linear)
     lines.append(plan_text(plan, "plan"))
     lines += [f"  note: {w}" for w in document["warnings"] if w not in plan.warnings]
     return "\n".join(lines)
@@ -134,6 +140,6 @@ def register(app: typer.Typer) -> None:
         unknown = [n for n in names if n not in {a.name for a in cell.axes}]
         if unknown:
             raise InputError(f"--cleared names {unknown[0]!r}; the axes are {[a.name for a in cell.axes]}")
-        plan, document = preflight(cell, names)
-        emit(document, _text(cell, plan, document), as_json=as_json)
+        within, document = preflight(cell, names)
+        emit(document, _text(cell, within, document), as_json=as_json)
         return EXIT_OK if document["ready"] else DriveError.exit_code

@@ -6,7 +6,7 @@ import contextlib
 import os
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import typer
@@ -15,18 +15,20 @@ from invid.cli.output import EXIT_NOT_TRUSTWORTHY, EXIT_OK, emit, note
 from invid.config import CellConfig, load_config
 from invid.errors import InputError, SafetyStop
 from invid.model.document import Model, load_json, load_model, save_model
-from invid.planning import Plan, make_plan
+from invid.planning import Plan
 from invid.planning.belief import Belief, from_model
 from invid.planning.expected_covariance import Noise
 from invid.planning.goal import GoalPlan, plan_for_goal
 from invid.planning.separating_experiments import to_separate
+from invid.planning.stopping_distance import StoppingBudget
 from invid.planning.subset import require_all_axes
 from invid.sweep import Progress
 from invid_drivers.cli.confirmation import confirm
 from invid_drivers.cli.expectation import NOTHING, belief_of, expectation, expected_text, noise_of
 from invid_drivers.goal import Reached, measure_to_goal
-from invid_drivers.measurement import MeasurementResult, ask_limits, measure_to_file
+from invid_drivers.measurement import MeasurementResult, ask_drives, measure_to_file
 from invid_drivers.rescreening import screen_cell, screening_plan
+from invid_drivers.stop_flag import StopFlag
 from invid_drivers.timing import timing_of
 
 STDERR = 2
@@ -40,7 +42,7 @@ def stop_on_signals() -> Iterator[threading.Event]:
 
     Ctrl-Z too: a measurement cannot be suspended, the axes would go on without anybody who reads.
     """
-    stop = threading.Event()
+    stop = StopFlag()
 
     def ask(number: int, frame: object) -> None:
         if stop.is_set():
@@ -114,6 +116,14 @@ def plan_text(plan: Plan, robot: str) -> str:
         )
     lines += [f"  note: {w}" for w in plan.warnings]
     return "\n".join(lines)
+
+
+def budget_lines(budgets: Sequence[StoppingBudget], *, linear: bool) -> list[str]:
+    """How each axis comes to rest, for a person."""
+    if not budgets:
+        return []
+    head = "  to rest, beyond the window, at most:"
+    return [head, *(f"    {b.text(linear=linear)}" for b in budgets)]
 
 
 def result_text(result: MeasurementResult) -> str:
@@ -384,9 +394,9 @@ def register(app: typer.Typer) -> None:
             confirm(cell, confirmed=confirmed)
             return run_design(cell, design, out, as_json=as_json)
         if dry_run:
-            make_plan(cell, axes=chosen, amplitude_scale=amplitude, model=known)  # before a bus is opened
-            cell, limited = ask_limits(cell)
-            plan = make_plan(cell, axes=chosen, amplitude_scale=amplitude, model=known)
+            plan, cell, budgets, limited = ask_drives(
+                cell, axes=chosen, amplitude_scale=amplitude, model=known
+            )
             found = expectation(cell, plan, belief, noise_of(cell, noise_from))
             timing = timing_of(cell)
             document = {
@@ -394,6 +404,7 @@ def register(app: typer.Typer) -> None:
                 "robot": cell.robot,
                 "simulated": cell.simulated,
                 **plan.to_json(),
+                "budgets": [b.to_json() for b in budgets],
                 "expected": None if found is None else found.to_json(),
                 "timing": timing.to_json(),
             }
@@ -402,6 +413,7 @@ def register(app: typer.Typer) -> None:
             said = f"  note: {NOTHING}" if found is None else expected_text(found, linear=cell.linear)
             shown = [
                 plan_text(plan, cell.robot),
+                *budget_lines(budgets, linear=cell.linear),
                 f"  {timing.text()}",
                 *(f"  note: {w}" for w in beyond),
                 said,

@@ -10,6 +10,7 @@ from types import FrameType
 import typer
 
 from invid.cli.output import emit, note
+from invid_drivers.stop_flag import StopFlag
 
 
 def register(app: typer.Typer) -> None:
@@ -28,7 +29,7 @@ def register(app: typer.Typer) -> None:
         from invid_drivers.simulated.simcell import run_simcell
 
         cell = load_config(config)
-        stop, ready = threading.Event(), threading.Event()
+        stop, ready = StopFlag(), threading.Event()
 
         def leave(_number: int, _frame: FrameType | None) -> None:
             stop.set()

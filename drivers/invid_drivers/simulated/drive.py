@@ -310,7 +310,7 @@ class Drive:
         command[kernel.POSITION] = self._here()
         command[kernel.VELOCITY] = speed
         command[kernel.DECELERATION] = deceleration
-        command[kernel.INTERPOLATE] = 0.0
+        command[kernel.INTERPOLATE] = command[kernel.TORQUE] = 0.0
         command[kernel.MODE] = kernel.MODE_POSITION
         self._sent = None
 
@@ -325,6 +325,8 @@ class Drive:
         if self._target_counts is None:
             self._hold_here()
             self._target_counts = int(self._e_position.value)
+        if not self.ignore_target:
+            command[kernel.TORQUE] = self._torque_unit * float(int(self._e_offset.value))
         if target != self._target_counts:
             self._target_counts = target
             goal = self.direction * target / self.counts_per_unit

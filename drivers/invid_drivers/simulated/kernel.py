@@ -146,6 +146,7 @@ def _motors(
                 math.floor((seen + row[ENCODER_OFFSET]) * row[COUNTS_PER_UNIT] + 0.5) / row[COUNTS_PER_UNIT]
             )
             wanted = row[GAIN_P] * (row[POSITION] - seen) + row[GAIN_D] * (row[VELOCITY] - speed)
+            wanted += row[TORQUE]
             row[POSITION] += row[VELOCITY] * h
             if row[DECELERATION] > 0.0:
                 change = row[DECELERATION] * h

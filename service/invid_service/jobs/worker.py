@@ -128,9 +128,8 @@ def measure(job: Job, line: Line) -> dict[str, Any]:
     from invid.config import CellConfig
     from invid.errors import ConfigError
     from invid.model.document import model_from_json
-    from invid.planning import make_plan
     from invid.planning.belief import from_model
-    from invid_drivers.measurement import measure_to_file
+    from invid_drivers.measurement import ask_drives, measure_to_file
     from invid_service.jobs.response import ResponseWatch
 
     if job.config is None:
@@ -140,8 +139,12 @@ def measure(job: Job, line: Line) -> dict[str, Any]:
     if accepted is not None and accepted.axes != tuple(a.name for a in config.axes):
         accepted = None
     model = None if accepted is None else from_model(accepted, config, source="the accepted model")
-    plan = make_plan(config, axes=job.axes, amplitude_scale=job.amplitude_scale, model=model)
-    line.tell("planned", plan=_plain(plan.to_json()), arm=job.arm)
+    plan, _, budgets, said = ask_drives(
+        config, axes=job.axes, amplitude_scale=job.amplitude_scale, model=model
+    )
+    document = {**plan.to_json(), "budgets": [b.to_json() for b in budgets]}
+    document["warnings"] = [*document["warnings"], *said]
+    line.tell("planned", plan=_plain(document), arm=job.arm)
     del plan
     while not (job.arm or line.armed.is_set()):
         line.stop.wait(0.05)

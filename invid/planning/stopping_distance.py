@@ -1,0 +1,342 @@
+"""How far an axis goes before it stands: after a stop, and after its master has died.
+
+v is the speed at which it happens [rad/s], t the time until the drive brakes [s], a₀ = τ/J the acceleration
+by the torque that goes on meanwhile, at worst the largest planned one in the direction of motion. The drive
+brakes with a: its ramp, or (T − L)/J, what its torque limit leaves beside the load, where that is less.
+
+    v₁ = v + a₀·t        s = v·t + a₀·t²/2 + v₁²/(2·a) + v₁·t_s
+
+t_s is the time in which what is behind the motor swings on.
+
+The speed that may be permitted is the v at which the longer of the two ways is the room that there is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from invid.config import AxisConfig, CellConfig
+from invid.errors import ConfigError
+from invid.planning.model import Plan
+
+STAMPS = 1.05
+"""The watch lets a speed pass that is 5 % over its limit: SYNC is known to a fifth of a cycle, over four."""
+SIGHT_CYCLES = 5
+"""From what happens to the controlword at the drive, beyond the cycles in which nothing need be seen: two
+until a mean over four cycles shows it, one until its sample has come, one for the frame, one for its SYNC."""
+FEEDBACK = 1.25
+"""Torque beyond the planned excitation: the weak centring of an excited axis (as ``forecast.MARGIN``)."""
+LOAD_SHARE = 0.5
+"""Load of a gravity-loaded axis as a share of its torque limit, before its hold torque has been measured."""
+SETTLE_S = 0.08
+"""What is behind the motor swings on: half a period of a resonance of 6 Hz at the speed of the stop
+(empirical, ``bench_stopping.py``)."""
+
+
+@dataclass(frozen=True)
+class StoppingFacts:
+    """What a drive says of the way it stops by itself."""
+
+    deceleration: float | None
+    """Of its quick stop [rad/s² or m/s²]; ``None``: not known."""
+    ramp: str
+    """Who says it."""
+    watch_s: float | None
+    """From the death of the master to the drive's quick stop [s]; ``None``: it does not notice, or nobody
+    knows what it does then."""
+    watch: str
+    """Who says it."""
+    capped: bool = True
+    """Whether the torque limit may make the ramp longer."""
+    by_torque: bool = False
+    """Whether it is what the torque limit allows, not what the drive was found with."""
+    stays: bool = True
+    """Whether it gives torque on when its ramp has ended."""
+    edge: float | None = None
+    """Distance to the nearer edge of the drive's own position range [rad or m]; ``None``: it has none."""
+
+
+@dataclass(frozen=True)
+class StoppingCase:
+    """One axis before its budget: SI units, rotary or linear."""
+
+    axis: str
+    facts: StoppingFacts
+    inertia: float | None
+    torque: float
+    """What the drive may brake with."""
+    load: float
+    """What acts in the direction of motion at worst, ≥ 0."""
+    planned: float
+    """Largest torque that goes on when nobody commands any more, ≥ 0."""
+    reaction_s: float
+    """From what happens to the quick stop at the drive, at worst."""
+    sight_s: float
+    """How long a speed may be too high before it is seen."""
+    room: float
+    """How far beyond its window it may come to rest."""
+    velocity: float
+    """Limit that config and drive set."""
+
+    @property
+    def deceleration(self) -> float | None:
+        """By ramp, torque limit, load and inertia; 0: it cannot brake; ``None``: not known."""
+        ramp = self.facts.deceleration
+        if ramp is None or self.inertia is None or not self.facts.capped:
+            return ramp
+        return min(ramp, max(self.torque - self.load, 0.0) / self.inertia)
+
+    @property
+    def acceleration(self) -> float:
+        """By the torque that goes on; 0 where the inertia is not known."""
+        return self.planned / self.inertia if self.inertia else 0.0
+
+    def distance(self, speed: float, seconds: float) -> float | None:
+        """Way to rest from a speed, where the drive brakes after so long; ``None``: not known."""
+        a, a0 = self.deceleration, self.acceleration
+        if a is None:
+            return None
+        if a <= 0:
+            return math.inf
+        entry = STAMPS * speed + a0 * seconds
+        return STAMPS * speed * seconds + a0 * seconds**2 / 2 + entry * SETTLE_S + entry**2 / (2 * a)
+
+    def fastest(self, seconds: float) -> float:
+        """Speed whose way to rest is the room; ≤ 0: even from rest it is longer. ∞ where it is not known."""
+        a, a0 = self.deceleration, self.acceleration
+        if a is None:
+            return math.inf
+        if a <= 0:
+            return 0.0
+        growth = 1 + a0 / a
+        b = seconds * growth + SETTLE_S
+        c = a0 * seconds**2 / 2 * growth + a0 * seconds * SETTLE_S - self.room
+        if c >= 0:
+            return 0.0
+        # v²/(2a) + b·v + c = 0, in the form that a → ∞ allows
+        return -2 * c / (b + math.sqrt(b**2 - 2 * c / a)) / STAMPS
+
+
+@dataclass(frozen=True)
+class StoppingBudget:
+    """What one axis may need to come to rest, and the speed that is permitted for it."""
+
+    case: StoppingCase
+    permitted: float
+    """[rad/s or m/s]; ≤ 0: none."""
+
+    @property
+    def stop(self) -> float | None:
+        """Way beyond the window after a stop, at the permitted speed [rad or m]; ``None``: not known."""
+        return self.case.distance(self.permitted, self.case.reaction_s)
+
+    @property
+    def dead_master(self) -> float | None:
+        """The same where the master has died; ``None``: not known, or the drive does not notice."""
+        watch = self.case.facts.watch_s
+        return None if watch is None else self.case.distance(self.permitted, self.blind_s)
+
+    @property
+    def blind_s(self) -> float:
+        """From the death of the master to the quick stop [s]."""
+        return (self.case.facts.watch_s or 0.0) + self.case.sight_s
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values."""
+        case, facts = self.case, self.case.facts
+        braking = case.deceleration
+        return {
+            "axis": case.axis,
+            "permitted_velocity": self.permitted,
+            "stopping_distance": self.stop,
+            "dead_master_distance": self.dead_master,
+            "room": case.room,
+            "deceleration": braking if braking is not None and math.isfinite(braking) else None,
+            "ramp": facts.ramp,
+            "reaction_s": case.reaction_s,
+            "watch_s": facts.watch_s,
+            "watch": facts.watch,
+            "load": case.load,
+        }
+
+    def text(self, *, linear: bool) -> str:
+        """One line of a dry run."""
+        unit = "m" if linear else "rad"
+        case, facts = self.case, self.case.facts
+        a = case.deceleration
+        if a is None:
+            return f"{case.axis}: how far it goes after a stop is not known: {facts.ramp}"
+        stop = self.stop or 0.0
+        by = facts.ramp if a == facts.deceleration else self._by_torque(linear=linear)
+        blind = (
+            f"not known where this computer dies ({facts.watch})"
+            if self.dead_master is None
+            else f"{self.dead_master:.3g} {unit} where this computer dies ({self.blind_s * 1e3:.0f} ms: "
+            f"{facts.watch})"
+        )
+        if case.inertia is None:
+            blind += f"; before the trial has measured its inertia, and by {facts.ramp} alone"
+        return (
+            f"{case.axis}: from {self.permitted:.3g} {unit}/s it comes to rest within {stop:.3g} {unit} "
+            f"of a stop, at {a:.3g} {unit}/s² ({by}); {blind}"
+        )
+
+    def _by_torque(self, *, linear: bool) -> str:
+        case, unit = self.case, "N" if linear else "N·m"
+        beside = f" beside a load of {case.load:.3g}" if case.load else ""
+        return f"{case.torque:.3g} {unit}{beside}, of {case.facts.deceleration:.3g} by {case.facts.ramp}"
+
+    def said(self, *, linear: bool) -> tuple[str, ...]:
+        """What a person must know: a speed that was lowered, a limit of the drive that may be passed."""
+        unit = "m" if linear else "rad"
+        case, facts = self.case, self.case.facts
+        furthest = max(self.stop or 0.0, self.dead_master or 0.0)
+        found = []
+        if self.permitted < case.velocity:
+            found.append(
+                f"axis {case.axis}: at most {self.permitted:.3g} {unit}/s are permitted, not "
+                f"{case.velocity:.3g}: from there it needs {furthest:.3g} {unit} to come to rest, "
+                f"as much as limits.stopping_room_{unit} (else the position window) allows; "
+                + self.way_out(linear=linear)
+            )
+        if case.deceleration is None or facts.deceleration is None:
+            found.append(
+                f"axis {case.axis}: how far it goes after a stop is not known: {facts.ramp}; state "
+                f"quick_stop_deceleration_{unit}_per_s2"
+            )
+        elif case.deceleration < facts.deceleration and not facts.stays:
+            found.append(
+                f"axis {case.axis}: its torque limit of {case.torque:.3g} {'N' if linear else 'N·m'} does "
+                f"not reach its ramp ({facts.ramp}): the drive may switch off before the axis stands, and "
+                "let it coast; raise the torque limit"
+            )
+        if facts.watch_s is None:
+            found.append(
+                f"axis {case.axis}: how far it goes when this computer dies is not known: {facts.watch}; see "
+                "that something else stops it then"
+            )
+        if facts.edge is not None and case.room + furthest > facts.edge:
+            found.append(
+                f"axis {case.axis}: after a stop it may come to rest {furthest:.3g} {unit} beyond its "
+                f"window; the drive's own range (0x607D) ends {facts.edge:.3g} {unit} from where it stands"
+            )
+        return tuple(found)
+
+    def way_out(self, *, linear: bool) -> str:
+        """What would make the way shorter."""
+        unit = "m" if linear else "rad"
+        case, facts = self.case, self.case.facts
+        ways = []
+        watch = facts.watch_s
+        if watch is not None and watch > case.reaction_s and case.fastest(case.reaction_s) > self.permitted:
+            ways.append("shorten safety.heartbeat_s")
+        if case.deceleration == facts.deceleration and not facts.by_torque:
+            ways.append("raise 0x6085 with the drive's tool")
+        else:
+            ways.append("raise the torque limit" + (" or unload the axis" if case.load else ""))
+        if case.planned:
+            ways.append("lower the amplitude")
+        return f"{', '.join(ways) or 'lower the load'}, or widen limits.stopping_room_{unit}"
+
+
+def case_of(
+    axis: AxisConfig,
+    facts: StoppingFacts,
+    config: CellConfig,
+    *,
+    planned: float,
+    inertia: float | None,
+    load: float | None = None,
+) -> StoppingCase:
+    """The case of one axis whose limits are the effective ones.
+
+    Parameters
+    ----------
+    load
+        Measured hold torque [N·m or N]; ``None``: not measured yet.
+    """
+    safety = config.safety
+    if load is None:
+        load = LOAD_SHARE * axis.limits.torque if axis.gravity_loaded else 0.0
+    cycle = config.bus.cycle_s
+    return StoppingCase(
+        axis=axis.name,
+        facts=facts,
+        inertia=inertia,
+        torque=axis.limits.torque,
+        load=abs(load),
+        planned=min(FEEDBACK * planned, axis.limits.torque),
+        reaction_s=(max(safety.missed_tpdos, safety.overrun_cycles) + SIGHT_CYCLES) * cycle,
+        sight_s=SIGHT_CYCLES * cycle,
+        room=axis.limits.stopping_room or axis.limits.position,
+        velocity=axis.limits.velocity,
+    )
+
+
+def budget_of(case: StoppingCase) -> StoppingBudget:
+    """The speed at which both ways are within the room, at most the limit."""
+    fastest = case.fastest(case.reaction_s)
+    if case.facts.watch_s is not None:
+        fastest = min(fastest, case.fastest(case.facts.watch_s + case.sight_s))
+    return StoppingBudget(case, min(case.velocity, fastest))
+
+
+def planned_torque(plan: Plan) -> list[float]:
+    """(M,) largest excitation of each axis [N·m or N]."""
+    return [
+        max(float(abs(e.torque[:, i]).max(initial=0.0)) for e in plan.experiments)
+        for i in range(len(plan.axes))
+    ]
+
+
+def budgets_of(
+    config: CellConfig,
+    facts: Sequence[StoppingFacts],
+    planned: Sequence[float],
+    inertia: Sequence[float | None],
+    loads: Sequence[float | None] | None = None,
+) -> tuple[StoppingBudget, ...]:
+    """The budget of every axis; ConfigError where one cannot come to rest within its room."""
+    loads = loads or [None] * len(config.axes)
+    found = tuple(
+        budget_of(case_of(a, f, config, planned=p, inertia=m, load=x))
+        for a, f, p, m, x in zip(config.axes, facts, planned, inertia, loads, strict=True)
+    )
+    for budget in found:
+        if budget.permitted <= 0:
+            raise ConfigError(_refusal(budget, linear=config.linear))
+    return found
+
+
+def permitted(config: CellConfig, budgets: Sequence[StoppingBudget]) -> CellConfig:
+    """The config with the permitted speeds as limits; itself where none is lower."""
+    if all(b.permitted >= a.limits.velocity for a, b in zip(config.axes, budgets, strict=True)):
+        return config
+    axes = [
+        a.model_copy(
+            update={"limits": a.limits.model_copy(update={"velocity": min(a.limits.velocity, b.permitted)})}
+        )
+        for a, b in zip(config.axes, budgets, strict=True)
+    ]
+    return config.model_copy(update={"axes": axes})
+
+
+def _refusal(budget: StoppingBudget, *, linear: bool) -> str:
+    case, unit = budget.case, "m" if linear else "rad"
+    torque = "N" if linear else "N·m"
+    if case.deceleration is not None and case.deceleration <= 0:
+        return (
+            f"axis {case.axis}: it could not be stopped: its torque limit of {case.torque:.3g} {torque} "
+            f"leaves nothing beside a load of {case.load:.3g}; unload the axis or raise its torque limit"
+        )
+    still = replace(budget, permitted=0.0)
+    way = max(still.stop or 0.0, still.dead_master or 0.0)
+    return (
+        f"axis {case.axis}: even from rest it may go {way:.3g} {unit} before it stands "
+        f"({budget.blind_s * 1e3:.0f} ms until the drive stops without this computer, {case.facts.watch}, "
+        f"with up to {case.planned:.3g} {torque} meanwhile), and {case.room:.3g} are allowed; "
+        + budget.way_out(linear=linear)
+    )

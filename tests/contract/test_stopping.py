@@ -1,0 +1,200 @@
+"""How drives stop: what is asked of them, what is written, and the ways that the plant then takes."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from invid.config import CellConfig, parse_config
+from invid.errors import ConfigError, DriveError
+from invid.sweep import Mode
+from invid_drivers.cia402.bus import Cia402Cell
+from invid_drivers.cia402.manuals import YES
+from invid_drivers.cia402.vendors import VENDORS
+from invid_drivers.connect import connect
+from invid_drivers.measurement import ask_drives
+from invid_drivers.stopping_budgets import plan_within
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
+from bench_stopping import Run, cell_config, draw
+
+COUNTS = 524288
+RAD = COUNTS / (2 * np.pi)
+
+
+def cell(drive: dict[str, Any] | None = None, /, *, safety: Any = None, **axis: Any) -> CellConfig:
+    limits = {"torque_Nm": 25, "position_window_rad": 0.5, "velocity_rad_per_s": 3}
+    return parse_config(
+        yaml.safe_dump(
+            {
+                "format": "invid-config",
+                "robot": "one axis",
+                "bus": {"interface": "invid-virtual", "channel": "stopping"},
+                "axes": [
+                    {"name": "A1", "node_id": 1, "rated_torque_Nm": 50, "inertia_kgm2": 2.0, "limits": limits}
+                    | axis
+                ],
+                "safety": safety or {"heartbeat_s": 0.02},
+                "simulation": {
+                    "plant": {"branches": [{"axis": "A1", "masses": [1.5, 0.5], "springs": [2000.0]}]},
+                    "axes": {"A1": {"encoder_counts_per_rev": COUNTS} | (drive or {})},
+                },
+            }
+        )
+    )
+
+
+def od_of(master: Cia402Cell) -> Any:
+    bus: Any = master._link.bus
+    return bus.cell.drives[0].node.od
+
+
+def test_a_gentle_ramp_means_less_speed_and_says_so() -> None:
+    config = cell({"quick_stop_deceleration_rad_per_s2": 1.0})
+    _, limited, (budget,), said = ask_drives(config)
+    # 65 ms of the planned torque alone make 0.6 rad/s, and 0.2 rad of ramp
+    assert 0.1 < budget.permitted < 0.4
+    assert budget.dead_master == pytest.approx(0.5)
+    assert limited.axes[0].limits.velocity == budget.permitted
+    assert any("A1: at most" in s and "0x6085" in s for s in said)
+
+
+def test_a_config_that_states_a_steeper_ramp_has_it_written_where_its_unit_is_known_and_restored() -> None:
+    axis = {
+        "vendor": "epos4",
+        "position_rad_per_count": 2 * np.pi / COUNTS,
+        "quick_stop_deceleration_rad_per_s2": 8,
+    }
+    drive = {
+        "quick_stop_deceleration_rad_per_s2": 1.0, "ramp_unit": "rpm_per_s",
+        "objects": {"profile": "epos4", "values": {"0x3001:1": 3000, "0x3001:2": 3000}},
+    }  # fmt: skip
+    master = connect(cell(drive, **axis))
+    (report,) = master.check()
+    assert report.stopping.deceleration == pytest.approx(8.0)
+    before = od_of(master).number(0x6085)
+    master.energise([Mode.HOLD])
+    assert od_of(master).number(0x6085) == pytest.approx(8 * 60 / (2 * np.pi), abs=1)
+    od = od_of(master)
+    assert master.close() == []
+    assert od.number(0x6085) == before
+
+
+def test_a_ramp_in_an_unknown_unit_counts_in_the_slower_one_and_a_stated_one_is_believed() -> None:
+    drive = {"quick_stop_deceleration_rad_per_s2": 3.0, "ramp_unit": "rpm_per_s"}
+    master = connect(cell(drive))
+    (report,) = master.check()
+    assert report.stopping.deceleration is not None
+    assert report.stopping.deceleration < 0.001
+    assert "taken as counts/s²" in report.stopping.ramp
+    master.close()
+    master = connect(cell(drive, quick_stop_deceleration_rad_per_s2=3.0))
+    (report,) = master.check()
+    assert report.stopping.deceleration == 3.0
+    master.energise([Mode.HOLD])
+    assert od_of(master).number(0x6085) == round(3.0 * 60 / (2 * np.pi))  # what is not known is not written
+    master.close()
+
+
+def test_an_acceleration_factor_of_the_drive_tells_its_unit() -> None:
+    config = cell()
+    master = connect(config)
+    od_of(master).add_record(0x6097, ("I", "ro", 1000), ("I", "ro", 1))
+    od_of(master).put(0x6085, 0, round(5.0 * RAD / 1000))
+    (report,) = master.check()
+    assert report.stopping.deceleration == pytest.approx(5.0, rel=0.02)
+    assert "0x6097" in report.stopping.ramp
+    master.close()
+
+
+def test_a_ramp_beyond_the_torque_limit_is_given_what_the_limit_can_do_and_restored() -> None:
+    config = cell({"quick_stop_deceleration_rad_per_s2": 100.0})
+    master = connect(config)
+    (report,) = master.check()
+    assert report.stopping.deceleration == pytest.approx(0.8 * 25 / 2.0)
+    od, before = od_of(master), od_of(master).number(0x6085)
+    master.energise([Mode.HOLD])
+    assert od.number(0x6085) == pytest.approx(10.0 * RAD, rel=1e-4)
+    assert master.close() == []
+    assert od.number(0x6085) == before
+
+
+def test_a_drive_without_the_object_of_its_ramp_says_what_to_state() -> None:
+    config = cell({"objects": {"lacks": ["0x6085"]}})
+    *_, said = ask_drives(config)
+    assert any("0x6085" in s and "quick_stop_deceleration_rad_per_s2" in s for s in said)
+    *_, (budget,), said = ask_drives(
+        cell({"objects": {"lacks": ["0x6085"]}}, quick_stop_deceleration_rad_per_s2=5)
+    )
+    assert budget.stop is not None
+    assert not any("not known" in s for s in said)
+
+
+def test_the_event_timer_of_the_rpdo_is_written_longer_than_what_is_forgiven_and_restored() -> None:
+    master = connect(cell())
+    od = od_of(master)
+    master.energise([Mode.HOLD])
+    assert od.number(0x1400, 5) == 23  # 20 cycles that a late computer may skip, and three
+    assert master.close() == []
+    assert od.number(0x1400, 5) == 0
+
+
+@pytest.mark.parametrize("found", [10, 60])
+def test_an_event_timer_is_only_ever_tightened(found: int) -> None:
+    master = connect(cell())
+    od = od_of(master)
+    od.put(0x1400, 5, found)
+    master.energise([Mode.HOLD])
+    assert od.number(0x1400, 5) == min(found, 23)
+    master.close()
+    assert od.number(0x1400, 5) == found
+
+
+def test_an_event_timer_that_the_cycle_cannot_keep_is_refused_with_the_way_out() -> None:
+    master = connect(cell())
+    od_of(master).put(0x1400, 5, 1)
+    with pytest.raises(DriveError, match=r"A1.*0x1400:5.*1 ms.*bus.cycle_s"):
+        master.check()
+    master.close()
+
+
+def test_the_event_timer_counts_only_where_a_manual_says_that_it_acts(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    *_, (unknown,), _ = ask_drives(cell())
+    assert unknown.case.facts.watch_s == pytest.approx(0.06)
+    monkeypatch.setitem(VENDORS, "sure", replace(VENDORS["generic"], rpdo_event_timer=YES))
+    *_, (sure,), _ = ask_drives(cell(vendor="sure"))
+    assert (sure.case.facts.watch_s, sure.case.facts.watch) == (pytest.approx(0.023), "0x1400:5")
+
+
+def test_a_slow_heartbeat_is_refused_before_motion_with_the_way_out() -> None:
+    with pytest.raises(ConfigError, match=r"A1.*even from rest.*0x1016.*shorten safety.heartbeat_s"):
+        ask_drives(cell(safety={"heartbeat_s": 0.5}))
+
+
+def test_a_run_keeps_the_speed_that_was_permitted() -> None:
+    config = cell({"quick_stop_deceleration_rad_per_s2": 1.0})
+    master = connect(config)
+    found = plan_within(config, master.check())
+    assert found.plan.forecast[0].velocity <= found.budgets[0].permitted
+    master.close()
+
+
+@pytest.mark.parametrize("how", ["stop", "dead master"])
+@pytest.mark.parametrize("number", range(4))
+def test_no_way_of_the_plant_is_longer_than_what_was_stated(number: int, how: str) -> None:
+    d = draw(np.random.default_rng([7, number]))
+    run = Run(cell_config(d, number), d)
+    budget = run.budget()
+    stated = budget.stop if how == "stop" else budget.dead_master
+    assert stated is not None
+    true = run.way(how)
+    run.master.close()
+    assert 0.05 * stated < true <= stated
