@@ -261,11 +261,11 @@ def run_measurement(
     except (SafetyStop, KeyboardInterrupt) as error:
         outcome = Outcome.ABORTED
         if cell.not_off and isinstance(error, SafetyStop):
-            raise SafetyStop(f"{error}. {_not_off(cell.not_off)}") from None
+            raise error.saying(f"{error}. {_not_off(cell.not_off)}") from None
         raise
     except BusError as error:
         if cell.not_off and not str(error).endswith(_not_off(cell.not_off)):
-            raise type(error)(f"{error}. {_not_off(cell.not_off)}") from None
+            raise error.saying(f"{error}. {_not_off(cell.not_off)}") from None
         raise
     finally:
         # The drives first: a file that cannot be closed must not keep an axis energised.

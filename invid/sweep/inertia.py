@@ -134,10 +134,12 @@ def compare(
     if heavy or light:
         raise SafetyStop(
             f"axis {axis}: {seen}, {source} says {stated:.3g} {unit}: more than {AGREES:g} times "
-            f"{'as heavy' if heavy else 'lighter'}, which no elastic axis explains; a scale is wrong, or the "
-            "inertia. Compare 0x6076 (rated torque) with the motor's plate, and 0x608F, 0x6091, 0x6092 "
-            "(counts of a turn) with encoder and gear; if they are right, correct the inertia. Nothing was "
-            "recorded yet"
+            f"{'as heavy' if heavy else 'lighter'}, which no elastic axis explains",
+            way_out="a scale is wrong, or the inertia. Compare 0x6076 (rated torque) with the motor's plate, "
+            "and 0x608F, 0x6091, 0x6092 (counts of a turn) with encoder and gear; if they are right, correct "
+            "the inertia. Nothing was recorded yet",
+            code="scales",
+            axis=axis,
         )
     if branch is None or abs(branch.inertia - stated) <= NOTED * stated:
         return ""

@@ -203,12 +203,15 @@ class SignTrial:
             f"axis {self._settings.name}: the measured torque (0x6077) did not change while {amplitude:.3g} "
             f"{self._torque_unit} ({amplitude / self._rated:.1%} of rated) were commanded, and the axis "
             + (
-                "moved: the drive does not show its torque; let it update 0x6077, or nothing can be "
-                "identified"
+                "moved: the drive does not show its torque"
                 if moved
-                else "did not move: the drive gives no torque; look at its torque and current limits, safe "
-                "torque off and its torque mode"
-            )
+                else "did not move: the drive gives no torque"
+            ),
+            way_out="let it update 0x6077, or nothing can be identified"
+            if moved
+            else "look at its torque and current limits, safe torque off and its torque mode",
+            code="torque_hidden" if moved else "no_torque",
+            axis=self._settings.name,
         )
 
     def _require_motion(self, found: trials.Response, amplitude: float, length: float) -> None:
@@ -217,8 +220,10 @@ class SignTrial:
         raise SafetyStop(
             f"axis {self._settings.name}: {amplitude:.3g} {self._torque_unit} for {length:.2g} s moved the "
             f"encoder by {found.displacement / self._count:.0f} counts: the brake is closed, the encoder is "
-            "stuck, or friction takes all of the planned torque; see that the brake opens and turn the axis "
-            "by hand"
+            "stuck, or friction takes all of the planned torque",
+            way_out="see that the brake opens and turn the axis by hand",
+            code="stands",
+            axis=self._settings.name,
         )
 
     def _require_signs(self, found: trials.Response, amplitude: float) -> None:
