@@ -36,6 +36,8 @@ FIRST_SHARES = (0.1, 0.3, 1.0)
 of torque ten times wrong it is the shaking itself, which is within the torque limit."""
 LEAST_GROWTH = 1.2
 """A doublet that may not be longer by more than this says nothing new."""
+MORE_THAN_FRICTION = 2.0
+"""Torque of a slow doublet over the friction that a stronger one showed: half of it is then left."""
 SLOW_TRIALS = 5
 """The slow doublet that moves the whole branch is longer again where outer masses turn out to follow."""
 SLEEP_COUNTS = 20
@@ -100,7 +102,7 @@ class SignTrial:
         branch = self._weigh(last, amplitude, length)
         self._compare(branch, last.response)
         known = self._stated[0] if self._stated is not None else last.response.inertia
-        self._catch(branch.inertia if branch is not None else known)
+        self._catch(branch.inertia if branch is not None and branch.rigid else known)
         if motion.cell.can_hold[axis]:
             motion.change(motion.resting_modes(), [f for f in self._others if f.axis != axis])
 
@@ -252,6 +254,8 @@ class SignTrial:
         branch = self._branch(last.log)
         for _ in range(SLOW_TRIALS):
             inertia = branch.inertia if branch is not None else last.response.inertia
+            if branch is not None:  # what friction takes of it says nothing of the mass
+                slow = min(amplitude, max(slow, MORE_THAN_FRICTION * branch.friction))
             next_length = min(SIGN_LAST_S, float(np.sqrt(16 * inertia * SLOW_WINDOW * window / slow)))
             if not next_length > LEAST_GROWTH * length:
                 break
