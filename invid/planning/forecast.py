@@ -185,12 +185,13 @@ QUANTITIES = ("travel", "velocity", "torque")
 
 
 def fitted(
-    config: CellConfig, experiments: Sequence[PlannedExperiment], belief: Belief
+    config: CellConfig, experiments: Sequence[PlannedExperiment], belief: Belief, share: float = 1.0
 ) -> tuple[tuple[PlannedExperiment, ...], list[Peaks], list[str]]:
     """The experiments with as much torque as the limits allow by the model, their peaks, and what was done.
 
     Where an excited axis would leave a limit its own torque is lowered, in every experiment alike so that
-    they go on complementing each other; where a held axis would, that of those which shake it.
+    they go on complementing each other; where a held axis would, that of those which shake it. Experiments
+    that have a ``share`` of their torque keep that share of what could be planned, unless they follow a path.
     """
     count = len(config.axes)
     most = usable(config)
@@ -201,7 +202,8 @@ def fitted(
         for e, p in zip(experiments, peaks, strict=True):
             if not e.torque.any():
                 continue  # a slow move has no amplitude: its path was checked against the limits
-            over = p.motion / np.maximum(most - p.friction, most / 2)
+            whole = p.motion if e.reference is not None else p.motion / share
+            over = whole / np.maximum(most - p.friction, most / 2)
             for i in np.flatnonzero(over.max(axis=0) > 1.0):
                 for j in e.excited if i not in e.excited else (int(i),):
                     if 1.0 / over[:, i].max() < lower[j]:
@@ -217,8 +219,8 @@ def fitted(
         peaks = [p if e is None else peaks_of(config, e, belief) for e, p in zip(scaled, peaks, strict=True)]
     result = tuple(_scaled(config, e, factor) for e in experiments)
     said = [
-        f"axis {config.axes[j].name}: its torque is planned at {factor[j]:.0%} of what was asked for, so "
-        f"that the {why} stays within its limit by {belief.source}"
+        f"axis {config.axes[j].name}: its torque is planned at {share * factor[j]:.0%} of what the config "
+        f"asks for, so that the {why} stays within its limit by {belief.source}"
         for j, why in sorted(binding.items())
         if factor[j] < 1.0
     ]

@@ -88,7 +88,7 @@ class Rehearsal:
         self._motion.watching.standing.slowest(lowest)
         self._motion.watching.standing.forget()
         first, second = trial_shares(config, experiment)
-        allowed = self._allowed()
+        allowed = self._allowed(experiment)
         gentle = self._gentle(experiment, allowed[0])
         # Less than what friction surely lets through says nothing of an encoder that stands.
         seen = self._try_share(excerpt(config, trial, 0), min(first, gentle), moves=gentle >= first)
@@ -138,11 +138,16 @@ class Rehearsal:
                 share = min(share, GENTLE * float(travel[i]) * inertia * omega**2 / peak)
         return max(share, LEAST_SHARE)
 
-    def _allowed(self) -> Float64:
-        """(3, M) what was announced, or 95 % of the limits where that is less."""
+    def _allowed(self, experiment: PlannedExperiment) -> Float64:
+        """(3, M) what was announced, or the plan's share of 95 % of the limits where that is less."""
         plan, config = self._motion.plan, self._motion.config
         told = np.array([[f.travel, f.velocity, f.peak_torque] for f in plan.forecast]).T
-        allowed: Float64 = np.minimum(told, FULL * limits_of(config))
+        most = FULL * limits_of(config)
+        if experiment.reference is None:
+            rest = np.zeros_like(most)
+            rest[2] = np.minimum(np.abs(self._motion.bias), most[2])
+            most = rest + plan.share * (most - rest)
+        allowed: Float64 = np.minimum(told, most)
         return allowed
 
     def _scale_down(self, bound: Float64, allowed: Float64) -> float:
