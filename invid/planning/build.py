@@ -137,7 +137,7 @@ def assemble(
             experiments, _, lowered = fitted(config, experiments, rough, share)
             said += lowered
         trials = trials_of(config, experiments)
-        expected = limit_forecast(config, share)
+        expected = limit_forecast(config, experiments, share)
         said.append(UNKNOWN)
     return Plan(
         axes=tuple(a.name for a in config.axes),

@@ -134,21 +134,27 @@ def model_forecast(
     return announced(config, np.minimum(bounds, limits_of(config)), "model")
 
 
-def limit_forecast(config: CellConfig, share: float) -> tuple[AxisForecast, ...]:
+def limit_forecast(
+    config: CellConfig, experiments: Sequence[PlannedExperiment], share: float
+) -> tuple[AxisForecast, ...]:
     """The announcement where nothing is known: the sweep keeps below this share of the limits.
 
     ``share`` is the share of the amplitude that was asked for: a plant that may use its whole window at full
     amplitude uses no more of it at less. What a drive needs to hold its axis while others move is not known:
-    it has its whole torque.
+    it has its whole torque. A path is followed as it is, whatever the amplitude.
     """
-    bounds = limits_of(config)
+    bounds, most = limits_of(config), limits_of(config)
     bounds[0] *= max(share, SIGN_TRAVEL)
     for i, axis in enumerate(config.axes):
         if axis.inertia is not None:
             # √(A·x/m), the speed of a mass that a doublet of torque A moves by x; half of it may be the motor
             doublet = np.sqrt(config.safety.test_amplitude * bounds[2, i] * bounds[0, i] / axis.inertia)
             bounds[1, i] *= max(share, min(2.0 * AGAIN * float(doublet) / bounds[1, i], 1.0))
-    return announced(config, bounds, "limits")
+    paths = [e.reference for e in experiments if e.reference is not None]
+    cycle = config.bus.cycle_s
+    bounds[0] += np.max([np.abs(p).max(axis=0) for p in paths], axis=0, initial=0.0)
+    bounds[1] += np.max([np.abs(np.diff(p, axis=0)).max(axis=0) / cycle for p in paths], axis=0, initial=0.0)
+    return announced(config, np.minimum(bounds, most), "limits")
 
 
 def limits_of(config: CellConfig) -> Float64:

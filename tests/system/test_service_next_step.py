@@ -39,6 +39,35 @@ experiments:
   - {kind: multisine, role: validate, band_Hz: [0.5, 6], period_s: 2, periods: 2, experiments: 1, seed: 2}
 """
 
+TWO = """\
+format: invid-config
+format_version: 1
+robot: two axes that shake each other
+bus: {interface: invid-virtual, channel: two, cycle_s: 0.002}
+axes:
+  - name: A1
+    node_id: 1
+    rated_torque_Nm: 50
+    masses: 2
+    limits: {torque_Nm: 25, position_window_rad: 0.5, velocity_rad_per_s: 3}
+  - name: A2
+    node_id: 2
+    rated_torque_Nm: 30
+    masses: 2
+    limits: {torque_Nm: 15, position_window_rad: 0.5, velocity_rad_per_s: 3}
+simulation:
+  seed: 3
+  plant:
+    branches:
+      - {axis: A1, masses: [0.8, 1.5], springs: [900], dampers: [0.6]}
+      - {axis: A2, masses: [0.5, 0.9], springs: [700], dampers: [0.4]}
+    couplings: [{between: [A1, A2], value: 0.4}]
+  defaults: {torque_noise_fraction_of_rated: 0.003}
+experiments:
+  - {kind: multisine, band_Hz: [0.5, 12], period_s: 4, periods: 2}
+  - {kind: multisine, role: validate, band_Hz: [0.5, 12], period_s: 4, periods: 2, experiments: 1, seed: 2}
+"""
+
 
 def progress_of(service: Serving, location: str) -> list[dict[str, Any]]:
     """The data of every progress event up to the result."""
@@ -76,6 +105,32 @@ def test_gentler_shakes_with_half_of_the_torque_and_the_analysis_tells_its_time_
         # 0.5 % of rated torque is noise of the reading
         assert peaks["gentler"]["torque"] == pytest.approx(0.5 * peaks["planned"]["torque"], abs=1.0)
         assert peaks["gentler"]["travel"] < 0.7 * peaks["planned"]["travel"]
+
+
+def test_related_axes_do_no_more_than_was_announced_without_a_model_and_with_one(tmp_path: Path) -> None:
+    with serving(tmp_path, cell=TWO) as service:
+        for basis in ("trial", "model"):
+            location = service.start(arm=False)
+            plan = service.wait(location, "awaiting_arm")["plan"]
+            service.client.post(f"{location}/actions", json={"type": "arm"})
+            seen = service.wait(location, "analysing", "awaiting_accept")["measurement"]
+            assert seen["outcome"] == "completed"
+            assert seen["duration_s"] == pytest.approx(plan["duration_s"], rel=0.05)
+            for told, before in zip(seen["forecast"], plan["forecast"], strict=True):
+                assert told["basis"] == basis
+                peak = seen["peaks"][told["axis"]]
+                for what, limit in (
+                    ("travel", "travel"),
+                    ("velocity", "velocity"),
+                    ("torque", "peak_torque"),
+                ):
+                    assert peak[what] <= told[limit] <= before[limit], (told["axis"], what)
+            if basis == "trial":
+                assert service.wait(location, "awaiting_accept")["summary"]["headline"]
+                body = {"type": "accept", "override": "the first of this cell"}
+                assert service.client.post(f"{location}/actions", json=body).status_code == 200
+            else:
+                service.client.post(f"{location}/actions", json={"type": "cancel"})
 
 
 def test_a_run_that_a_dead_encoder_stops_shows_where_and_one_action(tmp_path: Path) -> None:
@@ -124,6 +179,8 @@ def test_a_delay_not_told_from_a_lag_is_told_by_the_run_that_the_result_offers(t
         body = service.wait(second, "awaiting_accept")
         (finding,) = [f for f in body["summary"]["findings"] if f["axis"] == "A1"]
         assert finding["cause"] == "torque_delay"
+        assert finding["consequence"]["grade"] in ("as_expected", "watch", "act")
+        assert finding["consequence"]["reason"]
         assert body["separating"] is None
 
 

@@ -183,6 +183,15 @@ def test_where_the_inertia_says_that_an_axis_leaves_its_window_its_torque_is_low
     assert first[1] == pytest.approx(other[1])
 
 
+def test_a_slow_move_at_a_tenth_of_the_amplitude_is_announced_as_far_as_it_goes() -> None:
+    moves = "[{kind: multisine}, {kind: constant_velocity, velocities: [0.2], travel: 0.7, axes: [A1]}]"
+    plan = make_plan(cell(moves), amplitude_scale=0.1)
+    first, other = plan.forecast[:2]
+    assert first.travel >= 0.35 + 0.1 * first.travel_limit
+    assert other.travel < 0.5 * other.travel_limit
+    assert first.velocity >= 0.2
+
+
 def test_half_of_a_plan_that_was_lowered_is_half_of_it() -> None:
     config = cell()
     axes = [
