@@ -196,8 +196,7 @@ def analyse(job: Job, line: Line, seen: Mapping[str, Any] | None) -> dict[str, A
 
     ``seen`` is what the measurement saw, ``None`` where the recording comes from elsewhere.
     """
-    from invid.diagnosis.diagnose import diagnose
-    from invid.identification.identify import identify
+    from invid.api import diagnose, identify
     from invid.model.diagnosis_document import diagnosis_to_json
     from invid.model.document import dump_json, model_to_json, save_text
     from invid.recording import read_recording
