@@ -16,11 +16,41 @@ matching builtin, so that library users may catch what they know::
 
 from __future__ import annotations
 
+import copy
+from typing import Any, Self
+
 
 class InvidError(Exception):
-    """Base of every error raised on purpose; ``exit_code`` is the command's exit status."""
+    """Base of every error raised on purpose; ``exit_code`` is the command's exit status.
+
+    Attributes
+    ----------
+    reason
+        What was found, without what to do.
+    way_out
+        What to do; the text of the error is both.
+    code, axis
+        What stopped a motion, as a stable word (``position_window``, …), and on which axis; empty and
+        ``None`` elsewhere.
+    moment
+        Where a sweep stood when this ended it (``invid.sweep.Moment``); ``None`` where nothing moved yet.
+    """
 
     exit_code = 2
+
+    def __init__(
+        self, reason: str = "", *, way_out: str = "", code: str = "", axis: str | None = None
+    ) -> None:
+        super().__init__(f"{reason}; {way_out}" if way_out else reason)
+        self.reason, self.way_out, self.code, self.axis = reason, way_out, code, axis
+        self.moment: Any = None
+
+    def saying(self, text: str) -> Self:
+        """The same error in other words."""
+        other = copy.copy(self)
+        other.args = (text,)
+        other.reason, other.way_out = text, ""
+        return other
 
 
 class InputError(InvidError, ValueError):

@@ -262,13 +262,13 @@ def run_measurement(
         cell.suspect(str(error))
         ending = _ending(cell)
         if ending and isinstance(error, SafetyStop):
-            raise SafetyStop(f"{error}. {ending}") from None
+            raise error.saying(f"{error}. {ending}") from None
         raise
     except (BusError, ConfigError) as error:
         cell.suspect(str(error))
         ending = _ending(cell)
         if ending and not str(error).endswith(ending):
-            raise type(error)(f"{error}. {ending}") from None
+            raise error.saying(f"{error}. {ending}") from None
         raise
     finally:
         # The drives first: a file that cannot be closed must not keep an axis energised.

@@ -34,7 +34,6 @@ from typing import Any
 
 import numpy as np
 
-from invid import errors
 from invid.config import CellConfig
 from invid.errors import BusError, InvidError, SafetyStop
 from invid.model.chains import CoupledChains
@@ -229,11 +228,11 @@ def child_main(fd: int) -> None:
         )
         outbox.put(("result", result))
     except SafetyStop as error:
-        outbox.put(("error", type(error).__name__, f"{SILENT}: {error}" if silent.is_set() else str(error)))
+        outbox.put(("error", error.saying(f"{SILENT}: {error}") if silent.is_set() else error))
     except InvidError as error:
-        outbox.put(("error", type(error).__name__, str(error)))
+        outbox.put(("error", error))
     except Exception as error:  # the parent must hear of it: its exit status depends on it
-        outbox.put(("error", "RuntimeError", f"{type(error).__name__}: {error}"))
+        outbox.put(("error", RuntimeError(f"{type(error).__name__}: {error}")))
     outbox.put(None)
     # The drives are off. However far behind the parent is, every sample reaches it; once it has gone,
     # sending fails and this ends.
@@ -314,7 +313,7 @@ def _end(relay: Relay, connection: Connection, child: subprocess.Popen[bytes]) -
 
 def _with_file(error: InvidError, failure: InvidError | None) -> InvidError:
     """What ended the run, and what became of its file where that failed too."""
-    return error if failure is None or failure is error else type(error)(f"{error}. {failure}")
+    return error if failure is None or failure is error else error.saying(f"{error}. {failure}")
 
 
 class Relay:
@@ -350,13 +349,10 @@ class Relay:
                 self._raise_of_file()
                 return message[1]
             elif kind == "error":
-                known = getattr(errors, message[1], None)
-                if isinstance(known, type) and issubclass(known, InvidError):
-                    if issubclass(known, SafetyStop):
-                        self._raise_of_file()  # that is why it was stopped
-                        self._outcome = Outcome.ABORTED
-                    raise known(message[2])
-                raise RuntimeError(message[2])
+                if isinstance(message[1], SafetyStop):
+                    self._raise_of_file()  # that is why it was stopped
+                    self._outcome = Outcome.ABORTED
+                raise message[1]
             else:
                 self._filing.put(message)
 

@@ -55,7 +55,7 @@ def make_plan(
     axes
         Excite only these; the others are held. ``None``: as each experiment says.
     amplitude_scale
-        Factor on every torque, 0 < scale ≤ 1.
+        Factor on every torque that would be planned, 0 < scale ≤ 1.
     model
         The last accepted model, with its friction where that is known: what is announced comes from it, and
         torque is planned so that it keeps the limits. Without one the limits are announced, and the trial
@@ -127,17 +127,17 @@ def assemble(
     inertia: list[float | None] = [a.inertia for a in config.axes]
     if belief is not None and known:
         inertia = [a.inertia or float(m) for a, m in zip(config.axes, belief.inertia, strict=True)]
-        experiments, peaks, lowered = fitted(config, experiments, belief)
+        experiments, peaks, lowered = fitted(config, experiments, belief, share)
         said += lowered
         trials = model_trials(config, trials_of(config, experiments), peaks, belief)
         expected = model_forecast(config, experiments, peaks, belief)
     else:
         rough = rigid(config) if belief is None else None
         if rough is not None:
-            experiments, _, lowered = fitted(config, experiments, rough)
+            experiments, _, lowered = fitted(config, experiments, rough, share)
             said += lowered
         trials = trials_of(config, experiments)
-        expected = limit_forecast(config, share)
+        expected = limit_forecast(config, experiments, share)
         said.append(UNKNOWN)
     return Plan(
         axes=tuple(a.name for a in config.axes),
@@ -150,6 +150,7 @@ def assemble(
         trials=trials,
         phases=phases_of(config, experiments, trials, inertia=inertia),
         inertia=tuple(inertia),
+        share=share,
     )
 
 

@@ -134,21 +134,27 @@ def model_forecast(
     return announced(config, np.minimum(bounds, limits_of(config)), "model")
 
 
-def limit_forecast(config: CellConfig, share: float) -> tuple[AxisForecast, ...]:
+def limit_forecast(
+    config: CellConfig, experiments: Sequence[PlannedExperiment], share: float
+) -> tuple[AxisForecast, ...]:
     """The announcement where nothing is known: the sweep keeps below this share of the limits.
 
     ``share`` is the share of the amplitude that was asked for: a plant that may use its whole window at full
     amplitude uses no more of it at less. What a drive needs to hold its axis while others move is not known:
-    it has its whole torque.
+    it has its whole torque. A path is followed as it is, whatever the amplitude.
     """
-    bounds = limits_of(config)
+    bounds, most = limits_of(config), limits_of(config)
     bounds[0] *= max(share, SIGN_TRAVEL)
     for i, axis in enumerate(config.axes):
         if axis.inertia is not None:
             # √(A·x/m), the speed of a mass that a doublet of torque A moves by x; half of it may be the motor
             doublet = np.sqrt(config.safety.test_amplitude * bounds[2, i] * bounds[0, i] / axis.inertia)
             bounds[1, i] *= max(share, min(2.0 * AGAIN * float(doublet) / bounds[1, i], 1.0))
-    return announced(config, bounds, "limits")
+    paths = [e.reference for e in experiments if e.reference is not None]
+    cycle = config.bus.cycle_s
+    bounds[0] += np.max([np.abs(p).max(axis=0) for p in paths], axis=0, initial=0.0)
+    bounds[1] += np.max([np.abs(np.diff(p, axis=0)).max(axis=0) / cycle for p in paths], axis=0, initial=0.0)
+    return announced(config, np.minimum(bounds, most), "limits")
 
 
 def limits_of(config: CellConfig) -> Float64:
@@ -185,12 +191,13 @@ QUANTITIES = ("travel", "velocity", "torque")
 
 
 def fitted(
-    config: CellConfig, experiments: Sequence[PlannedExperiment], belief: Belief
+    config: CellConfig, experiments: Sequence[PlannedExperiment], belief: Belief, share: float = 1.0
 ) -> tuple[tuple[PlannedExperiment, ...], list[Peaks], list[str]]:
     """The experiments with as much torque as the limits allow by the model, their peaks, and what was done.
 
     Where an excited axis would leave a limit its own torque is lowered, in every experiment alike so that
-    they go on complementing each other; where a held axis would, that of those which shake it.
+    they go on complementing each other; where a held axis would, that of those which shake it. Experiments
+    that have a ``share`` of their torque keep that share of what could be planned, unless they follow a path.
     """
     count = len(config.axes)
     most = usable(config)
@@ -201,7 +208,8 @@ def fitted(
         for e, p in zip(experiments, peaks, strict=True):
             if not e.torque.any():
                 continue  # a slow move has no amplitude: its path was checked against the limits
-            over = p.motion / np.maximum(most - p.friction, most / 2)
+            whole = p.motion if e.reference is not None else p.motion / share
+            over = whole / np.maximum(most - p.friction, most / 2)
             for i in np.flatnonzero(over.max(axis=0) > 1.0):
                 for j in e.excited if i not in e.excited else (int(i),):
                     if 1.0 / over[:, i].max() < lower[j]:
@@ -217,8 +225,8 @@ def fitted(
         peaks = [p if e is None else peaks_of(config, e, belief) for e, p in zip(scaled, peaks, strict=True)]
     result = tuple(_scaled(config, e, factor) for e in experiments)
     said = [
-        f"axis {config.axes[j].name}: its torque is planned at {factor[j]:.0%} of what was asked for, so "
-        f"that the {why} stays within its limit by {belief.source}"
+        f"axis {config.axes[j].name}: its torque is planned at {share * factor[j]:.0%} of what the config "
+        f"asks for, so that the {why} stays within its limit by {belief.source}"
         for j, why in sorted(binding.items())
         if factor[j] < 1.0
     ]

@@ -141,6 +141,8 @@ class Plan:
     warnings: tuple[str, ...] = ()
     trials: tuple[Trial, ...] = ()
     phases: tuple[PhasePlan, ...] = ()
+    share: float = 1.0
+    """Of the torque that could be planned."""
     inertia: tuple[float | None, ...] = ()
     """Rigid inertia of each axis by the config, else by the model; ``None``: the sign trial must tell."""
 

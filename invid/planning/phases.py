@@ -82,6 +82,13 @@ def lowest_frequency(experiments: Sequence[PlannedExperiment]) -> float:
     return min(lines, default=1.0)
 
 
+def highest_frequency(experiments: Sequence[PlannedExperiment]) -> float:
+    """The fastest line of experiments [Hz]; that of a slow move is none, 1 Hz stands for it."""
+    lines = [float(e.frequencies_hz.max()) for e in experiments if e.frequencies_hz.size]
+    lines += [float(e.attributes["band_hz"][1]) for e in experiments if "band_hz" in e.attributes]
+    return max(lines, default=1.0)
+
+
 def sign_amplitude(
     config: CellConfig, experiments: Sequence[PlannedExperiment], axis: int
 ) -> tuple[float, float]:

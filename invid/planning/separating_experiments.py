@@ -47,6 +47,8 @@ class Separation:
     config: CellConfig
     sentences: tuple[str, ...]
     """What each part is for, in words; what only a person can do."""
+    finding: int
+    """Number of the first finding that is not told from its alternatives, from 0."""
 
 
 def to_separate(document: Mapping[str, Any], config: CellConfig) -> Separation:
@@ -67,7 +69,8 @@ def to_separate(document: Mapping[str, Any], config: CellConfig) -> Separation:
     specs: list[Spec] = []
     runs: list[list[Spec]] = []
     sentences: list[str] = []
-    open_ = [f for f in findings if _causes(f)] if isinstance(findings, list | tuple) else []
+    listed = findings if isinstance(findings, list | tuple) else []
+    open_ = [f for f in listed if _causes(f)]
     if not open_:
         raise InputError(
             "the diagnosis has nothing to separate: no finding has alternatives that these data cannot "
@@ -85,7 +88,8 @@ def to_separate(document: Mapping[str, Any], config: CellConfig) -> Separation:
     if not specs:
         raise InputError(f"no measurement of the drives alone separates these causes: {' '.join(sentences)}")
     specs.append(_validation(config))
-    return Separation(config.model_copy(update={"experiments": specs}), tuple(sentences))
+    first = next(k for k, f in enumerate(listed) if _causes(f))
+    return Separation(config.model_copy(update={"experiments": specs}), tuple(sentences), first)
 
 
 def _causes(finding: Any) -> set[str]:

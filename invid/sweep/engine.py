@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from invid.config import CellConfig
+from invid.errors import InvidError
 from invid.planning.hold_laws import master_hold
 from invid.planning.model import AxisForecast, PhasePlan, Plan, Step
 from invid.planning.phases import lowest_frequency
@@ -123,6 +124,9 @@ class Sweep:
                     case Step.RETURN:
                         self._motion.phase, self._motion.experiment = phase.name, None
                         self._motion.rest(set(self._motion.led))
+        except InvidError as error:
+            error.moment = self._motion.moment
+            raise
         finally:
             self.cell.stop()
         measured_s = self._motion.done_s

@@ -75,6 +75,8 @@ class Halting:
         ):
             raise SafetyStop(
                 f"axis {self._names[i]}: the encoder moved at {speed:.3g} {self._unit}/s and from one "
-                f"sample to the next not at all, for {self._still[i] * 1e3:.0f} ms now; the encoder is "
-                "stuck, a brake has closed or the axis has hit something"
+                f"sample to the next not at all, for {self._still[i] * 1e3:.0f} ms now",
+                way_out="the encoder is stuck, a brake has closed or the axis has hit something",
+                code="halted",
+                axis=self._names[i],
             )

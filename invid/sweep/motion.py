@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -15,6 +16,7 @@ from invid.planning.hold_laws import Gains, centring, following, least_damping, 
 from invid.planning.model import Plan, PlannedExperiment
 from invid.planning.phases import CATCH_HZ, SETTLE_S
 from invid.sweep.loads import CONFIRM_S, Load, judge_loads
+from invid.sweep.moment import TRACE_S, Moment
 from invid.sweep.ports import Cell, Mode, Sample, Sink
 from invid.sweep.watch import AxisLimits, Statistics, Watch
 
@@ -95,6 +97,25 @@ class Motion:
         self.led: set[int] = set()
         """Axes that are or were shaken, in torque mode around their places."""
         self._recorded = self._living = False
+        self._recent: deque[tuple[float, tuple[float, ...], tuple[float, ...]]] = deque(
+            maxlen=max(1, round(TRACE_S / plan.cycle_s))
+        )
+
+    @property
+    def moment(self) -> Moment | None:
+        """Where the motion is and its last seconds; ``None`` before the first cycle of the watch."""
+        if not self._recent:
+            return None
+        time, position, torque = (np.array(part) for part in zip(*self._recent, strict=True))
+        e = self.experiment
+        return Moment(
+            axes=self.plan.axes,
+            phase=self.phase,
+            axis=self.plan.axes[e.excited[0]] if e is not None and len(e.excited) == 1 else None,
+            time=time - time[-1],
+            position=position - np.array(self.origin),
+            torque=torque,
+        )
 
     @property
     def statistics(self) -> Statistics:
@@ -140,7 +161,9 @@ class Motion:
         if not cell.can_hold:
             raise SafetyStop("the cell was not checked before the sweep")
         if self.stop is not None and self.stop.is_set():
-            raise SafetyStop("stopped on request before any drive was enabled; nothing was recorded yet")
+            raise SafetyStop(
+                "stopped on request before any drive was enabled; nothing was recorded yet", code="asked"
+            )
         self._modes = self.resting_modes()
         cell.energise(self._modes)
         self._begin()
@@ -215,7 +238,7 @@ class Motion:
         ``torque`` and ``reference`` are (n, M); their last row stands for every later one. Rows become
         lists one at a time: half an hour at once would stall the cycle and take gigabytes.
         """
-        cell, watch, stop = self.cell, self.watching, self.stop
+        cell, watch, stop, recent = self.cell, self.watching, self.stop, self._recent
         cycle = self.plan.cycle_s
         feedback, origin, velocity = self.feedback, self.origin, self._velocity
         demand = self._demand
@@ -254,6 +277,7 @@ class Motion:
                 # an encoder that stands still is stuck, but not while the excitation fades in or out
                 watch.excited = self.must_move if shaken[0] <= k < shaken[1] and not fading else set()
                 self.expect_life(first <= k < last and not fading)
+            recent.append((sample.time, tuple(sample.position), tuple(sample.torque)))
             watch.check(sample)
             self._differentiate(sample)
             if sink is not None and first <= k < last:
@@ -270,7 +294,7 @@ class Motion:
                 fading += 1
                 if fading > fade:
                     so_far = "the recording so far is kept" if self._recorded else "nothing was recorded yet"
-                    raise SafetyStop(f"stopped on request; {so_far}")
+                    raise SafetyStop(f"stopped on request; {so_far}", code="asked")
             elif stop is not None and stop.is_set():
                 fading = 1
                 cycles = max(cycles, k + fade + 1)

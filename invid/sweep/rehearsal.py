@@ -13,6 +13,7 @@ from invid.planning.model import AxisForecast, PlannedExperiment, Trial
 from invid.planning.phases import (
     FIRST_S,
     excerpt,
+    highest_frequency,
     lowest_frequency,
     trial_shares,
 )
@@ -21,10 +22,16 @@ from invid.sweep.motion import Log, Motion, joined
 from invid.sweep.sign_trial import SignTrial
 
 GENTLE, LEAST_SHARE = 1.0 / 3.0, 0.01
-SMOOTH_S = 0.02
-"""The torque that a drive reads while it holds is averaged over this time: shorter than what is shaken."""
-NOISE_STD = 4.0
-"""Standard deviations of its noise (0.5 % of rated) taken off its peak."""
+SMOOTH_S, SMOOTH_CYCLE = 0.02, 0.2
+"""The torque that a drive reads while it holds is averaged over this time, and no more than a fifth of the
+fastest cycle that is shaken, which takes 6 % off its amplitude."""
+NOISE_STD = 3.0
+"""Standard deviations of its noise (0.5 % of rated) that the peak of some hundred averages has without any
+torque. They are taken off in power: a peak of torque is higher by its noise, but not by the peak of it."""
+CLIMB, SHORT = 5.0, 3.0
+"""A step of a trial has at most five times the torque of the one before, whose motion friction may have
+hidden wholly; where a third of what is allowed is not reached in the second, and its torque is still below
+the usual, there is another."""
 MOST_GROWTH = 1.6
 """A straight line through zero at a tenth of the amplitude and the motion at a third rises so much; one that
 begins later has stuck there, and nothing more can be said."""
@@ -81,17 +88,19 @@ class Rehearsal:
         self._motion.watching.standing.slowest(lowest)
         self._motion.watching.standing.forget()
         first, second = trial_shares(config, experiment)
-        allowed = self._allowed()
+        allowed = self._allowed(experiment)
         gentle = self._gentle(experiment, allowed[0])
         # Less than what friction surely lets through says nothing of an encoder that stands.
         seen = self._try_share(excerpt(config, trial, 0), min(first, gentle), moves=gentle >= first)
         first = min(first, gentle)
-        # Friction may have hidden half of the motion.
-        room = float(np.min(allowed[:2] / np.maximum(2.0 * seen.motion, 1e-300)))
-        share = min(second, first * max(room, 1.0))
+        share = min(second, first * min(self._room(seen, allowed), CLIMB))
         again = self._try_share(excerpt(config, trial, 1), share)
-        linear = again.stacked / share
-        linear[:2] *= _growth(seen, again)
+        linear = self._extrapolated(seen, again)
+        while share < second and self._room(again, allowed) > SHORT:
+            # Friction hid so much of the motion that the second step was still a small one.
+            share = min(second, share * min(self._room(again, allowed), CLIMB))
+            seen, again = again, self._try_share(excerpt(config, trial, 0), share)
+            linear = np.maximum(linear, self._extrapolated(seen, again))
         path = experiment.reference
         led = 0.0 if path is None else np.abs(path).max(axis=0)
 
@@ -105,6 +114,18 @@ class Rehearsal:
         self.scales[list(trial.covers)] = scale
         self.bounds = np.maximum(self.bounds, scale * bound(trial.spread))
 
+    @staticmethod
+    def _room(seen: Seen, allowed: Float64) -> float:
+        """How much further what is allowed lies, if friction hid half of the motion; at least 1."""
+        return max(1.0, float(np.min(allowed[:2] / np.maximum(2.0 * seen.motion, 1e-300))))
+
+    @staticmethod
+    def _extrapolated(first: Seen, second: Seen) -> Float64:
+        """(3, M) what full amplitude does by the second of two shares."""
+        linear: Float64 = second.stacked / second.share
+        linear[:2] *= _growth(first, second)
+        return linear
+
     def _gentle(self, experiment: PlannedExperiment, travel: Float64) -> float:
         """Share at which a sine of the slowest line moves each axis, as heavy as the signs showed it, by less
         than a third of what is allowed."""
@@ -117,11 +138,16 @@ class Rehearsal:
                 share = min(share, GENTLE * float(travel[i]) * inertia * omega**2 / peak)
         return max(share, LEAST_SHARE)
 
-    def _allowed(self) -> Float64:
-        """(3, M) what was announced, or 95 % of the limits where that is less."""
+    def _allowed(self, experiment: PlannedExperiment) -> Float64:
+        """(3, M) what was announced, or the plan's share of 95 % of the limits where that is less."""
         plan, config = self._motion.plan, self._motion.config
         told = np.array([[f.travel, f.velocity, f.peak_torque] for f in plan.forecast]).T
-        allowed: Float64 = np.minimum(told, FULL * limits_of(config))
+        most = FULL * limits_of(config)
+        if experiment.reference is None:
+            rest = np.zeros_like(most)
+            rest[2] = np.minimum(np.abs(self._motion.bias), most[2])
+            most = rest + plan.share * (most - rest)
+        allowed: Float64 = np.minimum(told, most)
         return allowed
 
     def _scale_down(self, bound: Float64, allowed: Float64) -> float:
@@ -194,20 +220,24 @@ class Rehearsal:
             early[0, i] = away[came < common].max(initial=0.0)
             early[1, i] = max(speed[came[step:] < common].max(initial=0.0), 0.0)
         # the rest has a hold of its own, whatever the share
-        return Seen(share, np.stack([travel, velocity]), early, self._torque(joined([opening, body, ending])))
+        torque = self._torque(joined([opening, body, ending]), highest_frequency([experiment]))
+        return Seen(share, np.stack([travel, velocity]), early, torque)
 
-    def _torque(self, kept: Log) -> Float64:
-        """(M,) largest torque beyond the bias: commanded, or measured where a drive holds its axis."""
+    def _torque(self, kept: Log, highest: float) -> Float64:
+        """(M,) largest torque beyond the bias: commanded, or measured where a drive holds its axis.
+
+        ``highest`` is the fastest line that is shaken [Hz].
+        """
         motion = self._motion
         bias, rated = np.array(motion.bias), np.array(motion.cell.rated_torque)
         commanded = np.abs(kept.demand - bias).max(axis=0, initial=0.0)
-        window = max(1, round(SMOOTH_S / motion.plan.cycle_s))
+        window = max(1, round(min(SMOOTH_S, SMOOTH_CYCLE / highest) / motion.plan.cycle_s))
         total = np.cumsum(np.concatenate([np.zeros((1, motion.count)), kept.torque - bias]), axis=0)
         smooth = np.abs(total[window:] - total[:-window]).max(axis=0, initial=0.0) / window
         noise = NOISE_STD * READING / 6 * rated / np.sqrt(window)
         led = [f.axis for f in motion.feedback]
         held = ~np.isin(np.arange(motion.count), led)
-        largest: Float64 = np.where(held, np.maximum(smooth - noise, 0.0), commanded)
+        largest: Float64 = np.where(held, np.sqrt(np.maximum(smooth**2 - noise**2, 0.0)), commanded)
         return largest
 
 

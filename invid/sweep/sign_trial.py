@@ -36,6 +36,8 @@ FIRST_SHARES = (0.1, 0.3, 1.0)
 of torque ten times wrong it is the shaking itself, which is within the torque limit."""
 LEAST_GROWTH = 1.2
 """A doublet that may not be longer by more than this says nothing new."""
+MORE_THAN_FRICTION = 2.0
+"""Torque of a slow doublet over the friction that a stronger one showed: half of it is then left."""
 SLOW_TRIALS = 5
 """The slow doublet that moves the whole branch is longer again where outer masses turn out to follow."""
 SLEEP_COUNTS = 20
@@ -100,7 +102,7 @@ class SignTrial:
         branch = self._weigh(last, amplitude, length)
         self._compare(branch, last.response)
         known = self._stated[0] if self._stated is not None else last.response.inertia
-        self._catch(branch.inertia if branch is not None else known)
+        self._catch(branch.inertia if branch is not None and branch.rigid else known)
         if motion.cell.can_hold[axis]:
             motion.change(motion.resting_modes(), [f for f in self._others if f.axis != axis])
 
@@ -208,13 +210,18 @@ class SignTrial:
             f"axis {self._settings.name}: the measured torque (0x6077) did not change while {amplitude:.3g} "
             f"{self._torque_unit} ({amplitude / self._rated:.1%} of rated) were commanded, and the axis "
             + (
-                "moved: the drive does not show its torque; let it update 0x6077, or nothing can be "
-                "identified"
+                "moved: the drive does not show its torque"
                 if moved
-                else "did not move: the drive gives no torque; look at its torque and current limits, safe "
-                "torque off and its torque mode"
+                else "did not move: the drive gives no torque"
+            ),
+            way_out=(
+                "let it update 0x6077, or nothing can be identified"
+                if moved
+                else "look at its torque and current limits, safe torque off and its torque mode"
             )
-            + self._ignored()
+            + self._ignored(),
+            code="torque_hidden" if moved else "no_torque",
+            axis=self._settings.name,
         )
 
     def _require_motion(self, found: trials.Response, amplitude: float, length: float) -> None:
@@ -223,8 +230,10 @@ class SignTrial:
         raise SafetyStop(
             f"axis {self._settings.name}: {amplitude:.3g} {self._torque_unit} for {length:.2g} s moved the "
             f"encoder by {found.displacement / self._count:.0f} counts: the brake is closed, the encoder is "
-            "stuck, or friction takes all of the planned torque; see that the brake opens and turn the axis "
-            "by hand" + self._ignored()
+            "stuck, or friction takes all of the planned torque",
+            way_out="see that the brake opens and turn the axis by hand" + self._ignored(),
+            code="stands",
+            axis=self._settings.name,
         )
 
     def _ignored(self) -> str:
@@ -260,6 +269,8 @@ class SignTrial:
         branch = self._branch(last.log)
         for _ in range(SLOW_TRIALS):
             inertia = branch.inertia if branch is not None else last.response.inertia
+            if branch is not None:  # what friction takes of it says nothing of the mass
+                slow = min(amplitude, max(slow, MORE_THAN_FRICTION * branch.friction))
             next_length = min(SIGN_LAST_S, float(np.sqrt(16 * inertia * SLOW_WINDOW * window / slow)))
             if not next_length > LEAST_GROWTH * length:
                 break

@@ -94,14 +94,18 @@ class Standing:
                 if still > max(self._allowed[i], self._least):
                     raise SafetyStop(
                         f"axis {self._names[i]}: the encoder has shown one value for "
-                        f"{still:.2g} s of shaking; the encoder is stuck, the brake is closed, "
-                        "or friction is above the torque"
+                        f"{still:.2g} s of shaking",
+                        way_out="the encoder is stuck, the brake is closed, or friction is above the torque",
+                        code="stands",
+                        axis=self._names[i],
                     )
             elif learning:
                 self._pause[i] = max(still, self._pause[i])
             elif self._changes[i] >= LIFE_CHANGES and still > max(LIFE_FACTOR * self._pause[i], LIFE_LEAST_S):
                 raise SafetyStop(
                     f"axis {self._names[i]}: the encoder of this held axis trembled with the shaking of the "
-                    f"others and has now shown one value for {still:.2g} s; the encoder is "
-                    "stuck or a brake has closed"
+                    f"others and has now shown one value for {still:.2g} s",
+                    way_out="the encoder is stuck or a brake has closed",
+                    code="halted",
+                    axis=self._names[i],
                 )

@@ -237,9 +237,11 @@ def too_late(axis: str, found: Sequence[Response]) -> SafetyStop:
     total = late + sum(r.edges for r in found)
     return SafetyStop(
         f"axis {axis}: could not tell whether torque and encoder agree in sign: at {late} of {total} steps "
-        f"of torque in {len(found)} trials this computer or an answer was late; nothing was recorded "
-        "yet. Stop other programs on this computer, let it have SCHED_FIFO, or lengthen bus.cycle_s; then "
-        "measure again"
+        f"of torque in {len(found)} trials this computer or an answer was late",
+        way_out="nothing was recorded yet. Stop other programs on this computer, let it have SCHED_FIFO, or "
+        "lengthen bus.cycle_s; then measure again",
+        code="computer_late",
+        axis=axis,
     )
 
 
@@ -248,13 +250,17 @@ def judge(axis: str, found: Response, score: float, *, amplitude: float, unit: s
     if found.opposed:
         raise SafetyStop(
             f"axis {axis}: the measured torque (0x6077) has the opposite sign of the commanded one (0x6071) "
-            f"in a trial at {amplitude:.3g} {torque_unit}; the drive's torque signs disagree: correct its "
-            "configuration"
+            f"in a trial at {amplitude:.3g} {torque_unit}",
+            way_out="the drive's torque signs disagree: correct its configuration",
+            code="signs",
+            axis=axis,
         )
     if score < -DECISIVE:
         raise SafetyStop(
             f"axis {axis}: positive torque moved the encoder backwards in a trial at {amplitude:.3g} "
-            f"{torque_unit} ({found.displacement:.3g} {unit}); encoder and motor disagree in sign: swap two "
-            "motor phases or invert the encoder in the drive (the config's direction turns both and cannot "
-            "help)"
+            f"{torque_unit} ({found.displacement:.3g} {unit})",
+            way_out="encoder and motor disagree in sign: swap two motor phases or invert the encoder in the "
+            "drive (the config's direction turns both and cannot help)",
+            code="signs",
+            axis=axis,
         )

@@ -149,8 +149,9 @@ class Watch:
                 if skipped > self._most_skipped:
                     raise SafetyStop(
                         f"the computer was late for {skipped} SYNC slots in a row "
-                        f"({skipped * self._cycle * 1e3:.0f} "
-                        "ms); stop other programs on it or lengthen bus.cycle_s"
+                        f"({skipped * self._cycle * 1e3:.0f} ms)",
+                        way_out="stop other programs on it or lengthen bus.cycle_s",
+                        code="computer_late",
                     )
         self._last_slot = sample.slot
         positions = sample.position
@@ -166,10 +167,10 @@ class Watch:
             if sample.status[i] & STATE_MASK != OPERATION_ENABLED:
                 raise DriveError(
                     f"axis {limit.name}: the drive left operation enabled (statusword "
-                    f"0x{sample.status[i]:04X}"
-                    f"{', fault' if sample.status[i] & 0x08 else ''}); read its error memory, find the "
-                    "cause, "
-                    "reset it there"
+                    f"0x{sample.status[i]:04X}{', fault' if sample.status[i] & 0x08 else ''})",
+                    way_out="read its error memory, find the cause, reset it there",
+                    code="drive_left",
+                    axis=limit.name,
                 )
             travel = abs(positions[i] - origin[i])
             if travel > self._travel[i]:
@@ -177,8 +178,10 @@ class Watch:
                 if travel > limit.position:
                     raise SafetyStop(
                         f"axis {limit.name}: position left its window: {travel:.4g} {limit.unit} from "
-                        "the start, "
-                        f"limit {limit.position:g}; lower the amplitude or widen the window"
+                        f"the start, limit {limit.position:g}",
+                        way_out="lower the amplitude or widen the window",
+                        code="position_window",
+                        axis=limit.name,
                     )
             # Samples that came, each with its own instant: a stale one would pass for a leap.
             history = self._history[i]
@@ -193,8 +196,11 @@ class Watch:
                     if speed * dt > limit.velocity * (dt + STAMP_CYCLES * self._cycle):
                         raise SafetyStop(
                             f"axis {limit.name}: velocity {speed:.4g} {limit.unit}/s, limit "
-                            f"{limit.velocity:g}; "
-                            "lower the amplitude, or look at the encoder if the axis did not move so fast"
+                            f"{limit.velocity:g}",
+                            way_out="lower the amplitude, or look at the encoder if the axis did not move "
+                            "so fast",
+                            code="velocity",
+                            axis=limit.name,
                         )
                 if i in self.held:
                     energy += (speed / limit.velocity) ** 2 if speed > 0 else 0.0
@@ -204,8 +210,10 @@ class Watch:
                 if torque > TORQUE_MARGIN * limit.torque + TORQUE_NOISE * limit.rated_torque:
                     raise SafetyStop(
                         f"axis {limit.name}: torque {torque:.4g} {limit.torque_unit}, limit "
-                        f"{limit.torque:g}; the "
-                        "drive gives more than it was asked for: check rated_torque and the drive's tuning"
+                        f"{limit.torque:g}: the drive gives more than it was asked for",
+                        way_out="check rated_torque and the drive's tuning",
+                        code="torque",
+                        axis=limit.name,
                     )
         self._watch_energy(energy)
         self.words.check(sample)
@@ -217,17 +225,18 @@ class Watch:
         self._missed[i] += 1
         if self._missed[i] >= self._most_missed:
             raise DriveError(
-                f"axis {self._limits[i].name}: no position for {self._missed[i]} cycles in a row; check "
-                "its cable, "
-                "its supply and the bus"
+                f"axis {self._limits[i].name}: no position for {self._missed[i]} cycles in a row",
+                way_out="check its cable, its supply and the bus",
+                code="no_answer",
+                axis=self._limits[i].name,
             )
 
     def _events(self, sample: Sample) -> None:
         for event in sample.events:
             if event.severity is Severity.DRIVE:
-                raise DriveError(event.text)
+                raise DriveError(event.text, code="drive_fault", axis=event.axis)
             if event.severity is Severity.BUS:
-                raise BusError(event.text)
+                raise BusError(event.text, code="bus")
 
     def _watch_energy(self, energy: float) -> None:
         self._energy += energy
@@ -245,6 +254,8 @@ class Watch:
         if all(after > ENERGY_GROWTH * before for before, after in pairwise(seen)):
             names = ", ".join(self._limits[i].name for i in sorted(self.held))
             raise SafetyStop(
-                f"the motion of the held axes ({names}) keeps growing: a hold is unstable; use hold mode "
-                "'drive', or master_pd with a lower gain"
+                f"the motion of the held axes ({names}) keeps growing: a hold is unstable",
+                way_out="use hold mode 'drive', or master_pd with a lower gain",
+                code="hold_unstable",
+                axis=self._limits[min(self.held)].name if len(self.held) == 1 else None,
             )

@@ -35,6 +35,7 @@ CATALOGUE: dict[str, tuple[int, str]] = {
     "not-ready": (409, "The cell cannot start"),
     "wrong-state": (409, "Not possible in this state"),
     "override-needed": (409, "This result is not to be trusted"),
+    "nothing-to-separate": (409, "There is nothing to separate"),
     "not-simulated": (409, "The cell has hardware behind it"),
     "no-comparison": (409, "There are not two models to compare"),
     "artefact-expired": (410, "This file was deleted after its time of retention"),

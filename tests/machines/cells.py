@@ -7,18 +7,18 @@ truth is read from the plant itself, cycle by cycle, past encoders and drives.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from invid.config import CellConfig
-from invid.errors import InvidError
+from invid.errors import InvidError, SafetyStop
 from invid.model.chains import CoupledChains
 from invid.numerics.arrays import Float64, frozen_float
 from invid.planning import AxisForecast, Plan, make_plan
 from invid.planning.belief import Belief
-from invid.planning.model import PlannedExperiment
+from invid.planning.model import PlannedExperiment, Step
 from invid.sweep import Sample, Sweep
 from invid_drivers.cia402.bus import Cia402Cell
 from invid_drivers.simulated import kernel, open_virtual_bus
@@ -235,3 +235,18 @@ def run(drawn: Drawn) -> Truth:
     finally:
         cell.close()
     return truth
+
+
+def try_signs(drawn: Drawn) -> SafetyStop | None:
+    """Only the trials of the signs; what stopped them."""
+    plan = make_plan(drawn.config, amplitude_scale=drawn.amplitude, model=drawn.model)
+    phases = tuple(p for p in plan.phases if p.step in (Step.SETTLE, Step.SIGNS))
+    cell = Cia402Cell(open_virtual_bus(drawn.config), drawn.config)
+    try:
+        cell.check()
+        Sweep(replace(plan, phases=phases), drawn.config, cell, _Sink()).run()
+    except SafetyStop as error:
+        return error
+    finally:
+        cell.close()
+    return None

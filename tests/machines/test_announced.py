@@ -1,5 +1,6 @@
 """What is announced bounds what the plant itself does, in every phase of a whole run in virtual time."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,12 +9,12 @@ import pytest
 from invid.config import load_config
 from invid.errors import ConfigError
 from invid.planning.subset import axes_left_out, require_all_axes
-from machines.cells import draw, run
+from machines.cells import draw, run, try_signs
 
 CASE_STUDY = Path(__file__).parents[2] / "configs" / "case-study.yaml"
 
 
-@pytest.mark.parametrize("seed", [302, 305, 307])
+@pytest.mark.parametrize("seed", [302, 305, 307, 410, 422])
 def test_no_axis_does_more_than_was_announced_in_any_phase_and_the_run_lasts_as_planned(seed: int) -> None:
     drawn = draw(seed)
     truth = run(drawn)
@@ -23,6 +24,26 @@ def test_no_axis_does_more_than_was_announced_in_any_phase_and_the_run_lasts_as_
     assert truth.seconds == pytest.approx(truth.plan.duration_s, rel=0.05)
     assert {f.basis for f in truth.after} == ({"trial"} if drawn.model is None else {"model"})
     assert np.median(truth.generosity()[2]) < 3.0
+
+
+@pytest.mark.parametrize("seed", [401, 413, 415, 418, 420, 423])
+def test_an_axis_that_swings_is_not_taken_for_one_with_a_wrong_scale(seed: int) -> None:
+    # Masses behind springs of 1 to 5 Hz, or friction above the slow doublet: the motor moves like a third or
+    # like ten times of the axis.
+    assert try_signs(draw(seed)) is None
+
+
+@pytest.mark.parametrize("factor", [0.2, 5.0])
+@pytest.mark.parametrize("seed", [405, 444, 448])
+def test_a_rigid_axis_five_times_off_is_refused(seed: int, factor: float) -> None:
+    drawn = draw(seed)
+    first = drawn.config.axes[0]
+    inertia = factor * sum(drawn.config.simulation["plant"]["branches"][0]["masses"])  # type: ignore[index]
+    axes = [first.model_copy(update={"inertia": inertia}), *drawn.config.axes[1:]]
+    said = try_signs(replace(drawn, config=drawn.config.model_copy(update={"axes": axes})))
+    assert said is not None
+    assert said.code == "scales"
+    assert said.axis == first.name
 
 
 def test_a_subset_of_the_axes_is_refused_with_the_way_out() -> None:

@@ -123,14 +123,15 @@ class ScriptedWorker:
             self._recording()
             yield {"type": "measured"}
         if self.director.failure is not None:
-            yield {"type": "failed", "error": self.director.failure}
+            yield {"type": "failed", "error": self.director.failure, "stopped": self.director.stopped}
             return
         if self.director.die:
             return
         if (seen := await self._until(self.director.analyse)) != "event":
             return
         self._results()
-        yield {"type": "done", "summary": {"verdict": self.director.verdict, "sentences": ["All is well."]}}
+        summary = {"verdict": self.director.verdict, "sentences": ["All is well."], **self.director.summary}
+        yield {"type": "done", "summary": summary}
 
     def _recording(self) -> None:
         with h5py.File(self.job.folder / "recording.h5", "w") as file:
@@ -142,7 +143,12 @@ class ScriptedWorker:
         (folder / "model.json").write_text(json.dumps(document))
         (folder / "diagnosis.json").write_text(
             json.dumps(
-                {"format": "invid-diagnosis", "verdict": director.verdict, "simulated": self.job.simulated}
+                {
+                    "format": "invid-diagnosis",
+                    "verdict": director.verdict,
+                    "simulated": self.job.simulated,
+                    "findings": director.findings,
+                }
             )
         )
         (folder / "report.html").write_text("<html><body>report</body></html>")
@@ -159,6 +165,9 @@ class Director:
         self.deaf = False
         self.die = False
         self.failure: dict[str, Any] | None = None
+        self.stopped: dict[str, Any] | None = None
+        self.findings: list[dict[str, Any]] = []
+        self.summary: dict[str, Any] = {}
         self.verdict = "consistent"
         self.model: Callable[[], dict[str, Any]] = model_document
         self.workers: list[ScriptedWorker] = []

@@ -353,9 +353,7 @@ class Cia402Cell:
         if self._stopped:
             return
         stays = [h.stays for h in self.holdings]
-        way = WayOut(
-            self._config, self._link, self._drives, self._cycle, self.exchange, stays, self._ramp_s
-        )
+        way = WayOut(self._config, self._link, self._drives, self._cycle, self.exchange, stays, self._ramp_s)
         self.not_off = way.take()
         self.held_at_end = tuple(
             h.config.name
@@ -371,6 +369,7 @@ class Cia402Cell:
         sample = self._cycle.sample
         state = state_of(sample.status[axis]) if sample.fresh[axis] else self._drives[axis].quiet_state()
         return state is not None and not is_energised(state)
+
     @property
     def _ramp_s(self) -> float:
         """Longest quick stop from a velocity limit, by what the drives say of their ramps."""

@@ -344,6 +344,7 @@ class Protection:
             if "cannot be written" not in str(error) or wanted == STAY:
                 raise
             self.notes += (f"axis {drive.name}: {what.address} is {found} and cannot be written",)
+
     def _write_ramp(self, scaling: Scaling, limits: EffectiveLimits) -> None:
         """The deceleration of the quick stop that was stated before."""
         _, stop = self._stop(scaling, limits)

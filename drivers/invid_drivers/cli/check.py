@@ -22,6 +22,7 @@ from invid_drivers.timing import timing_of
 
 IN_TIME = "the way that the axis needs to come to rest"
 
+
 def preflight(config: CellConfig, cleared: Sequence[str] = ()) -> tuple[Budgeted, dict[str, Any]]:
     """Config, holds, plan, bus budget, every drive's capabilities, safety objects and limits.
 

@@ -12,6 +12,7 @@ from fastapi.responses import JSONResponse
 from invid.errors import InputError
 from invid_service.auth import Accepter, Anyone, Reader, Require
 from invid_service.cells.changes import changes_view
+from invid_service.cells.overview import overview
 from invid_service.cells.readiness import Readiness
 from invid_service.cells.registry import Cell, merged
 from invid_service.cells.schema import (
@@ -35,6 +36,8 @@ from invid_service.service import Service
 from invid_service.store.store import Approval, StoredModel
 
 router = APIRouter(tags=["cells"], responses=EVERYWHERE)
+_LOOKED_AT = 2
+"""Runs of a cell from which its overview is made: one in progress, and the one before it."""
 _background: set[asyncio.Future[None]] = set()
 
 
@@ -54,7 +57,10 @@ async def get_cell(cell: str, service: Context, _caller: Reader) -> CellView:
 async def _cell_view(service: Service, cell: Cell) -> CellView:
     config = cell.config
     approvals = await asyncio.to_thread(service.store.approvals, cell.id)
-    last = await asyncio.to_thread(service.store.runs, cell=cell.id, limit=1)
+    runs = await asyncio.to_thread(service.store.runs, cell=cell.id, limit=_LOOKED_AT, measured=True)
+    runs = [run.record if (run := service.jobs.live(r.id)) is not None else r for r in runs]
+    occupied = service.jobs.occupying(cell.id)
+    ready = await service.readiness(cell, ignore=occupied)
     torque, position = ("N", "m") if config.linear else ("N·m", "rad")
     return CellView(
         id=cell.id,
@@ -81,7 +87,8 @@ async def _cell_view(service: Service, cell: Cell) -> CellView:
             for a in config.axes
         ],
         model=_accepted(approvals[0]) if approvals else None,
-        last_identification=view(last[0], service.jobs.live(last[0].id)) if last else None,
+        last_identification=view(runs[0], service.jobs.live(runs[0].id), trace=False) if runs else None,
+        overview=overview(runs, occupied, ready),
         links={
             name: address("cells", cell.id, name)
             for name in ("readiness", "identifications", "stop", "model", "models", "changes", "series")

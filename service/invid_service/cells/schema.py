@@ -8,6 +8,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from invid_service.jobs.schema import Identification
+from invid_service.jobs.states import State
 
 
 class Drive(BaseModel):
@@ -41,6 +42,28 @@ class AcceptedModel(BaseModel):
     """accept, auto or restore."""
 
 
+class LastRun(BaseModel):
+    """The last run that came to a result or to its end."""
+
+    id: str
+    state: State
+    ended: datetime | None
+    verdict: str | None
+    headline: str | None
+    grade: str | None
+
+
+class Overview(BaseModel):
+    """One line of a plant's list of cells."""
+
+    state: str
+    """Of the run in progress, or ``awaiting_accept``; else ``ready``, or ``not_ready`` (see readiness)."""
+    last_run: LastRun | None
+    changed: str | None
+    """What the last result says of changes against the model in force; ``null`` where nothing changed, or
+    nothing was there to compare with."""
+
+
 class CellView(BaseModel):
     """A robot cell."""
 
@@ -54,6 +77,8 @@ class CellView(BaseModel):
     limits: list[AxisLimits]
     model: AcceptedModel | None
     last_identification: Identification | None
+    """The last measurement; a recording that was uploaded is none."""
+    overview: Overview
     links: dict[str, str]
 
 

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from invid_service.events import EventLog
 from invid_service.jobs.launcher import Worker
-from invid_service.jobs.states import ENDED, State, may_follow
+from invid_service.jobs.states import ENDED, OCCUPYING, UPLOAD, State, may_follow
 from invid_service.store.store import RunRecord, StoredEvent
 
 Wish = Literal["stop", "cancel", "shutdown"]
@@ -25,6 +25,8 @@ class Progress:
     axis: str | None = None
     frequency: float | None = None
     eta_s: float | None = None
+    cause: str | None = None
+    """What the analysis weighs."""
 
     def to_json(self) -> dict[str, Any]:
         """As in the contract."""
@@ -34,6 +36,7 @@ class Progress:
             "axis": self.axis,
             "frequency": self.frequency,
             "eta_s": self.eta_s,
+            "cause": self.cause,
         }
 
 
@@ -56,6 +59,11 @@ class LiveRun:
         """One writer of states to the store at a time, in the order in which they happened."""
 
     @property
+    def occupies(self) -> bool:
+        """Whether a runner works for it on its cell; an uploaded recording moves nothing."""
+        return self.record.mode != UPLOAD and self.record.state in OCCUPYING
+
+    @property
     def ended(self) -> bool:
         """True in an end state."""
         return self.record.state in ENDED
@@ -76,7 +84,9 @@ class LiveRun:
             self.progress = Progress(1.0 if done else self.progress.fraction, str(state))
         else:
             # What belongs to the last state alone does not outlive it.
-            self.progress = replace(self.progress, phase=str(state), eta_s=None, axis=None, frequency=None)
+            self.progress = replace(
+                self.progress, phase=str(state), eta_s=None, axis=None, frequency=None, cause=None
+            )
         if state in ENDED:
             facts = {**self.record.facts, "progress": self.progress.fraction}
             self.record = replace(self.record, facts=facts)

@@ -21,6 +21,7 @@ from invid_service.jobs.live import LiveRun, Progress, WrongStateError
 from invid_service.jobs.protocol import ErrorInfo, Job
 from invid_service.jobs.results import Results
 from invid_service.jobs.states import OCCUPYING, State
+from invid_service.jobs.stops import without_trace
 from invid_service.store.store import RunRecord, Store, StoredEvent
 
 log = logging.getLogger(__name__)
@@ -67,7 +68,7 @@ class JobManager:
     def occupying(self, cell: str) -> LiveRun | None:
         """The run that occupies a cell."""
         for run in self._live.values():
-            if run.record.cell == cell and run.record.state in OCCUPYING:
+            if run.record.cell == cell and run.occupies:
                 return run
         return None
 
@@ -246,6 +247,7 @@ class JobManager:
                         message.get("axis"),
                         message.get("frequency"),
                         message.get("eta_s"),
+                        message.get("cause"),
                     )
                 )
             case "response":
@@ -294,6 +296,7 @@ class JobManager:
 
     async def _conclude(self, run: LiveRun, job: Job, verdict: dict[str, Any] | None, status: int) -> None:
         stored = await self._keep_results(run)
+        self._note_stop(run, verdict)
         if run.wish is not None:
             await self._finish_early(run)
         elif verdict is None:
@@ -319,6 +322,17 @@ class JobManager:
             )
         else:
             await self._succeed(run, job, verdict.get("summary", {}))
+
+    @staticmethod
+    def _note_stop(run: LiveRun, verdict: dict[str, Any] | None) -> None:
+        """Where a motion that ended early stood: what the runner told, or what was seen of it last."""
+        stopped = None if verdict is None else verdict.get("stopped")
+        if verdict is None and run.record.state is State.RUNNING:
+            code = "asked" if run.wish is not None else ""
+            reason = "stopped on request" if run.wish is not None else "the runner process ended by itself"
+            stopped = without_trace(run.progress.phase, run.progress.axis, reason, code)
+        if stopped is not None:
+            run.record = replace(run.record, facts={**run.record.facts, "stopped": stopped})
 
     async def _keep_results(self, run: LiveRun) -> set[str]:
         try:

@@ -26,6 +26,11 @@ class Job(BaseModel):
     config: dict[str, Any] | None = None
     axes: list[str] | None = None
     amplitude_scale: float = 1.0
+    amplitude: Literal["planned", "gentler"] = "planned"
+    purpose: str | None = None
+    """What the experiments are for, where they are not the cell's own; told in the plan."""
+    expected_analysis_s: float | None = None
+    """How long the analysis took before on this cell."""
     arm: bool = False
     acceptable: bool = True
     """False where the result says nothing new of the cell: a real cell simulated with its own model."""

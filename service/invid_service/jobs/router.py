@@ -93,7 +93,7 @@ async def list_identifications(
         )
     except KeyError:
         raise Problem("invalid-request", f"query.cursor: there is no identification {cursor!r}") from None
-    items = [view(record, service.jobs.live(record.id)) for record in records[:limit]]
+    items = [view(record, service.jobs.live(record.id), trace=False) for record in records[:limit]]
     following = None
     if len(records) > limit:
         given = {"cell": cell, "state": state, "since": since, "until": until, "limit": limit}

@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from invid_service.jobs.live import LiveRun, Progress
 from invid_service.jobs.protocol import ErrorInfo
 from invid_service.jobs.states import ENDED, State
+from invid_service.jobs.stops import EMPTY
 from invid_service.links import address
 from invid_service.store.store import RunRecord
 
@@ -30,6 +31,11 @@ class StartBody(BaseModel):
     """Axes to excite; the others are held. Default: all."""
     arm: bool = False
     """true: do not wait for the action "arm" (for a cell controller that has its own release)."""
+    amplitude: Literal["planned", "gentler"] = "planned"
+    """gentler: half of the torque that would be planned."""
+    separate: str | None = Field(default=None, max_length=40, pattern=r"^[A-Za-z0-9-]+$")
+    """An identification of this cell: run the experiments that separate the causes which its diagnosis could
+    not tell apart (its ``separating``), instead of the cell's own."""
 
 
 class ActionBody(BaseModel):
@@ -41,6 +47,44 @@ class ActionBody(BaseModel):
     """With ``accept`` of a result that is not to be trusted: the reason, which is stored."""
 
 
+class Separating(BaseModel):
+    """What a run with ``separate`` would do."""
+
+    finding: int
+    """Number of the finding in the diagnosis, from 0; the first of those that are not told apart."""
+    text: str
+
+
+class NextAction(BaseModel):
+    """What to do after a stop."""
+
+    code: str
+    text: str
+    where: str
+    """``page``, ``machine``, ``drive``, ``computer``, or a field of the cell's config."""
+
+
+class Trace(BaseModel):
+    """The last seconds, at most 200 rows; empty in lists, and where the process that ran could not tell."""
+
+    time_s: list[float]
+    """Before the end, ≤ 0."""
+    position: dict[str, list[float]]
+    """By axis, from where it stood at the start [rad or m]."""
+    torque: dict[str, list[float]]
+    """By axis, measured [N·m or N]."""
+
+
+class StoppedView(BaseModel):
+    """A run that ended while it moved."""
+
+    phase: str
+    axis: str | None
+    reason: str
+    action: NextAction
+    trace: Trace
+
+
 class Identification(BaseModel):
     """A run: what it is, where it is, what came of it."""
 
@@ -48,6 +92,9 @@ class Identification(BaseModel):
     cell: str | None
     robot: str
     mode: str
+    amplitude: Literal["planned", "gentler"]
+    separates: str | None
+    """The identification whose causes this run separates."""
     axes: list[str]
     state: State
     simulated: bool
@@ -57,7 +104,12 @@ class Identification(BaseModel):
     frequency: float | None
     """[Hz]"""
     eta_s: float | None
+    """Of the motion while it runs, then of the analysis [s]."""
+    cause: str | None
+    """What the analysis weighs now; its axis is ``axis``."""
     error: ErrorInfo | None
+    stopped: StoppedView | None
+    """Of a run that ended early while it moved: where, why, the one thing to do, the last seconds."""
     created: datetime
     started: datetime | None
     ended: datetime | None
@@ -72,6 +124,8 @@ class Identification(BaseModel):
     """verdict, sentences, warnings and changes against the accepted model."""
     untrusted: str | None
     """Why the result is accepted only with an ``override``; ``null`` where it needs none."""
+    separating: Separating | None
+    """What a start with ``separate`` would do; ``null`` where there is nothing to separate."""
     links: dict[str, str]
 
 
@@ -84,20 +138,25 @@ class IdentificationList(BaseModel):
     """Where the list goes on; ``null`` at its end."""
 
 
-def view(record: RunRecord, live: LiveRun | None) -> Identification:
-    """The resource of a stored or living run."""
+def view(record: RunRecord, live: LiveRun | None, *, trace: bool = True) -> Identification:
+    """The resource of a stored or living run; ``trace``: with the last seconds of a stopped one."""
     if live is not None:
         record, progress = live.record, live.progress
     else:
         done = record.state in (State.SUCCEEDED, State.AWAITING_ACCEPT)
         progress = Progress(1.0 if done else record.facts.get("progress", 0.0), str(record.state))
     base = address("identifications", record.id)
+    stopped = record.facts.get("stopped")
+    if stopped is not None and not trace:
+        stopped = {**stopped, "trace": EMPTY}
     names = ["events", "recording", "model", "diagnosis", "report", "plots"]
     return Identification(
         id=record.id,
         cell=record.cell,
         robot=record.robot,
         mode=record.mode,
+        amplitude=record.facts.get("amplitude", "planned"),
+        separates=record.facts.get("separates"),
         axes=list(record.axes),
         state=record.state,
         simulated=record.simulated,
@@ -106,7 +165,9 @@ def view(record: RunRecord, live: LiveRun | None) -> Identification:
         axis=progress.axis,
         frequency=progress.frequency,
         eta_s=progress.eta_s,
+        cause=progress.cause,
         error=record.facts.get("error"),
+        stopped=stopped,
         created=record.created,
         started=record.started,
         ended=record.ended,
@@ -116,6 +177,7 @@ def view(record: RunRecord, live: LiveRun | None) -> Identification:
         decision=record.facts.get("decision"),
         summary=record.facts.get("summary"),
         untrusted=why_untrusted(record),
+        separating=(record.facts.get("summary") or {}).get("separating"),
         links={"self": base, **{name: f"{base}/{name}" for name in names}},
     )
 

@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
+import json
+import statistics
+from dataclasses import replace
 from typing import Any
 
 from sqlalchemy.exc import SQLAlchemyError
 
+from invid.errors import InputError
+from invid.planning.separating_experiments import Separation, to_separate
 from invid_service.cells.registry import Cell
 from invid_service.jobs.protocol import Job
 from invid_service.jobs.results import load
@@ -20,12 +25,23 @@ _SIMULATED_TORQUE_NOISE = 0.005
 """Share of rated torque; as the case study, for a real cell simulated with its accepted model."""
 
 
+GENTLER = 0.5
+"""Share of the planned torque of a run that is to be gentler."""
+_RECENT = 20
+
+
 async def start_identification(
     service: Service, cell_id: str, body: StartBody, caller: str, key: str | None
 ) -> RunRecord:
     """Queue a run, or return the one that the key stands for; Problem where neither is possible."""
     cell = service.cell(cell_id)
     digest = hashlib.sha256(body.model_dump_json().encode()).hexdigest()
+    if body.separate is not None and body.axes is not None:
+        raise Problem(
+            "invalid-request",
+            "axes: which axes move follows from what is to be separated; leave 'axes' out",
+            simulated=cell.simulated,
+        )
     unknown = [a for a in body.axes or () if a not in cell.axes]
     if unknown:
         raise Problem(
@@ -42,9 +58,12 @@ async def start_identification(
             if earlier is not None:
                 return earlier
         await _refuse_if_not_ready(service, cell, body)
+        separation = None if body.separate is None else await _separation(service, cell, body)
         record = service.new_run(cell, body.mode, list(body.axes or cell.axes), caller)
+        record = replace(record, facts={"amplitude": body.amplitude, "separates": body.separate})
         in_force = await asyncio.to_thread(service.results.in_force, cell.id)
-        job = _job(service, cell, record, body, in_force)
+        before = await asyncio.to_thread(_analysis_before, service, cell.id, body)
+        job = _job(service, cell, record, body, in_force, separation, before)
         live = service.jobs.reserve(record)
         try:
             facts = {"cell": cell.id, "identification": record.id, **body.model_dump()}
@@ -95,11 +114,64 @@ async def _refuse_if_not_ready(service: Service, cell: Cell, body: StartBody) ->
     raise Problem("not-ready", detail, **members)
 
 
+async def _separation(service: Service, cell: Cell, body: StartBody) -> Separation:
+    """The experiments that separate the causes of an earlier run; Problem where there are none."""
+    identity = body.separate or ""
+    earlier, _ = await service.run(identity)
+    if earlier.cell != cell.id:
+        raise Problem(
+            "invalid-request",
+            f"separate: identification {identity} is not of cell {cell.id}",
+            simulated=cell.simulated,
+        )
+    text = await asyncio.to_thread(_diagnosis_text, service, identity)
+    if text is None:
+        raise Problem(
+            "nothing-to-separate",
+            f"identification {identity} is {earlier.state} and has no diagnosis (any more)",
+            simulated=cell.simulated,
+        )
+    try:
+        return to_separate(json.loads(text), cell.config)
+    except (InputError, ValueError) as error:
+        raise Problem("nothing-to-separate", str(error), simulated=cell.simulated) from None
+
+
+def _diagnosis_text(service: Service, identity: str) -> str | None:
+    blob = service.store.artefacts(identity).get("diagnosis")
+    try:
+        return None if blob is None else service.blobs.path(blob.path).read_text(encoding="utf-8")
+    except OSError:
+        return None
+
+
+def _analysis_before(service: Service, cell: str, body: StartBody) -> float | None:
+    """How long the analysis of such runs took, by the median of the last ones [s]."""
+    took = [
+        float(run.facts["summary"]["analysis_s"])
+        for run in service.store.runs(cell=cell, limit=_RECENT)
+        if run.mode == body.mode
+        and (run.facts.get("separates") is None) == (body.separate is None)
+        and "analysis_s" in (run.facts.get("summary") or {})
+    ]
+    return statistics.median(took) if took else None
+
+
 def _job(
-    service: Service, cell: Cell, record: RunRecord, body: StartBody, in_force: StoredModel | None
+    service: Service,
+    cell: Cell,
+    record: RunRecord,
+    body: StartBody,
+    in_force: StoredModel | None,
+    separation: Separation | None,
+    analysis_before_s: float | None,
 ) -> Job:
     model = None if in_force is None else load(in_force)
     config = cell.job_config(int(record.id[-8:], 16) % 1_000_000)
+    if separation is not None:
+        other = separation.config.model_dump(mode="json")
+        config = {**config, "experiments": other["experiments"]}
+    full = cell.config.safety.test_amplitude if body.mode == "test" else 1.0
     document = None
     if in_force is not None and model is not None:
         from invid.model.document import model_to_json
@@ -121,7 +193,10 @@ def _job(
         simulated=record.simulated,
         config=config,
         axes=body.axes,
-        amplitude_scale=cell.config.safety.test_amplitude if body.mode == "test" else 1.0,
+        amplitude_scale=full * (GENTLER if body.amplitude == "gentler" else 1.0),
+        amplitude=body.amplitude,
+        purpose=None if separation is None else " ".join(separation.sentences),
+        expected_analysis_s=analysis_before_s,
         arm=body.arm,
         acceptable=cell.simulated or body.mode != "simulate",
         model=document,

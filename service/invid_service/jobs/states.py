@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from enum import StrEnum
+from typing import Final
 
 
 class State(StrEnum):
@@ -27,6 +28,9 @@ ENDED = frozenset({State.SUCCEEDED, *_EARLY_ENDS})
 OCCUPYING = frozenset({State.QUEUED, State.CHECKING, State.AWAITING_ARM, State.RUNNING, State.ANALYSING})
 """A runner process works for these: one of them per cell, and a restart cuts them off. A result that
 awaits accept has everything it needs in the store: it outlives a restart and blocks nobody."""
+
+UPLOAD: Final = "upload"
+"""Mode of a run whose recording came from elsewhere."""
 
 _NEXT: dict[State, frozenset[State]] = {
     State.QUEUED: frozenset({State.CHECKING, State.ANALYSING, *_EARLY_ENDS}),

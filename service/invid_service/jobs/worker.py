@@ -17,13 +17,16 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import IO, TYPE_CHECKING, Any
 
-from invid.errors import InvidError, SafetyStop
+from invid.errors import InputError, InvidError, SafetyStop
+from invid_service.jobs.analysis_progress import AnalysisProgress, telling
 from invid_service.jobs.orphans import hold
 from invid_service.jobs.protocol import ErrorInfo, Job
+from invid_service.jobs.stops import Run, stopped_by
 from invid_service.precedence import as_everyone, behind_parent
 
 if TYPE_CHECKING:
-    from invid.model.diagnosis_document import Finding
+    from invid.model.diagnosis_document import Diagnosis, Finding
+    from invid.planning import Plan
 
 _PROGRESS_PERIOD_S = 0.2
 _QUEUE = 200
@@ -139,11 +142,11 @@ def measure(job: Job, line: Line) -> dict[str, Any]:
     if accepted is not None and accepted.axes != tuple(a.name for a in config.axes):
         accepted = None
     model = None if accepted is None else from_model(accepted, config, source="the accepted model")
-    plan, _, budgets, said = ask_drives(
+    plan, _, budgets, warned = ask_drives(
         config, axes=job.axes, amplitude_scale=job.amplitude_scale, model=model
     )
-    document = {**plan.to_json(), "budgets": [b.to_json() for b in budgets]}
-    document["warnings"] = [*document["warnings"], *said]
+    document = {**told_plan(plan, job), "budgets": [b.to_json() for b in budgets]}
+    document["warnings"] = [*document["warnings"], *warned]
     line.tell("planned", plan=_plain(document), arm=job.arm)
     del plan
     while not (job.arm or line.armed.is_set()):
@@ -175,13 +178,28 @@ def measure(job: Job, line: Line) -> dict[str, Any]:
     return seen
 
 
+def told_plan(plan: Plan, job: Job) -> dict[str, Any]:
+    """The plan as a person sees it before arming, with what was chosen for this run."""
+    document: dict[str, Any] = _plain(plan.to_json())
+    said = []
+    if job.amplitude == "gentler":
+        said.append("gentler: every torque is half of what would be planned")
+    if job.purpose is not None:
+        said.append(job.purpose)
+    return {
+        **document,
+        "amplitude": job.amplitude,
+        "purpose": job.purpose,
+        "warnings": [*said, *document["warnings"]],
+    }
+
+
 def analyse(job: Job, line: Line, seen: Mapping[str, Any] | None) -> dict[str, Any]:
     """Identify, diagnose, report, and the numbers of the page's pictures; the summary.
 
     ``seen`` is what the measurement saw, ``None`` where the recording comes from elsewhere.
     """
-    from invid.diagnosis.diagnose import diagnose
-    from invid.identification.identify import identify
+    from invid.api import diagnose, identify
     from invid.model.diagnosis_document import diagnosis_to_json
     from invid.model.document import dump_json, model_to_json, save_text
     from invid.recording import read_recording
@@ -189,32 +207,37 @@ def analyse(job: Job, line: Line, seen: Mapping[str, Any] | None) -> dict[str, A
     from invid_service.jobs.plots import plot_data
 
     behind_parent()
-    line.progress(0.8, "reading the recording")
-    # Model and report name the run, not a working folder that is gone when somebody reads them.
-    path = job.folder / "recording.h5"
-    recording = replace(read_recording(path), source=f"{job.folder.name}/{path.name}")
-    # An uploaded recording may come from a simulated cell too; the drives then wrote it down.
-    simulated = job.simulated or bool(recording.attributes.get("simulated", False))
-    flag = {"simulated": simulated}
-    line.tell("recording", robot=recording.robot, axes=list(recording.axes), simulated=simulated)
-    line.tell("progress", fraction=0.82, phase="identifying")
-    model = identify(recording)
-    save_text(job.folder / "model.json", dump_json({**model_to_json(model), **flag}))
-    line.tell("progress", fraction=0.88, phase="diagnosing")
-    diagnosis = diagnose(recording, model=model)
-    line.tell("progress", fraction=0.95, phase="writing the report")
-    best = diagnosis.model
-    if not diagnosis.findings:
-        # The identification's own numbers, with what the search for causes said of them.
-        judged = {k: v for k, v in best.fit.items() if k in ("verdict", "trustworthy", "doubts", "unseen")}
-        best = replace(model, fit={**model.fit, **judged})
-    save_text(job.folder / "model.json", dump_json({**model_to_json(best), **flag}))
-    save_text(job.folder / "diagnosis.json", dump_json({**diagnosis_to_json(diagnosis), **flag}))
-    report = render_report(recording, model, diagnosis)
-    # A recording that says so is marked by the report itself.
-    told = bool(recording.attributes.get("simulated", False))
-    save_text(job.folder / "report.html", _marked(report, simulated and not told))
-    save_text(job.folder / "plots.json", dump_json({**plot_data(recording, model, diagnosis), **flag}))
+    tell = AnalysisProgress(line.progress, job.expected_analysis_s)
+    with tell.told():
+        tell.begin("reading the recording")
+        # Model and report name the run, not a working folder that is gone when somebody reads them.
+        path = job.folder / "recording.h5"
+        recording = replace(read_recording(path), source=f"{job.folder.name}/{path.name}")
+        _require_axes(recording.axes, job)
+        # An uploaded recording may come from a simulated cell too; the drives then wrote it down.
+        simulated = job.simulated or bool(recording.attributes.get("simulated", False))
+        flag = {"simulated": simulated}
+        line.tell("recording", robot=recording.robot, axes=list(recording.axes), simulated=simulated)
+        tell.begin("identifying")
+        model = identify(recording, **telling(identify, tell.weigh))
+        save_text(job.folder / "model.json", dump_json({**model_to_json(model), **flag}))
+        tell.begin("diagnosing")
+        diagnosis = diagnose(recording, model=model, **telling(diagnose, tell.weigh))
+        tell.begin("writing the report")
+        best = diagnosis.model
+        if not diagnosis.findings:
+            # The identification's own numbers, with what the search for causes said of them.
+            judged = {
+                k: v for k, v in best.fit.items() if k in ("verdict", "trustworthy", "doubts", "unseen")
+            }
+            best = replace(model, fit={**model.fit, **judged})
+        save_text(job.folder / "model.json", dump_json({**model_to_json(best), **flag}))
+        save_text(job.folder / "diagnosis.json", dump_json({**diagnosis_to_json(diagnosis), **flag}))
+        report = render_report(recording, model, diagnosis)
+        # A recording that says so is marked by the report itself.
+        told = bool(recording.attributes.get("simulated", False))
+        save_text(job.folder / "report.html", _marked(report, simulated and not told))
+        save_text(job.folder / "plots.json", dump_json({**plot_data(recording, model, diagnosis), **flag}))
     said = [] if seen is None else seen["warnings"]
     return {
         "verdict": str(diagnosis.verdict),
@@ -225,7 +248,38 @@ def analyse(job: Job, line: Line, seen: Mapping[str, Any] | None) -> dict[str, A
         "explained_fraction": diagnosis.explained_fraction,
         "trustworthy": bool(best.fit.get("trustworthy", True)),
         "warnings": list(dict.fromkeys([*said, *model.warnings, *diagnosis.warnings])),
+        "separating": separating(diagnosis, job),
+        "analysis_s": round(tell.elapsed_s, 1),
     }
+
+
+def separating(diagnosis: Diagnosis, job: Job) -> dict[str, Any] | None:
+    """What would tell the alternatives apart on this cell; ``None`` where nothing is to be, or can be."""
+    from invid.config import CellConfig
+    from invid.model.diagnosis_document import diagnosis_to_json
+    from invid.planning.separating_experiments import to_separate
+
+    if job.config is None or not diagnosis.findings:
+        return None
+    try:
+        found = to_separate(diagnosis_to_json(diagnosis), CellConfig.model_validate(job.config))
+    except InputError:
+        return None
+    return {"finding": found.finding, "text": " ".join(found.sentences)}
+
+
+def _require_axes(axes: tuple[str, ...], job: Job) -> None:
+    """RecordingError where an uploaded recording is not of the cell whose history it is to join."""
+    from invid.errors import RecordingError
+
+    if job.kind != "analyse" or job.config is None:
+        return
+    names = [a["name"] for a in job.config["axes"]]
+    if list(axes) != names:
+        raise RecordingError(
+            f"recording.h5: it has the axes {', '.join(axes)}, the cell has {', '.join(names)}",
+            way_out="upload it without a cell, or name the cell that it is of",
+        )
 
 
 def summary_of(finding: Finding) -> dict[str, Any]:
@@ -270,7 +324,8 @@ def run(line: Line) -> int:
         line.tell("stopped", error=_stopped())
         return 4
     except SafetyStop as error:
-        line.tell("stopped", error=_stopped() if line.stop.is_set() else error_info(error))
+        told = _stopped() if line.stop.is_set() else error_info(error)
+        line.tell("stopped", error=told, stopped=_stopped_by(error, job))
         return 4
     except BaseException as error:
         if not isinstance(error, InvidError):
@@ -278,13 +333,21 @@ def run(line: Line) -> int:
 
             traceback.print_exc()
         told = error_info(error)
+        stopped = _stopped_by(error, job) if isinstance(error, InvidError) else None
         # Where the file lies in the service's own folders is nobody's business.
-        line.tell("failed", error={**told, "text": told["text"].replace(f"{job.folder}/", "")})
+        line.tell(
+            "failed", error={**told, "text": told["text"].replace(f"{job.folder}/", "")}, stopped=stopped
+        )
         return getattr(error, "exit_code", 70)
     finally:
         held.close()
     line.tell("done", summary=_plain(summary))
     return 0
+
+
+def _stopped_by(error: InvidError, job: Job) -> dict[str, Any] | None:
+    linear = bool((job.config or {}).get("motion") == "linear")
+    return stopped_by(error, Run(job.mode, job.amplitude, linear, None))
 
 
 def _stopped() -> dict[str, Any]:

@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import asyncio
 import shutil
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from fastapi import APIRouter, Request, Response
+from fastapi import APIRouter, Query, Request, Response
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.datastructures import UploadFile
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 
 from invid_service.auth import Runner
+from invid_service.cells.registry import Cell
 from invid_service.context import Context
 from invid_service.jobs.protocol import Job
 from invid_service.jobs.schema import RETRY_AFTER_S, Identification, view
+from invid_service.jobs.states import UPLOAD
 from invid_service.links import address
 from invid_service.problems import EVERYWHERE, Problem, problem_responses
 from invid_service.recordings.claims import check_claims
@@ -36,7 +39,10 @@ _BODY: dict[str, Any] = {
                 "schema": {
                     "type": "object",
                     "required": ["file"],
-                    "properties": {"file": {"type": "string", "format": "binary"}},
+                    "properties": {
+                        "file": {"type": "string", "format": "binary"},
+                        "cell": {"type": "string"},
+                    },
                 }
             },
         },
@@ -51,8 +57,19 @@ _BODY: dict[str, Any] = {
     responses=problem_responses(408, 415, 507),
     openapi_extra=_BODY,
 )
-async def upload(request: Request, response: Response, service: Context, caller: Runner) -> Identification:
-    """Upload an ``invid-recording`` (HDF5), as the body itself or as the form field ``file``."""
+async def upload(
+    request: Request,
+    response: Response,
+    service: Context,
+    caller: Runner,
+    cell: Annotated[str | None, Query(max_length=64, pattern=r"^[A-Za-z0-9_-]+$")] = None,
+) -> Identification:
+    """Upload an ``invid-recording`` (HDF5), as the body itself or as the form field ``file``.
+
+    ``cell``, in the query or as a field of the form: the result belongs to the history of that cell, whose
+    axes it must have. It is no measurement of it, so it blocks no run and is never in force.
+    """
+    owner = None if cell is None else service.cell(cell)
     media = request.headers.get("content-type", "").split(";")[0].strip().lower()
     if media not in (*_RAW, "multipart/form-data"):
         raise Problem(
@@ -62,16 +79,24 @@ async def upload(request: Request, response: Response, service: Context, caller:
     announced = int(request.headers.get("content-length") or 0)
     if service.blobs.free_bytes() < service.settings.min_free_bytes + announced:
         raise Problem("disk-full", "there is not enough room on the service's disk for this upload")
-    record = service.new_run(None, "upload", [], caller.name)
+    record = service.new_run(None, UPLOAD, [], caller.name)
     folder = service.blobs.scratch(record.id)
     try:
         target = folder / "recording.h5"
         if media == "multipart/form-data":
-            await _receive_form(request, target)
+            named = await _receive_form(request, target)
+            if named is not None:
+                if cell not in (None, named):
+                    raise Problem(
+                        "invalid-request", f"cell: the query says {cell!r}, the form {named[:64]!r}"
+                    )
+                owner = service.cell(named)
         else:
             await _receive_raw(request, target)
         await check_claims(target, largest=service.settings.max_unpacked_bytes)
-        await _queue(service, record, folder)
+        if owner is not None:
+            record = replace(record, cell=owner.id, robot=owner.config.robot)
+        await _queue(service, record, folder, owner)
     except BaseException:
         service.blobs.clear_scratch(record.id)
         raise
@@ -104,7 +129,8 @@ def _no_recording() -> Problem:
     )
 
 
-async def _receive_form(request: Request, target: Path) -> None:
+async def _receive_form(request: Request, target: Path) -> str | None:
+    """Writes the file; the cell that the form names."""
     # One file, spooled to disk beyond a megabyte: memory does not grow with the upload.
     try:
         form = await request.form(max_files=1, max_fields=4, max_part_size=4096)
@@ -122,6 +148,8 @@ async def _receive_form(request: Request, target: Path) -> None:
             raise _no_recording()
         await file.seek(0)
         await asyncio.to_thread(_copy, file, target)
+        named = form.get("cell")
+        return named if isinstance(named, str) and named else None
     finally:
         await form.close()
 
@@ -134,13 +162,15 @@ def _copy(file: UploadFile, target: Path) -> None:
         raise Problem("disk-full", f"the upload cannot be stored: {error.strerror}") from None
 
 
-async def _queue(service: Service, record: RunRecord, folder: Path) -> None:
+async def _queue(service: Service, record: RunRecord, folder: Path, cell: Cell | None) -> None:
     job = Job(
         id=record.id,
         kind="analyse",
-        mode="upload",
+        mode=UPLOAD,
         folder=folder,
         simulated=False,
+        config=None if cell is None else cell.config.model_dump(mode="json"),
+        acceptable=False,
         memory_bytes=service.settings.worker_memory_bytes,
         stop_grace_s=service.settings.stop_grace_s,
     )

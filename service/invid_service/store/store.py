@@ -14,7 +14,7 @@ from sqlalchemy import Engine, and_, delete, func, or_, select, text, update
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
-from invid_service.jobs.states import OCCUPYING, State
+from invid_service.jobs.states import OCCUPYING, UPLOAD, State
 from invid_service.store.blobs import Blob
 from invid_service.store.tables import (
     ApprovalRow,
@@ -225,6 +225,7 @@ class Store:
         until: datetime | None = None,
         after: str | None = None,
         limit: int = 50,
+        measured: bool = False,
     ) -> list[RunRecord]:
         """Runs, the last started first.
 
@@ -234,12 +235,16 @@ class Store:
             Bounds of the time of start, the first within, the second not.
         after
             Id of the run behind which the list goes on; KeyError where there is none.
+        measured
+            Without those of uploaded recordings.
         """
         query = select(RunRow).order_by(RunRow.number.desc(), RunRow.id.desc()).limit(limit)
         if cell is not None:
             query = query.where(RunRow.cell == cell)
         if state is not None:
             query = query.where(RunRow.state == str(state))
+        if measured:
+            query = query.where(RunRow.mode != UPLOAD)
         if since is not None:
             query = query.where(RunRow.created >= since)
         if until is not None:

@@ -13,7 +13,10 @@ class Base(DeclarativeBase):
     """Metadata of the store."""
 
 
-_ACTIVE = "state IN ('queued', 'checking', 'awaiting_arm', 'running', 'analysing') AND cell IS NOT NULL"
+_ACTIVE = (
+    "state IN ('queued', 'checking', 'awaiting_arm', 'running', 'analysing') AND cell IS NOT NULL "
+    "AND mode <> 'upload'"
+)
 
 
 class RunRow(Base):
@@ -21,7 +24,7 @@ class RunRow(Base):
 
     __tablename__ = "runs"
     __table_args__ = (
-        # One run per cell even where two services should ever share a database.
+        # One measurement per cell even where two services should ever share a database.
         Index(
             "one_run_per_cell",
             "cell",

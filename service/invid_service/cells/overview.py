@@ -1,0 +1,52 @@
+"""A cell in one line of the plant's list: what it does, what its last run found, what changed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from invid_service.cells.readiness import Readiness
+from invid_service.cells.schema import LastRun, Overview
+from invid_service.jobs.live import LiveRun
+from invid_service.jobs.states import ENDED, State
+from invid_service.store.store import RunRecord
+
+_NEWS = {"appeared", "grew", "shrank", "gone", "changed"}
+
+
+def overview(runs: Sequence[RunRecord], occupied_by: LiveRun | None, ready: Readiness) -> Overview:
+    """``runs``: measurements of the cell, the last started first."""
+    done = [r for r in runs if r.state in ENDED or r.state is State.AWAITING_ACCEPT]
+    last = done[0] if done else None
+    if occupied_by is not None:
+        state = str(occupied_by.record.state)
+    elif last is not None and last.state is State.AWAITING_ACCEPT:
+        state = str(last.state)
+    else:
+        state = "ready" if ready.can_start else "not_ready"
+    return Overview(
+        state=state,
+        last_run=None if last is None else _last_run(last),
+        changed=None if last is None else _changed(last.facts.get("summary") or {}),
+    )
+
+
+def _last_run(run: RunRecord) -> LastRun:
+    summary = run.facts.get("summary") or {}
+    return LastRun(
+        id=run.id,
+        state=run.state,
+        ended=run.ended,
+        verdict=summary.get("verdict"),
+        headline=summary.get("headline") or (run.facts.get("error") or {}).get("text"),
+        grade=summary.get("grade"),
+    )
+
+
+def _changed(summary: dict[str, Any]) -> str | None:
+    changes = summary.get("changes")
+    if changes is None:
+        return None
+    found = [*changes.get("parameters", []), *changes.get("causes", []), *changes.get("effects", [])]
+    news = any(entry.get("status") in _NEWS for entry in found) or changes.get("structure")
+    return str(changes["sentence"]) if news else None

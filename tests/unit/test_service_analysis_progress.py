@@ -1,0 +1,99 @@
+"""Time left and what is weighed, through the whole analysis: by what it says of itself, else by the clock."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+
+from invid_service.jobs.analysis_progress import BEGINS, ENDS, AnalysisProgress, telling
+
+
+@dataclass
+class Weighing:
+    """As ``invid.numerics.budget.Progress``."""
+
+    stage: str
+    axis: str | None = None
+    cause: str | None = None
+    fraction: float = 0.0
+    seconds_left: float | None = None
+
+    def __str__(self) -> str:
+        return f"{self.stage} {self.cause}, {self.axis}"
+
+
+class Clock:
+    now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def analysis() -> tuple[AnalysisProgress, Clock, list[dict[str, Any]]]:
+    told: list[dict[str, Any]] = []
+    clock = Clock()
+
+    def tell(fraction: float, phase: str, **members: Any) -> None:
+        told.append({"fraction": fraction, "phase": phase, **members})
+
+    return AnalysisProgress(tell, 40.0, clock=clock), clock, told
+
+
+Analysis = tuple[AnalysisProgress, Clock, list[dict[str, Any]]]
+
+
+def test_an_analysis_that_says_nothing_moves_on_by_the_clock(analysis: Analysis) -> None:
+    progress, clock, told = analysis
+    progress.begin("identifying")
+    clock.now = 5.0
+    progress.say()
+    progress.begin("diagnosing")
+    for clock.now in (20.0, 30.0, 60.0):
+        progress.say()
+    fractions = [t["fraction"] for t in told]
+    assert fractions == sorted(fractions)
+    assert fractions[0] >= BEGINS
+    assert fractions[-1] < ENDS
+    assert [t["eta_s"] for t in told] == pytest.approx([40, 35, 35, 20, 10, 6])
+
+
+def test_what_is_weighed_is_told_with_cause_axis_and_the_time_that_the_analysis_names(
+    analysis: Analysis,
+) -> None:
+    progress, clock, told = analysis
+    progress.begin("diagnosing")
+    clock.now = 10.0
+    progress.weigh(Weighing("weighing", "A2", "backlash", 0.5, 12.0))
+    assert told[-1]["phase"] == "weighing backlash, A2"
+    assert (told[-1]["axis"], told[-1]["cause"]) == ("A2", "backlash")
+    assert told[-1]["eta_s"] == pytest.approx(12.0 + 0.07 * 40)  # the report comes after it
+    clock.now = 14.0
+    progress.say()
+    assert told[-1]["eta_s"] == pytest.approx(8.0 + 0.07 * 40)
+    progress.weigh(Weighing("weighing", "A1", "cogging", 0.3))
+    assert told[-1]["fraction"] >= told[-2]["fraction"]
+
+
+def test_a_stage_that_lasts_longer_than_ever_still_takes_some_time(analysis: Analysis) -> None:
+    progress, clock, told = analysis
+    progress.begin("diagnosing")
+    clock.now = 100.0
+    progress.say()
+    assert told[-1]["eta_s"] == pytest.approx(10.0)
+
+
+def test_progress_is_asked_of_those_that_tell_it() -> None:
+    def silent(x: int) -> int:
+        return x
+
+    def telling_one(x: int, progress: Callable[[Any], None] | None = None) -> int:
+        return x
+
+    def tell(_: Any) -> None: ...
+
+    assert telling(silent, tell) == {}
+    assert telling(telling_one, tell) == {"progress": tell}

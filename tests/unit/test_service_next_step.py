@@ -1,0 +1,233 @@
+"""What now: amplitude, the separating experiment, the action after a stop, the plant's overview, uploads."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from service_doubles import Director, model_document, running, wait_for
+
+from invid.errors import BusError, DriveError, SafetyStop
+from invid.sweep.moment import TRACE_ROWS, Moment
+from invid_service.jobs.stops import Run, action_for, stopped_by
+
+HDF5 = {"Content-Type": "application/x-hdf5"}
+START = "/api/v1/cells/cell/identifications"
+OPEN = {
+    "cause": "torque_delay",
+    "axis": "A2",
+    "alternatives": [{"cause": "torque_lag", "axis": "A2", "element": "mass 1", "after": 0.1}],
+}
+
+
+def moment(rows: int = 3) -> Moment:
+    time = np.linspace(-1.0, 0.0, rows)
+    position = np.outer(np.linspace(0, 0.6, rows), [1.0, 0.0])
+    return Moment(("A1", "A2"), "experiment 2 of 4", None, time, position, 10.0 * position)
+
+
+def stop(error: Any, rows: int = 3) -> Any:
+    error.moment = moment(rows)
+    return error
+
+
+def test_gentler_is_half_of_the_torque_and_the_plan_says_so(tmp_path: Path) -> None:
+    with running(tmp_path) as (client, director):
+        for amplitude, mode, scale in (
+            ("planned", "full", 1.0),
+            ("gentler", "full", 0.5),
+            ("gentler", "test", 0.05),
+        ):
+            answer = client.post(START, json={"mode": mode, "amplitude": amplitude, "arm": True})
+            body = wait_for(client, answer.headers["Location"], "awaiting_accept")
+            assert body["amplitude"] == amplitude
+            assert director.workers[-1].job.amplitude_scale == scale
+        assert client.post(START, json={"mode": "full", "amplitude": "wild"}).status_code == 422
+
+
+def test_the_separating_experiment_runs_instead_of_the_cells_own(tmp_path: Path) -> None:
+    director = Director()
+    director.findings = [{"cause": "backlash", "axis": "A1", "alternatives": []}, OPEN]
+    director.summary = {"separating": {"finding": 1, "text": "a band up to 100 Hz"}}
+    with running(tmp_path, director) as (client, _):
+        first = client.post(START, json={"mode": "full", "arm": True}).headers["Location"]
+        assert wait_for(client, first, "awaiting_accept")["separating"]["finding"] == 1
+        identity = first.rsplit("/", 1)[-1]
+        second = client.post(START, json={"mode": "full", "separate": identity}).headers["Location"]
+        body = wait_for(client, second, "awaiting_arm")
+        assert body["separates"] == identity
+        job = director.workers[-1].job
+        assert "a lag loses amplitude and a delay does not" in str(job.purpose)
+        assert job.config is not None
+        assert max(e["band_Hz"][1] for e in job.config["experiments"]) == 30.0  # of 12
+
+
+def test_a_run_without_alternatives_has_nothing_to_separate(tmp_path: Path) -> None:
+    director = Director()
+    with running(tmp_path, director) as (client, _):
+        first = client.post(START, json={"mode": "full", "arm": True}).headers["Location"]
+        assert wait_for(client, first, "awaiting_accept")["separating"] is None
+        identity = first.rsplit("/", 1)[-1]
+        answer = client.post(START, json={"mode": "full", "separate": identity})
+        assert answer.status_code == 409
+        assert answer.json()["type"] == "urn:invid:problem:nothing-to-separate"
+        assert "no finding has alternatives" in answer.json()["detail"]
+        answer = client.post(START, json={"mode": "full", "separate": identity, "axes": ["A1"]})
+        assert answer.status_code == 422
+        answer = client.post(START, json={"mode": "full", "separate": "nobody"})
+        assert answer.status_code == 404
+
+
+def test_a_stopped_run_shows_phase_trace_and_one_action(tmp_path: Path) -> None:
+    error = stop(SafetyStop("axis A1: position left its window", code="position_window", axis="A1"))
+    director = Director()
+    director.failure = {"code": "safety-stop", "text": "left its window", "fix": "look"}
+    director.stopped = stopped_by(error, Run("full", "planned", False, None))
+    with running(tmp_path, director) as (client, _):
+        location = client.post(START, json={"mode": "full", "arm": True}).headers["Location"]
+        found = wait_for(client, location, "failed")["stopped"]
+        assert (found["phase"], found["axis"]) == ("experiment 2 of 4", "A1")
+        assert found["action"] == {
+            "code": "gentler",
+            "text": "Start again with “gentler”: half of the torque, half of the motion.",
+            "where": "page",
+        }
+        assert found["trace"]["time_s"] == [-1.0, -0.5, 0.0]
+        assert found["trace"]["position"]["A1"] == [0.0, 0.3, 0.6]
+        (listed,) = client.get("/api/v1/identifications").json()["identifications"]
+        assert listed["stopped"]["trace"]["time_s"] == []
+
+
+def test_a_run_that_failed_before_it_moved_shows_no_stop(tmp_path: Path) -> None:
+    director = Director()
+    director.failure = {"code": "config", "text": "no such axis", "fix": "correct it"}
+    with running(tmp_path, director) as (client, _):
+        location = client.post(START, json={"mode": "full", "arm": True}).headers["Location"]
+        assert wait_for(client, location, "failed")["stopped"] is None
+
+
+@pytest.mark.parametrize("mode", ["full", "test"])
+@pytest.mark.parametrize("amplitude", ["planned", "gentler"])
+def test_no_action_asks_for_less_torque_where_friction_holds_the_axis(mode: str, amplitude: str) -> None:
+    # 3 N·m of friction against a small torque: "raise limits.torque … start again with a lower amplitude"
+    action = action_for("stands", Run(mode, amplitude, False, "A1"))
+    assert action["code"] in ("free_axis", "as_planned")
+    assert (action["code"] == "free_axis") == (mode == "full" and amplitude == "planned")
+    assert "gentler" not in action["text"]
+    assert "lower" not in action["text"]
+
+
+def test_a_run_that_was_gentler_already_is_not_told_to_be_gentler() -> None:
+    for run in (Run("full", "gentler", False, "A1"), Run("test", "planned", False, "A1")):
+        assert action_for("position_window", run)["code"] == "lower_amplitude"
+
+
+def test_every_stop_has_an_action_with_its_place() -> None:
+    for error, code in (
+        (DriveError("no position", code="no_answer", axis="A2"), "check_cable"),
+        (DriveError("fault"), "read_drive"),
+        (BusError("bus-off"), "check_bus"),
+        (SafetyStop("something new"), "look"),
+    ):
+        found = stopped_by(stop(error), Run("full", "planned", False, None))
+        assert found is not None
+        assert found["action"]["code"] == code
+        assert found["action"]["where"] in ("machine", "drive")
+
+
+def test_a_long_trace_is_thinned_and_keeps_its_end() -> None:
+    trace = moment(5000).to_json()["trace"]
+    assert len(trace["time_s"]) <= TRACE_ROWS
+    assert trace["time_s"][-1] == 0.0
+    assert trace["position"]["A1"][-1] == 0.6
+
+
+def test_the_overview_says_state_last_run_and_what_changed(tmp_path: Path) -> None:
+    director = Director()
+    director.summary = {"headline": "As expected.", "grade": "as_expected"}
+
+    def seen(client: Any) -> Any:
+        return client.get("/api/v1/cells").json()["cells"][0]["overview"]
+
+    with running(tmp_path, director) as (client, _):
+        assert seen(client) == {"state": "ready", "last_run": None, "changed": None}
+        location = client.post(START, json={"mode": "full", "arm": True}).headers["Location"]
+        wait_for(client, location, "awaiting_accept")
+        found = seen(client)
+        assert (found["state"], found["changed"]) == ("awaiting_accept", None)
+        assert found["last_run"]["headline"] == "As expected."
+        assert found["last_run"]["grade"] == "as_expected"
+        client.post(f"{location}/actions", json={"type": "accept"})
+        assert seen(client)["state"] == "ready"
+        director.model = lambda: model_document(scale_mass=1.3)
+        waiting = client.post(START, json={"mode": "full"}).headers["Location"]
+        wait_for(client, waiting, "awaiting_arm")
+        found = seen(client)
+        assert found["state"] == "awaiting_arm"
+        assert found["last_run"]["state"] == "succeeded"
+        client.post(f"{waiting}/actions", json={"type": "arm"})
+        wait_for(client, waiting, "awaiting_accept")
+        assert "A2" in seen(client)["changed"]
+
+
+def recording() -> bytes:
+    file = io.BytesIO()
+    with h5py.File(file, "w") as out:
+        out.attrs["format"] = "invid-recording"
+        out.create_dataset("x", data=np.arange(10.0))
+    return file.getvalue()
+
+
+@pytest.mark.parametrize("how", ["query", "form"])
+def test_an_upload_joins_the_history_of_a_cell_and_measures_nothing(tmp_path: Path, how: str) -> None:
+    with running(tmp_path) as (client, director):
+        if how == "query":
+            answer = client.post("/api/v1/recordings?cell=cell", content=recording(), headers=HDF5)
+        else:
+            answer = client.post(
+                "/api/v1/recordings", data={"cell": "cell"}, files={"file": ("r.h5", recording())}
+            )
+        assert answer.status_code == 202, answer.text
+        location = answer.headers["Location"]
+        body = wait_for(client, location, "succeeded")
+        assert (body["cell"], body["mode"]) == ("cell", "upload")
+        assert director.workers[0].job.config is not None
+        (listed,) = client.get("/api/v1/identifications?cell=cell").json()["identifications"]
+        assert listed["id"] == body["id"]
+        models = client.get("/api/v1/cells/cell/models").json()["models"]
+        assert [(m["id"], m["mode"], m["in_force"]) for m in models] == [(body["id"], "upload", False)]
+        points = client.get("/api/v1/cells/cell/series?parameter=A1.mass.1").json()["points"]
+        assert [p["mode"] for p in points] == ["upload"]
+        # no measurement of the cell: not its last run, and nothing to accept
+        cell = client.get("/api/v1/cells/cell").json()
+        assert cell["last_identification"] is None
+        assert cell["overview"]["last_run"] is None
+        assert client.post(f"{location}/actions", json={"type": "accept"}).status_code == 409
+
+
+def test_an_upload_that_is_being_analysed_blocks_no_run_of_its_cell(tmp_path: Path) -> None:
+    director = Director()
+    director.analyse.clear()
+    with running(tmp_path, director) as (client, _):
+        answer = client.post("/api/v1/recordings?cell=cell", content=recording(), headers=HDF5)
+        upload = answer.headers["Location"]
+        wait_for(client, upload, "analysing")
+        assert client.get("/api/v1/cells/cell/readiness").json()["can_start"]
+        run = client.post(START, json={"mode": "full"})
+        assert run.status_code == 202
+        wait_for(client, run.headers["Location"], "awaiting_arm")
+        # a stop of the cell ends its motion, not the analysis
+        assert client.post("/api/v1/cells/cell/stop").json()["identification"] in run.headers["Location"]
+        wait_for(client, run.headers["Location"], "stopped")
+        director.analyse.set()
+        wait_for(client, upload, "succeeded")
+
+
+def test_an_upload_to_a_cell_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    with running(tmp_path) as (client, _):
+        answer = client.post("/api/v1/recordings?cell=other", content=recording(), headers=HDF5)
+        assert answer.json()["type"] == "urn:invid:problem:cell-not-found"
