@@ -67,6 +67,15 @@ class Page:
             f"#{identity} never showed: " + self.driver.find_element("id", "main").text[:2000]
         )
 
+    def press(self, element: Any) -> None:
+        """A click in the middle of the screen, where the stop bar does not lie over it."""
+        self.driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", element)
+        element.click()
+
+    def unfold(self, identity: str) -> None:
+        """Open a fold that is there."""
+        self.press(self.shown(identity).find_element("tag name", "summary"))
+
     def text(self, identity: str) -> str:
         return str(self.driver.find_element("id", identity).text)
 
@@ -96,6 +105,11 @@ class Page:
           const e = document.elementFromPoint(b.x + b.width / 2, b.y + b.height / 2);
           return !e || e.id !== 'stop'"""
         return bool(self.driver.execute_script(script))
+
+    def drawing(self) -> Any:
+        """The picture of the branches, once the service has drawn it."""
+        self.shown("where")
+        return self.driver.find_element("css selector", "#drawing svg")
 
     def overflow(self) -> int:
         """Pixels by which the page is wider than its window."""
@@ -131,19 +145,25 @@ def test_a_person_sees_readiness_and_the_plan_arms_watches_and_accepts_on_the_pa
         assert not page.stop_covered()
         assert page.shown("live").find_elements("tag name", "canvas")
         accept = page.shown("accept", 120)
-        assert page.text("sentence")
+        # First where it is, and whether to accept; the numbers unfold.
+        assert "Dry friction on A1" in page.text("sentence")
+        assert "As expected" in page.text("grade")
+        drawing = page.drawing()
+        assert drawing.tag_name == "svg"
+        assert "dry friction" in drawing.text
+        assert not driver.find_element("id", "frf").is_displayed()
+        page.unfold("numbers")
         page.shown("frf")
         assert driver.find_element("id", "frf-plot").find_elements("tag name", "canvas")
         assert driver.find_element("id", "missing-plot").find_elements("tag name", "canvas")
         cause = page.shown("causes").find_element("tag name", "figure")
-        assert "coulomb friction at the motor" in cause.text
+        assert "dry friction at the motor" in cause.text
         sides = cause.find_elements("tag name", "button")
         assert [b.text for b in sides] == [
             "over velocity", "over position", "over deflection", "over frequency",
         ]  # fmt: skip
         for side in sides:
-            driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", side)
-            side.click()
+            page.press(side)
             assert side.get_attribute("aria-pressed") == "true"
             assert cause.find_elements("tag name", "canvas")
         assert "left with the cause" in cause.text
@@ -158,8 +178,7 @@ def test_a_person_sees_readiness_and_the_plan_arms_watches_and_accepts_on_the_pa
             assert page.small_targets() == [], width
             driver.save_screenshot(str(tmp_path / f"result-{width}.png"))
         driver.set_window_size(1280, 900)
-        driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", accept)
-        accept.click()
+        page.press(accept)
         page.wait_text("decision", "accepted")
         driver.execute_script("window.scrollTo(0, 0)")
         driver.find_element("css selector", "[data-view=history]").click()
@@ -180,7 +199,7 @@ def test_a_person_sees_readiness_and_the_plan_arms_watches_and_accepts_on_the_pa
         assert page.mistakes() == []
         # The next run does not begin with the picture of the last one.
         driver.find_element("css selector", "[data-view=work]").click()
-        driver.find_element("id", "again").click()
+        page.press(driver.find_element("id", "again"))
         location = service.start(arm=False)
         page.wait_text("run-title", "Ready to move")
         assert driver.find_element("id", "live").get_attribute("hidden") is not None
