@@ -14,7 +14,7 @@ LEFT, MASS, SPRING = 54.0, 112.0, 104.0
 """Widths of the axis' name, of a mass and of a spring, in units of the drawing."""
 LANE = 26.0
 LEAST_WIDTH = 430.0
-ABOVE, BELOW, LINE = 56.0, 46.0, 22.0
+ABOVE, BELOW, LINE = 56.0, 50.0, 22.0
 """Of a row: room above and below its middle, and for each line of a finding."""
 
 Place = tuple[str, int, int]

@@ -9,7 +9,6 @@ import pytest
 from service_doubles import running
 
 from invid.config import load_config
-from invid.diagnosis.consequence_measures import MEASURES
 from invid.effects.registry import CATALOGUE
 from invid.model.diagnosis_document import Grade, Verdict
 from invid.planning import make_plan
@@ -66,11 +65,14 @@ def test_no_text_is_kept_that_nothing_shows() -> None:
 
 
 def test_what_the_service_may_name_has_a_name_in_every_language() -> None:
+    reference = (Path(__file__).parents[2] / "docs" / "reference" / "causes.md").read_text(encoding="utf-8")
+    measures = re.findall(r"^\|[^|]+\| `(\w+)`", reference, re.M)
+    assert "gravity_fraction_of_rated" in measures
     for language in LANGUAGES:
         known = catalogue(language)
         wanted = {f"cause.{e.cause}" for e in CATALOGUE}
         wanted |= {f"effect.{p}" for e in CATALOGUE for p in e.parameters}
-        wanted |= {f"measure.{name}" for measures in MEASURES.values() for name, _ in measures}
+        wanted |= {f"measure.{name}" for name in measures}
         wanted |= (
             {f"state.{s}" for s in State} | {f"verdict.{v}" for v in Verdict} | {f"grade.{g}" for g in Grade}
         )

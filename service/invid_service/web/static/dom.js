@@ -46,8 +46,10 @@ export function estimate(value, std) {
   return `${pointed(value.toFixed(digits))} ± ${pointed(std.toFixed(digits))}`;
 }
 // The month in letters: 11/12/26 is two days, depending on who reads it.
-export const time = (text) => (text ? new Date(text).toLocaleString(LANGUAGE, { dateStyle: "medium", timeStyle: "medium" }) : "");
-export const when = (text) => (text ? new Date(text).toLocaleString(LANGUAGE, { dateStyle: "medium", timeStyle: "short" }) : "");
+// As the browser writes dates, where it speaks the language of the page.
+const LOCALE = navigator.languages.find((l) => l.startsWith(LANGUAGE)) ?? LANGUAGE;
+export const time = (text) => (text ? new Date(text).toLocaleString(LOCALE, { dateStyle: "medium", timeStyle: "medium" }) : "");
+export const when = (text) => (text ? new Date(text).toLocaleString(LOCALE, { dateStyle: "medium", timeStyle: "short" }) : "");
 export const seconds = (n) => (n < 100 ? t("time.seconds", { n: Math.ceil(n) })
   : t("time.minutes", { m: Math.floor(Math.ceil(n) / 60), s: Math.ceil(n) % 60 }));
 export const sentence = (text) => text.charAt(0).toUpperCase() + text.slice(1);

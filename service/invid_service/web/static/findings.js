@@ -34,7 +34,9 @@ export function size(finding, linear) {
 export const linearOf = (model) => model?.units?.mass === "kg";
 
 export function headline(summary) {
-  if (english && summary.headline) return summary.headline;
+  // What is new stands in a line of its own.
+  const news = summary.changes?.new_causes;
+  if (english && summary.headline) return (news ? summary.headline.replace(news, "") : summary.headline).trim();
   if (summary.trustworthy === false) return t("headline.untrusted");
   const findings = summary.findings ?? [];
   if (summary.verdict === "consistent") return t("headline.consistent");
@@ -59,21 +61,21 @@ export function why(run) {
   return `${t("untrusted.other")} (${run.untrusted})`;
 }
 
-// One line: what changed; the long form stands among the numbers.
+// One line: what changed, causes and the largest changes first; the long form stands among the notes.
 export function changesLine(changes, model) {
   if (!changes) return "";
-  const sizes = sizesOf(model), parts = [];
-  for (const p of changes.parameters ?? []) {
-    if (p.status !== "changed" || p.difference == null) continue;
-    const old = p.from?.value, by = old ? `${fmt(Math.abs(100 * p.difference / old), 2)} %` : estimate(Math.abs(p.difference), p.difference_std);
-    parts.push(`${parameterLabel(p.parameter, sizes)} ${p.difference > 0 ? "+" : "−"}${by}`);
-  }
-  for (const c of changes.causes ?? []) {
-    if (["appeared", "grew", "shrank", "gone"].includes(c.status)) parts.push(`${named("cause", c.cause)} ${c.axis}: ${t(`status.${c.status}`)}`);
-  }
-  if (!parts.length) return changes.structure?.length ? changes.structure.join(" ") : t("changes.none");
-  const shown = parts.slice(0, 4);
-  if (parts.length > 4) shown.push(t("changes.more", { n: parts.length - 4 }));
+  const sizes = sizesOf(model);
+  const causes = (changes.causes ?? []).filter((c) => ["appeared", "grew", "shrank", "gone"].includes(c.status))
+    .map((c) => `${c.axis}: ${named("cause", c.cause)} ${t(`status.${c.status}`)}`);
+  const share = (p) => Math.abs(p.difference / (p.from?.value || 1));
+  const parts = (changes.parameters ?? []).filter((p) => p.status === "changed" && p.difference != null).sort((a, b) => share(b) - share(a)).map((p) => {
+    const by = p.from?.value ? `${fmt(100 * share(p), 2)} %` : estimate(Math.abs(p.difference), p.difference_std);
+    return `${parameterLabel(p.parameter, sizes)} ${p.difference > 0 ? "+" : "−"}${by}`;
+  });
+  const all = [...causes, ...parts];
+  if (!all.length) return changes.structure?.length ? changes.structure.join(" ") : t("changes.none");
+  const shown = all.slice(0, 4);
+  if (all.length > 4) shown.push(t("changes.more", { n: all.length - 4 }));
   return t("changes.since", { what: shown.join("; ") });
 }
 

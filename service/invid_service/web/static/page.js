@@ -13,7 +13,7 @@ import { choose, named, t } from "./texts.js";
 
 const ENDED = ["succeeded", "failed", "cancelled", "stopped", "interrupted"];
 const MOVING = ["running", "analysing", "queued", "checking"];
-const state = { cells: [], cell: null, run: null, watch: 0, live: [], dismissed: null };
+const state = { cells: [], cell: null, run: null, watch: 0, live: [], dismissed: null, asked: null };
 
 // Over every view and wherever the page is scrolled to: whoever pressed a button looks at that button.
 function say(error) {
@@ -68,8 +68,10 @@ async function chooseCell() {
     })])]);
   const accepted = state.cell.model;
   $("in-force").textContent = accepted ? t("ready.in_force", { time: time(accepted.accepted), by: accepted.by }) : t("ready.no_model");
-  const last = state.cell.last_identification;
-  if (last && last.id !== state.dismissed && (!ENDED.includes(last.state) || last.id === state.run?.id)) watchRun(last);
+  const last = state.cell.last_identification, asked = state.asked;
+  state.asked = null;
+  if (asked) open(asked);
+  else if (last && last.id !== state.dismissed && (!ENDED.includes(last.state) || last.id === state.run?.id)) watchRun(last);
   else if (state.run && state.run.cell !== state.cell.id) show(null);
   await refresh();
 }
@@ -250,12 +252,11 @@ onKeyNeeded(() => new Promise((resolve) => {
 window.addEventListener("click", (e) => { const a = e.target.closest("a[data-download]"); if (a) { e.preventDefault(); guarded(download)(a.getAttribute("href"), a.dataset.download); } });
 
 async function start() {
+  // A run in the address is what was looked at before the page was loaded anew.
   const asked = location.hash.slice(1);
+  if (/^[A-Za-z0-9-]{1,40}$/.test(asked)) state.asked = await get(`/identifications/${asked}`).catch(() => null);
+  if (state.asked?.cell) localStorage.setItem("invid-cell", state.asked.cell);
   await loadCells();
-  if (/^[A-Za-z0-9-]{1,40}$/.test(asked) && !state.run) {
-    const run = await get(`/identifications/${asked}`).catch(() => null);
-    if (run) open(run);
-  }
 }
 guarded(start)();
 setInterval(refresh, 3000);

@@ -5,11 +5,14 @@ import { cloud, curves, redraw } from "./plots.js";
 import { $, clear, el, estimate, fill, fmt, time, typical } from "./dom.js";
 import { LANGUAGE, english, has, named, t } from "./texts.js";
 
-let shown = null;
+let shown = null, settled = null, latest = null, diagnosed = null;
+const PATIENCE_MS = 3000;
 const FILES = { report: "report.html", model: "model.json", diagnosis: "diagnosis.json", recording: "recording.h5" };
 
 export function showDecision(run) {
-  $("decide").hidden = run.state !== "awaiting_accept";
+  latest = run;
+  // Not before what stands above it has its place: a button that moves under a finger is pressed by mistake.
+  $("decide").hidden = run.state !== "awaiting_accept" || settled !== run.id;
   const d = run.decision;
   $("decision").textContent = d ? `${t(`result.${d.type}`, { by: d.by })}${d.override ? ` ${t("result.reason", { reason: d.override })}` : ""}` : "";
   // A result that is not to be trusted does not invite.
@@ -17,6 +20,7 @@ export function showDecision(run) {
   $("untrusted").textContent = run.untrusted ? `${t("untrusted.title")}: ${why(run)}` : "";
   $("accept").classList.toggle("primary", !run.untrusted);
   $("reject").classList.toggle("primary", Boolean(run.untrusted));
+  separating(run, diagnosed);
   $("accept").textContent = run.untrusted ? t("result.accept_anyway") : t("result.accept");
   printHead(run);
 }
@@ -48,14 +52,21 @@ export async function showResult(run) {
   for (const id of ["axis-choice", "frf", "missing", "where", "numbers"]) $(id).hidden = true;
   $("numbers").open = $("notes").open = false;
   for (const id of ["causes", "parameters", "findings", "drawing"]) clear($(id));
-  const [model, diagnosis] = await Promise.all([get(run.links.model), get(run.links.diagnosis).catch(() => null)]);
+  let model, diagnosis;
+  try {
+    [model, diagnosis] = await Promise.all([get(run.links.model), get(run.links.diagnosis).catch(() => null)]);
+  } finally { if (!model) { settled = run.id; showDecision(latest); } }
   if (shown !== run.id) return;
   $("changes-sentence").textContent = changesLine(summary.changes, model);
   showFindings(run, diagnosis, model);
-  separating(run, diagnosis);
+  diagnosed = diagnosis;
   $("numbers").hidden = false;
   parameters(model, summary.changes);
-  await drawing(run);
+  const drawn = drawing(run);
+  await Promise.race([drawn, new Promise((resolve) => setTimeout(resolve, PATIENCE_MS))]);
+  settled = run.id;
+  if (latest.id === run.id) showDecision(latest);
+  await drawn;
   const plots = await get(run.links.plots).catch(() => null);
   if (plots && shown === run.id) pictures(plots, sizesOf(model));
 }
@@ -72,12 +83,16 @@ async function drawing(run) {
     return;
   }
   if (shown !== run.id || svg.nodeName !== "svg") return;
-  fill($("drawing"), [document.importNode(svg, true)]);
+  const picture = document.importNode(svg, true), width = svg.viewBox.baseVal.width;
+  // Never so small that its numbers cannot be read, nor larger than the text beside it.
+  picture.style.minWidth = `${0.8 * width}px`;
+  picture.style.maxWidth = `${1.35 * width}px`;
+  fill($("drawing"), [picture]);
   $("where").hidden = false;
 }
 
 function separating(run, diagnosis) {
-  const s = run.separating, offered = s && ["awaiting_accept", "succeeded"].includes(run.state);
+  const s = run.separating, offered = s && settled === run.id && ["awaiting_accept", "succeeded"].includes(run.state);
   $("separate-card").hidden = !offered;
   if (!offered) return;
   const finding = diagnosis?.findings?.[s.finding], other = finding?.alternatives?.find((a) => a.cause !== finding.cause);
@@ -233,4 +248,3 @@ function cause(view, sizes) {
   return figure;
 }
 
-export const forget = () => { shown = null; };
