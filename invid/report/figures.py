@@ -13,7 +13,8 @@ from invid.model.diagnosis_document import Diagnosis
 from invid.model.document import Model
 from invid.recording.model import Recording
 from invid.report.data import figure_data
-from invid.report.style import AFTER, BEFORE, INK, MEASURED, NOISE, label, powers_of_ten, svg
+from invid.report.labels import label
+from invid.report.style import AFTER, BEFORE, INK, MEASURED, NOISE, powers_of_ten, svg
 
 
 def figures(recording: Recording, model: Model, diagnosis: Diagnosis | None = None) -> dict[str, str]:

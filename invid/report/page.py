@@ -17,11 +17,13 @@ from invid.comparison.sentences import differing_number
 from invid.model.diagnosis_document import Diagnosis, Verdict
 from invid.model.document import EffectTerm, Model, units
 from invid.recording.model import Recording
+from invid.report.branch_drawing import branch_drawing
+from invid.report.captions import captions_of, replay_caption
 from invid.report.data import figure_data
 from invid.report.dependence import replay_data
 from invid.report.figures import draw
+from invid.report.labels import printable
 from invid.report.plots import replay_picture
-from invid.report.style import printable
 
 HEADLINE = {
     Verdict.CONSISTENT: "The model explains this measurement down to its noise.",
@@ -31,19 +33,31 @@ HEADLINE = {
 }
 
 
-def render_report(recording: Recording, model: Model, diagnosis: Diagnosis | None = None) -> str:
+def render_report(
+    recording: Recording,
+    model: Model,
+    diagnosis: Diagnosis | None = None,
+    *,
+    run: Mapping[str, str] | None = None,
+) -> str:
     """Self-contained HTML: no network, no scripts; everything that comes from data is escaped.
 
     ``model`` is the linear model before the diagnosis. Pictures that the data cannot carry are
-    replaced by the reason.
+    replaced by the reason. ``run`` is what is known of the run beyond its data (who started it, say): rows
+    before all others of where the report comes from, and on the first line.
     """
     data = figure_data(recording, model, diagnosis)
-    drawn, captions = draw(data), _captions(data)
+    drawn, captions = draw(data), captions_of(data)
     first = [name for name in drawn if name == "residual" or name.startswith("cause-")]
-    pictures = {name: drawn[name] for name in first}
+    shown = model if diagnosis is None else diagnosis.model
+    findings = () if diagnosis is None else diagnosis.findings
+    lost = None if diagnosis is None else diagnosis.unexplained
+    # Where it is comes before how much.
+    pictures = {"branches": branch_drawing(shown, findings, lost)}
+    pictures |= {name: drawn[name] for name in first}
     for number, row in enumerate([] if diagnosis is None else replay_data(recording, diagnosis), 1):
         pictures[f"replay-{number}"] = replay_picture(row, f"replay-{number}")
-        captions[f"replay-{number}"] = _replay_caption(row)
+        captions[f"replay-{number}"] = replay_caption(row)
     pictures |= {name: picture for name, picture in drawn.items() if name not in pictures}
     environment = Environment(
         loader=PackageLoader("invid.report", ""), autoescape=True, undefined=StrictUndefined, trim_blocks=True
@@ -51,7 +65,6 @@ def render_report(recording: Recording, model: Model, diagnosis: Diagnosis | Non
     environment.filters["clean"] = lambda text: printable(str(text), 2000)
     # The configuration is evidence, kept whole; what an upload brings is bounded all the same.
     environment.filters["whole"] = lambda text: printable(str(text), 200_000)
-    shown = model if diagnosis is None else diagnosis.model
     return environment.get_template("report.html.j2").render(
         recording=recording,
         diagnosis=diagnosis,
@@ -62,9 +75,10 @@ def render_report(recording: Recording, model: Model, diagnosis: Diagnosis | Non
         notes=data["notes"],
         parameters=_parameters(shown),
         effects=[_effect(e) for e in shown.effects],
-        findings=[] if diagnosis is None else [_finding(f) for f in diagnosis.findings],
+        findings=[_finding(f) for f in findings],
         warnings=list(dict.fromkeys([*model.warnings, *(() if diagnosis is None else diagnosis.warnings)])),
-        facts=_facts(recording, model),
+        run=dict(run or {}),
+        facts=[*(run or {}).items(), *_facts(recording, model)],
         provenance=_flat(shown.provenance),
         fit=_flat(shown.fit),
         details={} if diagnosis is None else _flat(diagnosis.details),
@@ -78,7 +92,7 @@ def _headline(model: Model, diagnosis: Diagnosis | None) -> str:
         if not np.isfinite(spread).all():
             return "An elastic model of this robot, but this measurement cannot tell all of it."
         return "The elastic model of this robot, identified from the measurement."
-    return HEADLINE[diagnosis.verdict]
+    return printable(diagnosis.headline, 600) or HEADLINE[diagnosis.verdict]
 
 
 def _sentences(diagnosis: Diagnosis | None) -> list[str]:
@@ -90,41 +104,6 @@ def _sentences(diagnosis: Diagnosis | None) -> list[str]:
     if diagnosis.unexplained is not None and diagnosis.unexplained.sentence not in said:
         said.append(diagnosis.unexplained.sentence)
     return said
-
-
-def _replay_caption(row: Mapping[str, Any]) -> str:
-    rms = row["rms"]
-    seen = "which no fit has seen" if row["role"] == "validate" else "which the fit has seen"
-    text = (
-        f"{row['axis']}: the recorded torque through the model, against the measured motion, in experiment "
-        f"{row['experiment']}, {seen}. The simulation is off by {rms['error_before']:.2g} {row['unit']} rms"
-    )
-    if row["extended"]:
-        text += f" without and {rms['error_after']:.2g} {row['unit']} with the causes named"
-    return f"{text}, of {rms['motion']:.2g} {row['unit']} of motion."
-
-
-def _captions(data: Mapping[str, Any]) -> dict[str, str]:
-    captions = {
-        "residual": "Torque that each motor would still need for the measured motion, on data that no fit "
-        "has seen: with the linear model, with the causes named, and what noise alone would leave.",
-        "missing-torque": "Torque that each motor would still need, over frequency, under the linear model. "
-        "Where the grey floor rises, the plant amplifies the sensors' noise (resonances with the motors "
-        "held): no fault there.",
-    }
-    for number, cause in enumerate(data["causes"], 1):
-        what = cause["x_label"].split(" [")[0]
-        drawn = f" The line is the fitted {cause['cause'].replace('_', ' ')}." if cause["cause"] else ""
-        note = f" ({cause['note']})" if cause["note"] else ""
-        captions[f"cause-{number}"] = f"What {cause['axis']} is missing, over {what}{note}.{drawn}"
-    for number, axis in enumerate(data["frf"], 1):
-        peaks = ", ".join(f"{peak:.4g}" for peak in axis["peaks_hz"])
-        captions[f"frf-{number}"] = (
-            f"{axis['axis']}: motion per torque, measured and simulated"
-            + (", before and after on one scale." if "after" in axis["simulated"] else ".")
-            + (f" Peaks at {peaks} Hz." if peaks else "")
-        )
-    return captions
 
 
 # --- tables -----------------------------------------------------------------------------------------
@@ -179,6 +158,8 @@ def _effect(term: EffectTerm) -> dict[str, Any]:
 def _finding(f: Any) -> dict[str, Any]:
     return {
         **_effect(f.effect),
+        "grade": "" if f.consequence is None else str(f.consequence.grade).replace("_", " "),
+        "means": "" if f.consequence is None else f"{f.consequence.text} ({f.consequence.reason})",
         "confidence": f"{100 * f.confidence:.1f} %",
         "before": f"{f.before:.3g}",
         "after": f"{f.after:.3g}",

@@ -14,9 +14,11 @@ from matplotlib.figure import Figure
 from invid.model.diagnosis_document import Diagnosis
 from invid.model.document import dump_json
 from invid.recording.model import Recording
+from invid.report.branch_drawing import branch_drawing
 from invid.report.dependence import dependence_data, linear_model_of, replay_data
 from invid.report.figures import figures, plain_hz
-from invid.report.style import AFTER, BEFORE, INK, MEASURED, NOISE, label, powers_of_ten, svg
+from invid.report.labels import label
+from invid.report.style import AFTER, BEFORE, INK, MEASURED, NOISE, powers_of_ten, svg
 
 POINTS = 600
 """Points of a scatter in a picture; its data have them all."""
@@ -30,7 +32,8 @@ def plot_files(recording: Recording, diagnosis: Diagnosis) -> dict[str, str]:
     """
     missing = dependence_data(recording, diagnosis.model)
     replayed = replay_data(recording, diagnosis)
-    files: dict[str, str] = {}
+    lost = diagnosis.unexplained
+    files = {"branches.svg": standalone(branch_drawing(diagnosis.model, diagnosis.findings, lost))}
     for number, row in enumerate(missing):
         name = f"missing-{_stem(row['axis'], number)}"
         files[f"{name}.svg"] = standalone(dependence_picture(row, name))

@@ -15,6 +15,8 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
+from invid.report.labels import printable
+
 # Stand-in colours that matplotlib writes; the page's style sheet gives each its light and dark value.
 INK, GRID = "#1b1c1d", "#c3c4c5"
 MEASURED, BEFORE, AFTER, NOISE = "#0072b2", "#d55e00", "#009e73", "#8a8b8c"
@@ -26,18 +28,6 @@ _VARIABLES = {
     AFTER: "--after",
     NOISE: "--noise",
 }
-_CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f\ud800-\udfff\ufffe\uffff]")
-
-
-def printable(text: str, most: int = 200) -> str:
-    """Text without characters that XML forbids, and not longer than a label can be."""
-    clean = _CONTROL.sub("\N{REPLACEMENT CHARACTER}", text)
-    return clean if len(clean) <= most else clean[: most - 1] + "…"
-
-
-def label(text: str, most: int = 40) -> str:
-    """A label inside a picture: one short line."""
-    return printable(" ".join(text.split()) or "–", most)
 
 
 def margins(

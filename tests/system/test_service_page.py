@@ -3,108 +3,15 @@
 from __future__ import annotations
 
 import contextlib
-import shutil
 import sqlite3
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import pytest
+from page_browser import Page, browser, needs_browser
 from service_process import SMALL_CELL, serving
 
 pytestmark = [pytest.mark.browser, pytest.mark.xdist_group("service")]
-BROWSER, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
-needs_browser = pytest.mark.skipif(
-    not (BROWSER and DRIVER),
-    reason="CHROMIUM IS MISSING: the page is not tested; apt-get install chromium-driver",
-)
-FLAGS = [
-    "--headless",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-]
-
-
-@contextmanager
-def browser(profile: Path, width: int = 1280, height: int = 900) -> Iterator[Any]:
-    """A fresh Chromium."""
-    from selenium import webdriver
-    from selenium.webdriver.chrome.service import Service
-
-    options = webdriver.ChromeOptions()
-    for flag in [*FLAGS, f"--user-data-dir={profile}", f"--window-size={width},{height}"]:
-        options.add_argument(flag)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    options.binary_location = str(BROWSER)
-    driver = webdriver.Chrome(options=options, service=Service(str(DRIVER)))
-    try:
-        yield driver
-    finally:
-        driver.quit()
-
-
-class Page:
-    """What a person does with it."""
-
-    def __init__(self, driver: Any) -> None:
-        self.driver = driver
-
-    def shown(self, identity: str, timeout: float = 90.0) -> Any:
-        deadline = time.monotonic() + timeout
-        while time.monotonic() < deadline:
-            found = self.driver.find_element("id", identity)
-            if found.is_displayed():
-                return found
-            time.sleep(0.1)
-        raise AssertionError(
-            f"#{identity} never showed: " + self.driver.find_element("id", "main").text[:2000]
-        )
-
-    def text(self, identity: str) -> str:
-        return str(self.driver.find_element("id", identity).text)
-
-    def wait_text(self, identity: str, text: str, timeout: float = 60.0) -> None:
-        deadline = time.monotonic() + timeout
-        while text not in self.text(identity):
-            assert time.monotonic() < deadline, f"#{identity}: {self.text(identity)!r}, not {text!r}"
-            time.sleep(0.1)
-
-    def wait_focus(self, identity: str, timeout: float = 10.0) -> None:
-        deadline = time.monotonic() + timeout
-        while (at := self.driver.switch_to.active_element.get_attribute("id")) != identity:
-            assert time.monotonic() < deadline, f"the focus is on {at!r}, not {identity!r}"
-            time.sleep(0.1)
-
-    def small_targets(self) -> list[str]:
-        """Visible buttons, choices and links that a glove would miss."""
-        script = """const names = 'button, select, .choices label, summary, .links a';
-          const size = (e) => Math.min(e.getBoundingClientRect().height, e.getBoundingClientRect().width);
-          return [...document.querySelectorAll(names)].filter(e => e.offsetParent && size(e) < 48)
-            .map(e => e.textContent.trim())"""
-        return list(self.driver.execute_script(script))
-
-    def stop_covered(self) -> bool:
-        """True where something lies over the middle of the stop button, or it is not on the screen."""
-        script = """const b = document.getElementById('stop').getBoundingClientRect();
-          const e = document.elementFromPoint(b.x + b.width / 2, b.y + b.height / 2);
-          return !e || e.id !== 'stop'"""
-        return bool(self.driver.execute_script(script))
-
-    def overflow(self) -> int:
-        """Pixels by which the page is wider than its window."""
-        script = "return document.documentElement.scrollWidth - document.documentElement.clientWidth"
-        return int(self.driver.execute_script(script))
-
-    def mistakes(self) -> list[str]:
-        """Errors in the browser's log (a 404 on purpose is none)."""
-        return [e["message"] for e in self.driver.get_log("browser") if e["level"] == "SEVERE"]
 
 
 @needs_browser
@@ -131,19 +38,25 @@ def test_a_person_sees_readiness_and_the_plan_arms_watches_and_accepts_on_the_pa
         assert not page.stop_covered()
         assert page.shown("live").find_elements("tag name", "canvas")
         accept = page.shown("accept", 120)
-        assert page.text("sentence")
+        # First where it is, and whether to accept; the numbers unfold.
+        assert "Dry friction on A1" in page.text("sentence")
+        assert "As expected" in page.text("grade")
+        drawing = page.drawing()
+        assert drawing.tag_name == "svg"
+        assert "dry friction" in drawing.text
+        assert not driver.find_element("id", "frf").is_displayed()
+        page.unfold("numbers")
         page.shown("frf")
         assert driver.find_element("id", "frf-plot").find_elements("tag name", "canvas")
         assert driver.find_element("id", "missing-plot").find_elements("tag name", "canvas")
         cause = page.shown("causes").find_element("tag name", "figure")
-        assert "coulomb friction at the motor" in cause.text
+        assert "dry friction at the motor" in cause.text
         sides = cause.find_elements("tag name", "button")
         assert [b.text for b in sides] == [
             "over velocity", "over position", "over deflection", "over frequency",
         ]  # fmt: skip
         for side in sides:
-            driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", side)
-            side.click()
+            page.press(side)
             assert side.get_attribute("aria-pressed") == "true"
             assert cause.find_elements("tag name", "canvas")
         assert "left with the cause" in cause.text
@@ -158,8 +71,7 @@ def test_a_person_sees_readiness_and_the_plan_arms_watches_and_accepts_on_the_pa
             assert page.small_targets() == [], width
             driver.save_screenshot(str(tmp_path / f"result-{width}.png"))
         driver.set_window_size(1280, 900)
-        driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", accept)
-        accept.click()
+        page.press(accept)
         page.wait_text("decision", "accepted")
         driver.execute_script("window.scrollTo(0, 0)")
         driver.find_element("css selector", "[data-view=history]").click()
@@ -180,7 +92,7 @@ def test_a_person_sees_readiness_and_the_plan_arms_watches_and_accepts_on_the_pa
         assert page.mistakes() == []
         # The next run does not begin with the picture of the last one.
         driver.find_element("css selector", "[data-view=work]").click()
-        driver.find_element("id", "again").click()
+        page.press(driver.find_element("id", "again"))
         location = service.start(arm=False)
         page.wait_text("run-title", "Ready to move")
         assert driver.find_element("id", "live").get_attribute("hidden") is not None

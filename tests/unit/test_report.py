@@ -18,7 +18,8 @@ from hidden.generator import Truth, make
 from invid.model.diagnosis_document import Alternative, AxisResidual, Diagnosis, Finding, Verdict
 from invid.model.document import ChainStd, EffectTerm, Estimate, Model
 from invid.recording.model import Recording
-from invid.report import figure_data, figures, render_report
+from invid.report import figure_data, render_report
+from invid.report.figures import figures
 from invid.report.laws import ABSCISSA
 
 HOSTILE = ('A1"><script>alert(1)</script>', "$\\frac{x", "a\x00b & <b>")
@@ -120,6 +121,28 @@ def test_the_sentence_comes_before_every_picture_and_number(page: str) -> None:
     assert sentence < page.index("<table")
     assert "damper 1 of A1 cannot be told" in page
     assert "cannot tell" in page  # springs without a standard deviation
+
+
+def test_the_first_picture_shows_where_it_is(page: str) -> None:
+    first = page[page.index("<figure") :].split("</figure>")[0]
+    assert 'id="branches"' in first
+    assert re.search(r"<desc[^>]*>[^<]*1: A2 motor, dry friction", first)
+
+
+def test_what_is_known_of_the_run_stands_on_the_first_line(friction: tuple[Recording, Truth]) -> None:
+    recording, truth = friction
+    page = render_report(recording, linear_model(truth), run={"run": "r-17", "started by": "<Ann>"})
+    line = page[page.index("<body") :].split("</p>")[0]
+    assert "run r-17" in line
+    assert "started by &lt;Ann&gt;" in line
+
+
+def test_each_picture_says_its_figures_for_whoever_cannot_see_it(page: str) -> None:
+    captions = dict(re.findall(r'<figure id="([^"]+)">.*?<figcaption>(.*?)</figcaption>', page, re.S))
+    assert "A2 1.4, 0.05 and 0.049 N·m" in captions["residual"]
+    assert re.search(r"A2: most at \d[\d.]* Hz", captions["missing-torque"])
+    assert re.search(r"differ by \d[\d.]* % with the linear model", captions["frf-1"])
+    assert re.search(r"\d+ points from -\d", captions["cause-1"])
 
 
 def test_every_picture_has_a_caption_and_ids_are_unique(page: str) -> None:

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 from fastapi import APIRouter, Request
 from fastapi.responses import HTMLResponse, Response
 from fastapi.staticfiles import StaticFiles
-from jinja2 import Environment, FileSystemLoader
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
 
 from invid import __version__
+from invid_service.web.texts import LANGUAGES, catalogue, wanted
 
 _HERE = Path(__file__).parent
-_TEMPLATES = Environment(loader=FileSystemLoader(_HERE / "templates"), autoescape=True)
+_TEMPLATES = Environment(
+    loader=FileSystemLoader(_HERE / "templates"), autoescape=True, undefined=StrictUndefined
+)
 _POLICY = (
     "default-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data:; frame-src 'self'; "
     "object-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -22,13 +27,28 @@ router = APIRouter()
 
 @router.get("/", response_class=HTMLResponse)
 async def page(request: Request) -> HTMLResponse:
-    """The page for the technician; it holds no data, so it needs no key."""
+    """The page for the technician, in the language of the browser; it holds no data, so it needs no key."""
     service = request.app.state.service
     simulated = all(cell.simulated for cell in service.cells.values())
+    language = wanted(request)
+    texts = catalogue(language)
     html = _TEMPLATES.get_template("page.html").render(
-        version=__version__, simulated=simulated, root=service.settings.root_path
+        version=__version__,
+        simulated=simulated,
+        root=service.settings.root_path,
+        language=language,
+        languages={name: catalogue(name)["language.name"] for name in LANGUAGES},
+        t=texts.__getitem__,
+        # Within the page, so that its stop button never waits for a second file. No "<" ends a script early.
+        texts=Markup(json.dumps(dict(texts), ensure_ascii=False).replace("<", "\\u003c")),
     )
-    return HTMLResponse(html, headers={"Content-Security-Policy": _POLICY, "Cache-Control": "no-cache"})
+    headers = {
+        "Content-Security-Policy": _POLICY,
+        "Cache-Control": "no-cache",
+        "Content-Language": language,
+        "Vary": "Accept-Language, Cookie",
+    }
+    return HTMLResponse(html, headers=headers)
 
 
 @router.get("/favicon.ico")
@@ -38,5 +58,5 @@ async def favicon() -> Response:
 
 
 def static_files() -> StaticFiles:
-    """Style, script and the vendored plot library."""
+    """Style, script, texts and the vendored plot library."""
     return StaticFiles(directory=_HERE / "static")

@@ -1,26 +1,27 @@
 // The technician's page: one cell, one button, what will move, progress, stop, then the result.
 import { call, download, follow, get, onKeyNeeded, post, Problem } from "./api.js";
-import { showResult } from "./result.js";
+import { why } from "./findings.js";
+import { showHistory } from "./history.js";
+import { showOverview } from "./overview.js";
+import { showPlan } from "./plan.js";
 import { curves, redraw } from "./plots.js";
-import { clear, el, fill, fmt, row, table, time } from "./dom.js";
+import { showProgress } from "./progress.js";
+import { showDecision, showResult } from "./result.js";
+import { showStopped } from "./stopped.js";
+import { $, el, fill, fmt, row, sentence, time } from "./dom.js";
+import { choose, named, t } from "./texts.js";
 
-const $ = (id) => document.getElementById(id);
 const ENDED = ["succeeded", "failed", "cancelled", "stopped", "interrupted"];
-const WORDS = {
-  queued: "Waiting to start", checking: "Checking the plan", awaiting_arm: "Ready to move: this will happen",
-  running: "Measuring: the robot moves", analysing: "Analysing: nothing moves", awaiting_accept: "Result: accept or reject it",
-  succeeded: "Done", failed: "Failed", cancelled: "Cancelled", stopped: "Stopped", interrupted: "Interrupted by a restart of the service",
-};
-const state = { cells: [], cell: null, run: null, watch: 0, live: [], dismissed: null };
+const MOVING = ["running", "analysing", "queued", "checking"];
+const state = { cells: [], cell: null, run: null, watch: 0, live: [], dismissed: null, asked: null };
 
 // Over every view and wherever the page is scrolled to: whoever pressed a button looks at that button.
 function say(error) {
   const box = $("problem");
   box.hidden = false;
   box.dataset.gone = String(!(error instanceof Problem));
-  box.textContent = error instanceof Problem ? error.message : `The service cannot be reached: ${error.message}`;
+  box.textContent = error instanceof Problem ? error.message : t("page.unreachable", { why: error.message });
 }
-const sentence = (text) => text.charAt(0).toUpperCase() + text.slice(1);
 const guarded = (work) => async (...given) => { $("problem").hidden = true; try { await work(...given); } catch (error) { say(error); } };
 
 // --- stop: first of all, needs nothing but the cell's name -----------------------------------------
@@ -29,14 +30,14 @@ async function stop() {
   const cell = state.cell?.id ?? $("cell").value;
   if (!cell) return;
   note.className = "";
-  note.textContent = "Stopping…";
+  note.textContent = t("stop.stopping");
   for (let attempt = 0; attempt < 5; attempt++) {
     try {
       const answer = await post(`/cells/${cell}/stop`);
-      note.textContent = answer.stopping ? "STOP sent." : "STOP sent. Nothing was moving.";
+      note.textContent = answer.stopping ? t("stop.sent") : t("stop.nothing");
       refresh();
       return;
-    } catch (error) { note.className = "failed"; note.textContent = `STOP NOT SENT. USE THE EMERGENCY STOP. (${error.message})`; }
+    } catch (error) { note.className = "failed"; note.textContent = t("stop.failed", { why: error.message }); }
   }
 }
 $("stop").addEventListener("click", stop);
@@ -54,23 +55,27 @@ async function chooseCell() {
   state.cell = await get(`/cells/${$("cell").value}`);
   localStorage.setItem("invid-cell", state.cell.id);
   $("simulated").hidden = !state.cell.simulated;
+  // A service that knows the overview knows how to shake more gently, and whose history an upload joins.
+  const able = state.cell.overview !== undefined;
+  $("strength").hidden = $("upload-cell-choice").hidden = !able;
   fill($("axes"), state.cell.axes.map((a) => el("label", {}, [el("input", { type: "checkbox", name: "axis", value: a, checked: true }), el("b", {}, a)])));
-  const table = el("table", {}, [
-    row("th", ["Axis", "Node", "Rated", "Torque limit", "Travel limit", "Speed limit", "Held by"]),
+  fill($("drives"), [el("table", {}, [
+    row("th", ["axis", "node", "rated", "torque", "travel", "speed", "held"].map((h) => t(`drive.${h}`))),
     ...state.cell.drives.map((d, i) => {
       const l = state.cell.limits[i];
-      return row("td", [d.axis, d.node_id, d.rated_torque ? `${d.rated_torque} ${l.torque_unit}` : "from drive", `${l.torque} ${l.torque_unit}`,
-        `±${l.position} ${l.position_unit}`, `${l.velocity} ${l.position_unit}/s`, { drive: "drive", master_pd: "master (PD)", master_p: "master (P)" }[d.hold] ?? d.hold]);
-    })]);
-  fill($("drives"), [table]);
+      return row("td", [d.axis, d.node_id, d.rated_torque ? `${fmt(d.rated_torque)} ${l.torque_unit}` : t("drive.from_drive"), `${fmt(l.torque)} ${l.torque_unit}`,
+        `±${fmt(l.position)} ${l.position_unit}`, `${fmt(l.velocity)} ${l.position_unit}/s`, named("hold", d.hold)]);
+    })])]);
   const accepted = state.cell.model;
-  $("in-force").textContent = accepted ? `Model in force: ${accepted.id}, accepted ${time(accepted.accepted)} by ${accepted.by}.` : "No accepted model yet.";
-  const last = state.cell.last_identification;
-  if (last && last.id !== state.dismissed && (!ENDED.includes(last.state) || last.id === state.run?.id)) watchRun(last);
+  $("in-force").textContent = accepted ? t("ready.in_force", { time: time(accepted.accepted), by: accepted.by }) : t("ready.no_model");
+  const last = state.cell.last_identification, asked = state.asked;
+  state.asked = null;
+  if (asked) open(asked);
+  else if (last && last.id !== state.dismissed && (!ENDED.includes(last.state) || last.id === state.run?.id)) watchRun(last);
   else if (state.run && state.run.cell !== state.cell.id) show(null);
   await refresh();
 }
-$("cell").addEventListener("change", guarded(async () => { show(null); await chooseCell(); }));
+$("cell").addEventListener("change", guarded(async () => { show(null); await chooseCell(); if (viewed() === "history") await VIEWS.history(); }));
 
 async function refresh() {
   if (!state.cell) return;
@@ -79,9 +84,9 @@ async function refresh() {
     $("offline").hidden = true;
     if ($("problem").dataset.gone === "true") $("problem").hidden = true;
     const title = $("ready-title");
-    title.textContent = ready.can_start ? "✓ Ready to measure" : "✗ Cannot start now";
+    title.textContent = ready.can_start ? t("ready.yes") : t("ready.no");
     title.className = ready.can_start ? "good" : "bad";
-    fill($("reasons"), ready.reasons.map((r) => el("li", {}, [el("b", {}, sentence(r.text)), `What to do: ${r.fix}.`])));
+    fill($("reasons"), ready.reasons.map((r) => el("li", { lang: "en" }, [el("b", {}, sentence(r.text)), t("ready.todo", { fix: r.fix })])));
     const busy = state.run && !ENDED.includes(state.run.state);
     $("start-card").hidden = Boolean(state.run);
     $("ready-card").hidden = Boolean(state.run);
@@ -94,16 +99,22 @@ async function refresh() {
 }
 
 // --- start and follow ---------------------------------------------------------------------------------
+const unique = () => ({ "Idempotency-Key": `page-${Date.now()}-${Math.random().toString(36).slice(2)}` });
+async function begin(body, pressed) {
+  pressed.disabled = true; // pressed twice is meant once
+  try {
+    watchRun(await post(`/cells/${state.cell.id}/identifications`, body, unique()));
+  } finally { pressed.disabled = false; }
+}
 $("start-card").addEventListener("submit", guarded(async (event) => {
   event.preventDefault();
   const form = new FormData(event.target), axes = form.getAll("axis");
-  if (!axes.length) { $("prepare").setCustomValidity("Choose at least one axis."); event.target.reportValidity(); $("prepare").setCustomValidity(""); return; }
-  const key = `page-${Date.now()}-${Math.random().toString(36).slice(2)}`;
-  $("prepare").disabled = true; // pressed twice is meant once
-  try {
-    watchRun(await post(`/cells/${state.cell.id}/identifications`, { mode: form.get("mode"), axes }, { "Idempotency-Key": key }));
-  } finally { $("prepare").disabled = false; }
+  if (!axes.length) { $("prepare").setCustomValidity(t("start.no_axis")); event.target.reportValidity(); $("prepare").setCustomValidity(""); return; }
+  const gentler = !$("strength").hidden && form.get("amplitude") === "gentler";
+  await begin({ mode: form.get("mode"), axes, ...(gentler ? { amplitude: "gentler" } : {}) }, $("prepare"));
 }));
+$("separate").addEventListener("click", guarded(() => begin({ mode: state.run.mode === "simulate" ? "simulate" : "full", separate: state.run.id }, $("separate"))));
+const again = guarded(({ amplitude }) => begin({ mode: state.run.mode, amplitude, ...(state.run.separates ? { separate: state.run.separates } : { axes: state.run.axes }) }, $("stopped-do")));
 
 async function watchRun(run) {
   show(run);
@@ -127,32 +138,35 @@ async function reload() {
 }
 
 function show(run) {
-  const before = state.run;
+  const before = state.run, isNew = before?.id !== run?.id || before?.state !== run?.state;
   state.run = run;
-  $("run-card").hidden = !run;
-  $("start-card").hidden = Boolean(run);
-  $("ready-card").hidden = Boolean(run);
-  if (before?.state !== run?.state) keepFocus(run ? "run-title" : "ready-title");
+  // A reload, to speak another language say, comes back to the same run.
+  history.replaceState(null, "", run ? `#${run.id}` : location.pathname + location.search);
+  $("start-card").hidden = $("ready-card").hidden = Boolean(run);
+  $("language").disabled = run?.state === "running"; // it loads the page anew, and that takes the stop button along
+  const result = Boolean(run?.summary) && ["awaiting_accept", "succeeded", "cancelled"].includes(run.state);
+  $("run-card").hidden = !run || result;
+  if (isNew) keepFocus(run ? (result ? "sentence" : "run-title") : "ready-title");
   if (!run) { state.watch++; $("result-card").hidden = true; refresh(); return; }
-  $("run-title").textContent = WORDS[run.state] + (run.simulated ? " (simulated)" : "");
+  $("run-title").textContent = `${t(`state.${run.state}`)}${run.simulated ? ` ${t("run.simulated")}` : ""}`;
+  showStopped(run, state.cell, again);
   const box = $("run-error");
   box.hidden = !run.error;
-  box.textContent = run.error ? `${sentence(run.error.text)}. What to do: ${run.error.fix}.` : "";
-  const moving = ["running", "analysing", "queued", "checking"].includes(run.state);
-  $("progress").hidden = !moving;
+  // One action, not two that differ.
+  box.textContent = run.error ? `${sentence(run.stopped?.reason ?? run.error.text)}.${run.stopped ? "" : ` ${t("ready.todo", { fix: run.error.fix })}`}` : "";
+  box.lang = "en";
+  $("progress").hidden = !MOVING.includes(run.state);
   $("arm").hidden = run.state !== "awaiting_arm";
   $("cancel").hidden = ENDED.includes(run.state) || run.state === "awaiting_accept";
+  $("retry").hidden = !ENDED.includes(run.state);
   $("again").hidden = !ENDED.includes(run.state) && run.state !== "awaiting_accept";
   $("plan").hidden = !(run.plan && ["awaiting_arm", "running"].includes(run.state));
   // To be read before arming; while the robot moves it must not push the progress off a tablet.
-  if (before?.id !== run.id || before.state !== run.state) $("plan").open = run.state === "awaiting_arm";
-  if (run.plan && before?.plan !== run.plan) showPlan(run);
+  if (isNew) $("plan").open = run.state === "awaiting_arm";
+  $("run-note").hidden = true;
+  if (run.plan) showPlan(run, state.cell);
   showProgress(run);
-  if (["awaiting_accept", "succeeded", "cancelled"].includes(run.state) && run.summary) showResult(run, state.cell);
-  else $("result-card").hidden = true;
-  // A result that is not to be trusted does not invite.
-  $("accept").classList.toggle("primary", !run.untrusted);
-  $("accept").textContent = run.untrusted ? "Accept all the same…" : "✓ Accept this model";
+  if (result) { showResult(run).catch(say); showDecision(run); } else $("result-card").hidden = true;
   if (before?.state !== run.state) refresh();
 }
 
@@ -162,43 +176,22 @@ function keepFocus(heading) {
   setTimeout(() => { if (document.activeElement === document.body) $(heading).focus({ preventScroll: true }); }, 100);
 }
 
-function showPlan(run) {
-  const plan = run.plan;
-  const rotary = (f) => (f.unit === "N" ? ["mm", 1000] : ["°", 180 / Math.PI]);
-  // What cannot be foretold is bounded all the same: the sweep stops every axis at its limits.
-  const limits = new Map((state.cell?.limits ?? []).map((l) => [l.axis, l]));
-  table($("plan-table"), ["Axis", "Torque up to", "Moves up to", "Speed up to"], (plan.forecast ?? []).map((f) => {
-    const [unit, factor] = rotary(f), l = limits.get(f.axis), shown = (v) => `${fmt(v * factor, 2)}${unit === "°" ? "" : " "}${unit}`;
-    const most = (v, limit, sign, per) => (v != null && !(v > limit) ? `${sign}${shown(v)}${per}`
-      : limit == null ? "not foreseen" : `${v == null ? "not foreseen; " : ""}stopped at ${sign}${shown(limit)}${per}`);
-    const travel = most(f.travel, l?.position, "±", ""), speed = most(f.velocity, l?.velocity, "", "/s");
-    return { cells: [el("b", {}, f.axis), `±${fmt(f.peak_torque, 3)} ${f.unit}`, travel, speed] };
-  }));
-  $("plan-facts").textContent = `Takes about ${fmt(plan.duration_s, 3)} s of robot time in ${plan.experiments?.length ?? "?"} experiments. Motion stops by itself at the limits.${run.simulated ? "" : " Arm only where the emergency stop is within reach and nobody is within reach of the axes."}`;
-  fill($("plan-warnings"), (plan.warnings ?? []).map((w) => el("li", {}, w)));
-}
-
-function showProgress(run) {
-  $("bar").value = run.progress;
-  const parts = [run.phase, run.axis && `axis ${run.axis}`, run.frequency && `${fmt(run.frequency, 3)} Hz`, run.eta_s != null && `about ${Math.ceil(run.eta_s)} s of robot time left`];
-  $("phase").textContent = `${Math.round(run.progress * 100)} %: ${parts.filter(Boolean).join(", ")}`;
-}
-
 function drawLive() {
   const series = [], names = state.run?.axes ?? [], hues = ["--after", "--before", "--third"];
   for (const response of state.live.slice(-3)) {
     response.db.forEach((db, i) => db && series.push({
-      label: `${state.cell?.axes[i] ?? names[i] ?? i} (experiment ${Number(response.experiment) + 1})`, x: response.frequency_hz, y: db, colour: hues[i % 3], dash: Number(response.experiment) % 3,
+      label: t("run.live.series", { axis: state.cell?.axes[i] ?? names[i] ?? i, n: Number(response.experiment) + 1 }), x: response.frequency_hz, y: db, colour: hues[i % 3], dash: Number(response.experiment) % 3,
     }));
   }
   $("live").hidden = !series.length;
-  if (series.length) curves($("live-plot"), { x: "frequency [Hz]", y: "position per torque [dB]", series, logY: false });
+  const alt = t("run.live.alt", { n: series.length, what: series.map((s) => s.label).join(", ") });
+  if (series.length) curves($("live-plot"), { x: t("chart.frequency"), y: t("run.live.y"), series, logY: false, alt });
 }
 
 // A result that is not to be trusted is accepted for a reason or not at all.
-function reason(why) {
+function reason(run) {
   const dialog = $("override-dialog");
-  $("override-why").textContent = `${sentence(why)}.`;
+  $("override-why").textContent = why(run);
   $("override").value = "";
   dialog.returnValue = "no"; // Escape is no yes
   dialog.showModal();
@@ -207,36 +200,13 @@ function reason(why) {
 
 const act = (type) => guarded(async () => {
   const body = { type };
-  if (type === "accept" && state.run.untrusted) { body.override = await reason(state.run.untrusted); if (!body.override) return; }
+  if (type === "accept" && state.run.untrusted) { body.override = await reason(state.run); if (!body.override) return; }
   const run = await post(`${state.run.links.self}/actions`, body);
   show(run);
-  if (type === "accept") { state.cell = await get(`/cells/${state.cell.id}`); $("in-force").textContent = `Model in force: ${state.cell.model?.id}, accepted just now.`; }
+  if (type === "accept") { state.cell = await get(`/cells/${state.cell.id}`); $("in-force").textContent = t("ready.in_force_now"); }
 });
 for (const type of ["arm", "cancel", "accept", "reject"]) $(type).addEventListener("click", act(type));
-$("again").addEventListener("click", () => { state.dismissed = state.run?.id; show(null); });
-
-// --- history -----------------------------------------------------------------------------------------
-// The month in letters: 11/12/26 is two days, depending on who reads it.
-const LISTED = new Intl.DateTimeFormat([], { dateStyle: "medium", timeStyle: "short" });
-const when = (text) => LISTED.format(new Date(text));
-const loadHistory = guarded(async () => {
-  const { history } = await get(`/cells/${state.cell.id}/models`);
-  const changes = $("history-changes");
-  const restore = (m) => guarded(async () => { await post(`/cells/${state.cell.id}/models/${m.id}/restore`); loadHistory(); });
-  const compare = (m) => guarded(async () => {
-    // As the result does: either side is the mean of the accepted runs that agree with it.
-    const answer = await get(`/cells/${state.cell.id}/changes?from=${m.id}&to=${history[0].id}&averaged=true`);
-    changes.textContent = `Since ${time(m.accepted)}: ${answer.sentence}`;
-  });
-  const button = (text, work) => { const b = el("button", { type: "button" }, text); b.addEventListener("click", work); return b; };
-  clear(changes);
-  table($("accepted"), ["Accepted", "Model", "By", ""], history.map((m, i) => ({ cells: [when(m.accepted), `…${m.id.slice(-8)}`, `${m.by} (${m.how})`,
-    i ? el("span", { class: "actions" }, [button("Compare with now", compare(m)), button("Restore", restore(m))]) : el("b", {}, "in force")] })));
-  const { identifications } = await get(`/identifications?cell=${state.cell.id}`);
-  const open = (r) => () => { setView("work"); state.dismissed = null; watchRun(r); };
-  table($("runs"), ["Started", "Mode", "State", "Result", ""], identifications.map((r) => ({ cells: [when(r.created), r.mode, WORDS[r.state].split(":")[0],
-    r.summary?.sentences?.[0] ?? r.error?.text ?? "", button("Show", open(r))] })));
-});
+for (const b of document.querySelectorAll("[data-again]")) b.addEventListener("click", () => { state.dismissed = state.run?.id; show(null); });
 
 // --- upload -----------------------------------------------------------------------------------------
 $("upload-form").addEventListener("submit", async (event) => {
@@ -244,22 +214,33 @@ $("upload-form").addEventListener("submit", async (event) => {
   const note = $("upload-note"), file = $("file").files[0];
   if (!file) return;
   note.className = "";
-  note.textContent = `Uploading ${file.name} (${fmt(file.size / 1e6, 2)} MB)…`;
+  note.textContent = t("upload.going", { name: file.name, size: fmt(file.size / 1e6, 2) });
+  const of = !$("upload-cell-choice").hidden && $("upload-cell").checked ? `?cell=${encodeURIComponent(state.cell.id)}` : "";
   try {
-    const run = await (await call("POST", "/recordings", file, { "Content-Type": "application/x-hdf5" })).json();
-    note.textContent = "Uploaded.";
+    const run = await (await call("POST", `/recordings${of}`, file, { "Content-Type": "application/x-hdf5" })).json();
+    note.textContent = t("upload.done");
     setView("work");
     watchRun(run);
   } catch (error) { note.className = "alarm"; note.textContent = sentence(error.message); }
 });
 
+// --- views ------------------------------------------------------------------------------------------
+const open = (run) => { setView("work"); state.dismissed = null; watchRun(run); };
+const VIEWS = {
+  work: async () => {},
+  upload: async () => {},
+  history: () => showHistory(state.cell, guarded, open),
+  overview: () => showOverview(guarded(async (id) => { $("cell").value = id; setView("work"); if (state.run && state.run.cell !== id) show(null); await chooseCell(); })),
+};
+const viewed = () => document.querySelector("nav [aria-pressed=true]").dataset.view;
 function setView(name) {
-  for (const button of document.querySelectorAll("nav button")) button.setAttribute("aria-pressed", String(button.dataset.view === name));
-  for (const view of ["work", "history", "upload"]) $(`view-${view}`).hidden = view !== name;
-  if (name === "history") loadHistory();
+  for (const b of document.querySelectorAll("nav [data-view]")) b.setAttribute("aria-pressed", String(b.dataset.view === name));
+  for (const view of Object.keys(VIEWS)) $(`view-${view}`).hidden = view !== name;
+  guarded(VIEWS[name])();
   redraw(); // what was drawn while its view was hidden had no width
 }
-for (const button of document.querySelectorAll("nav button")) button.addEventListener("click", () => setView(button.dataset.view));
+for (const b of document.querySelectorAll("nav [data-view]")) b.addEventListener("click", () => setView(b.dataset.view));
+$("language").addEventListener("change", () => choose($("language").value));
 
 onKeyNeeded(() => new Promise((resolve) => {
   const dialog = $("key-dialog");
@@ -269,5 +250,13 @@ onKeyNeeded(() => new Promise((resolve) => {
 }));
 
 window.addEventListener("click", (e) => { const a = e.target.closest("a[data-download]"); if (a) { e.preventDefault(); guarded(download)(a.getAttribute("href"), a.dataset.download); } });
-guarded(loadCells)();
+
+async function start() {
+  // A run in the address is what was looked at before the page was loaded anew.
+  const asked = location.hash.slice(1);
+  if (/^[A-Za-z0-9-]{1,40}$/.test(asked)) state.asked = await get(`/identifications/${asked}`).catch(() => null);
+  if (state.asked?.cell) localStorage.setItem("invid-cell", state.asked.cell);
+  await loadCells();
+}
+guarded(start)();
 setInterval(refresh, 3000);

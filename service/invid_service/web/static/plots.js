@@ -1,4 +1,6 @@
 // Pictures: curves with uPlot, clouds on a canvas. Colours differ in lightness, lines also in dash and marker.
+// Each says in `alt` what it shows.
+import { t } from "./texts.js";
 
 const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 // A turned tablet or a resized window draws everything anew.
@@ -14,6 +16,19 @@ export function redraw() {
 window.addEventListener("resize", anew);
 // At dusk a tablet goes dark by itself: black lines on black would be left.
 window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", anew);
+// On paper: light colours, and everything unfolded.
+let unfolded = [];
+window.addEventListener("beforeprint", () => {
+  document.documentElement.dataset.print = "";
+  unfolded = [...document.querySelectorAll("#result-card details:not([open])")];
+  for (const d of unfolded) d.open = true;
+  redraw();
+});
+window.addEventListener("afterprint", () => {
+  delete document.documentElement.dataset.print;
+  for (const d of unfolded) d.open = false;
+  redraw();
+});
 const DASHES = [[], [10, 5], [3, 4]];
 
 function axes(x, y, logX) {
@@ -42,8 +57,10 @@ export function curves(target, picture) {
   return drawCurves(target, picture);
 }
 
-function drawCurves(target, { x, y, series, peaks = [], logX = true, logY = true }) {
+function drawCurves(target, { x, y, series, peaks = [], logX = true, logY = true, alt = "" }) {
   target.replaceChildren();
+  target.setAttribute("role", "img");
+  target.setAttribute("aria-label", alt || `${y}, ${x}: ${series.map((s) => s.label).join(", ")}`);
   const shown = series.filter((s) => s.x.length);
   if (!shown.length) return null;
   const data = joined(shown.map((s) => ({ ...s, positive: logY })));
@@ -69,7 +86,7 @@ function labelPeaks(u, peaks) {
   const rows = [-Infinity, -Infinity, -Infinity, -Infinity];
   for (const f of peaks) {
     if (f < u.scales.x.min || f > u.scales.x.max) continue;
-    const px = u.valToPos(f, "x", true), text = `${f < 10 ? f.toFixed(2) : f.toFixed(1)} Hz`, half = c.measureText(text).width / 2;
+    const px = u.valToPos(f, "x", true), text = `${short(Number(f < 10 ? f.toFixed(2) : f.toFixed(1)))} Hz`, half = c.measureText(text).width / 2;
     const middle = Math.min(Math.max(px, u.bbox.left + half), u.bbox.left + u.bbox.width - half);
     // The first row with room; where there is none the line stays and the label goes.
     const row = rows.findIndex((right) => middle - half > right + 6 * ratio), top = u.bbox.top + (14 + 16 * Math.max(row, 0)) * ratio;
@@ -90,14 +107,14 @@ export function cloud(target, picture) {
   drawCloud(target, picture);
 }
 
-function drawCloud(target, { x, y, fit, line: joined = true, xLabel, yLabel }) {
+function drawCloud(target, { x, y, fit, line: joined = true, xLabel, yLabel, alt }) {
   target.replaceChildren();
+  target.setAttribute("role", "img");
+  target.setAttribute("aria-label", alt);
   const canvas = document.createElement("canvas"), ratio = window.devicePixelRatio || 1;
   const width = Math.max(280, target.clientWidth), height = Math.min(380, Math.max(260, width * 0.45));
   canvas.width = width * ratio; canvas.height = height * ratio;
   canvas.style.width = `${width}px`; canvas.style.height = `${height}px`;
-  canvas.setAttribute("role", "img");
-  canvas.setAttribute("aria-label", `${yLabel} over ${xLabel}: ${x.length} points${fit ? " and the fitted cause" : ""}`);
   target.append(canvas);
   const c = canvas.getContext("2d");
   c.scale(ratio, ratio);
@@ -137,9 +154,11 @@ function range(values) {
   const low = Math.min(...values), high = Math.max(...values), pad = (high - low || Math.abs(high) || 1) * 0.06;
   return [low - pad, high + pad];
 }
-function ticks(low, high) {
+export function ticks(low, high) {
   const raw = (high - low) / 5, power = 10 ** Math.floor(Math.log10(raw)), step = [1, 2, 5, 10].find((s) => s * power >= raw) * power, found = [];
   for (let v = Math.ceil(low / step) * step; v <= high + step * 1e-9; v += step) found.push(Math.abs(v) < step * 1e-9 ? 0 : v);
   return found;
 }
-function short(v) { return Math.abs(v) >= 1e5 || (v && Math.abs(v) < 1e-3) ? v.toExponential(1) : String(Number(v.toPrecision(4))); }
+export function short(v) {
+  return (Math.abs(v) >= 1e5 || (v && Math.abs(v) < 1e-3) ? v.toExponential(1) : String(Number(v.toPrecision(4)))).replace(".", t("number.point"));
+}

@@ -1,77 +1,154 @@
-// The result: the sentence first, the pictures under it, the numbers under those.
-import { get } from "./api.js";
-import { cloud, curves } from "./plots.js";
-import { el, estimate, fill, fmt, table } from "./dom.js";
+// The result: grade and headline, where it is, the decision; what was found; the numbers unfold below.
+import { call, get } from "./api.js";
+import { changesLine, gradeBadge, headline, linearOf, parameterLabel, showFindings, sizesOf, place, why } from "./findings.js";
+import { cloud, curves, redraw } from "./plots.js";
+import { $, clear, el, estimate, fill, fmt, time, typical } from "./dom.js";
+import { LANGUAGE, english, has, named, t } from "./texts.js";
 
-const $ = (id) => document.getElementById(id);
-const VERDICTS = {
-  consistent: "The model agrees with the robot: nothing beyond noise.",
-  explained: "The simulation lacked something, and the cause is found.",
-  partly_explained: "Part of what the simulation lacks is found, something is left.",
-  unexplained: "The simulation lacks something that no known cause explains.",
-};
-let shown = null;
+let shown = null, settled = null, latest = null, diagnosed = null;
+const PATIENCE_MS = 3000;
+const FILES = { report: "report.html", model: "model.json", diagnosis: "diagnosis.json", recording: "recording.h5" };
 
-function headline(summary) {
-  const fraction = summary.explained_fraction, said = VERDICTS[summary.verdict] ?? summary.verdict;
-  // "Something is left" and "100 %" in one breath would be a riddle.
-  if (summary.verdict === "partly_explained" && fraction > 0.99) return "Nearly all of what the simulation lacks is found, a small rest is left.";
-  return fraction > 0 && /explained$/.test(summary.verdict) && summary.verdict !== "unexplained"
-    ? `${said} The causes below make up ${fmt(100 * Math.min(fraction, 1), 2)} % of it.` : said;
+export function showDecision(run) {
+  latest = run;
+  // Not before what stands above it has its place: a button that moves under a finger is pressed by mistake.
+  $("decide").hidden = run.state !== "awaiting_accept" || settled !== run.id;
+  const d = run.decision;
+  $("decision").textContent = d ? `${t(`result.${d.type}`, { by: d.by })}${d.override ? ` ${t("result.reason", { reason: d.override })}` : ""}` : "";
+  // A result that is not to be trusted does not invite.
+  $("untrusted").hidden = !run.untrusted;
+  $("untrusted").textContent = run.untrusted ? `${t("untrusted.title")}: ${why(run)}` : "";
+  $("accept").classList.toggle("primary", !run.untrusted);
+  $("reject").classList.toggle("primary", Boolean(run.untrusted));
+  separating(run, diagnosed);
+  $("accept").textContent = run.untrusted ? t("result.accept_anyway") : t("result.accept");
+  printHead(run);
 }
 
-export async function showResult(run, cell) {
+function printHead(run) {
+  const d = run.decision, lines = [t("print.run", { id: run.id }), t("print.cell", { cell: run.cell ?? "–", robot: run.robot }),
+    t("print.time", { started: time(run.started ?? run.created), ended: time(run.ended) || "–" }), t("print.by", { by: run.requested_by }),
+    d && t("print.decided", { decision: $("decision").textContent, time: time(d.at) }), t("print.version", { version: document.body.dataset.version, time: time(Date.now()) })];
+  fill($("print-head"), lines.filter(Boolean).map((line) => el("p", {}, line)));
+}
+window.addEventListener("beforeprint", () => { const last = $("print-head").lastElementChild; if (last) last.textContent = t("print.version", { version: document.body.dataset.version, time: time(Date.now()) }); });
+
+export async function showResult(run) {
   const card = $("result-card"), summary = run.summary;
   card.hidden = false;
-  $("decide").hidden = run.state !== "awaiting_accept";
-  $("decision").textContent = run.decision ? `Model ${run.decision.type} by ${run.decision.by}.` : "";
+  showDecision(run);
   if (shown === run.id) return;
   shown = run.id;
-  const sentences = summary.sentences ?? [], several = sentences.length > 1;
-  // One finding is the headline itself; several are summed up there and listed under it.
-  $("sentence").textContent = (several ? null : sentences[0]) ?? headline(summary);
+  $("run-facts").textContent = t("run.facts", { kind: named("mode", run.mode), time: time(run.started ?? run.created), by: run.requested_by }) + (run.simulated ? ` ${t("run.simulated")}` : "");
+  const grade = summary.trustworthy === false || summary.verdict === "unexplained" ? "none" : summary.grade ?? (summary.verdict === "consistent" ? "as_expected" : null);
+  $("grade").hidden = grade == null;
+  fill($("grade"), grade == null ? [] : [gradeBadge(grade)]);
+  $("sentence").textContent = headline(summary);
   $("sentence").focus({ preventScroll: true });
-  card.scrollIntoView({ block: "start" });
-  $("changes-sentence").textContent = summary.changes ? `Compared with the model in force: ${summary.changes.sentence}` : "";
-  $("todo").hidden = !several;
-  fill($("sentences"), several ? sentences.map((s) => el("li", {}, s)) : []);
-  fill($("warnings"), [...new Set([...(summary.warnings ?? []), ...(summary.changes?.warnings ?? [])])].map((w) => el("li", {}, w)));
-  const files = { report: "report.html", model: "model.json", diagnosis: "diagnosis.json", recording: "recording.h5" };
-  fill($("links"), Object.entries(files).map(([name, file]) => el("a", { href: run.links[name], "data-download": `${run.id}-${file}` }, `Save ${name}`)));
-  for (const id of ["axis-choice", "frf", "missing"]) $(id).hidden = true;
-  fill($("causes"), []);
-  fill($("parameters"), []);
-  const [model, plots] = await Promise.all([get(run.links.model), get(run.links.plots).catch(() => null)]);
+  window.scrollTo(0, 0);
+  $("changes-sentence").textContent = changesLine(summary.changes, null);
+  warnings(summary);
+  fill($("links"), Object.entries(FILES).map(([name, file]) => el("a", { href: run.links[name], "data-download": `${run.id}-${file}` }, t(`file.${name}`))));
+  for (const id of ["axis-choice", "frf", "missing", "where", "numbers"]) $(id).hidden = true;
+  $("numbers").open = $("notes").open = false;
+  for (const id of ["causes", "parameters", "findings", "drawing"]) clear($(id));
+  let model, diagnosis;
+  try {
+    [model, diagnosis] = await Promise.all([get(run.links.model), get(run.links.diagnosis).catch(() => null)]);
+  } finally { if (!model) { settled = run.id; showDecision(latest); } }
   if (shown !== run.id) return;
+  $("changes-sentence").textContent = changesLine(summary.changes, model);
+  showFindings(run, diagnosis, model);
+  diagnosed = diagnosis;
+  $("numbers").hidden = false;
   parameters(model, summary.changes);
-  if (plots) pictures(plots);
+  const drawn = drawing(run);
+  await Promise.race([drawn, new Promise((resolve) => setTimeout(resolve, PATIENCE_MS))]);
+  settled = run.id;
+  if (latest.id === run.id) showDecision(latest);
+  await drawn;
+  const plots = await get(run.links.plots).catch(() => null);
+  if (plots && shown === run.id) pictures(plots, sizesOf(model));
+}
+$("numbers").addEventListener("toggle", redraw); // folded, a plot has no width
+
+// The service draws; the same picture as in the report. As SVG within the page it takes the page's colours.
+async function drawing(run) {
+  let svg;
+  try {
+    const text = await (await call("GET", `${run.links.self}/drawing?lang=${LANGUAGE}`)).text();
+    svg = new DOMParser().parseFromString(text, "image/svg+xml").documentElement;
+  } catch (error) {
+    if (shown === run.id) { $("where").hidden = false; fill($("drawing"), [el("p", { class: "quiet" }, t("result.no_drawing", { why: error.message }))]); }
+    return;
+  }
+  if (shown !== run.id || svg.nodeName !== "svg") return;
+  const picture = document.importNode(svg, true), width = svg.viewBox.baseVal.width;
+  // Never so small that its numbers cannot be read, nor larger than the text beside it.
+  picture.style.minWidth = `${0.8 * width}px`;
+  picture.style.maxWidth = `${1.35 * width}px`;
+  fill($("drawing"), [picture]);
+  $("where").hidden = false;
+}
+
+function separating(run, diagnosis) {
+  const s = run.separating, offered = s && settled === run.id && ["awaiting_accept", "succeeded"].includes(run.state);
+  $("separate-card").hidden = !offered;
+  if (!offered) return;
+  const finding = diagnosis?.findings?.[s.finding], other = finding?.alternatives?.find((a) => a.cause !== finding.cause);
+  const names = finding && other ? { first: `${finding.axis}: ${named("cause", finding.cause)}`, other: named("cause", other.cause) } : null;
+  fill($("separate-note"), [names ? t("separate.note", names) : t("separate.plain"), s.text ? el("small", { lang: "en" }, s.text) : null].filter(Boolean));
+}
+
+function warnings(summary) {
+  const all = [...new Set([summary.changes && summary.changes.sentence, ...(summary.warnings ?? []), ...(summary.changes?.warnings ?? [])].filter(Boolean))];
+  $("notes").hidden = !all.length;
+  $("notes-title").textContent = t("result.warnings", { n: all.length });
+  fill($("warnings"), [...(english || !all.length ? [] : [el("li", { class: "quiet" }, t("page.untranslated"))]), ...all.map((w) => el("li", { lang: "en" }, w))]);
+}
+
+// Every number of a model: label, name in series and changes, estimate, unit.
+export function numbersOf(model) {
+  const u = model.units ?? {}, sizes = sizesOf(model), lines = [];
+  const add = (name, e, unit, group) => lines.push({ label: parameterLabel(name, sizes), name, e, unit, group });
+  for (const b of model.branches) {
+    b.masses.forEach((e, i) => add(`${b.axis}.mass.${i + 1}`, e, u.mass, b.axis));
+    b.springs.forEach((e, i) => add(`${b.axis}.spring.${i + 1}`, e, u.stiffness, b.axis));
+    b.dampers.forEach((e, i) => add(`${b.axis}.damper.${i + 1}`, e, u.damping, b.axis));
+    if (b.ground_spring) add(`${b.axis}.ground_spring`, b.ground_spring, u.stiffness, b.axis);
+  }
+  for (const c of model.couplings ?? []) add(`${c.between.join("-")}.coupling`, c, u.mass, t("history.couplings"));
+  return lines;
 }
 
 function parameters(model, changes) {
   const known = new Map([...(changes?.parameters ?? []), ...(changes?.effects ?? [])].map((p) => [p.parameter, p]));
-  const u = model.units ?? {}, lines = [];
-  const add = (label, name, e, unit) => lines.push({ label, name, e, unit });
-  for (const b of model.branches) {
-    b.masses.forEach((e, i) => add(`${b.axis} mass ${i + 1}${i === b.masses.length - 1 && i ? " (final)" : ""}`, `${b.axis}.mass.${i + 1}`, e, u.mass));
-    b.springs.forEach((e, i) => add(`${b.axis} spring ${i + 1}`, `${b.axis}.spring.${i + 1}`, e, u.stiffness));
-    b.dampers.forEach((e, i) => add(`${b.axis} damper ${i + 1}`, `${b.axis}.damper.${i + 1}`, e, u.damping));
+  const lines = numbersOf(model), sizes = sizesOf(model);
+  for (const x of model.effects ?? []) {
+    for (const [n, e] of Object.entries(x.parameters)) {
+      const where = place(x, sizes);
+      lines.push({ label: t("param.effect", { axis: x.axis, cause: named("cause", x.cause), place: where ? ` (${where})` : "", name: named("effect", n) }), name: [x.axis, x.cause, x.element, x.other_axis, n].filter(Boolean).join("."), e, unit: e.unit });
+    }
   }
-  for (const c of model.couplings ?? []) add(`${c.between.join("–")} inertia coupling`, `${c.between.join("-")}.coupling`, c, u.mass);
-  for (const x of model.effects ?? []) for (const [n, e] of Object.entries(x.parameters))
-    add(`${x.axis} ${x.cause.replaceAll("_", " ")}${x.element ? ` (${x.element})` : ""}: ${n.replaceAll("_", " ")}`, [x.axis, x.cause, x.element, x.other_axis, n].filter(Boolean).join("."), e, e.unit);
   const change = (name) => {
     const p = known.get(name);
     if (!p) return "";
-    if (p.status === "changed") return `● changed ${p.difference > 0 ? "+" : "−"}${estimate(Math.abs(p.difference), p.difference_std)}`;
-    const seen = p.detectable_percent > 0 ? `; ${fmt(p.detectable_percent, 2)} % would have been seen` : "";
-    if (p.status === "unchanged") return `○ unchanged within ±${fmt(p.within_percent, 2)} %${seen}`;
-    return `? cannot tell${p.reason ? `: ${p.reason}` : ""}`;
+    if (p.status === "changed") return t("status.changed", { by: `${p.difference > 0 ? "+" : "−"}${estimate(Math.abs(p.difference), p.difference_std)}` });
+    const seen = p.detectable_percent > 0 ? t("status.seen", { n: fmt(p.detectable_percent, 2) }) : "";
+    if (p.status === "unchanged") return t("status.unchanged", { n: fmt(p.within_percent, 2) }) + seen;
+    return `${t("status.cannot_tell")}${p.reason && english ? `: ${p.reason}` : ""}`;
   };
-  const head = ["Parameter", "Value ± 1 std. dev.", "Unit", ...(known.size ? ["Change"] : [])];
-  table($("parameters"), head, lines.map((l) => {
-    const value = estimate(l.e.value, l.e.std) + (l.e.std == null ? " (uncertainty unknown)" : "");
-    return { cells: [el("b", {}, l.label), value, l.unit ?? "", ...(known.size ? [change(l.name)] : [])], changed: known.get(l.name)?.status === "changed" };
-  }));
+  const head = [t("param.name"), t("param.value"), t("param.unit"), ...(known.size ? [t("param.change")] : [])];
+  table(head, lines, known, change);
+}
+function table(head, lines, known, change) {
+  const body = lines.map((l) => {
+    const value = estimate(l.e.value, l.e.std) + (l.e.std == null ? ` ${t("param.unknown_std")}` : "");
+    const cells = [el("b", {}, l.label), value, l.unit ?? "", ...(known.size ? [change(l.name)] : [])];
+    return el("tr", { class: known.get(l.name)?.status === "changed" ? "changed" : null }, cells.map((c, i) => el("td", { "data-label": head[i] }, [c])));
+  });
+  fill($("parameters"), [el("thead", {}, [el("tr", {}, head.map((h) => el("th", { scope: "col" }, h)))]), el("tbody", {}, body)]);
+  $("parameters").classList.add("stacks");
 }
 
 // A row of buttons of which one is chosen; `draw` gets the entry.
@@ -89,54 +166,85 @@ function chooser(target, entries, label, draw) {
   choose(entries[0], buttons[0]);
 }
 
-function pictures(plots) {
+function pictures(plots, sizes) {
   const missing = new Map((plots.missing_torque ?? []).map((m) => [m.axis, m]));
   if (plots.frf?.length) {
     $("axis-choice").hidden = false;
     $("frf").hidden = false;
     chooser($("frf-axis"), plots.frf, (entry) => entry.axis, (entry) => { response(entry); frequency(missing.get(entry.axis)); });
   }
-  for (const view of plots.views ?? []) $("causes").append(cause(view));
+  for (const view of plots.views ?? []) $("causes").append(cause(view, sizes));
+}
+
+// Median distance of the measured points from a curve, in per cent.
+function off(entry, curve) {
+  if (!entry.measured?.frequency_hz.length || !curve) return null;
+  const found = entry.measured.frequency_hz.map((f, i) => {
+    let k = entry.frequency_hz.findIndex((g) => g >= f);
+    k = k < 0 ? entry.frequency_hz.length - 1 : k;
+    return Math.abs(entry.measured.magnitude[i] - curve.magnitude[k]) / curve.magnitude[k];
+  });
+  return 100 * typical(found);
 }
 
 function response(entry) {
   const { before, after } = entry.simulated, series = [];
   // The wide line lies under the narrow one: where both agree, both are seen.
-  if (before) series.push({ label: "simulated before", x: entry.frequency_hz, y: before.magnitude, colour: "--before", dash: 0, width: 7 });
-  if (after) series.push({ label: "simulated with the causes", x: entry.frequency_hz, y: after.magnitude, colour: "--after", dash: 0, width: 2.5 });
-  if (entry.measured) series.push({ label: "measured", x: entry.measured.frequency_hz, y: entry.measured.magnitude, colour: "--measured", points: true });
-  curves($("frf-plot"), { x: "frequency [Hz]", y: `position per torque [${entry.unit}]`, series, peaks: entry.peaks_hz });
+  if (before) series.push({ label: t("chart.before"), x: entry.frequency_hz, y: before.magnitude, colour: "--before", dash: 0, width: 7 });
+  if (after) series.push({ label: t("chart.after"), x: entry.frequency_hz, y: after.magnitude, colour: "--after", dash: 0, width: 2.5 });
+  if (entry.measured) series.push({ label: t("chart.measured"), x: entry.measured.frequency_hz, y: entry.measured.magnitude, colour: "--measured", points: true });
+  const peaks = entry.peaks_hz.map((p) => fmt(p, 3)).join(", ") || "–", gap = off(entry, before);
+  const alt = gap == null ? t("chart.response.alone", { axis: entry.axis, peaks })
+    : t("chart.response.alt", { axis: entry.axis, peaks, before: fmt(gap, 2), after: fmt(off(entry, after ?? before), 2) });
+  curves($("frf-plot"), { x: t("chart.frequency"), y: t("chart.response.y", { unit: entry.unit }), series, peaks: entry.peaks_hz, alt });
 }
 
 function frequency(m) {
   const there = Boolean(m?.excited?.frequency_hz?.length);
   $("missing").hidden = !there;
   if (!there) return;
-  const series = [{ label: "missing, shaken lines", x: m.excited.frequency_hz, y: m.excited.before, colour: "--before", dash: 0 }];
-  if (m.silent?.frequency_hz?.length) series.push({ label: "missing, lines between", x: m.silent.frequency_hz, y: m.silent.before, colour: "--third", dash: 1, width: 1.5 });
-  series.push({ label: "noise floor", x: m.frequency_hz, y: m.noise_floor, colour: "--quiet", dash: 2 });
-  curves($("missing-plot"), { x: "frequency [Hz]", y: `torque [${m.unit}]`, series });
+  const series = [{ label: t("chart.missing.shaken"), x: m.excited.frequency_hz, y: m.excited.before, colour: "--before", dash: 0 }];
+  if (m.silent?.frequency_hz?.length) series.push({ label: t("chart.missing.between"), x: m.silent.frequency_hz, y: m.silent.before, colour: "--third", dash: 1, width: 1.5 });
+  series.push({ label: t("chart.noise"), x: m.frequency_hz, y: m.noise_floor, colour: "--quiet", dash: 2 });
+  const most = Math.max(...m.excited.before), at = m.excited.frequency_hz[m.excited.before.indexOf(most)];
+  const near = m.frequency_hz.reduce((best, f, i) => (Math.abs(f - at) < Math.abs(m.frequency_hz[best] - at) ? i : best), 0);
+  const alt = t("chart.missing.alt", { axis: m.axis, at: fmt(at, 3), most: fmt(most, 2), unit: m.unit, floor: fmt(m.noise_floor[near], 2) });
+  curves($("missing-plot"), { x: t("chart.frequency"), y: t("chart.missing.y", { unit: m.unit }), series, alt });
+}
+
+const UNIT = /\[(.*)\]$/;
+function cloudAlt(side, unit, xLabel) {
+  let text = t("chart.cloud.alt", { n: side.x.length, x: xLabel, low: fmt(Math.min(...side.y), 2), high: fmt(Math.max(...side.y), 2), unit });
+  if (side.fit?.y.length === side.y.length) {
+    const power = (values) => { const mean = values.reduce((a, b) => a + b, 0) / values.length; return values.reduce((a, b) => a + (b - mean) ** 2, 0); };
+    const share = 1 - power(side.y.map((v, i) => v - side.fit.y[i])) / (power(side.y) || 1);
+    text += ` ${t("chart.cloud.fit", { n: fmt(100 * Math.max(share, 0), 2) })}`;
+  }
+  return text;
 }
 
 // One cause: its torque over what it depends on, then over the rest, then over frequency.
-function cause(view) {
-  const target = el("div", { class: "plot" }), buttons = el("div", { class: "choices", role: "group", "aria-label": "Missing torque over" });
-  const name = view.cause ? `${view.axis}: ${view.cause.replaceAll("_", " ")}${view.element ? ` at ${view.element === "mass 1" ? "the motor" : view.element}` : ""}` : `${view.axis}: not explained`;
-  const fitted = view.sides.some((s) => s.fit), note = view.note ? ` (${view.note})` : "";
+function cause(view, sizes) {
+  const target = el("div", { class: "plot" }), buttons = el("div", { class: "choices", role: "group", "aria-label": t("chart.cause.over") });
+  const where = view.cause ? place(view, sizes) : "", unit = UNIT.exec(view.y_label)?.[1] ?? "", yLabel = t("chart.cause.y", { unit });
+  const fitted = view.sides.some((s) => s.fit), note = view.note && english ? ` (${view.note})` : "";
   const entries = [...view.sides, ...(view.spectrum?.frequency_hz?.length ? [{ what: "frequency" }] : [])];
   const draw = (side) => {
     if (side.what !== "frequency") {
-      cloud(target, { x: side.x, y: side.y, fit: side.fit, line: side.what === view.own, xLabel: side.x_label, yLabel: view.y_label });
+      const xLabel = has(`over.${side.what}`) ? `${t(`over.${side.what}`)} [${UNIT.exec(side.x_label)?.[1] ?? ""}]` : side.x_label;
+      cloud(target, { x: side.x, y: side.y, fit: side.fit, line: side.what === view.own, xLabel, yLabel, alt: cloudAlt(side, unit, xLabel) });
       return;
     }
-    const s = view.spectrum, series = [{ label: "missing", x: s.frequency_hz, y: s.missing, colour: "--measured", dash: 0 }];
-    if (s.left) series.push({ label: "left with the cause", x: s.frequency_hz, y: s.left, colour: "--before", dash: 1 });
-    series.push({ label: "noise floor", x: s.frequency_hz, y: s.noise_floor, colour: "--quiet", dash: 2 });
-    curves(target, { x: "frequency [Hz]", y: view.y_label, series });
+    const s = view.spectrum, series = [{ label: t("chart.lost"), x: s.frequency_hz, y: s.missing, colour: "--measured", dash: 0 }];
+    if (s.left) series.push({ label: t("chart.left"), x: s.frequency_hz, y: s.left, colour: "--before", dash: 1 });
+    series.push({ label: t("chart.noise"), x: s.frequency_hz, y: s.noise_floor, colour: "--quiet", dash: 2 });
+    const alt = t("chart.spectrum.alt", { before: fmt(typical(s.missing), 2), after: fmt(typical(s.left ?? s.missing), 2), unit });
+    curves(target, { x: t("chart.frequency"), y: yLabel, series, alt });
   };
-  const caption = `${name}. Dots: the torque the simulation misses${note}.${fitted ? " Orange: the fitted cause." : ""}`;
+  const caption = t("chart.cause", { axis: view.axis, cause: view.cause ? named("cause", view.cause) : t("chart.cause.none"), place: where ? ` ${where}` : "", note }) + (fitted ? ` ${t("chart.cause.fit")}` : "");
   const figure = el("figure", {}, [el("figcaption", {}, caption), buttons, target]);
   // Drawn when it has a width, which it has only on the page.
-  queueMicrotask(() => chooser(buttons, entries, (e) => `over ${e.what}`, draw));
+  queueMicrotask(() => chooser(buttons, entries, (e) => t("chart.over", { what: named("over", e.what) }), draw));
   return figure;
 }
+

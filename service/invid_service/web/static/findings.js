@@ -1,0 +1,117 @@
+// What was found, in words of the page's language: headline, groups by grade, what changed.
+import { $, el, estimate, fill, fmt, sentence } from "./dom.js";
+import { and, english, has, named, t } from "./texts.js";
+
+const GRADES = ["act", "watch", "as_expected", "none"];
+const SHAPES = { act: "▲", watch: "◆", as_expected: "●", none: "■" };
+const gradeOf = (finding) => finding.consequence?.grade ?? "none";
+
+export function gradeBadge(grade) {
+  const known = GRADES.includes(grade) ? grade : "none";
+  return el("span", { class: `grade ${known}` }, `${SHAPES[known]} ${t(`grade.${known}`)}`);
+}
+
+// Masses an axis: "mass 3" of three is the load.
+export const sizesOf = (model) => new Map((model?.branches ?? []).map((b) => [b.axis, b.masses.length]));
+export function place(finding, sizes) {
+  if (finding.other_axis) return t("place.between", { one: finding.axis, other: finding.other_axis });
+  const [kind, n] = (finding.element ?? "").split(" ");
+  if (kind === "spring") return t("place.spring", { n });
+  if (kind !== "mass") return "";
+  if (n === "1") return t("place.motor");
+  return String(sizes.get(finding.axis)) === n ? t("place.load") : t("place.mass", { n });
+}
+
+// "0.2 % of rated torque" of what the service measured; its own words where one of them has none here.
+export function size(finding, linear) {
+  const c = finding.consequence, measures = Object.entries(c?.measures ?? {});
+  if (!c || english || !measures.length || !measures.every(([name]) => has(`measure.${name}`))) return c?.text ?? "";
+  return measures.map(([name, v]) => t(`measure.${name}`, {
+    percent: `${fmt(100 * v, 2)} %`, signed: `${v > 0 ? "+" : "−"}${fmt(Math.abs(100 * v), 2)} %`,
+    angle: linear ? `${fmt(1e3 * v, 2)} mm` : `${fmt(1e3 * v, 2)} mrad`, ms: `${fmt(1e3 * v, 2)} ms`,
+  })).join(", ");
+}
+export const linearOf = (model) => model?.units?.mass === "kg";
+
+export function headline(summary) {
+  // What is new stands in a line of its own.
+  const news = summary.changes?.new_causes;
+  if (english && summary.headline) return (news ? summary.headline.replace(news, "") : summary.headline).trim();
+  if (summary.trustworthy === false) return t("headline.untrusted");
+  const findings = summary.findings ?? [];
+  if (summary.verdict === "consistent") return t("headline.consistent");
+  if (summary.verdict === "unexplained") return t("headline.unexplained");
+  if (!findings.length) return t(`verdict.${summary.verdict}`);
+  const groups = GRADES.map((grade) => ({ grade, list: findings.filter((f) => gradeOf(f) === grade) })).filter((g) => g.list.length);
+  const [first, ...rest] = groups, unique = (values) => [...new Set(values)];
+  const largest = Math.max(...first.list.map((f) => f.consequence?.share_of_rated_torque ?? 0));
+  let text = t("headline.group", {
+    what: and(unique(first.list.map((f) => named("cause", f.cause)))), where: and(unique(first.list.map((f) => f.axis)).sort()), todo: t(`grade.${first.grade}.todo`),
+  });
+  if (largest > 0) text += ` ${t("headline.size", { size: t("measure.friction_fraction_of_rated", { percent: `${fmt(100 * largest, 2)} %` }) })}`;
+  if (rest.length) text += `; ${t("headline.beside", { what: and(rest.map((g) => t("headline.count", { n: g.list.length, grade: t(`grade.${g.grade}`) }))) })}`;
+  if (summary.verdict === "partly_explained") text += `; ${t("headline.left")}`;
+  return `${sentence(text)}.`;
+}
+
+export function why(run) {
+  if (!run.untrusted || english) return run.untrusted ? `${sentence(run.untrusted)}.` : "";
+  if (run.mode === "test") return t("untrusted.test");
+  if (run.summary?.verdict === "unexplained") return t("untrusted.unexplained");
+  return `${t("untrusted.other")} (${run.untrusted})`;
+}
+
+// One line: what changed, causes and the largest changes first; the long form stands among the notes.
+export function changesLine(changes, model) {
+  if (!changes) return "";
+  const sizes = sizesOf(model);
+  const causes = (changes.causes ?? []).filter((c) => ["appeared", "grew", "shrank", "gone"].includes(c.status))
+    .map((c) => `${c.axis}: ${named("cause", c.cause)} ${t(`status.${c.status}`)}`);
+  const share = (p) => Math.abs(p.difference / (p.from?.value || 1));
+  const parts = (changes.parameters ?? []).filter((p) => p.status === "changed" && p.difference != null).sort((a, b) => share(b) - share(a)).map((p) => {
+    const by = p.from?.value ? `${fmt(100 * share(p), 2)} %` : estimate(Math.abs(p.difference), p.difference_std);
+    return `${parameterLabel(p.parameter, sizes)} ${p.difference > 0 ? "+" : "−"}${by}`;
+  });
+  const all = [...causes, ...parts];
+  if (!all.length) return changes.structure?.length ? changes.structure.join(" ") : t("changes.none");
+  const shown = all.slice(0, 4);
+  if (all.length > 4) shown.push(t("changes.more", { n: all.length - 4 }));
+  return t("changes.since", { what: shown.join("; ") });
+}
+
+// "A1.spring.2" as a person says it.
+export function parameterLabel(name, sizes) {
+  const [, axis, kind, n] = /^(.*)\.(mass|spring|damper)\.(\d+)$/.exec(name) ?? [];
+  if (kind === "mass") return t(sizes.get(axis) === Number(n) && n !== "1" ? "param.final" : "param.mass", { axis, n });
+  if (kind === "spring") return t("param.spring", { axis, n });
+  if (kind === "damper") return t("param.damper", { axis, n });
+  if (name.endsWith(".ground_spring")) return t("param.ground", { axis: name.slice(0, -14) });
+  if (name.endsWith(".coupling")) return t("param.coupling", { pair: name.slice(0, -9).replace("-", "–") });
+  return name.replaceAll("_", " ");
+}
+
+export function showFindings(run, diagnosis, model) {
+  const findings = run.summary.findings ?? [], full = diagnosis?.findings ?? [];
+  const sizes = sizesOf(model), linear = linearOf(model), groups = [];
+  const spoken = (text) => el("p", { lang: "en" }, text);
+  findings.forEach((f, i) => { f.number = i + 1; });
+  for (const grade of GRADES) {
+    const list = findings.filter((f) => gradeOf(f) === grade);
+    if (!list.length) continue;
+    groups.push(el("h3", {}, [gradeBadge(grade), ` ${t(`grade.${grade}.todo`)}`]), el("ul", { class: "findings" }, list.map((f) => {
+      const others = [...new Set((full[f.number - 1]?.alternatives ?? []).map((a) => named("cause", a.cause)))].filter((a) => a !== named("cause", f.cause));
+      return el("li", {}, [el("span", { class: `number ${grade}` }, String(f.number)), el("span", {}, [
+        el("b", {}, `${f.axis}: ${named("cause", f.cause)}`), ` ${place(f, sizes)}`, size(f, linear) ? `, ${size(f, linear)}` : "",
+        others.length ? el("small", {}, t("finding.or", { cause: others.join(t("word.or")) })) : null])]);
+    })));
+  }
+  const lost = diagnosis?.unexplained;
+  if (lost) groups.push(el("h3", {}, [gradeBadge("none"), ` ${t("finding.no_name", { axis: lost.axis })}`]), spoken(lost.sentence));
+  const sentences = run.summary.sentences ?? [];
+  if (sentences.length) {
+    groups.push(el("details", { id: "sentences-box" }, [el("summary", {}, t("result.details")),
+      el("ul", { id: "sentences", class: "reasons", lang: "en" }, [...sentences.map((s) => el("li", {}, s)),
+        ...[...new Set(findings.map((f) => f.consequence?.source).filter((s) => s && s !== "config"))].map((source) => el("li", { class: "quiet" }, t("finding.source", { source })))])]));
+  }
+  fill($("findings"), groups.length ? [el("h3", { class: "over" }, t("result.findings")), ...groups] : []);
+}

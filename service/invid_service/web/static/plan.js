@@ -1,0 +1,24 @@
+// What will move and how far, before anybody arms.
+import { $, el, fill, fmt, seconds, table } from "./dom.js";
+import { t } from "./texts.js";
+
+export function showPlan(run, cell) {
+  const plan = run.plan;
+  const rotary = (f) => (f.unit === "N" ? ["mm", 1000] : ["°", 180 / Math.PI]);
+  // What cannot be foretold is bounded all the same: the sweep stops every axis at its limits.
+  const limits = new Map((cell?.limits ?? []).map((l) => [l.axis, l]));
+  table($("plan-table"), [t("plan.axis"), t("plan.torque"), t("plan.travel"), t("plan.speed")], (plan.forecast ?? []).map((f) => {
+    const [unit, factor] = rotary(f), l = limits.get(f.axis), shown = (v) => `${fmt(v * factor, 2)}${unit === "°" ? "" : " "}${unit}`;
+    const most = (v, limit, sign, per) => (v != null && !(v > limit) ? `${sign}${shown(v)}${per}`
+      : limit == null ? t("plan.unforeseen") : `${v == null ? `${t("plan.unforeseen")}; ` : ""}${t("plan.stopped_at", { value: `${sign}${shown(limit)}${per}` })}`);
+    const travel = most(f.travel, l?.position, "±", ""), speed = most(f.velocity, l?.velocity, "", "/s");
+    return { cells: [el("b", {}, f.axis), `±${fmt(f.peak_torque, 3)} ${f.unit}`, travel, speed] };
+  }));
+  $("plan-facts").textContent = `${t("plan.facts", { time: seconds(plan.duration_s), n: plan.experiments?.length ?? "?" })}${run.simulated ? "" : ` ${t("plan.people")}`}`;
+  // What the page says in its own words above is not said again.
+  const said = (plan.warnings ?? []).filter((w) => w !== plan.purpose && !(plan.amplitude === "gentler" && w.startsWith("gentler:")));
+  fill($("plan-warnings"), said.map((w) => el("li", { lang: "en" }, w)));
+  const notes = [run.separates && t("plan.separates"), run.amplitude === "gentler" && t("plan.gentler")].filter(Boolean);
+  $("run-note").hidden = !notes.length || run.state !== "awaiting_arm";
+  $("run-note").textContent = notes.join(" ");
+}

@@ -1,0 +1,53 @@
+"""The page's texts: one flat JSON catalogue a language, and which of them a request asks for."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+
+from fastapi import Request
+
+FOLDER = Path(__file__).parent / "static" / "texts"
+LANGUAGES = ("en", "de")
+"""The first is spoken where none of what a browser asks for is there."""
+COOKIE = "invid-language"
+
+
+@cache
+def catalogue(language: str) -> Mapping[str, str]:
+    """Texts by key; KeyError for a language that is not there."""
+    if language not in LANGUAGES:
+        raise KeyError(language)
+    texts: Mapping[str, str] = json.loads((FOLDER / f"{language}.json").read_text(encoding="utf-8"))
+    return texts
+
+
+def wanted(request: Request) -> str:
+    """The language chosen on the page before, else the first of the browser's that is there."""
+    chosen = request.cookies.get(COOKIE, "")
+    return chosen if chosen in LANGUAGES else preferred(request.headers.get("accept-language", ""))
+
+
+def preferred(header: str) -> str:
+    """The best language of an ``Accept-Language`` header ("de-CH,de;q=0.9,en;q=0.8")."""
+    ranked: list[tuple[float, int, str]] = []
+    for place, part in enumerate(header.split(",")[:50]):
+        tag, _, weight = part.strip().partition(";")
+        try:
+            share = float(weight.strip().removeprefix("q=")) if weight else 1.0
+        except ValueError:
+            continue
+        language = tag.split("-")[0].strip().lower()
+        if language in LANGUAGES and share > 0:
+            ranked.append((-share, place, language))
+    return min(ranked)[2] if ranked else LANGUAGES[0]
+
+
+def drawing_words(language: str) -> dict[str, str]:
+    """What ``invid.report.branch_drawing`` asks for: ``drawing.*`` without its head, and the causes."""
+    texts = catalogue(language)
+    words = {k.removeprefix("drawing."): v for k, v in texts.items() if k.startswith("drawing.")}
+    causes = {k: v for k, v in texts.items() if k.startswith("cause.")}
+    return {**causes, **words, "point": texts["number.point"]}

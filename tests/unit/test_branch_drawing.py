@@ -1,0 +1,163 @@
+"""The drawing of the branches: every number at its element, every finding at its place, one to six axes."""
+
+from __future__ import annotations
+
+import re
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from invid.model.chains import CoupledChains
+from invid.model.diagnosis_document import Consequence, Finding, Grade, Unexplained
+from invid.model.document import ChainStd, EffectTerm, Estimate, Model
+from invid.report.branch_drawing import branch_drawing
+from invid.report.branch_places import LEFT, MASS, SPRING, place_of, places
+
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+def model_of(sizes: list[int], *, coupled: bool = True) -> Model:
+    rng = np.random.default_rng(sum(sizes))
+    masses = [rng.uniform(1.0, 9.0, n) for n in sizes]
+    springs = [rng.uniform(1000.0, 9000.0, n - 1) for n in sizes]
+    count = len(sizes)
+    couplings = np.triu(rng.uniform(0.01, 0.05, (count, count)), 1) * coupled
+    chains = CoupledChains.build(masses, springs, [0.001 * k for k in springs], couplings + couplings.T)
+    std = ChainStd(
+        masses=tuple(0.001 * m for m in chains.masses),
+        springs=tuple(0.001 * k for k in chains.springs),
+        dampers=tuple(0.1 * d for d in chains.dampers),
+        couplings=0.1 * chains.couplings if coupled else np.full((count, count), np.nan),
+        ground_springs=np.full(count, np.nan),
+    )
+    return Model("cell", "refined", chains, std)
+
+
+def finding(
+    cause: str, axis: str, element: str | None, grade: Grade | None = None, other: str | None = None
+) -> Finding:
+    term = EffectTerm(cause, axis, {"size": Estimate(0.3, 0.01, "N·m")}, element, other)
+    means = None if grade is None else Consequence(grade, "3 % of rated torque", "usual")
+    return Finding(term, 0.95, 1.0, 0.1, 0.9, consequence=means)
+
+
+def texts(svg: str) -> list[str]:
+    return [t.text or "" for t in ElementTree.fromstring(svg).iter(f"{SVG}text")]
+
+
+@pytest.mark.parametrize("sizes", [[1], [2], [3, 1], [3, 3, 3], [1, 2, 3, 4], [2] * 5, [3, 2, 1, 3, 2, 4]])
+def test_every_number_of_the_model_stands_in_the_drawing_and_nothing_leaves_it(sizes: list[int]) -> None:
+    model = model_of(sizes)
+    svg = branch_drawing(model, [finding("torque_delay", a, None, Grade.WATCH) for a in model.axes])
+    root = ElementTree.fromstring(svg)
+    width, height = (float(v) for v in root.attrib["viewBox"].split()[2:])
+    shown = texts(svg)
+    for group in (model.chains.masses, model.chains.springs, model.chains.dampers):
+        for value in np.concatenate(group):
+            near = [float(t.split(" ")[0]) for t in shown if re.match(r"\d[\d.]* ±", t)]
+            assert min(abs(n - value) for n in near) < 0.06 * value
+    pairs = len(sizes) * (len(sizes) - 1) // 2
+    assert svg.count("rotate(-90") == pairs
+    for t in root.iter(f"{SVG}text"):
+        assert 0 <= float(t.attrib["x"]) <= width
+        assert 0 <= float(t.attrib["y"]) <= height
+    axes = [t for t in root.iter(f"{SVG}text") if t.text in model.axes]
+    assert [t.text for t in axes] == list(model.axes), "one row an axis, in order"
+
+
+def test_no_coupling_is_drawn_over_another() -> None:
+    model = model_of([2] * 6)
+    lanes = places(model, []).lanes
+    assert len(lanes) == 15
+    for lane in lanes:
+        for other in lanes:
+            if lane is not other and lane.x == other.x:
+                assert lane.pair[1] <= other.pair[0] or other.pair[1] <= lane.pair[0]
+
+
+@pytest.mark.parametrize(
+    ("cause", "element", "expected"),
+    [
+        ("coulomb_friction", "mass 1", ("mass", 1, 1)),
+        ("viscous_friction", "mass 3", ("mass", 1, 3)),
+        ("backlash", "spring 2", ("spring", 1, 2)),
+        ("torque_delay", None, ("mass", 1, 1)),
+        ("encoder_eccentricity", None, ("mass", 1, 1)),
+        ("gravity", None, ("mass", 1, 3)),
+        ("payload_change", None, ("mass", 1, 3)),
+        ("backlash", "spring 9", ("mass", 1, 1)),
+    ],
+)
+def test_a_finding_is_marked_where_it_acts(
+    cause: str, element: str | None, expected: tuple[str, int, int]
+) -> None:
+    model = model_of([2, 3])
+    assert place_of(finding(cause, "A2", element).effect, model.chains) == expected
+
+
+def test_an_elastic_coupling_is_marked_between_its_axes_in_either_order() -> None:
+    model = model_of([2, 2, 2], coupled=False)
+    found = finding("coupling_stiffness", "A3", None, Grade.ACT, other="A1")
+    assert place_of(found.effect, model.chains) == ("coupling", 0, 2)
+    svg = branch_drawing(model, [found])
+    assert "1: coupling A1–A3" in svg
+    assert svg.count("rotate(-90") == 1, "the two are joined though the inertia does not couple them"
+
+
+def test_a_mark_stands_at_its_spring_with_the_number_of_its_finding() -> None:
+    model = model_of([3, 3])
+    svg = branch_drawing(
+        model, [finding("coulomb_friction", "A1", "mass 1"), finding("backlash", "A2", "spring 2", Grade.ACT)]
+    )
+    root = ElementTree.fromstring(svg)
+    where = places(model, [("mass", 0, 1), ("spring", 1, 2)])
+    twos = [(float(t.attrib["x"]), float(t.attrib["y"])) for t in root.iter(f"{SVG}text") if t.text == "2"]
+    left = LEFT + 2 * MASS + SPRING
+    assert any(left <= x <= left + SPRING and where.rows[1] - 60 < y < where.rows[1] for x, y in twos)
+
+
+def test_grades_differ_in_shape_and_not_by_colour_alone() -> None:
+    model = model_of([2])
+    shapes = set()
+    for grade in (Grade.ACT, Grade.WATCH, Grade.AS_EXPECTED, None):
+        svg = branch_drawing(model, [finding("backlash", "A1", "spring 1", grade)])
+        path = re.findall(r'<path d="(M[^"]+Z)"', svg)[0]
+        shapes.add(re.sub(r"[-\d. ]+", "", path))
+    assert len(shapes) == 4
+
+
+def test_what_changed_and_what_is_new_is_said_at_its_place_and_in_the_text() -> None:
+    model = model_of([3, 3])
+    changed = {"A1.spring.2": "−3 %", "A2.mass.3": "+12 %", "A1.damper.1": "+40 %", "A1-A2.coupling": "+2 %"}
+    found = [finding("backlash", "A1", "spring 1", Grade.ACT)]
+    svg = branch_drawing(model, found, changed=changed, news={1: "new"})
+    for text in changed.values():
+        assert any(f"Δ {text}" in t for t in texts(svg))
+    described = ElementTree.fromstring(svg).findtext(f"{SVG}desc") or ""
+    assert described.count("changed by") == 4
+    assert any("free play" in t and t.endswith("new") for t in texts(svg))
+    assert "A1 spring 1" in described
+    assert described.count("act.") == 1
+
+
+def test_another_language_and_what_has_no_name() -> None:
+    words = {"motor": "Motor", "load": "Last", "cause.backlash": "Getriebespiel", "point": ","}
+    lost = Unexplained("A1", (3.0,), ("odd",), "something")
+    svg = branch_drawing(model_of([2]), [finding("backlash", "A1", "spring 1")], lost, words=words)
+    shown = texts(svg)
+    assert "Motor" in shown
+    assert "Last" in shown
+    assert any(t.startswith("Getriebespiel, 0,300 ± 0,010 N·m") for t in shown)
+    assert "?" in shown
+    assert "something without a name" in shown
+
+
+def test_hostile_names_stay_text() -> None:
+    model = model_of([2])
+    chains = CoupledChains.build(
+        model.chains.masses, model.chains.springs, axes=['"><script>alert(1)</script>\x00']
+    )
+    svg = branch_drawing(Model("cell", "refined", chains, ChainStd.unknown(chains)))
+    assert "<script" not in svg
+    ElementTree.fromstring(svg)
