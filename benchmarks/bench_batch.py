@@ -2,8 +2,8 @@
 
     python benchmarks/bench_batch.py [--recordings 12] [--workers 2]
 
-Recordings are of one axis of two masses (four periods of 2,048 samples), the cheapest there are: what the batch
-itself costs shows most.
+Recordings are of one axis of two masses (four periods of 2,048 samples), the cheapest there are: what
+a batch itself costs shows most.
 """
 
 from __future__ import annotations
