@@ -276,38 +276,47 @@ def _holm(p: Float64, alpha: float) -> tuple[Bool, Float64]:
     return adjusted <= alpha, adjusted
 
 
-def fleet_history(models: Mapping[str, Sequence[Model]]) -> FleetHistory:
-    """The history of cells from their models, oldest first.
+@dataclass(frozen=True)
+class RunSizes:
+    """One run of one cell: value and standard deviation by name, and which of these are causes."""
 
-    A cause that a cell shows in some runs was too small to be named in the others, not nothing: there it is 0
-    with the standard deviation of a size that is anything up to the one from which causes are named.
-    """
-    runs = [[_sizes(m) for m in own] for own in models.values()]
-    names = sorted({name for own in runs for run in own for name in run})
-    shape = (max((len(own) for own in runs), default=0), len(runs), len(names))
-    value, std = np.full(shape, np.nan), np.full(shape, np.nan)
-    place = {name: k for k, name in enumerate(names)}
-    for c, (own, given) in enumerate(zip(runs, models.values(), strict=True)):
-        causes = {name_of(t) for m in given for t in m.effects}
-        for t, run in enumerate(own):
-            for name, (x, s) in run.items():
-                value[t, c, place[name]], std[t, c, place[name]] = x, s
-        for name in causes & place.keys():
-            k = place[name]
-            spread = float(np.nanmedian(std[: len(own), c, k])) if np.isfinite(std[:, c, k]).any() else np.nan
-            absent = np.isnan(value[: len(own), c, k])
-            value[: len(own), c, k][absent] = 0.0
-            std[: len(own), c, k][absent] = NAMED_FROM * spread / math.sqrt(3.0)
-    return FleetHistory(tuple(models), tuple(names), frozen_float(value), frozen_float(std))
+    sizes: Mapping[str, tuple[float, float]]
+    causes: frozenset[str]
 
 
-def _sizes(model: Model) -> dict[str, tuple[float, float]]:
-    """Value and standard deviation of linear parameters and of each cause's size, by name."""
+def run_sizes(model: Model) -> RunSizes:
+    """Linear parameters and the size of each cause, where their standard deviations are known."""
     stds = stds_by_name(model)
     found = {n: (float(v), stds[n]) for n, v in zip(*parameter_vector(model.chains), strict=True)}
+    causes = set()
     for term in model.effects:
         main = main_parameter(term)
         if main is not None and term.parameters[main].std:
             size = term.parameters[main]
             found[name_of(term)] = (size.value, float(size.std or math.nan))
-    return {n: s for n, s in found.items() if s[1] > 0}
+            causes.add(name_of(term))
+    return RunSizes({n: s for n, s in found.items() if s[1] > 0}, frozenset(causes))
+
+
+def fleet_history(runs: Mapping[str, Sequence[Model | RunSizes]]) -> FleetHistory:
+    """The history of cells from their models, oldest first.
+
+    A cause that a cell shows in some runs was too small to be named in the others, not nothing: there it is 0
+    with the standard deviation of a size that is anything up to the one from which causes are named.
+    """
+    sized = [[r if isinstance(r, RunSizes) else run_sizes(r) for r in own] for own in runs.values()]
+    names = sorted({name for own in sized for run in own for name in run.sizes})
+    shape = (max((len(own) for own in sized), default=0), len(sized), len(names))
+    value, std = np.full(shape, np.nan), np.full(shape, np.nan)
+    place = {name: k for k, name in enumerate(names)}
+    for c, own in enumerate(sized):
+        for t, run in enumerate(own):
+            for name, (x, s) in run.sizes.items():
+                value[t, c, place[name]], std[t, c, place[name]] = x, s
+        for name in {name for run in own for name in run.causes}:
+            k, few = place[name], slice(len(own))
+            spread = float(np.nanmedian(std[few, c, k]))
+            absent = np.isnan(value[few, c, k])
+            value[few, c, k] = np.where(absent, 0.0, value[few, c, k])
+            std[few, c, k] = np.where(absent, NAMED_FROM * spread / math.sqrt(3.0), std[few, c, k])
+    return FleetHistory(tuple(runs), tuple(names), frozen_float(value), frozen_float(std))
