@@ -1,4 +1,4 @@
-"""FMI 3 co-simulation, built by pythonfmu3.
+"""FMI 3 co-simulation and model exchange, built by pythonfmu3.
 
 The FMU runs in the Python of the tool that loads it, with numpy.
 """
@@ -50,6 +50,7 @@ def plant_document(
     return {
         "description": "; ".join([f"{robot}: linear elastic model identified by invid", *losses]),
         "axes": list(plant.axes),
+        "coordinates": list(plant.coordinates),
         "motors": list(plant.motors),
         "gain": plant.gain.tolist(),
         "lag": plant.lag.tolist(),

@@ -1,6 +1,7 @@
 """The model inside the FMU. It is copied there with ``plant.json`` and runs without invid; it needs numpy.
 
-The torque is held over each communication step; the step is exact (matrix exponential), whatever its length.
+Co-simulation holds the torque over each communication step; the step is exact (matrix exponential), whatever
+its length. In model exchange the importing tool integrates and nothing is held.
 """
 
 from __future__ import annotations
@@ -15,10 +16,12 @@ import numpy.typing as npt
 from pythonfmu3 import (
     Float64,
     Fmi3Causality,
+    Fmi3Initial,
     Fmi3Slave,
     Fmi3Status,
     Fmi3StepResult,
     Fmi3Variability,
+    ModelExchange,
     Unit,
 )
 
@@ -33,7 +36,7 @@ UNITS = {
 }
 
 
-class InvidPlant(Fmi3Slave):  # type: ignore[misc]
+class InvidPlant(Fmi3Slave, ModelExchange):  # type: ignore[misc]
     """Motor torques in, motor positions and velocities out; the linear model's numbers as parameters."""
 
     def __init__(self, **kwargs: Any) -> None:
@@ -47,6 +50,7 @@ class InvidPlant(Fmi3Slave):  # type: ignore[misc]
         self.torque = np.zeros(len(self.motors))
         self.state = np.zeros(2 * len(plant["mass_matrix"]) + int(np.count_nonzero(self.lag)))
         self.steps: dict[float, tuple[Array, Array]] = {}
+        self.system: Array | None = None
         self.time = 0.0
         self.register_variable(
             Float64(
@@ -60,11 +64,9 @@ class InvidPlant(Fmi3Slave):  # type: ignore[misc]
         self.register_units([Unit(name=u, **UNITS[u]) for u in plant["units"].values()])
         for i, axis in enumerate(plant["axes"]):
             self._torque(i, f"{axis}.torque")
-        for i, axis in enumerate(plant["axes"]):
-            self._output(f"{axis}.position", "position", self.motors[i])
-            self._output(f"{axis}.velocity", "velocity", self.motors[i] + len(plant["mass_matrix"]))
         for name in plant["parameters"]:
             self._parameter(name)
+        self._states()
 
     def _torque(self, i: int, name: str) -> None:
         def put(value: float) -> None:
@@ -81,21 +83,61 @@ class InvidPlant(Fmi3Slave):  # type: ignore[misc]
             nested=False,
         )
 
-    def _output(self, name: str, what: str, place: int) -> None:
+    def _states(self) -> None:
+        """Every state with its derivative; those of the motors are the outputs."""
+        names = dict(zip(self.motors, self.plant["axes"], strict=True))
+        for what in ("position", "velocity"):
+            for k, coordinate in enumerate(self.plant["coordinates"]):
+                place = k + (what == "velocity") * len(self.plant["coordinates"])
+                if k in names:
+                    self._state(f"{names[k]}.{what}", what, place, Fmi3Causality.output)
+                else:
+                    self._state(f"{coordinate}.{what}", what, place, Fmi3Causality.local)
+        lagged = (axis for axis, lag in zip(self.plant["axes"], self.lag, strict=True) if lag > 0)
+        for k, axis in enumerate(lagged, start=2 * len(self.plant["coordinates"])):
+            self._state(f"{axis}.acting_torque", "torque", k, Fmi3Causality.local)
+
+    def _state(self, name: str, what: str, place: int, causality: Fmi3Causality) -> None:
+        def put(value: float) -> None:
+            self.state[place] = value
+
+        continuous = {"variability": Fmi3Variability.continuous}
+        reference = len(self.vars)
         self.register_variable(
             Float64(
                 name,
-                causality=Fmi3Causality.output,
+                causality=causality,
+                initial=Fmi3Initial.exact,
                 unit=self.plant["units"][what],
                 getter=lambda: float(self.state[place]),
+                setter=put,
+                **continuous,
             ),
             nested=False,
         )
+        self.register_variable(
+            Float64(
+                f"der({name})",
+                causality=Fmi3Causality.local,
+                derivative=reference,
+                getter=lambda: self.get_continuous_state_derivatives()[place],
+                **continuous,
+            ),
+            nested=False,
+        )
+
+    def get_continuous_state_derivatives(self) -> list[float]:
+        """ẋ = A x + B u, for model exchange."""
+        if self.system is None:
+            self.system = self._system()
+        rates: Array = self.system[: len(self.state)] @ np.concatenate([self.state, self.torque])
+        return [float(rate) for rate in rates]
 
     def _parameter(self, name: str) -> None:
         def put(value: float) -> None:
             self.parameters[name] = value
             self.steps.clear()
+            self.system = None
 
         self.register_variable(
             Float64(
@@ -137,6 +179,11 @@ class InvidPlant(Fmi3Slave):  # type: ignore[misc]
 
     def _step(self, step: float) -> tuple[Array, Array]:
         """x⁺ = transition·x + drive·u over ``step`` [s]."""
+        power, size = exponential(self._system() * step), len(self.state)
+        return power[:size, :size], power[:size, size:]
+
+    def _system(self) -> Array:
+        """[[A, B], [0, 0]]."""
         mass, damping, stiffness = (self._matrix(kind) for kind in ("mass", "damping", "stiffness"))
         np.linalg.cholesky(mass)  # LinAlgError where it is not positive definite
         n, count = len(mass), len(self.motors)
@@ -154,8 +201,7 @@ class InvidPlant(Fmi3Slave):  # type: ignore[misc]
             system[n : 2 * n, 2 * n + k] = push[:, i]
             system[2 * n + k, 2 * n + k] = -1.0 / self.lag[i]
             system[2 * n + k, size + i] = self.gain[i] / self.lag[i]
-        power = exponential(system * step)
-        return power[:size, :size], power[:size, size:]
+        return system
 
 
 def exponential(matrix: Array) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
 import subprocess
 import sys
@@ -321,6 +322,49 @@ def test_fmpy_answers_as_the_model_does(name: str, linear: bool, tmp_path: Path)
         to_frequency = np.exp(-s[:, None] * step * np.arange(count + 1))
         g, h = to_frequency @ found, to_frequency @ wanted[i]
         assert np.max(np.abs(g - h) / np.abs(h).max(axis=1, keepdims=True)) < 1e-3
+
+
+def test_model_exchange_gives_the_rates_of_the_model(tmp_path: Path) -> None:
+    model = machine("unequal").extended(
+        effect("viscous_friction", "A1", "mass 1", coefficient=5.0),
+        effect("torque_lag", "A4", time_constant=2e-3),
+    )
+    path = tmp_path / "m.fmu"
+    invid.export(model, "fmu", path)
+    assert validate_fmu(str(path)) == []
+    description = fmpy.read_model_description(str(path))
+    reference = {v.name: v.valueReference for v in description.modelVariables}
+    fmu = fmpy.fmi3.FMU3Model(
+        guid=description.guid,
+        unzipDirectory=fmpy.extract(str(path)),
+        modelIdentifier=description.modelExchange.modelIdentifier,
+        instanceName="one",
+    )
+    fmu.instantiate()
+    fmu.enterInitializationMode()
+    fmu.exitInitializationMode()
+    count = 23  # eleven positions, eleven velocities, the torque that lags
+    states, rates = (ctypes.c_double * count)(), (ctypes.c_double * count)()
+
+    def rates_at(state: int | None, axis: str | None) -> np.ndarray:
+        states[:] = [float(k == state) for k in range(count)]
+        for name in model.axes:
+            fmu.setFloat64([reference[f"{name}.torque"]], [float(name == axis)])
+        fmu.setContinuousStates(states, count)
+        fmu.getContinuousStateDerivatives(rates, count)
+        return np.array(rates[:])
+
+    a = np.array([rates_at(k, None) for k in range(count)]).T
+    b = np.array([rates_at(None, axis) for axis in model.axes]).T
+    motors = model.chains.motor_dofs
+    mass, damp, stiff = truth(model, {0: 5.0})
+    omega = lines(mass, stiff)
+    system = control.ss(a, b, np.eye(count)[motors], np.zeros((4, 4)))
+    wanted = response((mass, damp, stiff), motors, omega)
+    wanted[:, :, 3] /= (1 + 2e-3j * omega)[:, None]
+    assert_same(np.array([system(1j * w) for w in omega]), wanted)
+    outputs = [v.name for v in description.modelVariables if v.causality == "output"]
+    assert set(outputs) == {f"{x}.{what}" for x in model.axes for what in ("position", "velocity")}
 
 
 def test_the_fmus_parameters_make_another_plant(tmp_path: Path) -> None:
