@@ -10,7 +10,7 @@ STAMP  := $(VENV)/.stamp-installed
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo test check bench pictures serve system-packages lock clean
+.PHONY: demo test check bench pictures serve system-packages lock sbom clean
 
 demo: $(STAMP)
 	$(BIN)/invid demo --out invid-demo
@@ -52,6 +52,10 @@ lock: $(STAMP)
 	  --extra slcan --extra gs-usb --python-version 3.11 --no-annotate -q -o requirements.lock
 	$(BIN)/uv pip compile pyproject.toml --universal --extra postgres --extra parquet --extra slcan \
 	  --extra gs-usb --python-version 3.11 --no-annotate -q -c requirements.lock -o requirements-runtime.lock
+
+# Bill of materials (CycloneDX) and licences of what requirements-runtime.lock pins.
+sbom: $(STAMP)
+	$(BIN)/python scripts/bill-of-materials.py build
 
 clean:
 	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache .hypothesis invid-demo

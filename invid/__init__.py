@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from invid.api import (
         compare,
         diagnose,
+        export,
         identify,
         import_recording,
         load_diagnosis,
@@ -65,6 +66,7 @@ __all__ = [
     "SafetyStop",
     "compare",
     "diagnose",
+    "export",
     "identify",
     "import_recording",
     "load_diagnosis",

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from invid.comparison.changes import Comparison
+    from invid.exchange.export import Export
     from invid.model.diagnosis_document import Diagnosis
     from invid.model.document import Model
     from invid.recording.import_map import ImportMap
@@ -250,6 +251,33 @@ def compare(
     from invid.numerics.immutable import immutable
 
     return immutable(compared(old, new, tolerance=tolerance, alpha=alpha, repeatability=repeatability))
+
+
+def export(model: Model, to: str, path: str | Path) -> Export:
+    """Write a model for another tool, with its covariance and what the format cannot hold beside it.
+
+    Parameters
+    ----------
+    to
+        "statespace" (MAT file), "mjcf" (MuJoCo), "urdf" (springs by Gazebo's convention) or "fmu" (FMI 3).
+        All but the first and "urdf" need the extra ``invid[export]``.
+    path
+        The file; ``path`` with ``.json`` after it gets names, values and covariance (p, p) of the parameters,
+        the losses and the model itself.
+
+    Returns
+    -------
+    Export
+        ``path``, ``beside``, ``losses`` and ``warnings`` in sentences.
+
+    Raises
+    ------
+    InputError
+        A format that does not exist, a package that is missing, a file that cannot be written.
+    """
+    from invid.exchange.export import export_model
+
+    return export_model(model, to, path)
 
 
 def load_model(path: str | Path) -> Model:

@@ -29,10 +29,10 @@ from invid.effects.registry import CATALOGUE
 from invid.model.document import EffectTerm, Estimate, Model
 from invid.numerics.distributions import chi2_isf, normal_isf
 
-_NAMED = math.sqrt(chi2_isf(1e-5, 1))
+NAMED_FROM = math.sqrt(chi2_isf(1e-5, 1))
 """Size, in standard deviations, from which a diagnosis names a cause: a chance of one in a thousand over
 about a hundred candidates (``invid.diagnosis.acceptance``)."""
-_SEEN = _NAMED + normal_isf(0.05)
+_SEEN = NAMED_FROM + normal_isf(0.05)
 """Size that is named in 95 of 100 runs."""
 _BY_CAUSE = {e.cause: e for e in CATALOGUE}
 
@@ -153,7 +153,7 @@ def _one_sided(
     theirs = max(ratio, 1e-9) * scatter.factor * found.std
     size = abs(found.value - _nothing(change.parameter))
     x = np.linspace(0.0, size + 6 * own, 400)
-    p = float(np.max(special.ndtr(_NAMED - x / theirs) * special.ndtr((x - size) / own)))
+    p = float(np.max(special.ndtr(NAMED_FROM - x / theirs) * special.ndtr((x - size) / own)))
     sign = 1.0 if mine == 1 else -1.0
     return replace(
         change, difference=sign * size, std=math.hypot(own, theirs), p_value=p, detectable=_SEEN * theirs

@@ -10,9 +10,11 @@ from fastapi import FastAPI
 
 from invid import __version__
 from invid_service import health, problems
+from invid_service.cells.departures import departures_router
 from invid_service.cells.router import router as cells
 from invid_service.cells.series import router as series
 from invid_service.jobs.drawing import router as drawing
+from invid_service.jobs.export import export_router
 from invid_service.jobs.launcher import Launcher, launch_process
 from invid_service.jobs.router import router as identifications
 from invid_service.links import API
@@ -64,6 +66,8 @@ def create_app(settings: Settings, *, launcher: Launcher = launch_process, clock
     problems.install(app)
     for router in (cells, series, identifications, drawing, recordings, health.router):
         app.include_router(router, prefix=API)
+    app.include_router(export_router(), prefix=API)
+    app.include_router(departures_router(), prefix=API)
     # The usual addresses of supervision, beside those under the version.
     app.include_router(health.router, include_in_schema=False)
     app.include_router(pages, include_in_schema=False)

@@ -17,6 +17,7 @@ from invid_service.connection import Connection, allow_many_connections
 from invid_service.logging_setup import configure_logging
 from invid_service.precedence import before_others
 from invid_service.settings import Settings
+from invid_service.supervision import stay_alive, tell
 
 _GRACE_S = 5
 
@@ -32,7 +33,17 @@ def settings_from(given: dict[str, Any]) -> Settings:
 
 
 class _Server(uvicorn.Server):
-    """Stops motion at the signal itself, not when the last connection has ended."""
+    """Stops motion at the signal itself, not when the last connection has ended; tells systemd how it is."""
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().startup(sockets)
+        if not self.should_exit:
+            tell("READY=1")
+            self._alive = asyncio.create_task(stay_alive())
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        tell("STOPPING=1")
+        await super().shutdown(sockets)
 
     def handle_exit(self, sig: int, frame: FrameType | None) -> None:
         service = self.config.app.state.service  # type: ignore[union-attr]

@@ -1,0 +1,1 @@
+"""Many recordings analysed: on this machine or on a cluster, resumable."""

@@ -1,0 +1,142 @@
+"""The folder of results: a folder a recording, an index of all, and what is there already.
+
+``outcome.json`` is written last, so a recording whose folder has one is through. It names the recording's
+checksum, the options and the software that made the documents, and counts only where all these are the same.
+"""
+
+from __future__ import annotations
+
+import csv
+import fcntl
+import hashlib
+import io
+import json
+from collections.abc import Iterable
+from dataclasses import fields
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any
+
+from invid import __version__
+from invid.batch.analysis import Options, Outcome
+from invid.errors import InputError
+from invid.model.document import dump_json, save_text
+
+INDEX = "index.csv"
+COLUMNS = ("recording", "status", "exit_status", "verdict", "headline", "error")
+SUFFIXES = (".h5", ".hdf5", ".rows")
+_DOCUMENTS = {"model": "model.json", "diagnosis": "diagnosis.json"}
+
+
+def find_recordings(folder: Path, results: Path) -> dict[str, Path]:
+    """Files that may be recordings below ``folder``, by their path below it; none of ``results``."""
+    if not folder.is_dir():
+        raise InputError(f"{folder}: is no folder; give the one below which the recordings lie")
+    own = results.resolve()
+    found = {
+        path.relative_to(folder).as_posix(): path
+        for path in sorted(folder.rglob("*"))
+        if path.suffix in SUFFIXES and path.is_file() and own not in path.resolve().parents
+    }
+    if not found:
+        raise InputError(f"{folder}: no recording ({', '.join(SUFFIXES)}) lies below it")
+    return found
+
+
+class Results:
+    """The folder, locked against a second batch while it is used as a context."""
+
+    def __init__(self, folder: Path, options: Options) -> None:
+        self.folder, self.options = folder, options
+        self._lock: IO[str] | None = None
+
+    def __enter__(self) -> Results:
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            self._lock = (self.folder / ".lock").open("w")
+        except OSError as error:
+            raise InputError(f"{self.folder}: cannot be written: {error.strerror}") from None
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            self._lock.close()
+            raise InputError(f"{self.folder}: another batch writes there; give another folder") from None
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._lock is not None:
+            self._lock.close()
+
+    def place(self, name: str) -> Path:
+        """Where the documents of a recording go: its path without ``.h5``."""
+        return self.folder / name.removesuffix(".h5")
+
+    def kept(self, name: str, checksum: str) -> Outcome | None:
+        """The outcome of an earlier batch, where it is final and would be the same again."""
+        place = self.place(name)
+        try:
+            found = json.loads((place / "outcome.json").read_text(encoding="utf-8"))
+            texts = {
+                kind: (place / file).read_text(encoding="utf-8") if found["checksums"][kind] else ""
+                for kind, file in _DOCUMENTS.items()
+            }
+            outcome = Outcome(**{c: found[c] for c in COLUMNS}, **texts)
+        except (OSError, ValueError, KeyError, TypeError):
+            return None
+        same = found.get("made") == self._made(checksum) and found["checksums"] == _checksums(outcome)
+        return outcome if same and outcome.final else None
+
+    def store(self, outcome: Outcome, checksum: str) -> None:
+        """Write the documents, then the outcome; nothing of an earlier one stays."""
+        place = self.place(outcome.recording)
+        try:
+            (place / "outcome.json").unlink(missing_ok=True)
+            for kind, file in _DOCUMENTS.items():
+                text = getattr(outcome, kind)
+                if text:
+                    save_text(place / file, text)
+                else:
+                    (place / file).unlink(missing_ok=True)
+        except OSError as error:
+            raise InputError(f"{place}: cannot be written: {error.strerror}") from None
+        document = {
+            "format": "invid-batch-outcome",
+            "format_version": 1,
+            **{c: getattr(outcome, c) for c in COLUMNS},
+            "checksums": _checksums(outcome),
+            "made": self._made(checksum),
+        }
+        save_text(place / "outcome.json", dump_json(document))
+
+    def write_index(self, outcomes: Iterable[Outcome]) -> None:
+        """``index.csv``: a row a recording, in the order of their names."""
+        table = io.StringIO()
+        writer = csv.writer(table, lineterminator="\n")
+        writer.writerow(COLUMNS)
+        for outcome in sorted(outcomes, key=lambda o: o.recording):
+            writer.writerow([getattr(outcome, c) for c in COLUMNS])
+        save_text(self.folder / INDEX, table.getvalue())
+
+    def _made(self, checksum: str) -> dict[str, Any]:
+        return {"software": __version__, "recording_sha256": checksum, "options": self.options.to_json()}
+
+
+def checksum_of(path: Path) -> str:
+    """SHA-256 of a file; "" where it cannot be read, which the analysis will say better."""
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError:
+        return ""
+
+
+def row(outcome: Outcome) -> dict[str, Any]:
+    """The row of the index, for JSON."""
+    return {f.name: getattr(outcome, f.name) for f in fields(Outcome) if f.name in COLUMNS}
+
+
+def _checksums(outcome: Outcome) -> dict[str, str]:
+    texts = {kind: getattr(outcome, kind) for kind in _DOCUMENTS}
+    return {kind: hashlib.sha256(t.encode()).hexdigest() if t else "" for kind, t in texts.items()}

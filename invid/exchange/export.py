@@ -1,0 +1,124 @@
+"""A model written for another tool, with its covariance and what the format cannot hold beside it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from invid.errors import InputError
+from invid.exchange.linear_plant import LinearPlant, ParameterSpread, linear_plant, parameter_spread
+from invid.model.document import Model, dump_json, model_to_json, save_text
+from invid.numerics.arrays import Float64
+
+BESIDE = ".json"
+"""Added to the file's name for what travels beside it."""
+
+
+@dataclass(frozen=True)
+class Export:
+    """What was written: ``path``, ``beside`` (covariance and losses, JSON), and the losses in sentences."""
+
+    to: str
+    path: str
+    beside: str
+    losses: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """The document of ``invid export --json``."""
+        return {
+            "to": self.to,
+            "output": self.path,
+            "beside": self.beside,
+            "losses": list(self.losses),
+            "warnings": list(self.warnings),
+        }
+
+
+FORMATS = {"statespace": "scipy", "mjcf": "mujoco", "urdf": "", "fmu": "pythonfmu3"}
+"""Formats, each a module of this folder with ``losses`` and ``content``, and the package it needs."""
+
+
+def export_model(model: Model, to: str, path: str | Path) -> Export:
+    """Write ``model`` to ``path`` in another tool's format; see ``invid.export``."""
+    if to not in FORMATS:
+        raise InputError(f"--to {to}: there are {', '.join(FORMATS)}")
+    target = Path(path)
+    if target.is_dir():
+        raise InputError(f"{target}: is a folder; name a file in it")
+    plant, spread = linear_plant(model), parameter_spread(model)
+    module = _module(to)
+    lost: list[str] = module.losses(plant)
+    content: bytes = module.content(plant, spread, robot=model.robot, losses=lost)
+    warnings = [] if spread.joint else [_no_covariance(spread)]
+    if not model.fit.get("trustworthy", True):
+        warnings.append("the model is not to be trusted, its own warnings say why")
+    beside = target.with_name(target.name + BESIDE)
+    document = _beside(model, plant, spread, to, target.name, lost, warnings)
+    _write(target, content)
+    save_text(beside, dump_json(document))
+    return Export(to, str(target), str(beside), tuple(lost), tuple(warnings))
+
+
+def _module(to: str) -> Any:
+    try:
+        return import_module(f"invid.exchange.{to}")
+    except ModuleNotFoundError as error:
+        if error.name != FORMATS[to]:
+            raise
+        raise InputError(
+            f"--to {to} needs the package {error.name}, which is not installed: pip install 'invid[export]'"
+        ) from None
+
+
+def _no_covariance(spread: ParameterSpread) -> str:
+    unknown = [n for n, v in zip(spread.names, spread.covariance.diagonal(), strict=True) if math.isnan(v)]
+    text = "the model has no joint covariance: its standard deviations alone stand on the diagonal"
+    return text + (f"; not known, NaN: {', '.join(unknown)}" if unknown else "")
+
+
+def _beside(
+    model: Model,
+    plant: LinearPlant,
+    spread: ParameterSpread,
+    to: str,
+    name: str,
+    lost: list[str],
+    warnings: list[str],
+) -> dict[str, Any]:
+    def known(row: Float64) -> list[float | None]:
+        return [None if math.isnan(v) else float(v) for v in row]
+
+    return {
+        "format": "invid-export",
+        "format_version": 1,
+        "to": to,
+        "file": name,
+        "losses": lost,
+        "warnings": warnings,
+        "coordinates": list(plant.coordinates),
+        "modes_hz": [float(w) / (2 * math.pi) for w in plant.modes],
+        "parameters": {
+            "names": list(spread.names),
+            "values": spread.values.tolist(),
+            "covariance": [known(row) for row in spread.covariance],
+        },
+        "model": model_to_json(model),
+    }
+
+
+def _write(target: Path, content: bytes) -> None:
+    """To a temporary name beside the target, then renamed: a crash leaves the old file whole."""
+    temporary = target.with_name(target.name + ".part")
+    try:
+        if target.exists() and not target.is_file():  # /dev/stdout stays what it is
+            target.write_bytes(content)
+            return
+        target.parent.mkdir(parents=True, exist_ok=True)
+        temporary.write_bytes(content)
+        temporary.replace(target)
+    except OSError as error:
+        raise InputError(f"{target}: cannot be written: {error.strerror or error}") from None

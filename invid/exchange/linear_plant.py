@@ -1,0 +1,215 @@
+"""The part of a model that is linear, as matrices, and what of the model is not in them.
+
+q [rad or m] are the coordinates in the order of axes and masses, those of extra modes at the end; u [N·m
+or N] the motor torques that the drives report; t the torques that act:
+
+    M q̈ + D q̇ + K q = Σ_i e_i t_i,    τ_i ṫ_i + t_i = g_i u_i    (τ_i = 0: t_i = g_i u_i).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+
+from invid.errors import ModelError
+from invid.model.chains import CoupledChains
+from invid.model.document import EffectTerm, Model, parameter_vector, stds_by_name
+from invid.model.parameters import structure_of
+from invid.numerics.arrays import Complex128, Float64, frozen_float
+from invid.simulation.laws import Laws, laws_of
+from invid.simulation.plant import matrices
+
+LINEAR = (
+    "viscous_friction",
+    "spring_damping",
+    "coupling_stiffness",
+    "extra_mode",
+    "torque_gain",
+    "torque_lag",
+)
+"""Causes whose force is linear in the motion or in the torque, with constant coefficients."""
+
+
+@dataclass(frozen=True, eq=False)
+class ParameterSpread:
+    """The linear parameters with their joint covariance.
+
+    ``names`` (p) as ``A1.mass.1``; ``values`` (p,); ``covariance`` (p, p), NaN in rows
+    of what the data cannot tell. ``joint`` is False where the model has standard deviations alone: they stand
+    on the diagonal.
+    """
+
+    names: tuple[str, ...]
+    values: Float64
+    covariance: Float64
+    joint: bool
+
+
+@dataclass(frozen=True, eq=False)
+class LeftOut:
+    """An effect that is not linear; ``reason`` where nobody can simulate it at all."""
+
+    term: EffectTerm
+    reason: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class LinearPlant:
+    """Matrices (n, n) of the linear model with the effects that are linear; n = ΣN + extra modes.
+
+    ``motors`` (M,) index of each motor, ``gain`` (M,) and ``lag`` (M,) [s] of each torque, ``delay`` (M,) [s]
+    beside the matrices. ``linear`` are the effects in here, ``nonlinear`` those that are not.
+    """
+
+    chains: CoupledChains
+    laws: Laws
+    mass: Float64
+    damping: Float64
+    stiffness: Float64
+    coordinates: tuple[str, ...]
+    motors: tuple[int, ...]
+    gain: Float64
+    lag: Float64
+    delay: Float64
+    linear: tuple[EffectTerm, ...]
+    nonlinear: tuple[LeftOut, ...]
+    linear_axes: bool
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the axes, M."""
+        return self.chains.axes
+
+    @property
+    def modes(self) -> Float64:
+        """(n,) undamped natural frequencies [rad/s], ascending; 0 for rigid modes."""
+        values = scipy.linalg.eigh(self.stiffness, self.mass, eigvals_only=True)
+        result: Float64 = np.sqrt(np.maximum(values, 0.0))
+        return result
+
+    def response(self, omega: Float64) -> Complex128:
+        """(F, M, M) positions of the motors per torque reported, at ω > 0 [rad/s]."""
+        w = np.asarray(omega, dtype=float)[:, None, None]
+        dynamic = self.stiffness + 1j * w * self.damping - w**2 * self.mass
+        acting = self.gain / (1.0 + 1j * w[:, 0] * self.lag)  # (F, M)
+        columns = np.eye(self.mass.shape[0])[:, list(self.motors)]
+        motion = np.linalg.solve(dynamic, np.broadcast_to(columns, (w.size, *columns.shape)))
+        result: Complex128 = motion[:, list(self.motors)] * acting[:, None, :]
+        return result
+
+
+def linear_plant(model: Model) -> LinearPlant:
+    """The linear part of a model; what cannot be linear is named in ``nonlinear``."""
+    chains = model.chains
+    inside: list[EffectTerm] = []
+    nonlinear: list[LeftOut] = []
+    for term in model.effects:
+        try:
+            laws_of(chains, (term,))
+        except ModelError as error:
+            nonlinear.append(LeftOut(term, str(error)))
+            continue
+        if term.cause in LINEAR:
+            inside.append(term)
+        else:
+            nonlinear.append(LeftOut(term))
+    laws = laws_of(chains, tuple(inside))
+    made = matrices(chains, laws)
+    delay = np.zeros(chains.branches)
+    for i, value in laws_of(chains, tuple(o.term for o in nonlinear if not o.reason)).delay.items():
+        delay[i] += value
+    return LinearPlant(
+        chains=chains,
+        laws=laws,
+        mass=frozen_float(made.mass),
+        damping=frozen_float(made.damping),
+        stiffness=frozen_float(made.stiffness),
+        coordinates=coordinate_names(chains, laws),
+        motors=tuple(int(i) for i in chains.motor_dofs),
+        gain=frozen_float([laws.gain.get(i, 1.0) for i in range(chains.branches)]),
+        lag=frozen_float([laws.lag.get(i, 0.0) for i in range(chains.branches)]),
+        delay=frozen_float(delay),
+        linear=tuple(inside),
+        nonlinear=tuple(nonlinear),
+        linear_axes=model.linear,
+    )
+
+
+def coordinate_names(chains: CoupledChains, laws: Laws) -> tuple[str, ...]:
+    """``A1.mass.1``, …, then ``A1.extra.1`` for the first extra mode of A1."""
+    names = [
+        f"{axis}.mass.{q + 1}"
+        for axis, n in zip(chains.axes, chains.masses_per_branch, strict=True)
+        for q in range(n)
+    ]
+    counts = dict.fromkeys(chains.axes, 0)
+    for at, *_ in laws.extra_masses:
+        axis = chains.axes[int(np.searchsorted(chains.motor_dofs, at, side="right")) - 1]
+        counts[axis] += 1
+        names.append(f"{axis}.extra.{counts[axis]}")
+    return tuple(names)
+
+
+def parameter_spread(model: Model) -> ParameterSpread:
+    """Linear parameters of a model with their covariance, or their variances where it has no covariance."""
+    names, values = parameter_vector(model.chains)
+    if model.covariance is not None and set(model.parameter_names) <= set(names):
+        place = {name: k for k, name in enumerate(names)}
+        at = [place[name] for name in model.parameter_names]
+        if len(at) == len(names):
+            return ParameterSpread(
+                model.parameter_names, frozen_float(values[at]), frozen_float(model.covariance), True
+            )
+    stds = stds_by_name(model)
+    spread = np.array([stds[name] for name in names])
+    covariance = np.diag(spread**2)
+    unknown = np.isnan(spread)
+    covariance[unknown] = covariance[:, unknown] = np.nan
+    return ParameterSpread(names, frozen_float(values), frozen_float(covariance), False)
+
+
+def derivatives(plant: LinearPlant, names: tuple[str, ...]) -> tuple[Float64, Float64, Float64]:
+    """(p, n, n) each: ∂M, ∂D, ∂K by every parameter. All three are linear in the parameters, so that
+    M(p) = M + Σ (p_k − values_k)·∂M_k holds for any step."""
+    structure = structure_of(plant.chains, viscous=False)
+    n = plant.mass.shape[0]
+    mass, damping, stiffness = (np.zeros((len(names), n, n)) for _ in range(3))
+    links = iter(structure.spring_pairs)
+    pairs = {
+        f"{axis}.{s + 1}": next(links)
+        for axis, size in zip(structure.axes, structure.sizes, strict=True)
+        for s in range(size - 1)
+    }
+    for k, name in enumerate(names):
+        where, kind, number = _parts(name)
+        if kind == "coupling":
+            i, j = next(
+                (i, j)
+                for i, j in structure.coupling_pairs
+                if f"{structure.axes[i]}-{structure.axes[j]}" == where
+            )
+            a, b = structure.end_dofs[i], structure.end_dofs[j]
+            mass[k, a, b] = mass[k, b, a] = 1.0
+            continue
+        start = structure.motor_dofs[structure.axes.index(where)]
+        if kind == "mass":
+            mass[k, start + number - 1, start + number - 1] = 1.0
+        elif kind == "ground_spring":
+            stiffness[k, start, start] = 1.0
+        else:
+            a, b = pairs[f"{where}.{number}"]
+            matrix = stiffness if kind == "spring" else damping
+            matrix[k, [a, b], [a, b]] = 1.0
+            matrix[k, [a, b], [b, a]] = -1.0
+    return mass, damping, stiffness
+
+
+def _parts(name: str) -> tuple[str, str, int]:
+    """ "A1.mass.2" → ("A1", "mass", 2); "A1-A2.coupling" → ("A1-A2", "coupling", 0)."""
+    head, _, last = name.rpartition(".")
+    if not last.isdigit():
+        return head, last, 0
+    where, _, kind = head.rpartition(".")
+    return where, kind, int(last)

@@ -1,0 +1,80 @@
+"""Bill of materials, licence list and the workflow keep step with lock, project and scripts."""
+
+from __future__ import annotations
+
+import json
+import re
+import runpy
+import shutil
+import subprocess
+import tomllib
+from pathlib import Path
+
+import pytest
+import yaml
+
+ROOT = Path(__file__).parents[2]
+SCRIPT = runpy.run_path(str(ROOT / "scripts" / "bill-of-materials.py"))
+LOCK = (ROOT / "requirements-runtime.lock").read_text(encoding="utf-8")
+WORKFLOW = yaml.safe_load((ROOT / ".github" / "workflows" / "test.yml").read_text(encoding="utf-8"))
+
+
+def test_every_pin_of_the_lock_is_in_both_lists(tmp_path: Path) -> None:
+    assert SCRIPT["main"]([str(tmp_path)]) == 0
+    pins = {
+        tuple(x.split(";")[0].strip().split("==")) for x in LOCK.splitlines() if "==" in x and x[0] != "#"
+    }
+    document = json.loads((tmp_path / "sbom.json").read_text())
+    assert (document["bomFormat"], document["specVersion"]) == ("CycloneDX", "1.5")
+    assert {(c["name"], c["version"]) for c in document["components"]} == pins
+    refs = [c["bom-ref"] for c in document["components"]]
+    assert len(set(refs)) == len(refs)
+    listed = (tmp_path / "licences.md").read_text()
+    for name, version in pins:
+        assert re.search(rf"\| {re.escape(name)}( \(.+\))? \| {re.escape(version)} \| .+ \|", listed), name
+
+
+def test_installed_packages_say_their_licences() -> None:
+    own = {p.name: p.licence for p in SCRIPT["packages"](LOCK) if not p.marker}
+    assert "BSD" in own["h5py"]
+    assert own["fastapi"] == "MIT"
+    stated = [name for name, licence in own.items() if licence not in ("", "not stated")]
+    assert len(stated) > 0.9 * len(own)
+
+
+def test_a_line_that_pins_nothing_is_refused() -> None:
+    with pytest.raises(SystemExit, match="is no pin"):
+        SCRIPT["packages"]("numpy>=1\n")
+
+
+def test_the_workflow_tests_the_oldest_supported_python_and_runs_what_is_there() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    pythons = WORKFLOW["jobs"]["test"]["strategy"]["matrix"]["python"]
+    assert f">={pythons[0]}" == project["requires-python"]
+    assert len(pythons) == 2
+    made = (ROOT / "Makefile").read_text(encoding="utf-8")
+    for job in WORKFLOW["jobs"].values():
+        for command in (s["run"] for s in job["steps"] if "run" in s):
+            for target in re.findall(r"\bmake ([a-z]+)", command):
+                assert f"\n{target}:" in made, command
+            for script in re.findall(r"scripts/[\w.-]+", command):
+                assert (ROOT / script).is_file(), command
+
+
+def test_the_vcan_job_says_so_where_the_kernel_has_none(tmp_path: Path) -> None:
+    shell = shutil.which("sh")
+    assert shell is not None
+    for name in ("modprobe", "ip"):
+        (tmp_path / name).write_text("#!/bin/sh\nexit 1\n")
+        (tmp_path / name).chmod(0o755)
+    (tmp_path / "sudo").write_text('#!/bin/sh\n"$@"\n')
+    (tmp_path / "sudo").chmod(0o755)
+    if Path("/sys/class/net/vcan0").exists():
+        pytest.skip("this kernel has vcan0: that the job says where it has none is NOT checked")
+    done = subprocess.run(
+        [shell, str(ROOT / "scripts" / "vcan-job.sh"), str(tmp_path / "out")],
+        env={"PATH": f"{tmp_path}:/usr/bin:/bin"}, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "::warning::this kernel has no vcan" in done.stdout
+    assert "NOT tried" in done.stdout
