@@ -13,7 +13,7 @@ import resource
 import sys
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import IO, TYPE_CHECKING, Any
 
@@ -23,6 +23,7 @@ from invid_service.jobs.protocol import ErrorInfo, Job
 from invid_service.precedence import as_everyone, behind_parent
 
 if TYPE_CHECKING:
+    from invid import Progress
     from invid.model.diagnosis_document import Finding
 
 _PROGRESS_PERIOD_S = 0.2
@@ -177,8 +178,7 @@ def analyse(job: Job, line: Line, seen: Mapping[str, Any] | None) -> dict[str, A
 
     ``seen`` is what the measurement saw, ``None`` where the recording comes from elsewhere.
     """
-    from invid.diagnosis.diagnose import diagnose
-    from invid.identification.identify import identify
+    from invid.api import diagnose, identify
     from invid.model.diagnosis_document import diagnosis_to_json
     from invid.model.document import dump_json, model_to_json, save_text
     from invid.recording import read_recording
@@ -195,10 +195,12 @@ def analyse(job: Job, line: Line, seen: Mapping[str, Any] | None) -> dict[str, A
     flag = {"simulated": simulated}
     line.tell("recording", robot=recording.robot, axes=list(recording.axes), simulated=simulated)
     line.tell("progress", fraction=0.82, phase="identifying")
-    model = identify(recording)
+    budget = 0.3 * job.budget_s
+    model = identify(recording, budget=budget, progress=_telling(line, 0.82, 0.88))
     save_text(job.folder / "model.json", dump_json({**model_to_json(model), **flag}))
     line.tell("progress", fraction=0.88, phase="diagnosing")
-    diagnosis = diagnose(recording, model=model)
+    budget = job.budget_s - budget
+    diagnosis = diagnose(recording, model=model, budget=budget, progress=_telling(line, 0.88, 0.95))
     line.tell("progress", fraction=0.95, phase="writing the report")
     best = diagnosis.model
     if not diagnosis.findings:
@@ -223,6 +225,16 @@ def analyse(job: Job, line: Line, seen: Mapping[str, Any] | None) -> dict[str, A
         "trustworthy": bool(best.fit.get("trustworthy", True)),
         "warnings": list(dict.fromkeys([*said, *model.warnings, *diagnosis.warnings])),
     }
+
+
+def _telling(line: Line, low: float, high: float) -> Callable[[Progress], None]:
+    """Passes the progress of a computation on, as what lies between two shares of the whole run."""
+
+    def told(progress: Progress) -> None:
+        fraction = low + (high - low) * progress.fraction
+        line.progress(fraction, str(progress), axis=progress.axis, eta_s=progress.seconds_left)
+
+    return told
 
 
 def summary_of(finding: Finding) -> dict[str, Any]:
