@@ -53,12 +53,16 @@ def shown_progress(title: str) -> Iterator[Callable[[Progress], None]]:
 
 
 def _plain(title: str) -> Callable[[Progress], None]:
-    said = [time.monotonic()]
+    said, compiled = [time.monotonic()], list[str]()
 
     def show(progress: Progress) -> None:
         now = time.monotonic()
-        if now - said[0] >= EVERY_S:
+        waits = (
+            progress.stage.startswith("compiling") and not compiled
+        )  # said at once: nothing else is for a while
+        if waits or now - said[0] >= EVERY_S:
             said[0] = now
+            compiled.extend(["said"] * waits)
             note(f"{title}: {progress.fraction:4.0%} {progress} {_left(progress)}".rstrip())
 
     return show

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
 import sys
 from pathlib import Path
 
@@ -13,6 +15,7 @@ from hidden.generator import make
 
 import invid
 from invid.cli.app import INTERRUPTED, run
+from invid.cli.display import shown_progress
 from invid.diagnosis.diagnose import diagnose
 from invid.identification.identify import identify
 from invid.numerics import budget
@@ -170,3 +173,36 @@ def test_json_stays_alone_on_stdout_and_the_budget_ends_the_command(
     invid.write_recording(recording, tmp_path / "rec.h5")
     assert run(["diagnose", str(tmp_path / "rec.h5"), "--json", "--budget", "1"]) in (0, 3)
     assert json.loads(capsys.readouterr().out)["format"] == "invid-diagnosis"
+
+
+@pytest.mark.parametrize("fresh", [True, False])
+def test_the_first_run_after_an_installation_says_that_it_compiles(tmp_path: Path, fresh: bool) -> None:
+    """With an empty cache, and with the one that this run then filled."""
+    script = (
+        "import numpy as np, time\n"
+        "from invid.effects.laws.sign import clip_law\n"
+        "from invid.numerics.budget import Budget, in_force\n"
+        "with in_force(Budget(None, time.monotonic, lambda p: print(p))):\n"
+        "    clip_law(np.linspace(-1.0, 1.0, 100), 0.5)\n"
+    )
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    for _ in range(1 if fresh else 2):
+        said = subprocess.run(
+            [sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=True
+        ).stdout
+    assert ("compiling" in said) == fresh
+
+
+def test_plain_lines_say_at_once_that_it_compiles_and_then_now_and_again(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    now = [0.0]
+    monkeypatch.setattr("invid.cli.display.time.monotonic", lambda: now[0])
+    with shown_progress("diagnosing") as show:
+        show(Progress("compiling, once after an installation"))
+        for second in range(12):
+            now[0] = float(second)
+            show(Progress("weighing", "A2", "backlash", 0.5, 20.0, "spring 1"))
+    lines = capsys.readouterr().err.splitlines()
+    assert "compiling" in lines[0]
+    assert lines[1:] == ["diagnosing:  50% weighing backlash, A2 spring 1 (at most 20 s left)"] * 2
