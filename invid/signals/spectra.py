@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -29,6 +30,10 @@ half the signal's power still passes, a wrong period gives about 1."""
 FEW_LINES = 32
 """A period of fewer lines than this, still settling, tells its motion from its ends hardly or not at all: the
 ends of N masses an axis are 2N numbers an axis, each line gives two. The lines of the whole record do."""
+
+
+_KNOWN: WeakKeyDictionary[Experiment, LineSpectra] = WeakKeyDictionary()
+"""Spectra by experiment, which is told by its identity and cannot change."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,13 +125,17 @@ class LineSpectra:
 def all_spectra(recording: Recording, role: Role | None = None) -> tuple[LineSpectra, ...]:
     """Spectra of every experiment that shakes an axis, of one role or of both.
 
-    Slow constant-velocity moves carry friction, not elasticity, and are left out.
+    Slow constant-velocity moves carry friction, not elasticity, and are left out. Identification and every
+    look of the diagnosis ask for the same experiments: their spectra are kept as long as these are.
     """
-    return tuple(
-        spectra_of(e)
-        for e in recording.experiments
-        if e.kind is not Kind.CONSTANT_VELOCITY and (role is None or e.role is role)
-    )
+    found = []
+    for e in recording.experiments:
+        if e.kind is Kind.CONSTANT_VELOCITY or (role is not None and e.role is not role):
+            continue
+        if e not in _KNOWN:
+            _KNOWN[e] = spectra_of(e)
+        found.append(_KNOWN[e])
+    return tuple(found)
 
 
 def spectra_of(
