@@ -1,6 +1,6 @@
 """The parameters that other ways of fitting give, on the same records: FRF error, parameter error, time.
 
-    python benchmarks/bench_peer_models.py [--seeds N] [--first S] [--periods P]
+    python benchmarks/bench_peer_models.py [--seeds N] [--first S] [--periods P] [--peers NAME …]
 
 Case study of the paper without friction, all three axes shaken at once in three experiments, white noise
 (torque 0.5 % of peak, position 1 µrad), steady state. Everybody gets the same spectra, the torque when it
@@ -212,6 +212,7 @@ def main() -> int:
     parser.add_argument("--seeds", "--draws", type=int, default=5)
     parser.add_argument("--first", "--seed0", type=int, default=0)
     parser.add_argument("--periods", type=int, default=3)
+    parser.add_argument("--peers", nargs="+", choices=list(PEERS), default=list(PEERS))
     arguments, _ = parser.parse_known_args()
     plant, peak = oracle.case_study(), PEAK
     rows: dict[str, list[tuple[float, float, float, float]]] = defaultdict(list)
@@ -223,7 +224,8 @@ def main() -> int:
         )  # fmt: skip
         hz = np.arange(3, 130) * 0.1
         true = plant.frf(hz)
-        for name, peer in PEERS.items():
+        for name in dict.fromkeys(("refined", *arguments.peers)):
+            peer = PEERS[name]
             started = time.process_time()
             try:
                 g, values = peer(recording, hz)
