@@ -93,6 +93,13 @@ def physical(
             wave(jw**2 * motor), wave(jw**2 * load), wave(jw * s.torque[band, 0]), np.ones(count),
         ]  # fmt: skip
         columns = np.stack([t - t.mean() for t in terms[:-1]], axis=1)
+        # What a force in the spring leaves at the motor, the load's share of it taken off.
+        passed = np.zeros(count // 2 + 1, dtype=complex)
+        passed[at] = m2 * jw**2 / (k + jw * d + m2 * jw**2)
+        inside = np.isin(np.arange(columns.shape[1]), (10, 11, 12, 13, 14))
+        columns[:, inside] = np.fft.irfft(
+            np.fft.rfft(columns[:, inside], axis=0) * passed[:, None], count, axis=0
+        )
         noise = float((missing.std[band, 0] ** 2).sum() / 2)
         out[str(s.role)].append((columns, wave(missing.torque[band, 0]), noise))
     return out
