@@ -1,4 +1,8 @@
-"""Ratios in one run: forward FRF against a full solve per line; plant steps against scipy solve_ivp."""
+"""Ratios in one run: forward FRF against a full solve per line; plant steps against other simulators.
+
+`solve_ivp` runs once over the whole time, never restarted. MuJoCo and python-control are optional
+(`pip install invid[bench]`) and named where they are missing.
+"""
 
 from __future__ import annotations
 
@@ -118,6 +122,91 @@ def plant() -> None:
         f"ratio {steps / fast / (accepted / slow):.0f}; whole run {slow / fast:.0f} times faster; "
         f"largest difference {error:.1e}"
     )
+    exact = out[::4, :, 0].copy()
+    for name, simulate in (("MuJoCo", by_mujoco), ("python-control", by_control)):
+        try:
+            positions, took = simulate(chains, torque, h)
+        except ImportError as missing:
+            print(f"plant, case study, 10 s: {name} NOT RUN: {missing} (pip install invid[bench])")
+            continue
+        error = np.max(np.abs(exact - positions[::4])) / np.max(np.abs(exact))
+        print(
+            f"plant, case study, 10 s: {name} {steps / took:.3g} steps/s, ratio {took / fast:.0f}; "
+            f"largest difference {error:.1e} at the same step of {1e3 * h:g} ms"
+        )
+
+
+def by_mujoco(chains: CoupledChains, torque: np.ndarray, h: float) -> tuple[np.ndarray, float]:
+    """Motor positions at every step and the processor time, by MuJoCo with Runge-Kutta steps.
+
+    Every mass turns about one axis, each body inside the one before (MuJoCo couples the inertia of one tree
+    only), so that an angle is the sum of the joints up to it; springs, dampers and couplings are tendons.
+    """
+    import mujoco
+
+    tendons: list[str] = []
+    inertia = np.diag(chains.mass_matrix).copy()
+    motors, ends = chains.motor_dofs, chains.end_dofs
+    for i in range(chains.branches):
+        for j in range(i + 1, chains.branches):
+            # Armature of √r·θᵢ ± θⱼ/√r adds |c|·r, |c|/r and c; r keeps what is left of both masses positive.
+            c = float(chains.couplings[i, j])
+            r = float(np.sqrt(chains.masses[i][-1] / chains.masses[j][-1]))
+            inertia[ends[i]] -= abs(c) * r
+            inertia[ends[j]] -= abs(c) / r
+            shares = {int(ends[i]): np.sqrt(r), int(ends[j]): np.sign(c) / np.sqrt(r)}
+            tendons.append(_tendon(shares, f'armature="{abs(c)}"'))
+    for start, springs, dampers in zip(motors, chains.springs, chains.dampers, strict=True):
+        for s, (k, d) in enumerate(zip(springs, dampers, strict=True)):
+            stretch = f'stiffness="{k}" damping="{d}" springlength="0 0"'
+            tendons.append(_tendon({int(start) + s: 1.0, int(start) + s + 1: -1.0}, stretch))
+    bodies = "".join(
+        f'<body><inertial pos="0 0 0" mass="1" diaginertia="{m} {m} {m}"/>'
+        f'<joint name="j{q}" type="hinge" axis="0 0 1"/>'
+        for q, m in enumerate(inertia)
+    )
+    model = mujoco.MjModel.from_xml_string(
+        f'<mujoco><option timestep="{h}" gravity="0 0 0" integrator="RK4"/>'
+        f"<worldbody>{bodies}{'</body>' * inertia.size}</worldbody>"
+        f"<tendon>{''.join(tendons)}</tendon></mujoco>"
+    )
+    data = mujoco.MjData(model)
+    pushed = np.tril(np.ones((inertia.size, inertia.size)))[motors]
+    out = np.zeros((torque.shape[0], motors.size))
+    begin = time.process_time()
+    for k in range(torque.shape[0] - 1):
+        data.qfrc_applied[:] = 0.5 * (torque[k] + torque[k + 1]) @ pushed
+        mujoco.mj_step(model, data)
+        out[k + 1] = pushed @ data.qpos
+    return out, time.process_time() - begin
+
+
+def _tendon(shares: dict[int, float], attributes: str) -> str:
+    """A tendon whose length is a weighted sum of angles, each the sum of the joints up to it."""
+    weights = [sum(w for q, w in shares.items() if joint <= q) for joint in range(max(shares) + 1)]
+    joints = "".join(f'<joint joint="j{q}" coef="{w}"/>' for q, w in enumerate(weights) if w != 0.0)
+    return f"<fixed {attributes}>{joints}</fixed>"
+
+
+def by_control(chains: CoupledChains, torque: np.ndarray, h: float) -> tuple[np.ndarray, float]:
+    """Motor positions at every step and the processor time, by python-control's ``forced_response``."""
+    import control
+
+    n, motors = chains.dofs, chains.motor_dofs
+    inverse = np.linalg.inv(chains.mass_matrix)
+    a = np.block(
+        [
+            [np.zeros((n, n)), np.eye(n)],
+            [-inverse @ chains.stiffness_matrix, -inverse @ chains.damping_matrix],
+        ]
+    )
+    b = np.concatenate((np.zeros((n, motors.size)), inverse[:, motors]))
+    c = np.eye(2 * n)[motors]
+    begin = time.process_time()
+    answer = control.forced_response(
+        control.ss(a, b, c, np.zeros((motors.size, motors.size))), np.arange(torque.shape[0]) * h, torque.T
+    )
+    return np.asarray(answer.outputs).T, time.process_time() - begin
 
 
 if __name__ == "__main__":

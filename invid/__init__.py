@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     )
     from invid.model.diagnosis_document import Diagnosis
     from invid.model.document import Model
+    from invid.numerics.budget import Progress
     from invid.recording.model import Experiment, Recording
 
     __version__: str
@@ -61,6 +62,7 @@ __all__ = [
     "Model",
     "ModelError",
     "NotIdentifiableError",
+    "Progress",
     "Recording",
     "RecordingError",
     "SafetyStop",
@@ -81,6 +83,7 @@ _HOMES = {
     "Diagnosis": "invid.model.diagnosis_document",
     "Experiment": "invid.recording.model",
     "Model": "invid.model.document",
+    "Progress": "invid.numerics.budget",
     "Recording": "invid.recording.model",
 }
 """Where the types are; functions are in ``invid.api``, errors in ``invid.errors``."""

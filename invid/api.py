@@ -6,8 +6,10 @@ be pickled. Errors are ``invid.InvidError`` and its kinds. Each function loads w
 
 from __future__ import annotations
 
+import time
 import warnings
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
     from invid.exchange.export import Export
     from invid.model.diagnosis_document import Diagnosis
     from invid.model.document import Model
+    from invid.numerics.budget import Progress
     from invid.recording.import_map import ImportMap
     from invid.recording.model import Recording
 
@@ -103,6 +106,8 @@ def identify(
     profile: bool = False,
     bootstrap: int = 0,
     workers: int = 1,
+    budget: float | None = None,
+    progress: Callable[[Progress], None] | None = None,
 ) -> Model:
     """Masses, springs, dampers and inertia couplings of every branch with their uncertainty.
 
@@ -117,6 +122,12 @@ def identify(
         "refined" (maximum likelihood) or "paper" (the inverse eigenvalue method alone).
     profile, bootstrap, workers
         Profile-likelihood intervals; draws of a parametric bootstrap, on so many processes. Refined only.
+    budget
+        Seconds after which the best answer so far is given, with a warning that says what was not looked at;
+        ``None``: as long as it takes, and the same data give the same answer.
+    progress
+        Called with an ``invid.Progress`` (``stage``, ``axis``, ``cause``, ``fraction``, ``seconds_left``) as
+        the work goes on.
 
     Returns
     -------
@@ -134,16 +145,17 @@ def identify(
     from invid.identification.identify import identify as identified
     from invid.numerics.immutable import immutable
 
-    return immutable(
-        identified(
-            _one(recording),
-            masses=_sizes(masses),
-            method=method,
-            profile=profile,
-            bootstrap=bootstrap,
-            workers=workers,
+    with _limits(budget, progress):
+        return immutable(
+            identified(
+                _one(recording),
+                masses=_sizes(masses),
+                method=method,
+                profile=profile,
+                bootstrap=bootstrap,
+                workers=workers,
+            )
         )
-    )
 
 
 def diagnose(
@@ -151,6 +163,8 @@ def diagnose(
     *,
     model: Model | None = None,
     masses: Masses = None,
+    budget: float | None = None,
+    progress: Callable[[Progress], None] | None = None,
 ) -> Diagnosis:
     """What the simulation gets wrong on a recording: cause, place, size, extended model and gain.
 
@@ -162,6 +176,9 @@ def diagnose(
         told apart yet: it is one cause for all, or is left unexplained.
     model
         Where to start; default: what ``identify`` makes of the recording with ``masses``.
+    budget, progress
+        As for ``identify``. A search that the budget ended calls nothing ``consistent`` and no finding surer
+        than 0.89; ``details["cut_short"]`` is then True.
 
     Returns
     -------
@@ -183,7 +200,8 @@ def diagnose(
 
     if model is not None and masses is not None:
         raise InputError("masses and model: the model says how many masses there are; give one of the two")
-    return immutable(diagnosed(_one(recording), model=model, masses=_sizes(masses)))
+    with _limits(budget, progress):
+        return immutable(diagnosed(_one(recording), model=model, masses=_sizes(masses)))
 
 
 def simulate(
@@ -294,6 +312,22 @@ def load_diagnosis(path: str | Path) -> Diagnosis:
     from invid.numerics.immutable import immutable
 
     return immutable(load(path))
+
+
+@contextmanager
+def _limits(seconds: float | None, report: Callable[[Progress], None] | None) -> Iterator[None]:
+    """Budget and progress of one call. Trial steps of a search may overflow: that is judged, not printed."""
+    import numpy as np
+
+    from invid.errors import InputError
+    from invid.numerics.budget import Budget, in_force
+
+    if seconds is not None and not seconds > 0:
+        raise InputError(f"budget of {seconds:g} s: give a number of seconds above 0")
+    end = None if seconds == float("inf") else seconds
+    own = None if end is None and report is None else Budget(end, time.monotonic, report)
+    with in_force(own), np.errstate(all="ignore"):
+        yield
 
 
 def _sizes(masses: Masses) -> Masses:

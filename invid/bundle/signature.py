@@ -52,7 +52,8 @@ def public_key(path: Path) -> Ed25519PublicKey:
 
 def public_text(key: Ed25519PublicKey) -> str:
     """PEM of a public key."""
-    return key.public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo).decode("ascii")
+    pem: bytes = key.public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)
+    return pem.decode("ascii")
 
 
 def fingerprint(key: Ed25519PublicKey) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import os
 import sys
+import warnings
 from importlib.abc import SourceLoader
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
@@ -17,6 +18,7 @@ from invid.errors import InvidError, SafetyStop
 
 GROUP = "invid.commands"
 EXIT_INTERNAL = 70  # EX_SOFTWARE of sysexits.h: not one of the contract's, because it is our fault
+INTERRUPTED = 130  # what Typer makes of Ctrl-C: 128 + SIGINT
 
 # Newer Typer carries its own copy of click, older ones import it: the base of BadParameter is the
 # usage error in both.
@@ -73,6 +75,9 @@ def _unloaded() -> None:
 
 def main(arguments: list[str] | None = None) -> None:
     """Run one command; every error raised on purpose is one message and its exit status."""
+    # A trial step of a search may overflow: it is judged by its cost, and nobody can act on the warning.
+    warnings.filterwarnings("ignore", category=RuntimeWarning)
+    warnings.filterwarnings("default", message="numba cannot be used", category=RuntimeWarning)
     sys.exit(run(sys.argv[1:] if arguments is None else arguments))
 
 
@@ -110,4 +115,6 @@ def run(arguments: list[str]) -> int:
             "(set INVID_DEBUG=1 and run again to see where)"
         )
         return EXIT_INTERNAL
+    if result == INTERRUPTED:
+        note("invid: interrupted")
     return result if isinstance(result, int) else 0

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from invid.api import diagnose, load_model, read_recording
+from invid.cli.display import BUDGET, shown_progress
 from invid.cli.identify import parse_masses
 from invid.cli.output import EXIT_NOT_TRUSTWORTHY, EXIT_OK, emit, note
 from invid.errors import InputError, ModelError
@@ -53,6 +54,12 @@ def register(app: typer.Typer) -> None:
             Path | None,
             typer.Option("--plots", metavar="DIR", help="Folder for pictures (SVG) and their data."),
         ] = None,
+        budget: Annotated[
+            float,
+            typer.Option(
+                min=1.0, help="Seconds after which the best answer so far is given; inf: as long as it takes."
+            ),
+        ] = BUDGET,
         as_json: Annotated[bool, typer.Option("--json", help="Print the diagnosis as JSON.")] = False,
     ) -> int:
         """Name what the model gets wrong, with the extended model and the gain on held-out data."""
@@ -67,7 +74,8 @@ def register(app: typer.Typer) -> None:
         data = concatenate_recordings([read_recording(p) for p in (*recording, *(further or ()))])
         given = None if model is None else load_model(model)
         try:
-            diagnosis = diagnose(data, model=given, masses=wanted)
+            with shown_progress("diagnosing") as progress:
+                diagnosis = diagnose(data, model=given, masses=wanted, budget=budget, progress=progress)
         except ModelError as error:  # an effect that this robot cannot have
             if given is None or not given.effects:
                 raise

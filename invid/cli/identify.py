@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from invid.api import identify, read_recording
+from invid.cli.display import BUDGET, shown_progress
 from invid.cli.output import EXIT_NOT_TRUSTWORTHY, EXIT_OK, emit, note
 from invid.errors import InputError, NotIdentifiableError
 
@@ -42,6 +43,12 @@ def register(app: typer.Typer) -> None:
                 min=0, help="Draws of a parametric bootstrap, on all cores; 200 tell a spread to 5 %."
             ),
         ] = 0,
+        budget: Annotated[
+            float,
+            typer.Option(
+                min=1.0, help="Seconds after which the best answer so far is given; inf: as long as it takes."
+            ),
+        ] = BUDGET,
         as_json: Annotated[bool, typer.Option("--json", help="Print the model as JSON.")] = False,
     ) -> int:
         """Masses, springs, dampers and inertia couplings from a recording, with their uncertainty."""
@@ -56,14 +63,17 @@ def register(app: typer.Typer) -> None:
         wanted = parse_masses(masses)
         data = read_recording(recording)
         try:
-            model = identify(
-                data,
-                masses=wanted,
-                method="paper" if method == "paper" else "refined",
-                profile=profile,
-                bootstrap=bootstrap,
-                workers=os.cpu_count() or 1,
-            )
+            with shown_progress("identifying") as progress:
+                model = identify(
+                    data,
+                    masses=wanted,
+                    method="paper" if method == "paper" else "refined",
+                    profile=profile,
+                    bootstrap=bootstrap,
+                    workers=os.cpu_count() or 1,
+                    budget=budget,
+                    progress=progress,
+                )
         except NotIdentifiableError as error:
             if not as_json:
                 raise

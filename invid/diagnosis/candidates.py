@@ -11,8 +11,9 @@ from invid.diagnosis.evidence import Trial, at_bound, attempted, finite, refit
 from invid.diagnosis.score_test import Score, Screen
 from invid.effects.motion import rms
 from invid.likelihood.candidate_pool import each
-from invid.likelihood.joint_fit import JointFit, fit
+from invid.likelihood.joint_fit import JointFit, fit, held_out
 from invid.likelihood.placed_effect import Candidate, Term
+from invid.numerics import budget
 from invid.numerics.arrays import Float64
 from invid.signals.spectral_record import Record
 
@@ -30,7 +31,18 @@ UNEXPLAINED = 1.5
 
 def screened(screen: Screen, terms: Sequence[Term]) -> list[Score]:
     """The likeliest candidates with their best shapes, best first."""
-    scores = each(screen.best, terms, screen.fit, [])
+
+    def look(term: Term) -> Score:
+        budget.check()
+        tell_of("screening", term, screen.fit, terms.index(term) / (3.0 * len(terms)))
+        return screen.best(term)
+
+    def polish(score: Score) -> Score:
+        budget.check()
+        tell_of("screening", score.term, screen.fit, 0.35)
+        return screen.best(score.term, polish=True)
+
+    scores = each(look, terms, screen.fit, [])
     scores = [s for s in scores if np.isfinite(s.gain) and s.gain > 0]
     scores.sort(key=lambda s: -s.gain)
     asked = _few_of_a_cause(scores)[:POLISHED]
@@ -38,7 +50,7 @@ def screened(screen: Screen, terms: Sequence[Term]) -> list[Score]:
     least = {cause: NEARLY * s.gain for s in reversed(scores) if (cause := s.term.effect.cause)}
     further = [s for s in scores if s.term.effect.shapes and s.gain >= least[s.term.effect.cause]]
     asked += [s for s in further if s not in asked and s.gain >= asked[-1].gain]
-    polished = each(lambda s: screen.best(s.term, polish=True), asked, screen.fit, [])
+    polished = each(polish, asked, screen.fit, [])
     screen.release()
     polished.sort(key=lambda s: -s.gain)
     return _few_of_a_cause(polished)
@@ -54,6 +66,12 @@ def _few_of_a_cause(scores: Sequence[Score]) -> list[Score]:
         if count[cause] <= PLACES:
             out.append(s)
     return out
+
+
+def tell_of(stage: str, term: Term, fit: JointFit, fraction: float) -> None:
+    """Progress: what is done with a candidate."""
+    axis = fit.layout.structure.axes[term.place.axis]
+    budget.tell(stage, fraction, axis=axis, cause=term.effect.cause, element=term.place.element)
 
 
 def any_gain(_: Term) -> float:
@@ -76,6 +94,7 @@ def refitted(
     worth = [s for s in scores[:REFITTED] if s.gain >= far and REACH * s.gain >= least(s.term)]
 
     def begin(score: Score) -> JointFit | None:
+        tell_of("weighing", score.term, here, 0.4 + 0.2 * worth.index(score) / len(worth))
         return finite(partial(refit, here, train, score.term, score.x, 4, score.shift))
 
     begun = [f for f in each(begin, worth, here, train) if f is not None]
@@ -83,6 +102,9 @@ def refitted(
 
     def go_on(found: JointFit) -> Trial | None:
         # Four steps away from a start that is right to first order: what is far behind stays there.
+        if budget.spent():
+            return Trial(found, held_out(found, held))
+        tell_of("weighing", found.candidate.terms[-1], here, 0.6)
         if found.converged or found.cost - near >= 0.5 * (here.cost - near):
             return attempted(lambda: found, held)
         further = partial(fit, found.layout, train, found.p, found.candidate, known=found.evaluation)

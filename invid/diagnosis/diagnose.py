@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Literal
 
 from invid.diagnosis.consequence import with_consequences
+from invid.diagnosis.cut_short import cut_short
 from invid.diagnosis.extended_model import extended_model
 from invid.diagnosis.known_effects import folded
 from invid.diagnosis.rules.declared_masses import with_the_declared_mass
 from invid.diagnosis.rules.dropped_rows import before_repair, find_dropped, repaired, with_dropped
 from invid.diagnosis.rules.reidentify import looked_again
 from invid.diagnosis.rules.viscous_with_dry import allowing_for_viscous, with_viscous
-from invid.diagnosis.search_pass import looked
+from invid.diagnosis.search_pass import Look, looked
 from invid.diagnosis.time_domain_check import REFUSED, Replay, replay, with_replay
 from invid.diagnosis.verdict import document
 from invid.effects.effect import unit_of
@@ -24,6 +26,7 @@ from invid.likelihood.joint_fit import JointFit
 from invid.likelihood.null_test import null_test
 from invid.model.diagnosis_document import Diagnosis
 from invid.model.document import Model, model_to_json
+from invid.numerics import budget
 from invid.recording.model import Recording
 from invid.rigid_motion.diagnosis import diagnose_trajectory
 from invid.rigid_motion.record_kind import is_rigid_case
@@ -32,6 +35,10 @@ from invid.signals.plausibility import check_units
 
 CLEARLY = 0.1
 """Share of a hold from which it is worth a word that it acts inside the drive."""
+
+TIME_TO_IDENTIFY, TIME_TO_SEARCH = 0.5, 0.85
+"""Share of a budget for the identification, and of the rest for the search; what remains is for the
+simulation over time and for what is said. A guess."""
 
 OF_GIVEN = "the model given, of its own recording: "
 """Before what the identification of a model warned of that was drawn from other data."""
@@ -59,6 +66,10 @@ def diagnose(
     """
     recording, told = without_glitches(recording)
     result = _diagnosed(recording, model, masses)
+    cut = budget.warning()
+    if cut is not None:
+        kept = [w for w in result.warnings if not w.startswith(budget.SPENT)]
+        result = replace(result, warnings=(*kept, cut))
     if told:
         result = replace(result, warnings=tuple(dict.fromkeys([*result.warnings, *told])))
     return with_consequences(result, recording)
@@ -69,16 +80,19 @@ def _diagnosed(
 ) -> Diagnosis:
     """The diagnosis of a recording without glitches."""
     if model is not None and is_rigid_case(recording, model.chains.masses_per_branch):
-        return diagnose_trajectory(recording, model=model)
+        return _rigid(recording, model)
     dropped = find_dropped(recording)
     sound = repaired(recording, dropped) if dropped else recording
     own = model is None
     if model is None:
-        kind = machine_kind(recording, masses, lambda: identify_chains(sound, masses))
-        if kind.rigid:
-            result = diagnose_trajectory(recording)
+        with budget.part(TIME_TO_IDENTIFY, 0.0, 0.3):
+            kind = machine_kind(recording, masses, lambda: identify_chains(sound, masses))
+            model = kind.model
+            if model is None and not kind.rigid:
+                model = identify_chains(sound, masses)
+        if model is None:
+            result = _rigid(recording, None)
             return replace(result, warnings=(*result.warnings, kind.said)) if kind.said else result
-        model = identify_chains(sound, masses) if kind.model is None else kind.model
     elif model.provenance.get("recorded") != recording.created:
         said = (w.removeprefix(OF_GIVEN) for w in model.warnings)
         model = replace(model, warnings=tuple(f"{OF_GIVEN}{w}" for w in said))
@@ -88,16 +102,15 @@ def _diagnosed(
             "the model of this robot, or without one"
         )
     check_units(model, recording)
-    look = looked(sound, folded(model))
-    look = looked_again(look, masses if own else model.chains.masses_per_branch)
-    if own:
-        look = with_the_declared_mass(look, recording.masses_per_axis if masses is None else masses)
+    with budget.part(TIME_TO_SEARCH, 0.3, 0.9):
+        look = _look(sound, model, recording, masses, own=own)
     sound, model, tones, bare = look.recording, look.model, look.tones, look.bare
     train, held = look.train, look.held
-    selection = allowing_for_viscous(with_viscous(look.selection, train, held)).as_far_as_explained()
+    selection = allowing_for_viscous(look.selection).as_far_as_explained()
     warnings = [*look.warnings, *said_of_holds(selection.final.fit, recording)]
     result = document(sound, model, selection, bare, train, held, tones, warnings)
-    if result.findings:
+    budget.tell("simulating over time", 0.92)
+    if result.findings and not budget.is_left_out("the extended model simulated over time"):
         linear = extended_model(model, bare, ())
         answer = replay(sound, look.spectra, linear, result.model, selection.final.fit, held)
         reached = not null_test(selection.final.held.cost, selection.final.held.dof, held).rejects
@@ -111,7 +124,40 @@ def _diagnosed(
             result = document(sound, model, selection, bare, train, held, tones, warnings)
         result = with_replay(result, answer, sound, lost=lost)
         result = replace(result, details={**result.details, "linear_model": model_to_json(linear)})
+    if selection.cut:
+        result = cut_short(result)
     return with_dropped(result, recording, dropped, before_repair(recording, bare, result) if dropped else {})
+
+
+def _look(
+    sound: Recording,
+    model: Model,
+    recording: Recording,
+    masses: Sequence[int] | Literal["auto"] | None,
+    *,
+    own: bool,
+) -> Look:
+    """What the search finds in the ``sound`` recording, from the model and from others; ``own``: the model
+    was identified from it."""
+    look = looked(sound, folded(model))
+    asked = masses if own else model.chains.masses_per_branch
+    look = budget.or_else(
+        "another identification without the causes", partial(looked_again, look, asked), look
+    )
+    if own:
+        declared = recording.masses_per_axis if masses is None else masses
+        longer = partial(with_the_declared_mass, look, declared)
+        look = budget.or_else("the declared mass that was not seen", longer, look)
+    beside = partial(with_viscous, look.selection, look.train, look.held)
+    return replace(
+        look, selection=budget.or_else("viscous friction beside dry friction", beside, look.selection)
+    )
+
+
+def _rigid(recording: Recording, model: Model | None) -> Diagnosis:
+    """The diagnosis of rigid axes, with what there was no time for."""
+    result = diagnose_trajectory(recording, model=model)
+    return cut_short(result) if result.details.get("cut_short") else result
 
 
 def said_of_holds(final: JointFit, recording: Recording) -> list[str]:

@@ -13,6 +13,7 @@ from invid.likelihood.evaluation import Evaluation, evaluate, numbers_on
 from invid.likelihood.hypothesis import Layout
 from invid.likelihood.joint_fit import LARGEST_STEP, JointFit, fit, held_out, limits_of, pack, unpack
 from invid.likelihood.placed_effect import Candidate, Term
+from invid.numerics import budget
 from invid.numerics.arrays import Bool, Float64
 from invid.numerics.distributions import chi2_isf
 from invid.signals.spectral_record import Record
@@ -142,7 +143,14 @@ T = TypeVar("T", bound=_Costly)
 
 
 def finite(run: Callable[[], T]) -> T | None:
-    """What ``run`` fits; none where nothing finite follows from its start."""
+    """What ``run`` fits; none where nothing finite follows from its start.
+
+    Raises
+    ------
+    BudgetSpent
+        No time is left to begin.
+    """
+    budget.check()
     with np.errstate(all="ignore"):
         try:
             out = run()
@@ -152,7 +160,13 @@ def finite(run: Callable[[], T]) -> T | None:
 
 
 def attempted(run: Callable[[], JointFit], held: Sequence[Record]) -> Trial | None:
-    """What ``run`` fits, judged on held-out records; none where nothing finite follows from its start."""
+    """What ``run`` fits, judged on held-out records; none where nothing finite follows from its start.
+
+    Raises
+    ------
+    BudgetSpent
+        No time is left to begin.
+    """
 
     def trial() -> Trial:
         found = run()

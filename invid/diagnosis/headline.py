@@ -33,6 +33,8 @@ def headline(diagnosis: Diagnosis) -> str:
         why = (
             f"the model misses {share:.0%} of the torque"
             if share
+            else "the search for causes ran out of time"
+            if diagnosis.details.get("cut_short") and not diagnosis.findings
             else "the data do not carry the whole model"
         )
         return f"This result is not to be trusted: {why}."

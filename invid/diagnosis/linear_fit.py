@@ -19,6 +19,7 @@ from invid.likelihood.prepare_records import by_period
 from invid.model.document import Model
 from invid.model.forward import resonances
 from invid.model.parameters import ChainStructure
+from invid.numerics import budget
 from invid.numerics.arrays import Float64
 from invid.recording.model import Recording
 from invid.signals.spectra import LineSpectra
@@ -65,7 +66,7 @@ def linear_fit(
         layout, with_scatter(train, spectra, layout, start), start, given, iterations=25, strict=False
     )
     gone = _vanishing(first)
-    if not given.terms and (gone or doubted(model, first)):
+    if not given.terms and (gone or doubted(model, first)) and not budget.is_left_out("evenly shared masses"):
         again = restarted(first, train)
         if gone or again.cost < LOWER * first.cost:
             first = again
@@ -175,6 +176,8 @@ def restarted(fitted: JointFit, train: Sequence[Record]) -> JointFit:
     totals = np.exp(fitted.p[masses])
     top = highest_line(train)
     for part in (0.6, 0.35, 0.2, 0.85):
+        if budget.is_left_out("further evenly shared masses"):
+            break
         p = fitted.p.copy()
         at = 0
         springs: list[float] = []

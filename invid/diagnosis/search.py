@@ -9,7 +9,14 @@ from functools import partial
 import numpy as np
 
 from invid.diagnosis.acceptance import SIGNIFICANCE, accepted, least_gain, needed_gain
-from invid.diagnosis.candidates import REACH, is_smaller_model, refitted, screened, with_those_from
+from invid.diagnosis.candidates import (
+    REACH,
+    is_smaller_model,
+    refitted,
+    screened,
+    tell_of,
+    with_those_from,
+)
 from invid.diagnosis.evidence import CLOSE, LARGER, Step, Trial, at_bound, attempted, extends
 from invid.diagnosis.rules.asymmetric_pair import with_asymmetry
 from invid.diagnosis.rules.gradual_sign import rounded
@@ -27,10 +34,19 @@ from invid.likelihood.joint_fit import JointFit, fit, held_out, reordered, witho
 from invid.likelihood.null_test import null_test
 from invid.likelihood.placed_effect import Term
 from invid.model.place import Place
+from invid.numerics import budget
 from invid.numerics.arrays import Float64
 from invid.numerics.distributions import chi2_isf
 from invid.signals.spectral_record import Record
 
+NONE_YET = "causes of what is missing (none was weighed to the end)"
+BESIDE = "relatives of the friction found"
+FURTHER = "further causes"
+OTHER_MASSES = "the other masses of the axis"
+AGAIN = "each cause once more beside the others"
+"""What a search leaves out when its time is spent, as the warning says it."""
+HALF = 0.6
+"""Share of what is still to be done that is taken to lie ahead after one more cause; for progress alone."""
 MODE = 150
 """Iterations for a mode moved to another mass of its axis; 20 left it at χ² 2036, 150 at 2003 (830051)."""
 MOST = 3
@@ -76,6 +92,8 @@ def select(
     )
     if not contested or _alone(found, [*train, *held]):
         return found
+    if budget.is_left_out("the delay in place of a lag"):
+        return replace(found, cut=True)
     other = _search(base, train, held, replace(asked, contested=contested))
     if any(_is(s.chosen, "torque_lag", i) for s in other.steps for i in contested):
         return found  # a delay that needs the lag beside it takes nothing's place
@@ -119,11 +137,13 @@ class _Asked:
 def _search(base: JointFit, train: Sequence[Record], held: Sequence[Record], asked: _Asked) -> Selection:
     """Causes added one by one."""
     start = Trial(base, held_out(base, held))
-    found = with_viscous(_added(Selection(start, start), train, held, asked), train, held)
-    again = _reconsidered(found, train, held, asked)
+    added = _added(Selection(start, start), train, held, asked)
+    found = budget.or_else(BESIDE, partial(with_viscous, added, train, held), added)
+    again = budget.or_else(AGAIN, partial(_reconsidered, found, train, held, asked), found)
     if [_named(s) for s in again.steps] != [_named(s) for s in found.steps]:
         again = _added(again, train, held, asked)  # beside another cause there may be more to find
-    return with_asymmetry(again, train, held)
+    found = budget.or_else(BESIDE, partial(with_asymmetry, again, train, held), again)
+    return replace(found, cut=found.cut or budget.is_left_out(FURTHER))
 
 
 def _added(found: Selection, train: Sequence[Record], held: Sequence[Record], asked: _Asked) -> Selection:
@@ -134,14 +154,23 @@ def _added(found: Selection, train: Sequence[Record], held: Sequence[Record], as
         rejects = _rejects(current, [*train, *held])
         if steps and not rejects:
             break  # what the causes leave is noise; what else fits it says how imperfect their models are
-        step, rejected = _step(current, train, held, asked, start, first=not steps, rejects=rejects)
+        number = len(steps)
+        try:
+            with budget.part(1.0, 1.0 - HALF**number, 1.0 - HALF ** (number + 1)):
+                step, rejected = _step(current, train, held, asked, start, first=not steps, rejects=rejects)
+        except budget.BudgetSpent:
+            budget.leave_out(f"causes beside {number} found" if number else NONE_YET)
+            found = replace(found, cut=True)
+            break
         if step is None:
             break
         step = judged_on_moves(step, asked.moves)
-        added = ladder(step, train, held) or (step,)
+        none: tuple[Step, ...] = ()
+        added = budget.or_else(BESIDE, partial(ladder, step, train, held), none) or (step,)
         steps.extend(added)
         current = added[-1].chosen
-    return pruned(Selection(start, current, tuple(steps), rejected), train, held)
+    found = Selection(start, current, tuple(steps), rejected, found.cut)
+    return budget.or_else("causes that others make superfluous", partial(pruned, found, train, held), found)
 
 
 def _reconsidered(
@@ -218,8 +247,12 @@ def _step(
             here, train, held, asked, terms, first=first, rejects=rejects, known=known
         )
     least_left = min((t.fit.cost for t in trials), default=np.inf)
-    trials = [retimed(t, train, held) if t.fit.cost <= least_left else t for t in trials]
-    trials = _rounded(trials, current, train, held)
+    trials = budget.or_else(
+        "other times of a change of load",
+        lambda: [retimed(t, train, held) if t.fit.cost <= least_left else t for t in trials],
+        trials,
+    )
+    trials = budget.or_else(BESIDE, partial(_rounded, trials, current, train, held), trials)
     trials = [t for t in trials if not is_smaller_model(t)]  # some were larger only for want of rounding
     trials = with_known(trials, known)
     if not trials:
@@ -236,6 +269,9 @@ def _step(
         return not rejects and REACH * (current.cost - t.cost) < least
 
     def polish(t: Trial) -> Trial:
+        if budget.spent():
+            return t
+        tell_of("fitting", t.term, here, 0.7)
         more = fit(t.fit.layout, train, t.fit.p, t.fit.candidate, iterations=40)
         return Trial(more, held_out(more, held))
 
@@ -248,7 +284,8 @@ def _step(
     if not trials:
         return None, tuple(scores[:5])
     if _rejects(trials[0], [*train, *held]):
-        trials = with_known(trials, modes_moved(current, trials, train, held, terms))
+        moved = partial(modes_moved, current, trials, train, held, terms)
+        trials = with_known(trials, budget.or_else(OTHER_MASSES, moved, []))
     dispersion = min(t.dispersion for t in trials)
     ranked = _ranked([(t, t.score(dispersion, rows)) for t in trials], asked.contested)
     best_of_all = ranked[0][0]
@@ -258,10 +295,11 @@ def _step(
         return None, tuple(scores[:5])
     if best_of_all.term.effect.cause == "extra_mode":
         # A mode on one mass is nearly one on the next with another size, and a fit creeps along that.
-        others = elsewhere(best_of_all, train, held, terms, [best_of_all.term], iterations=MODE)
-        trials = with_known(trials, others)
+        there = partial(elsewhere, best_of_all, train, held, terms, [best_of_all.term], iterations=MODE)
+        trials = with_known(trials, budget.or_else(OTHER_MASSES, there, []))
     elif _rejects(best_of_all, [*train, *held]):
-        trials += elsewhere(best_of_all, train, held, terms, [t.term for t in trials])
+        there = partial(elsewhere, best_of_all, train, held, terms, [t.term for t in trials])
+        trials += budget.or_else(OTHER_MASSES, there, [])
     dispersion = min(t.dispersion for t in trials)
     ranked = _ranked([(t, t.score(dispersion, rows)) for t in trials], asked.contested)
     return Step(current, ranked[0][0], tuple(ranked)), tuple(scores[:5])
@@ -297,9 +335,11 @@ def _candidates(
     reached = min((t.fit.cost for t in trials), default=np.inf)
     trials += refitted(here, train, held, scores, least, reached)
     if first and rejects and asked.start is not None and not known:
-        trials = with_those_from(asked.start, here, train, held, terms, trials)
+        from_model = partial(with_those_from, asked.start, here, train, held, terms, trials)
+        trials = budget.or_else("causes from the identified parameters", from_model, trials)
     if first and rejects and not known:
-        trials = with_known(trials, tied_loads(here, train, held, terms))
+        tied = partial(tied_loads, here, train, held, terms)
+        trials = with_known(trials, budget.or_else("springs between heavy loads", tied, []))
     return trials, scores
 
 
@@ -341,6 +381,8 @@ def _rounded(
     """Friction whose sign changes gradually, where it takes half of the excess but ends above the noise."""
 
     def one(trial: Trial) -> Trial:
+        if budget.spent():
+            return trial
         found = rounded(
             trial.fit,
             train,

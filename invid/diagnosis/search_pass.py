@@ -27,6 +27,7 @@ from invid.likelihood.joint_fit import JointFit, fit, held_out
 from invid.likelihood.null_test import null_test
 from invid.likelihood.prepare_records import split, with_sticking
 from invid.model.document import Model
+from invid.numerics import budget
 from invid.numerics.arrays import Float64
 from invid.recording.model import Recording, Role
 from invid.signals.plausibility import check_plausible
@@ -84,13 +85,17 @@ def _over_periods(recording: Recording, model: Model) -> Look:
     differs = any(r.differs for r in (*look.train, *look.held))
     if look.tones or not (differs or lost(look.selection)):
         return look
+    if budget.is_left_out("every period of the records by itself, and gaps as wide as their spring deflects"):
+        return _cut(look)
     other = _looked(look.recording, model, each=True) if differs else look
     if other.selection.steps and other.selection.final.cost < CLOSE * other.selection.final.dof:
         return other
-    strong = _with_a_strong_mode(other)
+    strong = budget.or_else(
+        "a mode that the linear fit is lost for", partial(_with_a_strong_mode, other), None
+    )
     if strong is not None:
         return strong
-    rattling = _rattling(look, other)
+    rattling = budget.or_else("a gap as wide as its spring deflects", partial(_rattling, look, other), None)
     if rattling is not None:
         return rattling
     return other if other.selection.steps else look
@@ -127,7 +132,10 @@ def _over_changes(recording: Recording, model: Model) -> Look:
     if look.selection.steps:
         return look
     rejected = null_test(base.held.cost, base.held.dof, look.held).rejects
-    if not rejected and null_test(base.fit.cost, base.fit.dof, look.train).rejects:
+    changed = rejected or null_test(base.fit.cost, base.fit.dof, look.train).rejects
+    if changed and budget.is_left_out("changes between the records and within them"):
+        return _cut(look)
+    if not rejected and changed:
         other = _looked(recording, model, within=True)
         return other if other.selection.steps else look
     if not rejected or base.held.cost / base.held.dof < ALIKE * base.fit.dispersion:
@@ -137,6 +145,11 @@ def _over_changes(recording: Recording, model: Model) -> Look:
         return other if other.selection.steps else look
     other = _looked(look.recording, model, apart=True)
     return other if _changes(other) else look
+
+
+def _cut(look: Look) -> Look:
+    """The look with a search that the budget ended."""
+    return replace(look, selection=replace(look.selection, cut=True))
 
 
 def _explained_by_a_change(recording: Recording, model: Model) -> bool:
@@ -168,12 +181,13 @@ def _looked(
     begun = partial(_begun, model=model, spare=spare, apart=apart, within=within, each=each)
     spectra, warnings, (base, free, train, held) = begun(recording)
     tones = [] if each else tones_in(base, held, spectra)
-    if tones and not apart and _explained_by_a_change(recording, model):
+    if tones and not apart and not budget.spent() and _explained_by_a_change(recording, model):
         return _looked(recording, model, apart=True)
     if tones:
         recording = without_tones(recording, tones)
         spectra, warnings, (base, free, train, held) = begun(recording)
-    if apart and not changes_with_time(base, held, linear_axes=recording.linear):
+    timely = partial(changes_with_time, base, held, linear_axes=recording.linear)
+    if apart and not budget.or_else("changes with time", timely, False):
         nothing = Trial(base, held_out(base, held))
         unchanged = Selection(nothing, nothing)
         return Look(recording, model, spectra, tones, train, held, base, unchanged, warnings)
@@ -184,24 +198,31 @@ def _looked(
         start=start_of(model, base.layout),
         moves=moves_of(recording),
     )
-    selection = search(base, train, held)
-    if selection.steps:
+    with budget.part(1.0, 0.1, 0.9):
+        selection = search(base, train, held)
+    if selection.steps and not budget.is_left_out("scatter that the causes explain"):
         less = quieted(selection.final.fit.evaluation), quieted(selection.final.held)
         if any(a is not b for a, b in zip((*less[0], *less[1]), (*train, *held), strict=True)):
             train, held = less
             base = fit(base.layout, train, base.p, base.candidate, iterations=25)
             selection = search(base, train, held)
-    settled = from_causes(base, selection.final.fit, train)
+    settled = budget.or_else(
+        "the linear model from where the causes left it",
+        partial(from_causes, base, selection.final.fit, train),
+        None,
+    )
     if settled is not None:
         base, selection = settled, search(settled, train, held)
     if not selection.steps and selection.final.fit is not base:
         # A chain that has in it what was found beside.
         base, selection = selection.final.fit, replace(selection, base=selection.final)
-    selection, bare = between_records(selection), without_effects(base, train)
-    parts = around_change(selection, recording)
+    selection = budget.or_else("the time of a change", partial(between_records, selection), selection)
+    bare = without_effects(base, train)
+    parts = budget.or_else("the time of a change", partial(around_change, selection, recording), None)
     if parts is not None:
         around = fit(base.layout, parts[0], base.p, base.candidate, iterations=25)
-        again = sooner(selection, search(around, *parts), *parts)
+        again = search(around, *parts)
+        again = budget.or_else("the time of a change", partial(sooner, selection, again, *parts), again)
         if change_of(again) is not None:
             base, selection, (train, held) = around, again, parts
             bare = without_effects(base, train)
@@ -215,6 +236,7 @@ def _begun(
     recording: Recording, model: Model, spare: bool, apart: bool, within: bool, each: bool = False
 ) -> tuple[tuple[LineSpectra, ...], list[str], _Begun]:
     """Spectra, what to warn about, and the linear fit with its records (``linear_fit``)."""
+    budget.tell("reading spectra", 0.0)
     spectra = all_spectra(recording)
     if not spectra:
         raise InputError(f"{recording.source}: no experiment shakes an axis; nothing to compare with a model")
@@ -223,4 +245,5 @@ def _begun(
     train, standing = with_sticking(train, spectra, model, recording)
     held, _ = with_sticking(held, spectra, model, recording)
     warnings = [*(w for s in spectra for w in s.warnings), *warnings, *standing]
+    budget.tell("fitting the linear model", 0.05)
     return spectra, warnings, linear_fit(model, recording, spectra, train, held, apart=apart, each=each)

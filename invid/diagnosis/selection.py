@@ -25,6 +25,8 @@ class Selection:
     final: Trial
     steps: tuple[Step, ...] = ()
     rejected: tuple[Score, ...] = field(default=())
+    cut: bool = False
+    """Whether the budget ended the search before it ended by itself."""
 
     def wider(self, shift: Float64) -> Selection:
         """The same with parameters of the final fit that may be off by ``shift`` (n,) besides their noise."""

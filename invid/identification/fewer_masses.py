@@ -10,6 +10,7 @@ from invid.errors import InvidError
 from invid.likelihood.fit import AT_NOISE, Fit, fit_structure
 from invid.model.chains import CoupledChains
 from invid.model.parameters import ChainStructure
+from invid.numerics import budget
 from invid.signals.spectra import LineSpectra
 
 BUT = "were declared, but"
@@ -40,6 +41,8 @@ def with_fewer_masses(
     masses contain fewer, so in what these explain no further mass is seen.
     """
     for fewer in _smaller(tuple(sizes)):
+        if budget.is_left_out("fewer masses than declared"):
+            break
         structure = ChainStructure(fewer, tuple(axes))
         try:
             begun = fit_structure(spectra, structure, starts_for(fewer), thorough=False)

@@ -11,6 +11,7 @@ from invid.errors import InvidError
 from invid.likelihood.fit import Fit, fit_structure
 from invid.model.chains import CoupledChains
 from invid.model.parameters import ChainStructure
+from invid.numerics import budget
 from invid.numerics.arrays import Float64
 from invid.signals.spectra import LineSpectra
 
@@ -36,7 +37,7 @@ def with_ground_springs(
         return free
     corrected = [replace(s, torque=s.torque - stiffness * s.position) for s in spectra]
     found = free
-    while grounded:
+    while grounded and not budget.spent():
         structure = replace(_plain(free.structure), grounded=grounded)
         begun = [
             replace(c, ground_springs=np.where(np.isin(np.arange(stiffness.size), grounded), stiffness, 0.0))

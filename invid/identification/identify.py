@@ -26,12 +26,16 @@ from invid.model.document import Model
 from invid.model.parameters import ChainStructure
 from invid.modes.pole_search import searched_modes
 from invid.modes.settle import settled_frf
+from invid.numerics import budget
 from invid.recording.model import Recording, Role
 from invid.signals.drive_torque import with_acting_torque
 from invid.signals.encoder_glitches import without_glitches
 from invid.signals.frf import FrfMatrix
 from invid.signals.plausibility import check_plausible
 from invid.signals.spectra import LineSpectra, all_spectra
+
+TIME_TO_SEARCH = 0.9
+"""Share of a budget for everything but covariances and what is said of the model. A guess."""
 
 Masses = Sequence[int] | Literal["auto"] | None
 Method = Literal["paper", "refined"]
@@ -75,7 +79,10 @@ def identify(
         Data from which no such model can be drawn at all; an excitation that drowns in the noise.
     """
     recording, told = without_glitches(recording)
-    model = _model(recording, masses, method, profile, (bootstrap, workers))
+    with budget.part(TIME_TO_SEARCH):
+        model = _model(recording, masses, method, profile, (bootstrap, workers))
+    cut = budget.warning()
+    told = told if cut is None else [*told, cut]
     return replace(model, warnings=(*model.warnings, *told)) if told else model
 
 
@@ -100,6 +107,7 @@ def identify_chains(recording: Recording, masses: Masses) -> Model:
 def _chains(
     recording: Recording, masses: Masses, method: Method, profile: bool, again: tuple[int, int] = (0, 1)
 ) -> Model:
+    budget.tell("reading spectra", 0.0)
     spectra = all_spectra(recording, Role.IDENTIFY)
     _check(recording, spectra)
     spectra = with_acting_torque(spectra, recording.experiments)
@@ -119,8 +127,11 @@ def _chains(
         return paper_model(recording, result, measured, warnings, order)
     measured = measured_frf(spectra)
     fit = fit_sizes(spectra, sizes, recording.axes, measured, further=further, declared=not order)
-    fit, paper = from_second_route(spectra, fit)
-    if fit.noise_chi2 > SUSPECT and min(missed_by_structure(spectra, fit)) > BEATEN:
+    paper: PaperResult | InvidError = NotIdentifiableError("the budget was spent before the second route")
+    if not budget.is_left_out("the paper's method as a second route"):
+        fit, paper = from_second_route(spectra, fit)
+    doubtful = fit.noise_chi2 > SUSPECT and not budget.is_left_out("springs to ground and late torque")
+    if doubtful and min(missed_by_structure(spectra, fit)) > BEATEN:
 
         def starts_for(corrected: Sequence[LineSpectra]) -> Iterator[CoupledChains]:
             return chain_starts(corrected, sizes, recording.axes, measured_frf(corrected), (), False)

@@ -12,6 +12,7 @@ from invid.errors import InvidError
 from invid.identification.starts import fit_sizes, measured_frf
 from invid.likelihood.fit import Fit
 from invid.model.chains import CoupledChains
+from invid.numerics import budget
 from invid.numerics.distributions import chi2_isf
 from invid.signals.spectra import LineSpectra
 
@@ -73,6 +74,9 @@ def choose_order(spectra: Sequence[LineSpectra], axes: Sequence[str], *, most: i
         before = cost(small)
         if before < GAIN * dofs[small]:
             return False  # already noise: nothing could be better by the factor asked for
+        if large not in costs and budget.is_left_out(f"{_label(large)} masses"):
+            return False
+        budget.tell(f"trying {_label(large)} masses", 0.3 * (1.0 - 0.8 ** len(costs)))
         after = cost(large, small)
         if not np.isfinite(after) or _label(large) in vanishing or _label(large) in standing:
             return False  # a mass that goes to nothing, or stands still, is none: it fits something else
@@ -96,7 +100,7 @@ def choose_order(spectra: Sequence[LineSpectra], axes: Sequence[str], *, most: i
             best = (n + 1,) * count
             continue
         break
-    if count > 1:
+    if count > 1 and not budget.is_left_out("masses more or less on single axes"):
         best = _trimmed(_grown(best, needed, cost, most), needed, cost)
     alike = _alike(best, costs, dofs)
     # Of those that the data cannot tell apart the most even one stands first.
@@ -131,12 +135,13 @@ def _trimmed(
     cost: Callable[[tuple[int, ...]], float],
 ) -> tuple[int, ...]:
     """Masses taken away, the least missed first, while none of those left is superfluous."""
-    while True:
+    while not budget.is_left_out("masses less on single axes"):
         smaller = [(*best[:i], n - 1, *best[i + 1 :]) for i, n in enumerate(best) if n > 1]
         free = [s for s in smaller if np.isfinite(cost(s)) and not needed(s, best)]
         if not free:
             return best
         best = min(free, key=cost)
+    return best
 
 
 def _grown(

@@ -16,6 +16,7 @@ from invid.model.parameters import ChainStructure
 from invid.modes import Modes
 from invid.modes.pole_search import searched_modes
 from invid.modes.rational_fit import FINE, TRUSTED, rational_modes
+from invid.numerics import budget
 from invid.signals.frf import FrfMatrix, frf_matrix, local_frf_matrix
 from invid.signals.spectra import LineSpectra
 
@@ -82,10 +83,12 @@ def chain_starts(
     count = 0
     early = not large(sizes) and measured.frequency_hz.size > 0
     for modes, frf in _modal_starts(spectra, sizes, thorough):
+        if count and budget.spent():
+            break
         *physical, equal = starts(frf.frequency_hz, frf.frf, frf.variance, sizes, axes=axes, modes=modes)
         yield from physical
         crude.append(equal)
-        if not count and early:
+        if not count and early and not budget.spent():
             # Branches alike share poles, which as many poles as modes cannot fit; the modes of the FRF matrix
             # can, and take less time than a search under the noise.
             *shared, equal = starts(measured.frequency_hz, measured.frf, measured.variance, sizes, axes=axes)
@@ -94,6 +97,8 @@ def chain_starts(
             alone = start_apart(spectra, sizes, axes) if thorough and len(sizes) > 1 else None
             if alone is not None:
                 yield alone
+        if declared and not count and budget.is_left_out("fewer masses than declared"):
+            declared = False
         fewer = fewer_masses(spectra, sizes, axes) if declared and not count else None
         if fewer is not None:
             raise FewerExplain(fewer)

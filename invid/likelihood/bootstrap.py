@@ -20,6 +20,7 @@ from invid.errors import InputError, NotIdentifiableError
 from invid.likelihood.fit import Fit
 from invid.likelihood.levenberg_marquardt import gauss_newton
 from invid.likelihood.residual import MissingTorqueProblem
+from invid.numerics import budget
 from invid.numerics.arrays import Complex128, Float64
 
 LEAST = 20
@@ -50,7 +51,13 @@ def bootstrap(fit: Fit, draws: int, *, workers: int = 1, seed: int = 0) -> dict[
     """
     if draws < LEAST:
         raise InputError(f"a bootstrap of {draws} draws: take {LEAST} or more, 200 for a spread to 5 %")
-    found = np.array([v for v in _all(fit, draws, workers, seed) if v is not None])
+    tried = [v for v in _all(fit, draws, workers, seed) if v is None or v.size]
+    if len(tried) < draws:
+        budget.leave_out(f"{draws - len(tried)} of {draws} draws of the bootstrap")
+    if len(tried) < LEAST:
+        return {}
+    draws = len(tried)
+    found = np.array([v for v in tried if v is not None])
     if found.shape[0] < 0.9 * draws:
         raise NotIdentifiableError(
             f"{draws - found.shape[0]} of {draws} draws of the bootstrap could not be fitted: the noise is "
@@ -91,7 +98,10 @@ def _own(number: int) -> Float64 | None:
 
 
 def _draw(fit: Fit, seed: int, number: int) -> Float64 | None:
-    """Parameters in physical units with noise drawn anew; none where the fit ends nowhere."""
+    """Parameters in physical units with noise drawn anew; none where the fit ends nowhere, empty where there
+    was no time for it."""
+    if budget.spent():
+        return np.zeros(0)
     rng = np.random.default_rng([seed, number])
     with np.errstate(all="ignore"):
         try:

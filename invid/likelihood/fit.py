@@ -27,6 +27,7 @@ from invid.likelihood.records import carried, problem_from_spectra, with_columns
 from invid.likelihood.residual import MissingTorqueProblem
 from invid.model.chains import CoupledChains
 from invid.model.parameters import ChainStructure
+from invid.numerics import budget
 from invid.numerics.arrays import Complex128, Float64
 from invid.numerics.distributions import chi2_isf
 from invid.signals.spectra import LineSpectra
@@ -99,7 +100,8 @@ def fit_structure(
     patience = 1 if large(structure.sizes) else 5 if thorough else 2
     solution = _best(problem, starts, 80 if thorough else 30, patience)
     holds: dict[str, str] = {}
-    if thorough:
+    budget.tell("identifying", 0.6 if thorough else 0.3)
+    if thorough and not budget.is_left_out("transients, holds, inner friction and lags of the model"):
         problem, solution = _boundary(problem, solution, spectra)
         problem, solution = with_sharp_reversals(problem, solution, spectra)
     problem, solution = with_gradual_reversals(problem, solution, spectra)
@@ -110,10 +112,11 @@ def fit_structure(
     base = [b.covariance for b in problem.blocks]
     noise_chi2, noise_cost = solution.reduced, solution.chi2
     excess: list[Float64] = []
+    budget.tell("identifying", 0.8 if thorough else 0.3)
     if thorough:
         problem, solution, excess = _weighted(problem, solution, base)
         plain = problem.with_covariance(base)
-        again = gauss_newton(plain, solution.p)
+        again = solution if budget.spent() else gauss_newton(plain, solution.p)
         if again.chi2 < 0.9 * noise_cost:
             # The weights led out of a wrong minimum: what is left beyond the noise is to be judged anew.
             noise_chi2, noise_cost = again.reduced, again.chi2
@@ -121,6 +124,7 @@ def fit_structure(
         problem, solution, excess = _drop_coulomb(problem, solution, base, excess)
         problem, solution = with_reversal_lags(problem, solution)
     problem, solution, open_holds, early = with_open_holds(problem, solution, spectra, holds)
+    budget.tell("identifying", 0.95 if thorough else 0.3)
     free = physical_covariance(problem, solution)
     problem, solution = _physical(problem, solution)
     covariance = physical_covariance(problem, solution)
@@ -157,7 +161,10 @@ def _best(
     """The lowest cost from all starts; stops at the first that cannot be told from noise, or where a
     second start leads to the same minimum as the best before it."""
     best: Solution | None = None
-    for p in _promising(problem, starts, patience):
+    for number, p in enumerate(_promising(problem, starts, patience)):
+        if best is not None and budget.is_left_out("further starts of the identification"):
+            break
+        budget.tell(f"identifying, start {number + 1}", 0.5 * (1.0 - 0.5**number))
         for share in TEMPER[1:]:
             p = gauss_newton(_tempered(problem, share), p, iterations=15, tolerance=0.1).p
         found = gauss_newton(problem, p, iterations=iterations)
@@ -186,6 +193,8 @@ def _promising(
     aside: list[Solution] = []
     waited = False
     for start in starts:
+        if aside and budget.spent():
+            break
         p = problem.start(problem.structure.vector(start))
         found = gauss_newton(wide, p, iterations=15, tolerance=0.1)
         if found.reduced < 1.0 or waited:
@@ -268,6 +277,8 @@ def _weighted(
         before = solution.p
         solution = gauss_newton(problem, solution.p)
         excess = new
+        if budget.spent():
+            break
         moved = np.abs(solution.p - before)[solution.free]
         if np.all(moved < 0.1 * spread_of(solution)[solution.free]):
             break

@@ -11,6 +11,7 @@ from invid.likelihood.evaluation import Evaluation, evaluate, with_jacobian
 from invid.likelihood.hypothesis import Layout
 from invid.likelihood.nuisance.hold_share import SHARES
 from invid.likelihood.placed_effect import Candidate
+from invid.numerics import budget
 from invid.numerics.arrays import Bool, Float64
 from invid.signals.spectral_record import Record
 
@@ -127,6 +128,8 @@ def fit(
         at += term.size
     damping, converged = 1e-4, False
     for _ in range(iterations):
+        if budget.is_left_out("fits to their end"):
+            break
         move = ~_stuck(v, low, high, here)
         jacobian = here.jacobian[:, move]
         scale = np.linalg.norm(jacobian, axis=0)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from invid.likelihood.residual import MissingTorqueProblem
+from invid.numerics import budget
 from invid.numerics.arrays import Bool, Float64
 
 LARGEST_STEP = 0.7
@@ -34,7 +35,7 @@ class Solution:
     """Where the fit stopped.
 
     ``result`` is "converged", "stalled" (no step reduces the cost, gradient not small) or "limit"
-    (iterations used up). ``covariance`` is (n, n) over all parameters, zero rows where fixed, not
+    (iterations or time used up). ``covariance`` is (n, n) over all parameters, zero rows where fixed, not
     inflated. ``chi2`` is the whitened sum of squares with ``dof`` real degrees of freedom.
     """
 
@@ -94,6 +95,9 @@ def gauss_newton(
     damping = 1e-3
     result, used, predicted = "limit", iterations, np.inf
     for iteration in range(iterations):
+        if budget.is_left_out("fits to their end"):
+            used = iteration
+            break
         scale = np.linalg.norm(now.jacobian, axis=0)
         scale[scale == 0] = 1.0
         # Normal equations: a step needs no more digits than they keep, and a product is several times

@@ -15,6 +15,7 @@ import numpy as np
 from invid.likelihood.covariance import spread_of
 from invid.likelihood.fit import Fit
 from invid.likelihood.levenberg_marquardt import gauss_newton
+from invid.numerics import budget
 
 ENDLESS = 8.0
 """Standard deviations after which an interval is taken not to end."""
@@ -43,6 +44,8 @@ def profiles(fit: Fit, names: Sequence[str] | None = None) -> dict[str, Interval
         at = place[name]
         if not solution.free[at]:
             continue
+        if budget.is_left_out("further profile intervals"):
+            break
         ends = [_end(fit, name, at, float(spread[at]), side) for side in (-1.0, 1.0)]
         if structure.logarithmic[at]:
             ends = [None if e is None else float(np.exp(e)) for e in ends]

@@ -20,6 +20,7 @@ from invid.modes.least_squares import (
 )
 from invid.modes.model import Modes, high_gain_pairs, mode_shape_functions, pairs
 from invid.modes.poles import STARTING_DAMPING, pole_candidates, residue_start
+from invid.numerics import budget
 
 _GOOD = 2.0
 """χ²/dof at which the search for poles ends: no other start can do more than halve it."""
@@ -65,6 +66,8 @@ def fit_modes(
     for model_error, order in _attempts(data):
         weight = data.weight(model_error)
         for poles in pole_candidates(data, weight, order):
+            if best is not None and budget.spent():
+                break
             fit = levenberg(data, weight, residue_start(data, weight, poles), 20)
             if data.modes and reduced_chi2(data, data.weight(0.0), fit) > _GOOD:
                 fit = levenberg(data, weight, replace(fit, lag=np.zeros(fit.shapes.shape)), 20)
@@ -112,6 +115,8 @@ def _moved_to_the_misfit(data: FrfData, best: tuple[float, ModalFit]) -> tuple[f
     rows, columns = pairs(data.count)
     tried: list[float] = []
     for _ in range(4):
+        if budget.spent():
+            break
         fit = best[1]
         excess = np.sum((weight * misfit(data, fit)) ** 2, axis=1)
         excess = np.convolve(excess, np.ones(3) / 3, mode="same")

@@ -8,6 +8,7 @@ import numpy as np
 
 from invid.modes.data import FrfData
 from invid.modes.model import high_gain_pairs, lag_functions, mode_shape_functions, pairs
+from invid.numerics import budget
 from invid.numerics.arrays import Bool, Complex128, Float64
 
 
@@ -131,6 +132,8 @@ def levenberg(data: FrfData, weight: Float64, start: ModalFit, iterations: int =
     x, trust = _pack(start), 1e-3
     cost, gradient, hessian = normal_equations(data, weight, start, allowed)
     for _ in range(iterations):
+        if budget.spent():
+            break
         scale = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
         normal = hessian / np.outer(scale, scale)
         improved = False

@@ -28,6 +28,7 @@ from invid.modes.rational_fit import (
     residues_of,
     without_transients,
 )
+from invid.numerics import budget
 from invid.numerics.arrays import Complex128, Float64
 from invid.numerics.parallel import at_once
 from invid.signals.frf import FrfMatrix
@@ -149,7 +150,7 @@ class _Search:
         residues = residues_of(self.raw, first, self.motors, self.scale)
         model = (first, residues)
         poles = _even(*band, modes + spare, self.scale)
-        while True:
+        while not budget.spent():
             for _ in range(ROUNDS):
                 data = self.weighted(delay, *model)
                 fresh = self._relocated(data, poles, 5)
@@ -164,9 +165,12 @@ class _Search:
             if poles.size == modes:
                 return cost, poles, residues
             poles = np.delete(poles, int(np.argmin(significance)))
+        return None
 
     def _relocated(self, data: Sequence[Record], poles: Complex128, times: int) -> Complex128 | None:
         for _ in range(times):
+            if budget.spent():
+                return None
             with np.errstate(all="ignore"):
                 fresh = relocated(data, poles, self.motors, self.scale)
             if fresh is None or not np.isfinite(fresh).all():

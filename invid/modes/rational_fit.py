@@ -15,6 +15,7 @@ import numpy as np
 
 from invid.modes import Modes
 from invid.modes.model import high_gain_pairs, pairs
+from invid.numerics import budget
 from invid.numerics.arrays import Bool, Complex128, Float64
 from invid.signals.frf import FrfMatrix
 from invid.signals.spectra import FEW_LINES, LineSpectra
@@ -47,7 +48,9 @@ def rational_modes(
     high = max(float(w[-1]) for w, *_ in data)
     scale = float(np.sqrt(low * high))
     poles: Complex128 = np.linspace(low, high, modes + 2)[1:-1] / scale * np.complex128(-DAMPING + 1j)
-    for _ in range(iterations):
+    for number in range(iterations):
+        if number and budget.spent():
+            break
         fresh = relocated(data, poles, motors, scale)
         if fresh is None:
             return None

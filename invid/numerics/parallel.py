@@ -14,6 +14,8 @@ from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from typing import Any, TypeVar
 
+from invid.numerics.budget import silence
+
 A = TypeVar("A")
 B = TypeVar("B")
 
@@ -118,6 +120,7 @@ def _help(
     """What a helper does: it takes calls, and says nothing where it fails."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the caller, who ends the helper
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    silence()
     for end in idle:
         end.close()
     try:

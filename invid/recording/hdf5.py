@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 
 import h5py
 import numpy as np
+import numpy.typing as npt
 
 from invid.errors import RecordingError
 from invid.numerics.arrays import Float64, UInt16, frozen, frozen_float
@@ -228,17 +229,11 @@ def _read_experiment(
     if time is None:
         raise RecordingError(f"{where}: dataset 'time' is missing; the contract needs it")
     columns: dict[str, Any] = {}
-    for name in (*COLUMNS, "status"):
+    for name in COLUMNS:
         values = _dataset(node, name, where, budget, columns=len(axes), rows=time.shape[0])
         if values is None and name in ("position", "torque"):
             raise RecordingError(f"{where}: dataset {name!r} is missing; the contract needs it")
         columns[name] = values
-    status: UInt16 | None = None
-    if columns["status"] is not None:
-        raw = columns["status"]
-        if raw.size and not ((raw >= 0) & (raw <= 65535) & (raw == np.round(raw))).all():
-            raise RecordingError(f"{where}: dataset 'status' holds values that are no 16-bit statuswords")
-        status = frozen(raw, np.uint16)  # type: ignore[assignment]
     return Experiment(
         key=key,
         kind=kind,
@@ -254,14 +249,34 @@ def _read_experiment(
         torque_demand=columns["torque_demand"],
         position_reference=columns["position_reference"],
         torque_feedforward=columns["torque_feedforward"],
-        status=status,
+        status=_status(node, where, budget, columns=len(axes), rows=time.shape[0]),
         attributes=a.rest(EXPERIMENT_ATTRIBUTES),
     )
+
+
+def _status(node: h5py.Group, where: str, budget: _Budget, *, columns: int, rows: int) -> UInt16 | None:
+    raw = _values(node, "status", where, budget, columns=columns, rows=rows)
+    if raw is None:
+        return None
+    if raw.dtype != np.uint16 and not ((raw >= 0) & (raw <= 65535) & (raw == np.round(raw))).all():
+        raise RecordingError(f"{where}: dataset 'status' holds values that are no 16-bit statuswords")
+    return frozen(raw, np.uint16)  # type: ignore[return-value]
 
 
 def _dataset(
     node: h5py.Group, name: str, where: str, budget: _Budget, *, columns: int, rows: int | None = None
 ) -> Float64 | None:
+    raw = _values(node, name, where, budget, columns=columns, rows=rows)
+    if raw is None:
+        return None
+    values: Float64 = np.ascontiguousarray(raw, dtype=np.float64)  # no copy: nobody else has it
+    values.setflags(write=False)
+    return values
+
+
+def _values(
+    node: h5py.Group, name: str, where: str, budget: _Budget, *, columns: int, rows: int | None
+) -> npt.NDArray[Any] | None:
     data = _own(node, name, where)
     if data is None:
         return None
@@ -286,7 +301,8 @@ def _dataset(
     # not in the file, so the storage must at least exist.
     if count > 1_000_000 and data.id.get_storage_size() == 0:
         raise RecordingError(f"{where}: dataset {name!r} has shape {shape} but holds no data")
-    return frozen_float(data[()])
+    values: npt.NDArray[Any] = data[()]
+    return values
 
 
 def root_attributes(recording: Recording) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from invid.errors import InputError, ModelError, NotIdentifiableError
 from invid.model.chains import CoupledChains
 from invid.model.diagnosis_document import Alternative, AxisResidual, Diagnosis, Finding, Unexplained, Verdict
 from invid.model.document import ChainStd, EffectTerm, Model
+from invid.numerics import budget
 from invid.numerics.arrays import Float64, frozen_float
 from invid.recording.model import Recording
 from invid.rigid_motion.analysis import Analysis, analyse, counts_at_most, row_floor
@@ -100,12 +101,18 @@ def diagnose_trajectory(recording: Recording, *, model: Model | None = None) -> 
         model=extended,
         warnings=extended.warnings,
         sentences=tuple(f.sentence for f in findings) + (() if left is None else (left.sentence,)),
-        details={**_details(a), "simulation": _simulated(a, extended)},
+        details={
+            **_details(a),
+            "simulation": _simulated(a, extended),
+            **({"cut_short": True} if a.selection.cut else {}),
+        },
     )
 
 
 def _simulated(a: Analysis, extended: Model) -> list[dict[str, Any]]:
     """The model run through time beside the record, and the best linear model in its place."""
+    if budget.is_left_out("the model simulated over time"):
+        return []
     found = errors_of(extended, a.recording)
     if not found:
         return []
@@ -249,6 +256,8 @@ def _rivals(
             labels.setdefault(c.label, []).append(c)
     found = []
     for options in labels.values():
+        if budget.is_left_out("rivals of the causes found"):
+            break
         # What contains the term is a refinement that was tried and not needed, not a rival.
         if term.cause in options[0].replaces or options[0].cause in term.replaces:
             continue

@@ -13,6 +13,7 @@ from itertools import combinations
 import numpy as np
 from scipy import stats
 
+from invid.numerics import budget
 from invid.numerics.arrays import Float64
 from invid.rigid_motion.load_friction import load_terms, settled
 from invid.rigid_motion.regression import Design, Fit, fit
@@ -47,6 +48,8 @@ class Selection:
     final: Fit
     steps: list[Step]
     ladder: list[tuple[list[Term], Fit]]
+    cut: bool = False
+    """Whether the budget ended the search before it ended by itself."""
 
 
 def rms(values: Float64) -> float:
@@ -159,17 +162,24 @@ def select(design: Design, base: list[Term], candidates: list[Term], *, most: in
     labels: dict[tuple[str, int, int | None, str], list[Term]] = {}
     for c in candidates:
         labels.setdefault(c.label, []).append(c)
-    for _ in range(most):
+    cut = False
+    for number in range(most):
         length = design.torque.size / max(current.effective, 1.0)
         if design.has_validation:
             length = (~design.validate).sum() / max(current.effective, 1.0)
         tried: list[tuple[Term, Fit]] = []
         for label, options in labels.items():
+            if budget.spent():
+                break
+            budget.tell("weighing", 1.0 - 0.7**number, cause=options[0].cause)
             if any(t.label == label for t in terms) or not may_join(terms, options[0]):
                 continue
             trial = best_of_label(design, terms, options, length)
             if trial is not None:
                 tried.append((trial.terms[-1], trial))
+        cut = cut or budget.is_left_out(f"causes beside {len(steps)} found")
+        if cut:  # of a step cut short nobody knows what would have been best
+            break
         tried += _under_load(design, current, terms, length)
         good = [
             (t, f)
@@ -211,7 +221,7 @@ def select(design: Design, base: list[Term], candidates: list[Term], *, most: in
         ladder.append((list(terms), current))
     start = fit(design, base)
     current, terms = pruned(design, terms)
-    return Selection(start, current, steps, ladder)
+    return Selection(start, current, steps, ladder, cut or budget.is_left_out("further causes"))
 
 
 def _under_load(design: Design, current: Fit, terms: list[Term], length: float) -> list[tuple[Term, Fit]]:
@@ -230,6 +240,8 @@ def _pair(
     """The best two causes that only together are significant; the tests count the pairs tried."""
     trials: list[tuple[Term, Fit]] = []
     for one, other in combinations(found, 2):
+        if budget.is_left_out("pairs of causes"):
+            break
         if one.label == other.label or not may_join([*terms, one], other):
             continue
         if one.cause in other.replaces or other.cause in one.replaces:
@@ -336,6 +348,8 @@ def pruned(design: Design, terms: list[Term]) -> tuple[Fit, list[Term]]:
     changed = True
     while changed:
         changed = False
+        if budget.is_left_out("causes that others make superfluous"):
+            return fit(design, terms), terms
         current, terms = consistent(design, terms)
         for term in [t for t in terms if not t.base or t.cause == "configuration"]:
             rest = [t for t in terms if t is not term]

@@ -33,8 +33,9 @@ def without_drift(folded: Float64) -> Float64:
     index = np.arange(periods) - (periods - 1) / 2
     slope = (index[:, None] * means).sum(0) / (index**2).sum() / samples
     time = np.arange(periods * samples) - (periods * samples - 1) / 2
-    line = time.reshape(periods, samples)[..., None] * slope
-    result: Float64 = folded - line
+    line, result = time.reshape(periods, samples), folded.copy()
+    for axis in range(slope.size):  # one by one: of long records each copy counts
+        result[..., axis] -= line * slope[axis]
     return result
 
 

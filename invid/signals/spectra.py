@@ -7,7 +7,9 @@ points, together with the boundary terms that the fit adds (``transient``) is ex
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -15,7 +17,7 @@ from invid.numerics.arrays import Bool, Complex128, Float64, frozen, frozen_floa
 from invid.recording.model import Experiment, Kind, Recording, Role
 from invid.signals.driven_axes import driven_axes
 from invid.signals.lines import band_of, excited_lines, held_torque, highest_excited
-from invid.signals.loop_noise import own_share
+from invid.signals.loop_noise import ENOUGH, own_share
 from invid.signals.noise import flat_covariance, pooled_covariance, quantum, quiet_power
 from invid.signals.periods import find_period, fold, repeats, settle, without_drift
 from invid.signals.quantisation import rounding_power
@@ -28,6 +30,10 @@ half the signal's power still passes, a wrong period gives about 1."""
 FEW_LINES = 32
 """A period of fewer lines than this, still settling, tells its motion from its ends hardly or not at all: the
 ends of N masses an axis are 2N numbers an axis, each line gives two. The lines of the whole record do."""
+
+
+_KNOWN: WeakKeyDictionary[Experiment, LineSpectra] = WeakKeyDictionary()
+"""Spectra by experiment, which is told by its identity and cannot change."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,13 +127,17 @@ class LineSpectra:
 def all_spectra(recording: Recording, role: Role | None = None) -> tuple[LineSpectra, ...]:
     """Spectra of every experiment that shakes an axis, of one role or of both.
 
-    Slow constant-velocity moves carry friction, not elasticity, and are left out.
+    Slow constant-velocity moves carry friction, not elasticity, and are left out. Identification and every
+    look of the diagnosis ask for the same experiments: their spectra are kept as long as these are.
     """
-    return tuple(
-        spectra_of(e)
-        for e in recording.experiments
-        if e.kind is not Kind.CONSTANT_VELOCITY and (role is None or e.role is role)
-    )
+    found = []
+    for e in recording.experiments:
+        if e.kind is Kind.CONSTANT_VELOCITY or (role is not None and e.role is not role):
+            continue
+        if e not in _KNOWN:
+            _KNOWN[e] = spectra_of(e)
+        found.append(_KNOWN[e])
+    return tuple(found)
 
 
 def spectra_of(
@@ -200,11 +210,23 @@ def _loudness(experiment: Experiment, torque: Float64) -> Float64:
     return rms
 
 
-def _amplitudes(values: Float64, lines: int) -> Complex128:
-    """(…, F, C) one-sided amplitudes of lines 1…F from (…, n, C) samples."""
-    count = values.shape[-2]
-    spectrum: Complex128 = np.fft.rfft(values, axis=-2)[..., 1 : lines + 1, :] * (2.0 / count)
-    return spectrum
+def _amplitudes(channels: Sequence[Float64], lines: int) -> Complex128:
+    """(…, F, C) one-sided amplitudes of lines 1…F from C channels of (…, n) samples.
+
+    Channel by channel, as everything here that is as long as the record: half an hour of six axes takes
+    170 MB once, and would take it several times over.
+    """
+    count = channels[0].shape[-1]
+    out = np.empty((*channels[0].shape[:-1], lines, len(channels)), dtype=np.complex128)
+    for c, values in enumerate(channels):
+        out[..., c] = np.fft.rfft(values, axis=-1)[..., 1 : lines + 1]
+    out *= 2.0 / count
+    return out
+
+
+def _columns(*parts: Float64) -> list[Float64]:
+    """The channels of (…, n, M) arrays, one after the other."""
+    return [part[..., c] for part in parts for c in range(part.shape[-1])]
 
 
 def _periodic(
@@ -218,9 +240,8 @@ def _periodic(
     motors = data.position.shape[1]
     position = without_drift(fold(data.position, period))
     torque = fold(data.torque, period)
-    channels = np.concatenate((position, torque), axis=2)
     nyquist = (period - 1) // 2
-    spectra = _amplitudes(channels, nyquist)
+    spectra = _amplitudes(_columns(position, torque), nyquist)
     hz = np.arange(1, nyquist + 1) / (period * data.step)
     top = highest_excited(experiment, hz, spectra)
     quiet = (hz > 1.5 * hz[top]) & (hz < 0.45 / data.step)
@@ -230,7 +251,8 @@ def _periodic(
     first = settling.first if drop_transient else 0
     if first:
         position = without_drift(fold(data.position, period)[first:])
-        spectra = _amplitudes(np.concatenate((position, torque[first:]), axis=2), nyquist)
+        del spectra
+        spectra = _amplitudes(_columns(position, torque[first:]), nyquist)
     used = spectra.shape[0]
     mean = spectra.mean(axis=0)
     # Quantisation error of a motion that repeats exactly repeats too: the quiet lines of the mean show it,
@@ -241,12 +263,13 @@ def _periodic(
         parities = [quiet & odd, quiet & ~odd]
         repeating = np.max([quiet_power(mean, p)[0] for p in parities if p.any()], axis=0)
         own = np.maximum(own, repeating * own_share(mean[None, quiet], hz[quiet], data.step))
-    step = quantum(np.concatenate((data.position, data.torque), axis=1))
-    single = (np.abs(spectra) ** 2).mean(axis=0)
+    step = np.concatenate((quantum(data.position), quantum(data.torque)))
+    single = sum(np.abs(one) ** 2 for one in spectra) / used
     rounding = _rounding(single, np.abs(mean) ** 2, step, band)
     floor = np.maximum(floor, step**2 / 12 * 4 / period)
     averaged = np.maximum(np.maximum(repeating, floor / used), 1e-300)
-    deviations = (spectra - mean)[:, band]
+    deviations = spectra[:, band] - mean[band]
+    del spectra
     least = np.maximum(np.maximum(floor, averaged * used), rounding * used)
     covariance, dof = pooled_covariance(deviations, least)
     excited = excited_lines(experiment, hz[band], mean[band], covariance, motors, period * data.step)
@@ -276,13 +299,14 @@ def _whole(
     motors = data.position.shape[1]
     count = data.samples - 1
     wave = np.concatenate((data.position, data.torque), axis=1)
+    channels = _columns(wave[:count])
     # A constant and a slope carry no line of their own; without them the ends and leakage are small.
     nyquist = (count - 1) // 2
-    mean = _amplitudes(wave[:count], nyquist)
+    mean = _amplitudes(channels, nyquist)
     ends = (wave[count] - wave[0]) / count
     staircase = held_torque(experiment)
     held = np.concatenate((np.zeros(motors), np.nan_to_num(staircase, nan=0.0)))
-    mean = mean + ends * (1.0 - held)
+    mean += ends * (1.0 - held)
     hz = np.arange(1, nyquist + 1) / (count * data.step)
     if integrated(experiment):
         mean[:, :motors] = _of_velocity(data.position, data.step, hz)
@@ -290,12 +314,11 @@ def _whole(
     quiet = (hz > 1.5 * hz[top]) & (hz < 0.45 / data.step)
     if quiet.sum() < 16:
         quiet = hz > 0.9 * hz[-1]
-    windowed = _windowed(wave[:count], nyquist)
-    floor, dof = quiet_power(windowed, quiet)
-    floor *= own_share(windowed[None, quiet], hz[quiet], data.step)
+    single = np.empty((nyquist, 2 * motors))
+    floor, dof, share = _quiet([wave[:count]], hz, quiet, data.step, single)
+    floor *= share
     step = quantum(wave)
     band = band_of(hz, top, band_hz)
-    single = np.abs(windowed) ** 2
     rounding = _rounding(single, single, step, band)
     floor = np.maximum(np.maximum(floor, step**2 / 12 * 4 / count), 1e-300)
     if integrated(experiment):
@@ -343,7 +366,7 @@ def _of_velocity(position: Float64, step: float, hz: Float64) -> Complex128:
     twice = ((step / 2) / np.sin(omega * step / 2)) ** 2
     faster = (velocity[count] - velocity[0]) * (2.0 / (count * step))
     moved = 2.0 * velocity[:count].mean(axis=0) + 0.5 * step * faster
-    smooth = _amplitudes(velocity[:count], hz.size) + 0.5 * step * faster - 1j * faster * once
+    smooth = _amplitudes(_columns(velocity[:count]), hz.size) + 0.5 * step * faster - 1j * faster * once
     out: Complex128 = smooth / (1j * omega) + 1j * moved * once + faster * twice
     return out
 
@@ -351,15 +374,13 @@ def _of_velocity(position: Float64, step: float, hz: Float64) -> Complex128:
 def _floor(data: Uniform, quiet: Bool, hz: Float64, period: int) -> tuple[Float64, float, Float64]:
     """(2M,) noise power of one line of one period, its dof, and the sensors' own share of it; from the quiet
     band of the whole record, windowed: what is left of a transient leaks there otherwise."""
-    wave = np.concatenate((data.position, data.torque), axis=1)
-    count = wave.shape[0]
+    count = data.samples
     lines = (count - 1) // 2
     fine = np.arange(1, lines + 1) / (count * data.step)
     band = hz[quiet]
     inside = (fine >= band[0]) & (fine <= band[-1]) if band.size else fine > 0.9 * fine[-1]
-    windowed = _windowed(wave, lines)
-    power, dof = quiet_power(windowed, inside)
-    return power * (count / period), dof, own_share(windowed[None, inside], fine[inside], data.step)
+    power, dof, share = _quiet([data.position, data.torque], fine, inside, data.step)
+    return power * (count / period), dof, share
 
 
 def _rounding(single: Float64, mean: Float64, step: Float64, band: Bool) -> Float64:
@@ -371,13 +392,32 @@ def _rounding(single: Float64, mean: Float64, step: Float64, band: Bool) -> Floa
     return power
 
 
-def _windowed(wave: Float64, lines: int) -> Complex128:
-    """Spectrum through a Blackman window of unit noise gain: no leakage into the quiet lines."""
-    count = wave.shape[0]
-    window = np.blackman(count)
+def _quiet(
+    parts: Sequence[Float64], hz: Float64, quiet: Bool, step: float, single: Float64 | None = None
+) -> tuple[Float64, float, Float64]:
+    """(2M,) noise power on the ``quiet`` lines of (n, …) samples of 2M channels, its dof, and the sensors'
+    own share of it; through a window that lets nothing leak into them. ``single`` (F, 2M) gets the power of
+    every line.
+    """
+    channels, means = _columns(*parts), np.concatenate([part.mean(axis=0) for part in parts])
+    every = max(int(quiet.sum()) // ENOUGH, 1)
+    power, kept, dof = np.zeros(len(channels)), [], 0.0
+    for c, values in enumerate(channels):
+        windowed = _windowed(values - means[c], hz.size)
+        level, dof = quiet_power(windowed[:, None], quiet)
+        power[c] = level[0]
+        if single is not None:
+            single[:, c] = np.abs(windowed) ** 2
+        kept.append(windowed[quiet][::every].copy())  # or a view keeps all of it
+    share = own_share(np.stack(kept, axis=1)[None], hz[quiet][::every], step)
+    return power, dof, share
+
+
+def _windowed(values: Float64, lines: int) -> Complex128:
+    """(lines,) spectrum of (n,) samples through a Blackman window of unit noise gain: lines do not leak."""
+    window = np.blackman(values.size)
     window = window / np.sqrt(np.mean(window**2))
-    centred = wave - wave.mean(axis=0)
-    return _amplitudes(centred * window[:, None], lines)
+    return _amplitudes([values * window], lines)[:, 0]
 
 
 def _assemble(

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import pytest
 
-from invid_service.jobs.analysis_progress import BEGINS, ENDS, AnalysisProgress, telling
+from invid_service.jobs.analysis_progress import BEGINS, ENDS, AnalysisProgress
 
 
 @dataclass
@@ -84,16 +83,3 @@ def test_a_stage_that_lasts_longer_than_ever_still_takes_some_time(analysis: Ana
     clock.now = 100.0
     progress.say()
     assert told[-1]["eta_s"] == pytest.approx(10.0)
-
-
-def test_progress_is_asked_of_those_that_tell_it() -> None:
-    def silent(x: int) -> int:
-        return x
-
-    def telling_one(x: int, progress: Callable[[Any], None] | None = None) -> int:
-        return x
-
-    def tell(_: Any) -> None: ...
-
-    assert telling(silent, tell) == {}
-    assert telling(telling_one, tell) == {"progress": tell}

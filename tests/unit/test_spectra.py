@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from invid.errors import RecordingError
-from invid.recording.model import Experiment, Kind, Role
+from invid.recording.model import Experiment, Kind, Recording, Role
 from invid.signals.frf import frf_matrix
 from invid.signals.noise import quantum
 from invid.signals.periods import find_period
-from invid.signals.spectra import spectra_of
+from invid.signals.spectra import all_spectra, spectra_of
 
 RATE = 1000.0
 
@@ -179,3 +183,16 @@ def test_the_frf_of_two_axes_needs_two_experiments_that_differ() -> None:
     assert measured.frequency_hz == pytest.approx([5, 11, 23])
     assert np.abs(measured.frf - g).max() < 1e-9
     assert frf_matrix(records[:1]).frequency_hz.size == 0
+
+
+def test_spectra_are_kept_as_long_as_their_experiment_and_no_other_one_gets_them() -> None:
+    one = experiment(tones(np.arange(3000) / RATE)[:, None], tones(np.arange(3000) / RATE)[:, None])
+    recording = Recording("r", ("A1",), "rad", "N·m", "2026-11-24T00:00:00Z", (one,))
+    (first,) = all_spectra(recording)
+    assert all_spectra(recording)[0] is first
+    other = replace(recording, experiments=(replace(one, torque=2.0 * one.torque),))
+    assert np.abs(all_spectra(other)[0].torque).max() == pytest.approx(2.0 * np.abs(first.torque).max())
+    gone = weakref.ref(one)
+    del one, recording, other
+    gc.collect()
+    assert gone() is None

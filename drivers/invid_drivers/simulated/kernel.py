@@ -13,27 +13,11 @@ Written independently of ``invid.simulate`` and of the estimators.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import TypeVar, cast
 
-import numba
 import numpy as np
 
 from invid.numerics.arrays import Float64, Int64
-
-_Function = TypeVar("_Function", bound=Callable[..., object])
-
-
-def _compiled(function: _Function) -> _Function:
-    """numba's decorator with the type of what it decorates.
-
-    Where no folder can be written for the cache (a read-only container), it compiles in every process.
-    """
-    try:
-        return cast(_Function, numba.njit(cache=True)(function))
-    except RuntimeError:
-        return cast(_Function, numba.njit(function))
-
+from invid.numerics.compiled import compiled
 
 # columns of the command table, one row per motor
 MODE, TORQUE, POSITION, VELOCITY, DECELERATION, INTERPOLATE, GAIN_P, GAIN_D, LIMIT, BRAKE = range(10)
@@ -63,7 +47,7 @@ FRICTION_COLUMNS = 6
 _SWEEPS = 60  # of projected Gauss-Seidel; two or three are used, the cap only bounds the time
 
 
-@_compiled
+@compiled
 def _nonlinear(
     q: Float64, n: int, elements: Float64, memory: Float64, force: Float64, update: bool
 ) -> None:  # pragma: no cover - compiled
@@ -112,7 +96,7 @@ def _nonlinear(
             force[b] += f
 
 
-@_compiled
+@compiled
 def _motors(
     q: Float64,
     n: int,
@@ -172,7 +156,7 @@ def _motors(
         state[i, ACTING] = min(max(acting, -row[SATURATION]), row[SATURATION])
 
 
-@_compiled
+@compiled
 def _friction(
     q: Float64, free: Float64, n: int, gamma: Float64, friction: Float64, level: Float64, command: Float64
 ) -> None:  # pragma: no cover - compiled
@@ -217,7 +201,7 @@ def _friction(
                 free[k] += gamma[a, k] * level[i]
 
 
-@_compiled
+@compiled
 def advance(
     q: Float64,
     steps: int,
@@ -285,7 +269,7 @@ def advance(
     return slot
 
 
-@_compiled
+@compiled
 def sample(
     q: Float64, rest: float, motors: Int64, command: Float64, state: Float64, noise: Float64, out: Int64
 ) -> None:  # pragma: no cover - compiled
@@ -319,7 +303,7 @@ def sample(
         out[i, 2] = int(min(max(permille, -32768.0), 32767.0))
 
 
-@_compiled
+@compiled
 def advance_and_sample(
     q: Float64,
     steps: int,

@@ -15,12 +15,12 @@ from math import erf, exp, log1p, pi, sqrt, tanh
 from typing import Self
 
 import numpy as np
-from numba import njit
 
 from invid.effects.effect import ForceEffect
 from invid.effects.motion import View
 from invid.model.place import Place
 from invid.numerics.arrays import Complex128, Float64
+from invid.numerics.compiled import compiled
 from invid.signals.standstill import Standing, softness
 
 ROUNDING = "rounding"
@@ -133,7 +133,7 @@ def _acting(view: View, place: Place) -> Float64:
     return out
 
 
-@njit(cache=True)
+@compiled
 def _between(v: np.ndarray, phi: np.ndarray, plain: np.ndarray, turn: float, rest: float) -> np.ndarray:
     """(n,) mean over the intervals around each sample of a wave that closes; ``turn`` see ``sign_law``,
     ``rest`` is the antiderivative at zero."""
@@ -163,7 +163,7 @@ def _between(v: np.ndarray, phi: np.ndarray, plain: np.ndarray, turn: float, res
     return out
 
 
-@njit(cache=True)
+@compiled
 def _sign(v: np.ndarray, soft: float, turn: float) -> np.ndarray:
     phi, plain = np.empty(v.size), np.empty(v.size)
     for k in range(v.size):
@@ -175,7 +175,7 @@ def _sign(v: np.ndarray, soft: float, turn: float) -> np.ndarray:
     return _between(v, phi, plain, turn, soft * log1p(1.0))
 
 
-@njit(cache=True)
+@compiled
 def _excess(v: np.ndarray, soft: float, width: float, turn: float) -> np.ndarray:
     phi, plain = np.empty(v.size), np.empty(v.size)
     for k in range(v.size):
@@ -186,7 +186,7 @@ def _excess(v: np.ndarray, soft: float, width: float, turn: float) -> np.ndarray
     return _between(v, phi, plain, turn, 0.0)
 
 
-@njit(cache=True)
+@compiled
 def _clipped(d: np.ndarray, half: float) -> np.ndarray:
     phi, plain = np.empty(d.size), np.empty(d.size)
     for k in range(d.size):

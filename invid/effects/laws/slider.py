@@ -6,15 +6,15 @@ from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import numpy as np
-from numba import njit
 
 from invid.effects.effect import ForceEffect
 from invid.effects.motion import View
 from invid.model.place import Place
 from invid.numerics.arrays import Float64
+from invid.numerics.compiled import compiled
 
 
-@njit(cache=True)
+@compiled
 def _march(x: np.ndarray, most: float, passes: int, start: float) -> np.ndarray:
     out = np.empty(x.size)
     z, last = start, x[0]

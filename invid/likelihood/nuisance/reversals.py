@@ -23,6 +23,7 @@ from invid.likelihood.nuisance.torque_lags import COULOMB, COULOMB_SIGMA, LAG_PA
 from invid.likelihood.records import used_lines, with_columns
 from invid.likelihood.residual import MissingTorqueProblem, condense_dense
 from invid.model.transient_terms import end_columns, end_forces, end_points
+from invid.numerics import budget
 from invid.numerics.arrays import Bool, Complex128, Float64
 from invid.signals.spectra import LineSpectra
 
@@ -53,6 +54,8 @@ def with_sharp_reversals(
     guesses = [velocity_signs(s) for s in spectra]
     signs = [sign for sign, _ in guesses]
     for _ in range(TURNS):
+        if budget.spent():
+            break
         size = np.zeros(problem.structure.motors)
         first, spread = problem.slices["column"].start, spread_of(solution)
         for k, i in places:

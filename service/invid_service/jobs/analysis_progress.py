@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import inspect
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -107,8 +106,3 @@ class AnalysisProgress:
         said, left = self._left
         after = (1.0 - self._high) * self._expected
         return max(left - (self._clock() - said), 0.0) + after
-
-
-def telling(function: Callable[..., Any], tell: Callable[[Any], None]) -> dict[str, Any]:
-    """``{"progress": tell}`` for a function that takes it, else nothing."""
-    return {"progress": tell} if "progress" in inspect.signature(function).parameters else {}

@@ -38,6 +38,9 @@ class Job(BaseModel):
     """The accepted model, for the forecast of travel and for ``mode`` "simulate" on a real cell."""
     memory_bytes: int
     stop_grace_s: float
+    budget_s: float = 1500.0
+    """Time for the analysis, after which the best answer so far is given: less than the half hour after which
+    the service takes a run for hung."""
 
 
 class ErrorInfo(BaseModel):

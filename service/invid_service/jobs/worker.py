@@ -18,7 +18,7 @@ from dataclasses import replace
 from typing import IO, TYPE_CHECKING, Any
 
 from invid.errors import InputError, InvidError, SafetyStop
-from invid_service.jobs.analysis_progress import AnalysisProgress, telling
+from invid_service.jobs.analysis_progress import AnalysisProgress
 from invid_service.jobs.orphans import hold
 from invid_service.jobs.protocol import ErrorInfo, Job
 from invid_service.jobs.stops import Run, stopped_by
@@ -219,10 +219,12 @@ def analyse(job: Job, line: Line, seen: Mapping[str, Any] | None) -> dict[str, A
         flag = {"simulated": simulated}
         line.tell("recording", robot=recording.robot, axes=list(recording.axes), simulated=simulated)
         tell.begin("identifying")
-        model = identify(recording, **telling(identify, tell.weigh))
+        budget = 0.3 * job.budget_s
+        model = identify(recording, budget=budget, progress=tell.weigh)
         save_text(job.folder / "model.json", dump_json({**model_to_json(model), **flag}))
         tell.begin("diagnosing")
-        diagnosis = diagnose(recording, model=model, **telling(diagnose, tell.weigh))
+        budget = job.budget_s - budget
+        diagnosis = diagnose(recording, model=model, budget=budget, progress=tell.weigh)
         tell.begin("writing the report")
         best = diagnosis.model
         if not diagnosis.findings:

@@ -1,0 +1,209 @@
+"""How long a computation may take and how far it is: asked and told at the heads of its loops.
+
+The budget in force is a context variable: searches and fits are reached through thirty functions that
+neither know nor need it, and a forked helper has its parent's. No clock is read here; whoever sets a budget
+gives it one. Without a budget nothing is ever spent, and the same data give the same answer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass, field
+from typing import TypeVar
+
+T = TypeVar("T")
+
+SPENT = "the budget of"
+"""What the warning of a spent budget begins with."""
+SEEN = 0.03
+"""Share of the work from which the time it took says how long the rest will take. A guess."""
+
+
+class BudgetSpent(Exception):
+    """No time is left; caught where there is an answer so far."""
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a computation is.
+
+    ``stage`` says in words what is done, ``cause``, ``axis`` and ``element`` for what and where, ``fraction``
+    (0 to 1) how much of the work lies behind, ``seconds_left`` how long the rest will take, at most; ``None``
+    where that cannot be told yet.
+    """
+
+    stage: str
+    axis: str | None = None
+    cause: str | None = None
+    fraction: float = 0.0
+    seconds_left: float | None = None
+    element: str | None = None
+
+    def __str__(self) -> str:
+        """ "weighing backlash, A2 spring 1"."""
+        cause = None if self.cause is None else self.cause.replace("_", " ")
+        what = " ".join(word for word in (self.stage, cause) if word)
+        where = " ".join(word for word in (self.axis, self.element) if word)
+        return f"{what}, {where}" if where else what
+
+
+@dataclass(eq=False)
+class Budget:
+    """``seconds`` from now on by ``clock`` [s], ``None`` for no end; ``report`` is called with progress."""
+
+    seconds: float | None
+    clock: Callable[[], float]
+    report: Callable[[Progress], None] | None = None
+    began: float = field(init=False)
+    end: float = field(init=False)
+    reach: tuple[float, float] = (0.0, 1.0)
+    """Shares of the whole between which the present part lies."""
+    behind: float = 0.0
+    left_out: list[str] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.began = self.clock()
+        self.end = float("inf") if self.seconds is None else self.began + self.seconds
+
+
+_IN_FORCE: ContextVar[Budget | None] = ContextVar("invid_budget", default=None)
+
+
+@contextmanager
+def in_force(budget: Budget | None) -> Iterator[None]:
+    """Inside, ``budget`` is asked; with ``None`` the one already in force, if any."""
+    if budget is None:
+        yield
+        return
+    token = _IN_FORCE.set(budget)
+    try:
+        yield
+    finally:
+        _IN_FORCE.reset(token)
+
+
+@contextmanager
+def part(share: float, low: float = 0.0, high: float = 1.0) -> Iterator[None]:
+    """Inside, a share of the time that is left; the work there is what lies between ``low`` and ``high`` of
+    the present part's."""
+    budget = _IN_FORCE.get()
+    if budget is None:
+        yield
+        return
+    end, reach = budget.end, budget.reach
+    width = reach[1] - reach[0]
+    budget.reach = reach[0] + low * width, reach[0] + high * width
+    if budget.seconds is not None:
+        now = budget.clock()
+        budget.end = now + share * max(end - now, 0.0)
+    try:
+        yield
+    finally:
+        budget.end, budget.reach = end, reach
+
+
+def spent() -> bool:
+    """Whether the budget in force, or that of the present part, is used up."""
+    budget = _IN_FORCE.get()
+    return budget is not None and budget.seconds is not None and budget.clock() >= budget.end
+
+
+def check() -> None:
+    """BudgetSpent where the budget is used up."""
+    if spent():
+        raise BudgetSpent
+
+
+def leave_out(what: str) -> None:
+    """Take down what was not looked at, for the result's warnings."""
+    budget = _IN_FORCE.get()
+    if budget is not None and what not in budget.left_out:
+        budget.left_out.append(what)
+
+
+def is_left_out(what: str) -> bool:
+    """Whether the budget is used up; takes down what is not looked at for that."""
+    if not spent():
+        return False
+    leave_out(what)
+    return True
+
+
+def or_else(what: str, run: Callable[[], T], otherwise: T) -> T:
+    """What ``run`` returns, or ``otherwise`` where the budget is used up before or meanwhile; ``what`` is
+    then taken down as not looked at."""
+    if is_left_out(what):
+        return otherwise
+    try:
+        return run()
+    except BudgetSpent:
+        leave_out(what)
+        return otherwise
+
+
+def left_out() -> Sequence[str]:
+    """All that was not looked at so far."""
+    budget = _IN_FORCE.get()
+    return () if budget is None else tuple(budget.left_out)
+
+
+def warning() -> str | None:
+    """What the result has to warn about; ``None`` where everything was looked at."""
+    budget = _IN_FORCE.get()
+    if budget is None or not budget.left_out:
+        return None
+    seconds = 0.0 if budget.seconds is None else budget.seconds
+    return (
+        f"{SPENT} {seconds:g} s was spent; this is the best answer so far, and these were not looked at: "
+        + "; ".join(budget.left_out)
+        + f" (a larger --budget than {seconds:g} lets the search end by itself)"
+    )
+
+
+def tell(
+    stage: str,
+    fraction: float,
+    *,
+    axis: str | None = None,
+    cause: str | None = None,
+    element: str | None = None,
+) -> None:
+    """Report progress; ``fraction`` is of the present part. It never goes back."""
+    budget = _IN_FORCE.get()
+    if budget is None or budget.report is None:
+        return
+    low, high = budget.reach
+    budget.behind = max(budget.behind, low + min(max(fraction, 0.0), 1.0) * (high - low))
+    now = budget.clock()
+    left = None if budget.seconds is None else max(budget.began + budget.seconds - now, 0.0)
+    if budget.behind > SEEN:
+        rest = (now - budget.began) * (1.0 - budget.behind) / budget.behind
+        left = rest if left is None else min(left, rest)
+    budget.report(Progress(stage, axis, cause, budget.behind, left, element))
+
+
+def silence() -> None:
+    """Report no more: for a forked helper, whose parent does."""
+    budget = _IN_FORCE.get()
+    if budget is not None:
+        budget.report = None
+
+
+__all__ = [
+    "Budget",
+    "BudgetSpent",
+    "Progress",
+    "check",
+    "in_force",
+    "is_left_out",
+    "leave_out",
+    "left_out",
+    "or_else",
+    "part",
+    "silence",
+    "spent",
+    "tell",
+    "warning",
+]
