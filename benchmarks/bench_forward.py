@@ -88,6 +88,7 @@ def plant() -> None:
             torque,
             np.zeros((0, 3)),
             np.zeros((0, 4)),
+            np.zeros((1, 2)),
             np.zeros((0, 2)),
             h,
             1,

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Collection, Sequence
+from contextlib import AbstractContextManager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from invid.comparison.changes import Comparison
+    from invid.effects.effect import Effect
     from invid.model.diagnosis_document import Diagnosis
     from invid.model.document import Model
     from invid.recording.import_map import ImportMap
@@ -23,6 +25,7 @@ if TYPE_CHECKING:
 
 Masses = Sequence[int] | Literal["auto"] | None
 Method = Literal["refined", "paper"]
+Effects = Sequence["Effect | str | Path"]
 
 
 def read_recording(path: str | Path) -> Recording:
@@ -102,6 +105,7 @@ def identify(
     profile: bool = False,
     bootstrap: int = 0,
     workers: int = 1,
+    effects: Effects = (),
 ) -> Model:
     """Masses, springs, dampers and inertia couplings of every branch with their uncertainty.
 
@@ -116,6 +120,8 @@ def identify(
         "refined" (maximum likelihood) or "paper" (the inverse eigenvalue method alone).
     profile, bootstrap, workers
         Profile-likelihood intervals; draws of a parametric bootstrap, on so many processes. Refined only.
+    effects
+        See ``diagnose``.
 
     Returns
     -------
@@ -133,16 +139,17 @@ def identify(
     from invid.identification.identify import identify as identified
     from invid.numerics.immutable import immutable
 
-    return immutable(
-        identified(
-            _one(recording),
-            masses=_sizes(masses),
-            method=method,
-            profile=profile,
-            bootstrap=bootstrap,
-            workers=workers,
+    with _using(effects):
+        return immutable(
+            identified(
+                _one(recording),
+                masses=_sizes(masses),
+                method=method,
+                profile=profile,
+                bootstrap=bootstrap,
+                workers=workers,
+            )
         )
-    )
 
 
 def diagnose(
@@ -150,6 +157,7 @@ def diagnose(
     *,
     model: Model | None = None,
     masses: Masses = None,
+    effects: Effects = (),
 ) -> Diagnosis:
     """What the simulation gets wrong on a recording: cause, place, size, extended model and gain.
 
@@ -161,6 +169,9 @@ def diagnose(
         told apart yet: it is one cause for all, or is left unexplained.
     model
         Where to start; default: what ``identify`` makes of the recording with ``masses``.
+    effects
+        Causes beside the catalogue's: ``invid.effects.Effect`` objects, or files that hold ``EFFECT``
+        (docs/how-to/add-an-effect.md). A model that has one needs it again to be simulated or diagnosed.
 
     Returns
     -------
@@ -182,7 +193,8 @@ def diagnose(
 
     if model is not None and masses is not None:
         raise InputError("masses and model: the model says how many masses there are; give one of the two")
-    return immutable(diagnosed(_one(recording), model=model, masses=_sizes(masses)))
+    with _using(effects):
+        return immutable(diagnosed(_one(recording), model=model, masses=_sizes(masses)))
 
 
 def simulate(
@@ -191,6 +203,7 @@ def simulate(
     *,
     rng: np.random.Generator | None = None,
     only: Collection[str] | None = None,
+    effects: Effects = (),
 ) -> Recording:
     """The answer of a model, effects included, to the torques of a recording, over time.
 
@@ -200,6 +213,8 @@ def simulate(
         Draws the rows that ``dropped_samples`` repeats; default: the same rows each time.
     only
         Keys of the experiments to simulate and to return; default: all.
+    effects
+        See ``diagnose``.
 
     Returns
     -------
@@ -214,7 +229,8 @@ def simulate(
     from invid.numerics.immutable import immutable
     from invid.simulation.run import simulate as simulated
 
-    return immutable(simulated(model, recording, rng=rng, only=only))
+    with _using(effects):
+        return immutable(simulated(model, recording, rng=rng, only=only))
 
 
 def compare(
@@ -266,6 +282,12 @@ def load_diagnosis(path: str | Path) -> Diagnosis:
     from invid.numerics.immutable import immutable
 
     return immutable(load(path))
+
+
+def _using(effects: Effects) -> AbstractContextManager[None]:
+    from invid.effects.registry import using
+
+    return using(list(effects))
 
 
 def _sizes(masses: Masses) -> Masses:

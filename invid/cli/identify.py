@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from invid.api import identify, read_recording
+from invid.cli.effects_option import Effects, use_effects
 from invid.cli.output import EXIT_NOT_TRUSTWORTHY, EXIT_OK, emit, note
 from invid.errors import InputError, NotIdentifiableError
 
@@ -23,6 +24,7 @@ def register(app: typer.Typer) -> None:
 
     @app.command("identify")
     def identify_command(
+        context: typer.Context,
         recording: Annotated[Path, typer.Argument(metavar="REC.h5", help="The recording.")],
         output: Annotated[
             Path | None, typer.Option("-o", "--output", metavar="MODEL.json", help="Where the model goes.")
@@ -42,6 +44,7 @@ def register(app: typer.Typer) -> None:
                 min=0, help="Draws of a parametric bootstrap, on all cores; 200 tell a spread to 5 %."
             ),
         ] = 0,
+        effects: Effects = None,
         as_json: Annotated[bool, typer.Option("--json", help="Print the model as JSON.")] = False,
     ) -> int:
         """Masses, springs, dampers and inertia couplings from a recording, with their uncertainty."""
@@ -53,6 +56,7 @@ def register(app: typer.Typer) -> None:
             raise InputError("--profile needs a likelihood: use it with --method refined")
         if bootstrap and method == "paper":
             raise InputError("--bootstrap fits the likelihood again: use it with --method refined")
+        use_effects(context, effects)
         wanted = parse_masses(masses)
         data = read_recording(recording)
         try:

@@ -8,9 +8,10 @@ import numpy as np
 
 from invid.diagnosis.evidence import COMPETES, LARGER, Step, Trial, extends, sized, unearned
 from invid.diagnosis.selection import Selection
-from invid.diagnosis.sentences import BY_CAUSE, finding_sentence
-from invid.effects.effect import unit_of
+from invid.diagnosis.sentences import finding_sentence
 from invid.effects.laws.sign import ROUNDING, DryLaw
+from invid.effects.registry import BY_CAUSE
+from invid.effects.units import unit_of
 from invid.likelihood.joint_fit import JointFit
 from invid.likelihood.null_test import NullTest, rms_torque
 from invid.likelihood.placed_effect import Term
@@ -347,5 +348,5 @@ def _separating(term: Term, rivals: list[Trial], contested: bool) -> dict[str, o
         "kind": kind,
         "axis": term.place.axis,
         "separates": [term.effect.cause, *others],
-        "description": effect.separate,
+        "description": effect.separating.text,
     }

@@ -5,18 +5,16 @@ One place for what the words of a diagnosis promise, whichever engine found them
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from invid.config import CellConfig, parse_config
 from invid.diagnosis.confidence import CONTESTED
-from invid.diagnosis.consequence_measures import OWN_LIMIT, TORQUES, Machine, measures_of, number, phrase
-from invid.diagnosis.consequence_rules import BY_CAUSE as RULES
-from invid.diagnosis.consequence_rules import Rule
 from invid.diagnosis.headline import headline
-from invid.diagnosis.sentences import BY_CAUSE
+from invid.effects.registry import effect_of
+from invid.effects.sizes import Machine, Size, measured
 from invid.errors import ConfigError
 from invid.model.diagnosis_document import Consequence, Diagnosis, Finding, Grade, Unexplained, Verdict
 from invid.model.document import EffectTerm
@@ -79,46 +77,40 @@ def _fastest(recording: Recording, axis: int) -> float:
 
 def consequence_of(term: EffectTerm, machine: Machine) -> Consequence:
     """Grade, sizes and reason of one effect: own limits first, then published figures, else neither."""
-    sizes = measures_of(term, machine)
-    text = ", ".join(phrase(name, value, machine.linear) for name, value in sizes.items())
-    torques = [value for name, value in sizes.items() if name in TORQUES]
+    effect = effect_of(term.cause)
+    declared = () if effect is None else effect.sizes
+    found = measured(declared, term, machine)
+    sizes = {size.quantity.name: value for size, value in found}
+    text = ", ".join(size.phrase(value, machine.linear) for size, value in found)
+    share = max((value for size, value in found if size.quantity.torque), default=None)
     own = machine.acceptable.get(term.axis, {})
     judged: list[tuple[Grade, str, str]] = []
-    for name, value in sizes.items():
-        limit = own.get(OWN_LIMIT.get(name, name))
+    for size, value in found:
+        limit = own.get(size.quantity.limit or size.quantity.name)
         if limit is not None:
             grade = Grade.AS_EXPECTED if abs(value) <= limit else Grade.ACT
-            shown = number(name, limit, machine.linear)
-            judged.append((grade, f"the config accepts up to {shown}", "config"))
-            continue
-        for rule in RULES.get(term.cause, ()):
-            if rule.measure != name or (machine.linear and not rule.linear):
-                continue
-            grade = Grade.ACT if value > rule.serious else Grade.WATCH
-            grade = Grade.AS_EXPECTED if value <= rule.expected else grade
-            judged.append((grade, _usual(rule, machine.linear), rule.source))
+            judged.append((grade, f"the config accepts up to {size.number(limit, machine.linear)}", "config"))
+        elif size.expected is not None and size.serious is not None and (size.linear or not machine.linear):
+            grade = Grade.ACT if value > size.serious else Grade.WATCH
+            grade = Grade.AS_EXPECTED if value <= size.expected else grade
+            judged.append((grade, _usual(size, size.expected, machine.linear), size.source))
     if not judged:
-        return Consequence(
-            Grade.WATCH,
-            text,
-            _no_figure(term, machine, sizes),
-            max(torques, default=None),
-            None,
-            sizes,
-        )
+        return Consequence(Grade.WATCH, text, _no_figure(term, machine, declared, sizes), share, None, sizes)
     grade, reason, source = min(judged, key=lambda j: j[0].rank)
-    return Consequence(grade, text, reason, max(torques, default=None), source, sizes)
+    return Consequence(grade, text, reason, share, source, sizes)
 
 
-def _usual(rule: Rule, linear: bool) -> str:
+def _usual(size: Size, expected: float, linear: bool) -> str:
     """Up to where such drives are like that; by physics there may be nothing beside it."""
-    if rule.expected == 0:
+    if expected == 0:
         return "none is expected"
-    return f"up to {number(rule.measure, rule.expected, linear)} is usual for such drives"
+    return f"up to {size.number(expected, linear)} is usual for such drives"
 
 
-def _no_figure(term: EffectTerm, machine: Machine, sizes: dict[str, float]) -> str:
-    wanted = {r.measure for r in RULES.get(term.cause, ())}
+def _no_figure(
+    term: EffectTerm, machine: Machine, declared: Sequence[Size], sizes: Mapping[str, float]
+) -> str:
+    wanted = {s.quantity.name for s in declared if s.expected is not None}
     if wanted and not wanted & sizes.keys() and term.axis not in machine.rated:
         return "no figure to judge by: the rated torque is not in the recording"
     return "no figure to judge by; a limit of this axis can stand in its config (acceptable)"
@@ -162,7 +154,7 @@ def _rank(finding: Finding) -> tuple[int, float]:
 
 def _with_grade(finding: Finding, consequence: Consequence) -> str:
     """The finding's sentence with what it means; what is as expected asks nobody to check anything."""
-    effect, said = BY_CAUSE.get(finding.effect.cause), finding.sentence
+    effect, said = effect_of(finding.effect.cause), finding.sentence
     if not said or not consequence.text:
         return said
     if effect is not None and consequence.grade is Grade.AS_EXPECTED:

@@ -16,7 +16,7 @@ from invid.diagnosis.rules.viscous_with_dry import allowing_for_viscous, with_vi
 from invid.diagnosis.search_pass import looked
 from invid.diagnosis.time_domain_check import REFUSED, Replay, replay, with_replay
 from invid.diagnosis.verdict import document
-from invid.effects.effect import unit_of
+from invid.effects.units import unit_of
 from invid.errors import InputError
 from invid.identification.identify import identify
 from invid.likelihood.joint_fit import JointFit

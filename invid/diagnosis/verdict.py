@@ -16,7 +16,8 @@ from invid.diagnosis.rules.nonrepeating_torque import said_of_scatter
 from invid.diagnosis.rules.tones import Tone, power_of, said_of_tones
 from invid.diagnosis.selection import Selection
 from invid.diagnosis.trust import cautious, distrust_sentences, in_the_way, trust, untimed_holds
-from invid.effects.effect import unit_of
+from invid.effects.registry import of_the_plant
+from invid.effects.units import unit_of
 from invid.likelihood.joint_fit import JointFit, held_out
 from invid.likelihood.null_test import NullTest, null_test, rms_torque
 from invid.model.diagnosis_document import AxisResidual, Diagnosis, Finding, Verdict
@@ -100,7 +101,8 @@ def document(
     if humming is not None and humming is not unexplained:
         sentences.append(humming.sentence)
     effects = [effect_term(shown, k, recording) for k in range(known)] + [f.effect for f in named]
-    effects += [e for e in carried(model) if e.cause == "dropped_samples"]
+    inside = of_the_plant(carried(model))
+    effects += [e for e in carried(model) if e not in inside]
     extended = extended_model(model, shown.fit, tuple(effects))
     extended = replace(
         extended,

@@ -14,7 +14,7 @@ import pytest
 
 from invid.diagnosis.known_effects import place_of, vector_of
 from invid.diagnosis.linear_fit import layout_of, linear_fit
-from invid.diagnosis.sentences import BY_CAUSE
+from invid.effects.registry import BY_CAUSE
 from invid.likelihood.joint_fit import fit
 from invid.likelihood.placed_effect import Candidate, Term
 from invid.likelihood.prepare_records import record_of, split

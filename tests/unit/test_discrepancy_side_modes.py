@@ -10,8 +10,8 @@ import pytest
 
 from invid.diagnosis.rules import mode_place
 from invid.diagnosis.rules.mode_place import modes_moved, with_the_mode_in_it
-from invid.diagnosis.sentences import BY_CAUSE
 from invid.effects.catalogue.extra_mode import _peaks
+from invid.effects.registry import BY_CAUSE
 from invid.likelihood.placed_effect import Candidate, Term
 from invid.model.chains import CoupledChains
 from invid.model.parameters import ChainStructure

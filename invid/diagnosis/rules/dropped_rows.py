@@ -10,8 +10,8 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import uniform_filter1d
 from scipy.special import erfinv
 
-from invid.diagnosis.sentences import BY_CAUSE
-from invid.effects.effect import unit_of
+from invid.effects.registry import BY_CAUSE
+from invid.effects.units import unit_of
 from invid.likelihood.joint_fit import JointFit, held_out
 from invid.likelihood.null_test import rms_torque
 from invid.likelihood.prepare_records import split

@@ -10,8 +10,8 @@ import numpy as np
 
 from invid.diagnosis.evidence import CLOSE, COMPETES, Step, Trial, at_bound, attempted, finite, refit
 from invid.diagnosis.score_test import terms_for
-from invid.diagnosis.sentences import BY_CAUSE
 from invid.effects.laws.sign import DryLaw
+from invid.effects.registry import BY_CAUSE
 from invid.likelihood.candidate_pool import each
 from invid.likelihood.joint_fit import JointFit, fit, reordered
 from invid.likelihood.placed_effect import Candidate, Term
