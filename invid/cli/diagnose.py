@@ -56,6 +56,12 @@ def register(app: typer.Typer) -> None:
             typer.Option("--plots", metavar="DIR", help="Folder for pictures (SVG) and their data."),
         ] = None,
         effects: Effects = None,
+        without_rule: Annotated[
+            list[str] | None,
+            typer.Option(
+                "--without-rule", metavar="NAME", hidden=True, help="A special rule of the search off."
+            ),
+        ] = None,
         as_json: Annotated[bool, typer.Option("--json", help="Print the diagnosis as JSON.")] = False,
     ) -> int:
         """Name what the model gets wrong, with the extended model and the gain on held-out data."""
@@ -63,6 +69,10 @@ def register(app: typer.Typer) -> None:
         from invid.recording.concatenation import concatenate_recordings
 
         use_effects(context, effects)
+        if without_rule:
+            from invid.diagnosis.context import running, without_rules
+
+            context.with_resource(running(without_rules(without_rule)))
         wanted = parse_masses(masses)
         if model is not None and masses is not None:
             raise InputError(

@@ -11,19 +11,15 @@ from dataclasses import replace
 import numpy as np
 
 from invid.config import CellConfig, parse_config
-from invid.diagnosis.confidence import CONTESTED
 from invid.diagnosis.headline import headline
+from invid.diagnosis.promises import keep_promises
 from invid.effects.registry import effect_of
 from invid.effects.sizes import Machine, Size, measured
 from invid.errors import ConfigError
-from invid.model.diagnosis_document import Consequence, Diagnosis, Finding, Grade, Unexplained, Verdict
+from invid.model.diagnosis_document import Consequence, Diagnosis, Finding, Grade
 from invid.model.document import EffectTerm
-from invid.recording.model import Recording, Role
+from invid.recording.model import Recording
 
-EXPLAINED = 0.9
-"""Share of what was missing that named causes take away where a diagnosis is called explained (contract)."""
-MISSED = 0.5
-"""Share of the torque from which a model that misses it is not to be trusted (contract)."""
 _STEP = 10
 """Samples over which a speed is taken: a single one would be that of the encoder's last count."""
 
@@ -128,7 +124,7 @@ def with_consequences(diagnosis: Diagnosis, recording: Recording) -> Diagnosis:
         sentences=_sentences(diagnosis, graded, findings),
         warnings=tuple(dict.fromkeys([*diagnosis.warnings, *warnings])),
     )
-    result = _missed(_as_promised(result), recording)
+    result = keep_promises(result, recording)
     # A later comparison asks whether a cause that is not in the model was looked for.
     model = replace(result.model, fit={**result.model.fit, "verdict": str(result.verdict)})
     result = replace(result, model=model)
@@ -136,11 +132,9 @@ def with_consequences(diagnosis: Diagnosis, recording: Recording) -> Diagnosis:
 
 
 def _graded(finding: Finding, machine: Machine) -> Finding:
-    most = CONTESTED if finding.alternatives else 1.0
     consequence = consequence_of(finding.effect, machine)
     return replace(
         finding,
-        confidence=min(finding.confidence, most),
         consequence=consequence,
         sentence=_with_grade(finding, consequence),
     )
@@ -176,60 +170,3 @@ def _sentences(
     if sum(s in own for s in diagnosis.sentences) != sum(bool(f.sentence) for f in graded):
         return diagnosis.sentences
     return tuple(next(ordered) if s in own else s for s in diagnosis.sentences)
-
-
-def _as_promised(diagnosis: Diagnosis) -> Diagnosis:
-    """``explained`` only where the named causes take away nine tenths of what was missing (contract)."""
-    share = diagnosis.explained_fraction
-    if diagnosis.verdict is not Verdict.EXPLAINED or share is None or share >= EXPLAINED:
-        return diagnosis
-    left = diagnosis.unexplained
-    if left is None:
-        worst = max(diagnosis.residual, key=lambda r: r.after / max(r.noise_floor, 1e-300))
-        left = Unexplained(
-            worst.axis,
-            (),
-            (),
-            f"{worst.axis}: {worst.after:.3g} {worst.unit} rms is left over a noise floor of "
-            f"{worst.noise_floor:.3g} {worst.unit}, {1 - share:.0%} of what was missing on all axes",
-        )
-    return replace(
-        diagnosis,
-        verdict=Verdict.PARTLY_EXPLAINED,
-        unexplained=left,
-        sentences=tuple(dict.fromkeys([*diagnosis.sentences, left.sentence])),
-    )
-
-
-def _missed(diagnosis: Diagnosis, recording: Recording) -> Diagnosis:
-    """A model that misses more than half of the torque is not to be trusted, and that comes first."""
-    share = missed_share(diagnosis, recording)
-    if not share > MISSED:
-        return diagnosis
-    said = (
-        f"The model cannot be trusted: it misses {share:.0%} of the torque. See that the torque channel is "
-        "the motor's, that every axis moves freely, and that the number of masses fits."
-    )
-    doubts = list(diagnosis.model.fit.get("doubts", ()))
-    model = replace(
-        diagnosis.model, fit={**diagnosis.model.fit, "trustworthy": False, "doubts": [*doubts, said]}
-    )
-    return replace(
-        diagnosis,
-        model=model,
-        warnings=(said, *diagnosis.warnings),
-        sentences=(said, *diagnosis.sentences),
-        details={**diagnosis.details, "missed_fraction": share},
-    )
-
-
-def missed_share(diagnosis: Diagnosis, recording: Recording) -> float:
-    """Rms that the extended model misses beyond noise, over the rms of the torque, all axes together."""
-    left = sum(max(r.after**2 - r.noise_floor**2, 0.0) for r in diagnosis.residual)
-    held = recording.with_role(Role.VALIDATE) or recording.experiments
-    power = np.zeros(recording.axis_count)
-    samples = sum(e.samples for e in held)
-    for e in held:
-        power += np.nansum(np.square(e.torque), axis=0)
-    total = float(power.sum()) / max(samples, 1)
-    return float(np.sqrt(left / total)) if total > 0 else 0.0

@@ -7,12 +7,10 @@ from dataclasses import replace
 from typing import Literal
 
 from invid.diagnosis.consequence import with_consequences
+from invid.diagnosis.context import apply_rule, current, running
 from invid.diagnosis.extended_model import extended_model
 from invid.diagnosis.known_effects import folded
-from invid.diagnosis.rules.declared_masses import with_the_declared_mass
-from invid.diagnosis.rules.dropped_rows import before_repair, find_dropped, repaired, with_dropped
-from invid.diagnosis.rules.reidentify import looked_again
-from invid.diagnosis.rules.viscous_with_dry import allowing_for_viscous, with_viscous
+from invid.diagnosis.rules.dropped_rows import before_repair, repaired, with_dropped
 from invid.diagnosis.search_pass import looked
 from invid.diagnosis.time_domain_check import REFUSED, Replay, replay, with_replay
 from invid.diagnosis.verdict import document
@@ -57,7 +55,9 @@ def diagnose(
         Data from which no model can be drawn, or a model that does not fit the recording's axes.
     """
     recording, told = without_glitches(recording)
-    result = _diagnosed(recording, model, masses)
+    with running(current().fresh()) as context:
+        result = _diagnosed(recording, model, masses)
+        result = replace(result, details={**result.details, "rules": context.fired()})
     if told:
         result = replace(result, warnings=tuple(dict.fromkeys([*result.warnings, *told])))
     return with_consequences(result, recording)
@@ -69,7 +69,7 @@ def _diagnosed(
     """The diagnosis of a recording without glitches."""
     if is_rigid_case(recording, masses if model is None else model.chains.masses_per_branch):
         return diagnose_trajectory(recording, model=model)
-    dropped = find_dropped(recording)
+    dropped = apply_rule("dropped-rows", recording)
     sound = repaired(recording, dropped) if dropped else recording
     own = model is None
     if model is None:
@@ -84,12 +84,14 @@ def _diagnosed(
         )
     check_units(model, recording)
     look = looked(sound, folded(model))
-    look = looked_again(look, masses if own else model.chains.masses_per_branch)
+    look = apply_rule("reidentify", look, masses if own else model.chains.masses_per_branch)
     if own:
-        look = with_the_declared_mass(look, recording.masses_per_axis if masses is None else masses)
+        declared = recording.masses_per_axis if masses is None else masses
+        look = apply_rule("declared-masses", look, declared)
     sound, model, tones, bare = look.recording, look.model, look.tones, look.bare
     train, held = look.train, look.held
-    selection = allowing_for_viscous(with_viscous(look.selection, train, held)).as_far_as_explained()
+    selection = apply_rule("viscous-with-dry", look.selection, train, held)
+    selection = apply_rule("viscous-allowed-for", selection).as_far_as_explained()
     warnings = [*look.warnings, *said_of_holds(selection.final.fit, recording)]
     result = document(sound, model, selection, bare, train, held, tones, warnings)
     if result.findings:

@@ -7,9 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from invid.diagnosis.context import apply_rule
 from invid.diagnosis.evidence import Trial, finite
 from invid.diagnosis.known_effects import given_effects
-from invid.diagnosis.rules.tones import Tone, tones_of
+from invid.diagnosis.thresholds import FAR
+from invid.diagnosis.tone import Tone
 from invid.likelihood.hypothesis import Layout
 from invid.likelihood.joint_fit import JointFit, fit, held_out
 from invid.likelihood.nuisance.hold_share import HeldInside, holds_inside
@@ -24,8 +26,6 @@ from invid.recording.model import Recording
 from invid.signals.spectra import LineSpectra
 from invid.signals.spectral_record import Record
 
-FAR = 3.0
-"""χ²/ν from which a fit leaves so much that the linear model itself may be wrong. A guess."""
 LIGHTEST = 1e-8
 """Share of its branch that a mass has at least where a fit starts: rounding is 1e-16 of the matrices."""
 LOWER = 0.5
@@ -66,7 +66,7 @@ def linear_fit(
     )
     gone = _vanishing(first)
     if not given.terms and (gone or doubted(model, first)):
-        again = restarted(first, train)
+        again = apply_rule("spread-restart", first, train)
         if gone or again.cost < LOWER * first.cost:
             first = again
     train = with_scatter(train, spectra, layout, first.p)
@@ -211,4 +211,4 @@ def spare_mode(fitted: JointFit, records: Sequence[Record]) -> bool:
 def tones_in(fitted: JointFit, held: Sequence[Record], spectra: Sequence[LineSpectra]) -> list[Tone]:
     """Tones of the training and the held-out records."""
     both = (fitted.evaluation, held_out(fitted, held))
-    return tones_of(both, fitted.layout, fitted.p, spectra)
+    return list(apply_rule("tones", both, fitted.layout, fitted.p, spectra))

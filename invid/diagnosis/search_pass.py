@@ -6,22 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
-from invid.diagnosis.evidence import CLOSE, Trial
-from invid.diagnosis.linear_fit import from_causes, linear_fit, start_of, tones_in, without_effects
-from invid.diagnosis.rules.heavy_mode import strong_modes
-from invid.diagnosis.rules.load_change import (
-    around_change,
-    between_records,
-    change_of,
-    changes_with_time,
-    sooner,
-)
-from invid.diagnosis.rules.scatter_explained import quieted
-from invid.diagnosis.rules.slow_moves import moves_of
-from invid.diagnosis.rules.tones import Tone, without_tones
-from invid.diagnosis.rules.wide_gap import lost, rattles
+from invid.diagnosis.context import apply_rule, current
+from invid.diagnosis.evidence import Trial
+from invid.diagnosis.linear_fit import linear_fit, start_of, tones_in, without_effects
 from invid.diagnosis.search import select
-from invid.diagnosis.selection import Selection
+from invid.diagnosis.selection import Selection, is_lost
+from invid.diagnosis.slow_move import moves_of
+from invid.diagnosis.thresholds import CLOSE
+from invid.diagnosis.tone import Tone, without_tones
 from invid.errors import InputError
 from invid.likelihood.joint_fit import JointFit, fit, held_out
 from invid.likelihood.null_test import null_test
@@ -82,7 +74,7 @@ def _over_periods(recording: Recording, model: Model) -> Look:
     measured by what differs, and any cause may pass (presliding friction, of a ripple)."""
     look = _over_changes(recording, model)
     differs = any(r.differs for r in (*look.train, *look.held))
-    if look.tones or not (differs or lost(look.selection)):
+    if look.tones or not (differs or is_lost(look.selection)):
         return look
     other = _looked(look.recording, model, each=True) if differs else look
     if other.selection.steps and other.selection.final.cost < CLOSE * other.selection.final.dof:
@@ -98,10 +90,10 @@ def _over_periods(recording: Recording, model: Model) -> Look:
 
 def _with_a_strong_mode(look: Look) -> Look | None:
     """The look with a mode that the linear fit without it was lost for, and what else there is beside it."""
-    if not lost(look.selection):
+    if not is_lost(look.selection):
         return None
     base, linear = look.selection.base, look.recording.linear
-    modes = strong_modes(base.fit, look.train, look.held)
+    modes = apply_rule("heavy-mode", base.fit, look.train, look.held)
     if not modes:
         return None
     found = select(
@@ -114,7 +106,7 @@ def _rattling(look: Look, other: Look) -> Look | None:
     """The look with a gap as wide as its spring deflects, in the records of the ``other``, period by period
     where those differ: a load that rattles seldom does the same in all of them."""
     base = other.selection.base
-    step = rattles(base, other.train, other.held)
+    step = apply_rule("wide-gap", base, other.train, other.held)
     if step is None:
         return None
     selection = Selection(base, step.chosen, (step,))
@@ -165,6 +157,7 @@ def _looked(
     within: bool = False,
     each: bool = False,
 ) -> Look:
+    current().searches += 1
     begun = partial(_begun, model=model, spare=spare, apart=apart, within=within, each=each)
     spectra, warnings, (base, free, train, held) = begun(recording)
     tones = [] if each else tones_in(base, held, spectra)
@@ -173,7 +166,7 @@ def _looked(
     if tones:
         recording = without_tones(recording, tones)
         spectra, warnings, (base, free, train, held) = begun(recording)
-    if apart and not changes_with_time(base, held, linear_axes=recording.linear):
+    if apart and not apply_rule("time-causes-first", base, held, linear_axes=recording.linear):
         nothing = Trial(base, held_out(base, held))
         unchanged = Selection(nothing, nothing)
         return Look(recording, model, spectra, tones, train, held, base, unchanged, warnings)
@@ -186,25 +179,23 @@ def _looked(
     )
     selection = search(base, train, held)
     if selection.steps:
-        less = quieted(selection.final.fit.evaluation), quieted(selection.final.held)
+        parts = selection.final.fit.evaluation, selection.final.held
+        less = tuple(apply_rule("scatter-explained", part) for part in parts)
         if any(a is not b for a, b in zip((*less[0], *less[1]), (*train, *held), strict=True)):
             train, held = less
             base = fit(base.layout, train, base.p, base.candidate, iterations=25)
             selection = search(base, train, held)
-    settled = from_causes(base, selection.final.fit, train)
+    settled = apply_rule("restart-from-causes", base, selection.final.fit, train)
     if settled is not None:
         base, selection = settled, search(settled, train, held)
     if not selection.steps and selection.final.fit is not base:
         # A chain that has in it what was found beside.
         base, selection = selection.final.fit, replace(selection, base=selection.final)
-    selection, bare = between_records(selection), without_effects(base, train)
-    parts = around_change(selection, recording)
-    if parts is not None:
-        around = fit(base.layout, parts[0], base.p, base.candidate, iterations=25)
-        again = sooner(selection, search(around, *parts), *parts)
-        if change_of(again) is not None:
-            base, selection, (train, held) = around, again, parts
-            bare = without_effects(base, train)
+    selection = apply_rule("change-between-records", selection)
+    around = apply_rule("load-change", selection, recording, base, search)
+    if around is not None:
+        base, selection, train, held = around
+    bare = without_effects(base, train)
     return Look(recording, model, spectra, tones, train, held, bare, selection, warnings)
 
 

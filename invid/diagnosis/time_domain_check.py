@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from invid.diagnosis.confidence import CONTESTED
+from invid.diagnosis.thresholds import CONTESTED
 from invid.effects.motion import View
 from invid.effects.registry import of_the_plant
 from invid.errors import InvidError

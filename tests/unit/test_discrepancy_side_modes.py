@@ -88,5 +88,5 @@ def test_a_mode_that_takes_half_is_tried_at_the_other_masses_before_it_is_refuse
         trial("extra_mode", 2, 1, 900.0),  # takes a fifth
         trial("coulomb_friction", 1, 1, 200.0),
     ]
-    modes_moved(current, cast(Any, trials), [], [], [])
+    modes_moved(cast(Any, trials), current, [], [], [])
     assert asked == [(0, 1), (1, 4)]

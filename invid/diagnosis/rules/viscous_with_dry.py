@@ -8,9 +8,10 @@ from functools import partial
 
 import numpy as np
 
-from invid.diagnosis.evidence import CLOSE, LARGER, WEAK, Step, Trial, attempted
+from invid.diagnosis.evidence import Step, Trial, attempted
 from invid.diagnosis.score_test import Screen
 from invid.diagnosis.selection import Selection
+from invid.diagnosis.thresholds import CLOSE, LARGER, WEAK
 from invid.effects.registry import BY_CAUSE
 from invid.likelihood.joint_fit import fit
 from invid.likelihood.placed_effect import Term
