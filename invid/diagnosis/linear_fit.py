@@ -12,6 +12,7 @@ from invid.diagnosis.evidence import Trial, finite
 from invid.diagnosis.known_effects import given_effects
 from invid.diagnosis.thresholds import FAR
 from invid.diagnosis.tone import Tone
+from invid.diagnosis.validation import PLAIN, Asked
 from invid.likelihood.hypothesis import Layout
 from invid.likelihood.joint_fit import JointFit, fit, held_out
 from invid.likelihood.nuisance.hold_share import HeldInside, holds_inside
@@ -40,15 +41,12 @@ def linear_fit(
     spectra: Sequence[LineSpectra],
     train: Sequence[Record],
     held: Sequence[Record],
-    *,
-    apart: bool = False,
-    each: bool = False,
+    asked: Asked = PLAIN,
 ) -> tuple[JointFit, Float64, list[Record], list[Record]]:
     """The model, with the effects it came with, fitted to the training records, its parameters with unbounded
     time offsets, and the records with their scatter.
 
-    ``apart``: every record is followed from period to period, the first that is held out joins the training;
-    nothing is a tone then. ``each``: so are records whose periods differ far beyond the sensors' noise.
+    Where records are asked for ``apart`` nothing is a tone.
     """
     chains = model.chains
     grounded = tuple(int(i) for i in np.flatnonzero(chains.ground_springs > 0))
@@ -71,11 +69,11 @@ def linear_fit(
             first = again
     train = with_scatter(train, spectra, layout, first.p)
     held = with_scatter(held, spectra, layout, first.p)
-    keys = [r.key for r in (*train, *held) if apart or r.trend or (each and r.differs)]
+    keys = [r.key for r in (*train, *held) if asked.apart or r.trend or (asked.each and r.differs)]
     # A tone that repeats with no period looks like a change from one to the next.
-    if keys and (apart or each or not tones_in(first, held, spectra)):
+    if keys and (asked.apart or asked.each or not tones_in(first, held, spectra)):
         train, held = by_period(recording, train, keys), by_period(recording, held, keys)
-        if apart and len(held) > 1 and held[0].alone:
+        if asked.apart and len(held) > 1 and held[0].alone:
             train, held = [*train, held[0]], held[1:]
     return fit(layout, train, first.p, first.candidate, iterations=25), first.p, train, held
 

@@ -14,10 +14,11 @@ from invid.diagnosis.selection import Selection, is_lost
 from invid.diagnosis.slow_move import moves_of
 from invid.diagnosis.thresholds import CLOSE
 from invid.diagnosis.tone import Tone, without_tones
+from invid.diagnosis.validation import PLAIN, Asked, split
 from invid.errors import InputError
 from invid.likelihood.joint_fit import JointFit, fit, held_out
 from invid.likelihood.null_test import null_test
-from invid.likelihood.prepare_records import split, with_sticking
+from invid.likelihood.prepare_records import with_sticking
 from invid.model.document import Model
 from invid.numerics.arrays import Float64
 from invid.recording.model import Recording, Role
@@ -76,7 +77,7 @@ def _over_periods(recording: Recording, model: Model) -> Look:
     differs = any(r.differs for r in (*look.train, *look.held))
     if look.tones or not (differs or is_lost(look.selection)):
         return look
-    other = _looked(look.recording, model, each=True) if differs else look
+    other = _looked(look.recording, model, Asked(each=True)) if differs else look
     if other.selection.steps and other.selection.final.cost < CLOSE * other.selection.final.dof:
         return other
     strong = _with_a_strong_mode(other)
@@ -120,14 +121,14 @@ def _over_changes(recording: Recording, model: Model) -> Look:
         return look
     rejected = null_test(base.held.cost, base.held.dof, look.held).rejects
     if not rejected and null_test(base.fit.cost, base.fit.dof, look.train).rejects:
-        other = _looked(recording, model, within=True)
+        other = _looked(recording, model, Asked(within=True))
         return other if other.selection.steps else look
     if not rejected or base.held.cost / base.held.dof < ALIKE * base.fit.dispersion:
         return look
     if not any(s.role is Role.VALIDATE for s in look.spectra):
-        other = _looked(recording, model, spare=False)
+        other = _looked(recording, model, Asked(spare=False))
         return other if other.selection.steps else look
-    other = _looked(look.recording, model, apart=True)
+    other = _looked(look.recording, model, Asked(apart=True))
     return other if _changes(other) else look
 
 
@@ -138,7 +139,7 @@ def _explained_by_a_change(recording: Recording, model: Model) -> bool:
     between two lines, and so the same as a tone; of two periods exactly. With that taken out the rest of the
     drift fits no law. A law of one or two numbers that explains all periods is no chance, and a tone is none.
     """
-    _, _, (base, free, train, held) = _begun(recording, model, spare=True, apart=True, within=False)
+    _, _, (base, free, train, held) = _begun(recording, model, Asked(apart=True))
     found = select(base, train, held, linear_axes=recording.linear, free=free, family="time")
     return bool(found.steps) and found.final.cost < CLOSE * found.final.dof
 
@@ -148,25 +149,17 @@ def _changes(look: Look) -> bool:
     return any(s.chosen.term.effect.family == "time" for s in look.selection.steps)
 
 
-def _looked(
-    recording: Recording,
-    model: Model,
-    *,
-    spare: bool = True,
-    apart: bool = False,
-    within: bool = False,
-    each: bool = False,
-) -> Look:
+def _looked(recording: Recording, model: Model, asked: Asked = PLAIN) -> Look:
     current().searches += 1
-    begun = partial(_begun, model=model, spare=spare, apart=apart, within=within, each=each)
+    begun = partial(_begun, model=model, asked=asked)
     spectra, warnings, (base, free, train, held) = begun(recording)
-    tones = [] if each else tones_in(base, held, spectra)
-    if tones and not apart and _explained_by_a_change(recording, model):
-        return _looked(recording, model, apart=True)
+    tones = [] if asked.each else tones_in(base, held, spectra)
+    if tones and not asked.apart and _explained_by_a_change(recording, model):
+        return _looked(recording, model, Asked(apart=True))
     if tones:
         recording = without_tones(recording, tones)
         spectra, warnings, (base, free, train, held) = begun(recording)
-    if apart and not apply_rule("time-causes-first", base, held, linear_axes=recording.linear):
+    if asked.apart and not apply_rule("time-causes-first", base, held, linear_axes=recording.linear):
         nothing = Trial(base, held_out(base, held))
         unchanged = Selection(nothing, nothing)
         return Look(recording, model, spectra, tones, train, held, base, unchanged, warnings)
@@ -203,15 +196,15 @@ _Begun = tuple[JointFit, Float64, list[Record], list[Record]]
 
 
 def _begun(
-    recording: Recording, model: Model, spare: bool, apart: bool, within: bool, each: bool = False
+    recording: Recording, model: Model, asked: Asked
 ) -> tuple[tuple[LineSpectra, ...], list[str], _Begun]:
     """Spectra, what to warn about, and the linear fit with its records (``linear_fit``)."""
     spectra = all_spectra(recording)
     if not spectra:
         raise InputError(f"{recording.source}: no experiment shakes an axis; nothing to compare with a model")
     check_plausible(recording, spectra)
-    train, held, warnings = split(recording, spectra, spare=spare, within=within)
+    train, held, warnings = split(recording, spectra, asked)
     train, standing = with_sticking(train, spectra, model, recording)
     held, _ = with_sticking(held, spectra, model, recording)
     warnings = [*(w for s in spectra for w in s.warnings), *warnings, *standing]
-    return spectra, warnings, linear_fit(model, recording, spectra, train, held, apart=apart, each=each)
+    return spectra, warnings, linear_fit(model, recording, spectra, train, held, asked)

@@ -24,6 +24,7 @@ from invid.diagnosis.known_effects import place_of, vector_of
 from invid.diagnosis.linear_fit import layout_of
 from invid.diagnosis.score_test import terms_for
 from invid.diagnosis.sentences import finding_sentence
+from invid.diagnosis.validation import split
 from invid.effects.curve import curve
 from invid.effects.effect import PlaceMotion
 from invid.effects.registry import BY_CAUSE, CATALOGUE, LARGE_MOTION, load_effects, using
@@ -31,7 +32,6 @@ from invid.effects.sizes import Machine
 from invid.effects.units import unit_of
 from invid.likelihood.evaluation import evaluate
 from invid.likelihood.placed_effect import Candidate, Term
-from invid.likelihood.prepare_records import split
 from invid.model.chains import CoupledChains
 from invid.model.document import ChainStd, EffectTerm, Estimate, Model, load_model
 from invid.model.parameters import ChainStructure
