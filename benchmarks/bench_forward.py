@@ -92,6 +92,7 @@ def plant() -> None:
             torque,
             np.zeros((0, 3)),
             np.zeros((0, 4)),
+            np.zeros((1, 2)),
             np.zeros((0, 2)),
             h,
             1,

@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from invid.comparison.changes import Comparison
+    from invid.effects.effect import Effect
     from invid.exchange.export import Export
     from invid.model.diagnosis_document import Diagnosis
     from invid.model.document import Model
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
 Masses = Sequence[int] | Literal["auto"] | None
 Method = Literal["refined", "paper"]
+Effects = Sequence["Effect | str | Path"]
 
 
 def read_recording(path: str | Path) -> Recording:
@@ -108,6 +110,7 @@ def identify(
     workers: int = 1,
     budget: float | None = None,
     progress: Callable[[Progress], None] | None = None,
+    effects: Effects = (),
 ) -> Model:
     """Masses, springs, dampers and inertia couplings of every branch with their uncertainty.
 
@@ -128,6 +131,8 @@ def identify(
     progress
         Called with an ``invid.Progress`` (``stage``, ``axis``, ``cause``, ``fraction``, ``seconds_left``) as
         the work goes on.
+    effects
+        See ``diagnose``.
 
     Returns
     -------
@@ -145,7 +150,7 @@ def identify(
     from invid.identification.identify import identify as identified
     from invid.numerics.immutable import immutable
 
-    with _limits(budget, progress):
+    with _using(effects), _limits(budget, progress):
         return immutable(
             identified(
                 _one(recording),
@@ -165,6 +170,7 @@ def diagnose(
     masses: Masses = None,
     budget: float | None = None,
     progress: Callable[[Progress], None] | None = None,
+    effects: Effects = (),
 ) -> Diagnosis:
     """What the simulation gets wrong on a recording: cause, place, size, extended model and gain.
 
@@ -179,6 +185,9 @@ def diagnose(
     budget, progress
         As for ``identify``. A search that the budget ended calls nothing ``consistent`` and no finding surer
         than 0.89; ``details["cut_short"]`` is then True.
+    effects
+        Causes beside the catalogue's: ``invid.effects.Effect`` objects, or files that hold ``EFFECT``
+        (docs/how-to/add-an-effect.md). A model that has one needs it again to be simulated or diagnosed.
 
     Returns
     -------
@@ -200,7 +209,7 @@ def diagnose(
 
     if model is not None and masses is not None:
         raise InputError("masses and model: the model says how many masses there are; give one of the two")
-    with _limits(budget, progress):
+    with _using(effects), _limits(budget, progress):
         return immutable(diagnosed(_one(recording), model=model, masses=_sizes(masses)))
 
 
@@ -210,6 +219,7 @@ def simulate(
     *,
     rng: np.random.Generator | None = None,
     only: Collection[str] | None = None,
+    effects: Effects = (),
 ) -> Recording:
     """The answer of a model, effects included, to the torques of a recording, over time.
 
@@ -219,6 +229,8 @@ def simulate(
         Draws the rows that ``dropped_samples`` repeats; default: the same rows each time.
     only
         Keys of the experiments to simulate and to return; default: all.
+    effects
+        See ``diagnose``.
 
     Returns
     -------
@@ -233,7 +245,8 @@ def simulate(
     from invid.numerics.immutable import immutable
     from invid.simulation.run import simulate as simulated
 
-    return immutable(simulated(model, recording, rng=rng, only=only))
+    with _using(effects):
+        return immutable(simulated(model, recording, rng=rng, only=only))
 
 
 def compare(
@@ -328,6 +341,12 @@ def _limits(seconds: float | None, report: Callable[[Progress], None] | None) ->
     own = None if end is None and report is None else Budget(end, time.monotonic, report)
     with in_force(own), np.errstate(all="ignore"):
         yield
+
+
+def _using(effects: Effects) -> AbstractContextManager[None]:
+    from invid.effects.registry import using
+
+    return using(list(effects))
 
 
 def _sizes(masses: Masses) -> Masses:

@@ -10,6 +10,7 @@ import typer
 
 from invid.api import diagnose, load_model, read_recording
 from invid.cli.display import BUDGET, shown_progress
+from invid.cli.effects_option import Effects, use_effects
 from invid.cli.identify import parse_masses
 from invid.cli.output import EXIT_NOT_TRUSTWORTHY, EXIT_OK, emit, note
 from invid.errors import InputError, ModelError
@@ -25,6 +26,7 @@ def register(app: typer.Typer) -> None:
 
     @app.command("diagnose")
     def diagnose_command(
+        context: typer.Context,
         recording: Annotated[
             list[Path],
             typer.Argument(
@@ -60,12 +62,24 @@ def register(app: typer.Typer) -> None:
                 min=1.0, help="Seconds after which the best answer so far is given; inf: as long as it takes."
             ),
         ] = BUDGET,
+        effects: Effects = None,
+        without_rule: Annotated[
+            list[str] | None,
+            typer.Option(
+                "--without-rule", metavar="NAME", hidden=True, help="A special rule of the search off."
+            ),
+        ] = None,
         as_json: Annotated[bool, typer.Option("--json", help="Print the diagnosis as JSON.")] = False,
     ) -> int:
         """Name what the model gets wrong, with the extended model and the gain on held-out data."""
         from invid.model.diagnosis_document import diagnosis_to_json
         from invid.recording.concatenation import concatenate_recordings
 
+        use_effects(context, effects)
+        if without_rule:
+            from invid.diagnosis.context import running, without_rules
+
+            context.with_resource(running(without_rules(without_rule)))
         wanted = parse_masses(masses)
         if model is not None and masses is not None:
             raise InputError(
@@ -139,7 +153,7 @@ def _write_plots(folder: Path, recording: Recording, diagnosis: Diagnosis) -> li
 
 def diagnosis_text(diagnosis: Diagnosis) -> str:
     """The headline, the sentences, then the residuals, the competing causes and the warnings."""
-    from invid.planning.separating_experiments import BY_HAND
+    from invid.planning.separating_experiments import is_measurable
 
     lines = [diagnosis.headline, ""] if diagnosis.headline else []
     lines += diagnosis.sentences
@@ -171,7 +185,7 @@ def diagnosis_text(diagnosis: Diagnosis) -> str:
             planned = f.separating_experiment
             lines.append(f"  to separate them: {planned.get('description') or planned.get('text', '')}")
             causes = {*planned.get("separates", ()), *(a.cause for a in f.alternatives)}
-            if causes - BY_HAND:
+            if any(is_measurable(c) for c in causes):
                 lines.append(
                     "  (invid measure CONFIG --separate DIAGNOSIS.json -o NEW.h5 runs it; then diagnose with "
                     "--with NEW.h5)"

@@ -10,6 +10,7 @@ import typer
 
 from invid.api import identify, read_recording
 from invid.cli.display import BUDGET, shown_progress
+from invid.cli.effects_option import Effects, use_effects
 from invid.cli.output import EXIT_NOT_TRUSTWORTHY, EXIT_OK, emit, note
 from invid.errors import InputError, NotIdentifiableError
 
@@ -24,6 +25,7 @@ def register(app: typer.Typer) -> None:
 
     @app.command("identify")
     def identify_command(
+        context: typer.Context,
         recording: Annotated[Path, typer.Argument(metavar="REC.h5", help="The recording.")],
         output: Annotated[
             Path | None, typer.Option("-o", "--output", metavar="MODEL.json", help="Where the model goes.")
@@ -49,6 +51,7 @@ def register(app: typer.Typer) -> None:
                 min=1.0, help="Seconds after which the best answer so far is given; inf: as long as it takes."
             ),
         ] = BUDGET,
+        effects: Effects = None,
         as_json: Annotated[bool, typer.Option("--json", help="Print the model as JSON.")] = False,
     ) -> int:
         """Masses, springs, dampers and inertia couplings from a recording, with their uncertainty."""
@@ -60,6 +63,7 @@ def register(app: typer.Typer) -> None:
             raise InputError("--profile needs a likelihood: use it with --method refined")
         if bootstrap and method == "paper":
             raise InputError("--bootstrap fits the likelihood again: use it with --method refined")
+        use_effects(context, effects)
         wanted = parse_masses(masses)
         data = read_recording(recording)
         try:

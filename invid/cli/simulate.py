@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from invid.api import load_model, read_recording, simulate, write_recording
+from invid.cli.effects_option import Effects, use_effects
 from invid.cli.output import EXIT_NOT_TRUSTWORTHY, EXIT_OK, emit, note
 
 if TYPE_CHECKING:
@@ -21,12 +22,15 @@ def register(app: typer.Typer) -> None:
 
     @app.command("simulate")
     def _simulate(
+        context: typer.Context,
         model: Path = typer.Argument(..., metavar="MODEL.json", help="Model to simulate."),
         recording: Path = typer.Argument(..., metavar="REC.h5", help="Recording whose torques drive it."),
         output: Path = typer.Option(..., "-o", "--output", metavar="SIM.h5", help="Simulated recording."),
+        effects: Effects = None,
         as_json: bool = typer.Option(False, "--json", help="Print one JSON document."),
     ) -> int:
         """Simulate a model's answer to a recorded excitation, effects included."""
+        use_effects(context, effects)
         loaded = load_model(model)
         measured = read_recording(recording)
         note(f"simulating {len(measured.experiments)} experiments of {measured.axis_count} axes …")

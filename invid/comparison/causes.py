@@ -25,7 +25,7 @@ from invid.comparison.changes import CauseChange, CauseStatus, Change, Repeatabi
 from invid.comparison.joint_test import two_sided
 from invid.comparison.pairs import describe, name_of
 from invid.comparison.sentences import differing_number, percent
-from invid.effects.registry import CATALOGUE
+from invid.effects.registry import BY_CAUSE
 from invid.model.document import EffectTerm, Estimate, Model
 from invid.numerics.distributions import chi2_isf, normal_isf
 
@@ -34,7 +34,6 @@ NAMED_FROM = math.sqrt(chi2_isf(1e-5, 1))
 about a hundred candidates (``invid.diagnosis.acceptance``)."""
 _SEEN = NAMED_FROM + normal_isf(0.05)
 """Size that is named in 95 of 100 runs."""
-_BY_CAUSE = {e.cause: e for e in CATALOGUE}
 
 
 CHANGED = (CauseStatus.APPEARED, CauseStatus.GREW, CauseStatus.SHRANK, CauseStatus.GONE)
@@ -42,7 +41,7 @@ CHANGED = (CauseStatus.APPEARED, CauseStatus.GREW, CauseStatus.SHRANK, CauseStat
 
 def main_parameter(term: EffectTerm) -> str | None:
     """Name of the parameter that is an effect's size."""
-    effect = _BY_CAUSE.get(term.cause)
+    effect = BY_CAUSE.get(term.cause)
     if effect is not None and effect.main in term.parameters:
         return effect.main
     return next(iter(term.parameters), None)
@@ -279,7 +278,7 @@ def cause_sentences(causes: Sequence[CauseChange]) -> list[str]:
 
 def sentence_of(c: CauseChange) -> str:
     """ "A2: backlash at spring 1 is new: gap 0.0003 ± 0.00002 rad. Check …"."""
-    check = _BY_CAUSE[c.cause].check if c.cause in _BY_CAUSE else ""
+    check = BY_CAUSE[c.cause].check if c.cause in BY_CAUSE else ""
     if c.status is CauseStatus.APPEARED:
         return f"{c.label} is new: {c.parameter.replace('_', ' ')} {_size(c.new, c.unit)}. {check}".rstrip()
     if c.status is CauseStatus.GONE:
@@ -295,7 +294,7 @@ def new_since(causes: Sequence[CauseChange], since: str) -> str:
         return ""
     said = []
     for c in worse[:2]:
-        effect = _BY_CAUSE.get(c.cause)
+        effect = BY_CAUSE.get(c.cause)
         title = (effect.title if effect else c.cause.replace("_", " ")).split(" (")[0]
         place = f" at {c.element}" if c.element and c.element != "mass 1" else ""
         how = (
@@ -305,7 +304,7 @@ def new_since(causes: Sequence[CauseChange], since: str) -> str:
         )
         said.append(f"{how} on {c.axis}{place}")
     more = f" and {len(worse) - 2} more" if len(worse) > 2 else ""
-    first = _BY_CAUSE.get(worse[0].cause)
+    first = BY_CAUSE.get(worse[0].cause)
     check = f"; {first.check[0].lower()}{first.check[1:].rstrip('.')}" if first and len(worse) == 1 else ""
     kind = "New" if worse[0].old is None else "More"
     return f"{kind} since {since}: {', '.join(said)}{more}{check}."

@@ -2,29 +2,21 @@
 
 from __future__ import annotations
 
-from invid.diagnosis.evidence import CLOSE, HELD_OUT, WEAK, Trial, excess_in, told
+from invid.diagnosis.evidence import Trial, excess_in, told
+from invid.diagnosis.thresholds import (
+    CLOSE,
+    HELD_OUT,
+    NAMED_SHARE,
+    REACHED,
+    REMAINDER,
+    SHARE,
+    SIGNIFICANCE,
+    WEAK,
+)
 from invid.likelihood.joint_fit import JointFit
 from invid.likelihood.placed_effect import Term
 from invid.model.place import Place
 from invid.numerics.distributions import chi2_isf
-
-SIGNIFICANCE = 1e-3
-"""Chance, over all candidates together, that noise passes the training gain; the held-out gain must pass as
-well, so a false alarm by selection is rarer than the null test's 1 %."""
-REMAINDER = 0.25
-"""A further cause must remove this share of what the first left beyond noise on its own axes. Empirical
-(hidden plants): an imperfect model of a strong first cause leaves a per cent of it, of which other causes fit
-some."""
-NAMED_SHARE = 0.9
-"""A further cause that takes this share of what is left and reaches the noise is there, however small beside
-the first: what an imperfect model of the first leaves has no such law. A guess, no campaign counted it."""
-SHARE = 0.05
-"""A further cause that does not bring χ²/ν below CLOSE must remove this share of the first excess. Empirical:
-on the flexible bench ripples of 2 % were named otherwise with a phase known to ten radians. Of the excess in
-motion: a constant torque, as a robot arm's weight, is a thousand times all friction, and leaves nothing."""
-REACHED = 2.0
-"""χ²/ν up to which NAMED_SHARE counts: at the noise as far as causes go whose own models are right to a few
-per mille. As in ``trust``; a hidden pair (800704) has 1.46 at its true parameters."""
 
 
 def least_gain(here: JointFit, term: Term, count: int, *, first: bool) -> float:

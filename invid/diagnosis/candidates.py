@@ -115,12 +115,12 @@ def refitted(
 
 
 def with_those_from(
+    trials: Sequence[Trial],
     start: Float64,
     here: JointFit,
     train: Sequence[Record],
     held: Sequence[Record],
     terms: Sequence[Term],
-    trials: Sequence[Trial],
 ) -> list[Trial]:
     """The ``trials`` and, where none of them explains the records, those from other linear parameters.
 

@@ -6,11 +6,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from invid.diagnosis.evidence import COMPETES, LARGER, Step, Trial, extends, sized, unearned
+from invid.diagnosis.evidence import Step, Trial, extends, sized, unearned
 from invid.diagnosis.selection import Selection
-from invid.diagnosis.sentences import BY_CAUSE, finding_sentence
-from invid.effects.effect import unit_of
+from invid.diagnosis.sentences import finding_sentence
+from invid.diagnosis.thresholds import (
+    AT_FLOOR,
+    BROUGHT_DOWN,
+    COMPETES,
+    CONTESTED,
+    FLOOR,
+    LARGER,
+    MOST_OF_CHI2,
+    NAMED,
+)
 from invid.effects.laws.sign import ROUNDING, DryLaw
+from invid.effects.registry import BY_CAUSE
+from invid.effects.units import unit_of
 from invid.likelihood.joint_fit import JointFit
 from invid.likelihood.null_test import NullTest, rms_torque
 from invid.likelihood.placed_effect import Term
@@ -19,26 +30,10 @@ from invid.model.document import EffectTerm, Estimate
 from invid.numerics.arrays import Float64
 from invid.recording.model import Recording
 
-NAMED = 0.9
-"""Share of the excess χ² below which nothing is named (prototype: separates named from outside)."""
-MOST_OF_CHI2 = 0.5
-"""Share of the excess χ² that must go at least where the share of the missing torque's power says NAMED. On
-long periodic records of a real machine a few lines stand thousands of times above their noise and hold the
-excess χ² (antiresonances, where the motor hardly moves), while next to no torque is missing there."""
 UNSIZED = 0.5
 """Most that is claimed of a cause whose size cannot be told from none: something is there, and it fits."""
 
-CONTESTED = 0.89
-"""Most that is claimed where alternatives remain. exp(−COMPETES/4) leaves a rival at the edge a tenth of the
-likelihood, so a cause with one has at most nine tenths."""
 
-
-AT_FLOOR = 1.44
-"""χ²/ν up to which the extended model is at the noise: a residual of 1.2 times the floor, the product's bar.
-Above it something is left that no cause took, the cause named may be a disguise of another (a delay of a lag
-beside friction left χ²/ν at 300 and a hundredth of the excess), and nobody may be certain."""
-BROUGHT_DOWN = 0.98
-"""Share of what was missing that causes explain at least where the rest stands out of the noise."""
 SLOW = 400.0
 """χ² gain of dry friction below which a Stribeck effect is not excluded, where none was fitted: forty per
 cent more torque in the sixth of the time that is slow is a fortieth of dry friction's power, and 9 (3 σ) of
@@ -103,7 +98,7 @@ def at_floor(final: Trial) -> bool:
     """
     motors = final.fit.layout.structure.motors
     pairs = [rms_torque(final.held, i) for i in range(motors)]
-    return all(r <= 1.2 * n for r, n in pairs)
+    return all(r <= FLOOR * n for r, n in pairs)
 
 
 def _power_explained(base: Trial, final: Trial) -> float:
@@ -347,5 +342,5 @@ def _separating(term: Term, rivals: list[Trial], contested: bool) -> dict[str, o
         "kind": kind,
         "axis": term.place.axis,
         "separates": [term.effect.cause, *others],
-        "description": effect.separate,
+        "description": effect.separating.text,
     }

@@ -5,27 +5,21 @@ One place for what the words of a diagnosis promise, whichever engine found them
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from invid.config import CellConfig, parse_config
-from invid.diagnosis.confidence import CONTESTED
-from invid.diagnosis.consequence_measures import OWN_LIMIT, TORQUES, Machine, measures_of, number, phrase
-from invid.diagnosis.consequence_rules import BY_CAUSE as RULES
-from invid.diagnosis.consequence_rules import Rule
 from invid.diagnosis.headline import headline
-from invid.diagnosis.sentences import BY_CAUSE
+from invid.diagnosis.promises import keep_promises
+from invid.effects.registry import effect_of
+from invid.effects.sizes import Machine, Size, measured
 from invid.errors import ConfigError
-from invid.model.diagnosis_document import Consequence, Diagnosis, Finding, Grade, Unexplained, Verdict
+from invid.model.diagnosis_document import Consequence, Diagnosis, Finding, Grade
 from invid.model.document import EffectTerm
-from invid.recording.model import Recording, Role
+from invid.recording.model import Recording
 
-EXPLAINED = 0.9
-"""Share of what was missing that named causes take away where a diagnosis is called explained (contract)."""
-MISSED = 0.5
-"""Share of the torque from which a model that misses it is not to be trusted (contract)."""
 _STEP = 10
 """Samples over which a speed is taken: a single one would be that of the encoder's last count."""
 
@@ -79,46 +73,40 @@ def _fastest(recording: Recording, axis: int) -> float:
 
 def consequence_of(term: EffectTerm, machine: Machine) -> Consequence:
     """Grade, sizes and reason of one effect: own limits first, then published figures, else neither."""
-    sizes = measures_of(term, machine)
-    text = ", ".join(phrase(name, value, machine.linear) for name, value in sizes.items())
-    torques = [value for name, value in sizes.items() if name in TORQUES]
+    effect = effect_of(term.cause)
+    declared = () if effect is None else effect.sizes
+    found = measured(declared, term, machine)
+    sizes = {size.quantity.name: value for size, value in found}
+    text = ", ".join(size.phrase(value, machine.linear) for size, value in found)
+    share = max((value for size, value in found if size.quantity.torque), default=None)
     own = machine.acceptable.get(term.axis, {})
     judged: list[tuple[Grade, str, str]] = []
-    for name, value in sizes.items():
-        limit = own.get(OWN_LIMIT.get(name, name))
+    for size, value in found:
+        limit = own.get(size.quantity.limit or size.quantity.name)
         if limit is not None:
             grade = Grade.AS_EXPECTED if abs(value) <= limit else Grade.ACT
-            shown = number(name, limit, machine.linear)
-            judged.append((grade, f"the config accepts up to {shown}", "config"))
-            continue
-        for rule in RULES.get(term.cause, ()):
-            if rule.measure != name or (machine.linear and not rule.linear):
-                continue
-            grade = Grade.ACT if value > rule.serious else Grade.WATCH
-            grade = Grade.AS_EXPECTED if value <= rule.expected else grade
-            judged.append((grade, _usual(rule, machine.linear), rule.source))
+            judged.append((grade, f"the config accepts up to {size.number(limit, machine.linear)}", "config"))
+        elif size.expected is not None and size.serious is not None and (size.linear or not machine.linear):
+            grade = Grade.ACT if value > size.serious else Grade.WATCH
+            grade = Grade.AS_EXPECTED if value <= size.expected else grade
+            judged.append((grade, _usual(size, size.expected, machine.linear), size.source))
     if not judged:
-        return Consequence(
-            Grade.WATCH,
-            text,
-            _no_figure(term, machine, sizes),
-            max(torques, default=None),
-            None,
-            sizes,
-        )
+        return Consequence(Grade.WATCH, text, _no_figure(term, machine, declared, sizes), share, None, sizes)
     grade, reason, source = min(judged, key=lambda j: j[0].rank)
-    return Consequence(grade, text, reason, max(torques, default=None), source, sizes)
+    return Consequence(grade, text, reason, share, source, sizes)
 
 
-def _usual(rule: Rule, linear: bool) -> str:
+def _usual(size: Size, expected: float, linear: bool) -> str:
     """Up to where such drives are like that; by physics there may be nothing beside it."""
-    if rule.expected == 0:
+    if expected == 0:
         return "none is expected"
-    return f"up to {number(rule.measure, rule.expected, linear)} is usual for such drives"
+    return f"up to {size.number(expected, linear)} is usual for such drives"
 
 
-def _no_figure(term: EffectTerm, machine: Machine, sizes: dict[str, float]) -> str:
-    wanted = {r.measure for r in RULES.get(term.cause, ())}
+def _no_figure(
+    term: EffectTerm, machine: Machine, declared: Sequence[Size], sizes: Mapping[str, float]
+) -> str:
+    wanted = {s.quantity.name for s in declared if s.expected is not None}
     if wanted and not wanted & sizes.keys() and term.axis not in machine.rated:
         return "no figure to judge by: the rated torque is not in the recording"
     return "no figure to judge by; a limit of this axis can stand in its config (acceptable)"
@@ -136,7 +124,7 @@ def with_consequences(diagnosis: Diagnosis, recording: Recording) -> Diagnosis:
         sentences=_sentences(diagnosis, graded, findings),
         warnings=tuple(dict.fromkeys([*diagnosis.warnings, *warnings])),
     )
-    result = _missed(_as_promised(result), recording)
+    result = keep_promises(result, recording)
     # A later comparison asks whether a cause that is not in the model was looked for.
     model = replace(result.model, fit={**result.model.fit, "verdict": str(result.verdict)})
     result = replace(result, model=model)
@@ -144,11 +132,9 @@ def with_consequences(diagnosis: Diagnosis, recording: Recording) -> Diagnosis:
 
 
 def _graded(finding: Finding, machine: Machine) -> Finding:
-    most = CONTESTED if finding.alternatives else 1.0
     consequence = consequence_of(finding.effect, machine)
     return replace(
         finding,
-        confidence=min(finding.confidence, most),
         consequence=consequence,
         sentence=_with_grade(finding, consequence),
     )
@@ -162,7 +148,7 @@ def _rank(finding: Finding) -> tuple[int, float]:
 
 def _with_grade(finding: Finding, consequence: Consequence) -> str:
     """The finding's sentence with what it means; what is as expected asks nobody to check anything."""
-    effect, said = BY_CAUSE.get(finding.effect.cause), finding.sentence
+    effect, said = effect_of(finding.effect.cause), finding.sentence
     if not said or not consequence.text:
         return said
     if effect is not None and consequence.grade is Grade.AS_EXPECTED:
@@ -184,60 +170,3 @@ def _sentences(
     if sum(s in own for s in diagnosis.sentences) != sum(bool(f.sentence) for f in graded):
         return diagnosis.sentences
     return tuple(next(ordered) if s in own else s for s in diagnosis.sentences)
-
-
-def _as_promised(diagnosis: Diagnosis) -> Diagnosis:
-    """``explained`` only where the named causes take away nine tenths of what was missing (contract)."""
-    share = diagnosis.explained_fraction
-    if diagnosis.verdict is not Verdict.EXPLAINED or share is None or share >= EXPLAINED:
-        return diagnosis
-    left = diagnosis.unexplained
-    if left is None:
-        worst = max(diagnosis.residual, key=lambda r: r.after / max(r.noise_floor, 1e-300))
-        left = Unexplained(
-            worst.axis,
-            (),
-            (),
-            f"{worst.axis}: {worst.after:.3g} {worst.unit} rms is left over a noise floor of "
-            f"{worst.noise_floor:.3g} {worst.unit}, {1 - share:.0%} of what was missing on all axes",
-        )
-    return replace(
-        diagnosis,
-        verdict=Verdict.PARTLY_EXPLAINED,
-        unexplained=left,
-        sentences=tuple(dict.fromkeys([*diagnosis.sentences, left.sentence])),
-    )
-
-
-def _missed(diagnosis: Diagnosis, recording: Recording) -> Diagnosis:
-    """A model that misses more than half of the torque is not to be trusted, and that comes first."""
-    share = missed_share(diagnosis, recording)
-    if not share > MISSED:
-        return diagnosis
-    said = (
-        f"The model cannot be trusted: it misses {share:.0%} of the torque. See that the torque channel is "
-        "the motor's, that every axis moves freely, and that the number of masses fits."
-    )
-    doubts = list(diagnosis.model.fit.get("doubts", ()))
-    model = replace(
-        diagnosis.model, fit={**diagnosis.model.fit, "trustworthy": False, "doubts": [*doubts, said]}
-    )
-    return replace(
-        diagnosis,
-        model=model,
-        warnings=(said, *diagnosis.warnings),
-        sentences=(said, *diagnosis.sentences),
-        details={**diagnosis.details, "missed_fraction": share},
-    )
-
-
-def missed_share(diagnosis: Diagnosis, recording: Recording) -> float:
-    """Rms that the extended model misses beyond noise, over the rms of the torque, all axes together."""
-    left = sum(max(r.after**2 - r.noise_floor**2, 0.0) for r in diagnosis.residual)
-    held = recording.with_role(Role.VALIDATE) or recording.experiments
-    power = np.zeros(recording.axis_count)
-    samples = sum(e.samples for e in held)
-    for e in held:
-        power += np.nansum(np.square(e.torque), axis=0)
-    total = float(power.sum()) / max(samples, 1)
-    return float(np.sqrt(left / total)) if total > 0 else 0.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from invid.diagnosis.confidence import CONTESTED
+from invid.diagnosis.thresholds import CONTESTED
 from invid.model.diagnosis_document import Diagnosis, Unexplained, Verdict
 
 

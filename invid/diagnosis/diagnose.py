@@ -4,21 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Literal
 
 from invid.diagnosis.consequence import with_consequences
+from invid.diagnosis.context import apply_rule, current, running
 from invid.diagnosis.cut_short import cut_short
 from invid.diagnosis.extended_model import extended_model
 from invid.diagnosis.known_effects import folded
-from invid.diagnosis.rules.declared_masses import with_the_declared_mass
-from invid.diagnosis.rules.dropped_rows import before_repair, find_dropped, repaired, with_dropped
-from invid.diagnosis.rules.reidentify import looked_again
-from invid.diagnosis.rules.viscous_with_dry import allowing_for_viscous, with_viscous
+from invid.diagnosis.rules.dropped_rows import before_repair, repaired, with_dropped
 from invid.diagnosis.search_pass import Look, looked
 from invid.diagnosis.time_domain_check import REFUSED, Replay, replay, with_replay
 from invid.diagnosis.verdict import document
-from invid.effects.effect import unit_of
+from invid.effects.units import unit_of
 from invid.errors import InputError
 from invid.identification.identify import identify_chains
 from invid.identification.machine_kind import machine_kind
@@ -65,7 +62,9 @@ def diagnose(
         Data from which no model can be drawn, or a model that does not fit the recording's axes.
     """
     recording, told = without_glitches(recording)
-    result = _diagnosed(recording, model, masses)
+    with running(current().fresh()) as context:
+        result = _diagnosed(recording, model, masses)
+        result = replace(result, details={**result.details, "rules": context.fired()})
     cut = budget.warning()
     if cut is not None:
         kept = [w for w in result.warnings if not w.startswith(budget.SPENT)]
@@ -81,7 +80,7 @@ def _diagnosed(
     """The diagnosis of a recording without glitches."""
     if model is not None and is_rigid_case(recording, model.chains.masses_per_branch):
         return _rigid(recording, model)
-    dropped = find_dropped(recording)
+    dropped = apply_rule("dropped-rows", recording)
     sound = repaired(recording, dropped) if dropped else recording
     own = model is None
     if model is None:
@@ -106,7 +105,7 @@ def _diagnosed(
         look = _look(sound, model, recording, masses, own=own)
     sound, model, tones, bare = look.recording, look.model, look.tones, look.bare
     train, held = look.train, look.held
-    selection = allowing_for_viscous(look.selection).as_far_as_explained()
+    selection = apply_rule("viscous-allowed-for", look.selection).as_far_as_explained()
     warnings = [*look.warnings, *said_of_holds(selection.final.fit, recording)]
     result = document(sound, model, selection, bare, train, held, tones, warnings)
     budget.tell("simulating over time", 0.92)
@@ -137,21 +136,13 @@ def _look(
     *,
     own: bool,
 ) -> Look:
-    """What the search finds in the ``sound`` recording, from the model and from others; ``own``: the model
-    was identified from it."""
+    """The search, and those after it that start elsewhere; ``own``: the model is of this recording."""
     look = looked(sound, folded(model))
-    asked = masses if own else model.chains.masses_per_branch
-    look = budget.or_else(
-        "another identification without the causes", partial(looked_again, look, asked), look
-    )
+    look = apply_rule("reidentify", look, masses if own else model.chains.masses_per_branch)
     if own:
         declared = recording.masses_per_axis if masses is None else masses
-        longer = partial(with_the_declared_mass, look, declared)
-        look = budget.or_else("the declared mass that was not seen", longer, look)
-    beside = partial(with_viscous, look.selection, look.train, look.held)
-    return replace(
-        look, selection=budget.or_else("viscous friction beside dry friction", beside, look.selection)
-    )
+        look = apply_rule("declared-masses", look, declared)
+    return replace(look, selection=apply_rule("viscous-with-dry", look.selection, look.train, look.held))
 
 
 def _rigid(recording: Recording, model: Model | None) -> Diagnosis:

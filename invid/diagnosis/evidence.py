@@ -18,23 +18,6 @@ from invid.numerics.arrays import Bool, Float64
 from invid.numerics.distributions import chi2_isf
 from invid.signals.spectral_record import Record
 
-HELD_OUT = 6.6
-"""Held-out χ² gain of one degree of freedom that noise exceeds once in a hundred."""
-
-LARGER = 9.2
-"""χ² gain of two degrees of freedom that noise exceeds once in a hundred: what a larger friction model must
-gain over a smaller one that it contains."""
-
-COMPETES = 9.0
-"""Difference of −2 ln(likelihood) within which two causes are called indistinguishable (about 3 σ)."""
-
-CLOSE = 1.5
-"""χ²/ν up to which a fit is close enough to the noise that what it leaves is a matter of that."""
-
-WEAK = 1e-6
-"""The same where the null test finds no excess: then errors of the model far below the noise count as well,
-and they are coherent. Empirical (hidden plants): a torque scale 5 σ from one was named on data without it."""
-
 
 def excess_in(part: Evaluation, axes: Collection[int], *, moving: bool = False) -> float:
     """χ² beyond its expectation in the missing torque of some axes; ``moving``: without lines at 0 Hz."""

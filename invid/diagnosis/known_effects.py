@@ -2,79 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
-from invid.diagnosis.sentences import BY_CAUSE
-from invid.effects.laws.sign import ROUNDING, DryLaw
+from invid.effects.registry import BY_CAUSE, LARGE_MOTION, effect_of, effects
 from invid.errors import ModelError
 from invid.likelihood.placed_effect import Candidate, Term
 from invid.model.document import EffectTerm, Model
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place
 from invid.numerics.arrays import Float64, frozen_float
-from invid.simulation.laws import EXTRA_MODE_DAMPING
 
-_P = Mapping[str, float]
-
-
-def _turned(amplitude: str, phase: str) -> Callable[[_P], list[float]]:
-    """a·sin(x + φ) as a·cos φ·sin x + a·sin φ·cos x."""
-    return lambda p: [p[amplitude] * np.cos(p[phase]), p[amplitude] * np.sin(p[phase])]
-
-
-_VECTOR: dict[str, Callable[[_P], list[float]]] = {
-    "coulomb_friction": lambda p: [p["torque"]],
-    "viscous_friction": lambda p: [p["coefficient"]],
-    "stribeck_friction": lambda p: [p["coulomb"], p["static"] - p["coulomb"], np.log(p["velocity"])],
-    "presliding_friction": lambda p: [p["torque"], np.log(p["torque"] / p["stiffness"])],
-    "asymmetric_friction": lambda p: [
-        p["coulomb_positive"],
-        p["coulomb_negative"],
-        p["viscous_positive"],
-        p["viscous_negative"],
-    ],
-    "torque_offset": lambda p: [p["torque"]],
-    "cogging": lambda p: [*_turned("torque", "phase")(p), np.log(p["cycles_per_rev"])],
-    "gravity": _turned("torque", "angle"),
-    "torque_delay": lambda p: [p["delay"]],
-    "torque_lag": lambda p: [np.log(p["time_constant"])],
-    "torque_gain": lambda p: [p["gain"] - 1.0],
-    "torque_saturation": lambda p: [np.log(p["limit"])],
-    "encoder_eccentricity": _turned("amplitude", "phase"),
-    "spring_damping": lambda p: [p["coefficient"]],
-    "cubic_stiffness": lambda p: [p["coefficient"]],
-    "backlash": lambda p: [np.log(p["gap"])],
-    "spring_hysteresis": lambda p: [p["torque"], np.log(p["torque"] / p["stiffness"])],
-    "transmission_error": lambda p: [*_turned("amplitude", "phase")(p), np.log(p["cycles_per_rev"])],
-    "extra_mode": lambda p: [
-        p["mass"],
-        0.5 * np.log(p["stiffness"] / p["mass"]),
-        np.log(p["damping_ratio"]),
-    ],
-    "coupling_stiffness": lambda p: [p["stiffness"]],
-    "payload_change": lambda p: [p["mass"], p["time"]],
-    "parameter_drift": lambda p: [p["rate"]],
-}
-"""The contract's parameters as the vector that an effect is fitted with: the inverse of ``Effect.values``."""
-
-_OPTIONAL = {"damping_ratio": EXTRA_MODE_DAMPING}
-"""What the contract does not ask for, as the simulation takes it where it is missing."""
-
-_SAMPLES = ("dropped_samples",)
-"""Causes that sit in the samples and not in the plant."""
-
-
-_SPRINGS = (
-    "cubic_stiffness",
-    "backlash",
-    "spring_hysteresis",
-    "transmission_error",
-    "spring_damping",
-    "parameter_drift",
-)
+NORMAL_FRICTION = ("coulomb_friction", "viscous_friction")
+"""What ``invid identify`` fits along (``invid.identification.model_facts``)."""
 
 
 def carried(model: Model) -> tuple[EffectTerm, ...]:
@@ -88,7 +30,7 @@ def carried(model: Model) -> tuple[EffectTerm, ...]:
     friction = model.fit.get("friction")
     if not isinstance(friction, Mapping):
         return model.effects
-    return tuple(e for e in model.effects if e.cause not in ("coulomb_friction", "viscous_friction"))
+    return tuple(e for e in model.effects if e.cause not in NORMAL_FRICTION)
 
 
 def place_of(term: EffectTerm, structure: ChainStructure) -> Place:
@@ -104,14 +46,9 @@ def place_of(term: EffectTerm, structure: ChainStructure) -> Place:
         pair = sorted((axis, axes.index(term.other_axis)))
         return Place("pair", pair[0], other=pair[1])
     size = structure.sizes[axis]
-    if effect.cause in _SPRINGS:
-        default = "spring 1"
-    elif effect.cause in ("gravity", "extra_mode", "payload_change"):
-        default = f"mass {size}"
-    elif effect.family == "friction" or effect.cause in ("torque_offset", "cogging"):
-        default = "mass 1"
-    else:
+    if effect.home == "axis":
         return Place("axis", axis)
+    default = {"spring": "spring 1", "end": f"mass {size}", "motor": "mass 1"}[effect.home]
     kind, _, number = (term.element or default).partition(" ")
     most = size if kind == "mass" else size - 1
     if kind not in ("mass", "spring") or not number.isdigit() or not 1 <= int(number) <= most:
@@ -124,12 +61,15 @@ def place_of(term: EffectTerm, structure: ChainStructure) -> Place:
 
 def vector_of(term: EffectTerm) -> Float64:
     """The parameters of an effect as they are fitted; ModelError where one is missing or impossible."""
+    effect = BY_CAUSE[term.cause]
     values = {
-        name: _OPTIONAL[name] if name in _OPTIONAL and name not in term.parameters else term.value(name)
-        for name in BY_CAUSE[term.cause].parameters
+        name: effect.optional[name]
+        if name in effect.optional and name not in term.parameters
+        else term.value(name)
+        for name in effect.parameters
     }
     with np.errstate(all="ignore"):
-        x = np.array(_VECTOR[term.cause](values), dtype=float)
+        x = np.array(effect.vector(values), dtype=float)
     if not np.isfinite(x).all():
         raise ModelError(
             f"effect {term.cause} on {term.axis}: {values} is no such effect (sizes must be above zero)"
@@ -139,7 +79,7 @@ def vector_of(term: EffectTerm) -> Float64:
 
 def folded(model: Model) -> Model:
     """The model with its ``spring_damping`` among the dampers, which are the same thing."""
-    extra = [e for e in model.effects if e.cause == "spring_damping"]
+    extra = [e for e in model.effects if (law := effect_of(e.cause)) is not None and law.in_chain]
     if not extra:
         return model
     chains = model.chains
@@ -148,7 +88,7 @@ def folded(model: Model) -> Model:
     for term in extra:
         place = place_of(term, structure)
         dampers[place.axis][place.number - 1] += term.value("coefficient")
-    kept = tuple(e for e in model.effects if e.cause != "spring_damping")
+    kept = tuple(e for e in model.effects if e not in extra)
     return replace(
         model, chains=replace(chains, dampers=tuple(frozen_float(d) for d in dampers)), effects=kept
     )
@@ -158,15 +98,14 @@ def given_effects(model: Model, structure: ChainStructure) -> Candidate:
     """The effects of a model as they enter the fit of the linear parameters."""
     out = Candidate()
     for term in carried(model):
-        if term.cause in (*_SAMPLES, "spring_damping"):
+        effect = effect_of(term.cause)
+        if effect is not None and (effect.in_samples or effect.in_chain):
             continue
-        if term.cause not in _VECTOR:
+        if effect is None or effect in LARGE_MOTION:
             raise ModelError(
                 f"effect {term.cause!r} on {term.axis}: no cause of the catalogue; it knows "
-                f"{', '.join(sorted(_VECTOR))}"
+                f"{', '.join(sorted(e.cause for e in effects()))}; one from a file of its own needs "
+                "that file (--effects FILE.py)"
             )
-        effect = BY_CAUSE[term.cause]
-        if isinstance(effect, DryLaw) and ROUNDING in term.parameters:
-            effect = effect.rounded(term.value(ROUNDING))
-        out = out.plus(Term(effect, place_of(term, structure)), vector_of(term))
+        out = out.plus(Term(effect.known(term), place_of(term, structure)), vector_of(term))
     return out

@@ -7,9 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from invid.diagnosis.context import apply_rule
 from invid.diagnosis.evidence import Trial, finite
 from invid.diagnosis.known_effects import given_effects
-from invid.diagnosis.rules.tones import Tone, tones_of
+from invid.diagnosis.thresholds import FAR
+from invid.diagnosis.tone import Tone
+from invid.diagnosis.validation import PLAIN, Asked
 from invid.likelihood.hypothesis import Layout
 from invid.likelihood.joint_fit import JointFit, fit, held_out
 from invid.likelihood.nuisance.hold_share import HeldInside, holds_inside
@@ -25,8 +28,6 @@ from invid.recording.model import Recording
 from invid.signals.spectra import LineSpectra
 from invid.signals.spectral_record import Record
 
-FAR = 3.0
-"""χ²/ν from which a fit leaves so much that the linear model itself may be wrong. A guess."""
 LIGHTEST = 1e-8
 """Share of its branch that a mass has at least where a fit starts: rounding is 1e-16 of the matrices."""
 LOWER = 0.5
@@ -41,15 +42,12 @@ def linear_fit(
     spectra: Sequence[LineSpectra],
     train: Sequence[Record],
     held: Sequence[Record],
-    *,
-    apart: bool = False,
-    each: bool = False,
+    asked: Asked = PLAIN,
 ) -> tuple[JointFit, Float64, list[Record], list[Record]]:
     """The model, with the effects it came with, fitted to the training records, its parameters with unbounded
     time offsets, and the records with their scatter.
 
-    ``apart``: every record is followed from period to period, the first that is held out joins the training;
-    nothing is a tone then. ``each``: so are records whose periods differ far beyond the sensors' noise.
+    Where records are asked for ``apart`` nothing is a tone.
     """
     chains = model.chains
     grounded = tuple(int(i) for i in np.flatnonzero(chains.ground_springs > 0))
@@ -66,17 +64,17 @@ def linear_fit(
         layout, with_scatter(train, spectra, layout, start), start, given, iterations=25, strict=False
     )
     gone = _vanishing(first)
-    if not given.terms and (gone or doubted(model, first)) and not budget.is_left_out("evenly shared masses"):
-        again = restarted(first, train)
+    if not given.terms and (gone or doubted(model, first)):
+        again = apply_rule("spread-restart", first, train)
         if gone or again.cost < LOWER * first.cost:
             first = again
     train = with_scatter(train, spectra, layout, first.p)
     held = with_scatter(held, spectra, layout, first.p)
-    keys = [r.key for r in (*train, *held) if apart or r.trend or (each and r.differs)]
+    keys = [r.key for r in (*train, *held) if asked.apart or r.trend or (asked.each and r.differs)]
     # A tone that repeats with no period looks like a change from one to the next.
-    if keys and (apart or each or not tones_in(first, held, spectra)):
+    if keys and (asked.apart or asked.each or not tones_in(first, held, spectra)):
         train, held = by_period(recording, train, keys), by_period(recording, held, keys)
-        if apart and len(held) > 1 and held[0].alone:
+        if asked.apart and len(held) > 1 and held[0].alone:
             train, held = [*train, held[0]], held[1:]
     return fit(layout, train, first.p, first.candidate, iterations=25), first.p, train, held
 
@@ -214,4 +212,4 @@ def spare_mode(fitted: JointFit, records: Sequence[Record]) -> bool:
 def tones_in(fitted: JointFit, held: Sequence[Record], spectra: Sequence[LineSpectra]) -> list[Tone]:
     """Tones of the training and the held-out records."""
     both = (fitted.evaluation, held_out(fitted, held))
-    return tones_of(both, fitted.layout, fitted.p, spectra)
+    return list(apply_rule("tones", both, fitted.layout, fitted.p, spectra))

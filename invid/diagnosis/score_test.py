@@ -10,7 +10,7 @@ from scipy.optimize import nnls
 
 from invid.effects.effect import Effect
 from invid.effects.motion import View
-from invid.effects.registry import CATALOGUE
+from invid.effects.registry import effects
 from invid.likelihood.joint_fit import JointFit
 from invid.likelihood.placed_effect import Term
 from invid.model.parameters import ChainStructure
@@ -38,27 +38,17 @@ class Score:
 def terms_for(structure: ChainStructure, *, linear_axes: bool, chosen: Sequence[Term] = ()) -> list[Term]:
     """Every cause at every place that can be there and is not chosen yet."""
     out = []
-    for effect in CATALOGUE:
+    for effect in effects():
         if structure.motors < effect.least_axes or (linear_axes and effect.rotary):
             continue
         for place in effect.places(structure):
-            taken = any(t.place == place and not _together(t.effect, effect) for t in chosen)
-            # A scale common to all axes cannot be seen: only motors − 1 gains are there to be found.
-            if effect.cause == "torque_gain":
-                taken |= sum(t.effect.cause == effect.cause for t in chosen) >= structure.motors - 1
+            taken = any(t.place == place and not t.effect.stands_beside(effect) for t in chosen)
+            most = effect.most_places(structure)
+            if most is not None:
+                taken |= sum(t.effect.cause == effect.cause for t in chosen) >= most
             if not taken:
                 out.append(Term(effect, place))
     return out
-
-
-def _together(one: Effect, other: Effect) -> bool:
-    """Whether two causes may sit at one place: viscous friction beside one law of dry friction, no more."""
-    if one.cause == other.cause:
-        return False
-    if one.family == other.family == "friction":
-        both = {one.cause, other.cause}
-        return "viscous_friction" in both and "asymmetric_friction" not in both
-    return True
 
 
 class Screen:

@@ -5,29 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import cast
 
 import numpy as np
 
-from invid.diagnosis.acceptance import SIGNIFICANCE, accepted, least_gain, needed_gain
-from invid.diagnosis.candidates import (
-    REACH,
-    is_smaller_model,
-    refitted,
-    screened,
-    tell_of,
-    with_those_from,
-)
-from invid.diagnosis.evidence import CLOSE, LARGER, Step, Trial, at_bound, attempted, extends
-from invid.diagnosis.rules.asymmetric_pair import with_asymmetry
-from invid.diagnosis.rules.gradual_sign import rounded
-from invid.diagnosis.rules.mode_place import modes_moved, with_the_mode_in_the_chain
-from invid.diagnosis.rules.near_variants import delays, elsewhere, ladder, lags, retimed
-from invid.diagnosis.rules.pruning import pruned
-from invid.diagnosis.rules.slow_moves import Move, judged_on_moves
-from invid.diagnosis.rules.stiff_coupling import tied_loads
-from invid.diagnosis.rules.viscous_with_dry import with_viscous
+from invid.diagnosis.acceptance import accepted, least_gain, needed_gain
+from invid.diagnosis.candidates import REACH, is_smaller_model, refitted, screened, tell_of
+from invid.diagnosis.context import apply_rule
+from invid.diagnosis.evidence import Step, Trial, at_bound, attempted, extends
 from invid.diagnosis.score_test import Score, Screen, terms_for
 from invid.diagnosis.selection import Selection
+from invid.diagnosis.slow_move import Move
+from invid.diagnosis.thresholds import LARGER, SIGNIFICANCE
 from invid.likelihood.candidate_pool import each
 from invid.likelihood.hypothesis import Layout
 from invid.likelihood.joint_fit import JointFit, fit, held_out, reordered, without_last
@@ -137,12 +126,12 @@ class _Asked:
 def _search(base: JointFit, train: Sequence[Record], held: Sequence[Record], asked: _Asked) -> Selection:
     """Causes added one by one."""
     start = Trial(base, held_out(base, held))
-    added = _added(Selection(start, start), train, held, asked)
-    found = budget.or_else(BESIDE, partial(with_viscous, added, train, held), added)
+    found = _added(Selection(start, start), train, held, asked)
+    found = apply_rule("viscous-with-dry", found, train, held)
     again = budget.or_else(AGAIN, partial(_reconsidered, found, train, held, asked), found)
     if [_named(s) for s in again.steps] != [_named(s) for s in found.steps]:
         again = _added(again, train, held, asked)  # beside another cause there may be more to find
-    found = budget.or_else(BESIDE, partial(with_asymmetry, again, train, held), again)
+    found = cast(Selection, apply_rule("asymmetric-pair", again, train, held))
     return replace(found, cut=found.cut or budget.is_left_out(FURTHER))
 
 
@@ -164,13 +153,12 @@ def _added(found: Selection, train: Sequence[Record], held: Sequence[Record], as
             break
         if step is None:
             break
-        step = judged_on_moves(step, asked.moves)
-        none: tuple[Step, ...] = ()
-        added = budget.or_else(BESIDE, partial(ladder, step, train, held), none) or (step,)
+        step = cast(Step, apply_rule("slow-moves", step, asked.moves))
+        added = apply_rule("friction-ladder", step, train, held)
         steps.extend(added)
         current = added[-1].chosen
     found = Selection(start, current, tuple(steps), rejected, found.cut)
-    return budget.or_else("causes that others make superfluous", partial(pruned, found, train, held), found)
+    return cast(Selection, apply_rule("pruning", found, train, held))
 
 
 def _reconsidered(
@@ -193,7 +181,7 @@ def _reconsidered(
         if rest is None:
             continue
         if mode:
-            other = with_the_mode_in_the_chain(last, rest, train, held)
+            other = apply_rule("mode-in-chain", last, rest, train, held)
             if other is None and number == newest:
                 continue
             rest = other or rest
@@ -209,8 +197,8 @@ def _reconsidered(
             if not rejects and rest.cost < found.final.cost + limit:  # the others leave nothing to it
                 found = replace(found, final=rest, steps=(*found.steps[:number], *found.steps[number + 1 :]))
             continue
-        step = judged_on_moves(step, asked.moves)
-        added = ladder(step, train, held) or (step,)
+        step = cast(Step, apply_rule("slow-moves", step, asked.moves))
+        added = apply_rule("friction-ladder", step, train, held)
         order = [*range(at), *range(count - 1, count - 1 + len(added)), *range(at, count - 1)]
         chosen = Trial(reordered(added[-1].chosen.fit, order), added[-1].chosen.held)
         steps = (*found.steps[:number], *added, *found.steps[number + 1 :])
@@ -247,12 +235,8 @@ def _step(
             here, train, held, asked, terms, first=first, rejects=rejects, known=known
         )
     least_left = min((t.fit.cost for t in trials), default=np.inf)
-    trials = budget.or_else(
-        "other times of a change of load",
-        lambda: [retimed(t, train, held) if t.fit.cost <= least_left else t for t in trials],
-        trials,
-    )
-    trials = budget.or_else(BESIDE, partial(_rounded, trials, current, train, held), trials)
+    trials = [apply_rule("change-retimed", t, train, held) if t.fit.cost <= least_left else t for t in trials]
+    trials = apply_rule("gradual-sign", trials, current, train, held)
     trials = [t for t in trials if not is_smaller_model(t)]  # some were larger only for want of rounding
     trials = with_known(trials, known)
     if not trials:
@@ -284,8 +268,7 @@ def _step(
     if not trials:
         return None, tuple(scores[:5])
     if _rejects(trials[0], [*train, *held]):
-        moved = partial(modes_moved, current, trials, train, held, terms)
-        trials = with_known(trials, budget.or_else(OTHER_MASSES, moved, []))
+        trials = with_known(trials, apply_rule("mode-moved", trials, current, train, held, terms))
     dispersion = min(t.dispersion for t in trials)
     ranked = _ranked([(t, t.score(dispersion, rows)) for t in trials], asked.contested)
     best_of_all = ranked[0][0]
@@ -295,11 +278,10 @@ def _step(
         return None, tuple(scores[:5])
     if best_of_all.term.effect.cause == "extra_mode":
         # A mode on one mass is nearly one on the next with another size, and a fit creeps along that.
-        there = partial(elsewhere, best_of_all, train, held, terms, [best_of_all.term], iterations=MODE)
-        trials = with_known(trials, budget.or_else(OTHER_MASSES, there, []))
+        others = apply_rule("next-mass", best_of_all, train, held, terms, [best_of_all.term], iterations=MODE)
+        trials = with_known(trials, others)
     elif _rejects(best_of_all, [*train, *held]):
-        there = partial(elsewhere, best_of_all, train, held, terms, [t.term for t in trials])
-        trials += budget.or_else(OTHER_MASSES, there, [])
+        trials += apply_rule("next-mass", best_of_all, train, held, terms, [t.term for t in trials])
     dispersion = min(t.dispersion for t in trials)
     ranked = _ranked([(t, t.score(dispersion, rows)) for t in trials], asked.contested)
     return Step(current, ranked[0][0], tuple(ranked)), tuple(scores[:5])
@@ -318,8 +300,9 @@ def _candidates(
 ) -> tuple[list[Trial], list[Score]]:
     """Joint fits of what the screen promises, and the screen's other answers."""
     scores = screened(Screen(here), terms)
-    trials = delays(here, train, held, [t for t in terms if t.effect.cause == "torque_delay"], asked.free)
-    trials += lags(here, train, held, trials, terms)
+    late = [t for t in terms if t.effect.cause == "torque_delay"]
+    trials = list(apply_rule("delay-beyond-bound", here, train, held, late, asked.free))
+    trials += apply_rule("lag-beside-delay", here, train, held, trials, terms)
     tried = {(t.term.effect.cause, t.term.place) for t in trials}
     scores = [
         s
@@ -335,11 +318,9 @@ def _candidates(
     reached = min((t.fit.cost for t in trials), default=np.inf)
     trials += refitted(here, train, held, scores, least, reached)
     if first and rejects and asked.start is not None and not known:
-        from_model = partial(with_those_from, asked.start, here, train, held, terms, trials)
-        trials = budget.or_else("causes from the identified parameters", from_model, trials)
+        trials = apply_rule("start-from-model", trials, asked.start, here, train, held, terms)
     if first and rejects and not known:
-        tied = partial(tied_loads, here, train, held, terms)
-        trials = with_known(trials, budget.or_else("springs between heavy loads", tied, []))
+        trials = with_known(trials, apply_rule("stiff-coupling", here, train, held, terms))
     return trials, scores
 
 
@@ -373,29 +354,6 @@ def _ranked(scored: Sequence[tuple[Trial, float]], contested: frozenset[int]) ->
                 least, behind = max(least, s), True
         moved.append((trial, max(score, least), behind))
     return [(t, s) for t, s, _ in sorted(moved, key=lambda one: one[1:])]
-
-
-def _rounded(
-    trials: Sequence[Trial], current: Trial, train: Sequence[Record], held: Sequence[Record]
-) -> list[Trial]:
-    """Friction whose sign changes gradually, where it takes half of the excess but ends above the noise."""
-
-    def one(trial: Trial) -> Trial:
-        if budget.spent():
-            return trial
-        found = rounded(
-            trial.fit,
-            train,
-            lambda new, old: (old.cost - new.cost) / new.dispersion > np.log(max(new.dof, 2)),
-        )
-        if found is trial.fit:
-            return trial
-        more = Trial(found, held_out(found, held))
-        return more if more.held.cost < trial.held.cost else trial
-
-    asked = [t.cost <= 0.5 * current.cost and t.cost >= CLOSE * t.dof for t in trials]
-    some = iter(each(one, [t for t, a in zip(trials, asked, strict=True) if a], current.fit, [*train, *held]))
-    return [next(some) if a else t for t, a in zip(trials, asked, strict=True)]
 
 
 def _late(layout: Layout, p: Float64, axis: int) -> bool:

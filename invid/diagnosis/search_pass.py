@@ -6,26 +6,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
-from invid.diagnosis.evidence import CLOSE, Trial
-from invid.diagnosis.linear_fit import from_causes, linear_fit, start_of, tones_in, without_effects
-from invid.diagnosis.rules.heavy_mode import strong_modes
-from invid.diagnosis.rules.load_change import (
-    around_change,
-    between_records,
-    change_of,
-    changes_with_time,
-    sooner,
-)
-from invid.diagnosis.rules.scatter_explained import quieted
-from invid.diagnosis.rules.slow_moves import moves_of
-from invid.diagnosis.rules.tones import Tone, without_tones
-from invid.diagnosis.rules.wide_gap import lost, rattles
+from invid.diagnosis.context import apply_rule, current
+from invid.diagnosis.evidence import Trial
+from invid.diagnosis.linear_fit import linear_fit, start_of, tones_in, without_effects
 from invid.diagnosis.search import select
-from invid.diagnosis.selection import Selection
+from invid.diagnosis.selection import Selection, is_lost
+from invid.diagnosis.slow_move import moves_of
+from invid.diagnosis.thresholds import CLOSE
+from invid.diagnosis.tone import Tone, without_tones
+from invid.diagnosis.validation import PLAIN, Asked, split
 from invid.errors import InputError
 from invid.likelihood.joint_fit import JointFit, fit, held_out
 from invid.likelihood.null_test import null_test
-from invid.likelihood.prepare_records import split, with_sticking
+from invid.likelihood.prepare_records import with_sticking
 from invid.model.document import Model
 from invid.numerics import budget
 from invid.numerics.arrays import Float64
@@ -83,11 +76,11 @@ def _over_periods(recording: Recording, model: Model) -> Look:
     measured by what differs, and any cause may pass (presliding friction, of a ripple)."""
     look = _over_changes(recording, model)
     differs = any(r.differs for r in (*look.train, *look.held))
-    if look.tones or not (differs or lost(look.selection)):
+    if look.tones or not (differs or is_lost(look.selection)):
         return look
-    if budget.is_left_out("every period of the records by itself, and gaps as wide as their spring deflects"):
+    if budget.is_left_out("every period of the records by itself"):
         return _cut(look)
-    other = _looked(look.recording, model, each=True) if differs else look
+    other = _looked(look.recording, model, Asked(each=True)) if differs else look
     if other.selection.steps and other.selection.final.cost < CLOSE * other.selection.final.dof:
         return other
     strong = budget.or_else(
@@ -103,10 +96,10 @@ def _over_periods(recording: Recording, model: Model) -> Look:
 
 def _with_a_strong_mode(look: Look) -> Look | None:
     """The look with a mode that the linear fit without it was lost for, and what else there is beside it."""
-    if not lost(look.selection):
+    if not is_lost(look.selection):
         return None
     base, linear = look.selection.base, look.recording.linear
-    modes = strong_modes(base.fit, look.train, look.held)
+    modes = apply_rule("heavy-mode", base.fit, look.train, look.held)
     if not modes:
         return None
     found = select(
@@ -119,7 +112,7 @@ def _rattling(look: Look, other: Look) -> Look | None:
     """The look with a gap as wide as its spring deflects, in the records of the ``other``, period by period
     where those differ: a load that rattles seldom does the same in all of them."""
     base = other.selection.base
-    step = rattles(base, other.train, other.held)
+    step = apply_rule("wide-gap", base, other.train, other.held)
     if step is None:
         return None
     selection = Selection(base, step.chosen, (step,))
@@ -136,14 +129,14 @@ def _over_changes(recording: Recording, model: Model) -> Look:
     if changed and budget.is_left_out("changes between the records and within them"):
         return _cut(look)
     if not rejected and changed:
-        other = _looked(recording, model, within=True)
+        other = _looked(recording, model, Asked(within=True))
         return other if other.selection.steps else look
     if not rejected or base.held.cost / base.held.dof < ALIKE * base.fit.dispersion:
         return look
     if not any(s.role is Role.VALIDATE for s in look.spectra):
-        other = _looked(recording, model, spare=False)
+        other = _looked(recording, model, Asked(spare=False))
         return other if other.selection.steps else look
-    other = _looked(look.recording, model, apart=True)
+    other = _looked(look.recording, model, Asked(apart=True))
     return other if _changes(other) else look
 
 
@@ -159,7 +152,7 @@ def _explained_by_a_change(recording: Recording, model: Model) -> bool:
     between two lines, and so the same as a tone; of two periods exactly. With that taken out the rest of the
     drift fits no law. A law of one or two numbers that explains all periods is no chance, and a tone is none.
     """
-    _, _, (base, free, train, held) = _begun(recording, model, spare=True, apart=True, within=False)
+    _, _, (base, free, train, held) = _begun(recording, model, Asked(apart=True))
     found = select(base, train, held, linear_axes=recording.linear, free=free, family="time")
     return bool(found.steps) and found.final.cost < CLOSE * found.final.dof
 
@@ -169,25 +162,17 @@ def _changes(look: Look) -> bool:
     return any(s.chosen.term.effect.family == "time" for s in look.selection.steps)
 
 
-def _looked(
-    recording: Recording,
-    model: Model,
-    *,
-    spare: bool = True,
-    apart: bool = False,
-    within: bool = False,
-    each: bool = False,
-) -> Look:
-    begun = partial(_begun, model=model, spare=spare, apart=apart, within=within, each=each)
+def _looked(recording: Recording, model: Model, asked: Asked = PLAIN) -> Look:
+    current().searches += 1
+    begun = partial(_begun, model=model, asked=asked)
     spectra, warnings, (base, free, train, held) = begun(recording)
-    tones = [] if each else tones_in(base, held, spectra)
-    if tones and not apart and not budget.spent() and _explained_by_a_change(recording, model):
-        return _looked(recording, model, apart=True)
+    tones = [] if asked.each else tones_in(base, held, spectra)
+    if tones and not asked.apart and not budget.spent() and _explained_by_a_change(recording, model):
+        return _looked(recording, model, Asked(apart=True))
     if tones:
         recording = without_tones(recording, tones)
         spectra, warnings, (base, free, train, held) = begun(recording)
-    timely = partial(changes_with_time, base, held, linear_axes=recording.linear)
-    if apart and not budget.or_else("changes with time", timely, False):
+    if asked.apart and not apply_rule("time-causes-first", base, held, linear_axes=recording.linear):
         nothing = Trial(base, held_out(base, held))
         unchanged = Selection(nothing, nothing)
         return Look(recording, model, spectra, tones, train, held, base, unchanged, warnings)
@@ -200,32 +185,24 @@ def _looked(
     )
     with budget.part(1.0, 0.1, 0.9):
         selection = search(base, train, held)
-    if selection.steps and not budget.is_left_out("scatter that the causes explain"):
-        less = quieted(selection.final.fit.evaluation), quieted(selection.final.held)
+    if selection.steps:
+        parts = selection.final.fit.evaluation, selection.final.held
+        less = tuple(apply_rule("scatter-explained", part) for part in parts)
         if any(a is not b for a, b in zip((*less[0], *less[1]), (*train, *held), strict=True)):
             train, held = less
             base = fit(base.layout, train, base.p, base.candidate, iterations=25)
             selection = search(base, train, held)
-    settled = budget.or_else(
-        "the linear model from where the causes left it",
-        partial(from_causes, base, selection.final.fit, train),
-        None,
-    )
+    settled = apply_rule("restart-from-causes", base, selection.final.fit, train)
     if settled is not None:
         base, selection = settled, search(settled, train, held)
     if not selection.steps and selection.final.fit is not base:
         # A chain that has in it what was found beside.
         base, selection = selection.final.fit, replace(selection, base=selection.final)
-    selection = budget.or_else("the time of a change", partial(between_records, selection), selection)
+    selection = apply_rule("change-between-records", selection)
+    around = apply_rule("load-change", selection, recording, base, search)
+    if around is not None:
+        base, selection, train, held = around
     bare = without_effects(base, train)
-    parts = budget.or_else("the time of a change", partial(around_change, selection, recording), None)
-    if parts is not None:
-        around = fit(base.layout, parts[0], base.p, base.candidate, iterations=25)
-        again = search(around, *parts)
-        again = budget.or_else("the time of a change", partial(sooner, selection, again, *parts), again)
-        if change_of(again) is not None:
-            base, selection, (train, held) = around, again, parts
-            bare = without_effects(base, train)
     return Look(recording, model, spectra, tones, train, held, bare, selection, warnings)
 
 
@@ -233,7 +210,7 @@ _Begun = tuple[JointFit, Float64, list[Record], list[Record]]
 
 
 def _begun(
-    recording: Recording, model: Model, spare: bool, apart: bool, within: bool, each: bool = False
+    recording: Recording, model: Model, asked: Asked
 ) -> tuple[tuple[LineSpectra, ...], list[str], _Begun]:
     """Spectra, what to warn about, and the linear fit with its records (``linear_fit``)."""
     budget.tell("reading spectra", 0.0)
@@ -241,9 +218,9 @@ def _begun(
     if not spectra:
         raise InputError(f"{recording.source}: no experiment shakes an axis; nothing to compare with a model")
     check_plausible(recording, spectra)
-    train, held, warnings = split(recording, spectra, spare=spare, within=within)
+    train, held, warnings = split(recording, spectra, asked)
     train, standing = with_sticking(train, spectra, model, recording)
     held, _ = with_sticking(held, spectra, model, recording)
     warnings = [*(w for s in spectra for w in s.warnings), *warnings, *standing]
     budget.tell("fitting the linear model", 0.05)
-    return spectra, warnings, linear_fit(model, recording, spectra, train, held, apart=apart, each=each)
+    return spectra, warnings, linear_fit(model, recording, spectra, train, held, asked)

@@ -6,12 +6,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from math import floor, log10
 
-from invid.effects.effect import Effect
-from invid.effects.registry import CATALOGUE
+from invid.effects.registry import BY_CAUSE
 from invid.model.diagnosis_document import Alternative
 from invid.model.document import EffectTerm, Estimate
-
-BY_CAUSE: dict[str, Effect] = {e.cause: e for e in CATALOGUE}
 
 SEEN = 0.005
 """Share of what the model missed from which a finding is said to explain it: below, it would round to 0 %."""
@@ -63,14 +60,12 @@ def finding_sentence(
     """Cause, place, size, gain, what to check; or what it cannot be told from."""
     effect = BY_CAUSE[term.cause]
     main = term.parameters.get(effect.main)
-    size = f" of {number(main)}" if main is not None else ""
+    size = effect.size_text(number(main)) if main is not None else ""
     if main is not None and main.unit == "s":
         thousand = replace(
             main, value=1e3 * main.value, std=None if main.std is None else 1e3 * main.std, unit="ms"
         )
         size = f" ({number(thousand)})"
-    if term.cause == "torque_gain" and main is not None:
-        size = f" (true torque is {number(main)} times the record)"
     text = f"Axis {term.axis}: {effect.title}{size}{place_of(term, sizes, axes)} "
     if fraction >= SEEN:
         text += f"explains {100 * fraction:.0f} % of what the model missed."
@@ -78,7 +73,7 @@ def finding_sentence(
         text += "is there as well: beyond the noise, though less than a per cent of what the model missed."
     if rivals:
         others = sorted({_rival(r, term) for r in rivals})
-        text += f" The data cannot tell it from {', '.join(others)}: {effect.separate}."
+        text += f" The data cannot tell it from {', '.join(others)}: {effect.separating.text}."
     elif confidence < 0.8:
-        text += f" This is likely, not certain; to be sure: {effect.separate}."
+        text += f" This is likely, not certain; to be sure: {effect.separating.text}."
     return f"{text} {effect.check}"

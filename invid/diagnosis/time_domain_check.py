@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from invid.diagnosis.confidence import CONTESTED
+from invid.diagnosis.thresholds import CONTESTED
 from invid.effects.motion import View
+from invid.effects.registry import of_the_plant
 from invid.errors import InvidError
 from invid.likelihood.evaluation import Evaluation, evaluate, views_of
 from invid.likelihood.joint_fit import JointFit
@@ -125,7 +126,7 @@ def replay(
     """
     keys = tuple(dict.fromkeys(r.key for r in held))
     # Lost rows were put right before anything was fitted.
-    driving = replace(extended, effects=tuple(e for e in extended.effects if e.cause != "dropped_samples"))
+    driving = replace(extended, effects=of_the_plant(extended.effects))
     views = views_of(fitted.layout, held, fitted.p)
     driven = _driven(recording, spectra, views)
     try:

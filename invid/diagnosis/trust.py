@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from invid.diagnosis.confidence import CONTESTED
 from invid.diagnosis.evidence import Trial
+from invid.diagnosis.thresholds import CONTESTED, LEFT, REACHED
 from invid.identification.identifiability import blind_directions
 from invid.likelihood.evaluation import Evaluation
 from invid.likelihood.joint_fit import JointFit
@@ -17,12 +17,6 @@ from invid.model.diagnosis_document import Finding, Unexplained
 from invid.model.document import Model, parameter_vector, stds_by_name
 from invid.recording.model import Recording
 
-REACHED = 2.0
-"""χ²/ν below which the extended model is taken for right, whatever the linear fit looked like."""
-LEFT = 0.02
-"""Share of the excess below which the same holds. Empirical, on hidden plants: with the wrong number of
-masses the best cause leaves 5 % and more (χ²/ν 300 to 9000), with the right one less than 1 % is left; of a
-cubic spring beside a hold inside a drive it was 1.3 %."""
 LEAST = 0.9
 """Share of the torque that a linear model of the right machine explains; as in ``invid.identify``."""
 

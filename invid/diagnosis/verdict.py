@@ -8,15 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from invid.diagnosis.confidence import BROUGHT_DOWN, at_floor, effect_term, judge
+from invid.diagnosis.confidence import at_floor, effect_term, judge
+from invid.diagnosis.context import apply_rule
 from invid.diagnosis.extended_model import extended_model
 from invid.diagnosis.known_effects import carried
 from invid.diagnosis.residual_character import unexplained_of
-from invid.diagnosis.rules.nonrepeating_torque import said_of_scatter
-from invid.diagnosis.rules.tones import Tone, power_of, said_of_tones
 from invid.diagnosis.selection import Selection
+from invid.diagnosis.thresholds import BROUGHT_DOWN
+from invid.diagnosis.tone import Tone, power_of, said_of_tones
 from invid.diagnosis.trust import cautious, distrust_sentences, in_the_way, trust, untimed_holds
-from invid.effects.effect import unit_of
+from invid.effects.registry import of_the_plant
+from invid.effects.units import unit_of
 from invid.likelihood.joint_fit import JointFit, held_out
 from invid.likelihood.null_test import NullTest, null_test, rms_torque
 from invid.model.diagnosis_document import AxisResidual, Diagnosis, Finding, Verdict
@@ -71,7 +73,7 @@ def document(
     as_found = not selection.steps and not linear.broken and at_floor(base)
     as_found = as_found and explained is not None and explained > BROUGHT_DOWN
     if not tones and (not coherent or as_found):
-        unexplained = said_of_scatter((base.fit.evaluation, base.held), recording, unit)
+        unexplained = apply_rule("nonrepeating-torque", (base.fit.evaluation, base.held), recording, unit)
         verdict = Verdict.CONSISTENT if unexplained is None else Verdict.UNEXPLAINED
     elif not named:
         verdict = Verdict.UNEXPLAINED
@@ -100,7 +102,8 @@ def document(
     if humming is not None and humming is not unexplained:
         sentences.append(humming.sentence)
     effects = [effect_term(shown, k, recording) for k in range(known)] + [f.effect for f in named]
-    effects += [e for e in carried(model) if e.cause == "dropped_samples"]
+    inside = of_the_plant(carried(model))
+    effects += [e for e in carried(model) if e not in inside]
     extended = extended_model(model, shown.fit, tuple(effects))
     extended = replace(
         extended,

@@ -1,1 +1,52 @@
-"""Causes: the interface, the laws' shared pieces, the catalogue."""
+"""Causes: what each is, resists with, looks like and means. What an effect of one file needs is here.
+
+>>> from invid.effects import Experiment, MotionEffect, Parameter, mass_places
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from invid.effects.effect import Effect, Experiment, ForceEffect, ImpedanceEffect, PlaceMotion
+    from invid.effects.elements import ForceLaw, Law, ModelPlace, StaticLaw
+    from invid.effects.motion_effect import MotionEffect, Parameter
+    from invid.model.place import axis_places, end_places, mass_places, motor_places, spring_places
+
+_HOMES = {
+    "Effect": "effect",
+    "Experiment": "effect",
+    "ForceEffect": "effect",
+    "ForceLaw": "elements",
+    "ImpedanceEffect": "effect",
+    "Law": "elements",
+    "ModelPlace": "elements",
+    "MotionEffect": "motion_effect",
+    "Parameter": "motion_effect",
+    "PlaceMotion": "effect",
+    "StaticLaw": "elements",
+}
+__all__ = [
+    "Effect",
+    "Experiment",
+    "ForceEffect",
+    "ForceLaw",
+    "ImpedanceEffect",
+    "Law",
+    "ModelPlace",
+    "MotionEffect",
+    "Parameter",
+    "PlaceMotion",
+    "StaticLaw",
+    "axis_places",
+    "end_places",
+    "mass_places",
+    "motor_places",
+    "spring_places",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module 'invid.effects' has no attribute {name!r}")
+    home = f"invid.effects.{_HOMES[name]}" if name in _HOMES else "invid.model.place"
+    return getattr(import_module(home), name)

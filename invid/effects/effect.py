@@ -11,42 +11,57 @@ shape parameters (logarithms where they must be positive).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from types import MappingProxyType
-from typing import ClassVar
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 
+from invid.effects.elements import Element, ModelPlace
 from invid.effects.laws.beyond_band import answered, beyond_band
 from invid.effects.motion import View, along
+from invid.effects.sizes import Size
+from invid.errors import InputError, ModelError
+from invid.model.document import EffectTerm
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place
 from invid.numerics.arrays import Complex128, Float64
 
 
-def unit_of(kind: str, linear: bool) -> str:
-    """Unit of a parameter of a kind, on a rotary or a linear axis."""
-    rotary = {
-        "torque": "N·m",
-        "damping": "N·m·s/rad",
-        "stiffness": "N·m/rad",
-        "cubic": "N·m/rad³",
-        "velocity": "rad/s",
-        "position": "rad",
-        "mass": "kg·m²",
-        "stiffness_rate": "N·m/(rad·s)",
-    }
-    straight = {
-        "torque": "N",
-        "damping": "N·s/m",
-        "stiffness": "N/m",
-        "cubic": "N/m³",
-        "velocity": "m/s",
-        "position": "m",
-        "mass": "kg",
-        "stiffness_rate": "N/(m·s)",
-    }
-    other = {"time": "s", "angle": "rad", "count": "1", "ratio": "1"}
-    return (straight if linear else rotary).get(kind) or other[kind]
+@dataclass(frozen=True)
+class Experiment:
+    """What tells a cause from its look-alikes: which kind of measurement, and the same in words.
+
+    ``by_hand``: what a person has to do where no motion of the drives shows it.
+    """
+
+    kind: Literal["speeds", "positions", "amplitudes", "band", "lines", "time", "hand"]
+    text: str
+    by_hand: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class PlaceMotion:
+    """All that a law of motion may see: the motion at its place over time, each (n,) [rad or m, s].
+
+    ``rest`` is the speed below which noise hides the direction. ``load`` is the torque that the rest asks of
+    the joint and ``torque_rate`` the change of the drive's torque [N·m, N·m/s], where they are known.
+    """
+
+    position: Float64
+    velocity: Float64
+    time: Float64
+    rest: float = 0.0
+    load: Float64 | None = None
+    torque_rate: Float64 | None = None
+
+    @cached_property
+    def direction(self) -> Float64:
+        """(n,) sign of the velocity, softened over its noise."""
+        v = self.velocity
+        out: Float64 = np.sign(v) if self.rest <= 0 else np.tanh(2.0 * v / self.rest)
+        return out
 
 
 class Effect:
@@ -60,9 +75,27 @@ class Effect:
     title: str = ""
     check: str = ""
     """What a technician looks at."""
-    separate: str = ""
+    separating: Experiment = Experiment("hand", "")
     """The experiment that tells it from its look-alikes."""
+    looks_like: tuple[str, ...] = ()
+    """Causes that it is easily taken for."""
     family: str = ""
+    parts: tuple[str, ...] = ()
+    """What friction it is made of; two laws of friction with a common part do not sit at one place."""
+    home: Literal["motor", "end", "spring", "axis"] = "motor"
+    """Where it sits in a model that does not say it."""
+    over: str = ""
+    """What its missing torque is drawn over (``invid.effects.curve``); "" where it has no such picture."""
+    path: bool = False
+    """Whether its curve is a path in time, as a hysteresis is."""
+    sizes: tuple[Size, ...] = ()
+    """What is measured of it to say what it means, the most telling first, with published figures."""
+    optional: ClassVar[Mapping[str, float]] = MappingProxyType({})
+    """Parameters that a model need not name, as they are then."""
+    in_samples: bool = False
+    """Whether it sits in the samples and not in the plant: found there, and not fitted."""
+    in_chain: bool = False
+    """Whether the linear parameters already hold it: part of the fit, not to be found."""
     parameters: ClassVar[Mapping[str, str]] = MappingProxyType({})
     coefficients: tuple[str, ...] = ()
     lower: tuple[float, ...] = ()
@@ -125,8 +158,57 @@ class Effect:
         return 1.0, 1.0
 
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
-        """The contract's parameters."""
-        raise NotImplementedError
+        """The contract's parameters: the vector by name, logarithms taken back."""
+        names = (*self.coefficients, *self.shapes)
+        logarithms = (*(False for _ in self.coefficients), *self.logarithmic)
+        return {
+            name: float(np.exp(value) if log else value)
+            for name, value, log in zip(names, x, logarithms, strict=True)
+        }
+
+    def vector(self, p: Mapping[str, float]) -> list[float]:
+        """The vector that the contract's parameters are fitted as: the inverse of ``values``."""
+        logs = dict(zip(self.shapes, self.logarithmic, strict=True))
+        names = (*self.coefficients, *self.shapes)
+        return [float(np.log(p[n])) if logs.get(n) else float(p[n]) for n in names]
+
+    def stands_beside(self, other: Effect) -> bool:
+        """Whether both may sit at one place: two laws of friction where no part is in both."""
+        if self.cause == other.cause:
+            return False
+        if self.family == other.family == "friction":
+            return not set(self.parts or (self.cause,)) & set(other.parts or (other.cause,))
+        return True
+
+    def most_places(self, structure: ChainStructure) -> int | None:
+        """At how many places it can be seen at once; as many as there are where it is none."""
+        return None
+
+    def known(self, term: EffectTerm) -> Self:
+        """The law as a model has it, with what its parameters do not hold."""
+        return self
+
+    def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64 | None:
+        """(n,) resistance over ``x`` (n,), the quantity ``over``, with the parameters ``p``; for pictures.
+
+        ``stiffness`` [N·m/rad or N/m] is that of the spring it sits in.
+        """
+        return None
+
+    def simulation(self, at: ModelPlace) -> Sequence[Element]:
+        """What the simulators are given; ModelError where it cannot be simulated."""
+        raise ModelError(f"effect {self.cause} on {at.term.axis}: it says nothing on how to simulate it")
+
+    def regressors(self, motion: PlaceMotion, shape: Sequence[float]) -> Float64:
+        """(n, k) resistance for each coefficient at one, where an axis is one rigid mass.
+
+        ``shape`` are the shape parameters themselves, no logarithms.
+        """
+        raise InputError(f"effect {self.cause}: it has no law for large motion")
+
+    def size_text(self, size: str) -> str:
+        """How a sentence says its size."""
+        return f" of {size}"
 
     def beyond(self, views: Sequence[View], place: Place, x: Sequence[float]) -> bool:
         """Whether it is larger than what it works on, or than the motion in the records: then it is none.

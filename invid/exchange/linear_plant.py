@@ -145,8 +145,8 @@ def coordinate_names(chains: CoupledChains, laws: Laws) -> tuple[str, ...]:
         for q in range(n)
     ]
     counts = dict.fromkeys(chains.axes, 0)
-    for at, *_ in laws.extra_masses:
-        axis = chains.axes[int(np.searchsorted(chains.motor_dofs, at, side="right")) - 1]
+    for added in laws.extra_masses:
+        axis = chains.axes[int(np.searchsorted(chains.motor_dofs, added.at, side="right")) - 1]
         counts[axis] += 1
         names.append(f"{axis}.extra.{counts[axis]}")
     return tuple(names)

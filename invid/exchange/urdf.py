@@ -45,8 +45,8 @@ def content(plant: LinearPlant, _spread: ParameterSpread, *, robot: str, losses:
         actuator = SubElement(transmission, "actuator", name=axis)
         SubElement(actuator, "hardwareInterface").text = interface
         SubElement(actuator, "mechanicalReduction").text = "1"
-    for number, (at, *_) in enumerate(plant.laws.extra_masses):
-        _link(root, plant, plant.chains.dofs + number, plant.coordinates[at], at, place=0)
+    for number, added in enumerate(plant.laws.extra_masses):
+        _link(root, plant, plant.chains.dofs + number, plant.coordinates[added.at], added.at, place=0)
     ElementTree.indent(root)
     return ('<?xml version="1.0"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n").encode()
 
@@ -128,7 +128,7 @@ def _joints(plant: LinearPlant) -> list[tuple[int, int | None]]:
         for start, size in zip(plant.motors, plant.chains.masses_per_branch, strict=True)
         for q in range(size)
     ]
-    extra = [(plant.chains.dofs + k, at) for k, (at, *_) in enumerate(plant.laws.extra_masses)]
+    extra = [(plant.chains.dofs + k, added.at) for k, added in enumerate(plant.laws.extra_masses)]
     return chain + extra
 
 

@@ -11,7 +11,7 @@ from scipy.fft import next_fast_len
 
 from invid.model.document import Model
 from invid.numerics.arrays import Complex128, Float64
-from invid.recording.model import Experiment, Recording, Role
+from invid.recording.model import Experiment, Recording
 from invid.signals.drive_torque import covers, mean_demand
 from invid.signals.periods import fold, without_drift
 from invid.signals.spectra import LineSpectra, spectra_of
@@ -192,65 +192,6 @@ def demand_used(recording: Recording, spectra: Sequence[LineSpectra]) -> bool:
     )
 
 
-def split(
-    recording: Recording, spectra: Sequence[LineSpectra], *, spare: bool = True, within: bool = False
-) -> tuple[list[Record], list[Record], list[str]]:
-    """Training and held-out records, and what to warn about.
-
-    ``spare``: a record that is more than the linear model needs may be kept out whole. ``within``: a part of
-    every other record is kept out beside those for validation.
-    """
-    experiments = {e.key: e for e in recording.experiments}
-    prepared = partial(record_of, demand=demand_used(recording, spectra))
-    train = [s for s in spectra if s.role is Role.IDENTIFY]
-    held = [prepared(s, experiments[s.key]) for s in spectra if s.role is Role.VALIDATE]
-    if held and not within:
-        return [prepared(s, experiments[s.key]) for s in train], held, []
-    missing = (
-        "validation does not show what the others do"
-        if held
-        else "no validation experiment (role 'validate')"
-    )
-    motors = recording.axis_count
-    everything = [s for s in train if s.driven.all()]
-    # A record more than the linear model needs (each axis once, or M of all at once) can be kept out.
-    if spare and not within and len(train) > motors and (everything or motors == 1):
-        kept = (everything or train)[-1]
-        return (
-            [prepared(s, experiments[s.key]) for s in train if s is not kept],
-            [prepared(kept, experiments[kept.key])],
-            [
-                f"no validation experiment (role 'validate'): experiment {kept.key} is kept out of every fit "
-                "instead; record one with another realisation and amplitude"
-            ],
-        )
-    if all(s.periods >= 2 and s.deviations.shape[0] == s.periods for s in train):
-        return (
-            [prepared(s, experiments[s.key], slice(0, s.periods - 1)) for s in train],
-            [*(prepared(s, experiments[s.key], slice(s.periods - 1, None)) for s in train), *held],
-            [
-                f"{missing}: the last period of each experiment is kept out of every fit instead, which "
-                "repeats the same motion; record one with another realisation"
-            ],
-        )
-    training, kept_out = [], []
-    for s in train:
-        record = prepared(s, experiments[s.key])
-        lines = np.arange(record.omega.size)
-        last = lines % 5 == 4
-        training.append(_lines(record, ~last))
-        # There is one mean only: a weight would have no held-out gain without it.
-        kept_out.append(_lines(record, last | (lines == 0)))
-    return (
-        training,
-        [*kept_out, *held],
-        [
-            f"{missing} and no whole period to spare: every fifth line is kept out of every fit instead; "
-            "record an experiment of its own for validation"
-        ],
-    )
-
-
 def by_period(recording: Recording, records: Sequence[Record], changing: Sequence[str]) -> list[Record]:
     """Records of the experiments ``changing`` taken apart into their periods, each at its own time."""
     experiments = {e.key: e for e in recording.experiments}
@@ -332,7 +273,7 @@ def _hardly_moves(record: Record, axis: int, _: float) -> bool:
     return record.standing[axis] is None and float(np.mean(np.abs(v) < slow)) > 0.5
 
 
-def _lines(record: Record, chosen: np.ndarray) -> Record:
+def of_lines(record: Record, chosen: np.ndarray) -> Record:
     """Weights that switch lines off: waves need all lines of the record."""
     weight: Float64 = chosen.astype(float)
     return replace(record, weight=weight)

@@ -11,23 +11,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from invid.config import CellConfig, ConstantVelocitySpec, MultisineSpec
+from invid.effects.registry import BY_CAUSE, effect_of
 from invid.errors import InputError
 
 Spec = MultisineSpec | ConstantVelocitySpec
-
-FRICTION = {
-    "coulomb_friction",
-    "viscous_friction",
-    "stribeck_friction",
-    "presliding_friction",
-    "asymmetric_friction",
-}
-POSITION = {"cogging", "gravity", "torque_offset", "encoder_eccentricity", "transmission_error"}
-AMPLITUDE = {"cubic_stiffness", "backlash", "spring_hysteresis", "torque_saturation"}
-BAND = {"torque_delay", "torque_lag"}
-LINES = {"extra_mode", "coupling_stiffness"}
-TIME = {"payload_change", "parameter_drift"}
-BY_HAND = {"torque_gain", "dropped_samples", "spring_damping"}
 
 LEVELS = (1.0, 0.4, 0.15)
 """Amplitudes of a ladder, of the config's: a factor of 2.5 each, over which dry friction, free play and a
@@ -92,6 +79,12 @@ def to_separate(document: Mapping[str, Any], config: CellConfig) -> Separation:
     return Separation(config.model_copy(update={"experiments": specs}), tuple(sentences), first)
 
 
+def is_measurable(cause: str) -> bool:
+    """Whether an experiment of the drives can tell a cause from others; else a person has to."""
+    effect = effect_of(cause)
+    return effect is not None and effect.separating.kind != "hand"
+
+
 def _causes(finding: Any) -> set[str]:
     """Causes that compete for one finding; empty where it stands alone."""
     if not isinstance(finding, Mapping):
@@ -140,10 +133,11 @@ def _ladder(config: CellConfig, levels: Sequence[float] = LEVELS) -> list[Spec]:
 def _for_causes(config: CellConfig, axis: str, causes: set[str]) -> tuple[list[Spec], list[str]]:
     specs: list[Spec] = []
     said: list[str] = []
+    kinds = {e.separating.kind for c in causes if (e := effect_of(c)) is not None}
     limits = next(a.limits for a in config.axes if a.name == axis)
     base, rate = _base(config), 1.0 / config.bus.cycle_s
     unit = "m" if config.linear else "rad"
-    if causes & FRICTION:
+    if "speeds" in kinds:
         speeds = tuple(round(ROOM * s * limits.velocity, 9) for s in SPEEDS)
         specs += _ladder(config)
         specs.append(
@@ -155,7 +149,7 @@ def _for_causes(config: CellConfig, axis: str, causes: set[str]) -> tuple[list[S
             f"Friction of {axis}: the same excitation at {len(LEVELS)} amplitudes, and slow moves in both "
             f"directions at {', '.join(f'{v:.3g}' for v in speeds)} {unit}/s."
         )
-    if causes & POSITION:
+    if "positions" in kinds:
         speed = round(ROOM * 0.3 * limits.velocity, 9)
         travel = round(2.0 * ROOM * limits.position, 9)
         specs += _ladder(config, (1.0, 0.4))
@@ -166,33 +160,29 @@ def _for_causes(config: CellConfig, axis: str, causes: set[str]) -> tuple[list[S
             f"What depends on the position of {axis}: a slow move over {travel:.3g} {unit}, both ways, and "
             "two amplitudes. Positions farther apart than the window allows need a start from another pose."
         )
-    if causes & AMPLITUDE:
+    if "amplitudes" in kinds:
         specs += _ladder(config)
         said.append(f"What depends on the amplitude of {axis}: the same excitation at {len(LEVELS)} levels.")
-    if causes & BAND:
+    if "band" in kinds:
         top = round(min(HIGHEST * rate, 2.5 * base.band_Hz[1]), 6)
         specs.append(base.model_copy(update={"band_Hz": (base.band_Hz[0], top), "seed": base.seed + 21}))
         said.append(
             f"Delay or lag of {axis}: a band up to {top:.3g} Hz, where a lag loses amplitude and a "
             "delay does not."
         )
-    if causes & LINES:
+    if "lines" in kinds:
         specs.append(
             base.model_copy(update={"period_s": min(2.0 * base.period_s, 600.0), "seed": base.seed + 31})
         )
         said.append(f"Resonance at {axis}: lines twice as close.")
-    if causes & TIME:
+    if "time" in kinds:
         again = [base.model_copy(update={"seed": base.seed + 41 + k, "experiments": 1}) for k in range(3)]
         specs += [base, *again, base]
         said.append("What changes with time: the first experiment again at the end.")
-    hand = sorted(causes & BY_HAND)
+    hand = sorted(c for c in causes if effect_of(c) is not None and not is_measurable(c))
     if hand:
-        said.append(
-            f"torque_gain on {axis}: hang a known weight on a lever and compare the torque; no motion shows "
-            "it."
-            if hand == ["torque_gain"]
-            else f"{', '.join(hand)} on {axis}: no experiment of the drives shows it."
-        )
+        told = BY_CAUSE[hand[0]].separating.by_hand if len(hand) == 1 else ""
+        said.append(f"{', '.join(hand)} on {axis}: {told or 'no experiment of the drives shows it.'}")
     return specs, said
 
 

@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from invid.effects import curve as laws
+from invid.effects.registry import effect_of
 from invid.errors import InvidError
 from invid.model.chains import CoupledChains
 from invid.model.diagnosis_document import Diagnosis
@@ -15,7 +17,6 @@ from invid.model.document import EffectTerm, Model
 from invid.model.forward import frf, resonances
 from invid.numerics.arrays import Complex128, Float64
 from invid.recording.model import Recording, Role
-from invid.report import laws
 from invid.report.spectra_data import MissingTorque, binned, missing_torque
 from invid.signals.frf import frf_matrix
 from invid.signals.spectra import LineSpectra, all_spectra
@@ -178,7 +179,7 @@ def _causes(
         return []
     for finding in diagnosis.findings:
         term = finding.effect
-        if term.axis in recording.axes and laws.ABSCISSA.get(term.cause):
+        if term.axis in recording.axes and laws.abscissa(term):
             picture = _cause(recording, spectra, chains, term, diagnosis.model)
             if picture is not None:
                 out.append(picture)
@@ -196,14 +197,16 @@ def _place(chains: CoupledChains, term: EffectTerm) -> tuple[int, Float64, float
     kind, _, number = (term.element or "mass 1").partition(" ")
     at = max(int(number) if number.isdigit() else 1, 1)
     start, stiffness = int(chains.motor_dofs[i]), 0.0
-    if term.cause == "coupling_stiffness" and term.other_axis in chains.axes:
+    effect = effect_of(term.cause)
+    home = "motor" if effect is None else effect.home
+    if home == "axis" and term.other_axis in chains.axes:
         pattern[chains.end_dofs[i]] = 1.0
         pattern[chains.end_dofs[chains.axes.index(term.other_axis)]] = -1.0
     elif kind == "spring" and at <= chains.springs[i].size:
         pattern[start + at - 1], pattern[start + at] = 1.0, -1.0
         stiffness = float(chains.springs[i][at - 1])
     else:
-        if term.cause == "gravity" and term.element is None:
+        if home == "end" and term.element is None:
             at = chains.masses[i].size
         pattern[start + min(at, chains.masses[i].size) - 1] = 1.0
     return i, pattern, stiffness
@@ -220,7 +223,7 @@ def _cause(
     s = _liveliest(spectra, i)
     m, note = alone(s, chains, term, extended.effects)
     force = _force_at(m, pattern)
-    what = laws.ABSCISSA[term.cause]
+    what = laws.abscissa(term) or ""
     x = _abscissa(m, pattern, i, what, term)
     y = -_wave(s, force)
     keep = _interior(s, x.size)
@@ -270,7 +273,7 @@ def _taken(
     """(F, M) the missing torque that these causes explain, and how many of them have no curve."""
     known, curveless = np.zeros_like(m.torque), 0
     for term in terms:
-        own, wave = laws.ABSCISSA.get(term.cause), None
+        own, wave = laws.abscissa(term), None
         if own is not None and term.axis in chains.axes:
             i, pattern, stiffness = _place(chains, term)
             wave = fitted_wave(m, pattern, i, term, own, stiffness)
@@ -377,10 +380,10 @@ def _abscissa(m: MissingTorque, pattern: Float64, axis: int, what: str, term: Ef
         values = s.torque[:, axis] * (jw if what == laws.TORQUE_RATE else 1.0)
         return _wave(s, values)
     own = pattern
-    if term is not None and term.cause == "transmission_error":
-        own = np.maximum(pattern, 0.0)  # the motor's side of the spring
+    if term is not None and what == laws.POSITION and np.count_nonzero(pattern) == 2:
+        own = np.maximum(pattern, 0.0)  # the motor's side of a spring
     moved = np.einsum("d,fdm,fm->f", own, m.motion, s.position)
-    wave = _wave(s, moved * jw if what in (laws.VELOCITY, "deflection rate") else moved)
+    wave = _wave(s, moved * jw if what in (laws.VELOCITY, laws.DEFLECTION_RATE) else moved)
     if what == laws.POSITION:
         # Lines carry no mean; the encoder's does for position-locked causes.
         wave = wave + float(s.position_wave[:, axis].mean())
@@ -397,7 +400,7 @@ def _unit(recording: Recording, what: str) -> str:
         laws.VELOCITY: f"{recording.position_unit}/s",
         laws.POSITION: recording.position_unit,
         laws.DEFLECTION: recording.position_unit,
-        "deflection rate": f"{recording.position_unit}/s",
+        laws.DEFLECTION_RATE: f"{recording.position_unit}/s",
         laws.TORQUE: recording.torque_unit,
         laws.TORQUE_RATE: f"{recording.torque_unit}/s",
     }

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from invid.effects.registry import of_the_plant
 from invid.errors import InvidError
 from invid.model.diagnosis_document import Diagnosis
 from invid.model.document import Model, model_from_json
@@ -132,7 +133,7 @@ def replay_data(recording: Recording, diagnosis: Diagnosis) -> list[dict[str, An
         return []
     chosen = max(held, key=lambda e: float(e.position.std()))
     after = diagnosis.model
-    after = replace(after, effects=tuple(e for e in after.effects if e.cause != "dropped_samples"))
+    after = replace(after, effects=of_the_plant(after.effects))
     linear = replace(linear_model_of(diagnosis), effects=())
     try:
         runs = [simulate(x, recording, only=(chosen.key,)).experiments[0] for x in (linear, after)]

@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from invid.effects import curve as laws
 from invid.errors import InvidError
 from invid.model.chains import CoupledChains
 from invid.model.diagnosis_document import Diagnosis
 from invid.model.document import EffectTerm, Model
 from invid.numerics.arrays import Complex128, Float64
 from invid.recording.model import Recording, Role
-from invid.report import laws
 from invid.report.data import (
     POINTS,
     _abscissa,
@@ -76,7 +76,7 @@ def _views(
     force, std = force_at(m, pattern)
     y = -_wave(s, _denoised(force, std))
     keep = _interior(s, y.size)
-    own = laws.ABSCISSA.get(term.cause)
+    own = laws.abscissa(term)
     fit = None if own is None else fitted_wave(m, pattern, i, term, own, stiffness)
     sides = []
     for what in dict.fromkeys((*([own] if own else []), *SIDES)):

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from invid.effects.registry import effect_of
 from invid.errors import InputError, ModelError, NotIdentifiableError
 from invid.model.chains import CoupledChains
 from invid.model.diagnosis_document import Alternative, AxisResidual, Diagnosis, Finding, Unexplained, Verdict
@@ -15,7 +16,7 @@ from invid.numerics import budget
 from invid.numerics.arrays import Float64, frozen_float
 from invid.recording.model import Recording
 from invid.rigid_motion.analysis import Analysis, analyse, counts_at_most, row_floor
-from invid.rigid_motion.effect_terms import effect_of, separating
+from invid.rigid_motion.effect_terms import separating, term_of
 from invid.rigid_motion.load_friction import load_terms
 from invid.rigid_motion.regression import Fit, fit
 from invid.rigid_motion.regressors import ASYMMETRIC, Term
@@ -42,15 +43,6 @@ DISGUISE = 0.02
 """Part of what a cause took away that may be left as a function of the same driver. A guess: a law right to
 a tenth leaves a hundredth of its power; viscous friction fitted to friction that grows with the square of
 speed leaves 6 % on evenly spread speeds."""
-_DRIVEN_BY = {
-    "viscous_friction": "velocity",
-    "coulomb_friction": "velocity",
-    "stribeck_friction": "velocity",
-    "asymmetric_friction": "velocity",
-    "gravity": "position",
-    "cubic_stiffness": "position",
-    "quadratic_stiffness": "position",
-}
 RESOLUTION = 0.005
 """Part of the torque below which nothing is said to be missing: resampling, differentiation and a torque held
 over the sample leave up to 0.2 % on simulated axes without any fault (empirical)."""
@@ -171,18 +163,26 @@ def _doubt(a: Analysis, term: Term, before: float, after: float, mine: np.typing
     left = after**2 - float(np.mean(row_floor(a)[mine]))
     if left > removed:
         return "; likely, not certain: more is left than this takes away"
-    if term.cause not in _DRIVEN_BY:
+    driver_name = _driver_name(term)
+    if driver_name is None:
         return ""
     if term.cause == "viscous_friction":
         grown = fit(a.design, [*a.final.terms, Term("square_of_speed", term.axis, ("coefficient",))])
         if needed(a.design, a.final, grown):
             return "; likely, not certain: what is left grows with the square of the speed"
-    name = _DRIVEN_BY[term.cause]
-    driver = np.concatenate([_driver(m, name, term.axis) for m in a.motions])
+    driver = np.concatenate([_driver(m, driver_name, term.axis) for m in a.motions])
     own = a.final.held_out[a.design.axis == term.axis]
     if _function_of(own, driver, own.size / max(a.final.effective / a.design.axes, 1.0)) > DISGUISE * removed:
-        return f"; likely, not certain: what is left depends on {name} as well, so its law is another"
+        return f"; likely, not certain: what is left depends on {driver_name} as well, so its law is another"
     return ""
+
+
+def _driver_name(term: Term) -> str | None:
+    """What a cause's torque is a function of: velocity or position; ``None`` where it is of neither."""
+    effect = effect_of(term.cause)
+    if effect is None or effect.family == "constant":
+        return None
+    return {"velocity": "velocity", "position": "position", "deflection": "position"}.get(effect.over)
 
 
 def _driver(motion: Motion, name: str, axis: int) -> Float64:
@@ -207,7 +207,7 @@ def _plain(a: Analysis, term: Term, rest: list[Term]) -> tuple[EffectTerm, str]:
     those of the best law without the bend (with the bend they would mean something else), and the bend stands
     in the model's effect. The symmetric law beside it lets a reader compare with tables.
     """
-    effect = effect_of(a, term)
+    effect = term_of(a, term)
     if term.cause != "asymmetric_friction":
         return effect, ""
     remark = ""
@@ -215,7 +215,7 @@ def _plain(a: Analysis, term: Term, rest: list[Term]) -> tuple[EffectTerm, str]:
         bend = {n: effect.parameters[n] for n in effect.parameters if n.startswith("low_speed")}
         own = Term("asymmetric_friction", term.axis, ASYMMETRIC)
         beyond = effect
-        effect = effect_of(replace(a, final=fit(a.design, [*rest, own])), own)
+        effect = term_of(replace(a, final=fit(a.design, [*rest, own])), own)
         up, down, speed = (p.value for p in bend.values())
         word = (
             "; below about {:.3g} {} it changes by {:.3g} (forward) and {:.3g} {} (backward): see the model"
@@ -385,7 +385,7 @@ def _model(a: Analysis, given: Model | None) -> Model:
         chains=chains,
         std=std_of,
         linear=recording.linear,
-        effects=tuple(effect_of(a, t) for t in final.terms if not t.base),
+        effects=tuple(term_of(a, t) for t in final.terms if not t.base),
         warnings=tuple(warnings),
         fit={**facts, "rows": int(a.design.torque.size), "independent_rows": round(final.effective, 1)},
         provenance={"recording": recording.source, "model_of": "rigid body with gravity and friction"},

@@ -7,65 +7,66 @@ from typing import Any
 
 import numpy as np
 
+from invid.effects.effect import Effect
+from invid.effects.registry import BY_CAUSE, effect_of
+from invid.effects.units import unit_of
 from invid.model.document import EffectTerm, Estimate
+from invid.model.place import Place
+from invid.numerics.arrays import Float64
 from invid.rigid_motion.analysis import Analysis
 from invid.rigid_motion.regressors import Term
 
-_FRICTION = {"viscous_friction", "coulomb_friction", "stribeck_friction", "asymmetric_friction"}
 _LOADED = "load_dependent_friction"
 
 
-def effect_of(analysis: Analysis, term: Term) -> EffectTerm:
+def term_of(analysis: Analysis, term: Term) -> EffectTerm:
     """The contract's cause and parameters, with one standard deviation each."""
-    value, std = analysis.final.of(term)
-    linear = analysis.recording.linear
-    force, length = ("N", "m") if linear else ("N·m", "rad")
-    rate = f"{force}·s/{length}"
+    final, effect, linear = analysis.final, BY_CAUSE[term.cause], analysis.recording.linear
+    value, std = final.of(term)
+    place = Place("mass", term.axis, 1)
+    count = len(effect.coefficients)
+    shapes = [] if term.shape is None or not effect.shapes else [_moved(effect, term.shape)]
+
+    def sizes(x: Float64) -> dict[str, float]:
+        return effect.values([*x.tolist(), *shapes], place)
+
+    start = sum(len(t.names) for t in final.terms[: final.terms.index(term)])
+    spread = final.covariance[start : start + count, start : start + count]
+    step = np.where(std[:count] > 0, std[:count], 1.0) * 1e-3
+    moved = [
+        {n: (up[n] - down[n]) / (2 * h) for n in up}
+        for h, up, down in (
+            (h, sizes(value[:count] + h * e), sizes(value[:count] - h * e))
+            for h, e in zip(step, np.eye(count), strict=True)
+        )
+    ]
+    parameters: dict[str, Estimate] = {}
+    for name, size in sizes(value[:count]).items():
+        slope = np.array([m[name] for m in moved])
+        unit = unit_of(effect.parameters[name], linear)
+        own = float(np.sqrt(max(slope @ spread @ slope, 0.0)))
+        parameters[name] = Estimate(size, own, None if unit == "1" else unit)
+    force, speed = unit_of("torque", linear), unit_of("velocity", linear)
+    for k in range(count, len(term.names)):  # how it bends at low speed, which the cause's own do not say
+        parameters[term.names[k]] = Estimate(float(value[k]), float(std[k]), force)
+    if term.shape is not None:
+        bent = effect.shapes[0] if effect.shapes else "low_speed_velocity"
+        parameters[bent] = _shape(analysis, term, parameters[bent].unit if effect.shapes else speed)
+    if term.exponent or "inertia_counts" in effect.parameters:
+        power = "inertia_counts" if "inertia_counts" in effect.parameters else "exponent"
+        parameters[power] = Estimate(float(term.exponent), None, None)
     axis = analysis.recording.axes[term.axis]
     other = None if term.other is None else analysis.recording.axes[term.other]
-    at = dict(zip(term.names, zip(value.tolist(), std.tolist(), strict=True), strict=True))
-    parameters: dict[str, Estimate] = {}
-    element: str | None = "mass 1"
-    match term.cause:
-        case "stribeck_friction":
-            start = sum(len(t.names) for t in analysis.final.terms[: analysis.final.terms.index(term)])
-            both = analysis.final.covariance[start : start + 2, start : start + 2]
-            parameters["static"] = Estimate(float(value.sum()), float(np.sqrt(both.sum())), force)
-            parameters["coulomb"] = Estimate(*at["coulomb"], force)
-            parameters["velocity"] = _shape(analysis, term, f"{length}/s")
-            parameters["exponent"] = Estimate(float(term.exponent), None, None)
-        case "asymmetric_friction":
-            for name, pair in at.items():
-                parameters[name] = Estimate(*pair, rate if name.startswith("viscous") else force)
-            if term.shape is not None:
-                parameters["low_speed_velocity"] = _shape(analysis, term, f"{length}/s")
-                parameters["exponent"] = Estimate(float(term.exponent), None, None)
-        case "gravity":
-            sine, cosine = value
-            size = float(np.hypot(sine, cosine))
-            parameters["torque"] = Estimate(
-                size, float(np.hypot(sine * std[0], cosine * std[1]) / size), force
-            )
-            angle = float(np.hypot(cosine * std[0], sine * std[1]) / size**2)
-            parameters["angle"] = Estimate(float(np.arctan2(cosine, sine)), angle, "rad")
-        case "load_dependent_friction":
-            parameters["coefficient"] = Estimate(*at["coefficient"], None)
-            parameters["inertia_counts"] = Estimate(float(term.exponent), None, None)
-        case "viscous_friction":
-            parameters["coefficient"] = Estimate(*at["coefficient"], rate)
-        case "torque_delay":
-            element = None
-            parameters["delay"] = Estimate(*at["delay"], "s")
-        case "cubic_stiffness" | "quadratic_stiffness":
-            element = "spring 0"
-            power = {"quadratic_stiffness": 2, "cubic_stiffness": 3}[term.cause]
-            parameters["coefficient"] = Estimate(*at["coefficient"], f"{force}/{length}^{power}")
-        case _:
-            parameters["torque"] = Estimate(*at["torque"], force)
+    element = {"axis": None, "spring": "spring 0"}.get(effect.home, "mass 1")
     return EffectTerm(term.cause, axis, parameters, element, other)
 
 
-def _shape(analysis: Analysis, term: Term, unit: str) -> Estimate:
+def _moved(effect: Effect, shape: float) -> float:
+    """A shape as it moves in a fit."""
+    return float(np.log(shape)) if effect.logarithmic[0] else shape
+
+
+def _shape(analysis: Analysis, term: Term, unit: str | None) -> Estimate:
     spread = analysis.shape_std.get(term, np.inf)
     return Estimate(float(term.shape or 0.0), float(spread) if np.isfinite(spread) else None, unit)
 
@@ -80,7 +81,9 @@ def separating(axis: str, causes: set[str], speed: float, linear: bool) -> Mappi
             "text": f"repeat the motion of {axis} with another payload: friction that depends on the load "
             "changes with it, other friction does not",
         }
-    if len(causes & _FRICTION) > 1 or (causes & _FRICTION and "torque_offset" in causes):
+    known = [e for c in causes if (e := effect_of(c)) is not None]
+    friction = [e for e in known if e.family == "friction"]
+    if len(friction) > 1 or (friction and any(e.family == "constant" for e in known)):
         ladder = [round(speed * f, 6) for f in (0.01, 0.03, 0.1, 0.3, 1.0)]
         return {
             "kind": "constant_velocity",
@@ -90,13 +93,13 @@ def separating(axis: str, causes: set[str], speed: float, linear: bool) -> Mappi
             "directions": [1, -1],
             "text": f"move {axis} at constant speeds of {ladder} {unit} in both directions",
         }
-    if causes & {"gravity", "torque_offset", "ground_spring"}:
+    if any(e.separating.kind == "positions" for e in known):
         return {
             "kind": "other",
             "axis": axis,
             "text": f"move {axis} slowly through as much of its range as it has, in both directions",
         }
-    if causes & {"cubic_stiffness", "quadratic_stiffness"}:
+    if any(e.separating.kind == "amplitudes" for e in known):
         return {
             "kind": "multisine",
             "axis": axis,

@@ -10,6 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from invid.effects.effect import PlaceMotion
+from invid.effects.motion_effect import MotionEffect
+from invid.effects.registry import effect_of, further_effects
+from invid.model.parameters import ChainStructure
 from invid.numerics.arrays import Float64
 from invid.signals.motion_record import Motion
 
@@ -59,65 +63,57 @@ class Term:
         return (self.cause, self.axis, self.other, self.tag)
 
 
-def soft_sign(motion: Motion, axis: int) -> Float64:
-    """Direction of motion, softened over the velocity noise."""
-    v = motion.velocity[:, axis]
-    eps = motion.rest[axis]
-    direction: Float64 = np.sign(v) if eps <= 0 else np.tanh(2.0 * v / eps)
-    return direction
-
-
 def columns(term: Term, motion: Motion) -> Float64:
-    """(n, M, k) torque per unit coefficient."""
+    """(n, M, k) torque per unit coefficient; of a cause as its effect says (``Effect.regressors``)."""
     n, axes = motion.position.shape
     i = term.axis
     out = np.zeros((n, axes, len(term.names)))
-    q, v, a = motion.position[:, i], motion.velocity[:, i], motion.acceleration[:, i]
     match term.cause:
         case "inertia":
-            out[:, i, 0] = a
+            out[:, i, 0] = motion.acceleration[:, i]
         case "coupling":
             j = _other(term)
             out[:, i, 0] = motion.acceleration[:, j]
-            out[:, j, 0] = a
+            out[:, j, 0] = motion.acceleration[:, i]
         case "configuration":
             _configuration(out, motion, i, _other(term))
         case "ground_spring":
-            out[:, i, 0] = q
-        case "torque_offset":
-            out[:, i, 0] = 1.0
-        case "time_offset" | "torque_delay":
+            out[:, i, 0] = motion.position[:, i]
+        case "time_offset":
             out[:, i, 0] = motion.torque_rate[:, i]
-        case "viscous_friction":
-            out[:, i, 0] = v
-        case "coulomb_friction":
-            out[:, i, 0] = soft_sign(motion, i)
-        case "stribeck_friction":
-            s = soft_sign(motion, i)
-            out[:, i, 0] = s
-            out[:, i, 1] = s * _low(v, term)
-        case "asymmetric_friction":
-            forward = 0.5 * (1 + soft_sign(motion, i))
-            out[:, i, 0], out[:, i, 1] = forward, -(1 - forward)
-            out[:, i, 2], out[:, i, 3] = v * forward, v * (1 - forward)
-            if len(term.names) == 6:
-                out[:, i, 4] = forward * _low(v, term)
-                out[:, i, 5] = -(1 - forward) * _low(v, term)
-        case "gravity":
-            angle = q if term.other is None else q + motion.position[:, term.other]
-            for axis in (i,) if term.other is None else (i, term.other):
-                out[:, axis, 0], out[:, axis, 1] = np.sin(angle), np.cos(angle)
-        case "load_dependent_friction":
-            out[:, i, 0] = np.abs(load_on(term, motion)) * soft_sign(motion, i)
         case "square_of_speed":
-            out[:, i, 0] = v * np.abs(v)
-        case "quadratic_stiffness":
-            out[:, i, 0] = q**2
-        case "cubic_stiffness":
-            out[:, i, 0] = q**3
+            out[:, i, 0] = motion.velocity[:, i] * np.abs(motion.velocity[:, i])
         case _:
-            raise ValueError(f"no columns for {term.cause!r}")
+            effect = effect_of(term.cause)
+            if effect is None:
+                raise ValueError(f"no columns for {term.cause!r}")
+            own = effect.regressors(_motion_of(term, motion), _shape_of(term))
+            for axis in (i,) if term.other is None else (i, term.other):
+                out[:, axis] = own
     return out
+
+
+def _motion_of(term: Term, motion: Motion) -> PlaceMotion:
+    """What a law sees of the motion: of its axis, or of an axis that another carries."""
+    i = term.axis
+    position = motion.position[:, i]
+    if term.other is not None:
+        position = position + motion.position[:, term.other]
+    return PlaceMotion(
+        position,
+        motion.velocity[:, i],
+        np.arange(position.size, dtype=np.float64) * motion.step,
+        rest=float(motion.rest[i]),
+        load=load_on(term, motion) if term.load else None,
+        torque_rate=motion.torque_rate[:, i],
+    )
+
+
+def _shape_of(term: Term) -> tuple[float, ...]:
+    """The shape parameters of a term, in their units."""
+    if term.shape is None:
+        return ()
+    return (term.shape, float(term.exponent)) if term.exponent else (term.shape,)
 
 
 def load_on(term: Term, motion: Motion) -> Float64:
@@ -132,11 +128,6 @@ def _other(term: Term) -> int:
     if term.other is None:
         raise ValueError(f"{term.cause}: needs a second axis")
     return term.other
-
-
-def _low(velocity: Float64, term: Term) -> Float64:
-    values: Float64 = np.exp(-((np.abs(velocity) / (term.shape or 1.0)) ** max(term.exponent, 1)))
-    return values
 
 
 def _configuration(out: Float64, motion: Motion, i: int, j: int) -> None:
@@ -262,9 +253,29 @@ def candidate_terms(axes: int, reach: Extent, springs: set[int]) -> list[Term]:
         if i in springs:
             found.append(Term("quadratic_stiffness", i, ("coefficient",)))
             found.append(Term("cubic_stiffness", i, ("coefficient",)))
+        found += _further_terms(i, reach)
     if axes == 2 and reach.rotary and not reach.steady and reach.travel.min() > 0.2:
         found.append(
             Term("gravity", 1, ("sine", "cosine"), other=0, replaces=("torque_offset",), tag="second link")
         )
         found.append(Term("configuration", 0, ("cosine", "sine"), other=1, base=True))
+    return found
+
+
+def _further_terms(axis: int, reach: Extent) -> list[Term]:
+    """Effects beside the catalogue's on one axis: laws of motion of one mass, with one shape at most."""
+    found = []
+    place = ChainStructure((1,), ("axis",), viscous=False, grounded=())
+    for effect in further_effects():
+        sits = any(p.kind == "mass" for p in effect.places(place))
+        if not isinstance(effect, MotionEffect) or not sits or len(effect.shapes) > 1:
+            continue
+        if effect.rotary and not reach.rotary:
+            continue
+        names = effect.coefficients
+        positive = tuple(n for n, low in zip(names, effect.lower, strict=True) if low >= 0.0)
+        # Of a sine of this travel and speed the rms.
+        sizes = float(reach.travel[axis]) / 2.8, float(reach.speed[axis]) / 1.4
+        for shape in effect.starts(*(max(s, 1e-300) for s in sizes)):
+            found.append(Term(effect.cause, axis, names, positive, shape=shape[0] if shape else None))
     return found

@@ -2,28 +2,9 @@
 
 from __future__ import annotations
 
+from invid.effects.registry import effect_of
 from invid.model.diagnosis_document import Alternative
 from invid.model.document import EffectTerm
-
-_ADVICE = {
-    "asymmetric_friction": "look for wear, preload or a seal that acts in one direction",
-    "stribeck_friction": "look at the lubrication: it sticks before it slides",
-    "load_dependent_friction": "look at the bearings, the preload and the gear's efficiency under load",
-    "gravity": "give the controller the load's weight",
-    "cubic_stiffness": "the spring is not linear: identify at the amplitude it is used at",
-}
-_NAMES = {
-    "load_dependent_friction": "friction that grows with the load on the joint",
-    "coulomb_friction": "Coulomb friction",
-    "viscous_friction": "viscous friction",
-    "stribeck_friction": "Stribeck friction",
-    "asymmetric_friction": "Coulomb and viscous friction, different in the two directions",
-    "torque_offset": "a constant torque",
-    "torque_delay": "the torque that acts lags the record",
-    "gravity": "gravity",
-    "cubic_stiffness": "a spring force with the cube of the deflection",
-    "quadratic_stiffness": "a spring force with the square of the deflection",
-}
 
 
 def sentence_of(
@@ -37,7 +18,8 @@ def sentence_of(
         for name, p in effect.parameters.items()
         if name not in ("exponent", "inertia_counts")
     )
-    name = _NAMES.get(effect.cause, effect.cause.replace("_", " "))
+    law = effect_of(effect.cause)
+    name = _title(effect.cause)
     if effect.cause == "load_dependent_friction":
         name += ", weight and inertia" if effect.value("inertia_counts") else ", its weight"
     if effect.cause == "gravity" and effect.other_axis is not None:
@@ -45,10 +27,10 @@ def sentence_of(
     gain = f"without it {before:.3g} {unit} is missing, with it {after:.3g} {unit}"
     text = f"{effect.axis}: {name} ({sizes}); {gain}"
     if rivals:
-        return (
-            text
-            + "; the data cannot tell it from "
-            + ", ".join(sorted({_NAMES.get(r.cause, r.cause) for r in rivals}))
-        )
-    advice = _ADVICE.get(effect.cause)
-    return text + (f"; {advice}" if advice else "")
+        return text + "; the data cannot tell it from " + ", ".join(sorted({_title(r.cause) for r in rivals}))
+    return text if law is None else f"{text}. {law.check}"
+
+
+def _title(cause: str) -> str:
+    effect = effect_of(cause)
+    return cause.replace("_", " ") if effect is None else effect.title

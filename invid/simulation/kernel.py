@@ -24,6 +24,7 @@ def march(
     torque: Any,
     kinds: Any,
     parameters: Any,
+    tables: Any,
     memory: Any,
     step: float,
     every: int,
@@ -32,7 +33,8 @@ def march(
 ) -> None:
     """March ``torque.shape[0] − 1`` sub-steps; motor [θ, θ̇] every ``every`` sub-steps into ``positions``.
 
-    ``state`` (2n,) and ``memory`` (E, 2) are changed in place.
+    ``state`` (2n,) and ``memory`` (E, 2) are changed in place: where sliders stand, how far a table was read.
+    ``tables`` (S, P): resistance over even steps from minus to plus the largest value of its quantity.
     """
     size, dofs, count = state.size, state.size // 2, motors.size
     laws = kinds.shape[0]
@@ -97,6 +99,18 @@ def march(
                         f = -parameters[e, 1] * half
                     else:
                         f = parameters[e, 1] * d + parameters[e, 2] * (va - vb)
+                elif law == 9:
+                    x = qa - qb
+                    if parameters[e, 0] != 0.0:
+                        # The velocity half a sub-step on, as the positions are.
+                        x = 1.5 * (va - vb) - 0.5 * memory[e, 1]
+                        memory[e, 1] = va - vb
+                    memory[e, 0] = max(memory[e, 0], abs(x))
+                    row, last = int(parameters[e, 2]), tables.shape[1] - 1
+                    at = (x / parameters[e, 1] + 1.0) * 0.5 * last
+                    # Straight on beyond the ends.
+                    cell = min(max(int(np.floor(at)), 0), last - 1)
+                    f = -(tables[row, cell] + (at - cell) * (tables[row, cell + 1] - tables[row, cell]))
                 elif law == 8:
                     angle = parameters[e, 1] * qa + parameters[e, 2]
                     error = parameters[e, 0] * np.sin(angle)

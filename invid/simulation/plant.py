@@ -46,15 +46,15 @@ def matrices(chains: CoupledChains, laws: Laws) -> Matrices:
     mass[inner, inner] = chains.mass_matrix
     damping[inner, inner] = chains.damping_matrix
     stiffness[inner, inner] = chains.stiffness_matrix
-    for a, b, value in laws.stiffness:
-        add_link(stiffness, a, b, value)
-    for a, b, value in laws.damping:
-        add_link(damping, a, b, value)
-    for number, (at, m, k, ratio) in enumerate(laws.extra_masses):
-        new = chains.dofs + number
+    for spring in laws.stiffness:
+        add_link(stiffness, spring.a, spring.b, spring.stiffness)
+    for damper in laws.damping:
+        add_link(damping, damper.a, damper.b, damper.coefficient)
+    for number, extra_mass in enumerate(laws.extra_masses):
+        new, m, k = chains.dofs + number, extra_mass.mass, extra_mass.stiffness
         mass[new, new] = m
-        add_link(stiffness, at, new, k)
-        add_link(damping, at, new, 2 * ratio * float(np.sqrt(k * m)))
+        add_link(stiffness, extra_mass.at, new, k)
+        add_link(damping, extra_mass.at, new, 2 * extra_mass.damping_ratio * float(np.sqrt(k * m)))
     return Matrices(mass, damping, stiffness)
 
 

@@ -122,7 +122,7 @@ def drive(experiment: Experiment, chains: CoupledChains, laws: Laws, fastest: fl
     low, high = band_of(experiment)
     # a hundred sub-steps per cycle: piecewise linear input is then right to 3e-4
     wanted = max(1.0, 100 * high * interval)
-    if laws.forces:
+    if laws.forces or laws.static:
         wanted = max(wanted, interval * fastest / 0.05, interval / 2.5e-4)
     substeps = int(min(np.ceil(wanted), _MOST_SUBSTEPS))
     time = np.linspace(start, end, count)

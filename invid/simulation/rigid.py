@@ -8,19 +8,30 @@ as reproduces the recorded torque best from the recorded positions.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from invid.effects.elements import (
+    AddedDamper,
+    CarriedWeight,
+    ForceLaw,
+    GroundSpring,
+    Law,
+    LoadFriction,
+    StaticLaw,
+    TorqueChannel,
+)
 from invid.errors import InputError
-from invid.model.document import EffectTerm, Model
+from invid.model.document import Model
 from invid.numerics.arrays import Float64, frozen_float
 from invid.recording.model import Experiment, Recording
 from invid.signals.motion_record import derivative
 from invid.signals.timebase import uniform
+from invid.simulation.laws import elements_of, static_table
 from invid.simulation.rigid_kernel import march
 
 SUBSTEPS = 10
@@ -135,8 +146,8 @@ def errors_of(model: Model, recording: Recording) -> list[dict[str, Any]]:
 def _one(model: Model, experiment: Experiment) -> Experiment:
     even = uniform(experiment)
     axes, count = even.position.shape[1], even.samples
-    smooth, dry, carried = _laws(model)
-    delay = _delays(model)
+    laws = _laws(model)
+    delay = _delays(model, laws.channels)
     loop = closed_loop(experiment) if even.samples == experiment.samples else None
     fine = np.arange(count * SUBSTEPS) / SUBSTEPS * even.step
     instants = np.arange(count) * even.step
@@ -157,6 +168,7 @@ def _one(model: Model, experiment: Experiment) -> Experiment:
     law[:, 4] = np.maximum(law[:, 4], 1.0)
     rate = derivative(np.asarray(even.position), even.step, 0.1 / even.step, 1)
     state = np.stack([even.position[0], rate[0]])
+    static, tables = laws.tables(np.asarray(even.position), rate)
     mass = np.array(model.chains.mass_matrix)
     applied, reference = np.ascontiguousarray(applied), np.ascontiguousarray(reference)
 
@@ -164,8 +176,8 @@ def _one(model: Model, experiment: Experiment) -> Experiment:
         out, acted = np.zeros((samples, axes)), np.zeros((samples, axes))
         with np.errstate(over="ignore", invalid="ignore"):
             march(
-                start.copy(), applied, reference, law, mass, carried, smooth, dry, even.step / SUBSTEPS,
-                SUBSTEPS, out, acted,
+                start.copy(), applied, reference, law, mass, laws.carried, laws.smooth, laws.dry, static,
+                tables, even.step / SUBSTEPS, SUBSTEPS, out, acted,
             )  # fmt: skip
         return out, acted
 
@@ -231,7 +243,7 @@ def _tied(model: Model, position: Float64, step: float, torque: Float64) -> tupl
     return law, np.repeat(applied, SUBSTEPS, axis=0)
 
 
-def _delays(model: Model) -> Float64:
+def _delays(model: Model, channels: Sequence[TorqueChannel]) -> Float64:
     """(M,) time by which the torque acts later than recorded [s]."""
     reported = model.fit.get("time_offset_s")
     found = np.zeros(len(model.axes))
@@ -239,72 +251,72 @@ def _delays(model: Model) -> Float64:
         entry = reported.get(f"{axis}.time_offset") if isinstance(reported, Mapping) else None
         if isinstance(entry, Mapping) and isinstance(entry.get("value"), int | float):
             found[i] = float(entry["value"])
-        found[i] += sum(
-            t.value("delay") for t in model.effects if t.cause == "torque_delay" and t.axis == axis
-        )
+        found[i] += sum(c.delay for c in channels if c.axis == i)
     return found
 
 
-def _laws(model: Model) -> tuple[Float64, Float64, Float64]:
-    """(M, 6), (M, 10) and (5,) parameters of ``march``."""
+@dataclass(frozen=True, eq=False)
+class RigidLaws:
+    """Parameters of ``march``; static laws and torque channels of the axes."""
+
+    smooth: Float64
+    dry: Float64
+    carried: Float64
+    static: tuple[StaticLaw, ...]
+    channels: tuple[TorqueChannel, ...]
+
+    def tables(self, position: Float64, velocity: Float64) -> tuple[Float64, Float64]:
+        """(S, 3) and (S, P) of ``march``, over twice the range of the motion (n, M)."""
+        reach = [
+            2.0 * max(float(np.abs((velocity if x.over == "velocity" else position)[:, x.a]).max()), 1e-300)
+            for x in self.static
+        ]
+        made, tables = static_table(self.static, reach)
+        rows = np.array([[f.a, f.parameters[0], f.parameters[1]] for f in made]).reshape(-1, 3)
+        return rows, tables
+
+
+def _laws(model: Model) -> RigidLaws:
     axes = len(model.axes)
     smooth, dry, carried = np.zeros((axes, 6)), np.zeros((axes, 10)), np.zeros(5)
     smooth[:, 0] = model.chains.ground_springs
     dry[:, 7] = 2.0
+    static: list[StaticLaw] = []
+    channels: list[TorqueChannel] = []
     inertia = model.fit.get("inertia_with_angle")
     if isinstance(inertia, Mapping) and axes == 2:
         carried[:2] = [float(inertia[k]["value"]) for k in ("cosine", "sine")]
         carried[4] = 1.0
     for term in model.effects:
-        i, at = model.axes.index(term.axis), term.value
-        match term.cause:
-            case "quadratic_stiffness":
-                smooth[i, 1] += at("coefficient")
-            case "cubic_stiffness":
-                smooth[i, 2] += at("coefficient")
-            case "torque_offset":
-                smooth[i, 3] += at("torque")
-            case "gravity":
-                parts = at("torque") * np.cos(at("angle")), at("torque") * np.sin(at("angle"))
-                if term.other_axis is None:
-                    smooth[i, 4:] += parts
-                else:
-                    carried[2:4] += parts
+        for element in elements_of(model.chains, term, rigid=True):
+            match element:
+                case GroundSpring(axis, power, coefficient) if power in (2, 3):
+                    smooth[axis, power - 1] += coefficient
+                case ForceLaw(Law.CONSTANT, axis, _, parameters):
+                    smooth[axis, 3] += parameters[0]
+                case ForceLaw(Law.SINE, axis, _, (size, 1.0, angle)):
+                    smooth[axis, 4:] += size * np.cos(angle), size * np.sin(angle)
+                case CarriedWeight(sine, cosine):
+                    carried[2:4] += sine, cosine
                     carried[4] = 1.0
-            case "torque_delay":
-                pass
-            case _:
-                dry[i] += _friction(term)
-    return smooth, dry, carried
-
-
-def _friction(term: EffectTerm) -> Float64:
-    at = term.value
-    row = np.zeros(10)
-    match term.cause:
-        case "coulomb_friction":
-            row[:2] = at("torque")
-        case "viscous_friction":
-            row[2:4] = at("coefficient")
-        case "stribeck_friction":
-            row[:2], row[4:6], row[6] = at("coulomb"), at("static") - at("coulomb"), at("velocity")
-            row[7] = _exponent(term) - 2.0
-        case "asymmetric_friction":
-            row[:2] = at("coulomb_positive"), at("coulomb_negative")
-            row[2:4] = at("viscous_positive"), at("viscous_negative")
-            if "low_speed_velocity" in term.parameters:
-                row[4:7] = at("low_speed_positive"), at("low_speed_negative"), at("low_speed_velocity")
-                row[7] = _exponent(term) - 2.0
-        case "load_dependent_friction":
-            row[8] = at("coefficient")
-            row[9] = at("inertia_counts") if "inertia_counts" in term.parameters else 0.0
-        case _:
-            raise InputError(f"effect {term.cause} on {term.axis}: a rigid model has no place for it")
-    return row
-
-
-def _exponent(term: EffectTerm) -> float:
-    return term.value("exponent") if "exponent" in term.parameters else 2.0
+                case ForceLaw(Law.DRY, axis, _, (up, down, excess_up, velocity, excess_down, exponent)):
+                    dry[axis, :2] += up, down
+                    if excess_up or excess_down:
+                        dry[axis, 4:7] += excess_up, excess_down, velocity
+                        dry[axis, 7] += exponent - 2.0
+                case ForceLaw(Law.ONE_SIDED_VISCOUS, axis, _, parameters):
+                    dry[axis, 2:4] += parameters
+                case AddedDamper(axis, -1, coefficient):
+                    dry[axis, 2:4] += coefficient
+                case LoadFriction(axis, coefficient, with_inertia):
+                    dry[axis, 8:] += coefficient, with_inertia
+                case StaticLaw(b=-1):
+                    static.append(element)
+                case TorqueChannel(gain=1.0, lag=None, limit=None):
+                    channels.append(element)
+                case _:
+                    raise InputError(f"effect {term.cause} on {term.axis}: a rigid model has no place for it")
+    return RigidLaws(smooth, dry, carried, tuple(static), tuple(channels))
 
 
 def _rms(values: Float64) -> float:

@@ -24,6 +24,8 @@ def march(
     carried: Any,
     smooth: Any,
     dry: Any,
+    static: Any,
+    tables: Any,
     step: float,
     substeps: int,
     out: Any,
@@ -52,6 +54,9 @@ def march(
     dry
         (M, 10) Coulomb and viscous levels up and down, low-speed excess up and down, its velocity and
         exponent, friction per load and 1 where inertia counts as load (that of the step before).
+    static, tables
+        (S, 3) axis, 0 of position or 1 of velocity, largest value of it in the table; (S, P) resistance over
+        even steps from minus to plus that value, straight on beyond.
     """
     count, axes = out.shape
     q, v, start = state[0], state[1], state[1].copy()
@@ -90,6 +95,13 @@ def march(
                 weight = smooth[i, 4] * np.sin(angle) + smooth[i, 5] * np.cos(angle)
                 force[i] = acting - spring - smooth[i, 3] - weight - viscous * v[i]
                 load[i] = weight + dry[i, 9] * smooth[i, 3]
+                for r in range(static.shape[0]):
+                    if int(static[r, 0]) == i:
+                        x = q[i] if static[r, 1] == 0.0 else v[i]
+                        last = tables.shape[1] - 1
+                        at = (x / static[r, 2] + 1.0) * 0.5 * last
+                        cell = min(max(int(np.floor(at)), 0), last - 1)
+                        force[i] -= tables[r, cell] + (at - cell) * (tables[r, cell + 1] - tables[r, cell])
                 # Half of the step's viscous force at its end: second order, and stable for any coefficient.
                 effective[i, i] += 0.5 * step * viscous
             if carried[4] > 0:

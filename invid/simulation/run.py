@@ -9,13 +9,14 @@ from itertools import pairwise
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
+from invid.effects.elements import Law
 from invid.errors import InputError
 from invid.model.document import Model
 from invid.numerics.arrays import Float64
 from invid.recording.model import Experiment, Recording
 from invid.signals.plausibility import check_units
 from invid.simulation.kernel import march
-from invid.simulation.laws import Laws, law_table, laws_of
+from invid.simulation.laws import Laws, law_table, laws_of, static_table
 from invid.simulation.plant import Matrices, Step, add_link, discretise, matrices
 from invid.simulation.replay import Drive, drift_torque, drive
 from invid.simulation.rigid import simulate_motion
@@ -23,6 +24,8 @@ from invid.simulation.rigid import simulate_motion
 _DRIFT_PIECES = 200  # a drifting parameter is constant within 1/200 of the record
 _START_ROUNDS = 3
 _DRIFT_ROUNDS = 3
+_TABLE_ROUNDS = 4
+"""Tables of static laws made again with twice the range that the motion reached; one round is usual."""
 _DIVERGED = 1e6  # times the measured motion: no wrong parameter does that, only a growing oscillation
 _START_SAMPLES = 2000
 _START_PRIOR = 1e-3
@@ -136,11 +139,15 @@ def _simulate_one(
     given = drive(experiment, chains, laws, fastest)
     motors = chains.motor_dofs.astype(np.int64)
     pieces = _pieces(plant, laws, given, motors, origin)
-    kinds, parameters = law_table(laws.forces)
+    tabled = _Tables(laws, given)
 
     def answer(start: Float64, added: Float64 | None = None) -> Float64:
         drive_ = given if added is None else replace(given, applied=given.applied + given.refined(added))
-        return _march(start, pieces, drive_, kinds, parameters, motors, every=given.substeps)
+        for _ in range(_TABLE_ROUNDS):
+            motion, memory = _march(start, pieces, drive_, *tabled.made, motors, every=given.substeps)
+            if tabled.reaches(memory):
+                break
+        return motion
 
     state = _rigid_start(given, plant.mass.shape[0], chains.masses_per_branch, motors)
     motion = answer(state)
@@ -175,20 +182,51 @@ def _simulate_one(
     return _as_experiment(experiment, motion, given, laws, extra)
 
 
+class _Tables:
+    """Laws and tables for the kernel, those of static laws over twice the range that the motion reaches."""
+
+    def __init__(self, laws: Laws, given: Drive) -> None:
+        self._laws = laws
+        speed, size = (float(np.abs(x).max()) for x in (given.rate, given.measured))
+        self._reach = [
+            2.0 * max(speed if law.over == "velocity" else size, 1e-300) for law in self._laws.static
+        ]
+        self.made = self._make()
+
+    def _make(self) -> tuple[Float64, Float64, Float64]:
+        static, tables = static_table(self._laws.static, self._reach)
+        return *law_table([*self._laws.forces, *static]), tables
+
+    def reaches(self, memory: Float64) -> bool:
+        """Whether all was read within the tables, and not in a small part of them; else they are new ones."""
+        reached = memory[len(self._laws.forces) :, 0]
+        good = [0.1 * most <= r <= most or r == 0.0 for r, most in zip(reached, self._reach, strict=True)]
+        if all(good) or not np.isfinite(reached).all():
+            return True
+        self._reach = [
+            most if fits else 2.0 * float(r) for r, most, fits in zip(reached, self._reach, good, strict=True)
+        ]
+        self.made = self._make()
+        return False
+
+
 def _march(
     start: Float64,
     pieces: list[_Piece],
     given: Drive,
     kinds: Float64,
     parameters: Float64,
+    tables: Float64,
     motors: np.ndarray,
     every: int,
-) -> Float64:
+) -> tuple[Float64, Float64]:
+    """(n, M, 2) motion of the motors and what the laws remember (E, 2)."""
     states = start.size - motors.size
     state, applied = start[:states].copy(), given.applied + start[states:]
     memory = np.zeros((kinds.shape[0], 2))
-    for e, (_, a, b) in enumerate(kinds.astype(int)):
-        memory[e, 1] = state[a] - (state[b] if b >= 0 else 0.0)
+    for e, (law, a, b) in enumerate(kinds.astype(int)):
+        first = state.size // 2 if law == Law.TABLE and parameters[e, 0] else 0
+        memory[e, 1] = state[first + a] - (state[first + b] if b >= 0 else 0.0)
     motion = np.zeros((given.time.size, motors.size, 2))
     for piece in pieces:
         part = np.zeros(((piece.end - piece.begin) // every + 1, motors.size, 2))
@@ -202,6 +240,7 @@ def _march(
             np.ascontiguousarray(applied[piece.begin : piece.end + 1]),
             kinds,
             parameters,
+            tables,
             memory,
             given.step,
             every,
@@ -209,15 +248,15 @@ def _march(
             motors,
         )
         motion[piece.begin // every : piece.end // every + 1] = part
-    return motion
+    return motion, memory
 
 
 def _pieces(plant: Matrices, laws: Laws, given: Drive, motors: np.ndarray, origin: float) -> list[_Piece]:
     """Stretches of constant parameters; borders lie on samples."""
     samples = given.time.size
     borders = {0, samples - 1}
-    for _, _, when in laws.payloads:
-        borders.add(int(np.clip(np.searchsorted(given.time, when), 0, samples - 1)))
+    for load in laws.payloads:
+        borders.add(int(np.clip(np.searchsorted(given.time, load.time), 0, samples - 1)))
     if laws.drifts:
         borders |= {int(b) for b in np.linspace(0, samples - 1, min(_DRIFT_PIECES, samples - 1) + 1)}
     inputs = np.zeros((plant.mass.shape[0], motors.size))
@@ -226,12 +265,12 @@ def _pieces(plant: Matrices, laws: Laws, given: Drive, motors: np.ndarray, origi
     edges = sorted(borders)
     for begin, end in pairwise(edges):
         mass, stiffness, damping = plant.mass.copy(), plant.stiffness.copy(), plant.damping.copy()
-        for at, added, when in laws.payloads:
-            if given.time[begin] >= when:
-                mass[at, at] += added
+        for load in laws.payloads:
+            if given.time[begin] >= load.time:
+                mass[load.at, load.at] += load.mass
         middle = 0.5 * (given.time[begin] + given.time[end]) - origin
-        for a, b, rate in laws.drifts:
-            add_link(mass if b < 0 else stiffness, a, b, rate * middle)
+        for drift in laws.drifts:
+            add_link(mass if drift.b < 0 else stiffness, drift.a, drift.b, drift.rate * middle)
         stiffness[motors, motors] += given.stiffness
         damping[motors, motors] += given.damping
         if np.linalg.eigvalsh(mass)[0] <= 0:

@@ -11,6 +11,7 @@ import pytest
 
 from invid.diagnosis.linear_fit import layout_of
 from invid.diagnosis.score_test import Screen
+from invid.diagnosis.validation import split
 from invid.effects.catalogue.backlash import Backlash
 from invid.effects.catalogue.extra_mode import ExtraMode
 from invid.effects.catalogue.viscous_friction import ViscousFriction
@@ -18,7 +19,7 @@ from invid.likelihood.evaluation import evaluate
 from invid.likelihood.hypothesis import Layout
 from invid.likelihood.joint_fit import fit
 from invid.likelihood.placed_effect import Candidate, Term
-from invid.likelihood.prepare_records import by_period, record_of, split
+from invid.likelihood.prepare_records import by_period, record_of
 from invid.model.chains import CoupledChains
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place

@@ -14,10 +14,11 @@ import pytest
 
 from invid.diagnosis.known_effects import place_of, vector_of
 from invid.diagnosis.linear_fit import layout_of, linear_fit
-from invid.diagnosis.sentences import BY_CAUSE
+from invid.diagnosis.validation import split
+from invid.effects.registry import BY_CAUSE
 from invid.likelihood.joint_fit import fit
 from invid.likelihood.placed_effect import Candidate, Term
-from invid.likelihood.prepare_records import record_of, split
+from invid.likelihood.prepare_records import record_of
 from invid.model.document import EffectTerm, Estimate, Model
 from invid.model.parameter_names import std_by_name
 from invid.model.parameters import ChainStructure

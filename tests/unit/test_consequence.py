@@ -9,8 +9,6 @@ import pytest
 
 from invid.config import parse_config
 from invid.diagnosis.consequence import with_consequences
-from invid.diagnosis.consequence_measures import MEASURES, OWN_LIMIT
-from invid.diagnosis.consequence_rules import RULES
 from invid.effects.registry import CATALOGUE
 from invid.model.chains import CoupledChains
 from invid.model.diagnosis_document import (
@@ -86,19 +84,20 @@ def graded(*terms: EffectTerm, config: str | None = None, **options: bool) -> tu
     return tuple(f.consequence.grade for f in result.findings if f.consequence is not None)
 
 
-def test_every_rule_is_of_a_known_cause_and_measure_rises_and_names_its_source() -> None:
-    known = {e.cause for e in CATALOGUE}
-    for rule in RULES:
-        assert rule.cause in known
-        assert rule.measure in dict(MEASURES[rule.cause])
-        assert 0 <= rule.expected <= rule.serious
-        assert "(" in rule.source or rule.linear, rule.source
+FIGURES = [(e.cause, size) for e in CATALOGUE for size in e.sizes if size.expected is not None]
+
+
+def test_every_figure_rises_and_names_its_source() -> None:
+    assert len(FIGURES) == 14
+    for cause, size in FIGURES:
+        assert 0 <= size.expected <= size.serious, cause
+        assert "(" in size.source or size.linear, size.source
 
 
 def test_every_measure_of_a_limit_can_stand_in_the_config() -> None:
     accepted = parse_config(CONFIG.format(motion="", own="")).axes[0].acceptable
-    limits = {OWN_LIMIT.get(r.measure, r.measure) for r in RULES} - {"torque_shortfall_fraction_of_rated"}
-    assert limits <= set(type(accepted).model_fields)
+    limits = {s.quantity.limit or s.quantity.name for _, s in FIGURES}
+    assert limits - {"torque_shortfall_fraction_of_rated"} <= set(type(accepted).model_fields)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import pytest
 
 from invid.diagnosis.acceptance import accepted
 from invid.diagnosis.evidence import sized, told
-from invid.diagnosis.sentences import BY_CAUSE
+from invid.effects.registry import BY_CAUSE
 from invid.likelihood.placed_effect import Candidate, Term
 from invid.model.place import Place
 

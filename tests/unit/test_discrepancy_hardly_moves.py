@@ -13,8 +13,9 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from hidden.generator import make
 
+from invid.diagnosis.validation import split
 from invid.identification.identify import identify
-from invid.likelihood.prepare_records import split, with_sticking
+from invid.likelihood.prepare_records import with_sticking
 from invid.signals.spectra import all_spectra
 
 

@@ -13,7 +13,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from hidden.generator import make
 
 from invid.diagnosis.diagnose import diagnose
-from invid.diagnosis.rules.slow_moves import moves_of
+from invid.diagnosis.slow_move import moves_of
 from invid.recording.model import Experiment, Kind, Recording, Role
 
 

@@ -11,7 +11,7 @@ import pytest
 from invid.diagnosis.evidence import Step, Trial
 from invid.diagnosis.rules import pruning
 from invid.diagnosis.selection import Selection
-from invid.diagnosis.sentences import BY_CAUSE
+from invid.effects.registry import BY_CAUSE
 from invid.likelihood.placed_effect import Candidate, Term
 from invid.model.place import Place
 

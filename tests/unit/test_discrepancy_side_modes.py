@@ -10,8 +10,8 @@ import pytest
 
 from invid.diagnosis.rules import mode_place
 from invid.diagnosis.rules.mode_place import modes_moved, with_the_mode_in_it
-from invid.diagnosis.sentences import BY_CAUSE
 from invid.effects.catalogue.extra_mode import _peaks
+from invid.effects.registry import BY_CAUSE
 from invid.likelihood.placed_effect import Candidate, Term
 from invid.model.chains import CoupledChains
 from invid.model.parameters import ChainStructure
@@ -88,5 +88,5 @@ def test_a_mode_that_takes_half_is_tried_at_the_other_masses_before_it_is_refuse
         trial("extra_mode", 2, 1, 900.0),  # takes a fifth
         trial("coulomb_friction", 1, 1, 200.0),
     ]
-    modes_moved(current, cast(Any, trials), [], [], [])
+    modes_moved(cast(Any, trials), current, [], [], [])
     assert asked == [(0, 1), (1, 4)]

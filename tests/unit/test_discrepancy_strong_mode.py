@@ -14,8 +14,8 @@ from hidden.generator import make
 
 from invid.diagnosis.linear_fit import linear_fit
 from invid.diagnosis.rules.heavy_mode import strong_modes
+from invid.diagnosis.validation import split
 from invid.identification.identify import identify
-from invid.likelihood.prepare_records import split
 from invid.signals.spectra import all_spectra
 
 

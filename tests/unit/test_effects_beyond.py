@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from invid.diagnosis.sentences import BY_CAUSE
+from invid.effects.registry import BY_CAUSE
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place
 

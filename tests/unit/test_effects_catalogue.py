@@ -47,7 +47,7 @@ def test_the_catalogue_holds_every_cause_of_the_contract_with_its_parameters() -
 @pytest.mark.parametrize("effect", CATALOGUE, ids=lambda e: e.cause)
 def test_every_cause_says_what_to_check_and_what_would_separate_it(effect) -> None:
     assert effect.check.endswith(".")
-    assert effect.separate
+    assert effect.separating.text
     assert effect.title
 
 

@@ -4,8 +4,8 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from invid.diagnosis.sentences import BY_CAUSE
 from invid.effects.catalogue.viscous_friction import ViscousFriction
+from invid.effects.registry import BY_CAUSE
 from invid.likelihood.placed_effect import impedances
 from invid.model.parameters import ChainStructure
 from invid.model.place import Pattern, Place

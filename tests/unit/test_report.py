@@ -15,12 +15,12 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from hidden.generator import Truth, make
 
+from invid.effects.registry import CATALOGUE
 from invid.model.diagnosis_document import Alternative, AxisResidual, Diagnosis, Finding, Verdict
 from invid.model.document import ChainStd, EffectTerm, Estimate, Model
 from invid.recording.model import Recording
 from invid.report import figure_data, render_report
 from invid.report.figures import figures
-from invid.report.laws import ABSCISSA
 
 HOSTILE = ('A1"><script>alert(1)</script>', "$\\frac{x", "a\x00b & <b>")
 
@@ -219,7 +219,7 @@ def test_the_points_of_a_friction_picture_follow_the_friction(friction: tuple[Re
     assert max(cause["fit"]["y"]) == pytest.approx(2.0)
 
 
-@pytest.mark.parametrize("cause", sorted(ABSCISSA))
+@pytest.mark.parametrize("cause", [e.cause for e in CATALOGUE if e.over])
 def test_every_cause_with_a_picture_draws_it(friction: tuple[Recording, Truth], cause: str) -> None:
     recording, truth = friction
     model = linear_model(truth)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from invid.diagnosis.selection import ALIKE, Selection
-from invid.diagnosis.sentences import BY_CAUSE
+from invid.effects.registry import BY_CAUSE
 
 
 @dataclass(frozen=True)

@@ -8,12 +8,13 @@ from functools import partial
 
 import numpy as np
 
-from invid.diagnosis.evidence import COMPETES, attempted
+from invid.diagnosis.evidence import attempted
 from invid.diagnosis.rules.near_variants import of_its_own
 from invid.diagnosis.selection import Selection
-from invid.diagnosis.sentences import BY_CAUSE
+from invid.diagnosis.thresholds import COMPETES
 from invid.effects.effect import Effect
 from invid.effects.laws.sign import DryLaw
+from invid.effects.registry import BY_CAUSE
 from invid.likelihood.joint_fit import fit
 from invid.likelihood.placed_effect import Term
 from invid.numerics.arrays import Float64

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from invid.diagnosis.acceptance import SIGNIFICANCE
 from invid.diagnosis.search_pass import Look, looked
+from invid.diagnosis.thresholds import SIGNIFICANCE
 from invid.effects.catalogue.extra_mode import ExtraMode
 from invid.errors import InvidError
 from invid.identification.fewer_masses import BUT

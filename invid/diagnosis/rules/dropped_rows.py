@@ -10,11 +10,11 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import uniform_filter1d
 from scipy.special import erfinv
 
-from invid.diagnosis.sentences import BY_CAUSE
-from invid.effects.effect import unit_of
+from invid.diagnosis.validation import split
+from invid.effects.registry import BY_CAUSE
+from invid.effects.units import unit_of
 from invid.likelihood.joint_fit import JointFit, held_out
 from invid.likelihood.null_test import rms_torque
-from invid.likelihood.prepare_records import split
 from invid.model.diagnosis_document import Diagnosis, Finding, Verdict
 from invid.model.document import EffectTerm, Estimate
 from invid.numerics.arrays import Bool, Float64

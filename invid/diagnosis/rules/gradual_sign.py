@@ -8,10 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from invid.diagnosis.evidence import finite
+import numpy as np
+
+from invid.diagnosis.evidence import Trial, finite
+from invid.diagnosis.thresholds import CLOSE
 from invid.effects.laws.sign import DryLaw
 from invid.effects.motion import rms
-from invid.likelihood.joint_fit import JointFit, fit
+from invid.likelihood.candidate_pool import each
+from invid.likelihood.joint_fit import JointFit, fit, held_out
 from invid.likelihood.placed_effect import Candidate, Term
 from invid.signals.spectral_record import Record
 
@@ -21,6 +25,27 @@ left); above the last the law is viscous friction that saturates, which is anoth
 FINER = (1.6, 1.25)
 """Factors around the best, one after the other: a fifth of the width is 1 % of the force."""
 ITERATIONS = 6
+
+
+def with_gradual_signs(
+    trials: Sequence[Trial], current: Trial, train: Sequence[Record], held: Sequence[Record]
+) -> list[Trial]:
+    """Friction whose sign changes gradually, where it takes half of the excess but ends above the noise."""
+
+    def one(trial: Trial) -> Trial:
+        found = rounded(
+            trial.fit,
+            train,
+            lambda new, old: (old.cost - new.cost) / new.dispersion > np.log(max(new.dof, 2)),
+        )
+        if found is trial.fit:
+            return trial
+        more = Trial(found, held_out(found, held))
+        return more if more.held.cost < trial.held.cost else trial
+
+    asked = [t.cost <= 0.5 * current.cost and t.cost >= CLOSE * t.dof for t in trials]
+    some = iter(each(one, [t for t, a in zip(trials, asked, strict=True) if a], current.fit, [*train, *held]))
+    return [next(some) if a else t for t, a in zip(trials, asked, strict=True)]
 
 
 def rounded(

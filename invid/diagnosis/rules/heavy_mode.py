@@ -7,9 +7,10 @@ from functools import partial
 
 import numpy as np
 
-from invid.diagnosis.evidence import CLOSE, Trial, attempted, finite
+from invid.diagnosis.evidence import Trial, attempted, finite
 from invid.diagnosis.linear_fit import highest_line
-from invid.diagnosis.sentences import BY_CAUSE
+from invid.diagnosis.thresholds import CLOSE
+from invid.effects.registry import BY_CAUSE
 from invid.likelihood.joint_fit import JointFit
 from invid.likelihood.placed_effect import Candidate, Term
 from invid.likelihood.tempered_fit import ROUGH, graduated

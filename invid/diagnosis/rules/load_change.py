@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from invid.diagnosis.candidates import any_gain, refitted, screened
-from invid.diagnosis.evidence import HELD_OUT, Step, Trial, attempted
+from invid.diagnosis.evidence import Step, Trial, attempted
 from invid.diagnosis.score_test import Screen, terms_for
 from invid.diagnosis.selection import Selection
+from invid.diagnosis.thresholds import HELD_OUT
 from invid.likelihood.joint_fit import JointFit, fit, held_out
 from invid.likelihood.prepare_records import by_period
 from invid.recording.model import Recording
@@ -98,6 +99,18 @@ def around_change(selection: Selection, recording: Recording) -> tuple[list[Reco
     if len(options) < 2:
         return options[0] if options else None
     return min(options, key=lambda parts: _left(selection, *parts))
+
+
+def searched_around(
+    selection: Selection, recording: Recording, base: JointFit, search: Callable[..., Selection]
+) -> tuple[JointFit, Selection, list[Record], list[Record]] | None:
+    """Fit, selection and records without the period in which the load changes; none where none does."""
+    parts = around_change(selection, recording)
+    if parts is None:
+        return None
+    around = fit(base.layout, parts[0], base.p, base.candidate, iterations=25)
+    again = sooner(selection, search(around, *parts), *parts)
+    return None if change_of(again) is None else (around, again, *parts)
 
 
 def _left(selection: Selection, train: Sequence[Record], held: Sequence[Record]) -> float:

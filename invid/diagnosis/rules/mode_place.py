@@ -29,8 +29,8 @@ MODE_IN = 20
 
 
 def modes_moved(
-    current: Trial,
     trials: Sequence[Trial],
+    current: Trial,
     train: Sequence[Record],
     held: Sequence[Record],
     terms: Sequence[Term],

@@ -8,10 +8,11 @@ from functools import partial
 
 import numpy as np
 
-from invid.diagnosis.evidence import CLOSE, COMPETES, Step, Trial, at_bound, attempted, finite, refit
+from invid.diagnosis.evidence import Step, Trial, at_bound, attempted, finite, refit
 from invid.diagnosis.score_test import terms_for
-from invid.diagnosis.sentences import BY_CAUSE
+from invid.diagnosis.thresholds import CLOSE, COMPETES
 from invid.effects.laws.sign import DryLaw
+from invid.effects.registry import BY_CAUSE
 from invid.likelihood.candidate_pool import each
 from invid.likelihood.joint_fit import JointFit, fit, reordered
 from invid.likelihood.placed_effect import Candidate, Term
@@ -70,7 +71,7 @@ def ladder(step: Step, train: Sequence[Record], held: Sequence[Record]) -> tuple
             limit, best = score, trial
     if best is None:
         # Friction that two causes make nearly as well is no certain one.
-        return (step.against(beside),)
+        return (step.against(beside),) if beside else (step,)
     place = step.chosen.term.place
     kept = [(t, s) for t, s in step.ranked if t.term.place != place]
     steps: list[Step] = []

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from invid.diagnosis.acceptance import SIGNIFICANCE
-from invid.diagnosis.evidence import WEAK, attempted, sized
+from invid.diagnosis.evidence import attempted, sized
 from invid.diagnosis.selection import Selection
+from invid.diagnosis.thresholds import SIGNIFICANCE, WEAK
 from invid.likelihood.joint_fit import JointFit, fit
 from invid.numerics.distributions import chi2_isf
 from invid.signals.spectral_record import Record

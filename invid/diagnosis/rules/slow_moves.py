@@ -8,41 +8,19 @@ one body, so no spring enters.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from invid.diagnosis.evidence import Step, Trial, unearned
-from invid.errors import InvidError
+from invid.diagnosis.slow_move import Move, means_over_stretches
 from invid.likelihood.joint_fit import fit, held_out, pack, unpack
 from invid.numerics.arrays import Float64
-from invid.recording.model import Experiment, Kind, Recording
-from invid.signals.timebase import uniform
 
-LONGEST, SHORTEST = 0.5, 0.1
-"""Length [s] of the stretches that count as one observation: slow beside the flexible modes, short beside a
-move. What chance does to neighbouring stretches is not quite independent: the evidence is halved for it."""
-STRETCHES = 20
-"""How many a move has at least, where they are not too short for it: the regressions have up to eight
-numbers."""
 SLOW = 0.05
 """Share of a move's top speed within which dry friction changes its sign in the regression."""
 DISAGREE = 13.8
 """χ² of two numbers that chance exceeds once in a thousand."""
-
-
-@dataclass(frozen=True, eq=False)
-class Move:
-    """Means over n stretches of one slow move: (n, M) velocity, acceleration and torque.
-
-    ``path`` (samples, M) is the position, ``rows`` how many samples a stretch is long.
-    """
-
-    path: Float64
-    rows: int
-    velocity: Float64
-    acceleration: Float64
-    torque: Float64
 
 
 _LAWS: dict[str, Callable[[Float64, float], Float64]] = {
@@ -51,39 +29,6 @@ _LAWS: dict[str, Callable[[Float64, float], Float64]] = {
     "cogging": lambda q, cycles: np.stack((np.sin(cycles * q), np.cos(cycles * q)), axis=1),
 }
 """Columns (samples, L) of the torque that each law takes at the positions (samples,)."""
-
-
-def moves_of(recording: Recording) -> tuple[Move, ...]:
-    """Every slow move of a recording that is long enough to say anything."""
-    found = (_move(e) for e in recording.experiments if e.kind is Kind.CONSTANT_VELOCITY)
-    return tuple(m for m in found if m is not None)
-
-
-def _move(experiment: Experiment) -> Move | None:
-    try:
-        data = uniform(experiment)
-    except InvidError:
-        return None
-    length = data.position.shape[0]
-    rows = min(round(LONGEST / data.step), length // (STRETCHES + 2))
-    if rows * data.step < SHORTEST or rows < 2:
-        return None
-    q, at = data.position, np.arange(rows, length - rows, rows)
-    velocity = (q[at + rows] - q[at - rows]) / (2 * rows * data.step)
-    acceleration = (q[at + rows] - 2.0 * q[at] + q[at - rows]) / (rows * data.step) ** 2
-    return Move(q, rows, velocity, acceleration, _stretches(data.torque, rows))
-
-
-def _stretches(values: Float64, rows: int) -> Float64:
-    """(n, L) means of (samples, L) under triangles of half-width ``rows``.
-
-    The second difference of the position over that distance is the acceleration's mean under the same
-    triangle: what is fast meets both sides alike.
-    """
-    triangle = np.convolve(np.ones(rows), np.ones(rows)) / rows**2
-    at = np.arange(rows, values.shape[0] - rows, rows)
-    out: Float64 = np.stack([np.convolve(c, triangle, mode="same")[at] for c in values.T], axis=1)
-    return out
 
 
 def judged_on_moves(step: Step, moves: Sequence[Move]) -> Step:
@@ -207,7 +152,7 @@ def _known(move: Move, axis: int) -> tuple[Float64, Float64]:
 
 def _law(move: Move, trial: Trial, axis: int, cycles: float) -> Float64:
     """(n, L) torque of the law for each coefficient at one."""
-    return _stretches(_LAWS[trial.term.effect.cause](move.path[:, axis], cycles), move.rows)
+    return means_over_stretches(_LAWS[trial.term.effect.cause](move.path[:, axis], cycles), move.rows)
 
 
 def _regression(move: Move, trial: Trial, axis: int) -> tuple[Float64, Float64, Float64]:
@@ -235,4 +180,4 @@ def _cycles(trial: Trial) -> Float64:
     return out
 
 
-__all__ = ["Move", "judged_on_moves", "moves_of", "sharpened"]
+__all__ = ["Move", "judged_on_moves", "sharpened"]

@@ -8,8 +8,9 @@ from functools import partial
 
 import numpy as np
 
-from invid.diagnosis.evidence import CLOSE, Trial, attempted
+from invid.diagnosis.evidence import Trial, attempted
 from invid.diagnosis.linear_fit import highest_line
+from invid.diagnosis.thresholds import CLOSE
 from invid.identification.lowest_lines import rigid
 from invid.likelihood.joint_fit import JointFit
 from invid.likelihood.placed_effect import Candidate, Term

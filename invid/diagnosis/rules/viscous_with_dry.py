@@ -8,10 +8,11 @@ from functools import partial
 
 import numpy as np
 
-from invid.diagnosis.evidence import CLOSE, LARGER, WEAK, Step, Trial, attempted
+from invid.diagnosis.evidence import Step, Trial, attempted
 from invid.diagnosis.score_test import Screen
 from invid.diagnosis.selection import Selection
-from invid.diagnosis.sentences import BY_CAUSE
+from invid.diagnosis.thresholds import CLOSE, LARGER, WEAK
+from invid.effects.registry import BY_CAUSE
 from invid.likelihood.joint_fit import fit
 from invid.likelihood.placed_effect import Term
 from invid.numerics.arrays import Float64

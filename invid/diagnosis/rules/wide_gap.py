@@ -9,11 +9,10 @@ import numpy as np
 
 from invid.diagnosis.acceptance import accepted
 from invid.diagnosis.evidence import Step, Trial, at_bound, attempted, finite
-from invid.diagnosis.linear_fit import FAR
 from invid.diagnosis.rules.wide_gap_fit import FreePlay, widest_gap
 from invid.diagnosis.score_test import terms_for
-from invid.diagnosis.selection import Selection
-from invid.diagnosis.trust import LEFT, REACHED
+from invid.diagnosis.selection import is_far
+from invid.diagnosis.thresholds import LEFT
 from invid.effects.catalogue.backlash import RattlingBacklash
 from invid.likelihood.joint_fit import JointFit, fit
 from invid.likelihood.placed_effect import Candidate, Term
@@ -25,22 +24,9 @@ CUBIC = 0.1
 gaps that were found it was a hundredth and less."""
 
 
-def lost(selection: Selection) -> bool:
-    """Whether a search ended far from the noise, as ``trust`` has it, on a linear fit that is far from it."""
-    base, final = selection.base, selection.final
-    if not _far(base):
-        return False
-    return final.cost > REACHED * final.dof and final.excess > LEFT * base.excess
-
-
-def _far(base: Trial) -> bool:
-    """Whether a linear fit, without effects that the model came with, is far from the noise."""
-    return not base.fit.candidate.terms and base.fit.cost >= FAR * base.fit.dof
-
-
 def rattles(base: Trial, train: Sequence[Record], held: Sequence[Record]) -> Step | None:
     """A gap beside which less is left than of any other cause that may be named; none where there is none."""
-    if not _far(base):
+    if not is_far(base):
         return None
     structure = base.fit.layout.structure
     terms = [Term(RattlingBacklash(), place) for place in spring_places(structure)]

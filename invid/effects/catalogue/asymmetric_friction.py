@@ -7,7 +7,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from invid.effects.laws.sign import DryLaw, sign_law
+from invid.effects.effect import Experiment, PlaceMotion
+from invid.effects.elements import Element, ForceLaw, Law, ModelPlace
+from invid.effects.laws.sign import DryLaw, bend, sign_law
+from invid.effects.sizes import FRICTION, JOINT_SOURCE, Size, asymmetric_share
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place, mass_places
 from invid.numerics.arrays import Float64
@@ -19,8 +22,12 @@ class AsymmetricFriction(DryLaw):
     cause = "asymmetric_friction"
     title = "friction that differs between the directions"
     check = "Check wear, preload and seals that act in one direction, and a load that pulls."
-    separate = "slow constant-velocity moves in both directions at several speeds"
+    separating = Experiment("speeds", "slow constant-velocity moves in both directions at several speeds")
     family = "friction"
+    looks_like = ("coulomb_friction", "viscous_friction", "torque_offset")
+    parts = ("dry", "viscous")
+    over = "velocity"
+    sizes = (Size(FRICTION, asymmetric_share, 0.15, 0.30, JOINT_SOURCE),)
     parameters: ClassVar[Mapping[str, str]] = {
         "coulomb_positive": "torque",
         "coulomb_negative": "torque",
@@ -42,5 +49,31 @@ class AsymmetricFriction(DryLaw):
     def held(self, x: Sequence[float]) -> tuple[float, float]:
         return -x[1], x[0]
 
-    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
-        return {name: float(value) for name, value in zip(self.coefficients, x, strict=True)}
+    def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
+        speed = p.get("low_speed_velocity", 0.0)
+        near = np.exp(-((np.abs(x) / speed) ** p.get("exponent", 2.0))) if speed > 0 else np.zeros_like(x)
+        up = p["coulomb_positive"] + p["viscous_positive"] * x + near * p.get("low_speed_positive", 0.0)
+        down = -p["coulomb_negative"] + p["viscous_negative"] * x - near * p.get("low_speed_negative", 0.0)
+        out: Float64 = np.where(x > 0, up, down) - 0.5 * (p["coulomb_positive"] - p["coulomb_negative"])
+        return out
+
+    def simulation(self, at: ModelPlace) -> Sequence[Element]:
+        up, down, velocity = 0.0, 0.0, 1.0
+        if "low_speed_velocity" in at.term.parameters:
+            up, down = at.value("low_speed_positive"), at.value("low_speed_negative")
+            velocity = at.positive("low_speed_velocity")
+        exponent = at.optional("exponent", 2.0)
+        levels = at.value("coulomb_positive"), at.value("coulomb_negative"), up, velocity, down, exponent
+        sides = at.value("viscous_positive"), at.value("viscous_negative")
+        return [
+            ForceLaw(Law.DRY, at.mass(), -1, levels),
+            ForceLaw(Law.ONE_SIDED_VISCOUS, at.mass(), -1, sides),
+        ]
+
+    def regressors(self, motion: PlaceMotion, shape: Sequence[float]) -> Float64:
+        forward, v = 0.5 * (1 + motion.direction), motion.velocity
+        columns = [forward, -(1 - forward), v * forward, v * (1 - forward)]
+        if shape:  # how it bends at low speed, by direction
+            near = bend(v, shape)
+            columns += [forward * near, -(1 - forward) * near]
+        return np.stack(columns, axis=1)

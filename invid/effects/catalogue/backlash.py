@@ -7,12 +7,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from invid.effects.effect import Effect
+from invid.effects.effect import Effect, Experiment
+from invid.effects.elements import Element, ForceLaw, Law, ModelPlace
 from invid.effects.laws.sign import clip_law
 from invid.effects.motion import View, rms
+from invid.effects.sizes import ARCMIN, PLAY, PLAY_SOURCE, Size, size
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place, spring_places
-from invid.numerics.arrays import Complex128
+from invid.numerics.arrays import Complex128, Float64
 
 
 def spring_index(structure: ChainStructure, place: Place) -> int:
@@ -31,8 +33,14 @@ class Backlash(Effect):
     cause = "backlash"
     title = "free play in the transmission (backlash)"
     check = "Check the gear's wear, keys and couplings; measure the free play with the motor locked."
-    separate = "a second amplitude: free play matters most when the motion is small"
+    separating = Experiment(
+        "amplitudes", "a second amplitude: free play matters most when the motion is small"
+    )
     family = "spring"
+    looks_like = ("cubic_stiffness", "spring_hysteresis", "coulomb_friction")
+    home = "spring"
+    over = "deflection"
+    sizes = (Size(PLAY, size("gap"), 1 * ARCMIN, 3 * ARCMIN, PLAY_SOURCE),)
     parameters: ClassVar[Mapping[str, str]] = {"gap": "position"}
     shapes, logarithmic = ("gap",), (True,)
     main = "gap"
@@ -73,8 +81,13 @@ class Backlash(Effect):
     def beyond(self, views: Sequence[View], place: Place, x: Sequence[float]) -> bool:
         return bool(0.5 * np.exp(x[0]) >= largest(views, place))
 
-    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
-        return {"gap": float(np.exp(x[0]))}
+    def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
+        out: Float64 = stiffness * (np.sign(x) * np.maximum(np.abs(x) - 0.5 * p["gap"], 0.0) - x)
+        return out
+
+    def simulation(self, at: ModelPlace) -> Sequence[Element]:
+        a, b, stiffness, damping = at.spring()
+        return [ForceLaw(Law.BACKLASH, a, b, (0.5 * abs(at.value("gap")), stiffness, damping))]
 
 
 class RattlingBacklash(Backlash):

@@ -7,9 +7,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from invid.effects.effect import ForceEffect
-from invid.effects.laws.ripple_cycles import cycle_grid, ripples
+from invid.effects.effect import Experiment, ForceEffect
+from invid.effects.elements import Element, ForceLaw, Law, ModelPlace
+from invid.effects.laws.ripple_cycles import cycle_grid, ripples, turned
 from invid.effects.motion import View, rms
+from invid.effects.sizes import COGGING_SOURCE, RIPPLE, Size, share
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place, motor_places
 from invid.numerics.arrays import Float64
@@ -21,8 +23,13 @@ class Cogging(ForceEffect):
     cause = "cogging"
     title = "a torque ripple over the motor's position (cogging)"
     check = "Check the motor's commutation offset; compensate the ripple in the drive where it can."
-    separate = "a slow move over a whole revolution: cogging repeats with its number of cycles"
+    separating = Experiment(
+        "positions", "a slow move over a whole revolution: cogging repeats with its number of cycles"
+    )
     family = "position"
+    looks_like = ("gravity", "transmission_error")
+    over = "position"
+    sizes = (Size(RIPPLE, share("torque"), 0.02, 0.04, COGGING_SOURCE),)
     parameters: ClassVar[Mapping[str, str]] = {
         "torque": "torque",
         "cycles_per_rev": "count",
@@ -54,3 +61,14 @@ class Cogging(ForceEffect):
             "cycles_per_rev": float(np.exp(x[2])),
             "phase": float(np.arctan2(x[1], x[0])),
         }
+
+    def vector(self, p: Mapping[str, float]) -> list[float]:
+        return [*turned(p["torque"], p["phase"]), float(np.log(p["cycles_per_rev"]))]
+
+    def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
+        out: Float64 = p["torque"] * np.sin(p["cycles_per_rev"] * x + p["phase"])
+        return out
+
+    def simulation(self, at: ModelPlace) -> Sequence[Element]:
+        wave = at.value("torque"), at.value("cycles_per_rev"), at.value("phase")
+        return [ForceLaw(Law.SINE, at.mass(), -1, wave)]

@@ -7,7 +7,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from invid.effects.effect import Experiment, PlaceMotion
+from invid.effects.elements import Element, ForceLaw, Law, ModelPlace, dry
 from invid.effects.laws.sign import DryLaw, sign_law
+from invid.effects.sizes import AT_LOAD, FRICTION, JOINT_SOURCE, Size, sag, share
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place, mass_places
 from invid.numerics.arrays import Float64
@@ -19,8 +22,12 @@ class CoulombFriction(DryLaw):
     cause = "coulomb_friction"
     title = "dry friction"
     check = "Check brake release and lubrication."
-    separate = "slow constant-velocity moves in both directions at several speeds"
+    separating = Experiment("speeds", "slow constant-velocity moves in both directions at several speeds")
     family = "friction"
+    looks_like = ("stribeck_friction", "presliding_friction", "asymmetric_friction", "backlash")
+    parts = ("dry",)
+    over = "velocity"
+    sizes = (Size(FRICTION, share("torque"), 0.15, 0.30, JOINT_SOURCE), Size(AT_LOAD, sag))
     parameters: ClassVar[Mapping[str, str]] = {"torque": "torque"}
     coefficients = ("torque",)
     lower, upper = (0.0,), (np.inf,)
@@ -36,5 +43,12 @@ class CoulombFriction(DryLaw):
     def held(self, x: Sequence[float]) -> tuple[float, float]:
         return -x[0], x[0]
 
-    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
-        return {"torque": float(x[0])}
+    def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
+        out: Float64 = p["torque"] * np.sign(x)
+        return out
+
+    def simulation(self, at: ModelPlace) -> Sequence[Element]:
+        return [ForceLaw(Law.DRY, at.mass(), -1, dry(abs(at.value("torque"))))]
+
+    def regressors(self, motion: PlaceMotion, shape: Sequence[float]) -> Float64:
+        return motion.direction[:, None]

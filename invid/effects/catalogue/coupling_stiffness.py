@@ -7,11 +7,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from invid.effects.effect import ImpedanceEffect
+from invid.effects.effect import Experiment, ImpedanceEffect
+from invid.effects.elements import AddedSpring, Element, ModelPlace
 from invid.effects.motion import View
+from invid.effects.sizes import RESONANCE, Size, resonance_change, with_tie
+from invid.errors import ModelError
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place, pair_places
-from invid.numerics.arrays import Complex128
+from invid.numerics.arrays import Complex128, Float64
 
 
 class CouplingStiffness(ImpedanceEffect):
@@ -20,8 +23,12 @@ class CouplingStiffness(ImpedanceEffect):
     cause = "coupling_stiffness"
     title = "an elastic coupling between two axes"
     check = "Look for a cable, hose, belt or common base that ties the two axes together."
-    separate = "a slow move of one axis while the other is held"
+    separating = Experiment("lines", "a slow move of one axis while the other is held")
     family = "structure"
+    looks_like = ("extra_mode",)
+    home = "axis"
+    over = "deflection"
+    sizes = (Size(RESONANCE, resonance_change(with_tie)),)
     parameters: ClassVar[Mapping[str, str]] = {"stiffness": "stiffness"}
     coefficients = ("stiffness",)
     lower, upper = (0.0,), (np.inf,)
@@ -37,5 +44,16 @@ class CouplingStiffness(ImpedanceEffect):
         out[0] = 0.0
         return out
 
-    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
-        return {"stiffness": float(x[0])}
+    def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
+        return p["stiffness"] * x
+
+    def simulation(self, at: ModelPlace) -> Sequence[Element]:
+        other, axes = at.term.other_axis, at.chains.axes
+        if other is None or other not in axes or other == at.term.axis:
+            raise ModelError(
+                f"effect coupling_stiffness on {at.term.axis}: other_axis is {other!r}; it must be another "
+                f"of {list(axes)}"
+            )
+        ends = at.chains.end_dofs
+        pair = int(ends[at.axis]), int(ends[axes.index(other)])
+        return [AddedSpring(*pair, at.value("stiffness"))]

@@ -8,8 +8,10 @@ from typing import ClassVar
 import numpy as np
 
 from invid.effects.catalogue.backlash import largest, spring_index
-from invid.effects.effect import ForceEffect
+from invid.effects.effect import Experiment, ForceEffect, PlaceMotion
+from invid.effects.elements import Element, ForceLaw, GroundSpring, Law, ModelPlace
 from invid.effects.motion import View
+from invid.effects.sizes import STIFFENING_SOURCE, STIFFER, Size, stiffening
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place, spring_places
 from invid.numerics.arrays import Float64
@@ -21,8 +23,12 @@ class CubicStiffness(ForceEffect):
     cause = "cubic_stiffness"
     title = "a transmission that stiffens with its deflection"
     check = "Check the gear's preload and wear; identify at the amplitude the axis works at."
-    separate = "a second amplitude of the same excitation"
+    separating = Experiment("amplitudes", "a second amplitude of the same excitation")
     family = "spring"
+    looks_like = ("backlash", "spring_hysteresis")
+    home = "spring"
+    over = "deflection"
+    sizes = (Size(STIFFER, stiffening, 1.0, 2.0, STIFFENING_SOURCE),)
     parameters: ClassVar[Mapping[str, str]] = {"coefficient": "cubic"}
     coefficients = ("coefficient",)
     answered = True
@@ -40,5 +46,16 @@ class CubicStiffness(ForceEffect):
         # One that softens pulls back less and less; beyond here it would push.
         return bool(views[0].springs[spring_index(views[0].structure, place)] + x[0] * most**2 <= 0.0)
 
-    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
-        return {"coefficient": float(x[0])}
+    def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
+        out: Float64 = p["coefficient"] * x**3
+        return out
+
+    def simulation(self, at: ModelPlace) -> Sequence[Element]:
+        if at.rigid:
+            return [GroundSpring(at.axis, 3, at.value("coefficient"))]
+        a, b, _, _ = at.spring()
+        return [ForceLaw(Law.CUBIC, a, b, (at.value("coefficient"),))]
+
+    def regressors(self, motion: PlaceMotion, shape: Sequence[float]) -> Float64:
+        out: Float64 = motion.position[:, None] ** 3
+        return out

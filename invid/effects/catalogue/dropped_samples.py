@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
-from invid.effects.effect import Effect
+from invid.effects.effect import Effect, Experiment
+from invid.effects.elements import Element, ModelPlace, RepeatedRows
+from invid.effects.sizes import SAMPLES, Size, size
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place
 
@@ -16,8 +18,11 @@ class DroppedSamples(Effect):
     cause = "dropped_samples"
     title = "samples that were lost and repeated"
     check = "Check the bus load, the SYNC period and the PDO mapping of the axis."
-    separate = "record the timestamps of every frame"
+    separating = Experiment("hand", "record the timestamps of every frame")
     family = "sampling"
+    home = "axis"
+    in_samples = True
+    sizes = (Size(SAMPLES, size("fraction")),)
     parameters: ClassVar[Mapping[str, str]] = {"fraction": "ratio"}
     main = "fraction"
 
@@ -26,3 +31,6 @@ class DroppedSamples(Effect):
 
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
         return {"fraction": float(x[0])}
+
+    def simulation(self, at: ModelPlace) -> Sequence[Element]:
+        return [RepeatedRows(at.value("fraction"))]

@@ -7,8 +7,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from invid.effects.effect import Effect
+from invid.effects.effect import Effect, Experiment
+from invid.effects.elements import Element, ModelPlace, ReadingError
+from invid.effects.laws.ripple_cycles import turned
 from invid.effects.motion import View
+from invid.effects.sizes import ARCSEC, ENCODER_SOURCE, READING, Size, size
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place, axis_places
 from invid.numerics.arrays import Complex128, Float64
@@ -20,8 +23,12 @@ class EncoderEccentricity(Effect):
     cause = "encoder_eccentricity"
     title = "an encoder that swings once a revolution"
     check = "Check the encoder's mounting and its coupling."
-    separate = "a move over a whole revolution at constant speed"
+    separating = Experiment("positions", "a move over a whole revolution at constant speed")
     family = "sensor"
+    looks_like = ("cogging", "transmission_error")
+    home = "axis"
+    over = "position"
+    sizes = (Size(READING, size("amplitude"), 65 * ARCSEC, 130 * ARCSEC, ENCODER_SOURCE),)
     parameters: ClassVar[Mapping[str, str]] = {"amplitude": "position", "phase": "angle"}
     coefficients = ("sine", "cosine")
     lower, upper = (-0.5,) * 2, (0.5,) * 2
@@ -67,6 +74,12 @@ class EncoderEccentricity(Effect):
 
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
         return {"amplitude": float(np.hypot(x[0], x[1])), "phase": float(np.arctan2(x[1], x[0]))}
+
+    def vector(self, p: Mapping[str, float]) -> list[float]:
+        return [*turned(p["amplitude"], p["phase"])]
+
+    def simulation(self, at: ModelPlace) -> Sequence[Element]:
+        return [ReadingError(at.axis, at.value("amplitude"), at.value("phase"))]
 
 
 def _true(reading: Float64, x: Sequence[float]) -> Float64:

@@ -7,8 +7,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from invid.effects.effect import ImpedanceEffect
+from invid.effects.effect import Experiment, ImpedanceEffect
+from invid.effects.elements import AddedMass, Element, ModelPlace
 from invid.effects.motion import View
+from invid.effects.sizes import RESONANCE, Size, resonance_change, with_mode
 from invid.model.parameters import ChainStructure
 from invid.model.place import Pattern, Place, mass_places
 from invid.numerics.arrays import Complex128
@@ -27,8 +29,12 @@ class ExtraMode(ImpedanceEffect):
     cause = "extra_mode"
     title = "a resonance that the model does not have"
     check = "Look for a flexible attachment: a tool, a cable carrier, a loose foot or cover."
-    separate = "a finer and wider grid of frequencies around the resonance"
+    separating = Experiment("lines", "a finer and wider grid of frequencies around the resonance")
     family = "structure"
+    looks_like = ("coupling_stiffness", "viscous_friction")
+    home = "end"
+    optional: ClassVar[Mapping[str, float]] = {"damping_ratio": 0.01}
+    sizes = (Size(RESONANCE, resonance_change(with_mode)),)
     parameters: ClassVar[Mapping[str, str]] = {
         "mass": "mass",
         "stiffness": "stiffness",
@@ -67,6 +73,15 @@ class ExtraMode(ImpedanceEffect):
             "stiffness": float(x[0] * np.exp(2 * x[1])),
             "damping_ratio": float(np.exp(x[2])),
         }
+
+    def vector(self, p: Mapping[str, float]) -> list[float]:
+        own = 0.5 * np.log(p["stiffness"] / p["mass"])
+        return [p["mass"], float(own), float(np.log(p["damping_ratio"]))]
+
+    def simulation(self, at: ModelPlace) -> Sequence[Element]:
+        ratio = at.optional("damping_ratio", self.optional["damping_ratio"])
+        size = at.positive("mass"), at.positive("stiffness")
+        return [AddedMass(at.mass(at.last), *size, max(ratio, 0.0))]
 
 
 def frequency_told(views: Sequence[View], frequency: float, std: float) -> bool:

@@ -7,8 +7,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from invid.effects.effect import ForceEffect
+from invid.effects.effect import Experiment, ForceEffect, PlaceMotion
+from invid.effects.elements import CarriedWeight, Element, ForceLaw, Law, ModelPlace
+from invid.effects.laws.ripple_cycles import turned
 from invid.effects.motion import View
+from invid.effects.sizes import AT_LOAD, GRAVITY, RATED_SOURCE, Size, sag, share
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place, end_places, motor_places
 from invid.numerics.arrays import Float64
@@ -20,8 +23,18 @@ class Gravity(ForceEffect):
     cause = "gravity"
     title = "gravity on the load"
     check = "Give the controller the load's weight and centre of gravity; check the balancer."
-    separate = "the same motion around positions far apart: gravity changes with position, an offset does not"
+    separating = Experiment(
+        "positions",
+        "the same motion around positions far apart: gravity changes with position, an offset does not",
+    )
     family = "position"
+    looks_like = ("torque_offset", "cogging")
+    home = "end"
+    over = "position"
+    sizes = (
+        Size(GRAVITY, share("torque"), 1.0, 1.0, RATED_SOURCE, linear=True),
+        Size(AT_LOAD, sag),
+    )
     parameters: ClassVar[Mapping[str, str]] = {"torque": "torque", "angle": "angle"}
     coefficients = ("sine", "cosine")
     lower, upper = (-np.inf,) * 2, (np.inf,) * 2
@@ -43,3 +56,19 @@ class Gravity(ForceEffect):
 
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
         return {"torque": float(np.hypot(x[0], x[1])), "angle": float(np.arctan2(x[1], x[0]))}
+
+    def vector(self, p: Mapping[str, float]) -> list[float]:
+        return [*turned(p["torque"], p["angle"])]
+
+    def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
+        out: Float64 = p["torque"] * np.sin(x + p["angle"])
+        return out
+
+    def simulation(self, at: ModelPlace) -> Sequence[Element]:
+        torque, angle = at.value("torque"), at.value("angle")
+        if at.rigid and at.term.other_axis is not None:
+            return [CarriedWeight(torque * np.cos(angle), torque * np.sin(angle))]
+        return [ForceLaw(Law.SINE, at.mass(at.last), -1, (torque, 1.0, angle))]
+
+    def regressors(self, motion: PlaceMotion, shape: Sequence[float]) -> Float64:
+        return np.stack([np.sin(motion.position), np.cos(motion.position)], axis=1)

@@ -8,8 +8,10 @@ from typing import ClassVar
 import numpy as np
 
 from invid.effects.catalogue.backlash import spring_index
-from invid.effects.effect import ImpedanceEffect
+from invid.effects.effect import Experiment, ImpedanceEffect
+from invid.effects.elements import Drift, Element, ModelPlace
 from invid.effects.motion import View
+from invid.effects.sizes import DRIFTED, RESONANCE, Size, drift, resonance_change, with_drift
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place, spring_places
 from invid.numerics.arrays import Complex128
@@ -21,8 +23,13 @@ class ParameterDrift(ImpedanceEffect):
     cause = "parameter_drift"
     title = "a stiffness that drifts with time"
     check = "Check warming up, loosening joints and wear; repeat when the machine is warm."
-    separate = "repeat the first experiment at the end, and once more when the machine is warm"
+    separating = Experiment(
+        "time", "repeat the first experiment at the end, and once more when the machine is warm"
+    )
     family = "time"
+    looks_like = ("payload_change",)
+    home = "spring"
+    sizes = (Size(DRIFTED, drift), Size(RESONANCE, resonance_change(with_drift)))
     parameters: ClassVar[Mapping[str, str]] = {"parameter": "count", "rate": "stiffness_rate"}
     coefficients = ("rate",)
     lower, upper = (-np.inf,), (np.inf,)
@@ -48,3 +55,9 @@ class ParameterDrift(ImpedanceEffect):
 
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
         return {"parameter": float(place.number), "rate": float(x[0])}
+
+    def simulation(self, at: ModelPlace) -> Sequence[Element]:
+        if (at.term.element or "spring 1").startswith("mass"):
+            return [Drift(at.mass(), -1, at.value("rate"))]
+        a, b, _, _ = at.spring()
+        return [Drift(a, b, at.value("rate"))]

@@ -8,8 +8,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from invid.effects.effect import ImpedanceEffect
+from invid.effects.effect import Experiment, ImpedanceEffect
+from invid.effects.elements import Element, LaterMass, ModelPlace
 from invid.effects.motion import View
+from invid.effects.sizes import LOAD, RESONANCE, Size, load_change, resonance_change, with_load
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place, end_places
 from invid.numerics.arrays import Complex128
@@ -21,8 +23,11 @@ class PayloadChange(ImpedanceEffect):
     cause = "payload_change"
     title = "a load that changed during the measurement"
     check = "Check what was picked up, put down or came loose during the measurement."
-    separate = "repeat the first experiment at the end"
+    separating = Experiment("time", "repeat the first experiment at the end")
     family = "time"
+    looks_like = ("parameter_drift",)
+    home = "end"
+    sizes = (Size(LOAD, load_change), Size(RESONANCE, resonance_change(with_load)))
     parameters: ClassVar[Mapping[str, str]] = {"mass": "mass", "time": "time"}
     coefficients = ("mass",)
     lower, upper = (-np.inf,), (np.inf,)
@@ -51,5 +56,5 @@ class PayloadChange(ImpedanceEffect):
     def carries(self, view: View, x: Sequence[float]) -> tuple[float, float]:
         return float(x[0]) * view.record.after(float(x[1])), 0.0
 
-    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
-        return {"mass": float(x[0]), "time": float(x[1])}
+    def simulation(self, at: ModelPlace) -> Sequence[Element]:
+        return [LaterMass(at.mass(at.last), at.value("mass"), at.value("time"))]

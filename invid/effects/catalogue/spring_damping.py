@@ -7,11 +7,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from invid.effects.effect import ImpedanceEffect
+from invid.effects.effect import Experiment, ImpedanceEffect
+from invid.effects.elements import AddedDamper, Element, ModelPlace
 from invid.effects.motion import View
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place
-from invid.numerics.arrays import Complex128
+from invid.numerics.arrays import Complex128, Float64
 
 
 class SpringDamping(ImpedanceEffect):
@@ -20,8 +21,11 @@ class SpringDamping(ImpedanceEffect):
     cause = "spring_damping"
     title = "damping in the transmission"
     check = "Check the gear's grease and its elastomer parts."
-    separate = "none needed: the linear fit contains it"
+    separating = Experiment("hand", "none needed: the linear fit contains it")
     family = "linear"
+    home = "spring"
+    over = "deflection rate"
+    in_chain = True
     parameters: ClassVar[Mapping[str, str]] = {"coefficient": "damping"}
     coefficients = ("coefficient",)
     lower, upper = (0.0,), (np.inf,)
@@ -35,5 +39,9 @@ class SpringDamping(ImpedanceEffect):
         out: Complex128 = (1j * view.omega * x[0]).astype(np.complex128)
         return out
 
-    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
-        return {"coefficient": float(x[0])}
+    def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
+        return p["coefficient"] * x
+
+    def simulation(self, at: ModelPlace) -> Sequence[Element]:
+        a, b, _, _ = at.spring()
+        return [AddedDamper(a, b, at.value("coefficient"))]

@@ -6,8 +6,19 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from invid.effects.effect import Experiment
+from invid.effects.elements import Element, ForceLaw, Law, ModelPlace
 from invid.effects.laws.slider import SliderEffect
 from invid.effects.motion import View, rms
+from invid.effects.sizes import (
+    ARCMIN,
+    HYSTERESIS_SOURCE,
+    LOST,
+    SPRING_FRICTION,
+    Size,
+    lost_motion,
+    share,
+)
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place, spring_places
 
@@ -18,8 +29,17 @@ class SpringHysteresis(SliderEffect):
     cause = "spring_hysteresis"
     title = "friction inside the transmission (hysteresis of the spring)"
     check = "Check the gear's preload and lubrication; harmonic drives show it by nature."
-    separate = "a second amplitude with the motor held: the loop's width does not grow with amplitude"
+    separating = Experiment(
+        "amplitudes", "a second amplitude with the motor held: the loop's width does not grow with amplitude"
+    )
     family = "spring"
+    looks_like = ("backlash", "cubic_stiffness", "presliding_friction")
+    home = "spring"
+    over, path = "deflection", True
+    sizes = (
+        Size(LOST, lost_motion, 2 * ARCMIN, 4 * ARCMIN, HYSTERESIS_SOURCE),
+        Size(SPRING_FRICTION, share("torque")),
+    )
 
     def places(self, structure: ChainStructure) -> list[Place]:
         return spring_places(structure)
@@ -31,3 +51,7 @@ class SpringHysteresis(SliderEffect):
     def limits(self, views: Sequence[View], place: Place) -> list[tuple[float, float]]:
         size = max(rms([v.wave(place.pattern(v.structure)) for v in views]), 1e-300)
         return [(float(np.log(1e-3 * size)), float(np.log(3.0 * size)))]
+
+    def simulation(self, at: ModelPlace) -> Sequence[Element]:
+        a, b, _, _ = at.spring()
+        return [ForceLaw(Law.PAIR_SLIDER, a, b, (at.positive("stiffness"), abs(at.value("torque"))))]

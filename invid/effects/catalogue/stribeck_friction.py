@@ -7,8 +7,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from invid.effects.laws.sign import DryLaw, excess_law, sign_law
+from invid.effects.effect import Experiment, PlaceMotion
+from invid.effects.elements import Element, ForceLaw, Law, ModelPlace, dry
+from invid.effects.laws.sign import DryLaw, bend, excess_law, sign_law
 from invid.effects.motion import View, rms
+from invid.effects.sizes import FRICTION, JOINT_SOURCE, Size, share
+from invid.errors import ModelError
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place, mass_places
 from invid.numerics.arrays import Float64
@@ -20,8 +24,12 @@ class StribeckFriction(DryLaw):
     cause = "stribeck_friction"
     title = "dry friction that sticks before it slides (Stribeck)"
     check = "Check the lubrication: the film builds too late."
-    separate = "slow constant-velocity moves in both directions at several speeds"
+    separating = Experiment("speeds", "slow constant-velocity moves in both directions at several speeds")
     family = "friction"
+    looks_like = ("coulomb_friction", "presliding_friction", "asymmetric_friction")
+    parts = ("dry",)
+    over = "velocity"
+    sizes = (Size(FRICTION, share("static", "coulomb"), 0.15, 0.30, JOINT_SOURCE),)
     parameters: ClassVar[Mapping[str, str]] = {
         "static": "torque",
         "coulomb": "torque",
@@ -53,3 +61,23 @@ class StribeckFriction(DryLaw):
 
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
         return {"static": float(x[0] + x[1]), "coulomb": float(x[0]), "velocity": float(np.exp(x[2]))}
+
+    def vector(self, p: Mapping[str, float]) -> list[float]:
+        return [p["coulomb"], p["static"] - p["coulomb"], float(np.log(p["velocity"]))]
+
+    def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
+        near = np.exp(-((np.abs(x) / p["velocity"]) ** p.get("exponent", 2.0)))
+        out: Float64 = (p["coulomb"] + (p["static"] - p["coulomb"]) * near) * np.sign(x)
+        return out
+
+    def simulation(self, at: ModelPlace) -> Sequence[Element]:
+        velocity = abs(at.value("velocity"))
+        if velocity == 0:
+            raise ModelError(f"effect stribeck_friction on {at.term.axis}: velocity is 0; it must be > 0")
+        excess = at.value("static") - at.value("coulomb")
+        levels = dry(at.value("coulomb"), excess, velocity, at.optional("exponent", 2.0))
+        return [ForceLaw(Law.DRY, at.mass(), -1, levels)]
+
+    def regressors(self, motion: PlaceMotion, shape: Sequence[float]) -> Float64:
+        near = bend(motion.velocity, shape)
+        return np.stack([motion.direction, motion.direction * near], axis=1)

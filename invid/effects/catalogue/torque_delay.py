@@ -7,8 +7,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from invid.effects.effect import Effect
+from invid.effects.effect import Effect, Experiment, PlaceMotion
+from invid.effects.elements import Element, ModelPlace, TorqueChannel
 from invid.effects.motion import View
+from invid.effects.sizes import LATE, Size, size
+from invid.errors import InputError
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place, axis_places
 from invid.numerics.arrays import Complex128, Float64
@@ -38,8 +41,14 @@ class TorqueDelay(ActuatorEffect):
     cause = "torque_delay"
     title = "torque that acts later than the record says"
     check = "Check the drive's current loop, its filters and the timestamps of the torque it reports."
-    separate = "a wider band: a delay's phase grows with frequency and its gain stays one"
+    separating = Experiment(
+        "band", "a wider band: a delay's phase grows with frequency and its gain stays one"
+    )
     family = "actuator_dynamics"
+    looks_like = ("torque_lag",)
+    home = "axis"
+    over = "torque rate"
+    sizes = (Size(LATE, size("delay")),)
     parameters: ClassVar[Mapping[str, str]] = {"delay": "time"}
     shapes, logarithmic = ("delay",), (False,)
     main = "delay"
@@ -57,8 +66,16 @@ class TorqueDelay(ActuatorEffect):
         out: Complex128 = np.exp(-1j * view.omega * x[0])
         return out
 
-    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
-        return {"delay": float(x[0])}
+    def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
+        return p["delay"] * x
+
+    def simulation(self, at: ModelPlace) -> Sequence[Element]:
+        return [TorqueChannel(at.axis, delay=at.value("delay"))]
+
+    def regressors(self, motion: PlaceMotion, shape: Sequence[float]) -> Float64:
+        if motion.torque_rate is None:
+            raise InputError("effect torque_delay: the torque's rate is not known")
+        return motion.torque_rate[:, None]
 
 
 class TorqueLag(ActuatorEffect):
@@ -67,8 +84,12 @@ class TorqueLag(ActuatorEffect):
     cause = "torque_lag"
     title = "torque that follows the record through a first-order lag"
     check = "Check the bandwidth of the drive's current loop and its torque filters."
-    separate = "a wider band: a lag loses amplitude with frequency, a delay does not"
+    separating = Experiment("band", "a wider band: a lag loses amplitude with frequency, a delay does not")
     family = "actuator_dynamics"
+    looks_like = ("torque_delay",)
+    home = "axis"
+    over = "torque rate"
+    sizes = (Size(LATE, size("time_constant")),)
     parameters: ClassVar[Mapping[str, str]] = {"time_constant": "time"}
     shapes, logarithmic = ("time_constant",), (True,)
     main = "time_constant"
@@ -91,5 +112,8 @@ class TorqueLag(ActuatorEffect):
         # Or a lag that takes the torque's noise away would look like one that explains it.
         return 1.0, np.abs(self.response(view, place, x)) ** 2
 
-    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
-        return {"time_constant": float(np.exp(x[0]))}
+    def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
+        return p["time_constant"] * x
+
+    def simulation(self, at: ModelPlace) -> Sequence[Element]:
+        return [TorqueChannel(at.axis, lag=at.positive("time_constant"))]

@@ -7,8 +7,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from invid.effects.effect import Effect
+from invid.effects.effect import Effect, Experiment
+from invid.effects.elements import Element, ModelPlace, TorqueChannel
 from invid.effects.motion import View
+from invid.effects.sizes import CONSTANT_SOURCE, SCALE, Size, scale_error
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place, axis_places
 from invid.numerics.arrays import Complex128, Float64
@@ -20,8 +22,16 @@ class TorqueGain(Effect):
     cause = "torque_gain"
     title = "a torque channel that is scaled wrongly"
     check = "Check the rated torque and torque constant in the drive's parameters."
-    separate = "a known torque (a weight on a lever) on each axis"
+    separating = Experiment(
+        "hand",
+        "a known torque (a weight on a lever) on each axis",
+        by_hand="hang a known weight on a lever and compare the torque; no motion shows it.",
+    )
     family = "scale"
+    looks_like = ("torque_saturation",)
+    home = "axis"
+    over = "torque"
+    sizes = (Size(SCALE, scale_error, 0.10, 0.20, CONSTANT_SOURCE),)
     parameters: ClassVar[Mapping[str, str]] = {"gain": "ratio"}
     coefficients = ("gain",)
     lower, upper = (-0.95,), (20.0,)
@@ -43,3 +53,19 @@ class TorqueGain(Effect):
 
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
         return {"gain": 1.0 + float(x[0])}
+
+    def vector(self, p: Mapping[str, float]) -> list[float]:
+        return [p["gain"] - 1.0]
+
+    def most_places(self, structure: ChainStructure) -> int:
+        # A scale common to all axes cannot be seen: only motors − 1 gains are there to be found.
+        return structure.motors - 1
+
+    def size_text(self, size: str) -> str:
+        return f" (true torque is {size} times the record)"
+
+    def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
+        return (1.0 - p["gain"]) * x
+
+    def simulation(self, at: ModelPlace) -> Sequence[Element]:
+        return [TorqueChannel(at.axis, gain=at.value("gain"))]

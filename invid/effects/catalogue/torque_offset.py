@@ -7,8 +7,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from invid.effects.effect import ForceEffect
+from invid.effects.effect import Experiment, ForceEffect, PlaceMotion
+from invid.effects.elements import Element, ForceLaw, Law, ModelPlace
 from invid.effects.motion import View
+from invid.effects.sizes import OFFSET, Size, share
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place, motor_places
 from invid.numerics.arrays import Float64
@@ -20,8 +22,14 @@ class TorqueOffset(ForceEffect):
     cause = "torque_offset"
     title = "a constant torque"
     check = "Check the current sensor's offset, cables and hoses that pull, and a balancer."
-    separate = "the same motion around positions far apart: gravity changes with position, an offset does not"
+    separating = Experiment(
+        "positions",
+        "the same motion around positions far apart: gravity changes with position, an offset does not",
+    )
     family = "constant"
+    looks_like = ("gravity", "asymmetric_friction")
+    over = "velocity"
+    sizes = (Size(OFFSET, share("torque")),)
     parameters: ClassVar[Mapping[str, str]] = {"torque": "torque"}
     coefficients = ("torque",)
     lower, upper = (-np.inf,), (np.inf,)
@@ -33,5 +41,11 @@ class TorqueOffset(ForceEffect):
     def law(self, view: View, place: Place, shape: Sequence[float]) -> Float64:
         return np.ones((view.record.samples, 1))
 
-    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
-        return {"torque": float(x[0])}
+    def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
+        return np.full_like(x, p["torque"])
+
+    def simulation(self, at: ModelPlace) -> Sequence[Element]:
+        return [ForceLaw(Law.CONSTANT, at.mass(), -1, (at.value("torque"),))]
+
+    def regressors(self, motion: PlaceMotion, shape: Sequence[float]) -> Float64:
+        return np.ones((motion.position.size, 1))

@@ -7,8 +7,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from invid.effects.effect import Effect
+from invid.effects.effect import Effect, Experiment
+from invid.effects.elements import Element, ModelPlace, TorqueChannel
 from invid.effects.motion import View
+from invid.effects.sizes import RATED_SOURCE, SHORTFALL, Size, shortfall
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place, axis_places
 from invid.numerics.arrays import Complex128, Float64
@@ -27,8 +29,12 @@ class TorqueSaturation(Effect):
     cause = "torque_saturation"
     title = "torque that is cut off at a limit"
     check = "Check the drive's current and torque limits and its bus voltage."
-    separate = "a second amplitude: below the limit nothing is missing"
+    separating = Experiment("amplitudes", "a second amplitude: below the limit nothing is missing")
     family = "saturation"
+    looks_like = ("torque_gain",)
+    home = "axis"
+    over = "torque"
+    sizes = (Size(SHORTFALL, shortfall, 0.0, 0.0, RATED_SOURCE, linear=True),)
     parameters: ClassVar[Mapping[str, str]] = {"limit": "torque"}
     shapes, logarithmic = ("limit",), (True,)
     main = "limit"
@@ -65,8 +71,12 @@ class TorqueSaturation(Effect):
         out[:, place.axis] = cut * ratio
         return out, None
 
-    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
-        return {"limit": float(np.exp(x[0]))}
+    def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
+        out: Float64 = x - np.clip(x, -p["limit"], p["limit"])
+        return out
+
+    def simulation(self, at: ModelPlace) -> Sequence[Element]:
+        return [TorqueChannel(at.axis, limit=abs(at.value("limit")))]
 
 
 def _beyond(torque: Float64, limit: float) -> Float64:

@@ -8,9 +8,11 @@ from typing import ClassVar
 import numpy as np
 
 from invid.effects.catalogue.backlash import spring_index
-from invid.effects.effect import Effect
-from invid.effects.laws.ripple_cycles import cycle_grid, ripples
+from invid.effects.effect import Effect, Experiment
+from invid.effects.elements import Element, ForceLaw, Law, ModelPlace
+from invid.effects.laws.ripple_cycles import cycle_grid, ripples, turned
 from invid.effects.motion import View, rms
+from invid.effects.sizes import ACCURACY_SOURCE, ARCMIN, GEAR_ERROR, Size, size
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place, spring_places
 from invid.numerics.arrays import Complex128, Float64
@@ -25,8 +27,12 @@ class TransmissionError(Effect):
     cause = "transmission_error"
     title = "a position error of the gear (transmission error)"
     check = "Check the gear's teeth and its alignment; compensate over position."
-    separate = "a slow move over a whole revolution, and a second amplitude"
+    separating = Experiment("positions", "a slow move over a whole revolution, and a second amplitude")
     family = "position"
+    looks_like = ("cogging", "encoder_eccentricity")
+    home = "spring"
+    over = "position"
+    sizes = (Size(GEAR_ERROR, size("amplitude", 2.0), 1.5 * ARCMIN, 3 * ARCMIN, ACCURACY_SOURCE),)
     parameters: ClassVar[Mapping[str, str]] = {
         "amplitude": "position",
         "cycles_per_rev": "count",
@@ -102,3 +108,15 @@ class TransmissionError(Effect):
             "cycles_per_rev": float(np.exp(x[2])),
             "phase": float(np.arctan2(x[1], x[0])),
         }
+
+    def vector(self, p: Mapping[str, float]) -> list[float]:
+        return [*turned(p["amplitude"], p["phase"]), float(np.log(p["cycles_per_rev"]))]
+
+    def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
+        out: Float64 = -stiffness * p["amplitude"] * np.sin(p["cycles_per_rev"] * x + p["phase"])
+        return out
+
+    def simulation(self, at: ModelPlace) -> Sequence[Element]:
+        a, b, stiffness, _ = at.spring()
+        wave = at.value("amplitude"), at.value("cycles_per_rev"), at.value("phase")
+        return [ForceLaw(Law.TRANSMISSION, a, b, (*wave, stiffness))]

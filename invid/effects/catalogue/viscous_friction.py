@@ -7,11 +7,13 @@ from typing import ClassVar
 
 import numpy as np
 
-from invid.effects.effect import ImpedanceEffect
+from invid.effects.effect import Experiment, ImpedanceEffect, PlaceMotion
+from invid.effects.elements import AddedDamper, Element, ModelPlace
 from invid.effects.motion import View
+from invid.effects.sizes import AT_SPEED, JOINT_SOURCE, Size, viscous_share
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place, mass_places
-from invid.numerics.arrays import Complex128
+from invid.numerics.arrays import Complex128, Float64
 
 
 class ViscousFriction(ImpedanceEffect):
@@ -20,8 +22,12 @@ class ViscousFriction(ImpedanceEffect):
     cause = "viscous_friction"
     title = "viscous friction"
     check = "Check the grease (too much, too stiff, cold) and the seals."
-    separate = "slow constant-velocity moves in both directions at several speeds"
+    separating = Experiment("speeds", "slow constant-velocity moves in both directions at several speeds")
     family = "friction"
+    looks_like = ("coulomb_friction", "stribeck_friction", "asymmetric_friction")
+    parts = ("viscous",)
+    over = "velocity"
+    sizes = (Size(AT_SPEED, viscous_share, 0.15, 0.30, JOINT_SOURCE),)
     parameters: ClassVar[Mapping[str, str]] = {"coefficient": "damping"}
     coefficients = ("coefficient",)
     lower, upper = (0.0,), (np.inf,)
@@ -37,5 +43,11 @@ class ViscousFriction(ImpedanceEffect):
     def carries(self, view: View, x: Sequence[float]) -> tuple[float, float]:
         return 0.0, float(x[0])
 
-    def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
-        return {"coefficient": float(x[0])}
+    def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
+        return p["coefficient"] * x
+
+    def simulation(self, at: ModelPlace) -> Sequence[Element]:
+        return [AddedDamper(at.mass(), -1, at.value("coefficient"))]
+
+    def regressors(self, motion: PlaceMotion, shape: Sequence[float]) -> Float64:
+        return motion.velocity[:, None]

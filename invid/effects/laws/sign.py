@@ -18,6 +18,7 @@ import numpy as np
 
 from invid.effects.effect import ForceEffect
 from invid.effects.motion import View
+from invid.model.document import EffectTerm
 from invid.model.place import Place
 from invid.numerics.arrays import Complex128, Float64
 from invid.numerics.compiled import compiled
@@ -49,6 +50,9 @@ class DryLaw(ForceEffect):
         other = copy.copy(self)
         other.rounding = velocity
         return other
+
+    def known(self, term: EffectTerm) -> Self:
+        return self.rounded(term.value(ROUNDING)) if ROUNDING in term.parameters else self
 
     def __eq__(self, other: object) -> bool:
         """A law has no state but its rounding: two that round alike are one, wherever they were made."""
@@ -216,4 +220,10 @@ def sign_law(v: Float64, soft: float, turn: float = 0.0) -> Float64:
 def excess_law(v: Float64, soft: float, width: float, turn: float = 0.0) -> Float64:
     """(n,) sign(v)·exp(−(v/width)²); ``turn`` see ``sign_law``."""
     out: Float64 = _excess(np.ascontiguousarray(v), soft, width, turn)
+    return out
+
+
+def bend(velocity: Float64, shape: Sequence[float]) -> Float64:
+    """(n,) exp(−(|v|/v₀)^exponent), ``shape`` (v₀, exponent): the part of friction at low speed alone."""
+    out: Float64 = np.exp(-((np.abs(velocity) / (shape[0] or 1.0)) ** max(int(shape[1]), 1)))
     return out

@@ -75,3 +75,11 @@ class SliderEffect(ForceEffect):
 
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
         return {"stiffness": float(x[0] / np.exp(x[1])), "torque": float(x[0])}
+
+    def vector(self, p: Mapping[str, float]) -> list[float]:
+        return [p["torque"], float(np.log(p["torque"] / p["stiffness"]))]
+
+    def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
+        most = p["torque"] / p["stiffness"]
+        # A path walked twice; the second time is drawn.
+        return p["stiffness"] * _march(np.ascontiguousarray(x), most, 2, 0.0)

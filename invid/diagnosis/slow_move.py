@@ -1,0 +1,66 @@
+"""Slow moves of a recording, as means over stretches that are long beside its flexible modes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from invid.errors import InvidError
+from invid.numerics.arrays import Float64
+from invid.recording.model import Experiment, Kind, Recording
+from invid.signals.timebase import uniform
+
+LONGEST, SHORTEST = 0.5, 0.1
+"""Length [s] of the stretches that count as one observation: slow beside the flexible modes, short beside a
+move. What chance does to neighbouring stretches is not quite independent: the evidence is halved for it."""
+STRETCHES = 20
+"""How many a move has at least, where they are not too short for it: the regressions have up to eight
+numbers."""
+
+
+@dataclass(frozen=True, eq=False)
+class Move:
+    """Means over n stretches of one slow move: (n, M) velocity, acceleration and torque.
+
+    ``path`` (samples, M) is the position, ``rows`` how many samples a stretch is long.
+    """
+
+    path: Float64
+    rows: int
+    velocity: Float64
+    acceleration: Float64
+    torque: Float64
+
+
+def moves_of(recording: Recording) -> tuple[Move, ...]:
+    """Every slow move of a recording that is long enough to say anything."""
+    found = (_move(e) for e in recording.experiments if e.kind is Kind.CONSTANT_VELOCITY)
+    return tuple(m for m in found if m is not None)
+
+
+def _move(experiment: Experiment) -> Move | None:
+    try:
+        data = uniform(experiment)
+    except InvidError:
+        return None
+    length = data.position.shape[0]
+    rows = min(round(LONGEST / data.step), length // (STRETCHES + 2))
+    if rows * data.step < SHORTEST or rows < 2:
+        return None
+    q, at = data.position, np.arange(rows, length - rows, rows)
+    velocity = (q[at + rows] - q[at - rows]) / (2 * rows * data.step)
+    acceleration = (q[at + rows] - 2.0 * q[at] + q[at - rows]) / (rows * data.step) ** 2
+    return Move(q, rows, velocity, acceleration, means_over_stretches(data.torque, rows))
+
+
+def means_over_stretches(values: Float64, rows: int) -> Float64:
+    """(n, L) means of (samples, L) under triangles of half-width ``rows``.
+
+    The second difference of the position over that distance is the acceleration's mean under the same
+    triangle: what is fast meets both sides alike.
+    """
+    triangle = np.convolve(np.ones(rows), np.ones(rows)) / rows**2
+    at = np.arange(rows, values.shape[0] - rows, rows)
+    out: Float64 = np.stack([np.convolve(c, triangle, mode="same")[at] for c in values.T], axis=1)
+    return out

@@ -1,0 +1,185 @@
+"""What is kept out of every fit and asked in its stead: a table, of which the first row that holds counts.
+
+A look at a recording may ask for another row (``Asked``): where what is for validation shows nothing of what
+the others do, or lies on the other side of a change. The rigid engine keeps blocks of time out
+(``invid.rigid_motion.regression``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+
+import numpy as np
+
+from invid.likelihood.prepare_records import demand_used, of_lines, record_of
+from invid.recording.model import Recording, Role
+from invid.signals.spectra import LineSpectra
+from invid.signals.spectral_record import Record
+
+Parts = tuple[list[Record], list[Record]]
+"""Training and held-out records."""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What a look at a recording asks of its validation, and of how its records are taken.
+
+    Attributes
+    ----------
+    spare
+        A record that is more than the linear model needs may be kept out whole.
+    within
+        A part of every other record is kept out beside those for validation.
+    apart
+        Every record is followed from period to period; the first that is held out joins the training.
+    each
+        So are records whose periods differ far beyond the sensors' noise.
+    """
+
+    spare: bool = True
+    within: bool = False
+    apart: bool = False
+    each: bool = False
+
+
+PLAIN = Asked()
+"""Nothing but what the table gives."""
+
+
+@dataclass(frozen=True, eq=False)
+class Offer:
+    """The records of a recording, as the rows of the table see them."""
+
+    recording: Recording
+    spectra: Sequence[LineSpectra]
+    asked: Asked
+
+    @cached_property
+    def train(self) -> list[LineSpectra]:
+        """Spectra of the records that are for identification."""
+        return [s for s in self.spectra if s.role is Role.IDENTIFY]
+
+    @cached_property
+    def validate(self) -> list[Record]:
+        """Records that are for validation."""
+        return [self.record(s) for s in self.spectra if s.role is Role.VALIDATE]
+
+    @cached_property
+    def spare(self) -> LineSpectra:
+        """The last record that drives all axes, or the last of all."""
+        return ([s for s in self.train if s.driven.all()] or self.train)[-1]
+
+    @cached_property
+    def record(self) -> Callable[..., Record]:
+        """Makes a record of spectra, or of some of their periods."""
+        experiments = {e.key: e for e in self.recording.experiments}
+        made = partial(record_of, demand=demand_used(self.recording, self.spectra))
+        return lambda s, *periods: made(s, experiments[s.key], *periods)
+
+    @property
+    def missing(self) -> str:
+        """Why something else has to be kept out."""
+        if self.validate:
+            return "validation does not show what the others do"
+        return "no validation experiment (role 'validate')"
+
+
+@dataclass(frozen=True)
+class Row:
+    """One way to keep something out: when it is taken, what it keeps out, and the warning that says so."""
+
+    name: str
+    holds: Callable[[Offer], bool]
+    parts: Callable[[Offer], Parts]
+    sentence: Callable[[Offer], str | None]
+
+
+def _by_role(offer: Offer) -> Parts:
+    return [offer.record(s) for s in offer.train], offer.validate
+
+
+def _is_spare(offer: Offer) -> bool:
+    """Whether there is a record more than the linear model needs: each axis once, or M of all at once."""
+    motors = offer.recording.axis_count
+    everything = any(s.driven.all() for s in offer.train)
+    asked = offer.asked.spare and not offer.asked.within
+    return asked and len(offer.train) > motors and (everything or motors == 1)
+
+
+def _without_spare(offer: Offer) -> Parts:
+    kept = offer.spare
+    return [offer.record(s) for s in offer.train if s is not kept], [offer.record(kept)]
+
+
+def _without_last_period(offer: Offer) -> Parts:
+    train = [offer.record(s, slice(0, s.periods - 1)) for s in offer.train]
+    last = [offer.record(s, slice(s.periods - 1, None)) for s in offer.train]
+    return train, [*last, *offer.validate]
+
+
+def _without_fifth_lines(offer: Offer) -> Parts:
+    train, held = [], []
+    for s in offer.train:
+        record = offer.record(s)
+        lines = np.arange(record.omega.size)
+        last = lines % 5 == 4
+        train.append(of_lines(record, ~last))
+        # There is one mean only: a weight would have no held-out gain without it.
+        held.append(of_lines(record, last | (lines == 0)))
+    return train, [*held, *offer.validate]
+
+
+VALIDATION: tuple[Row, ...] = (
+    Row(
+        "role",
+        lambda offer: bool(offer.validate) and not offer.asked.within,
+        _by_role,
+        lambda offer: None,
+    ),
+    Row(
+        "spare record",
+        _is_spare,
+        _without_spare,
+        lambda offer: (
+            f"no validation experiment (role 'validate'): experiment {offer.spare.key} is kept out of every "
+            "fit instead; record one with another realisation and amplitude"
+        ),
+    ),
+    Row(
+        "last period",
+        lambda offer: all(s.periods >= 2 and s.deviations.shape[0] == s.periods for s in offer.train),
+        _without_last_period,
+        lambda offer: (
+            f"{offer.missing}: the last period of each experiment is kept out of every fit instead, which "
+            "repeats the same motion; record one with another realisation"
+        ),
+    ),
+    Row(
+        "fifth line",
+        lambda offer: True,
+        _without_fifth_lines,
+        lambda offer: (
+            f"{offer.missing} and no whole period to spare: every fifth line is kept out of every fit "
+            "instead; record an experiment of its own for validation"
+        ),
+    ),
+)
+"""What is kept out; the first row that holds counts."""
+
+
+def row_of(offer: Offer) -> Row:
+    """The row of the table that counts."""
+    return next(row for row in VALIDATION if row.holds(offer))
+
+
+def split(
+    recording: Recording, spectra: Sequence[LineSpectra], asked: Asked = PLAIN
+) -> tuple[list[Record], list[Record], list[str]]:
+    """Training and held-out records, and what to warn about."""
+    offer = Offer(recording, spectra, asked)
+    row = row_of(offer)
+    train, held = row.parts(offer)
+    said = row.sentence(offer)
+    return train, held, [] if said is None else [said]

@@ -1,0 +1,45 @@
+"""Dry friction that grows with the load on the joint; shown by large motion alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
+
+import numpy as np
+
+from invid.effects.effect import Effect, Experiment, PlaceMotion
+from invid.effects.elements import Element, LoadFriction, ModelPlace
+from invid.errors import InputError
+from invid.model.parameters import ChainStructure
+from invid.model.place import Place
+from invid.numerics.arrays import Float64
+
+
+class LoadDependentFriction(Effect):
+    """Resistance coefficient·|load|·sgn(θ̇), the load with its inertia or without."""
+
+    cause = "load_dependent_friction"
+    title = "friction that grows with the load on the joint"
+    check = "Look at the bearings, the preload and the gear's efficiency under load."
+    separating = Experiment(
+        "positions", "the same motion with another payload: this friction changes with it"
+    )
+    family = "friction"
+    looks_like = ("coulomb_friction", "asymmetric_friction")
+    parameters: ClassVar[Mapping[str, str]] = {"coefficient": "ratio", "inertia_counts": "count"}
+    coefficients = ("coefficient",)
+    lower, upper = (0.0,), (np.inf,)
+    main = "coefficient"
+
+    def places(self, structure: ChainStructure) -> list[Place]:
+        # A load that hardly varies, as in small motion, makes it Coulomb friction.
+        return []
+
+    def simulation(self, at: ModelPlace) -> Sequence[Element]:
+        return [LoadFriction(at.axis, at.value("coefficient"), at.optional("inertia_counts", 0.0))]
+
+    def regressors(self, motion: PlaceMotion, shape: Sequence[float]) -> Float64:
+        if motion.load is None:
+            raise InputError("effect load_dependent_friction: the load is not known")
+        out: Float64 = (np.abs(motion.load) * motion.direction)[:, None]
+        return out

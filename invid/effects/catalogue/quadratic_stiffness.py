@@ -1,0 +1,45 @@
+"""A spring to ground with a force of the square of its deflection; shown by large motion alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
+
+import numpy as np
+
+from invid.effects.effect import Effect, Experiment, PlaceMotion
+from invid.effects.elements import Element, GroundSpring, ModelPlace
+from invid.model.parameters import ChainStructure
+from invid.model.place import Place
+from invid.numerics.arrays import Float64
+
+
+class QuadraticStiffness(Effect):
+    """Resistance coefficient·q² of an axis that hangs on a spring."""
+
+    cause = "quadratic_stiffness"
+    title = "a spring force with the square of the deflection"
+    check = "The spring is not linear: identify at the amplitude it is used at."
+    separating = Experiment("amplitudes", "a second amplitude of the same excitation")
+    family = "spring"
+    looks_like = ("cubic_stiffness", "gravity")
+    home = "spring"
+    over = "deflection"
+    parameters: ClassVar[Mapping[str, str]] = {"coefficient": "torque/position^2"}
+    coefficients = ("coefficient",)
+    lower, upper = (-np.inf,), (np.inf,)
+    main = "coefficient"
+
+    def places(self, structure: ChainStructure) -> list[Place]:
+        return []
+
+    def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
+        out: Float64 = p["coefficient"] * x**2
+        return out
+
+    def simulation(self, at: ModelPlace) -> Sequence[Element]:
+        return [GroundSpring(at.axis, 2, at.value("coefficient"))]
+
+    def regressors(self, motion: PlaceMotion, shape: Sequence[float]) -> Float64:
+        out: Float64 = motion.position[:, None] ** 2
+        return out

@@ -1,0 +1,156 @@
+"""A cause that is a law of the motion at its place: what an effect of one file needs to say, and no more.
+
+The law alone is fitted, named, simulated, saved, reloaded and drawn, on elastic and on rigid machines
+(docs/how-to/add-an-effect.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import product
+from typing import Any, ClassVar
+
+import numpy as np
+
+from invid.effects.effect import ForceEffect, PlaceMotion
+from invid.effects.elements import Element, ModelPlace, StaticLaw
+from invid.effects.motion import View, rms
+from invid.effects.units import unit_of
+from invid.errors import ModelError
+from invid.model.place import Place
+from invid.numerics.arrays import Float64
+from invid.signals.standstill import softness
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of a law.
+
+    Attributes
+    ----------
+    name
+        As in model.json.
+    unit
+        Kind of quantity: "torque", "velocity", "torque/velocity^2", "ratio", … (``invid.effects.units``).
+    linear
+        Whether the force is proportional to it; else it is a shape, searched from ``starts`` on.
+    low, high
+        Bounds; a linear parameter with ``low`` 0 is positive.
+    starts
+        Values of a shape to start from, in its unit; with ``of_motion`` over the rms velocity or position.
+    logarithmic
+        Whether a shape moves as its logarithm (it is then above zero).
+    """
+
+    name: str
+    unit: str
+    linear: bool = True
+    low: float = -np.inf
+    high: float = np.inf
+    starts: tuple[float, ...] = ()
+    of_motion: bool = True
+    logarithmic: bool = True
+
+
+class MotionEffect(ForceEffect):
+    """A resistance that follows from position, velocity and time at its place.
+
+    A subclass gives ``cause``, ``title``, ``check``, ``family``, ``over``, ``numbers``, ``separating``,
+    ``places`` and ``resistance``.
+    """
+
+    numbers: ClassVar[tuple[Parameter, ...]] = ()
+    """Its parameters."""
+    over = "velocity"
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        if "numbers" not in cls.__dict__:
+            return
+        linear = [p for p in cls.numbers if p.linear]
+        shapes = [p for p in cls.numbers if not p.linear]
+        cls.parameters = {p.name: p.unit for p in cls.numbers}
+        cls.coefficients = tuple(p.name for p in linear)
+        cls.lower, cls.upper = tuple(p.low for p in linear), tuple(p.high for p in linear)
+        cls.shapes = tuple(p.name for p in shapes)
+        cls.logarithmic = tuple(p.logarithmic for p in shapes)
+        cls.main = cls.main or next(iter(cls.parameters), "")
+
+    def resistance(self, motion: PlaceMotion, shape: Sequence[float]) -> Float64:
+        """(n, k) resistance for each linear parameter at one [N·m or N]; ``shape`` the others, in their
+        units. What opposes the motion is positive."""
+        raise NotImplementedError
+
+    @property
+    def nonlinear(self) -> tuple[Parameter, ...]:
+        """The shapes."""
+        return tuple(p for p in self.numbers if not p.linear)
+
+    def starts(self, position: float, velocity: float) -> list[tuple[float, ...]]:
+        """Shapes to start from, in their units, where the motion has these rms sizes; [()] without shapes."""
+        unit = {unit_of("velocity", False): velocity, unit_of("position", False): position}
+        scaled = [
+            tuple(s * (unit.get(unit_of(p.unit, False), 1.0) if p.of_motion else 1.0) for s in p.starts)
+            for p in self.nonlinear
+        ]
+        return list(product(*scaled))
+
+    def grid(self, views: Sequence[View], place: Place) -> list[tuple[float, ...]]:
+        pattern = place.pattern(views[0].structure)
+        sizes = (rms([v.wave(pattern) for v in views]), rms([v.velocity(pattern) for v in views]))
+        starts = self.starts(*(max(s, 1e-300) for s in sizes))
+        return [
+            tuple(float(np.log(s)) if log else s for s, log in zip(one, self.logarithmic, strict=True))
+            for one in starts
+        ]
+
+    def limits(self, views: Sequence[View], place: Place) -> list[tuple[float, float]]:
+        out = []
+        for p in self.nonlinear:
+            low, high = p.low, p.high
+            if p.logarithmic:
+                low = float(np.log(low)) if low > 0 else -np.inf
+                high = float(np.log(high)) if np.isfinite(high) else np.inf
+            out.append((low, high))
+        return out
+
+    def law(self, view: View, place: Place, shape: Sequence[float]) -> Float64:
+        pattern = place.pattern(view.structure)
+        v = view.velocity(pattern)
+        noise = float(view.record.velocity_noise[place.axis])
+        time = view.record.start_time + view.record.wave_time
+        motion = PlaceMotion(view.wave(pattern), v, time, rest=2.0 * softness(v, noise))
+        units = [float(np.exp(s)) if log else s for s, log in zip(shape, self.logarithmic, strict=True)]
+        return self.resistance(motion, units)
+
+    def regressors(self, motion: PlaceMotion, shape: Sequence[float]) -> Float64:
+        return self.resistance(motion, shape)
+
+    def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64 | None:
+        return self._alone(p, x)
+
+    def simulation(self, at: ModelPlace) -> Sequence[Element]:
+        if self.over not in ("velocity", "position", "deflection", "deflection rate"):
+            raise ModelError(
+                f"effect {self.cause} on {at.term.axis}: its file has to say how it is simulated "
+                f"(simulation), for a law over {self.over!r} is no table"
+            )
+        p = {name: at.value(name) for name in self.parameters}
+        over = "velocity" if self.over in ("velocity", "deflection rate") else "position"
+        a, b = at.coordinates(self.home)
+        return [StaticLaw("velocity" if over == "velocity" else "position", partial(self._alone, p), a, b)]
+
+    def _alone(self, p: Mapping[str, float], x: Float64) -> Float64:
+        """(n,) resistance where the quantity ``over`` is ``x`` and nothing else moves."""
+        still = np.zeros_like(x)
+        motion = PlaceMotion(x, still, still)
+        if self.over in ("velocity", "deflection rate"):
+            motion = replace(motion, position=still, velocity=x)
+        size = np.array([p[name] for name in self.coefficients])
+        out: Float64 = self.resistance(motion, [p[name] for name in self.shapes]) @ size
+        return out
+
+
+__all__ = ["MotionEffect", "Parameter"]
