@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal
 
+import numpy as np
+
 from invid.diagnosis.consequence import with_consequences
 from invid.diagnosis.extended_model import extended_model
 from invid.diagnosis.known_effects import folded
@@ -17,7 +19,7 @@ from invid.diagnosis.search_pass import looked
 from invid.diagnosis.time_domain_check import REFUSED, Replay, replay, with_replay
 from invid.diagnosis.verdict import document
 from invid.effects.effect import unit_of
-from invid.errors import InputError
+from invid.errors import InputError, NotIdentifiableError
 from invid.identification.identify import identify
 from invid.likelihood.joint_fit import JointFit
 from invid.likelihood.null_test import null_test
@@ -57,7 +59,15 @@ def diagnose(
         Data from which no model can be drawn, or a model that does not fit the recording's axes.
     """
     recording, told = without_glitches(recording)
-    result = _diagnosed(recording, model, masses)
+    # What a search tries far from the solution may overflow; it is told by its size and taken back.
+    with np.errstate(all="ignore"):
+        try:
+            result = _diagnosed(recording, model, masses)
+        except np.linalg.LinAlgError as error:
+            raise NotIdentifiableError(
+                f"{recording.source}: the model is so far from these records that no fit of both is finite "
+                f"({error}); give the model of this robot, or diagnose without one"
+            ) from None
     if told:
         result = replace(result, warnings=tuple(dict.fromkeys([*result.warnings, *told])))
     return with_consequences(result, recording)
