@@ -13,19 +13,20 @@ from invid.diagnosis.candidates import REACH, is_smaller_model, refitted, screen
 from invid.diagnosis.evidence import CLOSE, LARGER, Step, Trial, at_bound, attempted, extends
 from invid.diagnosis.rules.asymmetric_pair import with_asymmetry
 from invid.diagnosis.rules.gradual_sign import rounded
+from invid.diagnosis.rules.known_friction import with_known_friction
 from invid.diagnosis.rules.mode_place import modes_moved, with_the_mode_in_the_chain
 from invid.diagnosis.rules.near_variants import delays, elsewhere, ladder, lags, retimed
 from invid.diagnosis.rules.pruning import pruned
 from invid.diagnosis.rules.slow_moves import Move, judged_on_moves
 from invid.diagnosis.rules.stiff_coupling import tied_loads
-from invid.diagnosis.rules.viscous_with_dry import with_viscous
+from invid.diagnosis.rules.viscous_with_dry import asked_for, with_viscous
 from invid.diagnosis.score_test import Score, Screen, terms_for
 from invid.diagnosis.selection import Selection
 from invid.likelihood.candidate_pool import each
 from invid.likelihood.hypothesis import Layout
 from invid.likelihood.joint_fit import JointFit, fit, held_out, reordered, without_last
 from invid.likelihood.null_test import null_test
-from invid.likelihood.placed_effect import Term
+from invid.likelihood.placed_effect import Candidate, Term
 from invid.model.place import Place
 from invid.numerics.arrays import Float64
 from invid.numerics.distributions import chi2_isf
@@ -33,8 +34,10 @@ from invid.signals.spectral_record import Record
 
 MODE = 150
 """Iterations for a mode moved to another mass of its axis; 20 left it at χ² 2036, 150 at 2003 (830051)."""
+NOTHING = Candidate()
 MOST = 3
-"""Causes sought at most, or two an axis if that is more: a weight and dry friction on each."""
+"""Causes sought at most besides the friction of the motors that the search starts with, or two an axis if
+that is more: a weight and dry friction on each."""
 
 
 def _rejects(trial: Trial, records: Sequence[Record]) -> bool:
@@ -53,6 +56,7 @@ def select(
     moves: Sequence[Move] = (),
     family: str | None = None,
     begun: Sequence[Trial] = (),
+    friction: Candidate = NOTHING,
 ) -> Selection:
     """Adds causes while both the training and the held-out gain are significant.
 
@@ -60,13 +64,13 @@ def select(
     those of the model, tried for a first cause where those of the fit lead nowhere. ``moves``: slow
     moves beside the records, which tell laws of position apart. ``family``: of
     causes, where only those of one are asked for. ``begun``: what the first cause is chosen from, in place of
-    a screen.
+    a screen. ``friction``: what the identification fitted along, where the search starts.
 
     A lag keeps the time offset of its axis beside it: two timings, where a delay is one. Where what the lag's
     model leaves is more than the difference between the two, the data do not ask for the second timing, and
     the delay leads; the lag stays its rival.
     """
-    asked = _Asked(linear_axes, free, start, moves, family=family, begun=begun)
+    asked = _Asked(linear_axes, free, start, moves, family=family, begun=begun, friction=friction)
     found = _search(base, train, held, asked)
     contested = frozenset(
         s.chosen.term.place.axis
@@ -114,11 +118,15 @@ class _Asked:
     """Which causes are looked for; all where it is none."""
     begun: Sequence[Trial] = ()
     """What the first cause is chosen from, in place of a screen."""
+    friction: Candidate = NOTHING
+    """Laws that the identification fitted along: where the search starts."""
 
 
 def _search(base: JointFit, train: Sequence[Record], held: Sequence[Record], asked: _Asked) -> Selection:
     """Causes added one by one."""
     start = Trial(base, held_out(base, held))
+    if (begun := _from_friction(start, train, held, asked)) is not None:
+        return begun
     found = with_viscous(_added(Selection(start, start), train, held, asked), train, held)
     again = _reconsidered(found, train, held, asked)
     if [_named(s) for s in again.steps] != [_named(s) for s in found.steps]:
@@ -126,15 +134,42 @@ def _search(base: JointFit, train: Sequence[Record], held: Sequence[Record], ask
     return with_asymmetry(again, train, held)
 
 
-def _added(found: Selection, train: Sequence[Record], held: Sequence[Record], asked: _Asked) -> Selection:
-    """Causes added one by one to those found."""
+def _from_friction(
+    start: Trial, train: Sequence[Record], held: Sequence[Record], asked: _Asked
+) -> Selection | None:
+    """The search begun with the friction of the identification; ``None`` where it ends far from the noise.
+
+    Beside a cause that the identification knew nothing of, its friction may stand for a part of that.
+    """
+    known = with_known_friction(start, asked.friction, asked.start, train, held)
+    if known is None:
+        return None
+    names = [_named(s) for s in known.steps]
+    begun = _added(known, train, held, asked, len(names))
+    every = sum(_named(s) in names for s in begun.steps)  # they stand first
+    found = _reconsidered(begun, train, held, asked, every=every)
+    if [_named(s) for s in found.steps] != [_named(s) for s in begun.steps]:
+        found = _added(found, train, held, asked, sum(_named(s) in names for s in found.steps))
+    if found.final.cost > CLOSE * found.final.dof:
+        return None
+    return with_asymmetry(found, train, held)
+
+
+def _added(
+    found: Selection, train: Sequence[Record], held: Sequence[Record], asked: _Asked, besides: int = 0
+) -> Selection:
+    """Causes added one by one to those found; ``besides``: how many of them were known, and do not count.
+
+    A further cause is weighed against what was missing without causes, or with those known.
+    """
     start, current, steps, rejected = found.base, found.final, list(found.steps), found.rejected
-    most = max(MOST, 2 * start.fit.layout.structure.motors)
+    first = current if besides else start
+    most = max(2 * start.fit.layout.structure.motors, MOST + besides)
     while len(steps) < most:
         rejects = _rejects(current, [*train, *held])
         if steps and not rejects:
             break  # what the causes leave is noise; what else fits it says how imperfect their models are
-        step, rejected = _step(current, train, held, asked, start, first=not steps, rejects=rejects)
+        step, rejected = _step(current, train, held, asked, first, first=not steps, rejects=rejects)
         if step is None:
             break
         step = judged_on_moves(step, asked.moves)
@@ -145,7 +180,12 @@ def _added(found: Selection, train: Sequence[Record], held: Sequence[Record], as
 
 
 def _reconsidered(
-    found: Selection, train: Sequence[Record], held: Sequence[Record], asked: _Asked
+    found: Selection,
+    train: Sequence[Record],
+    held: Sequence[Record],
+    asked: _Asked,
+    *,
+    every: int = 0,
 ) -> Selection:
     """Every cause but the last sought anew beside all others.
 
@@ -157,7 +197,7 @@ def _reconsidered(
     for number in reversed(range(len(found.steps))):
         final, at, count = found.final, known + number, known + len(found.steps)
         mode = found.steps[number].chosen.term.effect.cause == "extra_mode"
-        if number == newest and not mode:
+        if number == newest and not mode and number >= every:
             continue
         last = Trial(reordered(final.fit, [*range(at), *range(at + 1, count), at]), final.held)
         rest = attempted(partial(without_last, last.fit, train), held)
@@ -169,12 +209,19 @@ def _reconsidered(
                 continue
             rest = other or rest
         rejects = _rejects(rest, [*train, *held])
-        if number == newest and rejects:
+        if number == newest and rejects and number >= every:
             continue
         # What stands for a part of another axis' cause leaves the rest of that.
         axis = None if _rejects(found.final, [*train, *held]) else last.term.place.axis
         here = replace(asked, axis=axis)
         step, _ = _step(rest, train, held, here, found.base, first=True, rejects=rejects, known=(last,))
+        if step is None and number < every:
+            wet = last.term.effect.cause == "viscous_friction" and asked_for(rest, last)
+            if wet:
+                step = Step(rest, last, ((last, last.score(last.dispersion, last.fit.dof)),))
+            else:
+                found = replace(found, final=rest, steps=(*found.steps[:number], *found.steps[number + 1 :]))
+                continue
         if step is None:
             limit = chi2_isf(SIGNIFICANCE, last.term.size) * found.final.dispersion
             if not rejects and rest.cost < found.final.cost + limit:  # the others leave nothing to it
@@ -283,6 +330,8 @@ def _candidates(
     trials = delays(here, train, held, [t for t in terms if t.effect.cause == "torque_delay"], asked.free)
     trials += lags(here, train, held, trials, terms)
     tried = {(t.term.effect.cause, t.term.place) for t in trials}
+    # Without a shape there is one minimum, and those known are in it.
+    tried |= {(t.term.effect.cause, t.term.place) for t in known if not t.term.effect.shapes}
     scores = [
         s
         for s in scores
@@ -294,7 +343,7 @@ def _candidates(
     def least(term: Term) -> float:
         return max(least_gain(here, term, len(terms), first=first), known_gain)
 
-    reached = min((t.fit.cost for t in trials), default=np.inf)
+    reached = min((t.fit.cost for t in (*trials, *known)), default=np.inf)
     trials += refitted(here, train, held, scores, least, reached)
     if first and rejects and asked.start is not None and not known:
         trials = with_those_from(asked.start, here, train, held, terms, trials)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from invid.diagnosis.evidence import CLOSE, Trial
+from invid.diagnosis.known_effects import fitted_friction
 from invid.diagnosis.linear_fit import from_causes, linear_fit, start_of, tones_in, without_effects
 from invid.diagnosis.rules.heavy_mode import strong_modes
 from invid.diagnosis.rules.load_change import (
@@ -183,6 +184,7 @@ def _looked(
         free=free,
         start=start_of(model, base.layout),
         moves=moves_of(recording),
+        friction=fitted_friction(model, base.layout.structure),
     )
     selection = search(base, train, held)
     if selection.steps:
