@@ -88,3 +88,9 @@ def accepted(
     # What an imperfect model of the first cause leaves was up to 0.3 % of it on hidden plants.
     share = 0.01 if reached else SHARE
     return gained > share * start.excess_in_motion
+
+
+def is_asked_for(without: Trial, trial: Trial) -> bool:
+    """Whether the training records ask for a friction law and the held-out ones do not refuse it."""
+    gain = (without.fit.cost - trial.fit.cost) / trial.dispersion
+    return gain > chi2_isf(WEAK, 1) and trial.held.cost < without.held.cost

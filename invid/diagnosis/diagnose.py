@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal
+from typing import Literal, cast
+
+import numpy as np
 
 from invid.diagnosis.consequence import with_consequences
 from invid.diagnosis.context import apply_rule, current, running
@@ -16,7 +18,7 @@ from invid.diagnosis.search_pass import Look, looked
 from invid.diagnosis.time_domain_check import REFUSED, Replay, replay, with_replay
 from invid.diagnosis.verdict import document
 from invid.effects.units import unit_of
-from invid.errors import InputError
+from invid.errors import InputError, NotIdentifiableError
 from invid.identification.identify import identify_chains
 from invid.identification.machine_kind import machine_kind
 from invid.likelihood.joint_fit import JointFit
@@ -62,8 +64,15 @@ def diagnose(
         Data from which no model can be drawn, or a model that does not fit the recording's axes.
     """
     recording, told = without_glitches(recording)
-    with running(current().fresh()) as context:
-        result = _diagnosed(recording, model, masses)
+    # What a search tries far from the solution may overflow; it is told by its size and taken back.
+    with running(current().fresh()) as context, np.errstate(all="ignore"):
+        try:
+            result = _diagnosed(recording, model, masses)
+        except np.linalg.LinAlgError as error:
+            raise NotIdentifiableError(
+                f"{recording.source}: the model is so far from these records that no fit of both is finite "
+                f"({error}); give the model of this robot, or diagnose without one"
+            ) from None
         result = replace(result, details={**result.details, "rules": context.fired()})
     cut = budget.warning()
     if cut is not None:
@@ -142,7 +151,8 @@ def _look(
     if own:
         declared = recording.masses_per_axis if masses is None else masses
         look = apply_rule("declared-masses", look, declared)
-    return replace(look, selection=apply_rule("viscous-with-dry", look.selection, look.train, look.held))
+    selection = apply_rule("viscous-with-dry", look.selection, look.train, look.held)
+    return cast(Look, replace(look, selection=selection))
 
 
 def _rigid(recording: Recording, model: Model | None) -> Diagnosis:

@@ -33,6 +33,16 @@ def carried(model: Model) -> tuple[EffectTerm, ...]:
     return tuple(e for e in model.effects if e.cause not in NORMAL_FRICTION)
 
 
+def fitted_friction(model: Model, structure: ChainStructure) -> Candidate:
+    """The friction that an identification fitted along, as causes at their places; none for other models."""
+    kept = {id(e) for e in carried(model)}
+    out = Candidate()
+    for term in model.effects:
+        if id(term) not in kept and min(term.parameters[n].value for n in term.parameters) > 0.0:
+            out = out.plus(Term(BY_CAUSE[term.cause], place_of(term, structure)), vector_of(term))
+    return out
+
+
 def place_of(term: EffectTerm, structure: ChainStructure) -> Place:
     """Where an effect of a model sits; ModelError where the model has no such place."""
     axes = list(structure.axes)

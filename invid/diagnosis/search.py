@@ -9,19 +9,19 @@ from typing import cast
 
 import numpy as np
 
-from invid.diagnosis.acceptance import accepted, least_gain, needed_gain
+from invid.diagnosis.acceptance import accepted, is_asked_for, least_gain, needed_gain
 from invid.diagnosis.candidates import REACH, is_smaller_model, refitted, screened, tell_of
 from invid.diagnosis.context import apply_rule
 from invid.diagnosis.evidence import Step, Trial, at_bound, attempted, extends
 from invid.diagnosis.score_test import Score, Screen, terms_for
 from invid.diagnosis.selection import Selection
 from invid.diagnosis.slow_move import Move
-from invid.diagnosis.thresholds import LARGER, SIGNIFICANCE
+from invid.diagnosis.thresholds import CLOSE, LARGER, SIGNIFICANCE
 from invid.likelihood.candidate_pool import each
 from invid.likelihood.hypothesis import Layout
 from invid.likelihood.joint_fit import JointFit, fit, held_out, reordered, without_last
 from invid.likelihood.null_test import null_test
-from invid.likelihood.placed_effect import Term
+from invid.likelihood.placed_effect import Candidate, Term
 from invid.model.place import Place
 from invid.numerics import budget
 from invid.numerics.arrays import Float64
@@ -38,8 +38,10 @@ HALF = 0.6
 """Share of what is still to be done that is taken to lie ahead after one more cause; for progress alone."""
 MODE = 150
 """Iterations for a mode moved to another mass of its axis; 20 left it at χ² 2036, 150 at 2003 (830051)."""
+NOTHING = Candidate()
 MOST = 3
-"""Causes sought at most, or two an axis if that is more: a weight and dry friction on each."""
+"""Causes sought at most besides the friction of the motors that the search starts with, or two an axis if
+that is more: a weight and dry friction on each."""
 
 
 def _rejects(trial: Trial, records: Sequence[Record]) -> bool:
@@ -58,6 +60,7 @@ def select(
     moves: Sequence[Move] = (),
     family: str | None = None,
     begun: Sequence[Trial] = (),
+    friction: Candidate = NOTHING,
 ) -> Selection:
     """Adds causes while both the training and the held-out gain are significant.
 
@@ -65,13 +68,13 @@ def select(
     those of the model, tried for a first cause where those of the fit lead nowhere. ``moves``: slow
     moves beside the records, which tell laws of position apart. ``family``: of
     causes, where only those of one are asked for. ``begun``: what the first cause is chosen from, in place of
-    a screen.
+    a screen. ``friction``: what the identification fitted along, where the search starts.
 
     A lag keeps the time offset of its axis beside it: two timings, where a delay is one. Where what the lag's
     model leaves is more than the difference between the two, the data do not ask for the second timing, and
     the delay leads; the lag stays its rival.
     """
-    asked = _Asked(linear_axes, free, start, moves, family=family, begun=begun)
+    asked = _Asked(linear_axes, free, start, moves, family=family, begun=begun, friction=friction)
     found = _search(base, train, held, asked)
     contested = frozenset(
         s.chosen.term.place.axis
@@ -121,11 +124,15 @@ class _Asked:
     """Which causes are looked for; all where it is none."""
     begun: Sequence[Trial] = ()
     """What the first cause is chosen from, in place of a screen."""
+    friction: Candidate = NOTHING
+    """Laws that the identification fitted along: where the search starts."""
 
 
 def _search(base: JointFit, train: Sequence[Record], held: Sequence[Record], asked: _Asked) -> Selection:
     """Causes added one by one."""
     start = Trial(base, held_out(base, held))
+    if (begun := _from_friction(start, train, held, asked)) is not None:
+        return begun
     found = _added(Selection(start, start), train, held, asked)
     found = apply_rule("viscous-with-dry", found, train, held)
     again = budget.or_else(AGAIN, partial(_reconsidered, found, train, held, asked), found)
@@ -135,10 +142,38 @@ def _search(base: JointFit, train: Sequence[Record], held: Sequence[Record], ask
     return replace(found, cut=found.cut or budget.is_left_out(FURTHER))
 
 
-def _added(found: Selection, train: Sequence[Record], held: Sequence[Record], asked: _Asked) -> Selection:
-    """Causes added one by one to those found."""
+def _from_friction(
+    start: Trial, train: Sequence[Record], held: Sequence[Record], asked: _Asked
+) -> Selection | None:
+    """The search begun with the friction of the identification; ``None`` where it ends far from the noise.
+
+    Beside a cause that the identification knew nothing of, its friction may stand for a part of that.
+    """
+    known = apply_rule("known-friction", start, asked.friction, asked.start, train, held)
+    if known is None:
+        return None
+    names = [_named(s) for s in known.steps]
+    begun = _added(known, train, held, asked, len(names))
+    every = sum(_named(s) in names for s in begun.steps)  # they stand first
+    found = budget.or_else(AGAIN, partial(_reconsidered, begun, train, held, asked, every=every), begun)
+    if [_named(s) for s in found.steps] != [_named(s) for s in begun.steps]:
+        found = _added(found, train, held, asked, sum(_named(s) in names for s in found.steps))
+    if found.final.cost > CLOSE * found.final.dof and not budget.spent():
+        return None
+    found = cast(Selection, apply_rule("asymmetric-pair", found, train, held))
+    return replace(found, cut=found.cut or budget.is_left_out(FURTHER))
+
+
+def _added(
+    found: Selection, train: Sequence[Record], held: Sequence[Record], asked: _Asked, besides: int = 0
+) -> Selection:
+    """Causes added one by one to those found; ``besides``: how many of them were known, and do not count.
+
+    A further cause is weighed against what was missing without causes, or with those known.
+    """
     start, current, steps, rejected = found.base, found.final, list(found.steps), found.rejected
-    most = max(MOST, 2 * start.fit.layout.structure.motors)
+    first = current if besides else start
+    most = max(2 * start.fit.layout.structure.motors, MOST + besides)
     while len(steps) < most:
         rejects = _rejects(current, [*train, *held])
         if steps and not rejects:
@@ -146,7 +181,7 @@ def _added(found: Selection, train: Sequence[Record], held: Sequence[Record], as
         number = len(steps)
         try:
             with budget.part(1.0, 1.0 - HALF**number, 1.0 - HALF ** (number + 1)):
-                step, rejected = _step(current, train, held, asked, start, first=not steps, rejects=rejects)
+                step, rejected = _step(current, train, held, asked, first, first=not steps, rejects=rejects)
         except budget.BudgetSpent:
             budget.leave_out(f"causes beside {number} found" if number else NONE_YET)
             found = replace(found, cut=True)
@@ -162,7 +197,12 @@ def _added(found: Selection, train: Sequence[Record], held: Sequence[Record], as
 
 
 def _reconsidered(
-    found: Selection, train: Sequence[Record], held: Sequence[Record], asked: _Asked
+    found: Selection,
+    train: Sequence[Record],
+    held: Sequence[Record],
+    asked: _Asked,
+    *,
+    every: int = 0,
 ) -> Selection:
     """Every cause but the last sought anew beside all others.
 
@@ -174,7 +214,7 @@ def _reconsidered(
     for number in reversed(range(len(found.steps))):
         final, at, count = found.final, known + number, known + len(found.steps)
         mode = found.steps[number].chosen.term.effect.cause == "extra_mode"
-        if number == newest and not mode:
+        if number == newest and not mode and number >= every:
             continue
         last = Trial(reordered(final.fit, [*range(at), *range(at + 1, count), at]), final.held)
         rest = attempted(partial(without_last, last.fit, train), held)
@@ -186,12 +226,19 @@ def _reconsidered(
                 continue
             rest = other or rest
         rejects = _rejects(rest, [*train, *held])
-        if number == newest and rejects:
+        if number == newest and rejects and number >= every:
             continue
         # What stands for a part of another axis' cause leaves the rest of that.
         axis = None if _rejects(found.final, [*train, *held]) else last.term.place.axis
         here = replace(asked, axis=axis)
         step, _ = _step(rest, train, held, here, found.base, first=True, rejects=rejects, known=(last,))
+        if step is None and number < every:
+            wet = last.term.effect.cause == "viscous_friction" and is_asked_for(rest, last)
+            if wet:
+                step = Step(rest, last, ((last, last.score(last.dispersion, last.fit.dof)),))
+            else:
+                found = replace(found, final=rest, steps=(*found.steps[:number], *found.steps[number + 1 :]))
+                continue
         if step is None:
             limit = chi2_isf(SIGNIFICANCE, last.term.size) * found.final.dispersion
             if not rejects and rest.cost < found.final.cost + limit:  # the others leave nothing to it
@@ -304,6 +351,8 @@ def _candidates(
     trials = list(apply_rule("delay-beyond-bound", here, train, held, late, asked.free))
     trials += apply_rule("lag-beside-delay", here, train, held, trials, terms)
     tried = {(t.term.effect.cause, t.term.place) for t in trials}
+    # Without a shape there is one minimum, and those known are in it.
+    tried |= {(t.term.effect.cause, t.term.place) for t in known if not t.term.effect.shapes}
     scores = [
         s
         for s in scores
@@ -315,7 +364,7 @@ def _candidates(
     def least(term: Term) -> float:
         return max(least_gain(here, term, len(terms), first=first), known_gain)
 
-    reached = min((t.fit.cost for t in trials), default=np.inf)
+    reached = min((t.fit.cost for t in (*trials, *known)), default=np.inf)
     trials += refitted(here, train, held, scores, least, reached)
     if first and rejects and asked.start is not None and not known:
         trials = apply_rule("start-from-model", trials, asked.start, here, train, held, terms)

@@ -8,6 +8,7 @@ from functools import partial
 
 from invid.diagnosis.context import apply_rule, current
 from invid.diagnosis.evidence import Trial
+from invid.diagnosis.known_effects import fitted_friction
 from invid.diagnosis.linear_fit import linear_fit, start_of, tones_in, without_effects
 from invid.diagnosis.search import select
 from invid.diagnosis.selection import Selection, is_lost
@@ -182,6 +183,7 @@ def _looked(recording: Recording, model: Model, asked: Asked = PLAIN) -> Look:
         free=free,
         start=start_of(model, base.layout),
         moves=moves_of(recording),
+        friction=fitted_friction(model, base.layout.structure),
     )
     with budget.part(1.0, 0.1, 0.9):
         selection = search(base, train, held)

@@ -79,8 +79,15 @@ def identify(
         Data from which no such model can be drawn at all; an excitation that drowns in the noise.
     """
     recording, told = without_glitches(recording)
-    with budget.part(TIME_TO_SEARCH):
-        model = _model(recording, masses, method, profile, (bootstrap, workers))
+    # What a search tries far from the solution may overflow; it is told by its size and taken back.
+    with budget.part(TIME_TO_SEARCH), np.errstate(all="ignore"):
+        try:
+            model = _model(recording, masses, method, profile, (bootstrap, workers))
+        except np.linalg.LinAlgError as error:
+            raise NotIdentifiableError(
+                f"{recording.source}: no chain of masses and springs fits these records to any finite error "
+                f"({error}); check the signs and units of position and torque, and the number of masses"
+            ) from None
     cut = budget.warning()
     told = told if cut is None else [*told, cut]
     return replace(model, warnings=(*model.warnings, *told)) if told else model

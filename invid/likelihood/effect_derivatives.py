@@ -11,7 +11,7 @@ from invid.effects.motion import View
 from invid.likelihood.inner_motion import learned
 from invid.likelihood.law_response import Change, direct_changes, respond, slopes_of
 from invid.likelihood.nuisance.transients import of_jumps
-from invid.likelihood.placed_effect import Candidate, Term, contributions, forces_of
+from invid.likelihood.placed_effect import Candidate, Term, contributions, forces_of, rattling
 from invid.numerics.arrays import Complex128, Float64
 
 
@@ -35,11 +35,7 @@ def response_columns(
         return False
     structure = view.structure
     lines, coordinates = view.base.shape
-    steps = [
-        (number, k, _step_of(view, term, x, k))
-        for number, (term, x) in enumerate(zip(candidate.terms, candidate.x, strict=True))
-        for k in range(x.size)
-    ]
+    steps = steps_of(view, candidate)
     known = linear if strong else 0
     count, springs = known + len(steps), view.springs.size
     base = np.zeros((lines, coordinates, count), dtype=complex)
@@ -62,7 +58,7 @@ def response_columns(
     return True
 
 
-def effect_columns(view: View, candidate: Candidate, extra: Complex128, columns: Complex128, at: int) -> None:
+def effect_columns(view: View, candidate: Candidate, columns: Complex128, at: int) -> None:
     """Derivatives of the contributions by differences.
 
     Both sides take the same steps from the same inner motion: what the steps have not brought into agreement
@@ -70,13 +66,19 @@ def effect_columns(view: View, candidate: Candidate, extra: Complex128, columns:
     """
     feedback, jumps = view.feedback, view.jumps
     inner = any(t.feels(view) for t in candidate.terms)
+    steps = steps_of(view, candidate)
+    if not steps:
+        return
+    if not inner and rattling(candidate) is None:
+        columns[..., at : at + len(steps)] = direct_changes(view, candidate, steps)[0]
+        return
 
     def at_(trial: Candidate) -> Complex128:
         out = contributions(view, trial, passes=3, early=False)
         view.respond(feedback, jumps)
         return out
 
-    reference = at_(candidate) if inner else extra
+    reference = at_(candidate)
     for number, (term, x) in enumerate(zip(candidate.terms, candidate.x, strict=True)):
         for k in range(x.size):
             h = _step_of(view, term, x, k)
@@ -133,6 +135,15 @@ def impedance_columns(
             every = view.structure.torque_derivative(sp, view.omega, rows, q[None])[0]
             force = -term.effect.force_per_motion(view, term.place, x.tolist())[:, None] * every[:, 0]
             columns[..., : view.structure.count] += view.push(pattern)[:, :, None] * force[:, None, :]
+
+
+def steps_of(view: View, candidate: Candidate) -> list[tuple[int, int, float]]:
+    """Effect, number of the parameter and difference, for every parameter of the effects."""
+    return [
+        (number, k, _step_of(view, term, x, k))
+        for number, (term, x) in enumerate(zip(candidate.terms, candidate.x, strict=True))
+        for k in range(x.size)
+    ]
 
 
 def _step_of(view: View, term: Term, x: Float64, k: int) -> float:

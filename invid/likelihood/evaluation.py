@@ -241,7 +241,7 @@ def _derivative(seen: Seen, layout: Layout, p: Float64, candidate: Candidate, th
     if not together:
         if strong and seen.ends is not None and view.read is None:
             learn_answers(view, candidate)
-        effect_columns(view, candidate, seen.extra, columns, layout.count)
+        effect_columns(view, candidate, columns, layout.count)
     if seen.ends is not None:
         jump_columns(view, candidate, seen.ends.moved, seen.jumps, columns, layout.count)
     if strong and not together:

@@ -19,7 +19,7 @@ from invid.effects.laws.beyond_band import PASSES as BEYOND_PASSES
 from invid.effects.laws.beyond_band import answer, beyond_band
 from invid.effects.laws.sign import DryLaw
 from invid.effects.motion import View, along
-from invid.likelihood.placed_effect import Candidate, Term, forces_of
+from invid.likelihood.placed_effect import Candidate, Term, law_part, law_parts, together
 from invid.model.place import Pattern
 from invid.numerics.anderson import Secants
 from invid.numerics.arrays import Bool, Complex128, Float64
@@ -347,13 +347,17 @@ def direct_changes(
 ) -> tuple[Complex128, Complex128]:
     """(F, M, P) contributions and (F, ΣN, P) inner motion that follow from each parameter of effects at the
     motion there is, by differences; ``steps`` are effect, number of the parameter and difference."""
-    total, back = forces_of(view, candidate)()
+    parts = law_parts(view, candidate)
+    total, back = together(view, candidate, parts)
     totals, backs = [], []
     for number, k, h in steps:
         moved = candidate.x[number].copy()
         moved[k] += h
         x = (*candidate.x[:number], moved, *candidate.x[number + 1 :])
-        there = forces_of(view, Candidate(candidate.terms, x))()
+        # The other laws stand where they are: what they contribute is known.
+        own = law_part(view, candidate.terms[number], moved)
+        changed = (*parts[:number], own, *parts[number + 1 :])
+        there = together(view, Candidate(candidate.terms, x), changed)
         totals.append((there[0] - total) / h)
         backs.append((there[1] - back) / h)
     return np.stack(totals, axis=-1), np.stack(backs, axis=-1)

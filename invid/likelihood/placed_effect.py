@@ -134,35 +134,54 @@ def impedances(view: View, effects: _Impedances, back: Complex128) -> tuple[Comp
     return (push @ forces)[..., 0], -(yields @ forces)[..., 0]
 
 
+Part = tuple[Complex128, Complex128 | None]
+"""Contribution (F, M) of one law, and (F, ΣN) what it does to inner coordinates."""
+
+
+def law_parts(view: View, candidate: Candidate) -> list[Part | None]:
+    """What each law contributes at the view's present inner motion; ``None`` for effects linear in motion."""
+    return [law_part(view, t, x) for t, x in zip(candidate.terms, candidate.x, strict=True)]
+
+
+def law_part(view: View, term: Term, x: Float64) -> Part | None:
+    """The same of one effect."""
+    if isinstance(term.effect, ImpedanceEffect):
+        return None
+    return term.effect.contribution(view, term.place, x.tolist())
+
+
 def forces_of(view: View, candidate: Candidate) -> Forces:
     """What the effects contribute at the view's present inner motion, and the inner motion that follows."""
+    return lambda: together(view, candidate, law_parts(view, candidate))
+
+
+def together(view: View, candidate: Candidate, parts: Sequence[Part | None]) -> tuple[Complex128, Complex128]:
+    """(F, M) contributions and (F, ΣN) inner motion that follows, from what each law contributes."""
     inner = any(t.feels(view) for t in candidate.terms)
     patterns = tuple(
         t.place.pattern(view.structure)
         for t in candidate.terms
         if t.place.kind != "axis" and t.effect.along_pattern
     )
-    every = list(zip(candidate.terms, candidate.x, strict=True))
-    laws = [(t, x) for t, x in every if not isinstance(t.effect, ImpedanceEffect)]
-    linear = [(t.effect, t.place, x) for t, x in every if isinstance(t.effect, ImpedanceEffect)]
-
-    def forces() -> tuple[Complex128, Complex128]:
-        total: Complex128 = np.zeros_like(view.acting)
-        outside: Complex128 = np.zeros_like(view.acting)
-        back: Complex128 = np.zeros_like(view.base)
-        for term, x in laws:
-            own, yields = term.effect.contribution(view, term.place, x.tolist())
-            total = total + own
-            if term.place.kind == "axis":  # a drive's or a sensor's: no force at any mass
-                outside = outside + own
-            if yields is not None:
-                back = back + yields
-        if linear:
-            own, moved = impedances(view, linear, back)
-            total, back = total + own, back + moved
-        rest = view.left(total) if inner and patterns else None
-        if rest is not None:
-            back = back + view.correction(patterns, rest, outside)
-        return total, back
-
-    return forces
+    total: Complex128 = np.zeros_like(view.acting)
+    outside: Complex128 = np.zeros_like(view.acting)
+    back: Complex128 = np.zeros_like(view.base)
+    linear: list[tuple[ImpedanceEffect, Place, Float64]] = []
+    for term, x, part in zip(candidate.terms, candidate.x, parts, strict=True):
+        if isinstance(term.effect, ImpedanceEffect):
+            linear.append((term.effect, term.place, x))
+        if part is None:
+            continue
+        own, yields = part
+        total = total + own
+        if term.place.kind == "axis":  # a drive's or a sensor's: no force at any mass
+            outside = outside + own
+        if yields is not None:
+            back = back + yields
+    if linear:
+        own, moved = impedances(view, linear, back)
+        total, back = total + own, back + moved
+    rest = view.left(total) if inner and patterns else None
+    if rest is not None:
+        back = back + view.correction(patterns, rest, outside)
+    return total, back

@@ -17,6 +17,7 @@ from invid.modes import Modes
 from invid.modes.model import high_gain_pairs, pairs
 from invid.numerics import budget
 from invid.numerics.arrays import Bool, Complex128, Float64
+from invid.numerics.eigenvalues import eigenvalues
 from invid.signals.frf import FrfMatrix
 from invid.signals.spectra import FEW_LINES, LineSpectra
 
@@ -203,7 +204,7 @@ def _real(values: Complex128) -> Float64:
 
 
 def relocated(data: Sequence[Record], poles: Complex128, motors: int, scale: float) -> Complex128 | None:
-    """Zeros of σ: the poles of the next round."""
+    """Zeros of σ: the poles of the next round; ``None`` where the data leave no finite ones."""
     count = poles.size
     shared = motors * (2 * count + 1)
     columns = columns_of(data, poles, motors, scale)
@@ -233,7 +234,9 @@ def relocated(data: Sequence[Record], poles: Complex128, motors: int, scale: flo
     state[first, first] = state[second, second] = poles.real
     state[first, second], state[second, first] = poles.imag, -poles.imag
     drive = np.concatenate((np.full(count, 2.0), np.zeros(count)))
-    values = np.linalg.eigvals(state - np.outer(drive, x[:-1]) / direct)
+    values = eigenvalues(state - np.outer(drive, x[:-1]) / direct)
+    if values is None:
+        return None
     # Never on the axis itself, where a line may stand.
     values = -np.maximum(np.abs(values.real), LEAST_DAMPING * np.abs(values.imag)) + 1j * values.imag
     upper = values[values.imag > 1e-9]

@@ -11,6 +11,7 @@ import numpy.typing as npt
 import scipy.linalg
 
 from invid.numerics.arrays import Complex128, Float64
+from invid.numerics.eigenvalues import eigenvalues
 
 
 def relocate_poles(
@@ -27,6 +28,8 @@ def relocate_poles(
     """
     for _ in range(iterations):
         fresh = _relocate(w, response, weight, poles)
+        if fresh is None:
+            return poles
         if np.allclose(fresh, poles, rtol=1e-9, atol=0):
             return fresh
         poles = fresh
@@ -46,7 +49,8 @@ def _stacked(matrix: npt.NDArray[np.complexfloating]) -> Float64:
     return stacked
 
 
-def _relocate(w: Float64, response: Complex128, weight: Float64, poles: Complex128) -> Complex128:
+def _relocate(w: Float64, response: Complex128, weight: Float64, poles: Complex128) -> Complex128 | None:
+    """The zeros of σ as poles; ``None`` where the data leave no finite ones."""
     basis = _basis(w, poles)
     order, entries = basis.shape[1], response.shape[1]
     common: Complex128 = np.column_stack((basis, np.ones(w.size), 1.0 / (1j * w)))  # gain, and friction's 1/s
@@ -59,6 +63,8 @@ def _relocate(w: Float64, response: Complex128, weight: Float64, poles: Complex1
         scale = np.linalg.norm(left, axis=0)
         left /= np.where(scale > 0, scale, 1.0)
         denominator = _stacked(-(weight[:, p] * response[:, p])[:, None] * sigma)
+        if not (np.isfinite(left).all() and np.isfinite(denominator).all()):
+            return None
         factor = scipy.linalg.qr(np.column_stack((left, denominator)), mode="r")[0]
         rows.append(factor[common.shape[1] :, common.shape[1] :])
         right.append(np.zeros(rows[-1].shape[0]))
@@ -68,6 +74,8 @@ def _relocate(w: Float64, response: Complex128, weight: Float64, poles: Complex1
     right.append(np.array([emphasis * w.size]))
     matrix, target = np.concatenate(rows), np.concatenate(right)
     norms = np.linalg.norm(matrix, axis=0)
+    if not np.isfinite(norms).all():
+        return None
     norms[norms == 0] = 1.0
     solution = np.linalg.lstsq(matrix / norms, target, rcond=None)[0] / norms
     residues, direct = solution[:order], solution[order]
@@ -79,7 +87,8 @@ def _relocate(w: Float64, response: Complex128, weight: Float64, poles: Complex1
     state[even, even + 1], state[even + 1, even] = poles.imag, -poles.imag
     drive = np.zeros(order)
     drive[even] = 2.0
-    return _pairs(np.linalg.eigvals(state - np.outer(drive, residues) / direct), poles, w)
+    values = eigenvalues(state - np.outer(drive, residues) / direct)
+    return None if values is None else _pairs(values, poles, w)
 
 
 def _pairs(values: Complex128, before: Complex128, w: Float64) -> Complex128:

@@ -14,6 +14,7 @@ from invid.diagnosis.rules.declared_masses import with_the_declared_mass
 from invid.diagnosis.rules.dropped_rows import find_dropped
 from invid.diagnosis.rules.gradual_sign import with_gradual_signs
 from invid.diagnosis.rules.heavy_mode import strong_modes
+from invid.diagnosis.rules.known_friction import with_known_friction
 from invid.diagnosis.rules.load_change import between_records, changes_with_time, searched_around
 from invid.diagnosis.rules.mode_place import modes_moved, with_the_mode_in_the_chain
 from invid.diagnosis.rules.near_variants import delays, elsewhere, ladder, lags, retimed
@@ -59,6 +60,12 @@ RULES: tuple[Rule, ...] = (
         "time-causes-first", Stage.DATA,
         "Where records kept out differ from those fitted, only a change with time is worth the long search.",
         GENERATORS, changes_with_time, lambda *_, **__: True,
+    ),
+    Rule(
+        "known-friction", Stage.SELECTION,
+        "An identification that gets chains right beside friction has found it: the search starts with it.",
+        "saves a step of the search for each law (benchmarks/bench_speed.py)", with_known_friction, _none,
+        applies=lambda start, friction, *_: len(friction.terms) > 1,
     ),
     Rule(
         "delay-beyond-bound", Stage.CANDIDATES,

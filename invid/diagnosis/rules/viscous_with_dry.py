@@ -8,6 +8,7 @@ from functools import partial
 
 import numpy as np
 
+from invid.diagnosis.acceptance import is_asked_for
 from invid.diagnosis.evidence import Step, Trial, attempted
 from invid.diagnosis.score_test import Screen
 from invid.diagnosis.selection import Selection
@@ -44,7 +45,7 @@ def with_viscous(found: Selection, train: Sequence[Record], held: Sequence[Recor
         candidate = final.fit.candidate.plus(viscous, x)
         started = partial(fit, final.fit.layout, train, final.fit.p, candidate, iterations=25)
         trial = attempted(started, held)
-        if trial is not None and _asked_for(final, trial):
+        if trial is not None and is_asked_for(final, trial):
             found = _named(found, number, trial)
     return found
 
@@ -81,12 +82,6 @@ def _score(screen: Screen, term: Term) -> tuple[float, Float64]:
     out = screen.at(term, ())
     screen.release()
     return out
-
-
-def _asked_for(without: Trial, trial: Trial) -> bool:
-    """Whether the training records ask for the viscous friction and the held-out ones do not refuse it."""
-    gain = (without.fit.cost - trial.fit.cost) / trial.dispersion
-    return gain > chi2_isf(WEAK, 1) and trial.held.cost < without.held.cost
 
 
 def _named(found: Selection, number: int, trial: Trial) -> Selection:

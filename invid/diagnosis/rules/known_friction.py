@@ -1,0 +1,79 @@
+"""The friction that the identification fitted along, as where a search for causes starts.
+
+An identification that gets masses and springs right beside dry friction has found that friction, on every
+axis. A search that adds it again cause by cause screens and refits the whole catalogue once for each axis and
+law. Here all of it enters at once; every law is then asked for beside all others, with its rivals, as any
+cause is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+from invid.diagnosis.evidence import Step, Trial, attempted
+from invid.diagnosis.selection import Selection
+from invid.likelihood.joint_fit import fit, reordered
+from invid.likelihood.placed_effect import Candidate
+from invid.numerics.arrays import Float64
+from invid.numerics.distributions import chi2_isf
+from invid.signals.spectral_record import Record
+
+CHANCE = 0.01
+"""Of a size that noise makes as large. What starts without being there goes again once it is asked for beside
+all others; what is missing has to be found."""
+LEAST = 2
+"""Laws from which on starting with them saves anything: one alone is found by one step of the search."""
+
+
+def with_known_friction(
+    base: Trial,
+    friction: Candidate,
+    start: Float64 | None,
+    train: Sequence[Record],
+    held: Sequence[Record],
+) -> Selection | None:
+    """The laws of ``friction`` that the records ask for, beside those of ``base``; ``None`` where too few.
+
+    ``start`` (n,): the linear parameters that the identification found with them. The steps have no rivals
+    yet, and what each law gains is not told from the others'.
+    """
+    known = base.fit.candidate.terms
+    fresh = [k for k, t in enumerate(friction.terms) if all(t.place != other.place for other in known)]
+    if len(fresh) < LEAST:
+        return None
+    layout, chosen = base.fit.layout, base.fit.candidate
+    for k in fresh:
+        chosen = chosen.plus(friction.terms[k], friction.x[k])
+    starts = [base.fit.p] if start is None or start.size != base.fit.p.size else [start, base.fit.p]
+    tried = (attempted(partial(fit, layout, train, p, chosen, iterations=25), held) for p in starts)
+    found = next((t for t in tried if t is not None and t.cost < base.cost), None)
+    while found is not None:
+        count = len(found.fit.candidate.terms)
+        sizes = {k: _significance(found, k) for k in range(len(known), count)}
+        if len(sizes) < LEAST:
+            return None
+        if all(s > chi2_isf(CHANCE, 1) for s in sizes.values()):
+            return _selection(base, found, sorted(sizes, key=lambda k: -sizes[k]))
+        weakest = min(sizes, key=lambda k: sizes[k])
+        rest = found.fit.candidate.only(k for k in range(count) if k != weakest)
+        found = attempted(partial(fit, layout, train, found.fit.p, rest, iterations=25), held)
+    return None
+
+
+def _significance(found: Trial, number: int) -> float:
+    """Size over its standard deviation, squared; none below zero."""
+    size, variance = float(found.fit.candidate.x[number][0]), float(found.fit.covariance_of(number)[0, 0])
+    return size**2 / variance if size > 0.0 and variance > 0.0 else 0.0
+
+
+def _selection(base: Trial, found: Trial, order: Sequence[int]) -> Selection:
+    """The laws as steps, the surest first."""
+    before = range(len(base.fit.candidate.terms))
+    final = Trial(reordered(found.fit, [*before, *order]), found.held)
+    steps = []
+    for k in order:
+        others = [other for other in order if other != k]
+        chosen = Trial(reordered(found.fit, [*before, *others, k]), found.held)
+        steps.append(Step(base, chosen, ((chosen, chosen.cost),)))
+    return Selection(base, final, tuple(steps))
