@@ -27,6 +27,8 @@ def test_a_run_measures_identifies_diagnoses_and_is_accepted(tmp_path: Path) -> 
     with serving(tmp_path, cell=asking) as service:
         location = service.start(arm=False)
         plan = service.wait(location, "awaiting_arm")["plan"]
+        (budget,) = plan["budgets"]  # how far the axis goes after a stop, and when this computer dies
+        assert 0 < budget["stopping_distance"] <= budget["dead_master_distance"] <= budget["room"] * 1.001
         assert plan["forecast"][0]["axis"] == "A1"
         assert 0 < plan["forecast"][0]["peak_torque"] <= 25
         assert plan["duration_s"] > 5
