@@ -4,8 +4,8 @@
 
 A small simulated cell with dry and viscous friction is measured, identified and diagnosed. Then
 
-- drawn: pairs of models are drawn from that model, every parameter and cause off by its own standard
-  deviation (cheap: nothing is fitted, so it tests the comparison and not the estimates);
+- drawn: pairs of models are drawn from that model, parameters by their joint covariance, every cause off by
+  its own standard deviation (cheap: nothing is fitted, so it tests the comparison and not the estimates);
 - measured: ``--runs`` whole runs, each with its own noise, and as many with the dry friction five standard
   deviations of the difference larger; all pairs of them, which are not independent.
 
@@ -75,11 +75,18 @@ def run(seed: int, dry: float) -> tuple[Recording, Diagnosis]:
 
 def drawn(base: Model, rng: np.random.Generator, grown: float = 0.0) -> Model:
     """Another estimate of the same robot; ``grown`` is added to the dry friction [N·m]."""
-    chains = replace(
-        base.chains,
-        masses=tuple(v + s * rng.standard_normal(v.size) for v, s in _with_std(base, "masses")),
-        springs=tuple(v + s * rng.standard_normal(v.size) for v, s in _with_std(base, "springs")),
-    )
+    names, covariance = base.parameter_names, base.covariance
+    if covariance is None:
+        raise ValueError("the model has no joint covariance to draw from")
+    drawn_by = rng.multivariate_normal(np.zeros(len(names)), covariance)
+    off = dict(zip(names, drawn_by, strict=True))
+    chains = base.chains
+    for field, kind in (("masses", "mass"), ("springs", "spring"), ("dampers", "damper")):
+        moved = tuple(
+            v + np.array([off.get(f"{axis}.{kind}.{k + 1}", 0.0) for k in range(v.size)])
+            for axis, v in zip(chains.axes, getattr(chains, field), strict=True)
+        )
+        chains = replace(chains, **{field: moved})
     effects = tuple(
         replace(
             t,
@@ -96,10 +103,6 @@ def drawn(base: Model, rng: np.random.Generator, grown: float = 0.0) -> Model:
         for t in base.effects
     )
     return replace(base, chains=chains, effects=effects)
-
-
-def _with_std(base: Model, kind: str) -> Any:
-    return zip(getattr(base.chains, kind), getattr(base.std, kind), strict=True)
 
 
 def dry_friction(model: Model) -> tuple[float, float]:

@@ -30,6 +30,9 @@ MOST_SPREAD = 10.0
 AGAIN = 3.0
 """Motion in the doublets over that of one from rest: each begins where the one before left the axis moving.
 Empirical (``bench_announced.py``)."""
+STOPPED = 5.0
+"""Torque after the doublets over that of one: a drive whose own hold takes an axis over stops it, with what
+swings behind it. Empirical: 4.2 at most (``bench_announced.py``)."""
 ROUNDS = 6
 NEVER_BACK = 2.5
 """Creep in rms velocities of the shaking above which a motor hardly turns back (once in a hundred, normal).
@@ -125,7 +128,8 @@ def model_forecast(
     for i in sorted({i for e in experiments for i in e.excited}):
         first, _ = sign_amplitude(config, experiments, i)
         doublet = sign_doublet(config, i, first, float(belief.inertia[i]))
-        bounds = np.maximum(bounds, AGAIN * peaks_of(config, doublet, belief).bound)
+        more = np.array([[AGAIN], [AGAIN], [STOPPED]])
+        bounds = np.maximum(bounds, more * peaks_of(config, doublet, belief).bound)
         bounds[0, i] = max(bounds[0, i], SIGN_TRAVEL * config.axes[i].limits.position)
     for i, axis in enumerate(config.axes):
         bounds[2, i] += READING * (axis.rated_torque or axis.limits.torque)
