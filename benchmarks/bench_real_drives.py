@@ -45,10 +45,12 @@ from invid_drivers.simulated.faults import FaultConfig
 
 UNATTENDED_S = 2.0
 """Between the first command and the next: nobody is there, the heartbeat is gone."""
-RAMP_S, REST_POLL_S, AT_REST = 1.0, 0.01, 0.02
+RAMP_S, REST_POLL_S, AT_REST, REST_POLLS = 1.0, 0.01, 0.02, 10
 """A ramp that still runs when the command has ended may take so long [s] to this speed [rad/s]."""
 RUN_S = 26.0
 """About how long a run takes, its load weighed and its stop test done; faults come at any moment of it."""
+ENABLED_S = 1.2
+"""The bus is listened to for so long before anything is sent; faults come after that."""
 FOREIGN_NODE = 20
 RESET_NODE = 0x81
 LATE_CUT_S = 0.2
@@ -101,7 +103,7 @@ EXPECTED: dict[str, set[int]] = {
     "slow SDO": {0, 2, 4, 5},
     "ignore_target": {0, 4, 5},
     "torque_display": {0, 4, 5},
-    "no servo": REFUSED,
+    "no servo": REFUSED | {0},  # 0x1000 of 0 says nothing, and is noted
     "other sync before": REFUSED,
     "other sync": {0, 4, 5},
     "other nmt": {0, 4, 5},
@@ -154,12 +156,12 @@ def make_case(kind: str, rng: np.random.Generator) -> Case:
         keys["gravity_loaded"] = name == loaded
     case = Case(kind, axes, drives)
     axis = f"A{rng.integers(1, 4)}"
-    at_s = float(rng.uniform(0.45, 0.95 * RUN_S))
+    at_s = ENABLED_S + float(rng.uniform(0.45, 0.95 * RUN_S))
     if kind in NEEDS_BRAKE:
         _give_brake(case, loaded, 0.02)
     if kind in OLD:
         case.faults = [draw(rng, kind)]
-        case.faults[0]["at_s"] *= RUN_S / OLD_RUN_S
+        case.faults[0]["at_s"] = ENABLED_S + case.faults[0]["at_s"] * RUN_S / OLD_RUN_S
         if kind in NEEDS_BRAKE:
             _give_brake(case, case.faults[0]["axis"], 0.02)
         if kind.startswith("ignore"):
@@ -380,8 +382,10 @@ class Bench:
 
     def wait_for_rest(self) -> None:
         """Where a ramp still runs when a command has ended, its end; one that falls does not get there."""
+        still = 0  # a turning point is no rest
         for _ in range(round(RAMP_S / REST_POLL_S)):
-            if np.abs(self.judge.watch.velocities).max() < AT_REST:
+            still = still + 1 if np.abs(self.judge.watch.velocities).max() < AT_REST else 0
+            if still >= REST_POLLS:
                 return
             self.wait(REST_POLL_S)
 

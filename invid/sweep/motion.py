@@ -212,8 +212,11 @@ class Motion:
         if any(load.loaded for load in self.loads):  # one must be sure of it, and of its torque
             done = self.done_s
             rows = self.play(None, round(CONFIRM_S / self.plan.cycle_s), log=True)
-            self.done_s = done  # no part of the plan
             self.loads = judge_loads(self.config, rows.torque, rows.fresh, held, rated)
+            if any(load.said for load in self.loads):  # a person who leans on it is no load
+                rows = self.play(None, round(CONFIRM_S / self.plan.cycle_s), log=True)
+                self.loads = judge_loads(self.config, rows.torque, rows.fresh, held, rated)
+            self.done_s = done  # no part of the plan
         for i, load in enumerate(self.loads):
             # What the drive needs to hold an axis is what it needs when the master takes over; only a
             # loaded axis is believed to need any, friction held at rest can be anything. A drive that is

@@ -139,8 +139,6 @@ def test_a_loaded_axis_stays_where_it_stopped_until_the_user_acts(cell: OtherCel
     run.send_signal(signal.SIGINT)
     _, said = run.communicate(timeout=240)
     assert run.returncode == 4, said
-    assert "axis A2 is energised: it is held by its drive in quick stop active" in said
-    assert "axis A1 is energised" not in said
     cell.truth(mark=True)
     time.sleep(3.5)  # longer than the heartbeat watch
     assert cell.truth()["drives"][1]["travel"] <= HELD

@@ -6,6 +6,7 @@ Raw ``struct`` in the cycle; SDO, maps and states before and after it. Whoever e
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
 
 import can
@@ -298,10 +299,7 @@ class Cia402Cell:
         """Axes that carry nothing may switch off after a stop, others are tested: whether any was."""
         self.held.settle(loaded)
         self.held.refuse_dead_displays(self._cycle.sample, self._torque_off, self._reports)
-        self.held.set_options(self._cycle)
-        end = self.clock.now() + CHANGE_S
-        while self._cycle.changing and self.clock.now() < end:
-            self.exchange([0.0] * len(self._drives))
+        self.held.set_options(self._cycle, self.clock, self.exchange)
         test = StopTest(
             self._config,
             self._link,
@@ -352,6 +350,9 @@ class Cia402Cell:
         """
         if self._stopped:
             return
+        with contextlib.suppress(Exception):
+            if self.held.weigh_at_once(self._cycle.sample, self.rated_torque):
+                self.held.set_options(self._cycle, self.clock, self.exchange)
         stays = [h.stays for h in self.holdings]
         way = WayOut(self._config, self._link, self._drives, self._cycle, self.exchange, stays, self._ramp_s)
         self.not_off = way.take()

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 from invid.errors import BusError, SafetyStop
-from invid.sweep.ports import Sample
+from invid.sweep.loads import LOAD_SHARE
+from invid.sweep.ports import Clock, Sample
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.axis import Drive, DriveReport
 from invid_drivers.cia402.cycle import Cycle
@@ -23,6 +24,7 @@ from invid_drivers.cia402.holding import (
     suspect_reason,
 )
 from invid_drivers.cia402.journal import Entry, Journal
+from invid_drivers.cia402.mode_change import CHANGE_S
 from invid_drivers.cia402.protection import STAY, SWITCH_OFF
 from invid_drivers.cia402.states import DriveState, is_energised, state_of
 
@@ -38,13 +40,14 @@ class HeldAxes:
         self.memory = HoldMemory.beside(journal.path)
         """What was seen of how each drive holds its axis."""
         self.holdings: list[AxisHolding] = []
+        self._settled = False
 
     def find(self, reports: Sequence[DriveReport], powered: Mapping[str, DriveState]) -> None:
         """Ask each drive; DriveError where nothing would hold an axis that is or may be loaded.
 
         ``powered``: states of drives that were not sent anything.
         """
-        self.holdings = []
+        self.holdings, self._settled = [], False
         for drive, report in zip(self._drives, reports, strict=True):
             state = powered.get(drive.name, DriveState.SWITCH_ON_DISABLED)
             name = identity(report.vendor_id, report.product_code, report.serial)
@@ -90,8 +93,19 @@ class HeldAxes:
                     h.note(self.memory, suspect=why.partition(";")[0][:200])
 
     # --- at rest -------------------------------------------------------------------------------
+    def weigh_at_once(self, sample: Sample, rated: Sequence[float]) -> bool:
+        """A stop before the torque at rest was judged: what it shows counts; whether an axis stays for it."""
+        stays = False
+        for i, h in enumerate(self.holdings):
+            doubted = not self._settled and h.loaded is False and h.can_stay and sample.fresh[i]
+            energised = is_energised(state_of(sample.status[i]))
+            if doubted and energised and abs(sample.torque[i]) > LOAD_SHARE * rated[i]:
+                h.loaded = stays = True
+        return stays
+
     def settle(self, loaded: Sequence[bool]) -> None:
         """What the torque at rest said; DriveError where nothing will hold an axis that is loaded."""
+        self._settled = True
         settle(self.holdings, loaded, self.memory)
         for drive, holding in zip(self._drives, self.holdings, strict=True):
             if holding.loaded and holding.stays and not holding.can_stay:
@@ -109,7 +123,7 @@ class HeldAxes:
                     "drive was switched on and shows it while it holds a load: it is not its torque"
                 )
 
-    def set_options(self, cycle: Cycle) -> None:
+    def set_options(self, cycle: Cycle, clock: Clock, exchange: Callable[[Sequence[float]], Sample]) -> None:
         """0x605A as what each axis carries asks for; written between two SYNCs."""
         what = od.QUICK_STOP_OPTION
         for i, (drive, holding) in enumerate(zip(self._drives, self.holdings, strict=True)):
@@ -121,6 +135,9 @@ class HeldAxes:
             pack = (what.pack(before).hex(), what.pack(wanted).hex())
             self._journal.add(Entry(drive.node_id, drive.serial, what.index, what.sub, *pack))
             cycle.set_object(i, what, wanted)
+        end = clock.now() + CHANGE_S
+        while cycle.changing and clock.now() < end:
+            exchange([0.0] * len(self._drives))
 
     # --- after the stop ------------------------------------------------------------------------
     def note_end(self, held: Sequence[str]) -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from invid.config import CellConfig
-from invid.errors import SafetyStop
+from invid.errors import BusError, DriveError, SafetyStop
 from invid.sweep.ports import Mode, Sample, Severity
 from invid_drivers.cia402 import states
 from invid_drivers.cia402.axis import Drive
@@ -164,7 +164,7 @@ class StopTest:
         for peer in link.peers.values():
             for said, code in peer.emcy:
                 if said >= began and code >= 0x0100 and code & 0xFF00 not in MISSES_MASTER:
-                    raise SafetyStop(f"axis {peer.name} reports error 0x{code:04X} in the stop test")
+                    raise DriveError(f"axis {peer.name} reports error 0x{code:04X} in the stop test")
         link.events[:] = [e for e in link.events if e.severity is not Severity.DRIVE]
         for peer in link.peers.values():
             peer.last_heartbeat = None
@@ -232,7 +232,8 @@ class StopTest:
         sample = self._cell_exchange(self._zero)
         for event in sample.events:
             if event.severity is not Severity.NOTE:
-                raise SafetyStop(f"{event.text}, in the stop test")
+                failed = BusError if event.severity is Severity.BUS else DriveError
+                raise failed(f"{event.text}, in the stop test")
         if self._cancelled():
             raise SafetyStop("stopped on request in the stop test; nothing was recorded yet")
         return sample
