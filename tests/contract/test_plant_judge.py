@@ -164,7 +164,7 @@ def test_an_exit_status_that_the_kind_does_not_call_for_and_a_lost_recording_are
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(bench_real_drives, "run_measurement", lambda *a, **k: None)
-    outcome = run_one("no servo", np.random.default_rng(1), tmp_path)
+    outcome = run_one("other sync before", np.random.default_rng(1), tmp_path)
     assert any(c.startswith("exit 0") for c in outcome.complaints)
     assert "no recording was left" in outcome.complaints
     monkeypatch.setattr(

@@ -37,7 +37,14 @@ def cell(drive: dict[str, Any] | None = None, /, *, safety: Any = None, **axis: 
                 "robot": "one axis",
                 "bus": {"interface": "invid-virtual", "channel": "stopping"},
                 "axes": [
-                    {"name": "A1", "node_id": 1, "rated_torque_Nm": 50, "inertia_kgm2": 2.0, "limits": limits}
+                    {
+                        "name": "A1",
+                        "node_id": 1,
+                        "rated_torque_Nm": 50,
+                        "inertia_kgm2": 2.0,
+                        "limits": limits,
+                        "gravity_loaded": False,
+                    }
                     | axis
                 ],
                 "safety": safety or {"heartbeat_s": 0.02},

@@ -351,7 +351,7 @@ class Cia402Cell:
         if self._stopped:
             return
         with contextlib.suppress(Exception):
-            if self.held.weigh_at_once(self._cycle.sample, self.rated_torque):
+            if self.held.weigh_at_once(self._cycle.sample, self.rated_torque, self._cycle.modes):
                 self.held.set_options(self._cycle, self.clock, self.exchange)
         stays = [h.stays for h in self.holdings]
         way = WayOut(self._config, self._link, self._drives, self._cycle, self.exchange, stays, self._ramp_s)

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from invid.errors import BusError, SafetyStop
 from invid.sweep.loads import LOAD_SHARE
-from invid.sweep.ports import Clock, Sample
+from invid.sweep.ports import Clock, Mode, Sample
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.axis import Drive, DriveReport
 from invid_drivers.cia402.cycle import Cycle
@@ -93,13 +93,14 @@ class HeldAxes:
                     h.note(self.memory, suspect=why.partition(";")[0][:200])
 
     # --- at rest -------------------------------------------------------------------------------
-    def weigh_at_once(self, sample: Sample, rated: Sequence[float]) -> bool:
-        """A stop before the torque at rest was judged: what it shows counts; whether an axis stays for it."""
+    def weigh_at_once(self, sample: Sample, rated: Sequence[float], modes: Sequence[Mode]) -> bool:
+        """A stop before the torque at rest was judged: what it shows counts where the drive holds the axis, for
+        nobody else commands it; whether an axis stays for it."""
         stays = False
         for i, h in enumerate(self.holdings):
             doubted = not self._settled and h.loaded is False and h.can_stay and sample.fresh[i]
-            energised = is_energised(state_of(sample.status[i]))
-            if doubted and energised and abs(sample.torque[i]) > LOAD_SHARE * rated[i]:
+            held = is_energised(state_of(sample.status[i])) and modes[i] is Mode.HOLD
+            if doubted and held and abs(sample.torque[i]) > LOAD_SHARE * rated[i]:
                 h.loaded = stays = True
         return stays
 

@@ -192,11 +192,12 @@ class Link:
         An adapter gives it back when it is on the wire, so before the answer to it: one that gave back
         nothing by the first answer to an SDO request gives back nothing.
         """
-        if self._echoes[cob, data] > 0:
-            self._echoes[cob, data] -= 1
+        waited = self._echoes.pop((cob, data), 0)
+        if waited > 0:
+            if waited > 1:
+                self._echoes[cob, data] = waited - 1
             self._echoing = True
             return True
-        del self._echoes[cob, data]
         if (
             self._echoing is None
             and cob & 0x780 == 0x580
