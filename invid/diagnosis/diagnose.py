@@ -10,9 +10,9 @@ import numpy as np
 
 from invid.diagnosis.consequence import with_consequences
 from invid.diagnosis.context import apply_rule, current, running
-from invid.diagnosis.cut_short import cut_short
 from invid.diagnosis.extended_model import extended_model
 from invid.diagnosis.known_effects import folded
+from invid.diagnosis.promises import cut_short
 from invid.diagnosis.rules.dropped_rows import before_repair, repaired, with_dropped
 from invid.diagnosis.search_pass import Look, looked
 from invid.diagnosis.time_domain_check import REFUSED, Replay, replay, with_replay

@@ -63,6 +63,7 @@ def machine_kind(
         return MachineKind(rigid=False)
     try:
         missed = rigid_misses(analyse(recording))
+        identify_trajectory(recording)  # an inertia may come out negative
     except InvidError:
         missed = float("inf")
     if moved and missed < RIGID_ENOUGH:
@@ -73,7 +74,8 @@ def machine_kind(
     except (InvidError, np.linalg.LinAlgError):
         model, left = None, float("inf")
     said = f"rigid axes miss {_share(missed)} of the torque on rows kept out, chains {_share(left)}"
-    if model is not None and (left < CLEARLY * missed or (not moved and left <= missed)):
+    # What looks like shaking is taken for moves only where that is clearly better, and the other way round.
+    if model is not None and (left < CLEARLY * missed if moved else not missed < CLEARLY * left):
         said = f"taken for an elastic machine: {said}"
         return MachineKind(False, replace(model, warnings=(*model.warnings, said)), said)
     if np.isinf(missed):

@@ -245,6 +245,8 @@ def _periodic(
     hz = np.arange(1, nyquist + 1) / (period * data.step)
     top = highest_excited(experiment, hz, spectra)
     quiet = (hz > 1.5 * hz[top]) & (hz < 0.45 / data.step)
+    if not quiet.any():
+        quiet = hz > 0.9 * hz[-1]
     floor, floor_dof, share = _floor(data, quiet, hz, period)
     band = band_of(hz, top, band_hz)
     settling = settle(spectra[:, : top + 1], floor, floor_dof)

@@ -12,6 +12,7 @@ import pytest
 from invid.diagnosis.evidence import Trial
 from invid.diagnosis.rules.wide_gap import rattles
 from invid.diagnosis.search_pass import _begun
+from invid.diagnosis.validation import PLAIN
 from invid.likelihood.joint_fit import held_out
 from invid.model.document import ChainStd, Model
 from invid.recording.model import Recording
@@ -50,7 +51,7 @@ def _astray(truth: Truth, recording: Recording) -> Model:
 @pytest.mark.parametrize("gaps", [1.0, 2.0])
 def test_a_gap_as_wide_as_the_deflection_is_found_from_a_linear_fit_that_it_led_astray(gaps: float) -> None:
     recording, truth = _plant("backlash", {"gap": gaps * RMS})
-    _, _, (base, _, train, held) = _begun(recording, _astray(truth, recording), True, False, False)
+    _, _, (base, _, train, held) = _begun(recording, _astray(truth, recording), PLAIN)
     step = rattles(Trial(base, held_out(base, held)), train, held)
     assert step is not None
     found = step.chosen.fit

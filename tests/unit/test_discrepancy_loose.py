@@ -10,6 +10,7 @@ import pytest
 
 from invid.diagnosis.rules.wide_gap_fit import FreePlay
 from invid.diagnosis.search_pass import _begun
+from invid.diagnosis.validation import PLAIN
 from invid.effects.catalogue.backlash import RattlingBacklash
 from invid.likelihood.joint_fit import limits_of
 from invid.likelihood.placed_effect import Term
@@ -32,7 +33,7 @@ def play(request: pytest.FixtureRequest) -> tuple[FreePlay, Float64, tuple[Float
     )  # fmt: skip
     chains = truth.chains
     model = Model(robot=recording.robot, method="by hand", chains=chains, std=ChainStd.unknown(chains))
-    _, _, (base, _, train, _) = _begun(recording, model, True, False, False)
+    _, _, (base, _, train, _) = _begun(recording, model, PLAIN)
     structure = base.layout.structure
     p = base.p.copy()
     p[: structure.count] = structure.vector(chains)
