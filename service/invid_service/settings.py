@@ -9,6 +9,8 @@ from pydantic import BaseModel, Field
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 MEBIBYTE = 1024 * 1024
+_BUDGET_SHARE = 5 / 6
+"""Of ``analysis_timeout_s``; reading, the report and the step in which the time runs out take the rest."""
 
 
 class AutoAccept(BaseModel):
@@ -74,6 +76,11 @@ class Settings(BaseSettings):
     def loopback(self) -> bool:
         """True where only this machine can reach the service."""
         return is_loopback(self.host)
+
+    @property
+    def analysis_budget_s(self) -> float:
+        """What an analysis may spend, so that its best answer so far comes before it is taken for hung."""
+        return self.analysis_timeout_s * _BUDGET_SHARE
 
     @property
     def database(self) -> str:

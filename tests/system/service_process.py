@@ -28,7 +28,9 @@ axes:
     rated_torque_Nm: 50
     masses: 2
     inertia_kgm2: 3.0
-    limits: {torque_Nm: 25, position_window_rad: 1.0, velocity_rad_per_s: 5}
+    gravity_loaded: false
+    limits: {torque_Nm: 25, position_window_rad: 1.0, velocity_rad_per_s: 5, stopping_room_rad: 3}
+safety: {heartbeat_s: 0.03}  # the drive stops 0.09 s after its master has died
 experiments:
   - {kind: multisine, band_Hz: [0.5, 12], period_s: 2.048, periods: 3}
   - {kind: multisine, role: validate, band_Hz: [0.5, 12], period_s: 2.048, periods: 2, amplitude: 0.5}

@@ -27,7 +27,9 @@ axes:
     rated_torque_Nm: 50
     masses: 2
     inertia_kgm2: 3
-    limits: {torque_Nm: 25, position_window_rad: 0.5, velocity_rad_per_s: 3}
+    gravity_loaded: false
+    limits: {torque_Nm: 25, position_window_rad: 0.5, velocity_rad_per_s: 3, stopping_room_rad: 3}
+safety: {heartbeat_s: 0.03}
 simulation:
   seed: 1
   plant: {branches: [{axis: A1, masses: [1.0, 2.0], springs: [1500], dampers: [0.8]}]}
@@ -49,12 +51,15 @@ axes:
     node_id: 1
     rated_torque_Nm: 50
     masses: 2
-    limits: {torque_Nm: 25, position_window_rad: 0.5, velocity_rad_per_s: 3}
+    gravity_loaded: false
+    limits: {torque_Nm: 25, position_window_rad: 0.5, velocity_rad_per_s: 3, stopping_room_rad: 3}
   - name: A2
     node_id: 2
     rated_torque_Nm: 30
     masses: 2
-    limits: {torque_Nm: 15, position_window_rad: 0.5, velocity_rad_per_s: 3}
+    gravity_loaded: false
+    limits: {torque_Nm: 15, position_window_rad: 0.5, velocity_rad_per_s: 3, stopping_room_rad: 3}
+safety: {heartbeat_s: 0.03}
 simulation:
   seed: 3
   plant:

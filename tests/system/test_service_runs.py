@@ -68,6 +68,7 @@ def test_a_run_measures_identifies_diagnoses_and_is_accepted(tmp_path: Path) -> 
         report = service.client.get(f"{location}/report")
         assert report.headers["content-type"].startswith("text/html")
         assert report.text.count("no hardware") == 1
+        assert f"run {body['id']} · started by local" in report.text
         assert model.provenance["recording"] == f"{body['id']}/recording.h5"
         assert str(tmp_path) not in report.text + str(diagnosis)
         assert "http://" not in report.text.replace("http://www.w3.org", "")

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import io
+import json
 from dataclasses import dataclass
 from typing import Any
 
 import pytest
 
-from invid_service.jobs.analysis_progress import BEGINS, ENDS, AnalysisProgress
+from invid_service.jobs.analysis_progress import BEGINS, ENDS, STAGES, AnalysisProgress
+from invid_service.jobs.worker import Line
 
 
 @dataclass
@@ -83,3 +86,14 @@ def test_a_stage_that_lasts_longer_than_ever_still_takes_some_time(analysis: Ana
     clock.now = 100.0
     progress.say()
     assert told[-1]["eta_s"] == pytest.approx(10.0)
+
+
+def test_a_stage_that_begins_is_told_however_short_the_one_before_was() -> None:
+    line = Line(io.BytesIO(), sink := io.BytesIO())
+    progress = AnalysisProgress(line.progress, None)
+    for stage in STAGES:
+        progress.begin(stage)
+        progress.weigh(Weighing("weighing", "A1", "backlash", 0.5))
+    line.close()
+    told = [json.loads(row)["phase"] for row in sink.getvalue().splitlines()]
+    assert told == list(STAGES)  # and what follows within a fifth of a second is not

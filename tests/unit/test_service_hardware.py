@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -67,4 +68,7 @@ def test_mode_simulate_moves_no_hardware_and_uses_the_accepted_model(cell: Path)
         assert config.bus.interface == "invid-virtual"
         assert truth(config).masses[1].tolist() == [4.0, 5.0, 9.0]
         assert client.get("/api/v1/cells/cell/model").json()["id"] == "m1"
-        assert client.get("/").text.count("SIMULATED") == 1  # in the page, hidden
+        page = client.get("/").text
+        assert re.search(r'<span id="simulated"[^>]* hidden>SIMULATED', page)
+        words = re.compile(r'<script type="application/json" id="texts">.*?</script>', re.S)
+        assert words.sub("", page).count("SIMULATED") == 1

@@ -32,7 +32,8 @@ class AnalysisProgress:
     Parameters
     ----------
     tell
-        Called with ``fraction``, ``phase`` and the keywords ``axis``, ``cause``, ``eta_s``.
+        Called with ``fraction``, ``phase`` and the keywords ``axis``, ``cause``, ``eta_s``, ``always`` (never
+        to be left out).
     expected_s
         What the analysis of such a run took before [s]; ``None``: it is the first.
     """
@@ -77,7 +78,7 @@ class AnalysisProgress:
             self._low, self._high = STAGES[stage]
             self._share, self._left = self._low, None
             self._phase, self._axis, self._cause = stage, None, None
-        self.say()
+        self.say(always=True)
 
     def weigh(self, progress: Any) -> None:
         """What identification and diagnosis say of themselves (``invid.numerics.budget.Progress``)."""
@@ -89,15 +90,16 @@ class AnalysisProgress:
                 self._left = self._clock(), float(progress.seconds_left)
         self.say()
 
-    def say(self) -> None:
-        """Tell how far it is now."""
+    def say(self, *, always: bool = False) -> None:
+        """Tell how far it is now; ``always``: a stage has begun, which is told however short it is."""
         with self._lock:
             elapsed = self.elapsed_s
             # a stage that tells nothing moves on by the clock, up to its end
             share = max(self._share, min(elapsed / max(self._expected, 1e-9), self._high))
             eta = self._eta(elapsed)
             phase, axis, cause = self._phase, self._axis, self._cause
-        self._tell(BEGINS + share * (ENDS - BEGINS), phase, axis=axis, cause=cause, eta_s=eta)
+        fraction = BEGINS + share * (ENDS - BEGINS)
+        self._tell(fraction, phase, axis=axis, cause=cause, eta_s=eta, always=always)
 
     def _eta(self, elapsed: float) -> float:
         least = OVERDUE * elapsed

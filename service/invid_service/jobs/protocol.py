@@ -20,6 +20,8 @@ class Job(BaseModel):
     id: str
     kind: Literal["measure", "analyse"]
     mode: Literal["simulate", "test", "full", "upload"]
+    requested_by: str
+    """Who started it; named in the report."""
     folder: Path
     """Where results are written: ``recording.h5``, ``model.json``, …"""
     simulated: bool

@@ -189,6 +189,7 @@ def _job(
         id=record.id,
         kind="measure",
         mode=body.mode,
+        requested_by=record.requested_by,
         folder=service.blobs.work / record.id,
         simulated=record.simulated,
         config=config,
@@ -202,6 +203,7 @@ def _job(
         model=document,
         memory_bytes=service.settings.worker_memory_bytes,
         stop_grace_s=service.settings.stop_grace_s,
+        budget_s=service.settings.analysis_budget_s,
     )
 
 

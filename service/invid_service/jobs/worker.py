@@ -88,10 +88,11 @@ class Line:
         """Queue a message."""
         self._outbox.put({"type": kind, **members})
 
-    def progress(self, fraction: float, phase: str, **members: Any) -> None:
-        """Queue progress, at most five times a second and only while it is read."""
+    def progress(self, fraction: float, phase: str, *, always: bool = False, **members: Any) -> None:
+        """Queue progress, at most five times a second and only while it is read; ``always``: at any rate."""
         now = time.monotonic()
-        if now - self._last_progress < _PROGRESS_PERIOD_S or self._outbox.qsize() > _QUEUE:
+        often = now - self._last_progress < _PROGRESS_PERIOD_S or self._outbox.qsize() > _QUEUE
+        if often and not always:
             return
         self._last_progress = now
         self.tell("progress", fraction=fraction, phase=phase, **members)
@@ -235,7 +236,8 @@ def analyse(job: Job, line: Line, seen: Mapping[str, Any] | None) -> dict[str, A
             best = replace(model, fit={**model.fit, **judged})
         save_text(job.folder / "model.json", dump_json({**model_to_json(best), **flag}))
         save_text(job.folder / "diagnosis.json", dump_json({**diagnosis_to_json(diagnosis), **flag}))
-        report = render_report(recording, model, diagnosis)
+        started = {"run": job.id, "started by": job.requested_by}
+        report = render_report(recording, model, diagnosis, run=started)
         # A recording that says so is marked by the report itself.
         told = bool(recording.attributes.get("simulated", False))
         save_text(job.folder / "report.html", _marked(report, simulated and not told))

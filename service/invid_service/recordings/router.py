@@ -167,12 +167,14 @@ async def _queue(service: Service, record: RunRecord, folder: Path, cell: Cell |
         id=record.id,
         kind="analyse",
         mode=UPLOAD,
+        requested_by=record.requested_by,
         folder=folder,
         simulated=False,
         config=None if cell is None else cell.config.model_dump(mode="json"),
         acceptable=False,
         memory_bytes=service.settings.worker_memory_bytes,
         stop_grace_s=service.settings.stop_grace_s,
+        budget_s=service.settings.analysis_budget_s,
     )
     live = service.jobs.reserve(record)
     try:

@@ -21,7 +21,9 @@ export function phase(said) {
     const found = pattern.exec(said);
     if (found) return t(key, Object.fromEntries(found.slice(1).map((v, i) => [i + 1, v])));
   }
-  return said;
+  // A known stage with something after it, which stays as it is: "identifying, A2 spring 1".
+  const at = said.lastIndexOf(", ");
+  return at < 0 ? said : `${phase(said.slice(0, at))}${said.slice(at)}`;
 }
 
 export function choose(language) {
