@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from invid.config import CellConfig
 from invid.errors import ConfigError, SafetyStop
@@ -14,6 +14,9 @@ from invid.planning.stopping_distance import StoppingBudget, budgets_of, permitt
 from invid_drivers.cia402.axis import DriveReport
 from invid_drivers.cia402.limits import tighten, tightened_limits
 
+Budgets = tuple[StoppingBudget, ...]
+HALVINGS = 4
+"""How finely the speed is sought that the torque needed for it permits: a sixteenth of what is left."""
 Measured = Callable[[Sequence[float | None], Sequence[float | None]], CellConfig]
 """Measured inertias and hold torques to the config with permitted speeds; SafetyStop where one is none."""
 
@@ -25,7 +28,7 @@ class Budgeted:
     plan: Plan
     config: CellConfig
     """With the tightest limits of config, drives and EDS, and the permitted speeds."""
-    budgets: tuple[StoppingBudget, ...]
+    budgets: Budgets
     said: tuple[str, ...]
     """Which limits are tighter than the config's and why, in words."""
 
@@ -41,7 +44,9 @@ def plan_within(
 ) -> Budgeted:
     """The plan under the effective limits and permitted speeds, or those of a given plan.
 
-    A lower speed never asks for more torque, so that the budgets made with the plan before it hold.
+    A lower speed never asks for more torque, so that the budgets made with the plan before it hold. It asks
+    for less, and a dead master then leaves the axis less torque to go on with: the speed is sought that the
+    torque planned for it permits.
 
     Raises
     ------
@@ -63,13 +68,57 @@ def plan_within(
         except ConfigError as error:
             raise ConfigError("; ".join([str(error), *said])) from None
 
+    def budgeted(found: Plan) -> Budgets:
+        facts = [r.stopping for r in reports]
+        return budgets_of(tighter, facts, planned_torque(found), _inertia(config, found))
+
     first = made(tighter)
-    budgets = budgets_of(
-        tighter, [r.stopping for r in reports], planned_torque(first), _inertia(config, first)
-    )
-    said = (*said, *(text for b in budgets for text in b.said(linear=config.linear)))
+    budgets = budgeted(first)
     limited = permitted(tighter, budgets)
-    return Budgeted(first if limited is tighter else made(limited), limited, budgets, said)
+    found = first if limited is tighter else made(limited)
+    if found is not first:
+        fast = budgeted(found)
+        found, budgets = _fastest(found, budgets, fast, lambda b: made(permitted(tighter, b)), budgeted)
+        limited = permitted(tighter, budgets)
+    said = (*said, *(text for b in budgets for text in b.said(linear=config.linear)))
+    return Budgeted(found, limited, budgets, said)
+
+
+def _fastest(
+    plan: Plan,
+    slow: Budgets,
+    fast: Budgets,
+    made: Callable[[Budgets], Plan],
+    budgeted: Callable[[Plan], Budgets],
+) -> tuple[Plan, Budgets]:
+    """The plan for the highest speeds that its own torque permits, between two budgets; with what it permits.
+
+    Parameters
+    ----------
+    plan, slow
+        A plan whose torque permits more than the speeds that it keeps.
+    fast
+        What that torque permits.
+    """
+    low, high, best = 0.0, 1.0, fast
+    for _ in range(HALVINGS):
+        share = (low + high) / 2
+        tried = _between(slow, fast, share)
+        candidate = made(tried)
+        allowed = budgeted(candidate)
+        if all(t.permitted <= a.permitted for t, a in zip(tried, allowed, strict=True)):
+            low, plan, best = share, candidate, allowed
+        else:
+            high = share
+    return plan, best
+
+
+def _between(slow: Budgets, fast: Budgets, share: float) -> Budgets:
+    """Speeds so far on the way from ``slow`` to ``fast``."""
+    return tuple(
+        replace(f, permitted=s.permitted + share * (f.permitted - s.permitted))
+        for s, f in zip(slow, fast, strict=True)
+    )
 
 
 def require_torque(plan: Plan, reports: Sequence[DriveReport]) -> None:

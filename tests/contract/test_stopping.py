@@ -13,6 +13,7 @@ import yaml
 
 from invid.config import CellConfig, parse_config
 from invid.errors import ConfigError, DriveError
+from invid.planning.stopping_distance import FEEDBACK, planned_torque
 from invid.sweep import Mode
 from invid_drivers.cia402.bus import Cia402Cell
 from invid_drivers.cia402.manuals import YES
@@ -22,10 +23,18 @@ from invid_drivers.measurement import ask_drives
 from invid_drivers.stopping_budgets import plan_within
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
-from bench_stopping import Run, cell_config, draw
+from bench_stopping import TIMER, Run, cell_config, draw
+
+TIMED = VENDORS.pop(TIMER)
+"""The benchmark's own drive: in the table only while a test of this file runs."""
 
 COUNTS = 524288
 RAD = COUNTS / (2 * np.pi)
+
+
+@pytest.fixture(autouse=True)
+def timed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(VENDORS, TIMER, TIMED)
 
 
 def cell(drive: dict[str, Any] | None = None, /, *, safety: Any = None, **axis: Any) -> CellConfig:
@@ -64,9 +73,11 @@ def od_of(master: Cia402Cell) -> Any:
 
 def test_a_gentle_ramp_means_less_speed_and_says_so() -> None:
     config = cell({"quick_stop_deceleration_rad_per_s2": 1.0})
-    _, limited, (budget,), said = ask_drives(config)
-    # 65 ms of the planned torque alone make 0.6 rad/s, and 0.2 rad of ramp
-    assert 0.1 < budget.permitted < 0.4
+    plan, limited, (budget,), said = ask_drives(config)
+    # the ramp alone takes 0.5 rad from 1 rad/s, and the torque that is planned for less goes on for 65 ms
+    assert 0.4 < budget.permitted < 0.8
+    assert plan.forecast[0].velocity <= budget.permitted
+    assert budget.case.planned == pytest.approx(FEEDBACK * planned_torque(plan)[0])
     assert budget.dead_master == pytest.approx(0.5)
     assert limited.axes[0].limits.velocity == budget.permitted
     assert any("A1: at most" in s and "0x6085" in s for s in said)

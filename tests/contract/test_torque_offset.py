@@ -32,7 +32,7 @@ def cell(*, vendor: str = "generic", faults: Any = (), experiments: Any = None, 
                 "bus": {"interface": "invid-virtual", "channel": "offset"},
                 "axes": [
                     {"name": n, "node_id": i, "rated_torque_Nm": 50, "masses": 2, "inertia_kgm2": 3.0,
-                     "limits": limits, "vendor": vendor}
+                     "gravity_loaded": False, "limits": limits, "vendor": vendor}
                     for i, n in enumerate(names, 1)
                 ],
                 "safety": {"heartbeat_s": 0.03},

@@ -24,7 +24,9 @@ axes:
     rated_torque_Nm: 50
     masses: 2
     inertia_kgm2: 3
-    limits: {{torque_Nm: 25, position_window_rad: 0.5, velocity_rad_per_s: 3}}
+    gravity_loaded: false
+    limits: {{torque_Nm: 25, position_window_rad: 0.5, velocity_rad_per_s: 3, stopping_room_rad: 3}}
+safety: {{heartbeat_s: 0.03}}  # how it stops leaves it the amplitude that telling them apart takes
 simulation:
   seed: 1
   plant: {{branches: [{{axis: A1, masses: [1.0, 2.0], springs: [1500], dampers: [0.8]}}]}}

@@ -145,7 +145,8 @@ class Cia402Cell:
         self._link.refuse_others("nothing was moved")
         for i, r in enumerate(self._reports):
             position = r.scaling.direction * r.scaling.position_per_count
-            self._cycle.scale(i, position=position, torque=r.scaling.torque(1))
+            most = r.scaling.most_permille(r.limits.torque.value)
+            self._cycle.scale(i, position=position, torque=r.scaling.torque(1), most=most)
         return self.reports
 
     @property

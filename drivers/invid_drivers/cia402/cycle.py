@@ -74,6 +74,7 @@ class Cycle:
         self._sync = can.Message(arbitration_id=0x80, data=b"", is_extended_id=False)
         self._origin: list[int | None] = [None] * count
         self._per_mille = [0.0] * count
+        self._most = [32767] * count
         self._position_unit = [0.0] * count
         self._torque_unit = [0.0] * count
         self._started = 0.0
@@ -93,11 +94,15 @@ class Cycle:
         self._counts = [0] * count
         self._next_mode_poll = 0.0
 
-    def scale(self, axis: int, *, position: float, torque: float) -> None:
-        """Position of one count [rad or m] and torque of one thousandth [N·m or N], signs included."""
+    def scale(self, axis: int, *, position: float, torque: float, most: int = 32767) -> None:
+        """Position of one count [rad or m] and torque of one thousandth [N·m or N], signs included.
+
+        ``most``: thousandths that are never exceeded; a target rounded up would pass its limit.
+        """
         self._position_unit[axis] = position
         self._torque_unit[axis] = torque
         self._per_mille[axis] = 1.0 / torque
+        self._most[axis] = most
 
     @property
     def changing(self) -> bool:
@@ -138,8 +143,8 @@ class Cycle:
             self._listen()
         for i, cob in enumerate(self._rpdo_ids):
             value = 0 if self.modes[i] is hold else round(torque[i] * self._per_mille[i])
-            if value > 32767 or value < -32768:
-                value = 32767 if value > 0 else -32768
+            if value > self._most[i] or value < -self._most[i]:
+                value = self._most[i] if value > 0 else -self._most[i]
             put(
                 can.Message(arbitration_id=cob, data=_RPDO.pack(self.control[i], value), is_extended_id=False)
             )

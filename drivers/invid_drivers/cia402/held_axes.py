@@ -94,8 +94,10 @@ class HeldAxes:
 
     # --- at rest -------------------------------------------------------------------------------
     def weigh_at_once(self, sample: Sample, rated: Sequence[float], modes: Sequence[Mode]) -> bool:
-        """A stop before the torque at rest was judged: what it shows counts where the drive holds the axis, for
-        nobody else commands it; whether an axis stays for it."""
+        """Whether an axis stays for what it shows at a stop before the torque at rest was judged.
+
+        That counts where the drive holds the axis, for nobody else commands it.
+        """
         stays = False
         for i, h in enumerate(self.holdings):
             doubted = not self._settled and h.loaded is False and h.can_stay and sample.fresh[i]

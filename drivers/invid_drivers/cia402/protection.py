@@ -184,7 +184,7 @@ class Protection:
     def _wanted(self, scaling: Scaling, limits: EffectiveLimits) -> list[tuple[Object, int, int]]:
         """Limits of the drive as (object, found, wanted), in the order in which they may be written."""
         drive = self._drive
-        permille = math.ceil(limits.torque.value / scaling.rated_torque * 1000 - 1e-9)
+        permille = scaling.most_permille(limits.torque.value)
         window = counts_of_window(drive.config.limits.position, DRIVE_MARGIN, scaling.position_per_count)
         speed = math.ceil(DRIVE_MARGIN * drive.config.limits.velocity / self._per_velocity(scaling))
         here = drive.read(od.POSITION)
@@ -221,7 +221,7 @@ class Protection:
         rated = None if limit is None or nominal is None else drive.find(nominal)
         if limit is None or not rated:
             return []
-        return [(limit, drive.find(limit), math.ceil(rated * permille / 1000))]
+        return [(limit, drive.find(limit), max(1, rated * permille // 1000))]
 
     def unwritable(self, scaling: Scaling, limits: EffectiveLimits) -> list[str]:
         """Limits that are too permissive and cannot be written, in words.

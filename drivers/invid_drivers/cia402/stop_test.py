@@ -29,8 +29,8 @@ RESUME_S = 3.0
 SILENCE_S = 0.2
 """Beyond the drive's heartbeat watch: what it does then takes its time."""
 MISSES_MASTER, RPDO_TIMEOUT = (0x8100, 0x8700), 0x8250
-"""Classes of EMCY with which a drive says that its master is gone: communication, SYNC (CiA 301, 402); and the
-code for an RPDO that did not come (0x1400:5)."""
+"""Classes of EMCY with which a drive says that its master is gone: communication, SYNC (CiA 301, 402); and
+the code for an RPDO that did not come (0x1400:5)."""
 STILL_COUNTS, STILL_SHARE = 8, 0.0005
 """An axis that moved less, in counts and as a share of its window, stood."""
 

@@ -43,6 +43,10 @@ class Scaling:
         """Torque to 0x6071, rounded to whole thousandths and to the type's range."""
         return max(-32768, min(32767, round(self.direction * torque / self.rated_torque * 1000.0)))
 
+    def most_permille(self, torque: float) -> int:
+        """Whole thousandths that are not more than a torque limit, at least one."""
+        return max(1, min(32767, math.floor(torque / self.rated_torque * 1000.0 + 1e-9)))
+
 
 def position_per_count(increments: int, revolutions: int, *, linear: bool = False) -> float | None:
     """Motor position of one count [rad or m] where ``increments`` of them are so many turns of the motor.
