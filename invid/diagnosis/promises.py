@@ -124,4 +124,3 @@ def cut_short(result: Diagnosis) -> Diagnosis:
         warnings=(*result.warnings, reason),
         details=details,
     )
-

@@ -74,8 +74,10 @@ def machine_kind(
     except (InvidError, np.linalg.LinAlgError):
         model, left = None, float("inf")
     said = f"rigid axes miss {_share(missed)} of the torque on rows kept out, chains {_share(left)}"
-    # What looks like shaking is taken for moves only where that is clearly better, and the other way round.
-    if model is not None and (left < CLEARLY * missed if moved else not missed < CLEARLY * left):
+    # What looks like shaking is taken for moves only where that is clearly better, and the other way round;
+    # one mass an axis is no elasticity.
+    elastic = model is not None and max(model.chains.masses_per_branch) > 1
+    if model is not None and (elastic and left < CLEARLY * missed if moved else not missed < CLEARLY * left):
         said = f"taken for an elastic machine: {said}"
         return MachineKind(False, replace(model, warnings=(*model.warnings, said)), said)
     if np.isinf(missed):
