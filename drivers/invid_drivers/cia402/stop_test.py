@@ -26,6 +26,8 @@ REST_S, BRAKE_S = 0.3, 2.0
 """A brake has closed when the axis has stood for so long; longest time for it."""
 RESUME_S = 3.0
 """Longest way back to operation enabled."""
+ANSWER_S = 1.0
+"""Waited for an answer that does not come, before the bus is called broken."""
 SILENCE_S = 0.2
 """Beyond the drive's heartbeat watch: what it does then takes its time."""
 MISSES_MASTER, RPDO_TIMEOUT = (0x8100, 0x8700), 0x8250
@@ -130,16 +132,26 @@ class StopTest:
         self._enable(others)
 
     def _watch(self, seconds: float, axes: Sequence[int], start: Sequence[float], when: str) -> None:
-        """Each axis stays in quick stop active and in place; SafetyStop where one does not."""
+        """Each axis stays in quick stop active and in place; SafetyStop where one does not.
+
+        Each is judged by an answer of its own after that time: one that was late says nothing about its hold.
+        """
         sample = self._exchange()
         end = sample.time + seconds
-        while sample.time < end:
+        silent = set(axes)
+        while silent and sample.time < end + ANSWER_S:
             sample = self._exchange()
             self._require_place(sample, axes, start, when)
-        for i in axes:
-            state = state_of(sample.status[i])
-            if not sample.fresh[i] or state is not DriveState.QUICK_STOP_ACTIVE:
-                self._lets_go(i, f"{when} its drive is in {state.words}")
+            for i in silent.copy():
+                if sample.time < end or not sample.fresh[i]:
+                    continue
+                silent.remove(i)
+                state = state_of(sample.status[i])
+                if state is not DriveState.QUICK_STOP_ACTIVE:
+                    self._lets_go(i, f"{when} its drive is in {state.words}")
+        if silent:
+            names = ", ".join(self._name(i) for i in sorted(silent))
+            raise BusError(f"axis {names}: no answer for {ANSWER_S:g} s {when}, in the stop test")
 
     def _require_place(self, sample: Sample, axes: Sequence[int], start: Sequence[float], when: str) -> None:
         for i in axes:
