@@ -69,8 +69,15 @@ class Page:
         )
 
     def press(self, element: Any) -> None:
-        """A click in the middle of the screen, where the stop bar does not lie over it."""
-        self.driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", element)
+        """A click in the middle of the screen, where the stop bar does not lie over it, once it stands still:
+        what comes late on a busy machine moves it from under the pointer."""
+        place, deadline = None, time.monotonic() + 10.0
+        while time.monotonic() < deadline:
+            self.driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", element)
+            before, place = place, element.rect
+            if place == before:
+                break
+            time.sleep(0.2)
         element.click()
 
     def unfold(self, identity: str) -> None:
