@@ -249,6 +249,11 @@ class ForceEffect(Effect):
     def contribution(
         self, view: View, place: Place, x: Sequence[float]
     ) -> tuple[Complex128, Complex128 | None]:
+        if self.local and view.is_measured(place.pattern(view.structure)):
+            return view.measured((self, place, tuple(x)), lambda: self._contribution(view, place, x))
+        return self._contribution(view, place, x)
+
+    def _contribution(self, view: View, place: Place, x: Sequence[float]) -> tuple[Complex128, Complex128]:
         count = len(self.coefficients)
         pattern = place.pattern(view.structure)
         if self.answered and (compliance := beyond_band(view, place)) is not None:
@@ -278,7 +283,7 @@ class ImpedanceEffect(Effect):
         pattern = place.pattern(view.structure)
         z = self.impedance(view, place, (1.0, *shape))
         if view.record.transient:  # the wave that laws are read from closes; the motion does not
-            raw = np.einsum("fqm,fm->fq", view.motion, view.record.position)
+            raw = view.raw
             moved = along(pattern, raw + view.feedback + view.of_ends)
         else:
             moved = view.spectrum(pattern)
@@ -294,7 +299,7 @@ class ImpedanceEffect(Effect):
         self, view: View, place: Place, x: Sequence[float]
     ) -> tuple[Complex128, Complex128 | None]:
         pattern = place.pattern(view.structure)
-        raw = np.einsum("fqm,fm->fq", view.motion, view.record.position)
+        raw = view.raw
         z = self.impedance(view, place, x)
         force = (z * along(pattern, raw) + self.within(view, place, x)) / (1.0 + z * view.compliance(pattern))
         return view.push(pattern) * force[:, None], -view.yields(pattern) * force[:, None]

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -13,6 +14,10 @@ from invid.model.place import Pattern
 from invid.numerics.anderson import Secants
 from invid.numerics.arrays import Complex128, Float64
 from invid.signals.spectral_record import Record
+
+T = TypeVar("T")
+KEPT = 32
+"""Laws of measured motion that a record keeps: more than act at once, and few beside its spectra."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,11 +108,35 @@ class View:
         self._hidden: dict[Pattern, Complex128] = {}
         self._pushes: dict[Pattern, Complex128] = {}
         self._yields: dict[Pattern, Complex128] = {}
+        self._measured: dict[Hashable, Any] = {}
+
+    def measured(self, key: Hashable, make: Callable[[], T]) -> T:
+        """What ``make`` gives once, kept: for what follows from the motors' measured motion, which settling
+        inner motion does not change."""
+        out: T = self._measured.pop(key) if key in self._measured else make()
+        self._measured[key] = out
+        if len(self._measured) > KEPT:
+            del self._measured[next(iter(self._measured))]
+        return out
+
+    def forget_measured(self) -> None:
+        """Has that made anew: it may hold a little of the inner motion there was."""
+        self._measured.clear()
+
+    def is_measured(self, pattern: Pattern) -> bool:
+        """Whether the motion along a pattern is that of one motor."""
+        return len(pattern) == 1 and pattern[0][0] in self.structure.motor_dofs
 
     @property
     def omega(self) -> Float64:
         """(F,) [rad/s]."""
         return self.record.omega
+
+    @cached_property
+    def raw(self) -> Complex128:
+        """(F, ΣN) motion of the linear plant at the motors' positions as they were measured."""
+        out: Complex128 = np.einsum("fqm,fm->fq", self.motion, self.record.position)
+        return out
 
     @cached_property
     def farthest(self) -> Float64:
@@ -130,7 +159,7 @@ class View:
         The motors' own wander is in their waves.
         """
         self.feedback = feedback
-        self._waves = {k: v for k, v in self._waves.items() if self._at_motor(k[0])}
+        self._waves = {k: v for k, v in self._waves.items() if self.is_measured(k[0])}
         if self.closing is not None and jumps is not None:
             self.jumps = jumps
             slopes = jumps[: self.base.shape[1]] / self.record.span
@@ -157,9 +186,6 @@ class View:
     def closed(self, extra: Complex128) -> Float64:
         """(2ΣN,) jumps that go with what effects contribute (F, M); none where the record closes."""
         return np.zeros(0) if self.closing is None else self.closing.jumps(extra)
-
-    def _at_motor(self, pattern: Pattern) -> bool:
-        return len(pattern) == 1 and pattern[0][0] in self.structure.motor_dofs
 
     def spectrum(self, pattern: Pattern) -> Complex128:
         """(F,) motion along the pattern."""
@@ -193,7 +219,7 @@ class View:
         if key in self._waves:
             return self._waves[key]
         record = self.record
-        if self._at_motor(pattern):
+        if self.is_measured(pattern):
             i = self.structure.motor_dofs.index(pattern[0][0])
             out: Float64 = (record.motor_velocity if rate else record.motor_wave)[:, i] * pattern[0][1]
         else:

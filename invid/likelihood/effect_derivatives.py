@@ -65,6 +65,7 @@ def effect_columns(view: View, candidate: Candidate, columns: Complex128, at: in
     yet would be divided by the difference.
     """
     feedback, jumps = view.feedback, view.jumps
+    view.forget_measured()  # both sides from the same inner motion
     inner = any(t.feels(view) for t in candidate.terms)
     steps = steps_of(view, candidate)
     if not steps:

@@ -347,6 +347,7 @@ def direct_changes(
 ) -> tuple[Complex128, Complex128]:
     """(F, M, P) contributions and (F, ΣN, P) inner motion that follow from each parameter of effects at the
     motion there is, by differences; ``steps`` are effect, number of the parameter and difference."""
+    view.forget_measured()  # both sides from the same inner motion
     parts = law_parts(view, candidate)
     total, back = together(view, candidate, parts)
     totals, backs = [], []

@@ -12,7 +12,7 @@ from invid.effects.effect import Effect, ImpedanceEffect
 from invid.effects.motion import View, along
 from invid.likelihood.inner_motion import Forces, settled
 from invid.likelihood.nuisance.spring_force import Gap, law_of, read
-from invid.model.place import Place
+from invid.model.place import Pattern, Place
 from invid.numerics.arrays import Complex128, Float64
 
 PASSES = 12
@@ -79,7 +79,11 @@ def contributions(
         total, back = forces()
         view.respond(back)
         return total
-    return settled(view, forces, passes, early=early)
+    total = settled(view, forces, passes, early=early)
+    if not early or not any(t.effect.stands(view, t.place) for t in candidate.terms):
+        return total
+    view.forget_measured()  # what resists beside a motor that stands, now that it is known what acts on it
+    return settled(view, forces, passes)
 
 
 def at_once(candidate: Candidate) -> bool:
@@ -120,18 +124,42 @@ def impedances(view: View, effects: _Impedances, back: Complex128) -> tuple[Comp
     Exact, each in the motion that the others and the laws (``back``, (F, ΣN)) leave: friction at a mass moves
     what a mode on it or a damper beside it feels.
     """
-    moved = np.einsum("fqm,fm->fq", view.motion, view.record.position) + back
-    patterns = [place.pattern(view.structure) for _, place, _ in effects]
-    push = np.stack([view.push(p) for p in patterns], axis=-1)
-    yields = np.stack([view.yields(p) for p in patterns], axis=-1)
-    rows, asked = [], []
-    for (effect, place, x), pattern in zip(effects, patterns, strict=True):
-        size = effect.impedance(view, place, x.tolist())
-        rows.append(size[:, None] * along(pattern, yields))
-        asked.append(size * along(pattern, moved) + effect.within(view, place, x.tolist()))
-    meet = np.eye(len(effects)) + np.stack(rows, axis=1)
-    forces = np.linalg.solve(meet, np.stack(asked, axis=-1)[..., None])
-    return (push @ forces)[..., 0], -(yields @ forces)[..., 0]
+    key = ("impedances", tuple((effect, place, tuple(x)) for effect, place, x in effects))
+    own = view.measured(key, lambda: _Impeded.of(view, effects))
+    moved = view.raw + back
+    asked = [
+        z * along(pattern, moved) + effect.within(view, place, x.tolist())
+        for z, pattern, (effect, place, x) in zip(own.size, own.patterns, effects, strict=True)
+    ]
+    forces = (own.meet @ np.stack(asked, axis=-1)[..., None])[..., 0]
+    return (own.push @ forces[..., None])[..., 0], -(own.yields @ forces[..., None])[..., 0]
+
+
+@dataclass(frozen=True, eq=False)
+class _Impeded:
+    """Effects linear in motion at one place each, as far as inner motion does not change them."""
+
+    patterns: list[Pattern]
+    push: Complex128
+    """(F, M, k) what unit forces do to the motors' torque; ``yields`` (F, ΣN, k) to inner coordinates."""
+    yields: Complex128
+    size: list[Complex128]
+    meet: Complex128
+    """(F, k, k) forces over what each would be alone."""
+
+    @classmethod
+    def of(cls, view: View, effects: _Impedances) -> _Impeded:
+        patterns = [place.pattern(view.structure) for _, place, _ in effects]
+        yields = np.stack([view.yields(p) for p in patterns], axis=-1)
+        size = [effect.impedance(view, place, x.tolist()) for effect, place, x in effects]
+        rows = [z[:, None] * along(p, yields) for z, p in zip(size, patterns, strict=True)]
+        return cls(
+            patterns,
+            np.stack([view.push(p) for p in patterns], axis=-1),
+            yields,
+            size,
+            np.linalg.inv(np.eye(len(effects)) + np.stack(rows, axis=1)).astype(np.complex128),
+        )
 
 
 Part = tuple[Complex128, Complex128 | None]

@@ -86,25 +86,34 @@ class DryLaw(ForceEffect):
     ) -> tuple[Complex128, Complex128 | None]:
         if place.number != 1 or self.rounding > 0.0:
             return super().contribution(view, place, x)
-        count, pattern, record = len(self.coefficients), place.pattern(view.structure), view.record
+        pattern = place.pattern(view.structure)
+        still = self._standing(view, place)
+        # What acts while it stands changes with inner motion; what resists while it moves hardly does.
+        moving = view.measured((self, place, tuple(x)), lambda: self._moving(view, place, x))
+        wave = moving if still is None else still.held(moving, _acting(view, place), *self.held(x))
+        total = view.to_lines(wave[:, None], smeared=self.smeared)
+        return view.push(pattern) * total, -view.yields(pattern) * total
+
+    def _moving(self, view: View, place: Place, x: Sequence[float]) -> Float64:
+        """(n,) resistance of a motor while it moves, with the corners that friction makes at reversals."""
+        count, record = len(self.coefficients), view.record
         still, soft = self._standing(view, place), self.softness(view, place)
         low, high = self.held(x)
         lightness = float(view.inertance[place.axis, place.axis])
         turn = (high - low) * lightness * record.wave_step
         turn = turn if turn > TURNS * soft else 0.0
         held = None if still is None else partial(still.held, acting=_acting(view, place), low=low, high=high)
+        v = view.velocity(place.pattern(view.structure))
 
-        def resisting(v: Float64) -> Float64:
-            moving: Float64 = self.of(v, soft, x[count:], turn) @ np.asarray(x[:count])
-            return moving if held is None else held(moving)
+        def resisting(hidden: Float64 | float) -> Float64:
+            out: Float64 = self.of(v - hidden, soft, x[count:], turn) @ np.asarray(x[:count])
+            return out
 
-        v = view.velocity(pattern)
-        wave = resisting(v)
+        moving = resisting(0.0)
         for _ in range(PASSES if turn and not record.transient else 0):
-            unseen = lightness * record.unseen_speed(wave, place.axis)
-            wave = 0.5 * (wave + resisting(v - unseen))
-        total = view.to_lines(wave[:, None], smeared=self.smeared)
-        return view.push(pattern) * total, -view.yields(pattern) * total
+            wave = moving if held is None else held(moving)
+            moving = 0.5 * (moving + resisting(lightness * record.unseen_speed(wave, place.axis)))
+        return moving
 
     def holding(self, view: View, place: Place, x: Sequence[float]) -> Float64 | None:
         """(n,) share of each sample in which whatever acts on a motor that stands holds it; ``None`` where it
@@ -128,8 +137,9 @@ class DryLaw(ForceEffect):
 def _acting(view: View, place: Place) -> Float64:
     """(n,) torque on a motor by its drive and its spring."""
     at = view.structure.motor_dofs[place.axis]
-    torque = view.record.to_wave(view.acting[:, place.axis])
-    if view.structure.sizes[place.axis] == 1:
+    axis = place.axis
+    torque = view.measured(("torque", axis), lambda: view.record.to_wave(view.acting[:, axis]))
+    if view.structure.sizes[axis] == 1:
         return torque
     spring, pattern = view.structure.spring_pairs.index((at, at + 1)), ((at + 1, 1.0), (at, -1.0))
     k, d = float(view.springs[spring]), float(view.dampers[spring])
