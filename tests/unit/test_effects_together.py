@@ -28,7 +28,9 @@ def test_two_dampers_feel_each_other_and_the_force_that_a_law_puts_on_the_load()
         omega=OMEGA,
         motion=motion,
         structure=ChainStructure((3,), ("A",)),
-        record=SimpleNamespace(position=np.ones((30, 1)), transient=False),
+        record=SimpleNamespace(transient=False),
+        raw=motion[:, :, 0],
+        measured=lambda key, make: make(),
         push=lambda pattern: sum(s * motion[:, at] for at, s in pattern),
         yields=lambda pattern: sum(s * inner[:, :, at] for at, s in pattern),
     )
