@@ -121,7 +121,16 @@ class Rehearsal:
 
         scale = self._scale_down(bound(trial.usual), allowed)
         self.scales[list(trial.covers)] = scale
-        self.bounds = np.maximum(self.bounds, scale * bound(trial.spread))
+        most = bound(trial.spread)
+        most[2] = np.maximum(most[2], self._led(experiment, linear[2], trial.spread[0]))
+        self.bounds = np.maximum(self.bounds, scale * most)
+
+    def _led(self, experiment: PlannedExperiment, torque: Float64, spread: Float64) -> Float64:
+        """(M,) torque of shaken axes: what is played is known, what the loop adds spreads as travel does."""
+        played = np.abs(experiment.torque).max(axis=0)
+        shaken = np.isin(np.arange(played.size), experiment.excited)
+        most: Float64 = played + spread * np.maximum(torque - played, 0.0) + np.abs(self._motion.bias)
+        return np.where(shaken, most, 0.0)
 
     @staticmethod
     def _room(seen: Seen, allowed: Float64) -> float:
