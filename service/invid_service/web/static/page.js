@@ -178,9 +178,11 @@ function keepFocus(heading) {
 
 function drawLive() {
   const series = [], names = state.run?.axes ?? [], hues = ["--after", "--before", "--third"];
-  for (const response of state.live.slice(-3)) {
+  // Beyond three axes the last experiment alone; more curves than that nobody tells apart.
+  const many = (state.cell?.axes.length ?? 0) > hues.length;
+  for (const response of state.live.slice(many ? -1 : -3)) {
     response.db.forEach((db, i) => db && series.push({
-      label: t("run.live.series", { axis: state.cell?.axes[i] ?? names[i] ?? i, n: Number(response.experiment) + 1 }), x: response.frequency_hz, y: db, colour: hues[i % 3], dash: Number(response.experiment) % 3,
+      label: t("run.live.series", { axis: state.cell?.axes[i] ?? names[i] ?? i, n: Number(response.experiment) + 1 }), x: response.frequency_hz, y: db, colour: hues[i % 3], dash: many ? Math.floor(i / hues.length) % 3 : Number(response.experiment) % 3,
     }));
   }
   $("live").hidden = !series.length;
