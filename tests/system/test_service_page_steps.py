@@ -302,11 +302,12 @@ def test_the_history_draws_every_number_with_its_band_and_the_overview_shows_eve
         for fold in driver.find_elements("css selector", "#charts summary"):
             page.press(fold)
         page.wait_text("charts", "A1: dry friction at the motor")
-        drawn = {
-            f.get_attribute("data-parameter") for f in driver.find_elements("css selector", "#charts figure")
-        }
         expected = {"A1.mass.1", "A1.mass.2", "A1.spring.1", "A1.damper.1", "A1.coulomb_friction.mass 1"}
-        assert drawn == expected
+        names = "return [...document.querySelectorAll('#charts figure')].map((f) => f.dataset.parameter)"
+        deadline = time.monotonic() + 30
+        while (drawn := set(driver.execute_script(names))) != expected:  # each is fetched for itself
+            assert time.monotonic() < deadline, drawn
+            time.sleep(0.1)
         one = driver.find_element("css selector", "[data-parameter='A1.spring.1'] svg")
         assert "2 models" in one.get_attribute("aria-label")
         assert one.find_elements("css selector", ".band")
@@ -327,7 +328,11 @@ def test_the_history_draws_every_number_with_its_band_and_the_overview_shows_eve
         page.press(cards["other"].find_element("tag name", "button"))
         page.wait_text("ready-title", "Ready")
         assert driver.find_element("id", "cell").get_attribute("value") == "other"
-        page.shown("prepare").click()
+        deadline = time.monotonic() + 30
+        while driver.find_element("id", "simulated").is_displayed():  # the cell before is still shown
+            assert time.monotonic() < deadline
+            time.sleep(0.1)
+        page.press(page.shown("prepare"))
         page.wait_text("run-title", "Ready to move")
         assert "Where A1 carries a load, support it" in page.shown("support").text
         assert "nobody is within reach" in page.text("plan-facts")
