@@ -30,7 +30,6 @@ def test_no_axis_does_more_than_was_announced_in_any_phase_and_the_run_lasts_as_
     ("seed", "until"),
     [
         # soft axes that swing on from doublet to doublet, with nothing that holds them
-        (9043, "trying the signs of A2"),
         (9116, "trying the signs of A2"),
         (9133, "trying the signs of A1"),
         # let go while the load swings behind it: the branch drifts
