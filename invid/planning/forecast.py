@@ -11,7 +11,14 @@ from invid.config import CellConfig
 from invid.numerics.arrays import Float64, frozen_float
 from invid.planning.belief import Belief
 from invid.planning.model import AxisForecast, PlannedExperiment, Trial
-from invid.planning.phases import REST_S, SIGN_TRAVEL, excerpt, sign_amplitude, sign_doublet
+from invid.planning.phases import (
+    REST_S,
+    SIGN_TRAVEL,
+    excerpt,
+    sign_amplitude,
+    sign_doublet,
+    sign_doublets,
+)
 from invid.planning.response import Motion, foretold_motion, held_by_drive, hold_gains
 
 MARGIN = 1.25
@@ -130,6 +137,8 @@ def model_forecast(
         doublet = sign_doublet(config, i, first, float(belief.inertia[i]))
         more = np.array([[AGAIN], [AGAIN], [STOPPED]])
         bounds = np.maximum(bounds, more * peaks_of(config, doublet, belief).bound)
+        swung = peaks_of(config, sign_doublets(config, i, first, float(belief.inertia[i])), belief)
+        bounds[1] = np.maximum(bounds[1], swung.motion[1])
         bounds[0, i] = max(bounds[0, i], SIGN_TRAVEL * config.axes[i].limits.position)
     for i, axis in enumerate(config.axes):
         bounds[2, i] += READING * (axis.rated_torque or axis.limits.torque)

@@ -50,6 +50,8 @@ SIGN_STEPS = 2
 CATCH_HZ = 3.0
 """At rest an excited axis is brought back as if 3 Hz were the slowest line: a hold of 1 Hz, weaker where that
 would ask for much torque. The hold of the shaking would let it drift for seconds."""
+FREE_HZ = 0.1
+"""As good as no hold within the three seconds of the doublets."""
 SIGN_UNKNOWN_S = 1.5
 """Expected length of a sign trial on an axis whose inertia nobody has named: doublets up to 0.64 s."""
 SPREAD_FIRST, SPREAD_EACH = 1.25, 0.95
@@ -127,14 +129,32 @@ def sign_seconds(config: CellConfig, axis: int, amplitude: float, inertia: float
 def sign_doublet(config: CellConfig, axis: int, amplitude: float, inertia: float) -> PlannedExperiment:
     """The doublet that moves a rigid axis as far as one may, and its catch."""
     cycle = config.bus.cycle_s
+    wave = amplitude * excitation.doublet(round(_rigid_length(config, axis, amplitude, inertia) / cycle))
+    return _push(config, axis, np.concatenate((wave, np.zeros(round(SIGN_CATCH_S / cycle)))), CATCH_HZ)
+
+
+def sign_doublets(config: CellConfig, axis: int, amplitude: float, inertia: float) -> PlannedExperiment:
+    """All doublets up to that one, before the catch: nothing holds the axis, and what swings goes on."""
+    cycle = config.bus.cycle_s
+    last, length = _rigid_length(config, axis, amplitude, inertia), SIGN_FIRST_S
+    quiet = np.zeros(round(SIGN_QUIET_S / cycle))
+    waves = [quiet]
+    while length <= max(last, SIGN_FIRST_S):
+        waves += [amplitude * excitation.doublet(round(length / cycle)), quiet]
+        length *= 2
+    return _push(config, axis, np.concatenate(waves), FREE_HZ)
+
+
+def _rigid_length(config: CellConfig, axis: int, amplitude: float, inertia: float) -> float:
     far = SIGN_FAR * config.axes[axis].limits.position
-    length = min(max(np.sqrt(16 * inertia * far / amplitude), SIGN_FIRST_S), SIGN_LAST_S)
-    wave = amplitude * excitation.doublet(round(length / cycle))
-    torque = np.zeros((wave.size + round(SIGN_CATCH_S / cycle), len(config.axes)))
-    torque[: wave.size, axis] = wave
+    return float(min(max(np.sqrt(16 * inertia * far / amplitude), SIGN_FIRST_S), SIGN_LAST_S))
+
+
+def _push(config: CellConfig, axis: int, wave: Float64, hold_hz: float) -> PlannedExperiment:
+    torque = np.zeros((wave.size, len(config.axes)))
     # its edges rounded: what is worked out on lines up to 100 Hz may have nothing beyond them
-    edge = np.hanning(max(round(SIGN_EDGE_S / cycle), 1) + 2)
-    torque[:, axis] = np.convolve(torque[:, axis], edge / edge.sum())[: len(torque)]
+    edge = np.hanning(max(round(SIGN_EDGE_S / config.bus.cycle_s), 1) + 2)
+    torque[:, axis] = np.convolve(wave, edge / edge.sum())[: len(torque)]
     return PlannedExperiment(
         key="",
         kind=Kind.OTHER,
@@ -145,7 +165,7 @@ def sign_doublet(config: CellConfig, axis: int, amplitude: float, inertia: float
         record_from=0,
         record_to=0,
         period_samples=0,
-        frequencies_hz=frozen_float([CATCH_HZ]),
+        frequencies_hz=frozen_float([hold_hz]),
     )
 
 

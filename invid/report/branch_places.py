@@ -92,14 +92,21 @@ def places(model: Model, marked: Sequence[Place], widest: float = 0.0) -> Places
     return Places(tuple(rows), tuple(lanes), width, y)
 
 
+SURELY = 3.0
+"""Standard deviations from which a coupling is drawn."""
+
+
 def _lanes(model: Model, right: float, asked: set[tuple[int, int]]) -> list[Lane]:
-    """Short couplings first; each in the first lane that is free between its rows."""
+    """Short couplings first; each in the first lane that is free between its rows.
+
+    One that does not stand out of its own noise is left out: of fifteen pairs of six axes few are coupled.
+    """
     chains, std = model.chains, model.std.couplings
     pairs = [
         (i, j)
         for i in range(chains.branches)
         for j in range(i + 1, chains.branches)
-        if chains.couplings[i, j] != 0 or np.isfinite(std[i, j]) or (i, j) in asked
+        if (i, j) in asked or abs(chains.couplings[i, j]) > SURELY * np.nan_to_num(std[i, j], posinf=0.0)
     ]
     taken: list[list[tuple[int, int]]] = []
     found = []

@@ -196,7 +196,9 @@ class Sweep:
             # a loop inside the drive: nobody knows how stiff it is
             gains[f.axis] = float("nan") if self._motion.by_offset(f.axis) else f.gains.stiffness
         self.sink.begin(experiment, gains, scale)
-        self._motion.must_move = set() if path else excited
+        # a path is followed with what torque that takes; a share that friction may hide moves nobody surely
+        sure = not path and scale >= self._rehearsal.sure[phase.number]
+        self._motion.must_move = excited if sure else set()
         self._motion.watching.standing.slowest(lowest_frequency([experiment]))
         try:
             self._motion.play(

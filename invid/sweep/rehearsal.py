@@ -68,6 +68,9 @@ class Rehearsal:
         self.warnings = warnings
         self.scales = np.ones(len(motion.plan.experiments))
         """Factor on the torque of every experiment; below 1 where a limit would be near."""
+        self.sure = np.zeros(len(motion.plan.experiments))
+        """Least factor at which an axis of an experiment must move: friction may hold one that is shaken with
+        less, where the trial did not get so far."""
         self.bounds: Float64 = np.zeros((3, motion.count))
         """(3, M) travel, velocity and torque of the experiments, by the trials."""
 
@@ -87,22 +90,28 @@ class Rehearsal:
         self._motion.rest(set(experiment.excited))
         self._motion.watching.standing.slowest(lowest)
         self._motion.watching.standing.forget()
-        first, second = trial_shares(config, experiment)
+        sure, second = trial_shares(config, experiment)
         allowed = self._allowed(experiment)
-        gentle = self._gentle(experiment, allowed[0])
-        # Less than what friction surely lets through says nothing of an encoder that stands.
-        seen = self._try_share(excerpt(config, trial, 0), min(first, gentle), moves=gentle >= first)
-        first = min(first, gentle)
+
+        def tried(step: int, share: float) -> Seen:
+            # Less than what friction surely lets through says nothing of an encoder that stands.
+            return self._try_share(excerpt(config, trial, step), share, moves=share >= sure)
+
+        first = min(sure, self._gentle(experiment, allowed[0]))
+        seen = tried(0, first)
         share = min(second, first * min(self._room(seen, allowed), CLIMB))
-        again = self._try_share(excerpt(config, trial, 1), share)
+        again = tried(1, share)
         linear = self._extrapolated(seen, again)
         while share < second and self._room(again, allowed) > SHORT:
             # Friction hid so much of the motion that the second step was still a small one.
             share = min(second, share * min(self._room(again, allowed), CLIMB))
-            seen, again = again, self._try_share(excerpt(config, trial, 0), share)
+            seen, again = again, tried(0, share)
             linear = np.maximum(linear, self._extrapolated(seen, again))
         path = experiment.reference
         led = 0.0 if path is None else np.abs(path).max(axis=0)
+
+        if share < sure:
+            self.sure[list(trial.covers)] = sure
 
         def bound(spread: Float64) -> Float64:
             most: Float64 = linear * spread
@@ -112,7 +121,16 @@ class Rehearsal:
 
         scale = self._scale_down(bound(trial.usual), allowed)
         self.scales[list(trial.covers)] = scale
-        self.bounds = np.maximum(self.bounds, scale * bound(trial.spread))
+        most = bound(trial.spread)
+        most[2] = np.maximum(most[2], self._led(experiment, linear[2], trial.spread[0]))
+        self.bounds = np.maximum(self.bounds, scale * most)
+
+    def _led(self, experiment: PlannedExperiment, torque: Float64, spread: Float64) -> Float64:
+        """(M,) torque of shaken axes: what is played is known, what the loop adds spreads as travel does."""
+        played = np.abs(experiment.torque).max(axis=0)
+        shaken = np.isin(np.arange(played.size), experiment.excited)
+        most: Float64 = played + spread * np.maximum(torque - played, 0.0) + np.abs(self._motion.bias)
+        return np.where(shaken, most, 0.0)
 
     @staticmethod
     def _room(seen: Seen, allowed: Float64) -> float:
@@ -178,7 +196,7 @@ class Rehearsal:
                 bounds[:, list(e.excited)] = told[:, list(e.excited)]
         return announced(config, np.minimum(bounds, told), "trial")
 
-    def _try_share(self, experiment: PlannedExperiment, share: float, *, moves: bool = True) -> Seen:
+    def _try_share(self, experiment: PlannedExperiment, share: float, *, moves: bool) -> Seen:
         """What an excerpt does at a share of its amplitude; ``moves``: whether it must move its axes."""
         motion = self._motion
         excited, cycle = set(experiment.excited), motion.plan.cycle_s

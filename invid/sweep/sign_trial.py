@@ -14,6 +14,7 @@ from invid.planning.phases import (
     CATCH_HZ,
     SIGN_CATCH_S,
     SIGN_COUNTS,
+    SIGN_FAR,
     SIGN_FIRST_S,
     SIGN_LAST_S,
     SIGN_MOST,
@@ -88,11 +89,13 @@ class SignTrial:
         self._spoilt: list[trials.Response] = []
         self._seen: list[trials.Response] = []
         self._still: list[bool] = []
+        self._home = 0.0
 
     def run(self) -> None:
         """SafetyStop where signs or scales are wrong, or nothing moves."""
         motion, axis = self._motion, self._axis
         motion.phase, motion.experiment = f"trying the signs of {self._settings.name}", None
+        self._home = motion.place[axis]
         motion.change(self._modes, self._others)
         motion.watching.held = set(range(motion.count)) - {axis}
         amplitude, length, last = self._grow()
@@ -274,6 +277,9 @@ class SignTrial:
             next_length = min(SIGN_LAST_S, float(np.sqrt(16 * inertia * SLOW_WINDOW * window / slow)))
             if not next_length > LEAST_GROWTH * length:
                 break
+            if self._strayed(last):
+                self._catch(self._stated[0])
+                self._motion.change(self._modes, self._others)
             trial = self._play(slow, next_length)
             if trial.response.late:
                 self._spoil(trial.response)
@@ -281,6 +287,14 @@ class SignTrial:
             last, length = trial, next_length
             branch = self._branch(last.log)
         return branch
+
+    def _strayed(self, last: Trial) -> bool:
+        """Whether the axis is further from where it stood than a doublet may take it.
+
+        Masses that swung behind the motor while it was held leave the whole branch drifting when it lets go.
+        """
+        away = last.log.position[-1, self._axis] - self._home
+        return bool(abs(away) > SIGN_FAR * self._settings.limits.position)
 
     def _branch(self, kept: Log) -> Branch | None:
         position = kept.position[:, self._axis] - kept.position[0, self._axis]

@@ -196,10 +196,13 @@ class _Sink:
     def end(self) -> None: ...
 
 
-def run(drawn: Drawn) -> Truth:
-    """The whole run in virtual time; the truth of every cycle."""
+def run(drawn: Drawn, until: str = "") -> Truth:
+    """The run in virtual time, whole or up to a phase; the truth of every cycle."""
     config = drawn.config
     plan = make_plan(config, amplitude_scale=drawn.amplitude, model=drawn.model)
+    names = [p.name for p in plan.phases]
+    if until:
+        plan = replace(plan, phases=plan.phases[: names.index(until) + 1])
     truth = Truth(plan)
     cells: list[SimulatedCell] = []
     cell = Cia402Cell(open_virtual_bus(config, prepare=cells.append), config)

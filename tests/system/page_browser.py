@@ -85,7 +85,13 @@ class Page:
         self.press(self.shown(identity).find_element("tag name", "summary"))
 
     def text(self, identity: str) -> str:
-        return str(self.driver.find_element("id", identity).text)
+        """What stands there now; nothing while the page is loaded anew."""
+        from selenium.common.exceptions import NoSuchElementException, StaleElementReferenceException
+
+        try:
+            return str(self.driver.find_element("id", identity).text)
+        except (NoSuchElementException, StaleElementReferenceException):
+            return ""
 
     def wait_text(self, identity: str, text: str, timeout: float = 60.0) -> None:
         deadline = time.monotonic() + timeout

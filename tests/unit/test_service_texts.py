@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import get_args
 
 import pytest
 from service_doubles import running
 
+from invid import errors
 from invid.config import load_config
 from invid.effects.registry import CATALOGUE
 from invid.model.diagnosis_document import Grade, Verdict
 from invid.planning import make_plan
 from invid.report.branch_drawing import WORDS
+from invid_service.cells.readiness import Reason
 from invid_service.jobs.states import State
+from invid_service.jobs.stops import STOPS, Run, action_for
+from invid_service.jobs.worker import FIXES, error_info
+from invid_service.problems import CATALOGUE as PROBLEMS
 from invid_service.web import texts
 from invid_service.web.texts import LANGUAGES, catalogue, preferred
 
@@ -76,6 +82,15 @@ def test_what_the_service_may_name_has_a_name_in_every_language() -> None:
         wanted |= (
             {f"state.{s}" for s in State} | {f"verdict.{v}" for v in Verdict} | {f"grade.{g}" for g in Grade}
         )
+        for code in get_args(Reason.model_fields["code"].annotation):
+            wanted |= {f"reason.{code}", f"reason.{code}.fix"}
+        wanted |= {f"problem.{kind}" for kind in PROBLEMS}
+        for name in FIXES:
+            code = error_info(getattr(errors, name)("x"))["code"]
+            wanted |= {f"error.{code}", f"error.{code}.fix"}
+        stops = [Run("full", "planned", False, "A1"), Run("test", "planned", False, "A1")]
+        for code in STOPS:
+            wanted |= {f"halt.{code}", *(f"action.{action_for(code, run)['code']}" for run in stops)}
         assert wanted - known.keys() == set()
 
 

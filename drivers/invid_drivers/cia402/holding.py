@@ -202,6 +202,10 @@ class Reason:
     code: Literal["axis_energised", "axis_suspect"]
     text: str
     fix: str
+    axis: str
+    node_id: int
+    taken_over: bool = False
+    """Held as this program leaves an axis: the next measurement takes it over without letting go."""
 
 
 def energised_reason(name: str, node_id: int, state: DriveState, resumes: bool | None) -> Reason:
@@ -210,19 +214,24 @@ def energised_reason(name: str, node_id: int, state: DriveState, resumes: bool |
         then = (
             "its drive does not go back to operation from there (transition 16)"
             if resumes is False
-            else "`invid measure` takes it over without letting go"
+            else "the next measurement takes it over without letting go"
         )
         return Reason(
             "axis_energised",
             f"axis {name} (node {node_id}) is energised: its drive holds it in {state.words}; {then}",
             "to have it off, support its load or set its brake, then take the drive's enable or supply away "
             "and run `invid check`",
+            name,
+            node_id,
+            taken_over=resumes is not False,
         )
     return Reason(
         "axis_energised",
         f"axis {name} (node {node_id}) is energised: its drive is in {state.words}, and not by this program",
         "end the program that drives it; or support its load, take the drive's enable or supply away, and "
         "run `invid check`",
+        name,
+        node_id,
     )
 
 
@@ -233,6 +242,8 @@ def suspect_reason(name: str, node_id: int, why: str) -> Reason:
         f"the last run ended at axis {name} (node {node_id}), beside a load or under one ({why}): what was "
         "wrong may still be, and enabling it may drop the load",
         f"find the cause; then `invid check --cleared {name}`",
+        name,
+        node_id,
     )
 
 

@@ -7,9 +7,7 @@ import sys
 from invid.cli.output import note
 from invid.config import CellConfig
 from invid.errors import InputError
-from invid_drivers.cia402.hold_memory import HoldMemory
-from invid_drivers.cia402.holding import to_support
-from invid_drivers.cia402.journal import journal_path
+from invid_drivers.readiness import loads_to_support, support_sentence
 
 WORDS = "the emergency stop is within reach and nobody is within reach of the axes"
 
@@ -28,13 +26,9 @@ def confirm(cell: CellConfig, *, confirmed: bool) -> None:
     if cell.simulated:
         return
     axes = ", ".join(a.name for a in cell.axes)
-    tried = to_support(cell, HoldMemory.beside(journal_path(cell.bus.interface, cell.bus.channel)))
+    tried = loads_to_support(cell)
     if tried:
-        note(
-            f"{cell.robot}: how {', '.join(tried)} is held after a stop was not seen yet; where it carries a "
-            "load, that is tried first, at rest. Support it so that it cannot fall far and still hangs on "
-            "its drive"
-        )
+        note(f"{cell.robot}: {support_sentence(tried)}")
     if confirmed:
         return
     if sys.stdin is None or not sys.stdin.isatty():

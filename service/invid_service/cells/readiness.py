@@ -30,6 +30,8 @@ class Reason(BaseModel):
     ]
     text: str
     fix: str
+    values: dict[str, str] = {}
+    """What stands in the text, for whoever says it in another language."""
 
 
 class Readiness(BaseModel):
@@ -37,6 +39,8 @@ class Readiness(BaseModel):
 
     can_start: bool
     reasons: list[Reason]
+    notes: list[Reason] = []
+    """What keeps nothing from starting and must be known: axes that are energised and will be taken over."""
     simulated: bool = False
 
 
@@ -73,6 +77,7 @@ def readiness(s: Situation) -> Readiness:
                 code="run_in_progress",
                 text=f"identification {run.id} is {run.state}",
                 fix="wait until it has ended, or cancel it",
+                values={"run": run.id},
             )
         )
     if not s.store_answers:
@@ -90,6 +95,7 @@ def readiness(s: Situation) -> Readiness:
                 text=f"{s.free_bytes / 1e6:.0f} MB are free on the service's disk, a run needs "
                 f"{s.needed_bytes / 1e6:.0f} MB",
                 fix="delete old files on that disk or shorten retention_days",
+                values={"free": f"{s.free_bytes / 1e6:.0f}", "needed": f"{s.needed_bytes / 1e6:.0f}"},
             )
         )
     bus = s.config.bus
@@ -104,6 +110,7 @@ def readiness(s: Situation) -> Readiness:
                 text=f"this computer has no CAN interface {bus.channel}",
                 fix=f"plug the adapter in, then: ip link set {bus.channel} up type can "
                 f"bitrate {bus.bitrate_bit_per_s}",
+                values={"channel": bus.channel, "bitrate": str(bus.bitrate_bit_per_s)},
             )
         )
     if s.mode == "simulate" and not s.config.simulated and not s.has_model:
@@ -114,8 +121,8 @@ def readiness(s: Situation) -> Readiness:
                 fix="identify the cell in mode full and accept the result first",
             )
         )
-    if s.mode != "simulate":
-        reasons += [Reason(code=d.code, text=d.text, fix=d.fix) for d in s.drives]
+    drives = () if s.mode == "simulate" else s.drives
+    reasons += [_of_drive(d) for d in drives if not d.taken_over]
     left_out = axes_left_out(s.config, s.axes)
     if left_out:
         reasons.append(
@@ -123,6 +130,13 @@ def readiness(s: Situation) -> Readiness:
                 code="axes_left_out",
                 text=subset_sentence(left_out),
                 fix="choose all axes",
+                values={"axes": ", ".join(left_out)},
             )
         )
-    return Readiness(can_start=not reasons, reasons=reasons, simulated=s.config.simulated)
+    notes = [_of_drive(d) for d in drives if d.taken_over]
+    return Readiness(can_start=not reasons, reasons=reasons, notes=notes, simulated=s.config.simulated)
+
+
+def _of_drive(found: CellReason) -> Reason:
+    values = {"axis": found.axis, "node": str(found.node_id)}
+    return Reason(code=found.code, text=found.text, fix=found.fix, values=values)

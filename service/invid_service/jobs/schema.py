@@ -78,6 +78,8 @@ class Trace(BaseModel):
 class StoppedView(BaseModel):
     """A run that ended while it moved."""
 
+    code: str = ""
+    """What stopped it, as a stable word (``position_window``, …); empty where there is none."""
     phase: str
     axis: str | None
     reason: str

@@ -132,6 +132,8 @@ _ACTIONS: dict[str, Callable[[Run], dict[str, str]]] = {
     ),
     "asked": lambda run: _action("start_again", "Start again when the cell is clear.", "page"),
 }
+STOPS = tuple(_ACTIONS)
+"""Codes of what stops a motion; the page has words for each."""
 _OTHERWISE = _action("look", "Look at the robot and clear what is named above, then start again.", "machine")
 
 
@@ -143,6 +145,7 @@ def stopped_by(error: InvidError, run: Run) -> dict[str, Any] | None:
     axis = error.axis or moment["axis"]
     code = error.code or _kind(error)
     return {
+        "code": code,
         "phase": moment["phase"],
         "axis": axis,
         "reason": error.reason or str(error),
@@ -154,6 +157,7 @@ def stopped_by(error: InvidError, run: Run) -> dict[str, Any] | None:
 def without_trace(phase: str, axis: str | None, reason: str, code: str) -> dict[str, Any]:
     """The same of a run whose process could not tell."""
     return {
+        "code": code,
         "phase": phase,
         "axis": axis,
         "reason": reason,

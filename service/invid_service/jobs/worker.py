@@ -134,6 +134,7 @@ def measure(job: Job, line: Line) -> dict[str, Any]:
     from invid.model.document import model_from_json
     from invid.planning.belief import from_model
     from invid_drivers.measurement import ask_drives, measure_to_file
+    from invid_drivers.readiness import loads_to_support, support_sentence
     from invid_service.jobs.response import ResponseWatch
 
     if job.config is None:
@@ -147,6 +148,8 @@ def measure(job: Job, line: Line) -> dict[str, Any]:
         config, axes=job.axes, amplitude_scale=job.amplitude_scale, model=model
     )
     document = {**told_plan(plan, job), "budgets": [b.to_json() for b in budgets]}
+    support = loads_to_support(config)
+    document["support"] = {"axes": list(support), "text": support_sentence(support)} if support else None
     document["warnings"] = [*document["warnings"], *warned]
     line.tell("planned", plan=_plain(document), arm=job.arm)
     del plan

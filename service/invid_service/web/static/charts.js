@@ -57,7 +57,7 @@ export function traceChart(what, axis, seconds, values, unit, limit) {
   const s = scales(seconds, beyond ? [...values, limit * Math.sign(values.at(-1) || 1)] : values);
   const alt = t("trace.alt", { what, axis, time: fmt(seconds.at(-1) - seconds[0], 2), from: fmt(Math.min(...values), 3), to: fmt(Math.max(...values), 3), end: fmt(values.at(-1), 3), unit,
     limit: limit == null ? "" : t("trace.alt.limit", { limit: `±${fmt(limit, 3)} ${unit}` }) });
-  const picture = frame(alt, s, [[BOX.left, short(Number(seconds[0].toFixed(2))), "start"], [(BOX.left + BOX.right) / 2, t("trace.time"), "middle"], [BOX.right, short(Number(seconds.at(-1).toFixed(2))), "end"]]);
+  const picture = frame(alt, s, [[s.x(seconds[0]), short(Number(seconds[0].toFixed(2))), "middle"], [(BOX.left + BOX.right) / 2, t("trace.time"), "middle"], [s.x(seconds.at(-1)), short(Number(seconds.at(-1).toFixed(2))), "middle"]]);
   if (beyond) {
     const y = s.y(limit * Math.sign(values.at(-1) || 1));
     picture.append(el("line", { class: "limit", x1: BOX.left, x2: BOX.right, y1: y, y2: y }), el("text", { x: BOX.left + 6, y: y + (y < 40 ? 16 : -6), class: "limit" }, t("trace.limit")));

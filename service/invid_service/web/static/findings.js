@@ -101,7 +101,7 @@ export function showFindings(run, diagnosis, model) {
     groups.push(el("h3", {}, [gradeBadge(grade), ` ${t(`grade.${grade}.todo`)}`]), el("ul", { class: "findings" }, list.map((f) => {
       const others = [...new Set((full[f.number - 1]?.alternatives ?? []).map((a) => named("cause", a.cause)))].filter((a) => a !== named("cause", f.cause));
       return el("li", {}, [el("span", { class: `number ${grade}` }, String(f.number)), el("span", {}, [
-        el("b", {}, `${f.axis}: ${named("cause", f.cause)}`), ` ${place(f, sizes)}`, size(f, linear) ? `, ${size(f, linear)}` : "",
+        el("b", {}, `${f.axis}: ${named("cause", f.cause)}`), place(f, sizes) ? ` ${place(f, sizes)}` : "", size(f, linear) ? `, ${size(f, linear)}` : "",
         others.length ? el("small", {}, t("finding.or", { cause: others.join(t("word.or")) })) : null])]);
     })));
   }

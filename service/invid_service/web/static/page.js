@@ -7,6 +7,7 @@ import { showPlan } from "./plan.js";
 import { curves, redraw } from "./plots.js";
 import { showProgress } from "./progress.js";
 import { showDecision, showResult } from "./result.js";
+import { ended, reasonItem, refused } from "./spoken.js";
 import { showStopped } from "./stopped.js";
 import { $, el, fill, fmt, row, sentence, time } from "./dom.js";
 import { choose, named, t } from "./texts.js";
@@ -20,7 +21,7 @@ function say(error) {
   const box = $("problem");
   box.hidden = false;
   box.dataset.gone = String(!(error instanceof Problem));
-  box.textContent = error instanceof Problem ? error.message : t("page.unreachable", { why: error.message });
+  fill(box, error instanceof Problem ? refused(error) : [t("page.unreachable", { why: error.message })]);
 }
 const guarded = (work) => async (...given) => { $("problem").hidden = true; try { await work(...given); } catch (error) { say(error); } };
 
@@ -86,7 +87,8 @@ async function refresh() {
     const title = $("ready-title");
     title.textContent = ready.can_start ? t("ready.yes") : t("ready.no");
     title.className = ready.can_start ? "good" : "bad";
-    fill($("reasons"), ready.reasons.map((r) => el("li", { lang: "en" }, [el("b", {}, sentence(r.text)), t("ready.todo", { fix: r.fix })])));
+    fill($("reasons"), ready.reasons.map((r) => reasonItem(r)));
+    fill($("ready-notes"), (ready.notes ?? []).map((r) => reasonItem(r, `note.${r.code}`)));
     const busy = state.run && !ENDED.includes(state.run.state);
     $("start-card").hidden = Boolean(state.run);
     $("ready-card").hidden = Boolean(state.run);
@@ -152,9 +154,7 @@ function show(run) {
   showStopped(run, state.cell, again);
   const box = $("run-error");
   box.hidden = !run.error;
-  // One action, not two that differ.
-  box.textContent = run.error ? `${sentence(run.stopped?.reason ?? run.error.text)}.${run.stopped ? "" : ` ${t("ready.todo", { fix: run.error.fix })}`}` : "";
-  box.lang = "en";
+  fill(box, run.error ? ended(run) : []);
   $("progress").hidden = !MOVING.includes(run.state);
   $("arm").hidden = run.state !== "awaiting_arm";
   $("cancel").hidden = ENDED.includes(run.state) || run.state === "awaiting_accept";
@@ -178,9 +178,11 @@ function keepFocus(heading) {
 
 function drawLive() {
   const series = [], names = state.run?.axes ?? [], hues = ["--after", "--before", "--third"];
-  for (const response of state.live.slice(-3)) {
+  // Beyond three axes the last experiment alone; more curves than that nobody tells apart.
+  const many = (state.cell?.axes.length ?? 0) > hues.length;
+  for (const response of state.live.slice(many ? -1 : -3)) {
     response.db.forEach((db, i) => db && series.push({
-      label: t("run.live.series", { axis: state.cell?.axes[i] ?? names[i] ?? i, n: Number(response.experiment) + 1 }), x: response.frequency_hz, y: db, colour: hues[i % 3], dash: Number(response.experiment) % 3,
+      label: t("run.live.series", { axis: state.cell?.axes[i] ?? names[i] ?? i, n: Number(response.experiment) + 1 }), x: response.frequency_hz, y: db, colour: hues[i % 3], dash: many ? Math.floor(i / hues.length) % 3 : Number(response.experiment) % 3,
     }));
   }
   $("live").hidden = !series.length;

@@ -1,5 +1,6 @@
 // What will move and how far, before anybody arms.
 import { $, el, fill, fmt, seconds, table } from "./dom.js";
+import { supporting } from "./spoken.js";
 import { t } from "./texts.js";
 
 export function showPlan(run, cell) {
@@ -18,6 +19,11 @@ export function showPlan(run, cell) {
   // What the page says in its own words above is not said again.
   const said = (plan.warnings ?? []).filter((w) => w !== plan.purpose && !(plan.amplitude === "gentler" && w.startsWith("gentler:")));
   fill($("plan-warnings"), said.map((w) => el("li", { lang: "en" }, w)));
+  $("plan-notes").hidden = !said.length;
+  $("plan-notes-title").textContent = t("plan.notes", { n: said.length });
+  $("plan-basis").hidden = !(plan.forecast ?? []).some((f) => f.basis === "limits");
+  $("support").hidden = !plan.support || run.state !== "awaiting_arm";
+  $("support-text").textContent = supporting(plan.support);
   const notes = [run.separates && t("plan.separates"), run.amplitude === "gentler" && t("plan.gentler")].filter(Boolean);
   $("run-note").hidden = !notes.length || run.state !== "awaiting_arm";
   $("run-note").textContent = notes.join(" ");

@@ -5,6 +5,8 @@ import { english, has, phase, t } from "./texts.js";
 
 const HERE = { gentler: "stopped.gentler", as_planned: "stopped.as_planned", start_again: "stopped.start_again" };
 
+const SHOWN = { rad: ["°", 180 / Math.PI], m: ["mm", 1000] };
+
 export function showStopped(run, cell, again) {
   const s = run.stopped;
   $("stopped").hidden = !s;
@@ -30,8 +32,10 @@ function trace(s, cell) {
   for (const [what, name, unit] of [["position", "position_unit", "rad"], ["torque", "torque_unit", "N·m"]]) {
     const values = s.trace?.[what]?.[axis];
     if (!values?.length || values.length !== times.length) continue;
-    const chart = traceChart(sentence(t(`trace.${what}`)), axis, times, values, limits?.[name] ?? unit, limits?.[what]);
-    pictures.push(el("figcaption", {}, `${axis}: ${t(`trace.${what}`)} [${limits?.[name] ?? unit}]`), chart.picture);
+    // In the units of the plan above, which a person has before the eyes.
+    const [shown, factor] = SHOWN[limits?.[name] ?? unit] ?? [limits?.[name] ?? unit, 1], limit = limits?.[what];
+    const chart = traceChart(sentence(t(`trace.${what}`)), axis, times, values.map((v) => v * factor), shown, limit == null ? null : limit * factor);
+    pictures.push(el("figcaption", {}, `${axis}: ${t(`trace.${what}`)} [${shown}]`), chart.picture);
   }
   $("trace").hidden = !pictures.length;
   fill($("trace"), pictures);

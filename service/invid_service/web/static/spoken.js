@@ -1,0 +1,34 @@
+// What the service says with a code: in the page's language where the catalogue has it, else as it is, in English.
+import { el, sentence } from "./dom.js";
+import { and, english, has, t } from "./texts.js";
+
+const ours = (key) => !english && has(key);
+const detail = (text) => el("small", { lang: "en" }, sentence(text));
+
+// A reason why a cell cannot start, or a note beside it, with its way out.
+export function reasonItem(r, key = `reason.${r.code}`) {
+  const known = ours(key), [text, fix] = known ? [t(key, r.values), t(`${key}.fix`, r.values)] : [sentence(r.text), r.fix];
+  return el("li", { lang: known ? null : "en" }, [el("b", {}, text), t("ready.todo", { fix })]);
+}
+
+// A request that was refused.
+export function refused(problem) {
+  const kind = (problem.document.type ?? "").split(":").at(-1), key = `problem.${kind}`;
+  if (!ours(key)) return [problem.message];
+  const reasons = (problem.document.reasons ?? []).filter((r) => ours(`reason.${r.code}`));
+  if (reasons.length) return [`${t(key)}: ${reasons.map((r) => `${t(`reason.${r.code}`, r.values)} ${t("ready.todo", { fix: t(`reason.${r.code}.fix`, r.values) })}`).join(" ")}`];
+  return [`${t(key)}.`, detail(problem.message)];
+}
+
+// Why a run ended early. A stopped one has its one action beside it; two that differ are none.
+export function ended(run) {
+  const stop = run.stopped, { code, text, fix } = run.error, said = stop?.reason ?? text;
+  const key = stop ? `halt.${stop.code}` : `error.${code}`;
+  if (!ours(key)) return [`${sentence(said)}.${stop ? "" : ` ${t("ready.todo", { fix })}`}`];
+  return [stop ? t(key) : `${t(key)} ${t("ready.todo", { fix: t(`${key}.fix`) })}`, detail(said)];
+}
+
+// Before arming: loads that must not be able to fall far.
+export function supporting(support) {
+  return support ? t("plan.support", { axes: and(support.axes) }) : "";
+}
