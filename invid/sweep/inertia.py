@@ -27,9 +27,11 @@ RIGID, SLOW_S = 0.02, 0.5
 as a rigid mass with friction, and its inertia is known: 0.7 to 2.1 times the true one on 100 elastic cells
 with lowest modes from 1 to 5 Hz (``tests/machines``, empirical)."""
 ELASTIC, ELASTIC_S = 6.0, 1.0
-"""An axis that swings shows less of itself: what its motor moves in a doublet of this length may be the third
-of it (empirical, on the same cells). Only what is six times too light is then a scale for sure; too heavy it
-may look at will, where a mass swings back just then."""
+"""An axis that swings shows less or more of itself: what its motor moves in a doublet of this length was 0.3
+to 2.2 times of it (empirical, on the same cells). Only what is six times off is then a scale for sure."""
+HEAVY_FITS = 0.15
+"""And too heavy only where no more of the path is left over: a spring that swings back just then looks heavy
+and leaves a quarter; ten times wrong scales leave 0.1 (empirical, on 60 such cells)."""
 FITS = 0.3
 """Where more than this share of the path is left over, the axis did not move as a mass with friction: the
 elastic axes of the case study leave 0.2 at most, one that only bends against what holds it more."""
@@ -71,7 +73,8 @@ class Branch:
         ratio = self.inertia / stated
         if self.rigid:
             return not 1.0 / AGREES <= ratio <= AGREES
-        return self.length_s >= ELASTIC_S and ratio < 1.0 / ELASTIC
+        heavy = ratio > ELASTIC and self.left <= HEAVY_FITS
+        return self.length_s >= ELASTIC_S and (ratio < 1.0 / ELASTIC or heavy)
 
 
 def rigid_branch(time: Float64, demand: Float64, position: Float64, fresh: Bool, *, count: float) -> Branch:

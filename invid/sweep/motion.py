@@ -167,7 +167,7 @@ class Motion:
         self._modes = self.resting_modes()
         cell.energise(self._modes)
         self._begin()
-        self._settle()
+        self._settle(first=True)
         while cell.secure([load.loaded for load in self.loads]):
             self._begin()
             self._settle()
@@ -200,11 +200,15 @@ class Motion:
         self.watching.start(self.origin)
         self.watching.held = set(range(self.count))
 
-    def _settle(self) -> None:
-        """What each axis needs at rest, and so which are loaded."""
+    def _settle(self, *, first: bool = False) -> None:
+        """What each axis needs at rest, and so which are loaded.
+
+        ``first``: nothing has moved yet, no stop test has let an axis swing.
+        """
         self.phase = "settling"
         held = [mode is Mode.HOLD for mode in self._modes]
         rated = self.cell.rated_torque
+        self.watching.resting = {i for i in range(self.count) if first and held[i]}
         rows = self.play(None, round(SETTLE_S / self.plan.cycle_s), log=True)
         self.watching.words.learn_rest()
         half = len(rows.torque) // 2
@@ -217,6 +221,7 @@ class Motion:
                 rows = self.play(None, round(CONFIRM_S / self.plan.cycle_s), log=True)
                 self.loads = judge_loads(self.config, rows.torque, rows.fresh, held, rated)
             self.done_s = done  # no part of the plan
+        self.watching.resting = set()
         for i, load in enumerate(self.loads):
             # What the drive needs to hold an axis is what it needs when the master takes over; only a
             # loaded axis is believed to need any, friction held at rest can be anything. A drive that is
@@ -347,6 +352,7 @@ class Motion:
             self.watching.hand_over()
             self.watching.words.resume()
         self.feedback, self._demand = feedback, demand
+        self.watching.led = {f.axis for f in feedback}
         self.watching.settle()
 
     def centre(self, excited: set[int], *, lowest: float, path: bool = False) -> None:

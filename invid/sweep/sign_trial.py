@@ -25,7 +25,7 @@ from invid.planning.phases import (
 )
 from invid.signals.excitation import doublet
 from invid.sweep import trials
-from invid.sweep.inertia import Branch, compare, rigid_branch
+from invid.sweep.inertia import ELASTIC, ELASTIC_S, Branch, compare, rigid_branch
 from invid.sweep.motion import Feedback, Log, Motion
 from invid.sweep.ports import Mode
 
@@ -41,6 +41,10 @@ MORE_THAN_FRICTION = 2.0
 """Torque of a slow doublet over the friction that a stronger one showed: half of it is then left."""
 SLOW_TRIALS = 5
 """The slow doublet that moves the whole branch is longer again where outer masses turn out to follow."""
+PROBE_S = 1.1
+"""Of a doublet in which masses behind springs follow: longer than ``ELASTIC_S`` by more than a cycle."""
+PROBES, PROBE_CLIMB, PROBE_WAYS = 3, 1.5, 2.5
+"""So often, each with as much more torque, as long as none moves the axis by a tenth of its window."""
 SLEEP_COUNTS = 20
 """An encoder that dies shows so many counts first; fewer are what ringing leaves of a coarse one."""
 LATE_TRIALS = 20
@@ -286,6 +290,11 @@ class SignTrial:
                 continue
             last, length = trial, next_length
             branch = self._branch(last.log)
+        seen = branch.inertia if branch is not None else last.response.inertia
+        if length < ELASTIC_S and seen < self._stated[0] / ELASTIC:
+            done = self._motion.done_s
+            branch = self._probe() or branch
+            self._motion.done_s = done  # no part of the plan
         return branch
 
     def _strayed(self, last: Trial) -> bool:
@@ -295,6 +304,32 @@ class SignTrial:
         """
         away = last.log.position[-1, self._axis] - self._home
         return bool(abs(away) > SIGN_FAR * self._settings.limits.position)
+
+    def _probe(self) -> Branch | None:
+        """A doublet slow enough for the whole branch of an axis that moved too easily for one so far.
+
+        Its torque is by the stated inertia: it moves an axis as light as ``ELASTIC`` permits by the way of
+        the other slow doublets, and one whose scale is ten times wrong by less than twice of that. More
+        follows where friction took too much of it.
+        """
+        stated, cycle = self._stated[0] if self._stated is not None else 0.0, self._motion.plan.cycle_s
+        length = round(PROBE_S / cycle) * cycle
+        way = SLOW_WINDOW * self._settings.limits.position
+        torque = max(16 * stated / ELASTIC * way / length**2, LEAST_STEPS / 1000 * self._rated)
+        played = 0
+        while played < PROBES and torque <= self._amplitude:
+            trial = self._play(torque, length)
+            if trial.response.late:
+                self._spoil(trial.response)
+                continue
+            played += 1
+            found = self._branch(trial.log)
+            if found is not None:
+                return found if found.inertia < stated / ELASTIC else None  # a spring may hold it back
+            if trial.response.displacement > PROBE_WAYS * way:
+                break
+            torque *= PROBE_CLIMB
+        return None
 
     def _branch(self, kept: Log) -> Branch | None:
         position = kept.position[:, self._axis] - kept.position[0, self._axis]

@@ -14,6 +14,7 @@ from invid.sweep.drive_word import DriveWords
 from invid.sweep.halting import Halting
 from invid.sweep.ports import Sample, Severity
 from invid.sweep.stuck_encoder import Standing
+from invid.sweep.yielding import Yielding
 
 STATE_MASK, OPERATION_ENABLED = 0x6F, 0x27
 """State bits of 0x6041 (CiA 402)."""
@@ -27,6 +28,10 @@ TORQUE_MARGIN = 1.1
 TORQUE_NOISE = 0.03
 """0x6077 may read 10 % over the limit and 3 % of rated torque: six standard deviations of the 0.5 % that
 drives' current sensing has (empirical, from the vendors' figures in notes)."""
+REST_SHARE = 0.1
+"""Of the window: an axis that its drive holds at rest and that goes further is not held. A stiff loop yields
+by a hundredth of that to a person who leans on it; one whose torque limit is lowered too far by a few steps
+of 0.2 % until it has the drive's own again (empirical)."""
 ENERGY_WINDOW_S = 0.25
 ENERGY_GROWTH = 1.25
 ENERGY_WINDOWS = 4
@@ -87,8 +92,18 @@ class Watch:
         self.standing = Standing(names, cycle_s)
         self.words = DriveWords(names, cycle_s)
         self._halting = Halting(names, [a.resolution for a in limits], limits[0].unit, cycle_s)
+        self._yielding = Yielding(
+            names,
+            [a.torque for a in limits],
+            [a.velocity for a in limits],
+            limits[0].unit,
+        )
         self.held: set[int] = set()
         """Axes whose energy is watched for growth."""
+        self.led: set[int] = set()
+        """Axes whose loops the master closes."""
+        self.resting: set[int] = set()
+        """Axes that their drives hold while nothing is shaken."""
         self.statistics = Statistics(
             missed_tpdos=[0] * count,
             peak_travel=[0.0] * count,
@@ -183,6 +198,15 @@ class Watch:
                         code="position_window",
                         axis=limit.name,
                     )
+                if i in self.resting and travel > REST_SHARE * limit.position:
+                    raise SafetyStop(
+                        f"axis {limit.name}: moved by {travel:.3g} {limit.unit} though its drive is to "
+                        "hold it at rest",
+                        way_out="somebody moves it, its load is beyond the drive's torque limit, or a sign "
+                        "is wrong in the drive",
+                        code="not_held",
+                        axis=limit.name,
+                    )
             # Samples that came, each with its own instant: a stale one would pass for a leap.
             history = self._history[i]
             history.append((sample.time, positions[i]))
@@ -215,6 +239,7 @@ class Watch:
                         code="torque",
                         axis=limit.name,
                     )
+        self._yielding.check(sample, self.led)
         self._watch_energy(energy)
         self.words.check(sample)
         self._halting.check(sample)

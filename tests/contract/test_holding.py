@@ -19,6 +19,7 @@ from invid_drivers.cia402.hold_memory import HoldMemory
 from invid_drivers.cia402.holding import remembered, to_support
 from invid_drivers.cia402.journal import Journal
 from invid_drivers.simulated import VirtualTimeBus, open_virtual_bus
+from invid_drivers.simulated.faults import FaultConfig
 from invid_drivers.simulated.state_machine import State
 
 ENERGISED = {State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE}
@@ -294,3 +295,59 @@ def test_a_torque_limit_lowered_below_the_load_does_not_drop_it(tmp_path: Path) 
     assert abs(bench.place) < FALLS
     assert bench.drive.node.od.number(0x6072) <= 3000
     assert bench.drive.state is State.QUICK_STOP_ACTIVE
+
+
+def test_a_load_that_was_held_within_the_lowered_limit_gets_no_more_torque_when_a_sign_turns(
+    tmp_path: Path,
+) -> None:
+    bench = Bench(tmp_path)
+    master = enabled(bench)  # held for 0.1 s, which shows that its limit is enough
+    lowered = bench.drive.node.od.number(0x6072)
+    bench.cell.plan_fault(
+        FaultConfig(kind="sign_flip", axis="A1", at_s=master.clock.now() + 0.1, signal="encoder")
+    )
+    for _ in range(150):
+        master.exchange(zero(master))
+    assert bench.drive.node.od.number(0x6072) == lowered
+    master.close()
+
+
+def test_no_brake_and_no_drive_is_judged_by_an_axis_that_moved_before_the_test(tmp_path: Path) -> None:
+    bench = Bench(tmp_path, {"brake": True, "brake_delay_s": 0.02}, brake="drive")
+    master = enabled(bench)
+    bench.cell.plan_fault(
+        FaultConfig(kind="push", axis="A1", at_s=master.clock.now(), torque_Nm=8.0, duration_s=10.0)
+    )
+    for _ in range(10):
+        master.exchange(zero(master))
+    with pytest.raises((SafetyStop, DriveError)):  # by its motion, or its drive by its following error
+        master.secure([True, False])
+    assert all(seen.brake_drop is None for seen in bench.memory.seen.values())
+    master.close()
+
+
+def test_an_axis_of_unknown_gravity_is_weighed_after_a_stop_that_came_before_that(tmp_path: Path) -> None:
+    bench = Bench(tmp_path, {"load": {"torque_Nm": 0.0}}, gravity_loaded=None)
+    master = enabled(bench)
+    master.stop()
+    assert master.held_at_end == ()
+    assert bench.drive.state not in ENERGISED
+    master.close()
+
+
+def test_the_master_stays_until_an_axis_that_its_drive_holds_stands(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    master = enabled(bench)
+    assert master.secure([True, False])
+    master.set_modes([Mode.TORQUE, Mode.HOLD])
+    while master.changing:
+        master.exchange([1.0, 0.0])
+    for _ in range(100):
+        master.exchange([4.0, 0.0])  # 3 N·m beyond the load
+    bench.cell.plant.advance_to(bench.cell.now_ns)
+    assert bench.cell.plant.velocities[0] > 0.3
+    master.stop()
+    bench.cell.plant.advance_to(bench.cell.now_ns)
+    assert abs(bench.cell.plant.velocities[0]) < 0.01
+    assert bench.drive.state is State.QUICK_STOP_ACTIVE
+    master.close()

@@ -1,7 +1,9 @@
 """What is announced bounds what the plant itself does, in every phase of a whole run in virtual time."""
 
+import copy
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,9 +11,29 @@ import pytest
 from invid.config import load_config
 from invid.errors import ConfigError
 from invid.planning.subset import axes_left_out, require_all_axes
-from machines.cells import draw, run, try_signs
+from machines.cells import Drawn, draw, run, try_signs
 
 CASE_STUDY = Path(__file__).parents[2] / "configs" / "case-study.yaml"
+
+
+def case_study() -> Drawn:
+    return Drawn(load_config(CASE_STUDY), None, 1.0)
+
+
+def with_rated_torque(drawn: Drawn, factor: float) -> Drawn:
+    """0x6076 says ``factor`` times what the plates say, and the config leaves that to the drives."""
+    simulation: dict[str, Any] = copy.deepcopy(drawn.config.simulation or {})
+    axes = []
+    for i, axis in enumerate(drawn.config.axes):
+        rated, inertia = axis.rated_torque or 0.0, axis.inertia
+        if inertia is None:
+            inertia = 1.1 * sum(simulation["plant"]["branches"][i]["masses"])
+        drive = simulation.setdefault("axes", {}).setdefault(axis.name, {})
+        drive["rated_torque_Nm"] = rated
+        drive.setdefault("objects", {})["values"] = {"0x6076": round(1000 * factor * rated)}
+        axes.append(axis.model_copy(update={"rated_torque": None, "inertia": inertia}))
+    config = drawn.config.model_copy(update={"axes": axes, "simulation": simulation})
+    return replace(drawn, config=config, model=None)
 
 
 @pytest.mark.parametrize("seed", [302, 305, 307, 410, 422])
@@ -70,6 +92,20 @@ def test_a_rigid_axis_five_times_off_is_refused(seed: int, factor: float) -> Non
     assert said is not None
     assert said.code == "scales"
     assert said.axis == first.name
+
+
+@pytest.mark.parametrize("seed", [11, 16, 23])
+def test_an_elastic_axis_whose_torque_is_a_tenth_of_what_its_drive_says_is_refused(seed: int) -> None:
+    said = try_signs(with_rated_torque(draw(seed), 10.0))
+    assert said is not None
+    assert said.code == "scales"
+
+
+def test_an_elastic_axis_whose_torque_is_ten_times_what_its_drive_says_is_refused() -> None:
+    # its first mass is a sixteenth of the branch: only a doublet that all masses follow tells
+    said = try_signs(with_rated_torque(case_study(), 0.1))
+    assert said is not None
+    assert said.code == "scales"
 
 
 def test_a_subset_of_the_axes_is_refused_with_the_way_out() -> None:

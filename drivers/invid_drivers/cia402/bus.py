@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import can
 
@@ -355,7 +356,18 @@ class Cia402Cell:
             if self.held.weigh_at_once(self._cycle.sample, self.rated_torque, self._cycle.modes):
                 self.held.set_options(self._cycle, self.clock, self.exchange)
         stays = [h.stays for h in self.holdings]
-        way = WayOut(self._config, self._link, self._drives, self._cycle, self.exchange, stays, self._ramp_s)
+        way = WayOut(
+            self._config,
+            self._link,
+            self._drives,
+            self._cycle,
+            self.exchange,
+            stays,
+            self._ramp_s,
+            self.resolution,
+            self.held.doubted,
+            partial(self.held.weigh_in_quick_stop, self._config, self.rated_torque),
+        )
         self.not_off = way.take()
         self.held_at_end = tuple(
             h.config.name

@@ -14,6 +14,7 @@ from invid_drivers.cia402.axis import Drive
 from invid_drivers.cia402.cycle import Cycle
 from invid_drivers.cia402.journal import Entry
 from invid_drivers.cia402.objects import MAX_TORQUE
+from invid_drivers.cia402.states import DriveState, state_of
 
 AT_LIMIT, SAMPLES = 0.9, 3
 """Share of the limit that a loop which is held back shows, with the noise of its sensor; samples in a row."""
@@ -21,6 +22,11 @@ STEP, SURE_S = 2, 0.3
 """The limit is doubled until the axis yields no more; said when that has lasted so long."""
 STILL_COUNTS, STILL_SHARE = 8, 0.002
 """It gives way: in counts, and as a share of the window."""
+HELD_S, CARRIED_S, CARRIES = 0.5, 0.1, 0.05
+"""An axis that its drive has held still for so long, below the limit, has a limit that holds its weight: what
+drives it to the limit later is a wrong sign or a person, and gets no more torque. Brakes of servo motors open
+within 0.3 s, and until then nothing weighs on the drive: one that gives more than this share of its limit
+carries it."""
 
 
 class TorqueRelief:
@@ -39,6 +45,8 @@ class TorqueRelief:
         ]
         self._start: list[float | None] = [None] * len(drives)
         self._seen = [0] * len(drives)
+        self._stood: list[tuple[float, float] | None] = [None] * len(drives)
+        """Instant and place from which each axis has stood below its limit."""
         self._given: dict[int, tuple[float, int]] = {}
 
     def look(self, sample: Sample, doubted: Sequence[bool]) -> None:
@@ -49,6 +57,9 @@ class TorqueRelief:
             held = self._cycle.modes[i] is Mode.HOLD and not self._cycle.changing
             wrote, found = limit
             start = self._start[i]
+            if self._is_held(i, sample, held, wrote * self._torque[i]):
+                self._limits[i] = None
+                continue
             if start is None or not held or abs(sample.torque[i]) < AT_LIMIT * wrote * self._torque[i]:
                 self._start[i], self._seen[i] = sample.position[i], 0
                 self._report(i, sample)
@@ -61,6 +72,19 @@ class TorqueRelief:
             self._limits[i] = min(STEP * wrote, found), found
             self._start[i], self._seen[i] = sample.position[i], 0
             self._write(i, wrote, min(STEP * wrote, found))
+
+    def _is_held(self, axis: int, sample: Sample, held: bool, limit: float) -> bool:
+        """Whether its drive has been seen to hold it within the limit."""
+        enabled = state_of(sample.status[axis]) is DriveState.OPERATION_ENABLED
+        if not held or not enabled or abs(sample.torque[axis]) >= AT_LIMIT * limit:
+            self._stood[axis] = None
+            return False
+        stood, place = self._stood[axis], sample.position[axis]
+        if stood is None or abs(place - stood[1]) >= self._still[axis]:
+            self._stood[axis] = sample.time, place
+            return False
+        carries = abs(sample.torque[axis]) > CARRIES * limit
+        return sample.time - stood[0] >= (CARRIED_S if carries else HELD_S)
 
     def _write(self, axis: int, before: int, value: int) -> None:
         drive = self._drives[axis]

@@ -18,8 +18,12 @@ class RunawayGuard:
     """Compares the speed during a quick stop with the speed at its start."""
 
     def __init__(self, config: CellConfig, held: Sequence[bool]) -> None:
-        self._least = [RUNAWAY_SHARE * a.limits.velocity for a in config.axes]
-        # A loaded axis without brake falls when it is let go: only a certain runaway is worse.
+        # A loaded axis without brake falls when it is let go: only a certain runaway is worse. A person who
+        # pushes makes it faster too, but not faster than it may be.
+        self._least = [
+            (1.0 if stays and a.brake != "drive" else RUNAWAY_SHARE) * a.limits.velocity
+            for a, stays in zip(config.axes, held, strict=True)
+        ]
         self._needed = [LOADED_RUNAWAYS if stays else 1 for stays in held]
         count = len(config.axes)
         self._before: list[tuple[float, float] | None] = [None] * count

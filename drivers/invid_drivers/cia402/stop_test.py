@@ -18,12 +18,15 @@ from invid_drivers.cia402.cycle import Cycle
 from invid_drivers.cia402.hold_memory import HoldMemory
 from invid_drivers.cia402.holding import AxisHolding
 from invid_drivers.cia402.link import NMT_START, Link
+from invid_drivers.cia402.standstill import Standstill
 from invid_drivers.cia402.states import DriveState, OperationMode, state_of
 
 HOLD_S = 0.4
 """Watched after a quick stop: longer than the ramp from rest, and than a drive takes to switch itself off."""
 REST_S, BRAKE_S = 0.3, 2.0
 """A brake has closed when the axis has stood for so long; longest time for it."""
+SETTLE_S = 2.0
+"""What the axis did before has died away by then."""
 RESUME_S = 3.0
 """Longest way back to operation enabled."""
 ANSWER_S = 1.0
@@ -72,11 +75,26 @@ class StopTest:
         """
         brakes = [i for i, h in enumerate(self._holdings) if h.needs_brake_test]
         if brakes:
+            self._await_rest(brakes)
             self._try_brakes(brakes)
         stops = [i for i, h in enumerate(self._holdings) if h.needs_stop_test]
         if stops:
+            self._await_rest(stops)
             self._try_stop(stops)
         return bool(brakes or stops)
+
+    def _await_rest(self, axes: Sequence[int]) -> None:
+        """What an axis does that moved before the test says nothing of its brake or drive."""
+        standing, sample = Standstill(self._still), self._exchange()
+        end = sample.time + SETTLE_S
+        while not standing.all(sample, axes):
+            if sample.time > end:
+                moving = ", ".join(self._name(i) for i in axes if not standing.stands(i))
+                raise SafetyStop(
+                    f"axis {moving}: moves, though its drive is to hold it at rest (before the stop test). "
+                    "Somebody moves it, its load is beyond the drive's torque limit, or a sign is wrong in it"
+                )
+            sample = self._exchange()
 
     # --- brakes --------------------------------------------------------------------------------
     def _try_brakes(self, axes: Sequence[int]) -> None:
@@ -186,13 +204,24 @@ class StopTest:
             link.nmt(NMT_START, drive.node_id)  # a drive may leave operational when its master is gone
         link.wait(0.005)
         for i in axes:  # asked before it is commanded anything: what it did by itself
-            state = self._drives[i].quiet_state()
+            state = self._state_of(i)
             if state is not DriveState.QUICK_STOP_ACTIVE:
-                seen = "does not answer" if state is None else f"is in {state.words}"
-                self._lets_go(i, f"without its master for {watch:.2g} s its drive {seen}")
+                self._lets_go(i, f"without its master for {watch:.2g} s its drive is in {state.words}")
             self._cycle.control[i] = states.QUICK_STOP
         self._cycle.restart_slots()
         self._watch(HOLD_S / 2, axes, start, "without its master")
+
+    def _state_of(self, axis: int) -> DriveState:
+        """By SDO; BusError where no answer comes, which says nothing of its hold."""
+        end = self._link.clock.now() + ANSWER_S
+        while self._link.clock.now() < end:
+            state = self._drives[axis].quiet_state()
+            if state is not None:
+                return state
+        raise BusError(
+            f"axis {self._name(axis)}: no answer for {ANSWER_S:g} s after its master was silent, in the "
+            "stop test"
+        )
 
     # --- back ----------------------------------------------------------------------------------
     def _resume(self, axes: Sequence[int]) -> None:

@@ -6,10 +6,14 @@ Whatever fails in one step, the next ones are still taken.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
+
+import numpy as np
 
 from invid.config import CellConfig
 from invid.errors import BusError
+from invid.numerics.arrays import Bool, Float64
+from invid.sweep.loads import CONFIRM_S
 from invid.sweep.ports import Sample
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402 import states
@@ -17,12 +21,18 @@ from invid_drivers.cia402.axis import Drive
 from invid_drivers.cia402.cycle import Cycle
 from invid_drivers.cia402.link import NMT_PRE_OPERATIONAL, NMT_STOP, Link
 from invid_drivers.cia402.runaway import RunawayGuard
+from invid_drivers.cia402.standstill import Standstill
 from invid_drivers.cia402.states import DriveState, state_of
 
 QUICK_STOP_S = 1.0
 """Longest quick stop before the voltage is taken away regardless, where the drive's ramp is not longer."""
 RAMP_MARGIN = 1.25
 """On the time of a ramp from the speed limit: the axis may be faster, the drive settles at its end."""
+STILL_COUNTS, STILL_SHARE = 8, 0.002
+"""An axis that its drive goes on holding stands: in counts, and as a share of its window in a tenth of a
+second."""
+WEIGHED_SHARE = 0.5
+"""Of the samples by which an axis is weighed must have come."""
 DISABLE_S = 0.2
 STATE_POLL_S = 0.005
 """Between two questions for the statusword by SDO, on the way out."""
@@ -42,16 +52,30 @@ class WayOut:
         exchange: Callable[[Sequence[float]], Sample],
         stays: Sequence[bool],
         ramp_s: float = 0.0,
+        resolution: Sequence[float] = (),
+        doubted: Collection[int] = (),
+        weigh: Callable[[Collection[int], Float64, Bool], Collection[int]] | None = None,
     ) -> None:
-        """``stays``: axes that their drives go on holding in quick stop active; ``ramp_s``: longest that a
-        drive's quick stop takes, where that is known.
+        """``stays``: axes that their drives go on holding in quick stop active.
+
+        ``ramp_s``: longest that a drive's quick stop takes, where that is known; ``resolution``: position of
+        a count [rad or m]; ``doubted``: axes that stay only because nobody knows whether they are loaded, and
+        ``weigh``: which of these carry nothing, by torque and freshness (n, M) while their drives hold them.
         """
         self._config = config
         self._link = link
         self._drives = drives
         self._cycle = cycle
         self._exchange = exchange
-        self._stays = tuple(stays)
+        self._stays = list(stays)
+        self._doubted, self._weigh = tuple(doubted), weigh
+        counts = resolution or [0.0] * len(drives)
+        self._standstill = Standstill(
+            [
+                max(STILL_COUNTS * abs(c), STILL_SHARE * a.limits.position)
+                for c, a in zip(counts, config.axes, strict=True)
+            ]
+        )
         self._given_up: set[int] = set()
         self._quick_stop_s = max(QUICK_STOP_S, RAMP_MARGIN * ramp_s)
 
@@ -63,6 +87,8 @@ class WayOut:
             self._cycle.control[:] = [states.QUICK_STOP] * len(self._drives)
             guard = RunawayGuard(self._config, self._stays)
             self._drive_to(self._quick_stop_s, lambda s: self._cut_runaways(guard, s) or self._at_rest(s))
+        with contextlib.suppress(Exception):
+            self._weigh_doubted()
         for i in range(len(self._drives)):
             if self._may_disable(i):
                 self._cycle.control[i] = states.DISABLE_VOLTAGE
@@ -82,6 +108,31 @@ class WayOut:
                 with contextlib.suppress(Exception):
                     self._link.nmt(NMT_STOP, drive.node_id)
         return tuple(on)
+
+    def _weigh_doubted(self) -> None:
+        """Axes that carry nothing need not stay under power because a stop came before that was known."""
+        if not self._doubted or self._weigh is None:
+            return
+        torque: list[list[float]] = []
+        fresh: list[list[bool]] = []
+        steady = [True] * len(self._drives)
+
+        def seen(sample: Sample) -> bool:
+            torque.append(list(sample.torque))
+            fresh.append(list(sample.fresh))
+            self._standstill.all(sample, self._doubted)
+            for i in self._doubted:
+                held = state_of(sample.status[i]) is DriveState.QUICK_STOP_ACTIVE
+                steady[i] = steady[i] and (not sample.fresh[i] or (held and self._standstill.stands(i)))
+            return False
+
+        if not all(self._standstill.stands(i) for i in self._doubted):
+            return
+        self._drive_to(CONFIRM_S, seen)
+        came = np.array(fresh)
+        told = [i for i in self._doubted if steady[i] and came[:, i].mean() > WEIGHED_SHARE]
+        for i in self._weigh(told, np.array(torque), came):
+            self._stays[i] = False
 
     def _may_be_on(self, axis: int) -> bool:
         """By its last TPDO: one that has not come, or came late, says nothing."""
@@ -154,6 +205,13 @@ class WayOut:
 
     def _at_rest(self, sample: Sample) -> bool:
         """Every drive that talks has left operation enabled and, where it stays energised, stands."""
+        staying = [
+            i
+            for i, status in enumerate(sample.status)
+            if i not in self._given_up and state_of(status) is DriveState.QUICK_STOP_ACTIVE and self._stays[i]
+        ]
+        if not self._standstill.all(sample, staying):
+            return False
         for i, status in enumerate(sample.status):
             if i in self._given_up:
                 continue

@@ -115,6 +115,18 @@ _ACTIONS: dict[str, Callable[[Run], dict[str, str]]] = {
     "hold_unstable": lambda run: _action(
         "hold", "Set the hold of the held axes to “drive” in the cell's config.", run.key("hold.mode")
     ),
+    "not_held": lambda run: _action(
+        "see_load",
+        f"See what moves {run.axis or 'the axis'} at rest: a load beyond the drive's torque limit, or a "
+        "wrong sign in the drive.",
+        "drive",
+    ),
+    "yields": lambda run: _action(
+        "see_signs",
+        f"See whether somebody pushed {run.axis or 'the axis'}; else compare the signs of torque and encoder "
+        "in its drive.",
+        "drive",
+    ),
     "computer_late": lambda run: _action(
         "free_computer", "Stop other programs on the service's computer, then start again.", "computer"
     ),

@@ -1,0 +1,35 @@
+"""Whether axes stand: by how far each has gone since it was last seen to move."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from invid.sweep.ports import Sample
+
+STAND_S = 0.1
+"""An axis stands that has stayed within its tolerance for so long."""
+
+
+class Standstill:
+    """Axes of one cell, looked at sample by sample; ``within``: tolerance of each axis [rad or m]."""
+
+    def __init__(self, within: Sequence[float]) -> None:
+        self._within = within
+        self._since: list[tuple[float, float] | None] = [None] * len(within)
+        self._stands = [False] * len(within)
+
+    def all(self, sample: Sample, axes: Sequence[int]) -> bool:
+        """Whether all of these axes stand; each is judged by answers of its own."""
+        for i in axes:
+            if not sample.fresh[i]:
+                continue
+            since, place = self._since[i], sample.position[i]
+            if since is None or abs(place - since[1]) > self._within[i]:
+                self._since[i], self._stands[i] = (sample.time, place), False
+            else:
+                self._stands[i] = sample.time - since[0] >= STAND_S
+        return all(self._stands[i] for i in axes)
+
+    def stands(self, axis: int) -> bool:
+        """Whether an axis stood when it was last heard."""
+        return self._stands[axis]
