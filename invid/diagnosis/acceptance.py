@@ -11,6 +11,7 @@ from invid.diagnosis.thresholds import (
     REMAINDER,
     SHARE,
     SIGNIFICANCE,
+    SMALL_REMAINDER,
     WEAK,
 )
 from invid.likelihood.joint_fit import JointFit
@@ -24,7 +25,7 @@ def least_gain(here: JointFit, term: Term, count: int, *, first: bool) -> float:
     significant = chi2_isf(SIGNIFICANCE / count, 1)
     if first:
         return significant
-    return max(significant, REMAINDER * excess_in(here.evaluation, _axes(term.place)))
+    return max(significant, SMALL_REMAINDER * excess_in(here.evaluation, _axes(term.place)))
 
 
 def needed_gain(current: Trial, trial: Trial, count: int, *, rejects: bool) -> float:
@@ -48,8 +49,11 @@ def accepted(
     first: bool,
     rejects: bool,
     quiet: bool,
+    small: bool = False,
 ) -> bool:
     """Whether a cause is there; ``rejects``: all records ask for one, ``quiet``: the training does not.
+
+    ``small``: also where it is small beside the first, for as long as nobody names it (``provisional``).
 
     ``dispersion``: χ²/ν of the best candidate on the training records and on those held out. Each part by its
     own: what a record far finer than the rest misses says nothing of the gain on those.
@@ -80,8 +84,11 @@ def accepted(
     reached, takes_all = trial.cost < CLOSE * trial.dof, gained > NAMED_SHARE * excess
     if not (reached and takes_all) and told(trial.fit, -1) is False:
         return False  # beside a weight a thousand times all else what is left has a shape, and no size
-    if gained < REMAINDER * current.excess_on(_axes(trial.term.place)):
+    remainder = SMALL_REMAINDER if small else REMAINDER
+    if gained < remainder * current.excess_on(_axes(trial.term.place)):
         return False
+    if small:
+        return True
     # Where the model stays far from the noise, what little a further cause removes may be any cause's.
     if trial.cost < REACHED * trial.dof and takes_all:
         return True

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -88,7 +88,14 @@ def judge(selection: Selection, recording: Recording, after: NullTest) -> Judgem
     )
     complete = not after.rejects or (explained > BROUGHT_DOWN and at_floor(final))
     named = explained >= NAMED or (explained >= MOST_OF_CHI2 and _power_explained(base, final) >= NAMED)
+    if selection.partly:
+        findings, named, complete = tuple(_of_its_own(f) for f in findings), True, False
     return Judgement(findings, named, complete, explained)
+
+
+def _of_its_own(finding: Finding) -> Finding:
+    """A finding beside a rest that nobody explains: never certain."""
+    return replace(finding, confidence=min(finding.confidence, CONTESTED))
 
 
 def at_floor(final: Trial) -> bool:
@@ -207,7 +214,8 @@ def _finding(selection: Selection, number: int, recording: Recording, explained:
     before, after = _axis_rms(step.before, axis), _axis_rms(step.chosen, axis)
     total = sum(s.before.cost - s.chosen.cost for s in selection.steps)
     fraction = float(np.clip((step.before.cost - step.chosen.cost) / max(total, 1e-300), 0, 1)) * explained
-    confidence = float(np.clip(share * (0.55 + 0.45 * _ramp(explained)), 0.01, 0.999))
+    sure = 1.0 if selection.partly else 0.55 + 0.45 * _ramp(explained)
+    confidence = float(np.clip(share * sure, 0.01, 0.999))
     said = [SPRING] if _like_a_spring(final.fit, at) else [BRAKE] if like_a_brake(effect) else []
     if alternatives or said or final.cost > AT_FLOOR * final.dof:
         confidence = min(confidence, CONTESTED)

@@ -12,6 +12,7 @@ from invid.diagnosis.consequence import with_consequences
 from invid.diagnosis.context import apply_rule, current, running
 from invid.diagnosis.extended_model import extended_model
 from invid.diagnosis.known_effects import folded
+from invid.diagnosis.own_evidence import on_own_evidence
 from invid.diagnosis.promises import cut_short
 from invid.diagnosis.rules.dropped_rows import before_repair, repaired, with_dropped
 from invid.diagnosis.search_pass import Look, looked
@@ -23,7 +24,7 @@ from invid.identification.identify import identify_chains
 from invid.identification.machine_kind import machine_kind
 from invid.likelihood.joint_fit import JointFit
 from invid.likelihood.null_test import null_test
-from invid.model.diagnosis_document import Diagnosis
+from invid.model.diagnosis_document import Diagnosis, Verdict
 from invid.model.document import Model, model_to_json
 from invid.numerics import budget
 from invid.recording.model import Recording
@@ -117,6 +118,11 @@ def _diagnosed(
     selection = apply_rule("viscous-allowed-for", look.selection).as_far_as_explained()
     warnings = [*look.warnings, *said_of_holds(selection.final.fit, recording)]
     result = document(sound, model, selection, bare, train, held, tones, warnings)
+    if result.verdict is Verdict.UNEXPLAINED and selection.steps:
+        alone = on_own_evidence(selection, train, held)
+        if alone is not None:
+            selection = alone.as_far_as_explained()
+            result = document(sound, model, selection, bare, train, held, tones, warnings)
     budget.tell("simulating over time", 0.92)
     if result.findings and not budget.is_left_out("the extended model simulated over time"):
         linear = extended_model(model, bare, ())

@@ -16,7 +16,8 @@ from invid.diagnosis.evidence import Step, Trial, at_bound, attempted, extends
 from invid.diagnosis.score_test import Score, Screen, terms_for
 from invid.diagnosis.selection import Selection
 from invid.diagnosis.slow_move import Move
-from invid.diagnosis.thresholds import CLOSE, LARGER, SIGNIFICANCE
+from invid.diagnosis.small_causes import without_untold
+from invid.diagnosis.thresholds import FAR, LARGER, LEFT, MOST, REACHED, SIGNIFICANCE
 from invid.likelihood.candidate_pool import each
 from invid.likelihood.hypothesis import Layout
 from invid.likelihood.joint_fit import JointFit, fit, held_out, reordered, without_last
@@ -39,9 +40,9 @@ HALF = 0.6
 MODE = 150
 """Iterations for a mode moved to another mass of its axis; 20 left it at χ² 2036, 150 at 2003 (830051)."""
 NOTHING = Candidate()
-MOST = 3
-"""Causes sought at most besides the friction of the motors that the search starts with, or two an axis if
-that is more: a weight and dry friction on each."""
+AN_AXIS = 8
+"""Causes an axis at most besides the friction that the search starts with: no limit that evidence meets (two
+of friction, a weight, four faults), and an end where it is misled."""
 
 
 def _rejects(trial: Trial, records: Sequence[Record]) -> bool:
@@ -131,7 +132,8 @@ class _Asked:
 def _search(base: JointFit, train: Sequence[Record], held: Sequence[Record], asked: _Asked) -> Selection:
     """Causes added one by one."""
     start = Trial(base, held_out(base, held))
-    if (begun := _from_friction(start, train, held, asked)) is not None:
+    begun = _from_friction(start, train, held, asked)
+    if begun is not None and (_right(begun) or budget.spent()):
         return begun
     found = _added(Selection(start, start), train, held, asked)
     found = apply_rule("viscous-with-dry", found, train, held)
@@ -139,16 +141,21 @@ def _search(base: JointFit, train: Sequence[Record], held: Sequence[Record], ask
     if [_named(s) for s in again.steps] != [_named(s) for s in found.steps]:
         again = _added(again, train, held, asked)  # beside another cause there may be more to find
     found = cast(Selection, apply_rule("asymmetric-pair", again, train, held))
-    return replace(found, cut=found.cut or budget.is_left_out(FURTHER))
+    found = replace(found, cut=found.cut or budget.is_left_out(FURTHER))
+    # Beside a cause that the identification knew nothing of, its friction may stand for a part of that.
+    return found if begun is None or found.final.cost < begun.final.cost else begun
+
+
+def _right(found: Selection) -> bool:
+    """Whether a search ended where a model is taken for right, as ``trust`` has it."""
+    final = found.final
+    return final.cost <= REACHED * final.dof or final.excess <= LEFT * found.base.excess
 
 
 def _from_friction(
     start: Trial, train: Sequence[Record], held: Sequence[Record], asked: _Asked
 ) -> Selection | None:
-    """The search begun with the friction of the identification; ``None`` where it ends far from the noise.
-
-    Beside a cause that the identification knew nothing of, its friction may stand for a part of that.
-    """
+    """The search begun with the friction of the identification; ``None`` where there is none."""
     known = apply_rule("known-friction", start, asked.friction, asked.start, train, held)
     if known is None:
         return None
@@ -158,8 +165,6 @@ def _from_friction(
     found = budget.or_else(AGAIN, partial(_reconsidered, begun, train, held, asked, every=every), begun)
     if [_named(s) for s in found.steps] != [_named(s) for s in begun.steps]:
         found = _added(found, train, held, asked, sum(_named(s) in names for s in found.steps))
-    if found.final.cost > CLOSE * found.final.dof and not budget.spent():
-        return None
     found = cast(Selection, apply_rule("asymmetric-pair", found, train, held))
     return replace(found, cut=found.cut or budget.is_left_out(FURTHER))
 
@@ -171,9 +176,10 @@ def _added(
 
     A further cause is weighed against what was missing without causes, or with those known.
     """
+    found = cast(Selection, apply_rule("reversal-widths", found, train, held))
     start, current, steps, rejected = found.base, found.final, list(found.steps), found.rejected
-    first = current if besides else start
-    most = max(2 * start.fit.layout.structure.motors, MOST + besides)
+    first, sure, small = current if besides else start, found, set[tuple[str, Place]]()
+    most = AN_AXIS * start.fit.layout.structure.motors + besides
     while len(steps) < most:
         rejects = _rejects(current, [*train, *held])
         if steps and not rejects:
@@ -181,7 +187,9 @@ def _added(
         number = len(steps)
         try:
             with budget.part(1.0, 1.0 - HALF**number, 1.0 - HALF ** (number + 1)):
-                step, rejected = _step(current, train, held, asked, first, first=not steps, rejects=rejects)
+                step, rejected, little = _step(
+                    current, train, held, asked, first, first=not steps, rejects=rejects, small=True
+                )
         except budget.BudgetSpent:
             budget.leave_out(f"causes beside {number} found" if number else NONE_YET)
             found = replace(found, cut=True)
@@ -190,9 +198,20 @@ def _added(
             break
         step = cast(Step, apply_rule("slow-moves", step, asked.moves))
         added = apply_rule("friction-ladder", step, train, held)
-        steps.extend(added)
-        current = added[-1].chosen
-    found = Selection(start, current, tuple(steps), rejected, found.cut)
+        now = Selection(start, added[-1].chosen, (*steps, *added))
+        now = cast(Selection, apply_rule("reversal-widths", now, train, held))
+        steps, current = list(now.steps), now.final
+        small |= {_named(s) for s in added if little}
+        if not small:
+            sure = replace(now, cut=found.cut)
+    if small and current.cost > FAR * current.dof:
+        # Far from the noise what is small beside the first cause may be what a law of that errs by.
+        return cast(
+            Selection, apply_rule("pruning", replace(sure, rejected=rejected, cut=found.cut), train, held)
+        )
+    if current.cost > FAR * current.dof:  # what a wrong model leaves, any cause may fit
+        small = {_named(s) for s in steps[besides:]}
+    found = without_untold(Selection(start, current, tuple(steps), rejected, found.cut), small, train, held)
     return cast(Selection, apply_rule("pruning", found, train, held))
 
 
@@ -231,7 +250,7 @@ def _reconsidered(
         # What stands for a part of another axis' cause leaves the rest of that.
         axis = None if _rejects(found.final, [*train, *held]) else last.term.place.axis
         here = replace(asked, axis=axis)
-        step, _ = _step(rest, train, held, here, found.base, first=True, rejects=rejects, known=(last,))
+        step, *_ = _step(rest, train, held, here, found.base, first=True, rejects=rejects, known=(last,))
         if step is None and number < every:
             wet = last.term.effect.cause == "viscous_friction" and is_asked_for(rest, last)
             if wet:
@@ -263,8 +282,10 @@ def _step(
     first: bool,
     rejects: bool,
     known: Sequence[Trial] = (),
-) -> tuple[Step | None, tuple[Score, ...]]:
-    """The cause that is best beside those of ``current``; ``known``: fits that compete as they are."""
+    small: bool = False,
+) -> tuple[Step | None, tuple[Score, ...], bool]:
+    """The cause that is best beside those of ``current``, what the screen says else, and whether the cause is
+    so ``small`` that it counts near the noise only; ``known``: fits that compete as they are."""
     here = current.fit
     terms = [
         t
@@ -287,7 +308,7 @@ def _step(
     trials = [t for t in trials if not is_smaller_model(t)]  # some were larger only for want of rounding
     trials = with_known(trials, known)
     if not trials:
-        return None, tuple(scores[:5])
+        return None, tuple(scores[:5]), False
     trials.sort(key=lambda t: t.score(1.0, rows))
     best = [
         trials[0],
@@ -313,7 +334,7 @@ def _step(
     polished = [t for t in polished if not at_bound(t.fit)]
     trials = polished + [t for t in trials if t not in best[:4]]
     if not trials:
-        return None, tuple(scores[:5])
+        return None, tuple(scores[:5]), False
     if _rejects(trials[0], [*train, *held]):
         trials = with_known(trials, apply_rule("mode-moved", trials, current, train, held, terms))
     dispersion = min(t.dispersion for t in trials)
@@ -321,8 +342,12 @@ def _step(
     best_of_all = ranked[0][0]
     quiet = not null_test(here.cost, here.dof, train).rejects
     apart = min(t.fit.dispersion for t in trials), min(t.held_dispersion for t in trials)
-    if not accepted(current, best_of_all, apart, count, start, first=first, rejects=rejects, quiet=quiet):
-        return None, tuple(scores[:5])
+    there = partial(
+        accepted, current, best_of_all, apart, count, start, first=first, rejects=rejects, quiet=quiet
+    )
+    sure = there()
+    if not sure and not (small and there(small=True)):
+        return None, tuple(scores[:5]), False
     if best_of_all.term.effect.cause == "extra_mode":
         # A mode on one mass is nearly one on the next with another size, and a fit creeps along that.
         others = apply_rule("next-mass", best_of_all, train, held, terms, [best_of_all.term], iterations=MODE)
@@ -331,7 +356,9 @@ def _step(
         trials += apply_rule("next-mass", best_of_all, train, held, terms, [t.term for t in trials])
     dispersion = min(t.dispersion for t in trials)
     ranked = _ranked([(t, t.score(dispersion, rows)) for t in trials], asked.contested)
-    return Step(current, ranked[0][0], tuple(ranked)), tuple(scores[:5])
+    chosen = ranked[0][0]
+    sure = sure or current.cost - chosen.cost > MOST * current.excess
+    return Step(current, chosen, tuple(ranked)), tuple(scores[:5]), not sure
 
 
 def _candidates(

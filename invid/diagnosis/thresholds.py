@@ -22,6 +22,12 @@ REMAINDER = 0.25
 """A further cause must remove this share of what the first left beyond noise on its own axes. Empirical
 (hidden plants): an imperfect model of a strong first cause leaves a per cent of it, of which other causes fit
 some."""
+SMALL_REMAINDER = 0.1
+"""The same for a cause that is kept only where the search ends near the noise: one of several alike takes no
+quarter of what they leave together. A guess."""
+MOST = 0.5
+"""A further cause that takes this share of all that is missing is sure however small it is beside the first.
+A guess."""
 SHARE = 0.05
 """A further cause that does not bring χ²/ν below CLOSE must remove this share of the first excess. Empirical:
 on the flexible bench ripples of 2 % were named otherwise with a phase known to ten radians. Of the excess in
@@ -57,6 +63,11 @@ MOST_OF_CHI2 = 0.5
 """Share of the excess χ² that must go at least where the share of the missing torque's power says NAMED. On
 long periodic records of a real machine a few lines stand thousands of times above their noise and hold the
 excess χ² (antiresonances, where the motor hardly moves), while next to no torque is missing there."""
+OWN_SHARE = 0.5
+"""Share of what its axis misses that a cause named on its own evidence takes, on training and held-out
+records alike. A guess: whatever else there is, it is the smaller part there."""
+OWN_RIVAL = 0.8
+"""Share of its gain that no cause of another kind or place reaches beside it. A guess."""
 BROUGHT_DOWN = 0.98
 """Share of what was missing that causes explain at least where the rest stands out of the noise."""
 MISSED = 0.5

@@ -195,12 +195,14 @@ def _stiffest_hold(declared: float | None, model: Model, axis: int, final: Joint
     return float(model.chains.masses[axis].sum()) * (HOLD_BAND * lowest) ** 2
 
 
-def distrust_sentences(found: Trust, masses: tuple[int, ...]) -> list[str]:
-    """What is wrong and the way out, before anything else is said."""
+def distrust_sentences(found: Trust, masses: tuple[int, ...], *, partly: bool = False) -> list[str]:
+    """What is wrong and the way out, before anything else is said; ``partly``: something is named all the
+    same."""
     if found.broken:
         sizes = ", ".join(str(n) for n in masses)
+        named = "only what a motor's own motion shows is" if partly else "no cause is"
         return [
-            f"The linear model itself cannot be trusted, so no cause is named: {found.reasons[0]}.",
+            f"The linear model itself cannot be trusted, so {named} named: {found.reasons[0]}.",
             "Put that right first: see that every axis is excited and hits nothing, and that the torque "
             f"channel is the motor's; try another number of masses than {sizes} (--masses auto lets the data "
             "choose); record more periods, a wider band, or a smaller amplitude, at which a strong effect is "

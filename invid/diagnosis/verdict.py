@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from invid.diagnosis.confidence import at_floor, effect_term, judge
+from invid.diagnosis.confidence import UNSIZED, at_floor, effect_term, judge
 from invid.diagnosis.context import apply_rule
 from invid.diagnosis.extended_model import extended_model
 from invid.diagnosis.known_effects import carried
 from invid.diagnosis.residual_character import unexplained_of
 from invid.diagnosis.selection import Selection
-from invid.diagnosis.thresholds import BROUGHT_DOWN
+from invid.diagnosis.thresholds import BROUGHT_DOWN, FAR
 from invid.diagnosis.tone import Tone, power_of, said_of_tones
 from invid.diagnosis.trust import cautious, distrust_sentences, in_the_way, trust, untimed_holds
 from invid.effects.registry import of_the_plant
@@ -50,8 +50,11 @@ def document(
     judged = judge(selection, recording, after_test)
     full = extended_model(model, final.fit, ())
     linear = trust(model, full, base, final, (before_test, after_test), recording)
-    named = judged.findings if judged.named and not linear.broken and not refused else ()
-    sure, untimed = untimed_holds(cautious(tuple(named), linear), recording, model, final.fit)
+    trusted = selection.partly or not linear.broken
+    named = judged.findings if judged.named and trusted and not refused else ()
+    far = final.cost > FAR * final.dof  # there any cause fits some of what a wrong model leaves
+    likely = tuple(f for f in named if not far or f.confidence > UNSIZED)
+    sure, untimed = untimed_holds(cautious(likely, linear), recording, model, final.fit)
     if named and not sure:  # all of it is a matter of sampling
         named, coherent = (), not judged.complete
     shown = final if named else base
@@ -85,9 +88,12 @@ def document(
         verdict = Verdict.PARTLY_EXPLAINED
         if not judged.complete:
             unexplained = unexplained_of(final, recording)
+        if selection.partly and explained is not None and unexplained is not None:
+            rest = f"{1.0 - explained:.0%} of what was missing is left. {unexplained.sentence}"
+            unexplained = in_the_way(linear, replace(unexplained, sentence=rest))
     findings = tuple(_axis_by_name(f) for f in sure)
     warnings = [*warnings, *untimed]
-    said = distrust_sentences(linear, model.chains.masses_per_branch)
+    said = distrust_sentences(linear, model.chains.masses_per_branch, partly=bool(named))
     sentences = [*said, *(f.sentence for f in findings)]
     if verdict is Verdict.CONSISTENT:
         sentences.append(

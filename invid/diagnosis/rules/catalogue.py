@@ -27,6 +27,7 @@ from invid.diagnosis.rules.stiff_coupling import tied_loads
 from invid.diagnosis.rules.tones import tones_of
 from invid.diagnosis.rules.viscous_with_dry import allowing_for_viscous, with_viscous
 from invid.diagnosis.rules.wide_gap import rattles
+from invid.diagnosis.rules.widths import with_widths
 
 GENERATORS = "hidden plants of this project (docs/explanations/hidden-tests.md)"
 """Where a rule is from that no book has: what the hidden tests showed."""
@@ -98,6 +99,12 @@ RULES: tuple[Rule, ...] = (
         "No contact reverses at once: friction changes its sign over a range of velocity.",
         "tanh law of velocity, as in Andersson, Söderberg, Björklund, Tribology International 40 (2007) 580",
         with_gradual_signs,
+    ),
+    Rule(
+        "reversal-widths", Stage.SELECTION,
+        "How gradually friction turns over shows once what acts beside it is in the model.",
+        "whole cells (tests/hidden/cells.py)", with_widths,
+        applies=lambda found, *_: bool(found.steps),
     ),
     Rule(
         "mode-moved", Stage.CANDIDATES,

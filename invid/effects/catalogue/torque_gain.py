@@ -46,6 +46,10 @@ class TorqueGain(Effect):
         out[:, place.axis, 0] = -view.acting[:, place.axis]
         return out
 
+    def beyond(self, views: Sequence[View], place: Place, x: Sequence[float]) -> bool:
+        """A torque of next to nothing fits whatever is missing on its axis."""
+        return bool(x[0] <= self.lower[0] + 1e-9)
+
     def noise_power(
         self, view: View, place: Place, x: Sequence[float]
     ) -> tuple[float | Float64, float | Float64]:

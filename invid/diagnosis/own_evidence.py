@@ -1,0 +1,99 @@
+"""What stands on its own evidence where the rest is not explained: dry friction of a motor.
+
+The search names nothing as long as most is missing: what a wrong model leaves, any cause may fit. Dry
+friction at a motor is the exception. It is read from that motor's measured motion: no inner motion and no
+linear parameter stands between, and nothing else in the catalogue jumps with that motion's sign. Where it
+takes most of what its axis misses, on records that no fit saw as well, it is there whatever else is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+
+from invid.diagnosis.evidence import Step, Trial, attempted, excess_in, told
+from invid.diagnosis.selection import Selection
+from invid.diagnosis.thresholds import OWN_RIVAL, OWN_SHARE, WEAK
+from invid.likelihood.joint_fit import fit, reordered
+from invid.signals.spectral_record import Record
+
+
+def on_own_evidence(found: Selection, train: Sequence[Record], held: Sequence[Record]) -> Selection | None:
+    """The selection with those causes alone that need no other to be right; ``None`` where there are none.
+
+    The linear model is fitted anew beside them, and each has to hold against the fit without it.
+    """
+    known = len(found.base.fit.candidate.terms)
+    steps = [n for n, s in enumerate(found.steps) if _reads_its_motor(s) and not _contested(s)]
+    final, start = found.final.fit, found.base.fit.candidate
+    if not steps or final.p.size != found.base.fit.p.size:
+        return None
+    steps = [n for n in steps if told(final, known + n, WEAK) is not False]
+    while steps:
+        candidate = start
+        for n in steps:
+            candidate = candidate.plus(final.candidate.terms[known + n], final.candidate.x[known + n])
+        starts = [
+            partial(fit, final.layout, train, p, candidate, iterations=25)
+            for p in (final.p, found.base.fit.p)
+        ]
+        trials = [t for t in (attempted(run, held) for run in starts) if t is not None]
+        if not trials:
+            return None
+        whole = min(trials, key=lambda t: t.fit.cost)
+        bare = [_without(whole, known + k, train, held) for k in range(len(steps))]
+        weak = [k for k, rest in enumerate(bare) if rest is None or not _is_its_own(rest, whole, known + k)]
+        if not weak:
+            return _selection(found, steps, whole, [b for b in bare if b is not None], known)
+        steps = [n for k, n in enumerate(steps) if k not in weak]
+    return None
+
+
+def _reads_its_motor(step: Step) -> bool:
+    term = step.chosen.term
+    at_motor = term.place.kind == "mass" and term.place.number == 1
+    return at_motor and "dry" in term.effect.parts
+
+
+def _contested(step: Step) -> bool:
+    """Whether a cause of another kind or place takes a good part of what this one does."""
+    chosen, gained = step.chosen, step.before.cost - step.chosen.cost
+    return any(
+        t.cost - chosen.cost < (1.0 - OWN_RIVAL) * gained
+        for t, _ in step.ranked[1:]
+        if not (t.term.place == chosen.term.place and t.term.effect.family == "friction")
+    )
+
+
+def _without(whole: Trial, number: int, train: Sequence[Record], held: Sequence[Record]) -> Trial | None:
+    """The fit without one cause, all else fitted anew."""
+    here = whole.fit
+    rest = here.candidate.only(k for k in range(len(here.candidate.terms)) if k != number)
+    return attempted(partial(fit, here.layout, train, here.p, rest, iterations=15), held)
+
+
+def _is_its_own(rest: Trial, whole: Trial, number: int) -> bool:
+    """Whether a cause takes most of what its axis misses without it, on each part of the records."""
+    axis = {whole.fit.candidate.terms[number].place.axis}
+    parts = ((rest.fit.evaluation, whole.fit.evaluation), (rest.held, whole.held))
+    return all(
+        excess_in(after, axis) < (1.0 - OWN_SHARE) * excess_in(before, axis) for before, after in parts
+    )
+
+
+def _selection(
+    found: Selection, steps: Sequence[int], whole: Trial, bare: Sequence[Trial], known: int
+) -> Selection:
+    """Steps with what each takes beside the others, and the rivals at its own place that were weighed."""
+    out = []
+    count = len(whole.fit.candidate.terms)
+    for k, (n, rest) in enumerate(zip(steps, bare, strict=True)):
+        at = known + k
+        chosen = Trial(reordered(whole.fit, [*(j for j in range(count) if j != at), at]), whole.held)
+        old = found.steps[n]
+        offset = chosen.cost - old.chosen.cost
+        rivals = tuple((t, s + offset) for t, s in old.ranked[1:] if t.term.place == chosen.term.place)
+        score = old.ranked[0][1] + offset
+        out.append(Step(rest, chosen, ((chosen, score), *rivals)))
+    return replace(found, final=whole, steps=tuple(out), partly=True)

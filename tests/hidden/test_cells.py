@@ -1,0 +1,36 @@
+"""Whole cells: what is sure is named beside what is not."""
+
+from __future__ import annotations
+
+from hidden.cell_plants import Law
+from hidden.cells import draw, scored
+from invid.diagnosis.diagnose import diagnose
+from invid.model.diagnosis_document import Verdict
+
+
+def test_free_play_beside_friction_and_a_motors_ripple_is_found() -> None:
+    """With a cap on the causes and friction that turns at once, friction alone was named of it."""
+    recording, truth = draw(4)
+    diagnosis = diagnose(recording)
+    result = scored(truth, diagnosis)
+    assert result["faults"][0][0] == "backlash"
+    assert result["faults"][0][-1], result["named"]
+    assert result["friction"] == [1, 1]
+    assert not result["wrong"]
+    gap = next(f for f in diagnosis.findings if f.effect.cause == "backlash").effect.parameters["gap"]
+    assert abs(gap.value - truth.faults[0].p[0]) < 0.2 * truth.faults[0].p[0]
+    assert diagnosis.verdict is not Verdict.UNEXPLAINED
+
+
+def test_friction_is_named_beside_what_no_catalogue_has_and_the_rest_is_said() -> None:
+    """A damping that changes with position, at 42 dB."""
+    recording, truth = draw(2, motors=1, masses=(2,), faults=(Law.SWAY,), db=42.0, gravity=False)
+    diagnosis = diagnose(recording)
+    result = scored(truth, diagnosis)
+    assert diagnosis.verdict is Verdict.PARTLY_EXPLAINED
+    assert result["friction"] == [1, 1]
+    assert not result["wrong"]
+    assert diagnosis.unexplained is not None
+    assert diagnosis.unexplained.axis == truth.axes[0]
+    assert "even" in diagnosis.unexplained.character
+    assert all(f.confidence < 0.9 for f in diagnosis.findings)
