@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from invid.errors import InvidError
+from invid.identification.further_mode import with_further_mode
 from invid.identification.starts import fit_sizes, measured_frf
 from invid.likelihood.fit import Fit
 from invid.model.chains import CoupledChains
@@ -43,24 +44,29 @@ def choose_order(spectra: Sequence[LineSpectra], axes: Sequence[str], *, most: i
     Equal numbers for all branches grow until χ² falls no further; then masses are taken away branch
     by branch while it does not rise.
     """
+    count = len(axes)
     measured = measured_frf(spectra)
     costs: dict[tuple[int, ...], float] = {}
     dofs: dict[tuple[int, ...], int] = {}
     chains: dict[tuple[int, ...], CoupledChains] = {}
+    fits: dict[tuple[int, ...], Fit] = {}
     vanishing: dict[str, list[str]] = {}
     standing: dict[str, list[str]] = {}
 
     def cost(sizes: tuple[int, ...], parent: tuple[int, ...] = ()) -> float:
         if sizes not in costs:
+            begun = _split(chains.get(parent), sizes)
+            smaller = fits.get((sizes[0] - 1,)) if count == 1 else None
+            if smaller is not None:
+                begun = with_further_mode(smaller) + begun
             try:
-                fit = fit_sizes(
-                    spectra, sizes, axes, measured, thorough=False, further=_split(chains.get(parent), sizes)
-                )
+                fit = fit_sizes(spectra, sizes, axes, measured, thorough=False, further=begun)
             except (InvidError, np.linalg.LinAlgError):
                 costs[sizes], dofs[sizes] = np.inf, 1
             else:
                 costs[sizes], dofs[sizes] = fit.noise_cost, max(fit.problem.dof, 1)
                 chains[sizes] = fit.chains
+                fits[sizes] = fit
                 gone = _vanishing(fit)
                 if gone:
                     vanishing[_label(sizes)] = gone
@@ -87,7 +93,6 @@ def choose_order(spectra: Sequence[LineSpectra], axes: Sequence[str], *, most: i
         significant = (before - after) / scale > chi2_isf(1e-6, extra)
         return bool(significant and before > GAIN * after)
 
-    count = len(axes)
     best = (1,) * count
     while best[0] < most:
         n = best[0] + 1
