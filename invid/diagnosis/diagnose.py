@@ -28,6 +28,7 @@ from invid.model.diagnosis_document import Diagnosis, Verdict
 from invid.model.document import Model, model_to_json
 from invid.numerics import budget
 from invid.recording.model import Recording
+from invid.rigid_motion.analysis import Analysis
 from invid.rigid_motion.diagnosis import diagnose_trajectory
 from invid.rigid_motion.record_kind import is_rigid_case
 from invid.signals.encoder_glitches import without_glitches
@@ -100,7 +101,7 @@ def _diagnosed(
             if model is None and not kind.rigid:
                 model = identify_chains(sound, masses)
         if model is None:
-            result = _rigid(recording, None)
+            result = _rigid(recording, None, kind.analysis)
             return replace(result, warnings=(*result.warnings, kind.said)) if kind.said else result
     elif model.provenance.get("recorded") != recording.created:
         said = (w.removeprefix(OF_GIVEN) for w in model.warnings)
@@ -161,9 +162,9 @@ def _look(
     return cast(Look, replace(look, selection=selection))
 
 
-def _rigid(recording: Recording, model: Model | None) -> Diagnosis:
+def _rigid(recording: Recording, model: Model | None, analysis: Analysis | None = None) -> Diagnosis:
     """The diagnosis of rigid axes, with what there was no time for."""
-    result = diagnose_trajectory(recording, model=model)
+    result = diagnose_trajectory(recording, model=model, analysis=analysis)
     return cut_short(result) if result.details.get("cut_short") else result
 
 

@@ -6,7 +6,7 @@ record (production moves, noise, a velocity alone) may be of either kind.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,6 +15,7 @@ from invid.errors import InvidError
 from invid.likelihood.fit import Fit, fit_structure
 from invid.likelihood.nuisance.torque_lags import with_coulomb
 from invid.likelihood.records import carried, problem_from_spectra
+from invid.model.chains import CoupledChains
 from invid.model.document import Model
 from invid.model.parameters import ChainStructure
 from invid.numerics.arrays import frozen_float
@@ -32,8 +33,9 @@ on five real rigid machines, 0.11 and more on twenty simulated chains in moves, 
 CLEARLY = 0.5
 """What chains may miss of what rigid axes miss: a factor of two in amplitude, as wherever one structure is
 believed over another (``model_facts.BEATEN``)."""
-KEPT_OUT = 1 / 3
-"""Share of each record, its end, that chains are judged on."""
+PIECES = 12
+"""Pieces of each record; chains are judged on every third, from all over it: the end of a chirp shows what
+its beginning does not."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +46,8 @@ class MachineKind:
     model: Model | None = None
     said: str = ""
     """What either kind misses; empty where only one was fitted."""
+    analysis: Analysis | None = None
+    """That of rigid axes, where it was made and they are."""
 
 
 def machine_kind(
@@ -62,15 +66,17 @@ def machine_kind(
     if not moved and not any(e.kind is Kind.OTHER for e in experiments):
         return MachineKind(rigid=False)
     try:
-        missed = rigid_misses(analyse(recording))
-        identify_trajectory(recording)  # an inertia may come out negative
+        found = analyse(recording)
+        missed = rigid_misses(found)
+        identify_trajectory(recording, analysis=found)  # an inertia may come out negative
+        analysis = None if found.selection.cut else found  # there may be time for more of it
     except InvidError:
-        missed = float("inf")
+        analysis, missed = None, float("inf")
     if moved and missed < RIGID_ENOUGH:
-        return MachineKind(rigid=True)
+        return MachineKind(rigid=True, analysis=analysis)
     try:
         model = chains()
-        left = chains_miss(recording, model)
+        left = chains_miss(recording, model.chains)
     except (InvidError, np.linalg.LinAlgError):
         model, left = None, float("inf")
     said = f"rigid axes miss {_share(missed)} of the torque on rows kept out, chains {_share(left)}"
@@ -82,12 +88,12 @@ def machine_kind(
         return MachineKind(False, replace(model, warnings=(*model.warnings, said)), said)
     if np.isinf(missed):
         return MachineKind(moved)  # neither can be fitted: whoever fits it again says why
-    return MachineKind(True, said=f"taken for a rigid machine: {said}")
+    return MachineKind(True, said=f"taken for a rigid machine: {said}", analysis=analysis)
 
 
 def rigid_model(recording: Recording, kind: MachineKind) -> Model:
     """The model of rigid axes, with what was said when the kind was chosen."""
-    model = identify_trajectory(recording)
+    model = identify_trajectory(recording, analysis=kind.analysis)
     return replace(model, warnings=(*model.warnings, kind.said)) if kind.said else model
 
 
@@ -103,15 +109,18 @@ def rigid_misses(analysis: Analysis) -> float:
     return max(shares)
 
 
-def chains_miss(recording: Recording, model: Model) -> float:
-    """The same for chains, fitted anew to the beginning of each record and judged on its end.
+def chains_miss(recording: Recording, chains: CoupledChains) -> float:
+    """The same for chains, fitted anew to two of three pieces of each record and judged on the others.
 
     Lines are weighted by their noise: beside the clamped resonances what is missing is mostly noise.
     """
-    structure = ChainStructure(model.chains.masses_per_branch, recording.axes)
-    start = replace(model.chains, ground_dampers=frozen_float(np.zeros(recording.axis_count)))
-    fitted = fit_structure(_part(recording, 0.0, 1.0 - KEPT_OUT), structure, [start])
-    return _missed(fitted, _part(recording, 1.0 - KEPT_OUT, 1.0))
+    structure = ChainStructure(chains.masses_per_branch, recording.axes)
+    start = replace(chains, ground_dampers=frozen_float(np.zeros(recording.axis_count)))
+    judged_on = set(range(1, PIECES, 3))
+    fitted = fit_structure(
+        _pieces(recording, set(range(PIECES)) - judged_on), structure, [start], thorough=False
+    )
+    return _missed(fitted, _pieces(recording, judged_on))
 
 
 def _missed(fitted: Fit, spectra: Sequence[LineSpectra]) -> float:
@@ -125,17 +134,19 @@ def _missed(fitted: Fit, spectra: Sequence[LineSpectra]) -> float:
     return float(np.sqrt(max(left, 0.0) / max(power, 1e-300)))
 
 
-def _part(recording: Recording, first: float, last: float) -> tuple[LineSpectra, ...]:
-    """Spectra of a part of each experiment that is not for validation, from and to a share of its samples."""
-    own = tuple(_cut(e, first, last) for e in recording.experiments if e.role is Role.IDENTIFY)
+def _pieces(recording: Recording, numbers: Collection[int]) -> tuple[LineSpectra, ...]:
+    """Spectra of some of the pieces of each experiment that is not for validation."""
+    own = tuple(_cut(e, n) for e in recording.experiments if e.role is Role.IDENTIFY for n in sorted(numbers))
     return with_acting_torque(all_spectra(replace(recording, experiments=own), Role.IDENTIFY), own)
 
 
-def _cut(experiment: Experiment, first: float, last: float) -> Experiment:
-    rows = slice(int(first * experiment.samples), int(last * experiment.samples))
+def _cut(experiment: Experiment, number: int) -> Experiment:
+    first, last = (k * experiment.samples // PIECES for k in (number, number + 1))
+    rows = slice(first, last)
     demand, status = experiment.torque_demand, experiment.status
     return replace(
         experiment,
+        key=f"{experiment.key} {number}",
         period_samples=0,
         time=experiment.time[rows],
         position=experiment.position[rows],

@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 
 from invid.errors import InvidError
+from invid.identification.further_mode import with_further_mode
 from invid.identification.starts import fit_sizes, measured_frf
-from invid.likelihood.fit import Fit
+from invid.likelihood.fit import AT_NOISE, Fit, fit_structure
 from invid.model.chains import CoupledChains
+from invid.model.parameters import ChainStructure
 from invid.numerics import budget
 from invid.numerics.distributions import chi2_isf
 from invid.signals.spectra import LineSpectra
@@ -43,24 +45,31 @@ def choose_order(spectra: Sequence[LineSpectra], axes: Sequence[str], *, most: i
     Equal numbers for all branches grow until χ² falls no further; then masses are taken away branch
     by branch while it does not rise.
     """
+    count = len(axes)
     measured = measured_frf(spectra)
     costs: dict[tuple[int, ...], float] = {}
     dofs: dict[tuple[int, ...], int] = {}
     chains: dict[tuple[int, ...], CoupledChains] = {}
+    fits: dict[tuple[int, ...], Fit] = {}
     vanishing: dict[str, list[str]] = {}
     standing: dict[str, list[str]] = {}
 
     def cost(sizes: tuple[int, ...], parent: tuple[int, ...] = ()) -> float:
         if sizes not in costs:
+            begun = _split(chains.get(parent), sizes)
+            hidden = _from_hidden_mode(spectra, fits.get((sizes[0] - 1,))) if count == 1 else None
             try:
-                fit = fit_sizes(
-                    spectra, sizes, axes, measured, thorough=False, further=_split(chains.get(parent), sizes)
-                )
+                if hidden is not None and hidden.noise_chi2 < AT_NOISE:
+                    fit = hidden
+                else:
+                    fit = fit_sizes(spectra, sizes, axes, measured, thorough=False, further=begun)
+                    fit = hidden if hidden is not None and hidden.noise_cost < fit.noise_cost else fit
             except (InvidError, np.linalg.LinAlgError):
                 costs[sizes], dofs[sizes] = np.inf, 1
             else:
                 costs[sizes], dofs[sizes] = fit.noise_cost, max(fit.problem.dof, 1)
                 chains[sizes] = fit.chains
+                fits[sizes] = fit
                 gone = _vanishing(fit)
                 if gone:
                     vanishing[_label(sizes)] = gone
@@ -87,7 +96,6 @@ def choose_order(spectra: Sequence[LineSpectra], axes: Sequence[str], *, most: i
         significant = (before - after) / scale > chi2_isf(1e-6, extra)
         return bool(significant and before > GAIN * after)
 
-    count = len(axes)
     best = (1,) * count
     while best[0] < most:
         n = best[0] + 1
@@ -127,6 +135,23 @@ def choose_order(spectra: Sequence[LineSpectra], axes: Sequence[str], *, most: i
         "standing": standing,
     }
     return OrderChoice(best, evidence, warnings, chains.get(best))
+
+
+def _from_hidden_mode(spectra: Sequence[LineSpectra], smaller: Fit | None) -> Fit | None:
+    """The fit with one mass more from the mode that the smaller one misses.
+
+    For itself, not among the other starts: where it falls back to the smaller chain, as a split mass may, the
+    two would pass for one minimum found twice, and no further start be tried.
+    """
+    if smaller is None or smaller.noise_chi2 < GAIN:
+        return None
+    try:
+        starts = with_further_mode(smaller)
+        structure = ChainStructure((smaller.structure.sizes[0] + 1,), smaller.structure.axes)
+        found = fit_structure(spectra, structure, starts, thorough=False) if starts else None
+    except (InvidError, np.linalg.LinAlgError):
+        return None
+    return None if found is None or _vanishing(found) or _standing(found) else found
 
 
 def _trimmed(

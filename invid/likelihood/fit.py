@@ -13,7 +13,7 @@ from invid.likelihood.covariance import physical_covariance, spread_of
 from invid.likelihood.excess_variance import excess_variance
 from invid.likelihood.levenberg_marquardt import Solution, gauss_newton
 from invid.likelihood.nuisance.gradual_reversals import with_gradual_reversals
-from invid.likelihood.nuisance.hold_timing import placed_holds, with_open_holds
+from invid.likelihood.nuisance.hold_timing import beyond, placed_holds, with_open_holds
 from invid.likelihood.nuisance.reversals import with_sharp_reversals
 from invid.likelihood.nuisance.torque_lags import (
     COULOMB,
@@ -126,8 +126,10 @@ def fit_structure(
     problem, solution, open_holds, early = with_open_holds(problem, solution, spectra, holds)
     budget.tell("identifying", 0.95 if thorough else 0.3)
     free = physical_covariance(problem, solution)
+    bent = bool(beyond(problem, solution))
     problem, solution = _physical(problem, solution)
-    covariance = physical_covariance(problem, solution)
+    # A hold that is kept in its range is known no better for that.
+    covariance = free if bent else physical_covariance(problem, solution)
     # A damper held at zero keeps the standard deviation it had when free.
     pinned = np.flatnonzero(~solution.free[: problem.structure.count])
     covariance[pinned, pinned] = np.diag(free)[pinned]
@@ -303,7 +305,8 @@ def _drop_coulomb(
 
 
 def _physical(problem: MissingTorqueProblem, solution: Solution) -> tuple[MissingTorqueProblem, Solution]:
-    """Dampers and viscous friction that came out negative are held at zero, and the rest fitted again.
+    """Dampers and viscous friction that came out negative are held at zero, gains of open holds within their
+    range, and the rest fitted again.
 
     A viscous friction that is negative by more than three standard deviations stays: something else
     wears its mask, and hiding that would bias the rest.
@@ -319,11 +322,12 @@ def _physical(problem: MissingTorqueProblem, solution: Solution) -> tuple[Missin
             and solution.p[k] < 0
             and (k < dampers.stop or solution.p[k] > -3.0 * spread[k])
         ]
-        if not pinned:
+        ends = dict.fromkeys(pinned, 0.0) | beyond(problem, solution)
+        if not ends:
             break
-        problem = replace(problem, fixed=(*problem.fixed, *(problem.names[k] for k in pinned)))
+        problem = replace(problem, fixed=(*problem.fixed, *(problem.names[k] for k in ends)))
         start = solution.p.copy()
-        start[pinned] = 0.0
+        start[list(ends)] = list(ends.values())
         solution = gauss_newton(problem, start)
     return problem, solution
 

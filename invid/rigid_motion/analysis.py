@@ -174,8 +174,7 @@ def row_floor(analysis: Analysis) -> Float64:
             continue
         mass = float(analysis.final.of(term)[0][0])
         own = design.axis == term.axis
-        accelerating: Float64 = band.noise(2, band.rows_hz)
-        variance[own] += mass**2 * float(accelerating[term.axis])
+        variance[own] += mass**2 * float(band.accelerating()[term.axis])
     return variance
 
 

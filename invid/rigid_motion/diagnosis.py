@@ -48,22 +48,28 @@ RESOLUTION = 0.005
 over the sample leave up to 0.2 % on simulated axes without any fault (empirical)."""
 
 
-def identify_trajectory(recording: Recording, *, model: Model | None = None) -> Model:
-    """Rigid (or grounded) model with the effects the data ask for, fitted together."""
-    return _model(analyse(recording), model)
+def identify_trajectory(recording: Recording, *, analysis: Analysis | None = None) -> Model:
+    """Rigid (or grounded) model with the effects the data ask for, fitted together.
+
+    ``analysis``: that of this recording, where it is there already.
+    """
+    return _model(analyse(recording) if analysis is None else analysis, None)
 
 
-def diagnose_trajectory(recording: Recording, *, model: Model | None = None) -> Diagnosis:
+def diagnose_trajectory(
+    recording: Recording, *, model: Model | None = None, analysis: Analysis | None = None
+) -> Diagnosis:
     """Diagnosis of moves, constant velocities, start and stop, velocity without position.
 
-    ``model`` only lends what such a record cannot show (the inertia at constant velocity).
+    ``model`` only lends what such a record cannot show (the inertia at constant velocity); ``analysis`` is
+    that of this recording, where it is there already.
     """
     if model is not None and model.axes != recording.axes:
         raise InputError(
             f"the model has the axes {list(model.axes)}, the recording {list(recording.axes)}; diagnose with "
             "the model of this robot, or without one"
         )
-    a = analyse(recording)
+    a = analyse(recording) if analysis is None else analysis
     extended = _model(a, model)
     rows = judged(a.design)
     floor = row_floor(a)

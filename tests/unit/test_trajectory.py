@@ -115,6 +115,16 @@ def test_a_plain_mass_with_noise_is_consistent_and_nothing_is_named():
         assert offset["value"] == pytest.approx(0.5 / RATE, abs=0.1 / RATE)
 
 
+@pytest.mark.parametrize("noise", [0.02, 0.002])
+def test_the_noise_floor_is_what_noise_leaves_of_torque_and_of_the_encoder_s_counts(noise: float):
+    ratios = []
+    for seed in range(3):
+        (axis,) = diagnose_trajectory(recording(simulate(np.random.default_rng(seed), noise=noise))).residual
+        ratios.append(axis.after / axis.noise_floor)
+    # The smaller noise leaves the encoder's counts: their floor was a quarter too low.
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.1)
+
+
 def test_coulomb_and_viscous_friction_are_named_with_their_sizes():
     rng = np.random.default_rng(1)
     diagnosis = diagnose_trajectory(recording(simulate(rng, dry=(1.0, 1.0), wet=(0.6, 0.6))))
