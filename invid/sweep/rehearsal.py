@@ -37,7 +37,7 @@ MOST_GROWTH = 1.6
 begins later has stuck there, and nothing more can be said."""
 
 MOVED = 16
-"""Counts of travel in a trial beyond which an axis moves at that share of the torque: its encoder must live."""
+"""Counts of travel in a trial beyond which an axis moves at that share of the torque: its encoder lives."""
 
 
 @dataclass(frozen=True, eq=False)
