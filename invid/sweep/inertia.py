@@ -27,11 +27,11 @@ RIGID, SLOW_S = 0.02, 0.5
 as a rigid mass with friction, and its inertia is known: 0.7 to 2.1 times the true one on 100 elastic cells
 with lowest modes from 1 to 5 Hz (``tests/machines``, empirical)."""
 ELASTIC, ELASTIC_S = 6.0, 1.0
-"""An axis that swings shows less or more of itself: what its motor moves in a doublet of this length was 0.3
-to 2.2 times of it (empirical, on the same cells). Only what is six times off is then a scale for sure."""
+"""An axis that swings shows less or more of itself: what its motor moves in a doublet of this length was
+0.3 to 2.2 times of it, once 57 times (empirical, 160 cells). Six times too light is then a scale for sure."""
 HEAVY_FITS = 0.15
-"""And too heavy only where no more of the path is left over: a spring that swings back just then looks heavy
-and leaves a quarter; ten times wrong scales leave 0.1 (empirical, on 60 such cells)."""
+"""Too heavy only where no more of the path is left over. Chosen on the one of 60 healthy cells that looked 57
+times too heavy (0.26) and 25 with a scale ten times wrong (0.1, one 0.23); not tried on fresh cells yet."""
 FITS = 0.3
 """Where more than this share of the path is left over, the axis did not move as a mass with friction: the
 elastic axes of the case study leave 0.2 at most, one that only bends against what holds it more."""
