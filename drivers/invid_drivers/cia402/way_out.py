@@ -33,6 +33,9 @@ STILL_COUNTS, STILL_SHARE = 8, 0.002
 second."""
 WEIGHED_SHARE = 0.5
 """Of the samples by which an axis is weighed must have come."""
+DEAF_S = 0.2
+"""A drive that is still enabled so long after quick stop does not hear its controlword: NMT stop, which it may
+hear, has it stop by its abort option. Drives take up a quick stop within a few cycles."""
 DISABLE_S = 0.2
 STATE_POLL_S = 0.005
 """Between two questions for the statusword by SDO, on the way out."""
@@ -77,6 +80,8 @@ class WayOut:
             ]
         )
         self._given_up: set[int] = set()
+        self._deaf: set[int] = set()
+        self._began: float | None = None
         self._quick_stop_s = max(QUICK_STOP_S, RAMP_MARGIN * ramp_s)
 
     def take(self) -> tuple[str, ...]:
@@ -95,8 +100,8 @@ class WayOut:
         with contextlib.suppress(Exception):
             self._drive_to(DISABLE_S, self._disabled)
         unsure = [i for i in range(len(self._drives)) if self._may_disable(i) and self._may_be_on(i)]
-        deaf = {i for i in unsure if self._disobeys(i)}
-        on = []
+        deaf = {i for i in unsure if self._disobeys(i)} | self._deaf
+        on = [self._drives[i].name for i in sorted(self._deaf.difference(unsure))]
         for i in unsure:
             off = False
             with contextlib.suppress(Exception):
@@ -180,7 +185,18 @@ class WayOut:
         """An axis that a quick stop makes faster has a wrong sign somewhere: only cutting it off helps."""
         for i in guard.faster(sample):
             self._cycle.control[i] = states.DISABLE_VOLTAGE  # the one case in which a loaded axis is let go
-        for i in guard.silent(sample):
+        if self._began is None:
+            self._began = sample.time
+        deaf = [
+            i
+            for i, status in enumerate(sample.status)
+            if sample.time - self._began > DEAF_S
+            and sample.fresh[i]
+            and state_of(status) is DriveState.OPERATION_ENABLED
+            and self._cycle.control[i] in (states.QUICK_STOP, states.DISABLE_VOLTAGE)
+        ]
+        self._deaf.update(deaf)
+        for i in (*guard.silent(sample), *deaf):
             # It may hear NMT though its PDOs are lost; its abort option (0x6007) is a quick stop.
             if i not in self._given_up:
                 self._given_up.add(i)
