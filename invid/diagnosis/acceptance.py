@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
-from invid.diagnosis.evidence import Trial, excess_in, told
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+
+from invid.diagnosis.evidence import Trial, attempted, excess_in, sized, told
+from invid.diagnosis.selection import Selection
 from invid.diagnosis.thresholds import (
     CLOSE,
     HELD_OUT,
@@ -14,10 +19,12 @@ from invid.diagnosis.thresholds import (
     SMALL_REMAINDER,
     WEAK,
 )
-from invid.likelihood.joint_fit import JointFit
+from invid.likelihood.joint_fit import JointFit, fit
 from invid.likelihood.placed_effect import Term
 from invid.model.place import Place
+from invid.numerics import budget
 from invid.numerics.distributions import chi2_isf
+from invid.signals.spectral_record import Record
 
 
 def least_gain(here: JointFit, term: Term, count: int, *, first: bool) -> float:
@@ -101,3 +108,27 @@ def is_asked_for(without: Trial, trial: Trial) -> bool:
     """Whether the training records ask for a friction law and the held-out ones do not refuse it."""
     gain = (without.fit.cost - trial.fit.cost) / trial.dispersion
     return gain > chi2_isf(WEAK, 1) and trial.held.cost < without.held.cost
+
+
+def without_untold(
+    found: Selection, small: set[tuple[str, Place]], train: Sequence[Record], held: Sequence[Record]
+) -> Selection:
+    """Without the causes of these names whose size is not told from none beside those that came after: they
+    took what the law of another left."""
+    known, final = len(found.base.fit.candidate.terms), found.final.fit
+    lost = [
+        n
+        for n, s in enumerate(found.steps)
+        if (s.chosen.term.effect.cause, s.chosen.term.place) in small
+        and sized(final, known + n, SIGNIFICANCE) is False
+    ]
+    if not lost or len(lost) == len(found.steps) or budget.spent():
+        return found
+    number = lost[-1]
+    kept = [k for k in range(len(final.candidate.terms)) if k != known + number]
+    fewer = partial(fit, final.layout, train, final.p, final.candidate.only(kept), iterations=25)
+    rest = attempted(fewer, held)
+    if rest is None:
+        return found
+    steps = (*found.steps[:number], *found.steps[number + 1 :])
+    return without_untold(replace(found, final=rest, steps=steps), small, train, held)

@@ -12,7 +12,6 @@ from invid.diagnosis.consequence import with_consequences
 from invid.diagnosis.context import apply_rule, current, running
 from invid.diagnosis.extended_model import extended_model
 from invid.diagnosis.known_effects import folded
-from invid.diagnosis.own_evidence import on_own_evidence
 from invid.diagnosis.promises import cut_short
 from invid.diagnosis.rules.dropped_rows import before_repair, repaired, with_dropped
 from invid.diagnosis.search_pass import Look, looked
@@ -120,7 +119,7 @@ def _diagnosed(
     warnings = [*look.warnings, *said_of_holds(selection.final.fit, recording)]
     result = document(sound, model, selection, bare, train, held, tones, warnings)
     if result.verdict is Verdict.UNEXPLAINED and selection.steps:
-        alone = on_own_evidence(selection, train, held)
+        alone = apply_rule("own-evidence", selection, train, held)
         if alone is not None:
             selection = alone.as_far_as_explained()
             result = document(sound, model, selection, bare, train, held, tones, warnings)

@@ -9,14 +9,13 @@ from typing import cast
 
 import numpy as np
 
-from invid.diagnosis.acceptance import accepted, is_asked_for, least_gain, needed_gain
+from invid.diagnosis.acceptance import accepted, is_asked_for, least_gain, needed_gain, without_untold
 from invid.diagnosis.candidates import REACH, is_smaller_model, refitted, screened, tell_of
 from invid.diagnosis.context import apply_rule
 from invid.diagnosis.evidence import Step, Trial, at_bound, attempted, extends
 from invid.diagnosis.score_test import Score, Screen, terms_for
 from invid.diagnosis.selection import Selection
 from invid.diagnosis.slow_move import Move
-from invid.diagnosis.small_causes import without_untold
 from invid.diagnosis.thresholds import FAR, LARGER, LEFT, MOST, REACHED, SIGNIFICANCE
 from invid.likelihood.candidate_pool import each
 from invid.likelihood.hypothesis import Layout

@@ -29,7 +29,7 @@ class Selection:
     cut: bool = False
     """Whether the budget ended the search before it ended by itself."""
     partly: bool = False
-    """Whether only those causes are in it that stand on their own evidence (``own_evidence``)."""
+    """Whether only those causes are in it that stand on their own evidence (``rules.own_evidence``)."""
 
     def wider(self, shift: Float64) -> Selection:
         """The same with parameters of the final fit that may be off by ``shift`` (n,) besides their noise."""

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from invid.diagnosis.confidence import UNSIZED, at_floor, effect_term, judge
+from invid.diagnosis.confidence import at_floor, effect_term, judge
 from invid.diagnosis.context import apply_rule
 from invid.diagnosis.extended_model import extended_model
 from invid.diagnosis.known_effects import carried
 from invid.diagnosis.residual_character import unexplained_of
 from invid.diagnosis.selection import Selection
-from invid.diagnosis.thresholds import BROUGHT_DOWN, FAR
+from invid.diagnosis.thresholds import BROUGHT_DOWN
 from invid.diagnosis.tone import Tone, power_of, said_of_tones
 from invid.diagnosis.trust import cautious, distrust_sentences, in_the_way, trust, untimed_holds
 from invid.effects.registry import of_the_plant
@@ -52,9 +52,7 @@ def document(
     linear = trust(model, full, base, final, (before_test, after_test), recording)
     trusted = selection.partly or not linear.broken
     named = judged.findings if judged.named and trusted and not refused else ()
-    far = final.cost > FAR * final.dof  # there any cause fits some of what a wrong model leaves
-    likely = tuple(f for f in named if not far or f.confidence > UNSIZED)
-    sure, untimed = untimed_holds(cautious(likely, linear), recording, model, final.fit)
+    sure, untimed = untimed_holds(cautious(tuple(named), linear), recording, model, final.fit)
     if named and not sure:  # all of it is a matter of sampling
         named, coherent = (), not judged.complete
     shown = final if named else base

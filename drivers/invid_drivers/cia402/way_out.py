@@ -34,8 +34,8 @@ second."""
 WEIGHED_SHARE = 0.5
 """Of the samples by which an axis is weighed must have come."""
 DEAF_S = 0.2
-"""A drive that is still enabled so long after quick stop does not hear its controlword: NMT stop, which it may
-hear, has it stop by its abort option. Drives take up a quick stop within a few cycles."""
+"""A drive that is still enabled so long after quick stop does not hear its controlword (drives take it up in
+a few cycles). NMT stop, which it may hear, has it stop by its abort option."""
 DISABLE_S = 0.2
 STATE_POLL_S = 0.005
 """Between two questions for the statusword by SDO, on the way out."""

@@ -19,6 +19,7 @@ from invid.diagnosis.rules.load_change import between_records, changes_with_time
 from invid.diagnosis.rules.mode_place import modes_moved, with_the_mode_in_the_chain
 from invid.diagnosis.rules.near_variants import delays, elsewhere, ladder, lags, retimed
 from invid.diagnosis.rules.nonrepeating_torque import said_of_scatter
+from invid.diagnosis.rules.own_evidence import on_own_evidence
 from invid.diagnosis.rules.pruning import pruned
 from invid.diagnosis.rules.reidentify import looked_again
 from invid.diagnosis.rules.scatter_explained import quieted
@@ -99,6 +100,11 @@ RULES: tuple[Rule, ...] = (
         "No contact reverses at once: friction changes its sign over a range of velocity.",
         "tanh law of velocity, as in Andersson, Söderberg, Björklund, Tribology International 40 (2007) 580",
         with_gradual_signs,
+    ),
+    Rule(
+        "own-evidence", Stage.SELECTION,
+        "Dry friction of a motor is read from measured motion, and stands where nothing else is explained.",
+        "whole cells (tests/hidden/cells.py)", on_own_evidence, _none,
     ),
     Rule(
         "reversal-widths", Stage.SELECTION,
