@@ -51,8 +51,7 @@ def test_the_tutorial_shows_the_four_steps_and_then_the_commanded_current():
 
 @pytest.mark.parametrize("number", range(5))
 def test_what_the_page_shows_is_what_the_commands_print(ran, number):
-    # Its causes are known to half of their size: iterations that end elsewhere show there.
-    assert_shows(ran[number], within=0.25 if number == 3 else 0.05)
+    assert_shows(ran[number])
 
 
 def test_the_commanded_current_acts_late_by_what_was_measured_independently(folder):
