@@ -125,8 +125,7 @@ def without_untold(
     if not lost or len(lost) == len(found.steps) or budget.spent():
         return found
     number = lost[-1]
-    kept = [k for k in range(len(final.candidate.terms)) if k != known + number]
-    fewer = partial(fit, final.layout, train, final.p, final.candidate.only(kept), iterations=25)
+    fewer = partial(fit, final.layout, train, final.p, final.candidate.without(known + number), iterations=25)
     rest = attempted(fewer, held)
     if rest is None:
         return found

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -89,13 +89,8 @@ def judge(selection: Selection, recording: Recording, after: NullTest) -> Judgem
     complete = not after.rejects or (explained > BROUGHT_DOWN and at_floor(final))
     named = explained >= NAMED or (explained >= MOST_OF_CHI2 and _power_explained(base, final) >= NAMED)
     if selection.partly:
-        findings, named, complete = tuple(_of_its_own(f) for f in findings), True, False
+        named, complete = True, False
     return Judgement(findings, named, complete, explained)
-
-
-def _of_its_own(finding: Finding) -> Finding:
-    """A finding beside a rest that nobody explains: never certain."""
-    return replace(finding, confidence=min(finding.confidence, CONTESTED))
 
 
 def at_floor(final: Trial) -> bool:
@@ -217,7 +212,7 @@ def _finding(selection: Selection, number: int, recording: Recording, explained:
     sure = 1.0 if selection.partly else 0.55 + 0.45 * _ramp(explained)
     confidence = float(np.clip(share * sure, 0.01, 0.999))
     said = [SPRING] if _like_a_spring(final.fit, at) else [BRAKE] if like_a_brake(effect) else []
-    if alternatives or said or final.cost > AT_FLOOR * final.dof:
+    if alternatives or said or selection.partly or final.cost > AT_FLOOR * final.dof:
         confidence = min(confidence, CONTESTED)
     if sized(final.fit, at) is False:
         confidence = min(confidence, UNSIZED)

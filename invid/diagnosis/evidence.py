@@ -12,6 +12,7 @@ from invid.effects.catalogue.extra_mode import frequency_told
 from invid.likelihood.evaluation import Evaluation, evaluate, numbers_on
 from invid.likelihood.hypothesis import Layout
 from invid.likelihood.joint_fit import LARGEST_STEP, JointFit, fit, held_out, limits_of, pack, unpack
+from invid.likelihood.null_test import null_test
 from invid.likelihood.placed_effect import Candidate, Term
 from invid.numerics import budget
 from invid.numerics.arrays import Bool, Float64
@@ -91,6 +92,10 @@ class Trial:
     def dispersion(self) -> float:
         """χ²/ν of both, at least 1."""
         return max(1.0, self.cost / self.dof)
+
+    def rejects(self, records: Sequence[Record]) -> bool:
+        """Whether it leaves more than the noise of its records, training and held out together."""
+        return null_test(self.cost, self.dof, records).rejects
 
     @property
     def held_dispersion(self) -> float:

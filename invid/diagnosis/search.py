@@ -44,11 +44,6 @@ AN_AXIS = 8
 of friction, a weight, four faults), and an end where it is misled."""
 
 
-def _rejects(trial: Trial, records: Sequence[Record]) -> bool:
-    """Whether a fit leaves more than noise."""
-    return null_test(trial.cost, trial.dof, records).rejects
-
-
 def select(
     base: JointFit,
     train: Sequence[Record],
@@ -94,7 +89,7 @@ def select(
 
 def _alone(found: Selection, records: Sequence[Record]) -> bool:
     """Whether one lag leaves nothing but noise and its delay more: beside others that is the larger model."""
-    if len(found.steps) > 1 or _rejects(found.final, records):
+    if len(found.steps) > 1 or found.final.rejects(records):
         return False
     delay = next((t for t, _ in found.steps[0].ranked if t.term.effect.cause == "torque_delay"), None)
     return delay is not None and delay.cost - found.final.cost > found.final.beyond_noise + LARGER
@@ -180,7 +175,7 @@ def _added(
     first, sure, small = current if besides else start, found, set[tuple[str, Place]]()
     most = AN_AXIS * start.fit.layout.structure.motors + besides
     while len(steps) < most:
-        rejects = _rejects(current, [*train, *held])
+        rejects = current.rejects([*train, *held])
         if steps and not rejects:
             break  # what the causes leave is noise; what else fits it says how imperfect their models are
         number = len(steps)
@@ -243,11 +238,11 @@ def _reconsidered(
             if other is None and number == newest:
                 continue
             rest = other or rest
-        rejects = _rejects(rest, [*train, *held])
+        rejects = rest.rejects([*train, *held])
         if number == newest and rejects and number >= every:
             continue
         # What stands for a part of another axis' cause leaves the rest of that.
-        axis = None if _rejects(found.final, [*train, *held]) else last.term.place.axis
+        axis = None if found.final.rejects([*train, *held]) else last.term.place.axis
         here = replace(asked, axis=axis)
         step, *_ = _step(rest, train, held, here, found.base, first=True, rejects=rejects, known=(last,))
         if step is None and number < every:
@@ -334,7 +329,7 @@ def _step(
     trials = polished + [t for t in trials if t not in best[:4]]
     if not trials:
         return None, tuple(scores[:5]), False
-    if _rejects(trials[0], [*train, *held]):
+    if trials[0].rejects([*train, *held]):
         trials = with_known(trials, apply_rule("mode-moved", trials, current, train, held, terms))
     dispersion = min(t.dispersion for t in trials)
     ranked = _ranked([(t, t.score(dispersion, rows)) for t in trials], asked.contested)
@@ -351,7 +346,7 @@ def _step(
         # A mode on one mass is nearly one on the next with another size, and a fit creeps along that.
         others = apply_rule("next-mass", best_of_all, train, held, terms, [best_of_all.term], iterations=MODE)
         trials = with_known(trials, others)
-    elif _rejects(best_of_all, [*train, *held]):
+    elif best_of_all.rejects([*train, *held]):
         trials += apply_rule("next-mass", best_of_all, train, held, terms, [t.term for t in trials])
     dispersion = min(t.dispersion for t in trials)
     ranked = _ranked([(t, t.score(dispersion, rows)) for t in trials], asked.contested)

@@ -12,9 +12,9 @@ import numpy as np
 
 from invid.errors import InvidError
 from invid.inverse.lanczos import lanczos
+from invid.inverse.springs import last_mass, springs_and_masses
 from invid.likelihood.fit import Fit
 from invid.model.chains import CoupledChains
-from invid.numerics.arrays import Float64
 from invid.numerics.whitening import stack
 
 TRIED = 300
@@ -61,36 +61,21 @@ def _missing_mode(fit: Fit) -> tuple[float, float] | None:
 
 def _extended(chains: CoupledChains, at: float, share: float) -> list[CoupledChains]:
     """The free chain with one more mode at ``at`` [rad/s] of φ² ``share`` at the motor."""
-    masses, springs, dampers = chains.masses[0], chains.springs[0], chains.dampers[0]
-    root = np.sqrt(masses)
-    stiffness = np.zeros((masses.size, masses.size))
-    for s, k in enumerate(springs):
-        stiffness[s : s + 2, s : s + 2] += k * np.array([[1.0, -1.0], [-1.0, 1.0]])
-    squares, shapes = np.linalg.eigh(stiffness / root[:, None] / root)
-    weights = np.append(shapes[0] ** 2 / masses[0], share)
+    root = np.sqrt(chains.masses[0])
+    squares, shapes = np.linalg.eigh(chains.stiffness_matrix / root[:, None] / root)
+    weights = np.append((shapes[0] / root[0]) ** 2, share)
     poles = np.append(np.maximum(squares, 0.0), at**2)
     order = np.argsort(poles)
-    rows = lanczos(poles[order], np.sqrt(weights[order]), poles.size)
-    if rows.diagonal.size < poles.size:
+    rows = lanczos(poles[order], np.sqrt(weights[order]), poles.size - 1)
+    if rows.diagonal.size < poles.size - 1:
         return []
-    further = _masses(1.0 / float(weights.sum()), rows.diagonal, rows.off_diagonal)
-    pulls = rows.off_diagonal[:-1] * np.sqrt(further[:-1] * further[1:])
-    lossy = float(np.median(dampers / springs))
+    masses, springs = springs_and_masses(rows, 1.0 / float(weights.sum()), poles.size)
+    masses = np.append(masses, last_mass(float(chains.masses[0].sum()), masses))
+    lossy = float(np.median(chains.dampers[0] / chains.springs[0]))
     try:
-        return [CoupledChains.build([further], [pulls], [lossy * pulls], axes=chains.axes)]
+        return [CoupledChains.build([masses], [springs], [lossy * springs], axes=chains.axes)]
     except InvidError:
         return []
-
-
-def _masses(first: float, diagonal: Float64, beside: Float64) -> Float64:
-    """(N,) masses of a free chain whose B has this diagonal and, with a minus, these neighbours: B √m = 0."""
-    root = np.zeros(diagonal.size)
-    root[0] = np.sqrt(first)
-    for k in range(diagonal.size - 1):
-        before = beside[k - 1] * root[k - 1] if k else 0.0
-        root[k + 1] = (diagonal[k] * root[k] - before) / beside[k]
-    masses: Float64 = root**2
-    return masses
 
 
 __all__ = ["with_further_mode"]

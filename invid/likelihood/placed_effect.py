@@ -53,6 +53,10 @@ class Candidate:
         chosen = list(numbers)
         return Candidate(tuple(self.terms[k] for k in chosen), tuple(self.x[k] for k in chosen))
 
+    def without(self, number: int) -> Candidate:
+        """All effects but one."""
+        return self.only(k for k in range(len(self.terms)) if k != number)
+
     def plus(self, term: Term, x: Float64) -> Candidate:
         """One effect more."""
         return Candidate((*self.terms, term), (*self.x, np.asarray(x, dtype=float)))

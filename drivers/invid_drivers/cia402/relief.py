@@ -14,14 +14,15 @@ from invid_drivers.cia402.axis import Drive
 from invid_drivers.cia402.cycle import Cycle
 from invid_drivers.cia402.journal import Entry
 from invid_drivers.cia402.objects import MAX_TORQUE
+from invid_drivers.cia402.standstill import tolerances
 from invid_drivers.cia402.states import DriveState, state_of
 
 AT_LIMIT, SAMPLES = 0.9, 3
 """Share of the limit that a loop which is held back shows, with the noise of its sensor; samples in a row."""
 STEP, SURE_S = 2, 0.3
 """The limit is doubled until the axis yields no more; said when that has lasted so long."""
-STILL_COUNTS, STILL_SHARE = 8, 0.002
-"""It gives way: in counts, and as a share of the window."""
+STILL_SHARE = 0.002
+"""It gives way: as a share of the window."""
 HELD_S, CARRIED_S, CARRIES = 0.5, 0.1, 0.05
 """An axis that its drive has held still for so long, below the limit, has a limit that holds its weight: what
 drives it to the limit later is a wrong sign or a person, and gets no more torque. Brakes of servo motors open
@@ -39,10 +40,7 @@ class TorqueRelief:
         self._config, self._drives, self._cycle = config, drives, cycle
         self._limits = [d.protection.torque_lowered for d in drives]
         self._torque = [abs(torque) for _, torque in units]
-        self._still = [
-            max(STILL_COUNTS * abs(count), STILL_SHARE * a.limits.position)
-            for (count, _), a in zip(units, config.axes, strict=True)
-        ]
+        self._still = tolerances(config, [count for count, _ in units], STILL_SHARE)
         self._start: list[float | None] = [None] * len(drives)
         self._seen = [0] * len(drives)
         self._stood: list[tuple[float, float] | None] = [None] * len(drives)

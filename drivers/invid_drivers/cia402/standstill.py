@@ -4,10 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from invid.config import CellConfig
 from invid.sweep.ports import Sample
 
 STAND_S = 0.1
 """An axis stands that has stayed within its tolerance for so long."""
+STILL_COUNTS = 8
+"""Counts that are no motion: what an encoder shows at rest, and its last digits."""
+
+
+def tolerances(config: CellConfig, counts: Sequence[float], share: float) -> list[float]:
+    """How far each axis may go and still stand [rad or m]: a ``share`` of its window, or some ``counts``."""
+    return [
+        max(STILL_COUNTS * abs(count), share * axis.limits.position)
+        for count, axis in zip(counts, config.axes, strict=True)
+    ]
 
 
 class Standstill:

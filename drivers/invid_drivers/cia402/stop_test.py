@@ -18,7 +18,7 @@ from invid_drivers.cia402.cycle import Cycle
 from invid_drivers.cia402.hold_memory import HoldMemory
 from invid_drivers.cia402.holding import AxisHolding
 from invid_drivers.cia402.link import NMT_START, Link
-from invid_drivers.cia402.standstill import Standstill
+from invid_drivers.cia402.standstill import Standstill, tolerances
 from invid_drivers.cia402.states import DriveState, OperationMode, state_of
 
 HOLD_S = 0.4
@@ -36,8 +36,8 @@ SILENCE_S = 0.2
 MISSES_MASTER, RPDO_TIMEOUT = (0x8100, 0x8700), 0x8250
 """Classes of EMCY with which a drive says that its master is gone: communication, SYNC (CiA 301, 402); and
 the code for an RPDO that did not come (0x1400:5)."""
-STILL_COUNTS, STILL_SHARE = 8, 0.0005
-"""An axis that moved less, in counts and as a share of its window, stood."""
+STILL_SHARE = 0.0005
+"""An axis that moved less, as a share of its window, stood."""
 
 
 class StopTest:
@@ -60,10 +60,7 @@ class StopTest:
         self._holdings, self._memory = holdings, memory
         self._cell_exchange, self._cancelled = exchange, cancelled
         self._zero = [0.0] * len(drives)
-        self._still = [
-            max(STILL_COUNTS * count, STILL_SHARE * axis.limits.position)
-            for count, axis in zip(resolution, config.axes, strict=True)
-        ]
+        self._still = tolerances(config, resolution, STILL_SHARE)
 
     def run(self) -> bool:
         """Test what was not seen yet; whether anything was tested. All axes are held again by their drives.

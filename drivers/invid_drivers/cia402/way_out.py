@@ -21,16 +21,15 @@ from invid_drivers.cia402.axis import Drive
 from invid_drivers.cia402.cycle import Cycle
 from invid_drivers.cia402.link import NMT_PRE_OPERATIONAL, NMT_STOP, Link
 from invid_drivers.cia402.runaway import RunawayGuard
-from invid_drivers.cia402.standstill import Standstill
+from invid_drivers.cia402.standstill import Standstill, tolerances
 from invid_drivers.cia402.states import DriveState, state_of
 
 QUICK_STOP_S = 1.0
 """Longest quick stop before the voltage is taken away regardless, where the drive's ramp is not longer."""
 RAMP_MARGIN = 1.25
 """On the time of a ramp from the speed limit: the axis may be faster, the drive settles at its end."""
-STILL_COUNTS, STILL_SHARE = 8, 0.002
-"""An axis that its drive goes on holding stands: in counts, and as a share of its window in a tenth of a
-second."""
+STILL_SHARE = 0.002
+"""An axis that its drive goes on holding stands: share of its window in a tenth of a second."""
 WEIGHED_SHARE = 0.5
 """Of the samples by which an axis is weighed must have come."""
 DEAF_S = 0.2
@@ -72,13 +71,7 @@ class WayOut:
         self._exchange = exchange
         self._stays = list(stays)
         self._doubted, self._weigh = tuple(doubted), weigh
-        counts = resolution or [0.0] * len(drives)
-        self._standstill = Standstill(
-            [
-                max(STILL_COUNTS * abs(c), STILL_SHARE * a.limits.position)
-                for c, a in zip(counts, config.axes, strict=True)
-            ]
-        )
+        self._standstill = Standstill(tolerances(config, resolution or [0.0] * len(drives), STILL_SHARE))
         self._given_up: set[int] = set()
         self._deaf: set[int] = set()
         self._began: float | None = None

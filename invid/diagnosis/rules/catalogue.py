@@ -102,11 +102,6 @@ RULES: tuple[Rule, ...] = (
         with_gradual_signs,
     ),
     Rule(
-        "own-evidence", Stage.SELECTION,
-        "Dry friction of a motor is read from measured motion, and stands where nothing else is explained.",
-        "whole cells (tests/hidden/cells.py)", on_own_evidence, _none,
-    ),
-    Rule(
         "reversal-widths", Stage.SELECTION,
         "How gradually friction turns over shows once what acts beside it is in the model.",
         "whole cells (tests/hidden/cells.py)", with_widths,
@@ -202,6 +197,11 @@ RULES: tuple[Rule, ...] = (
         "viscous-allowed-for", Stage.VERDICT,
         "Viscous friction that is not named may still be there, and dry friction takes its part.",
         "Schwarz' penalty as prior odds", allowing_for_viscous, applies=lambda found: bool(found.steps),
+    ),
+    Rule(
+        "own-evidence", Stage.SELECTION,
+        "Dry friction of a motor is read from measured motion, and stands where nothing else is explained.",
+        "whole cells (tests/hidden/cells.py)", on_own_evidence, _none,
     ),
     Rule(
         "nonrepeating-torque", Stage.VERDICT,

@@ -56,7 +56,7 @@ def with_known_friction(
         if all(s > chi2_isf(CHANCE, 1) for s in sizes.values()):
             return _selection(base, found, sorted(sizes, key=lambda k: -sizes[k]))
         weakest = min(sizes, key=lambda k: sizes[k])
-        rest = found.fit.candidate.only(k for k in range(count) if k != weakest)
+        rest = found.fit.candidate.without(weakest)
         found = attempted(partial(fit, layout, train, found.fit.p, rest, iterations=25), held)
     return None
 

@@ -69,7 +69,7 @@ def _contested(step: Step) -> bool:
 def _without(whole: Trial, number: int, train: Sequence[Record], held: Sequence[Record]) -> Trial | None:
     """The fit without one cause, all else fitted anew."""
     here = whole.fit
-    rest = here.candidate.only(k for k in range(len(here.candidate.terms)) if k != number)
+    rest = here.candidate.without(number)
     return attempted(partial(fit, here.layout, train, here.p, rest, iterations=15), held)
 
 

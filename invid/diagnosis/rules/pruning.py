@@ -31,7 +31,7 @@ def _without(
 ) -> Selection | None:
     """One cause less, the others refitted; none where that costs more than the cause's parameters may."""
     final, at = found.final.fit, len(found.base.fit.candidate.terms) + number
-    candidate = final.candidate.only(k for k in range(len(final.candidate.terms)) if k != at)
+    candidate = final.candidate.without(at)
 
     def less() -> JointFit:
         # Beside a cubic spring a gap of nothing leaves a valley in which the thorough steps alone stand still

@@ -19,7 +19,6 @@ from invid.diagnosis.selection import Selection
 from invid.effects.laws.sign import DryLaw
 from invid.effects.motion import rms
 from invid.likelihood.joint_fit import JointFit, fit
-from invid.likelihood.null_test import null_test
 from invid.likelihood.placed_effect import Candidate, Term
 from invid.signals.spectral_record import Record
 
@@ -42,7 +41,7 @@ def with_widths(found: Selection, train: Sequence[Record], held: Sequence[Record
         before = final
         for number in _dry(final.fit):
             final = _retuned(final, number, train, held)
-        if final is before or not _rejects(final, [*train, *held]):
+        if final is before or not final.rejects([*train, *held]):
             break
     if final is found.final:
         return found
@@ -51,10 +50,6 @@ def with_widths(found: Selection, train: Sequence[Record], held: Sequence[Record
     score = final.score(final.dispersion, final.fit.dof)
     chosen = Step(last.before, final, ((final, min([score, *(s for _, s in last.ranked[:1])])), *rivals))
     return replace(found, final=final, steps=(*found.steps[:-1], chosen))
-
-
-def _rejects(trial: Trial, records: Sequence[Record]) -> bool:
-    return null_test(trial.cost, trial.dof, records).rejects
 
 
 def _dry(found: JointFit) -> list[int]:

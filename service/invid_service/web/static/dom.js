@@ -4,6 +4,8 @@ import { LANGUAGE, t } from "./texts.js";
 export const $ = (id) => document.getElementById(id);
 const SVG = "http://www.w3.org/2000/svg";
 const SHAPES = new Set(["svg", "g", "path", "line", "circle", "text", "title", "polygon", "polyline", "rect"]);
+// What a person reads motion in, with its factor, by the unit of the cell.
+export const MOTION = { rad: ["°", 180 / Math.PI], m: ["mm", 1000] };
 export function el(name, attributes = {}, children = []) {
   const node = SHAPES.has(name) ? document.createElementNS(SVG, name) : document.createElement(name);
   for (const [key, value] of Object.entries(attributes)) {

@@ -1,11 +1,11 @@
 // What will move and how far, before anybody arms.
-import { $, el, fill, fmt, seconds, table } from "./dom.js";
+import { $, el, fill, fmt, seconds, table, MOTION } from "./dom.js";
 import { supporting } from "./spoken.js";
 import { t } from "./texts.js";
 
 export function showPlan(run, cell) {
   const plan = run.plan;
-  const rotary = (f) => (f.unit === "N" ? ["mm", 1000] : ["°", 180 / Math.PI]);
+  const rotary = (f) => MOTION[f.unit === "N" ? "m" : "rad"];
   // What cannot be foretold is bounded all the same: the sweep stops every axis at its limits.
   const limits = new Map((cell?.limits ?? []).map((l) => [l.axis, l]));
   table($("plan-table"), [t("plan.axis"), t("plan.torque"), t("plan.travel"), t("plan.speed")], (plan.forecast ?? []).map((f) => {

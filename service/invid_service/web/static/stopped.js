@@ -1,11 +1,9 @@
 // A run that stopped: where and why, the one thing to do and where, the last seconds.
 import { traceChart } from "./charts.js";
-import { $, el, fill, sentence } from "./dom.js";
+import { $, el, fill, sentence, MOTION } from "./dom.js";
 import { english, has, phase, t } from "./texts.js";
 
 const HERE = { gentler: "stopped.gentler", as_planned: "stopped.as_planned", start_again: "stopped.start_again" };
-
-const SHOWN = { rad: ["°", 180 / Math.PI], m: ["mm", 1000] };
 
 export function showStopped(run, cell, again) {
   const s = run.stopped;
@@ -33,7 +31,7 @@ function trace(s, cell) {
     const values = s.trace?.[what]?.[axis];
     if (!values?.length || values.length !== times.length) continue;
     // In the units of the plan above, which a person has before the eyes.
-    const [shown, factor] = SHOWN[limits?.[name] ?? unit] ?? [limits?.[name] ?? unit, 1], limit = limits?.[what];
+    const [shown, factor] = MOTION[limits?.[name] ?? unit] ?? [limits?.[name] ?? unit, 1], limit = limits?.[what];
     const chart = traceChart(sentence(t(`trace.${what}`)), axis, times, values.map((v) => v * factor), shown, limit == null ? null : limit * factor);
     pictures.push(el("figcaption", {}, `${axis}: ${t(`trace.${what}`)} [${shown}]`), chart.picture);
   }
