@@ -36,9 +36,6 @@ MOST_GROWTH = 1.6
 """A straight line through zero at a tenth of the amplitude and the motion at a third rises so much; one that
 begins later has stuck there, and nothing more can be said."""
 
-MOVED = 16
-"""Counts of travel in a trial beyond which an axis moves at that share of the torque: its encoder lives."""
-
 
 @dataclass(frozen=True, eq=False)
 class Seen:
@@ -114,9 +111,7 @@ class Rehearsal:
         led = 0.0 if path is None else np.abs(path).max(axis=0)
 
         if share < sure:
-            counts = again.motion[0] / np.array(self._motion.cell.resolution)
-            moved = bool(np.all(counts[list(experiment.excited)] > MOVED))
-            self.sure[list(trial.covers)] = share if moved else sure
+            self.sure[list(trial.covers)] = sure
 
         def bound(spread: Float64) -> Float64:
             most: Float64 = linear * spread
