@@ -58,6 +58,11 @@ LEAST_STEPS = 2.0
 """Thousandths of rated torque below which a doublet is not commanded at all: 0x6071 has no smaller steps."""
 SEEN_SHARE = 0.01
 """Share of rated torque from which 0x6077 must show a doublet: ten of its steps."""
+ONE_COUNT = 1.5
+"""Counts that an encoder which is stuck shows at most."""
+REACTION = 5.0
+"""A held axis whose torque swings by this many times what it did before the first doublet, and by
+``SEEN_SHARE`` of its rated torque, is shaken by the axis on trial, which therefore moves."""
 
 
 @dataclass(frozen=True)
@@ -94,6 +99,7 @@ class SignTrial:
         self._seen: list[trials.Response] = []
         self._still: list[bool] = []
         self._home = 0.0
+        self._calm: Float64 | None = None
 
     def run(self) -> None:
         """SafetyStop where signs or scales are wrong, or nothing moves."""
@@ -124,6 +130,8 @@ class SignTrial:
         motion.watching.words.begin()
         kept = motion.play(rows, len(rows), log=True)
         motion.watching.words.require_no_limit([axis], f"{amplitude:.3g} {self._torque_unit}")
+        if self._calm is None:
+            self._calm = _swing(kept.torque[:quiet], kept.fresh[:quiet])
         torque, came = kept.torque[:, axis], kept.fresh[:, axis]
         own = torque - motion.bias[axis]
         if motion.by_offset(axis):
@@ -141,6 +149,18 @@ class SignTrial:
         if amplitude >= SEEN_SHARE * self._rated:
             self._still.append(still)
         return Trial(found, kept, still)
+
+    def _passed_on(self, kept: Log) -> bool:
+        """Whether held axes answer: an axis that stands passes nothing on, so its encoder is stuck.
+
+        More torque would only make the axes behind it swing further.
+        """
+        if self._calm is None:
+            return False
+        now, rated = _swing(kept.torque, kept.fresh), np.array(self._motion.cell.rated_torque)
+        answers = now > np.maximum(REACTION * self._calm, SEEN_SHARE * rated)
+        answers[self._axis] = False
+        return bool(answers.any())
 
     def _demand(self, kept: Log) -> Float64:
         demand: Float64 = kept.demand[:, self._axis] - self._motion.bias[self._axis]
@@ -197,6 +217,8 @@ class SignTrial:
             if sign < -trials.DECISIVE or (found.displacement >= wanted and sign > trials.DECISIVE):
                 break
             if found.displacement > far:
+                break
+            if found.displacement < ONE_COUNT * self._count and self._passed_on(trial.log):
                 break
             if length * 2 <= SIGN_LAST_S:
                 length *= 2
@@ -353,3 +375,8 @@ class SignTrial:
             unit="kg" if self._motion.config.linear else "kg·m²",
         )
         self._warnings += [said] * bool(said)
+
+
+def _swing(torque: Float64, fresh: np.ndarray) -> Float64:
+    """Standard deviation of each axis' torque over the samples that came [torque units], (M,)."""
+    return np.array([np.std(t[f]) if f.any() else np.inf for t, f in zip(torque.T, fresh.T, strict=True)])

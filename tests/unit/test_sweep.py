@@ -283,6 +283,28 @@ def test_a_person_who_pushes_the_arm_is_noticed_by_the_window() -> None:
     assert abs(cell.x[0]) < 0.5 + 2 * 6 * CYCLE
 
 
+@pytest.mark.parametrize("passes_on", [False, True])
+def test_where_held_axes_answer_to_an_encoder_that_shows_nothing_the_torque_does_not_grow(
+    passes_on: bool,
+) -> None:
+    """Without an answer it may be friction, and the torque grows to what is planned."""
+    cell = RigidCell()
+
+    def shaken(c: RigidCell, s: Sample) -> None:
+        s.position[0] = 0.0  # type: ignore[index]
+        if passes_on and c.modes[1] is Mode.HOLD:
+            s.torque[1] = 0.4 * c.demands[-1][0]  # type: ignore[index]
+
+    cell.disturb = shaken
+    _, error, _ = run(cell)
+    assert isinstance(error, SafetyStop)
+    assert error.code == "stands"
+    assert error.axis == "A1"
+    most = max(abs(d[0]) for d in cell.demands)
+    first = next(abs(d[0]) for d in cell.demands if d[0])
+    assert most <= 10.01 * first if passes_on else most > 15 * first
+
+
 def test_a_stuck_encoder_is_noticed_while_shaking() -> None:
     cell = RigidCell()
     held: dict[str, float] = {}
