@@ -34,8 +34,8 @@ SECTIONS = (
     Section(
         "Accuracy against the Cramér-Rao bound",
         "The bound is the smallest standard deviation that any unbiased estimator can have on these records. "
-        "`small` is one axis of two masses, `white` the case study of the paper with three axes; the plants "
-        "are simulated by code that the identification does not use. z is error over stated deviation.",
+        "`white` is the case study of the paper with three axes; the plants are simulated by code that the "
+        "identification does not use. z is error over stated deviation.",
         "bench_identify.py",
         ("--case", "white", "--draws", "100"),
         ("--case", "white", "--draws", "10"),
@@ -51,10 +51,10 @@ SECTIONS = (
     ),
     Section(
         "Hidden causes: what was hidden, what was said",
-        "The generator hides one cause of the catalogue (or none, a pair, one outside the catalogue, a wrong "
-        "number of masses) in a plant of its own; the diagnosis gets the recording alone. Trial n has the seed "
-        "start + n; `make_case(seed)` in `tests/hidden` makes it again. Sizes are in decibels over the noise; "
-        "−10 dB is still significant, because there are hundreds of lines.",
+        "The generator hides one cause of the catalogue (or none, a pair, one outside the catalogue, a "
+        "wrong number of masses) in a plant of its own; the diagnosis gets the recording alone. Trial n has "
+        "the seed start + n; `make_case(seed)` in `tests/hidden` makes it again. Sizes are in decibels over the "
+        "noise; −10 dB is still significant, because there are hundreds of lines.",
         "bench_hidden.py",
         ("--trials", "300", "--start", "2500000", "--jobs", "1"),
         ("--trials", "60", "--start", "2500000", "--jobs", "1"),
@@ -62,11 +62,12 @@ SECTIONS = (
     ),
     Section(
         "Beside other ways of fitting, on the same records",
-        "Case study without friction, everybody gets the same spectra, the torque when it acts, and the number "
-        "of masses. Errors are medians over the seeds; processor time is of one core.",
+        "Case study without friction, everybody gets the same spectra, the torque when it acts, and the "
+        "number of masses. Errors are medians over the seeds; processor time is of one core.",
         "bench_peer_models.py",
         ("--seeds", "5", "--seed0", "300"),
-        ("--seeds", "2", "--seed0", "300", "--peers", "refined", "paper", "vector", "EMA", "subspace", "OE rough", "raw"),
+        ("--seeds", "2", "--seed0", "300", "--peers",
+         "refined", "paper", "vector", "EMA", "subspace", "OE rough", "raw"),
     ),
     Section(
         "Forward model and simulation beside other simulators",
@@ -77,8 +78,8 @@ SECTIONS = (
     ),
     Section(
         "Processor time of a diagnosis",
-        "One core, each command in a process of its own, counted after its imports; beside each figure its bar, "
-        "and its ratio to a fixed workload, which says the same on a faster machine.",
+        "One core, each command in a process of its own, counted after its imports; beside each figure its "
+        "bar, and its ratio to a fixed workload, which says the same on a faster machine.",
         "bench_speed.py",
         ("demo", "cell", "aperiodic", "six", "eight"),
         ("demo",),
@@ -111,9 +112,9 @@ def page(*, quick: bool, runner: Callable[[Sequence[str]], Ran] = run) -> tuple[
     mode = " --quick" if quick else ""
     parts = [
         "# Benchmarks",
-        f"Made by `python benchmarks/run_all.py --page docs/reference/benchmarks.md{mode}`: what each benchmark "
-        "prints, under the command that prints it. Nothing here is written by hand. How to read the figures of "
-        "hidden causes: [hidden tests](../explanations/hidden-tests.md).",
+        f"Made by `python benchmarks/run_all.py --page docs/reference/benchmarks.md{mode}`: what each "
+        "benchmark prints, under the command that prints it. Nothing here is written by hand. How to read "
+        "the figures of hidden causes: [hidden tests](../explanations/hidden-tests.md).",
         machine(),
     ]
     if quick:
@@ -160,7 +161,7 @@ def processor() -> str:
 
 def shortened(printed: str, most: int) -> str:
     """Without lines at the end that nobody reads: ``most`` lines, the last says how many are left out."""
-    lines = [line.rstrip()[:200] for line in printed.strip().splitlines()]
+    lines = [line.rstrip()[:200] for line in printed.strip("\n").splitlines()]
     if len(lines) <= most:
         return "\n".join(lines)
     return "\n".join([*lines[:most], f"… ({len(lines) - most} lines more)"])
