@@ -53,8 +53,8 @@ SECTIONS = (
         "Hidden causes: what was hidden, what was said",
         "The generator hides one cause of the catalogue (or none, a pair, one outside the catalogue, a "
         "wrong number of masses) in a plant of its own; the diagnosis gets the recording alone. Trial n has "
-        "the seed start + n; `make_case(seed)` in `tests/hidden` makes it again. Sizes are in decibels over the "
-        "noise; −10 dB is still significant, because there are hundreds of lines.",
+        "the seed start + n; `make_case(seed)` in `tests/hidden` makes it again. Sizes are in decibels over "
+        "the noise; −10 dB is still significant, because there are hundreds of lines.",
         "bench_hidden.py",
         ("--trials", "300", "--start", "2500000", "--jobs", "1"),
         ("--trials", "60", "--start", "2500000", "--jobs", "1"),
