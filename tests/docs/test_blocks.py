@@ -2,8 +2,8 @@
 
 Run elsewhere: ``sh`` blocks of the pages in RUN_ELSEWHERE, Python blocks of those in PYTHON_RUN_ELSEWHERE.
 Run here: all other Python blocks, on results made for them. Parsed only: every ``invid …`` line of all pages,
-by the product's own argument parser (running them would take robots, clusters or brokers); what else stands in
-shell blocks, by ``bash -n``; YAML. Not checked: structured text, nginx and printed output.
+by the product's own argument parser (running them would take robots or clusters); what else stands in shell
+blocks, by ``bash -n``; YAML. Not checked: structured text, nginx and printed output.
 """
 
 from __future__ import annotations
