@@ -10,7 +10,7 @@ STAMP  := $(VENV)/.stamp-installed
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo test check bench pictures serve system-packages lock sbom clean
+.PHONY: demo test check bench docs pictures serve system-packages lock sbom clean
 
 demo: $(STAMP)
 	$(BIN)/invid demo --out invid-demo
@@ -28,8 +28,13 @@ check: $(STAMP)
 bench: $(STAMP)
 	$(BIN)/python benchmarks/run_all.py
 
+# The documentation site, offline, warnings are errors: build/docs/index.html.
+docs: $(STAMP)
+	$(BIN)/python -m sphinx -W --keep-going -q -b html docs build/docs
+
 pictures: demo
 	$(BIN)/python docs/pictures.py invid-demo docs/images
+	$(BIN)/python docs/gallery.py
 
 serve: $(STAMP)
 	$(BIN)/invid serve

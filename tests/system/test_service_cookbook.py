@@ -1,4 +1,7 @@
-"""The cookbook, executed: every ``sh`` block of docs/how-to/rest.md, in order, against ``invid serve``."""
+"""The cookbook, executed: every ``sh`` block of docs/how-to/rest.md, in order, against ``invid serve``.
+
+Then the Python of docs/how-to/rest-languages.md: its start has the key of the first run and answers with it.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +9,14 @@ import json
 import re
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 from service_process import serving
 
 COOKBOOK = Path(__file__).parents[2] / "docs" / "how-to" / "rest.md"
+LANGUAGES = COOKBOOK.with_name("rest-languages.md")
 pytestmark = pytest.mark.xdist_group("service")
 
 
@@ -31,6 +36,16 @@ def test_the_cookbook_runs_as_it_stands_and_finds_the_changed_tool(tmp_path: Pat
             timeout=550,
         )
         assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
+        (python,) = re.findall(r"^```python\n(.*?)^```", LANGUAGES.read_text(encoding="utf-8"), re.M | re.S)
+        asked = subprocess.run(
+            [sys.executable, "-c", python],
+            env={"INVID": service.url, "PATH": "/usr/bin:/bin", "NO_PROXY": "*"},
+            capture_output=True,
+            text=True,
+            timeout=200,
+        )
+        assert asked.returncode == 0, asked.stderr[-3000:]
+        assert asked.stdout.startswith("succeeded explained"), asked.stdout
     changes = json.loads((tmp_path / "changes.json").read_text())
     changed = {p["parameter"]: p for p in changes["parameters"] if p["status"] == "changed"}
     # 1.31 kg·m² was added to the end of A2 and nothing else was touched.

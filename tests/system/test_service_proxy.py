@@ -25,7 +25,7 @@ pytestmark = [
     ),
     pytest.mark.xdist_group("service"),
 ]
-# As in docs/how-to/rest.md.
+# As in docs/how-to/operate.md.
 CONFIG = """\
 daemon off;
 pid {folder}/nginx.pid;

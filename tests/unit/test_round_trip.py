@@ -25,7 +25,6 @@ from invid_drivers.cli import check, init
 from invid_drivers.round_trip import probe, require, sample
 
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "explanations" / "safety.md").read_text(encoding="utf-8")
 
 
 class SlowBus(can.BusABC):
