@@ -27,7 +27,7 @@ def register(app: typer.Typer) -> None:
         propose: bool = typer.Option(False, "--suggest", help="Print a first map, with reasons, and stop."),
         as_json: bool = typer.Option(False, "--json", help="One JSON document on stdout."),
     ) -> None:
-        """Measured data from elsewhere (CSV, MAT, Parquet, HDF5, CAN logs) to a recording."""
+        """Measured data from elsewhere (CSV, MAT, Parquet, HDF5, MDF, MCAP, CAN logs) to a recording."""
         from invid.recording.hdf5 import write_recording
         from invid.recording.import_map import load_map
         from invid.recording.import_source import import_source
@@ -63,6 +63,7 @@ def _print_suggestion(source: list[Path], chart: ImportMap | None, *, as_json: b
         "map": proposal.document,
         "reasons": list(proposal.reasons),
         "unsure": list(proposal.unsure),
+        "fill_in": proposal.asked,
     }
     emit(document, proposal.as_yaml(), as_json=as_json)
 

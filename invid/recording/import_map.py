@@ -80,6 +80,13 @@ class AxisMap(Strict):
     encoder_resolution: float | None = Field(default=None, gt=0)
     masses: int | None = Field(default=None, ge=1)
 
+    def channels(self) -> dict[str, Channel]:
+        """The channels that are given, by their field."""
+        fields = (
+            "position", "velocity", "torque", "torque_demand", "position_reference", "torque_feedforward",
+        )  # fmt: skip
+        return {f: c for f in fields if (c := getattr(self, f)) is not None}
+
     @model_validator(mode="after")
     def _one_motion(self) -> AxisMap:
         if (self.position is None) == (self.velocity is None):
@@ -97,7 +104,10 @@ class TimeMap(Strict):
     @model_validator(mode="after")
     def _one(self) -> TimeMap:
         if (self.column is None) == (self.sample_rate_hz is None):
-            raise ValueError("give either 'column' (with 'unit') or 'sample_rate_hz'")
+            raise ValueError(
+                "give either 'column' (with 'unit') or 'sample_rate_hz' (samples a second, where the "
+                "file has no time column)"
+            )
         return self
 
 
@@ -122,7 +132,7 @@ class Pdo(Strict):
 class Source(Strict):
     """How the file is to be read; whatever is left out is found out from the file."""
 
-    kind: Literal["csv", "mat", "parquet", "hdf5", "can_log"] | None = None
+    kind: Literal["csv", "mat", "parquet", "hdf5", "can_log", "mdf", "mcap"] | None = None
     delimiter: str | None = Field(default=None, min_length=1, max_length=1)
     decimal: Literal[".", ","] | None = None
     header_lines: int | None = Field(default=None, ge=0)
@@ -153,6 +163,8 @@ class ExperimentMap(Strict):
     """Periods left out at the start, before steady state."""
     frequencies_hz: list[float] = []
     hold_gain: list[float] | None = None
+    columns: dict[str | int, str | int] = {}
+    """Columns that this experiment has under other names: the map's column → the one to read instead."""
     attributes: dict[str, str | int | float | bool] = {}
     """Kept with the experiment; for the reader."""
 
@@ -177,6 +189,48 @@ class ImportMap(Strict):
     axes: list[AxisMap] = Field(min_length=1, max_length=64)
     experiments: list[ExperimentMap] = Field(default=[ExperimentMap()], min_length=1, max_length=1000)
     attributes: dict[str, str | int | float | bool] = {}
+
+    @model_validator(mode="after")
+    def _renamed(self) -> ImportMap:
+        known = {str(c) for c in self.columns()}
+        for number, entry in enumerate(self.experiments):
+            for old in entry.columns:
+                if str(old) not in known:
+                    raise ValueError(
+                        f"experiments.{number}.columns: {old!r} is no column of the map's time and axes; "
+                        f"those are {', '.join(sorted(known))}"
+                    )
+        return self
+
+    def columns(self) -> list[str | int]:
+        """Every column that the time and the axes name, in order."""
+        names: list[str | int] = [] if self.time.column is None else [self.time.column]
+        for axis in self.axes:
+            names += [channel.column for channel in axis.channels().values()]
+            names += [] if axis.status is None else [axis.status]
+        return names
+
+    def read_for(self, entry: ExperimentMap) -> ImportMap:
+        """The map with the columns that one experiment has under other names."""
+        if not entry.columns:
+            return self
+        new = {str(old): name for old, name in entry.columns.items()}
+        axes = []
+        for axis in self.axes:
+            changed: dict[str, object] = {
+                field: channel.model_copy(update={"column": new.get(str(channel.column), channel.column)})
+                for field, channel in axis.channels().items()
+            }
+            if axis.status is not None:
+                changed["status"] = new.get(str(axis.status), axis.status)
+            axes.append(axis.model_copy(update=changed))
+        column = self.time.column
+        time = (
+            self.time
+            if column is None
+            else self.time.model_copy(update={"column": new.get(str(column), column)})
+        )
+        return self.model_copy(update={"time": time, "axes": axes})
 
 
 def load_map(path: Path) -> ImportMap:

@@ -69,6 +69,7 @@ def guess_map(sources: Sequence[Path]) -> tuple[ImportMap, tuple[str, ...]]:
     """A map without a person's help and what it assumes: only where every column's name is plain."""
     path, proposal = suggest_map(sources, None)
     doubts = [u for u in proposal.unsure if not u.endswith("is assumed")]
+    doubts += [f"{key} is needed: {question}" for key, question in proposal.asked.items()]
     if doubts:
         raise InputError(
             f"{path}: cannot tell the columns without a map: {doubts[0]}; write a first map with "

@@ -17,7 +17,10 @@ from invid.errors import InputError
 from invid.numerics.arrays import Bool, Float64, UInt16, frozen, frozen_float
 from invid.recording.binary_table import read_hdf5_table, read_mat_table, read_parquet_table
 from invid.recording.check import check_recording
+from invid.recording.clocks import on_clock
 from invid.recording.import_map import AxisMap, Channel, ExperimentMap, ImportMap, Source
+from invid.recording.mcap_table import read_mcap_table
+from invid.recording.mdf_table import read_mdf_table
 from invid.recording.model import Experiment, Recording, nominal_sample_rate
 from invid.recording.rows import good_rows
 from invid.recording.tables import BrokenRow, Table
@@ -30,8 +33,12 @@ _KINDS = {
     ".csv": "csv", ".txt": "csv", ".tsv": "csv", ".dat": "csv",
     ".mat": "mat", ".parquet": "parquet", ".pq": "parquet",
     ".h5": "hdf5", ".hdf5": "hdf5", ".hdf": "hdf5",
+    ".mf4": "mdf", ".mdf": "mdf", ".mcap": "mcap",
     ".log": "can_log", ".asc": "can_log", ".blf": "can_log",
 }  # fmt: skip
+
+_STARTS = {b"\x89HDF\r\n\x1a\n": "hdf5", b"PAR1": "parquet", b"\x89MCAP0\r\n": "mcap", b"MDF     ": "mdf"}
+"""First bytes of files whose name does not tell."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,13 +62,17 @@ def read_table(path: Path, source: Source, *, beside: Path | None = None) -> Tab
     if not head:
         raise InputError(f"{path}: the file is empty")
     if kind is None:
-        kind = "hdf5" if head == b"\x89HDF\r\n\x1a\n" else "parquet" if head[:4] == b"PAR1" else "csv"
+        kind = next((k for start, k in _STARTS.items() if head.startswith(start)), "csv")
     if kind == "mat":
         return read_mat_table(path)
     if kind == "hdf5":
         return read_hdf5_table(path)
     if kind == "parquet":
         return read_parquet_table(path)
+    if kind == "mdf":
+        return read_mdf_table(path)
+    if kind == "mcap":
+        return read_mcap_table(path)
     if kind == "csv":
         return read_text_table(path, source)
     table: Table = _further_reader(kind, path)(path, source, beside=beside)
@@ -97,16 +108,24 @@ def import_files(
     broken: list[BrokenRow] = []
     warnings: list[str] = []
     rows = 0
-    tables: dict[Path, tuple[Table, Bool]] = {}
+    tables: dict[Path, Table] = {}
+    read: dict[tuple[Path, tuple[str | int, ...]], tuple[Table, Bool]] = {}
     for entry, path in _assign(sources, chart.experiments):
         if path not in tables:
-            table = read_table(path, chart.source, beside=beside)
-            good, skipped = good_rows(table, _needed(chart), chart.time.column, path)
-            tables[path] = (table, good)
-            broken += skipped
+            tables[path] = read_table(path, chart.source, beside=beside)
+        own = chart.read_for(entry)
+        needed = tuple(own.columns())
+        if (path, needed) not in read:
+            table, moved = _on_one_clock(tables[path], own)
+            # A feedforward may be logged in some of the files only.
+            there = [n for n in needed if n not in _feedforward(own) or n in table.columns]
+            good, skipped = good_rows(table, there, own.time.column, path)
+            read[path, needed] = (table, good)
+            broken += [b for b in skipped if b not in broken]
             rows += max(good.size, 1)
-        table, good = tables[path]
-        experiment, remarks = _experiment(f"{len(experiments):03d}", entry, table, good, chart, path)
+            warnings += [f"{path.name}: {m}" for m in moved]
+        table, good = read[path, needed]
+        experiment, remarks = _experiment(f"{len(experiments):03d}", entry, table, good, own, path)
         experiments.append(experiment)
         warnings += remarks
     for path in sources:
@@ -156,7 +175,7 @@ def _is_linear(chart: ImportMap) -> bool:
             unit = normal_unit(channel.unit)
             if unit in LINEAR[quantity]:
                 said[True] = f"{quantity} of {axis.name} in {channel.unit}"
-            elif unit not in ("raw", "counts", "A", "V", "%", "permille"):
+            elif unit not in ("raw", "counts", "A", "mA", "V", "%", "permille"):
                 said[False] = f"{quantity} of {axis.name} in {channel.unit}"
     if len(said) == 2:
         raise InputError(
@@ -203,13 +222,16 @@ def _assign(sources: Sequence[Path], entries: Sequence[ExperimentMap]) -> list[t
     return pairs
 
 
-def _needed(chart: ImportMap) -> list[str | int]:
-    names: list[str | int] = [] if chart.time.column is None else [chart.time.column]
-    for axis in chart.axes:
-        channels = (axis.position, axis.velocity, axis.torque, axis.torque_demand, axis.position_reference)
-        names += [c.column for c in channels if c is not None]
-        names += [] if axis.status is None else [axis.status]
-    return names
+def _feedforward(chart: ImportMap) -> set[str | int]:
+    return {a.torque_feedforward.column for a in chart.axes if a.torque_feedforward is not None}
+
+
+def _on_one_clock(table: Table, chart: ImportMap) -> tuple[Table, tuple[str, ...]]:
+    time = chart.time.column
+    if not table.clocks or not isinstance(time, str) or time not in table.clocks.values():
+        return table, ()
+    needed = [n for n in chart.columns() if isinstance(n, str) and n in table.columns]
+    return on_clock(table, time, needed)
 
 
 def _experiment(

@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 
 from invid.numerics.arrays import Float64
+from invid.recording.clocks import on_clock
+from invid.recording.drive_tools import named_by, tool_of
 from invid.recording.import_map import FORMAT, ImportMap
 from invid.recording.tables import Table
 from invid.recording.units import FACTORS, LINEAR, normal_unit
@@ -36,11 +38,16 @@ class _Axis:
 
 @dataclass(frozen=True)
 class Suggestion:
-    """A map with the reasons for it; ``unsure`` lists what a person must decide."""
+    """A map with the reasons for it.
+
+    ``unsure`` lists guesses that a person must judge, ``asked`` what the file cannot tell: key in the map →
+    question; such a key is null, and the map runs once it is filled in.
+    """
 
     document: dict[str, Any]
     reasons: tuple[str, ...]
     unsure: tuple[str, ...]
+    asked: dict[str, str] = field(default_factory=dict)
 
     def as_map(self) -> ImportMap:
         """The map, validated."""
@@ -51,6 +58,7 @@ class Suggestion:
         lines = ["# A first map, guessed by 'invid import --suggest'. Check every line before you trust it."]
         lines += [f"# - {r}" for r in self.reasons]
         lines += [f"# ? UNSURE: {u}" for u in self.unsure]
+        lines += [f"# ! FILL IN {key}: {question}" for key, question in self.asked.items()]
         return "\n".join(lines) + "\n" + _yaml(self.document, 0)
 
 
@@ -72,8 +80,14 @@ def _yaml(value: Any, depth: int) -> str:
 
 def suggest(table: Table, path: Path) -> Suggestion:
     """A first map for the columns of ``table``."""
-    reasons: list[str] = []
+    reasons: list[str] = list(table.reasons)
     unsure: list[str] = []
+    asked: dict[str, str] = {}
+    tool = tool_of(table.columns)
+    if tool:
+        reasons.append(f"the names are those of {tool}")
+    if table.clocks:
+        table = _one_clock(table, tool, unsure)
     document: dict[str, Any] = {"format": FORMAT, "format_version": 1, "robot": path.stem}
     if "pdos" in table.notes:
         document["source"] = {"pdos": table.notes["pdos"]}
@@ -85,9 +99,9 @@ def suggest(table: Table, path: Path) -> Suggestion:
         reasons.append("the file is delimited text: " + ", ".join(f"{k} {v!r}" for k, v in kept.items()))
         if table.units:
             document["source"]["names"] = list(table.columns)
-    document["time"], time_column = _time(table, reasons, unsure)
-    axes = _axes(table, time_column, reasons, unsure)
-    document["axes"] = [_axis(name, a, table, reasons, unsure) for name, a in axes.items()]
+    document["time"], time_column = _time(table, reasons, unsure, asked)
+    axes = _axes(table, time_column, tool, reasons, unsure)
+    document["axes"] = [_axis(name, a, table, tool, reasons, unsure, asked) for name, a in axes.items()]
     document["axes"] = [a for a in document["axes"] if a]
     experiment: dict[str, Any] = {"rows": [0, None], "role": "identify", "kind": "other"}
     if document["axes"]:
@@ -115,10 +129,36 @@ def suggest(table: Table, path: Path) -> Suggestion:
     rest = [n for n in table.columns if n != time_column and not any(f'"{n}"' in u for u in used)]
     if rest:
         reasons.append("left out: " + ", ".join(rest[:30]))
-    return Suggestion(document, tuple(reasons), tuple(unsure))
+    if document["axes"] and _motion_untold(document["axes"]):
+        document["motion"] = "rotary"
+        unsure.append("no unit tells a rotary from a linear machine: 'motion: rotary' is a guess")
+    return Suggestion(document, tuple(reasons), tuple(unsure), asked)
 
 
-def _time(table: Table, reasons: list[str], unsure: list[str]) -> tuple[dict[str, Any], str | None]:
+def _motion_untold(axes: list[dict[str, Any]]) -> bool:
+    said = [a[q]["unit"] for a in axes for q in ("position", "velocity", "torque") if q in a]
+    return all(u in ("counts", "A", "mA", "V", "%", "permille") for u in said)
+
+
+def _one_clock(table: Table, tool: str | None, unsure: list[str]) -> Table:
+    """The table by the clock of the first torque; motion that runs on another clock beside it."""
+    kinds = {n: _guess_quantity(n, tool) for n in table.clocks}
+    first = next((n for q in ("torque", "position", "velocity") for n, k in kinds.items() if k == q), None)
+    clock = table.clocks[first or next(iter(table.clocks))]
+    told = {k for n, k in kinds.items() if table.clocks[n] == clock}
+    wanted = (
+        []
+        if told & {"position", "velocity"}
+        else [n for n, k in kinds.items() if k in ("position", "velocity")]
+    )
+    table, moved = on_clock(table, clock, wanted)
+    unsure.extend(moved)
+    return table
+
+
+def _time(
+    table: Table, reasons: list[str], unsure: list[str], asked: dict[str, str]
+) -> tuple[dict[str, Any], str | None]:
     length = max(c.size for c in table.columns.values())
     rising = [
         n
@@ -127,10 +167,10 @@ def _time(table: Table, reasons: list[str], unsure: list[str]) -> tuple[dict[str
     ]
     named = [n for n in rising if re.match(_WORDS["time"], _words(n)[-1] if _words(n) else "")]
     candidates = named or [n for n in rising if _guess_quantity(n) is None]
-    chosen = candidates[0] if candidates else None
+    chosen = next(iter(table.clocks.values()), candidates[0] if candidates else None)
     if chosen is None:
-        unsure.append("no column rises like time: the sample rate 1000 Hz below is a placeholder")
-        return {"sample_rate_hz": 1000.0}, None
+        asked["time.sample_rate_hz"] = "no column rises like time; samples a second"
+        return {"sample_rate_hz": None}, None
     stated = table.units.get(chosen) or _unit_in_name(chosen)
     if stated and normal_unit(stated) in FACTORS["time"]:
         reasons.append(f"time is {chosen!r} in {stated}, as the file says")
@@ -149,6 +189,7 @@ def _time(table: Table, reasons: list[str], unsure: list[str]) -> tuple[dict[str
 
 def _words(name: str) -> list[str]:
     bare = re.sub(r"[\[(].*?[\])]", " ", name)
+    bare = re.sub(r"(?<=[a-z])(?=[A-Z][a-z])", " ", bare)  # ActPosition is two words
     return [w for w in re.split(r"[^a-zA-Zäöü]+", bare.lower()) if w]
 
 
@@ -164,7 +205,10 @@ def _family(name: str) -> str:
     return re.sub(r"\[\d+\]$", "[…]", name)
 
 
-def _guess_quantity(name: str) -> str | None:
+def _guess_quantity(name: str, tool: str | None = None) -> str | None:
+    known = named_by(tool, name)
+    if known is not None:
+        return known.quantity
     words = _words(name)
     for quantity in ("velocity", "torque", "position"):
         if any(re.match(_WORDS[quantity], w) for w in words if len(w) > 1 or w == "q"):
@@ -188,17 +232,20 @@ def _unit_in_name(name: str) -> str | None:
     return candidates[0] if candidates else None
 
 
-def _axes(table: Table, time_column: str | None, reasons: list[str], unsure: list[str]) -> dict[str, _Axis]:
+def _axes(
+    table: Table, time_column: str | None, tool: str | None, reasons: list[str], unsure: list[str]
+) -> dict[str, _Axis]:
     length = table.columns[time_column].size if time_column else max(c.size for c in table.columns.values())
     groups: dict[str, _Axis] = {}
     for name, column in table.columns.items():
         if name == time_column or column.size != length:
             continue
-        quantity = _guess_quantity(name)
+        quantity = _guess_quantity(name, tool)
         if quantity is None:
             continue
         words = _words(name)
-        demanded = any(re.match(_WORDS["demand"], w) for w in words)
+        known = named_by(tool, name)
+        demanded = known.demand if known else any(re.match(_WORDS["demand"], w) for w in words)
         digits = re.findall(r"\[(\d+)\]$", name) or re.findall(r"(\d+)\D*$", name)
         axis = groups.setdefault(digits[0] if digits else "", _Axis())
         slot = f"{quantity}_demand" if demanded else quantity
@@ -227,33 +274,47 @@ def _axes(table: Table, time_column: str | None, reasons: list[str], unsure: lis
     return named
 
 
-def _axis(name: str, axis: _Axis, table: Table, reasons: list[str], unsure: list[str]) -> dict[str, Any]:
+def _axis(
+    name: str,
+    axis: _Axis,
+    table: Table,
+    tool: str | None,
+    reasons: list[str],
+    unsure: list[str],
+    asked: dict[str, str],
+) -> dict[str, Any]:
     torque = axis.torque or axis.torque_demand
     motion = axis.position or axis.velocity
     if torque is None or motion is None:
         return {}
     quantity = "position" if axis.position else "velocity"
-    unit, sure = _unit(motion, quantity, table.columns[motion], table)
+    unit, sure = _unit(motion, quantity, table, tool)
     linear = unit in LINEAR[quantity]
     entry: dict[str, Any] = {"name": name, quantity: {"column": motion, "unit": unit}}
+    if unit == "counts":
+        entry[quantity]["per_count"] = None
+        asked[f"axes {name} {quantity}.per_count"] = (
+            "rad (or m) of one count: 2π / counts a turn of the motor"
+            + ("; per second" * (quantity == "velocity"))
+        )
     reasons.append(f"{name}: {quantity} is {motion!r} by its name, in {unit}")
     if not sure:
         unsure.append(f"unit of {motion!r} is not stated; {unit} is assumed")
-    torque_unit, sure = _unit(torque, "torque", table.columns[torque], table)
+    torque_unit, sure = _unit(torque, "torque", table, tool)
     if not sure:
         current = bool({"iq", "current", "strom"} & set(_words(torque)))
         torque_unit = "A" if current else "N" if linear else "N·m"
         unsure.append(f"unit of {torque!r} is not stated; {torque_unit} is assumed")
     channel: dict[str, Any] = {"column": torque, "unit": torque_unit}
     channel["meaning"] = "measured" if axis.torque else "demanded"
-    if torque_unit in ("A", "V"):
+    if torque_unit in ("A", "V", "mA"):
         channel["torque_constant"] = 1.0
         unsure.append(
             f"{torque!r} is in {torque_unit}: with torque_constant 1 all comes out per that constant"
         )
     if torque_unit in ("%", "permille"):
-        entry["rated_torque"] = 1.0
-        unsure.append(f"{torque!r} is in {torque_unit} of rated torque: give 'rated_torque'")
+        entry["rated_torque"] = None
+        asked[f"axes {name} rated_torque"] = f"{torque!r} is in {torque_unit} of it; N·m (or N)"
     entry["torque"] = channel
     reasons.append(f"{name}: torque is {torque!r} by its name, taken as {channel['meaning']}")
     if axis.torque and axis.torque_demand:
@@ -262,11 +323,14 @@ def _axis(name: str, axis: _Axis, table: Table, reasons: list[str], unsure: list
     return entry
 
 
-def _unit(name: str, quantity: str, column: Float64, table: Table) -> tuple[str, bool]:
-    stated = table.units.get(name) or _unit_in_name(name)
+def _unit(name: str, quantity: str, table: Table, tool: str | None) -> tuple[str, bool]:
+    known = named_by(tool, name)
+    stated = table.units.get(name) or _unit_in_name(name) or (known.unit if known else None)
     if stated:
         unit = normal_unit(stated)
-        if unit in FACTORS[quantity] or (quantity == "torque" and unit in ("A", "V", "%", "permille")):
+        if unit in FACTORS[quantity] or (quantity == "torque" and unit in ("A", "V", "mA", "%", "permille")):
+            return unit, True
+        if unit == "counts" and quantity != "torque":
             return unit, True
     return {"position": "rad", "velocity": "rad/s", "torque": "N·m"}[quantity], False
 

@@ -37,6 +37,10 @@ class Table:
         Column → unit as the file's own header states it.
     stamped
         Columns that held dates or times of day, read as seconds.
+    clocks
+        Column → the time column it was sampled by, where a file has several; else empty.
+    reasons
+        What the reader found out about the file, in words, for ``--suggest``.
     """
 
     name: str
@@ -48,6 +52,8 @@ class Table:
     rows_seen: int = 0
     units: Mapping[str, str] = field(default_factory=dict)
     stamped: frozenset[str] = frozenset()
+    clocks: Mapping[str, str] = field(default_factory=dict)
+    reasons: tuple[str, ...] = ()
 
     def column(self, key: str | int) -> Float64:
         """One column by name or index; InputError lists what there is."""

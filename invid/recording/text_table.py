@@ -13,6 +13,7 @@ import numpy as np
 from invid.errors import InputError
 from invid.numerics.arrays import Float64
 from invid.recording.import_map import Source
+from invid.recording.scope_export import is_scope_export, read_scope_export
 from invid.recording.tables import BrokenRow, Table
 from invid.recording.timestamps import DAY, past_midnight, seconds_of
 from invid.recording.units import FACTORS, normal_unit
@@ -27,6 +28,8 @@ def read_text_table(path: Path, source: Source) -> Table:
     """Columns of a text file; what ``source`` leaves open is found out and noted."""
     text = _decode(path, source.encoding)
     lines = text.splitlines()
+    if source.header_lines is None and source.names is None and is_scope_export(lines):
+        return read_scope_export(str(path), lines, _split, _number)
     numbered = [(i + 1, line) for i, line in enumerate(lines) if line.strip()]
     if source.header_lines is not None:
         numbered = [(n, line) for n, line in numbered if n > source.header_lines]
@@ -223,7 +226,16 @@ def _names(
 
 
 def _all_units(cells: list[str]) -> bool:
-    known = {u for table in FACTORS.values() for u in table} | {"A", "V", "%", "permille", "counts", "-", ""}
+    known = {u for table in FACTORS.values() for u in table} | {
+        "A",
+        "mA",
+        "V",
+        "%",
+        "permille",
+        "counts",
+        "-",
+        "",
+    }
     return all(normal_unit(c.strip("[]()")) in known for c in cells)
 
 

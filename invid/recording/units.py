@@ -59,7 +59,9 @@ _SPELLINGS = {
     "1/min": "rpm", "min-1": "rpm", "u/min": "rpm", "radians": "rad", "rad_per_s": "rad/s",
     "µm": "um", "μm": "um", "ampere": "A", "a": "A", "volt": "V", "v": "V",
     "percent": "%", "per mille": "permille", "‰": "permille", "per_mille": "permille",
-    "count": "counts", "inc": "counts", "turns": "rev",
+    "count": "counts", "inc": "counts", "cnt": "counts", "qc": "counts",
+    "cnt/s": "counts", "cnt/sec": "counts", "inc/s": "counts", "counts/s": "counts", "ma": "mA",
+    "turn": "rev", "turn/s": "rev/s", "turns/s": "rev/s", "turns": "rev",
 }  # fmt: skip
 
 
@@ -97,15 +99,16 @@ def factor(quantity: Quantity, unit: str, constants: MachineConstants, where: st
     if name == "counts" and quantity != "time":
         return _needed(constants.per_count, "per_count", unit, where)
     if quantity == "torque":
-        if name in ("A", "V"):
-            return _needed(constants.torque_constant, "torque_constant", unit, where)
+        if name in ("A", "V", "mA"):
+            size = 1e-3 if name == "mA" else 1.0
+            return size * _needed(constants.torque_constant, "torque_constant", unit, where)
         if name == "%":
             return 0.01 * _needed(constants.rated_torque, "rated_torque", unit, where)
         if name == "permille":
             return 0.001 * _needed(constants.rated_torque, "rated_torque", unit, where)
     known = [*FACTORS[quantity], "raw"]
     known += ["counts"] if quantity != "time" else []
-    known += ["A", "V", "%", "permille"] if quantity == "torque" else []
+    known += ["A", "mA", "V", "%", "permille"] if quantity == "torque" else []
     raise InputError(f"{where}: unit {unit!r} is no unit of {quantity}; known are {', '.join(known)}")
 
 

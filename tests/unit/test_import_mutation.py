@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import struct
 from pathlib import Path
 
@@ -19,7 +20,7 @@ from invid.recording import read_recording
 
 TIME = np.arange(400) * 0.002
 ANGLE, TORQUE = 0.1 * np.sin(19 * TIME), 2 * np.sin(19 * TIME + 0.3)
-KINDS = ["a.csv", "a.mat", "v73.mat", "a.h5", "a.parquet", "a.log", "a.asc", "a.blf"]
+KINDS = ["a.csv", "a.mat", "v73.mat", "a.h5", "a.parquet", "a.log", "a.asc", "a.blf", "a.mf4", "a.mcap"]
 MUTATIONS = 12
 
 
@@ -33,6 +34,23 @@ def sound(path: Path) -> dict[str, object]:
         savemat(path, columns)
     elif path.suffix == ".parquet":
         pyarrow.parquet.write_table(pyarrow.table(columns), path)
+    elif path.suffix == ".mf4":
+        asammdf = pytest.importorskip("asammdf", reason="asammdf is missing: pip install 'invid[mdf]'")
+        with asammdf.MDF(version="4.10") as file:
+            file.append([asammdf.Signal(v, TIME, name=n) for n, v in columns.items() if n != "t"])
+            file.save(path)
+        return {"time": {"column": "time", "unit": "s"}}
+    elif path.suffix == ".mcap":
+        writers = pytest.importorskip("mcap.writer", reason="mcap is missing: pip install 'invid[mcap]'")
+        with path.open("wb") as stream:
+            writer = writers.Writer(stream)
+            writer.start()
+            channel = writer.register_channel("", "json", writer.register_schema("s", "jsonschema", b"{}"))
+            for t, q, torque in zip(TIME, ANGLE, TORQUE, strict=True):
+                row = json.dumps({"q": q, "T": torque}).encode()
+                writer.add_message(channel, round(t * 1e9), row, round(t * 1e9))
+            writer.finish()
+        return {"time": {"column": "time of ", "unit": "s"}}
     elif path.suffix in (".mat", ".h5"):
         with h5py.File(path, "w", userblock_size=512 if path.suffix == ".mat" else 0) as file:
             for name, values in columns.items():
@@ -77,10 +95,11 @@ def test_a_damaged_file_is_read_or_refused_in_one_message(
 ) -> None:
     whole, out, chart = tmp_path / kind, tmp_path / "out.h5", tmp_path / "map.yaml"
     columns = sound(whole)
+    dot = "." if kind == "a.mcap" else ""
     axis = {
         "name": "A1",
-        "position": {"column": "q", "unit": "rad"},
-        "torque": {"column": "T", "unit": "N·m"},
+        "position": {"column": f"{dot}q", "unit": "rad"},
+        "torque": {"column": f"{dot}T", "unit": "N·m"},
     }
     chart.write_text(
         yaml.safe_dump(
@@ -91,7 +110,7 @@ def test_a_damaged_file_is_read_or_refused_in_one_message(
     assert run(["import", str(whole), "--map", str(chart), "-o", str(out)]) == 0
     assert read_recording(out).experiments[0].samples == TIME.size
     rng = np.random.default_rng(len(kind))
-    for number in range(MUTATIONS):
+    for number in range(MUTATIONS // 4 if kind == "a.mf4" else MUTATIONS):  # a process each
         out.unlink(missing_ok=True)
         whole.with_name(f"x{kind}").write_bytes(damaged(whole.read_bytes(), rng))
         capsys.readouterr()

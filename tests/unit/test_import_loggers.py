@@ -1,0 +1,280 @@
+"""What loggers and drive tools write: MDF, MCAP, scopes; two records in one file; what a map must ask."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from scipy.io import savemat
+
+from invid.cli.app import run
+from invid.recording import Recording, read_recording
+from invid.recording.import_map import parse_map
+from invid.recording.mcap_table import read_mcap_table
+
+RATE, COUNT = 500.0, 240
+TIME = np.arange(COUNT) / RATE
+ANGLE, TORQUE = 0.1 * np.sin(23 * TIME), 2 * np.sin(23 * TIME + 0.3)
+JOINT_STATE = """std_msgs/Header header
+string[] name
+float64[] position
+float64[] velocity
+float64[] effort
+================================================================================
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+================================================================================
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+"""
+
+
+def suggested(source: Path, capsys: pytest.CaptureFixture[str]) -> tuple[dict, dict[str, str]]:
+    """The map and what it asks for."""
+    capsys.readouterr()
+    assert run(["import", str(source), "--suggest", "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    return said["map"], said["fill_in"]
+
+
+def imported(source: Path, chart: dict) -> Recording:
+    path, out = source.parent / "map.yaml", source.parent / "out.h5"
+    path.write_text(yaml.safe_dump(chart, allow_unicode=True), encoding="utf-8")
+    assert run(["import", str(source), "--map", str(path), "-o", str(out)]) == 0
+    return read_recording(out)
+
+
+def holds(recording: Recording, angle=ANGLE, torque=TORQUE) -> None:
+    found = recording.experiments[0]
+    assert found.sample_rate_hz == pytest.approx(RATE, rel=1e-6)
+    assert found.position[:, 0] == pytest.approx(angle, abs=1e-6)
+    assert found.torque[:, 0] == pytest.approx(torque, abs=1e-6)
+
+
+def chart_of(time: dict, position: str, torque: str, experiments: list[dict]) -> dict:
+    axis = {
+        "name": "A1",
+        "position": {"column": position, "unit": "rad"},
+        "torque": {"column": torque, "unit": "N·m"},
+    }
+    return {"format": "invid-import-map", "time": time, "axes": [axis], "experiments": experiments}
+
+
+def test_two_records_of_one_file_under_different_names_are_two_experiments(tmp_path):
+    path = tmp_path / "bench.mat"
+    savemat(path, {"q_est": ANGLE, "u_est": TORQUE, "q_val": 2 * ANGLE[:100], "u_val": 2 * TORQUE[:100]})
+    renamed = {"q_est": "q_val", "u_est": "u_val"}
+    experiments = [{}, {"role": "validate", "columns": renamed}]
+    recording = imported(path, chart_of({"sample_rate_hz": RATE}, "q_est", "u_est", experiments))
+    holds(recording)
+    second = recording.experiments[1]
+    assert (str(second.role), second.samples) == ("validate", 100)
+    assert second.position[:, 0] == pytest.approx(2 * ANGLE[:100])
+    assert second.torque[:, 0] == pytest.approx(2 * TORQUE[:100])
+
+
+def test_columns_of_one_text_file_serve_two_experiments_and_a_wrong_name_is_told(tmp_path, capsys):
+    path = tmp_path / "bench.csv"
+    rows = [f"{t:.6f},{q:.9f},{u:.9f},{2 * q:.9f}" for t, q, u in zip(TIME, ANGLE, TORQUE, strict=True)]
+    path.write_text("\n".join(["t,q,u,q2", *rows]) + "\n", encoding="utf-8")
+    chart = chart_of({"column": "t"}, "q", "u", [{}, {"role": "validate", "columns": {"q": "q2"}}])
+    recording = imported(path, chart)
+    holds(recording)
+    assert recording.experiments[1].position[:, 0] == pytest.approx(2 * ANGLE, abs=1e-6)
+    chart["experiments"][1]["columns"] = {"Q": "q2"}
+    (tmp_path / "wrong.yaml").write_text(yaml.safe_dump(chart, allow_unicode=True), encoding="utf-8")
+    assert run(["import", str(path), "--map", str(tmp_path / "wrong.yaml"), "-o", "x.h5"]) == 2
+    said = capsys.readouterr().err
+    assert "'Q' is no column of the map's time and axes" in said
+    assert "q, t, u" in said
+
+
+def test_a_file_without_time_is_asked_for_its_rate_and_nothing_else(tmp_path, capsys):
+    path = tmp_path / "log.csv"
+    rows = [f"{q:.9f},{u:.9f}" for q, u in zip(ANGLE, TORQUE, strict=True)]
+    path.write_text("\n".join(["position_rad,torque_nm", *rows]) + "\n", encoding="utf-8")
+    chart, asked = suggested(path, capsys)
+    assert list(asked) == ["time.sample_rate_hz"]
+    (tmp_path / "map.yaml").write_text(yaml.safe_dump(chart, allow_unicode=True), encoding="utf-8")
+    assert run(["import", str(path), "--map", str(tmp_path / "map.yaml"), "-o", str(tmp_path / "x.h5")]) == 2
+    assert "sample_rate_hz" in capsys.readouterr().err
+    chart["time"]["sample_rate_hz"] = RATE
+    holds(imported(path, chart))
+
+
+def test_a_suggestion_as_yaml_names_the_line_to_fill_in(tmp_path, capsys):
+    path = tmp_path / "log.csv"
+    rows = [f"{t:.6f},{q * 1e4:.0f},{u:.9f}" for t, q, u in zip(TIME, ANGLE, TORQUE, strict=True)]
+    path.write_text("\n".join(["time,position [inc],torque [%]", *rows]) + "\n", encoding="utf-8")
+    assert run(["import", str(path), "--suggest"]) == 0
+    text = capsys.readouterr().out
+    assert "FILL IN axes A1 rated_torque" in text
+    text = text.replace('"per_count": null', '"per_count": 1e-4')
+    text = text.replace("rated_torque: null", "rated_torque: 100.0")
+    assert parse_map(text).motion == "rotary"
+    (tmp_path / "map.yaml").write_text(text, encoding="utf-8")
+    out = tmp_path / "x.h5"
+    assert run(["import", str(path), "--map", str(tmp_path / "map.yaml"), "-o", str(out)]) == 0
+    holds(read_recording(out), angle=np.round(ANGLE * 1e4) / 1e4)
+
+
+@pytest.mark.parametrize("separate", [False, True])
+def test_an_mdf_file_is_read_also_where_its_groups_have_clocks_of_their_own(tmp_path, capsys, separate):
+    asammdf = pytest.importorskip("asammdf", reason="asammdf is missing: pip install 'invid[mdf]'")
+    path = tmp_path / "log.mf4"
+    signal = asammdf.Signal
+    with asammdf.MDF(version="4.10") as file:
+        torque = signal(TORQUE, TIME, unit="Nm", name="motor_torque")
+        if separate:
+            fine = np.arange(-10, 10 * COUNT) / (10 * RATE)
+            angle = signal(0.1 * np.sin(23 * fine), fine, unit="rad", name="motor_position")
+            file.append([angle])
+            file.append([torque])
+        else:
+            file.append([signal(ANGLE, TIME, unit="rad", name="motor_position"), torque])
+        file.save(path)
+    chart, asked = suggested(path, capsys)
+    assert not asked
+    recording = imported(path, chart)
+    found = recording.experiments[0]
+    # Between instants 0.2 ms apart a straight line misses the sine by no more than (23·0.2 ms)²/8 of it.
+    kept = np.isin(np.round(TIME, 9), np.round(found.time, 9))
+    assert kept.sum() >= COUNT - 1
+    assert found.position[:, 0] == pytest.approx(ANGLE[kept], abs=0.1 * (23 * 2e-4) ** 2 / 8 + 1e-9)
+    assert found.torque[:, 0] == pytest.approx(TORQUE[kept], abs=1e-9)
+    assert ("interpolated" in capsys.readouterr().err) == separate
+
+
+@pytest.mark.parametrize("encoding", ["cdr", "json"])
+def test_joint_states_of_a_bag_are_read_by_their_own_stamps(tmp_path, capsys, encoding):
+    pytest.importorskip("mcap_ros2", reason="mcap-ros2-support is missing: pip install 'invid[mcap]'")
+    path = tmp_path / "bag.mcap"
+    bag(path, encoding)
+    chart, asked = suggested(path, capsys)
+    assert not asked
+    assert [a["name"] for a in chart["axes"]] == ["A1", "A2"]
+    recording = imported(path, chart)
+    holds(recording)
+    assert recording.experiments[0].position[:, 1] == pytest.approx(2 * ANGLE, abs=1e-9)
+    assert "joints of /joint_states in order: shoulder, elbow" in "".join(read_mcap_table(path).reasons)
+
+
+def bag(path: Path, encoding: str) -> None:
+    """Joint states stamped at TIME, logged up to 1 ms later."""
+    late = np.random.default_rng(3).integers(0, 1_000_000, COUNT)
+    began = 1_700_000_000_000_000_000
+    with path.open("wb") as stream:
+        if encoding == "cdr":
+            from mcap_ros2.writer import Writer
+
+            writer = Writer(stream)
+            schema = writer.register_msgdef("sensor_msgs/msg/JointState", JOINT_STATE)
+        else:
+            from mcap.writer import Writer as Plain
+
+            writer = Plain(stream)
+            writer.start()
+            schema = writer.register_schema("JointState", "jsonschema", b"{}")
+            channel = writer.register_channel("/joint_states", "json", schema)
+        for t, q, u, wait in zip(TIME, ANGLE, TORQUE, late, strict=True):
+            stamp = began + round(t * 1e9)
+            message = {
+                "header": {
+                    "stamp": {"sec": stamp // 10**9, "nanosec": stamp % 10**9},
+                    "frame_id": "",
+                },
+                "name": ["shoulder", "elbow"],
+                "position": [q, 2 * q],
+                "velocity": [0.0, 0.0],
+                "effort": [u, 2 * u],
+            }
+            logged = stamp + int(wait)
+            if encoding == "cdr":
+                writer.write_message("/joint_states", schema, message, log_time=logged, publish_time=logged)
+            else:
+                writer.add_message(channel, logged, json.dumps(message).encode(), logged)
+        writer.finish()
+
+
+@pytest.mark.parametrize(
+    ("name", "module", "line"),
+    [("a.mf4", "asammdf", "invid[mdf]"), ("a.mcap", "mcap_ros2.decoder", "invid[mcap]")],
+)
+def test_a_missing_package_is_told_with_the_line_that_installs_it(
+    tmp_path, capsys, monkeypatch, name, module, line
+):
+    monkeypatch.setitem(sys.modules, module, None)  # as find_spec and import see a package that is not there
+    (tmp_path / name).write_bytes(b"anything")
+    assert run(["import", str(tmp_path / name), "-o", str(tmp_path / "x.h5")]) == 2
+    assert f"pip install '{line}'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("comma", [False, True])
+@pytest.mark.parametrize("shared", [False, True])
+def test_a_scope_export_of_twincat_is_read_whichever_options_it_was_written_with(
+    tmp_path, capsys, comma, shared
+):
+    path = tmp_path / "scope.csv"
+    path.write_text(scope(comma=comma, shared=shared), encoding="utf-8")
+    chart, asked = suggested(path, capsys)
+    assert list(asked) == ["axes A1 rated_torque"]
+    chart["axes"][0]["rated_torque"] = 100.0
+    recording = imported(path, chart)
+    holds(recording)
+
+
+def scope(*, comma: bool, shared: bool) -> str:
+    """An export with position and torque at 2 ms and a slower temperature, as the scope lays it out."""
+    channels = [("ActPosition", "rad", 2, ANGLE), ("ActTorque", "%", 2, TORQUE), ("Temp", "(None)", 10, TIME)]
+    head: dict[str, list[str]] = {
+        k: [] for k in ("Name", "SymbolComment", "Data-Type", "SampleTime[ms]", "Unit")
+    }
+    columns: list[list[str]] = []
+    for number, (name, unit, step, values) in enumerate(channels):
+        own = len(values) // (step // 2)
+        if not (shared and number == 1):
+            for key in head:
+                head[key].append(key)
+            columns.append([f"{i * step}" for i in range(own)])
+        for key, cell in zip(head, (name, "", "LREAL", str(step), unit), strict=True):
+            head[key].append(cell)
+        columns.append([f"{v:.9f}" for v in values[:: step // 2][:own]])
+    rows = [[c[i] if i < len(c) else " " for c in columns] for i in range(COUNT)]
+    rows = [[cell.replace(".", ",") if comma else cell for cell in row] for row in rows]
+    lines = ["Name\tscope", "File\tC:\\a.csv", "Starttime of export\t132959733843760000\tMontag", "", ""]
+    lines += ["\t".join(cells) for cells in head.values()]
+    return "\n".join([*lines, "", *("\t".join(r) for r in rows), "EOF"]) + "\n"
+
+
+@pytest.mark.parametrize(
+    ("head", "per_count"),
+    [
+        ("Time [s],Position [cnt],Position Error [cnt],Reactive Current [A],Active Current [A]", 1e-6),
+        ("time,axis0.encoder.pos_estimate,a,axis0.motor.foc.Id_measured,axis0.motor.foc.Iq_measured", 0.0),
+    ],
+)  # fmt: skip
+def test_names_of_elmo_and_odrive_are_known(tmp_path, capsys, head, per_count):
+    path = tmp_path / "tool.csv"
+    size = per_count or 2 * np.pi
+    rows = [f"{t:.6f},{q / size:.9f},0.5,0.7,{u:.9f}" for t, q, u in zip(TIME, ANGLE, TORQUE, strict=True)]
+    path.write_text("\n".join([head, *rows]) + "\n", encoding="utf-8")
+    chart, asked = suggested(path, capsys)
+    assert list(asked) == (["axes A1 position.per_count"] if per_count else [])
+    if per_count:
+        chart["axes"][0]["position"]["per_count"] = per_count
+    recording = imported(path, chart)
+    holds(recording)
+
+
+def test_a_scope_export_whose_names_hold_the_separator_is_refused(tmp_path, capsys):
+    path = tmp_path / "scope.csv"
+    text = scope(comma=False, shared=True).replace("ActTorque", "Act Torque").replace(" \t", "\t")
+    path.write_text(text.replace("\t", " "), encoding="utf-8")
+    assert run(["import", str(path), "--suggest"]) == 2
+    assert "export it with another separator" in capsys.readouterr().err
