@@ -175,7 +175,8 @@ def growth(periods: int) -> Callable[[Path], None]:
 CASES: dict[str, Callable[[Path], None]] = {
     "plain": partial(cell, friction=(), faults=(), periods=2),
     "dry": partial(cell, friction=FRICTION[:1], faults=(), periods=2),
-    "demo": demo, "rubbing": partial(cell, faults=()), "cell": cell, "aperiodic": aperiodic, "bench": bench, "six": large(6), "eight": large(8),
+    "demo": demo, "rubbing": partial(cell, faults=()), "cell": cell,
+    "aperiodic": aperiodic, "bench": bench, "six": large(6), "eight": large(8),
     "growth40": growth(2), "growth80": growth(4), "growth160": growth(8), "help": lambda _: None,
 }  # fmt: skip
 
@@ -200,7 +201,8 @@ def helped() -> dict[str, Any]:
 
     subprocess.run([sys.executable, "-m", "invid", "--help"], check=True, stdout=subprocess.DEVNULL)
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return {"cpu_s": used.ru_utime + used.ru_stime, "peak_MB": used.ru_maxrss / 1024, "answer": [], "numpy": []}
+    seconds = used.ru_utime + used.ru_stime
+    return {"cpu_s": seconds, "peak_MB": used.ru_maxrss / 1024, "answer": [], "numpy": []}
 
 
 def timed(task: str, recording: Path, model: Path) -> dict[str, Any]:
