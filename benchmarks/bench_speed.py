@@ -6,12 +6,14 @@ Every command runs in a process of its own, bound to one core; counted is what i
 reference workload (FFTs, sorts and small solves) runs in the same process before it, so that the ratio says
 the same on a faster machine. ``--against`` prints the figures of an earlier table beside.
 
+plain, dry        three axes, 20 s an experiment: nothing hidden; dry friction on each
 demo              the demo's recording: three axes, dry and viscous friction on each
-cell              three axes, dry and viscous friction on each, a ripple and a gap besides
+rubbing, cell     three axes, 200 s, dry and viscous friction on each; a ripple and a gap besides
 aperiodic         one axis, 2 × 10 s at 2 kHz, chirps that do not repeat, friction at the motor, N unknown
 bench             a motor bench (../shared/data/flexible_drive), 20 periods of 2,500 samples, N unknown
 six, eight        identification of M = 6 and M = 8 axes of three masses, all shaken at once
 growth            identification of one axis, 40 s, 80 s and 160 s
+help              `invid --help`, imports and all
 """
 
 from __future__ import annotations
@@ -25,6 +27,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +40,7 @@ BARS = {
     ("demo", "identify"): 1.0, ("demo", "diagnose"): 5.0, ("cell", "identify"): 1.5,
     ("cell", "diagnose"): 15.0, ("aperiodic", "diagnose"): 15.0, ("bench", "diagnose"): 5.0,
     ("six", "identify"): 30.0,
-    ("eight", "identify"): 60.0,
+    ("eight", "identify"): 60.0, ("help", "help"): 0.3,
 }  # fmt: skip
 """CPU seconds; a diagnosis of ``aperiodic`` and ``bench`` identifies first, others start from the model."""
 ALONE = ("aperiodic", "bench")
@@ -55,8 +58,16 @@ def demo(place: Path) -> None:
     measure_to_file(load_config(CASE_STUDY), place)
 
 
-def cell(place: Path) -> None:
-    """Three axes of the paper's chains with friction on each, cogging on one and backlash in another."""
+FRICTION = (("coulomb_friction", 25.0), ("viscous_friction", 20.0))
+"""Laws at every motor, and how far they stand above the noise [dB]."""
+FAULTS = (("cogging", 0, 20.0), ("backlash", 2, 25.0))
+"""Further causes, their axes and the same."""
+
+
+def cell(
+    place: Path, *, friction: tuple[Any, ...] = FRICTION, faults: tuple[Any, ...] = FAULTS, periods: int = 4
+) -> None:
+    """Three axes of the paper's chains with friction on each, and faults besides."""
     from hidden.causes import CATALOGUE
     from hidden.generator import calibrated
     from hidden.measurement import Active, record
@@ -67,13 +78,13 @@ def cell(place: Path) -> None:
 
     rng = np.random.default_rng(25)
     plant = paper_plant(rng)
-    setup = draw_setup(rng, plant, moves=False, periods=4, from_rest=False, drive="sampled", noise=2e-3)
+    setup = draw_setup(rng, plant, moves=False, periods=periods, from_rest=False, drive="sampled", noise=2e-3)
     active: list[Active] = []
     for axis in range(3):
-        for name, target in (("coulomb_friction", 25.0), ("viscous_friction", 20.0)):
+        for name, target in friction:
             active.append(calibrated(rng, setup, CATALOGUE[name], axis, 1, -1, target))
-    active.append(calibrated(rng, setup, CATALOGUE["cogging"], 0, 1, -1, 20.0))
-    active.append(calibrated(rng, setup, CATALOGUE["backlash"], 2, 1, -1, 25.0))
+    for name, axis, target in faults:
+        active.append(calibrated(rng, setup, CATALOGUE[name], axis, 1, -1, target))
     recording, _, _ = record(rng, setup, tuple(active), [len(m) for m in plant.chains.masses])
     write_recording(recording, place)
 
@@ -162,8 +173,11 @@ def growth(periods: int) -> Callable[[Path], None]:
 
 
 CASES: dict[str, Callable[[Path], None]] = {
-    "demo": demo, "cell": cell, "aperiodic": aperiodic, "bench": bench, "six": large(6), "eight": large(8),
-    "growth40": growth(2), "growth80": growth(4), "growth160": growth(8),
+    "plain": partial(cell, friction=(), faults=(), periods=2),
+    "dry": partial(cell, friction=FRICTION[:1], faults=(), periods=2),
+    "demo": demo, "rubbing": partial(cell, faults=()), "cell": cell,
+    "aperiodic": aperiodic, "bench": bench, "six": large(6), "eight": large(8),
+    "growth40": growth(2), "growth80": growth(4), "growth160": growth(8), "help": lambda _: None,
 }  # fmt: skip
 
 
@@ -181,6 +195,16 @@ def reference() -> float:
     return time.process_time() - started
 
 
+def helped() -> dict[str, Any]:
+    """What the command uses to print its help, from its start."""
+    import resource
+
+    subprocess.run([sys.executable, "-m", "invid", "--help"], check=True, stdout=subprocess.DEVNULL)
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    seconds = used.ru_utime + used.ru_stime
+    return {"cpu_s": seconds, "peak_MB": used.ru_maxrss / 1024, "answer": [], "numpy": []}
+
+
 def timed(task: str, recording: Path, model: Path) -> dict[str, Any]:
     """Runs one task in this process, bound to one core; what it used and what it answered."""
     os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
@@ -193,6 +217,8 @@ def timed(task: str, recording: Path, model: Path) -> dict[str, Any]:
     from invid.recording import read_recording
 
     yardstick = reference()
+    if task == "help":
+        return {**helped(), "reference_s": yardstick}
     data = read_recording(recording)
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
@@ -215,12 +241,12 @@ def timed(task: str, recording: Path, model: Path) -> dict[str, Any]:
 def run(case: str, cache: Path, seconds: float) -> dict[str, dict[str, Any]]:
     """All tasks of a case, each in a process of its own."""
     recording, model = cache / f"{case}.h5", cache / f"{case}.model.json"
-    if not recording.exists():
+    if case != "help" and not recording.exists():
         print(f"{case}: making the recording", file=sys.stderr, flush=True)
         CASES[case](recording)
     model.unlink(missing_ok=True)
-    tasks = ["diagnose"] if case in ALONE else ["identify"]
-    tasks += ["diagnose"] if case not in (*ALONE, *IDENTIFIED) else []
+    tasks = ["diagnose"] if case in ALONE else ["help" if case == "help" else "identify"]
+    tasks += ["diagnose"] if case not in (*ALONE, *IDENTIFIED, "help") else []
     found = {}
     threads = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     path = os.pathsep.join(str(ROOT / p) for p in (".", "drivers", "service"))

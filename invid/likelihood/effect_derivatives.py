@@ -9,7 +9,8 @@ import numpy as np
 from invid.effects.effect import ImpedanceEffect
 from invid.effects.motion import View
 from invid.likelihood.inner_motion import learned
-from invid.likelihood.law_response import Change, direct_changes, respond, slopes_of
+from invid.likelihood.law_response import direct_changes, respond
+from invid.likelihood.law_slopes import Change, slopes_of
 from invid.likelihood.nuisance.transients import of_jumps
 from invid.likelihood.placed_effect import Candidate, Term, contributions, forces_of, rattling
 from invid.numerics.arrays import Complex128, Float64
@@ -26,7 +27,7 @@ def response_columns(
     strong: bool,
 ) -> bool:
     """Fills in the columns of the effects, and with ``strong`` adds to those of the linear parameters what
-    the laws change by with the inner motion; False where a law has no slope by itself (``law_response``).
+    the laws change by with the inner motion; False where a law has no slope by itself (``law_slopes``).
 
     The first ``linear`` of ``columns`` (F, M, n) hold the derivatives at fixed forces.
     """

@@ -9,23 +9,16 @@ the reversals before and after is left out: it is beyond the band, and the searc
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
-from typing import Protocol
 
 import numpy as np
 
-from invid.effects.effect import ForceEffect, ImpedanceEffect
-from invid.effects.laws.beyond_band import PASSES as BEYOND_PASSES
-from invid.effects.laws.beyond_band import answer, beyond_band
-from invid.effects.laws.sign import DryLaw
+from invid.effects.effect import ImpedanceEffect
 from invid.effects.motion import View, along
+from invid.likelihood.law_slopes import Change, Slope
 from invid.likelihood.placed_effect import Candidate, Term, law_part, law_parts, together
-from invid.model.place import Pattern
 from invid.numerics.anderson import Secants
-from invid.numerics.arrays import Bool, Complex128, Float64
+from invid.numerics.arrays import Complex128, Float64
 
-STEP = 1e-6
-"""Difference of a sample of motion, over the rms of the motion, that a local law's slope is taken with."""
 PASSES = 12
 """Substitutions at most; with what each has taught the next, two or three are enough for weak effects."""
 PLAIN = 4
@@ -33,215 +26,25 @@ PLAIN = 4
 CLOSE = 1e-3
 """Disagreement over what was asked for, column by column, that a derivative may have: as good as a
 difference, and a step of the search needs no more."""
-
-
-class _Slope(Protocol):
-    """A law around the motion there is: the force that a change of motion makes."""
-
-    def force(self, view: View, change: Change, inner: Complex128, jumps: Float64) -> Complex128:
-        """(F, P) lines of the force along the place."""
-        ...
-
-
-@dataclass(frozen=True, eq=False)
-class Change:
-    """What P parameters change at the forces there are."""
-
-    base: Complex128
-    """(F, ΣN, P) motion of the linear plant."""
-    missing: Complex128
-    """(F, M, P) missing torque of it."""
-    springs: Float64
-    """(springs, P), stiffness; ``dampers`` (springs, P)."""
-    dampers: Float64
-    total: Complex128
-    """(F, M, P) what the effects contribute."""
-    back: Complex128
-    """(F, ΣN, P) inner motion that follows from it."""
-
-    def only(self, columns: Bool) -> Change:
-        """Some of the parameters."""
-        return Change(*(getattr(self, f.name)[..., columns] for f in fields(self)))
-
-
-def slopes_of(view: View, candidate: Candidate) -> list[tuple[Term, _Slope]] | None:
-    """The laws that feel inner motion, each around the motion there is; ``None`` where one of them has no
-    slope by itself: it remembers, or is read from the torque."""
-    out: list[tuple[Term, _Slope]] = []
-    for term, x in zip(candidate.terms, candidate.x, strict=True):
-        effect = term.effect
-        if isinstance(effect, ImpedanceEffect):
-            if not effect.steady:
-                return None
-        elif term.feels(view):
-            slope = _slope(view, term, x)
-            if slope is None:
-                return None
-            out.append((term, slope))
-    return out
-
-
-def _slope(view: View, term: Term, x: Float64) -> _Slope | None:
-    effect, place = term.effect, term.place
-    if view.record.lines[-1] * 2 >= view.record.samples:
-        return None
-    if isinstance(effect, DryLaw) and (share := effect.holding(view, place, x.tolist())) is not None:
-        return _Holding.of(view, share, place.axis)
-    if not (isinstance(effect, ForceEffect) and effect.local and term.inner):
-        return None
-    return _Local.of(view, effect, term, x)
-
-
-@dataclass(frozen=True, eq=False)
-class _Holding:
-    """Friction that holds a motor: where it stands, the torque of its spring, as far as it is not beyond."""
-
-    pattern: Pattern
-    spring: int
-    phase: Complex128
-    """(m, F) e^{jωt} at the samples at which it holds."""
-    share: Float64
-    """(m,) of each sample."""
-    time: Float64
-    ends: tuple[bool, bool]
-    """Whether the first and the last sample of the record are among them."""
-    wave: Float64
-    rate: Float64
-
-    @classmethod
-    def of(cls, view: View, share: Float64, axis: int) -> _Holding | None:
-        """``share`` (n,) of each sample in which friction takes whatever acts."""
-        structure, record = view.structure, view.record
-        at = structure.motor_dofs[axis]
-        if structure.sizes[axis] == 1:
-            share = np.zeros_like(share)  # what acts is the drive's torque alone
-        rows = np.flatnonzero(share)
-        pattern: Pattern = ((at + 1, 1.0), (at, -1.0))
-        spring = structure.spring_pairs.index((at, at + 1)) if structure.sizes[axis] > 1 else 0
-        return cls(
-            pattern,
-            spring,
-            np.exp((2j * np.pi / record.samples) * rows[:, None] * record.lines),
-            share[rows],
-            record.wave_time[rows],
-            (bool(rows.size) and rows[0] == 0, bool(rows.size) and rows[-1] == record.samples - 1),
-            view.wave(pattern)[rows] if rows.size else np.zeros(0),
-            view.velocity(pattern)[rows] if rows.size else np.zeros(0),
-        )
-
-    def force(self, view: View, change: Change, inner: Complex128, jumps: Float64) -> Complex128:
-        record, omega = view.record, view.omega
-        if not self.share.size:
-            return np.zeros((omega.size, inner.shape[-1]), dtype=complex)
-        k, d = float(view.springs[self.spring]), float(view.dampers[self.spring])
-        lines, wander = _motion(view, self.pattern, inner, jumps)
-        torque = (self.phase @ ((k + 1j * omega * d)[:, None] * lines)).real
-        torque += (k * self.time + d)[:, None] * wander
-        torque += self.wave[:, None] * change.springs[self.spring]
-        torque += self.rate[:, None] * change.dampers[self.spring]
-        held = self.share[:, None] * torque
-        out: Complex128 = (self.phase.conj().T @ held) * (2.0 / record.samples)
-        if record.transient:
-            first, last = held[0] * self.ends[0], held[-1] * self.ends[1]
-            out = out + (last - first) / record.samples
-        out[0] *= 0.5
-        return out / view.smear[:, None]
-
-
-@dataclass(frozen=True, eq=False)
-class _Local:
-    """A law of the motion at the same time, or at the samples beside it, beyond the band too."""
-
-    pattern: Pattern
-    smeared: bool
-    compliance: Float64 | None
-    position: tuple[Float64, Float64, Float64]
-    """(n,) each: change of the force at the sample before, at and after the one that moves."""
-    velocity: tuple[Float64, Float64, Float64]
-
-    @classmethod
-    def of(cls, view: View, effect: ForceEffect, term: Term, x: Float64) -> _Local:
-        count, pattern = len(effect.coefficients), term.place.pattern(view.structure)
-        kept = dict(view._waves)
-        waves = {rate: (view.velocity if rate else view.wave)(pattern) for rate in (False, True)}
-
-        def law() -> Float64:
-            out: Float64 = effect.law(view, term.place, x[count:].tolist()) @ x[:count]
-            return out
-
-        compliance = beyond_band(view, term.place) if effect.answered else None
-        if compliance is not None:
-            view.hide(pattern, answer(view, pattern, compliance, law)[1])
-        rest = law()
-        found = []
-        for rate in (False, True):
-            wave = waves[rate]
-            length = STEP * max(float(np.sqrt(np.mean(wave**2))), 1e-300)
-            at, before, after = (np.zeros(wave.size) for _ in range(3))
-            for mask in _apart(wave.size):
-                view._waves[(pattern, rate)] = wave + length * mask
-                change = (law() - rest) / length
-                moved = np.flatnonzero(mask)
-                at[moved] = change[moved]
-                before[moved] = change[moved - 1]
-                after[moved] = change[(moved + 1) % wave.size]
-            view._waves[(pattern, rate)] = wave
-            found.append((before, at, after))
-        view._waves = kept
-        view.hide(pattern, None)
-        return cls(pattern, effect.smeared, compliance, found[0], found[1])
-
-    def force(self, view: View, change: Change, inner: Complex128, jumps: Float64) -> Complex128:
-        record, own = view.record, 1j * view.omega[:, None]
-        lines, wander = _motion(view, self.pattern, inner, jumps)
-        position = record.to_waves(lines) + record.wave_time[:, None] * wander
-        force = seen = self._along(position, record.to_waves(own * lines) + wander)
-        if self.compliance is not None:
-            rate = 1j * record.wave_omega[:, None]
-            for _ in range(BEYOND_PASSES):
-                hidden = -self.compliance[:, None] * np.fft.rfft(force, axis=0)
-                more = (np.fft.irfft(h, record.samples, axis=0) for h in (hidden, rate * hidden))
-                force = 0.5 * (force + seen + self._along(*more))
-        return view.to_lines(force, smeared=self.smeared)
-
-    def _along(self, position: Float64, velocity: Float64) -> Float64:
-        """(n, P) force for a change of motion over time."""
-        force = np.zeros_like(position)
-        for wave, (before, at, after) in ((position, self.position), (velocity, self.velocity)):
-            force += at[:, None] * wave
-            for slope, shift in ((before, -1), (after, 1)):
-                if slope.any():
-                    force += np.roll(slope[:, None] * wave, shift, axis=0)
-        return force
-
-
-def _apart(count: int) -> list[Float64]:
-    """Masks (n,) whose samples have two others between them, around the end too."""
-    number = np.arange(count) % 3
-    for k in range(count % 3):
-        number[count - 1 - k] = 3 + k
-    return [(number == k).astype(float) for k in np.unique(number)]
-
-
-def _motion(view: View, pattern: Pattern, inner: Complex128, jumps: Float64) -> tuple[Complex128, Float64]:
-    """(F, P) lines along a place, and (P,) the rate at which it wanders besides."""
-    lines = along(pattern, inner)
-    if view.closing is None:
-        return lines, np.zeros(inner.shape[-1])
-    slopes = jumps[: inner.shape[1]] / view.record.span
-    wander = np.asarray(sum(sign * slopes[at] for at, sign in pattern))
-    return lines + along(pattern, view.closing.inner) @ jumps - view.slope * wander, wander
+MOST = 1500
+"""Real numbers of the laws' forces up to which the equations are solved at once: a third of a second."""
 
 
 def respond(
-    view: View, candidate: Candidate, slopes: Sequence[tuple[Term, _Slope]], change: Change
+    view: View, candidate: Candidate, slopes: Sequence[tuple[Term, Slope]], change: Change
 ) -> Complex128:
-    """(F, M, P) what the effects contribute once inner motion has followed the ``change``.
+    """(F, M, P) what the effects contribute once inner motion has followed the ``change``."""
+    linear = _Linear(view, candidate, slopes)
+    solved = linear.solved(change)
+    return _substituted(view, linear, change) if solved is None else solved
+
+
+def _substituted(view: View, linear: _Linear, change: Change) -> Complex128:
+    """The same by substitutions.
 
     The view's secants start the substitutions; each pass teaches the next (Anderson's mixing over all columns
     together, because all have the same matrix).
     """
-    linear = _Linear(view, candidate, slopes)
     columns = change.base.shape[-1]
     active = np.arange(columns)
     state = np.zeros((linear.rows, columns))
@@ -275,9 +78,12 @@ def _taught(secants: Secants, moves: Float64, changes: Float64) -> Secants:
 class _Linear:
     """The laws and the plant around the motion there is, as a linear map of inner motion and jumps."""
 
-    def __init__(self, view: View, candidate: Candidate, slopes: Sequence[tuple[Term, _Slope]]) -> None:
+    def __init__(self, view: View, candidate: Candidate, slopes: Sequence[tuple[Term, Slope]]) -> None:
         self._view, self._slopes = view, slopes
         self._lines, self._coordinates = view.base.shape
+        patterns = [t.place.pattern(view.structure) for t, _ in slopes]
+        self._pushes = np.stack([view.push(p) for p in patterns], axis=-1)
+        self._gives = np.stack([view.yields(p) for p in patterns], axis=-1)
         self._unit: Float64 = view.closing.unit if view.closing is not None else np.zeros(0)
         self._patterns = tuple(
             t.place.pattern(view.structure)
@@ -285,6 +91,8 @@ class _Linear:
             if t.place.kind != "axis" and t.effect.along_pattern
         )
         self._gain = view.correction_gain(self._patterns) if slopes and self._patterns else None
+        if self._gain is not None:
+            self._corrected = np.stack([view.yields(p) for p in self._patterns], axis=-1)
         pairs = zip(candidate.terms, candidate.x, strict=True)
         self._impedances = [
             (t.effect.impedance(view, t.place, x.tolist()), t.place.pattern(view.structure))
@@ -312,26 +120,9 @@ class _Linear:
         halves = state[:lines].reshape(self._lines, self._coordinates, 2, columns)
         feedback = halves[:, :, 0] + 1j * halves[:, :, 1]
         jumps = state[lines:] / self._unit[:, None]
-        own: Complex128 = np.zeros_like(change.total)
-        back: Complex128 = np.zeros_like(change.back)
         inner = change.base + feedback
-        for term, slope in self._slopes:
-            force = slope.force(view, change, inner, jumps)
-            pattern = term.place.pattern(view.structure)
-            own += view.push(pattern)[:, :, None] * force[:, None, :]
-            back -= view.yields(pattern)[:, :, None] * force[:, None, :]
-        if self._impedances:
-            asked = np.stack([z[:, None] * along(p, back) for z, p in self._impedances], axis=1)
-            forces = self._meet @ asked
-            own += self._push @ forces
-            back -= self._yields @ forces
-        if self._gain is not None:
-            rest = change.missing + own
-            if view.closing is not None:
-                rest = rest + view.closing.torque @ view.closing.follow(rest)
-            forces = self._gain @ rest
-            for k, pattern in enumerate(self._patterns):
-                back -= view.yields(pattern)[:, :, None] * forces[:, k, None, :]
+        forces = np.stack([slope.force(view, change, inner, jumps) for _, slope in self._slopes], axis=1)
+        own, back = self._followed(forces, change.missing)
         total, back = own + change.total, back + change.back
         gap = np.empty_like(state)
         disagree = back - feedback
@@ -340,6 +131,57 @@ class _Linear:
             followed = view.closing.follow(change.missing + total)
             gap[lines:] = (followed - jumps) * self._unit[:, None]
         return total, gap
+
+    def _followed(self, forces: Complex128, missing: Complex128) -> tuple[Complex128, Complex128]:
+        """(F, M, P) contributions and (F, ΣN, P) inner motion with ``forces`` (F, laws, P) of the laws, where
+        the linear model misses ``missing`` (F, M, P)."""
+        view = self._view
+        own: Complex128 = self._pushes @ forces
+        back: Complex128 = -(self._gives @ forces)
+        if self._impedances:
+            asked = np.stack([z[:, None] * along(p, back) for z, p in self._impedances], axis=1)
+            met = self._meet @ asked
+            own += self._push @ met
+            back -= self._yields @ met
+        if self._gain is not None:
+            rest = missing + own
+            if view.closing is not None:
+                rest = rest + view.closing.torque @ view.closing.follow(rest)
+            back -= self._corrected @ (self._gain @ rest)
+        return own, back
+
+    def solved(self, change: Change) -> Complex128 | None:
+        """(F, M, P) contributions in agreement with inner motion, solved at once; ``None`` where a law is no
+        product over time, or the equations are too many."""
+        if self._view.closing is not None:
+            return None
+        parts = [slope.factors(self._view, change) for _, slope in self._slopes]
+        taken = [f for f in parts if f is not None]
+        ends = np.cumsum([0, *(f.direct.shape[0] for f in taken)])
+        if len(taken) < len(parts) or ends[-1] > MOST:
+            return None
+        laws, lines = len(taken), self._lines
+        unit = np.broadcast_to(np.eye(laws, dtype=complex), (lines, laws, laws))
+        own, back = self._followed(unit, np.zeros((lines, change.missing.shape[1], laws), dtype=complex))
+        nothing = np.zeros((lines, laws, change.base.shape[-1]), dtype=complex)
+        _, apart = self._followed(nothing, change.missing)
+        moved = change.base + apart + change.back
+        matrix, target = np.eye(ends[-1]), np.empty((ends[-1], change.base.shape[-1]))
+        for k, (_, slope) in enumerate(self._slopes):
+            rows = slice(ends[k], ends[k + 1])
+            answer = along(slope.pattern, back)
+            target[rows] = (taken[k].read @ along(slope.pattern, moved)).real + taken[k].direct
+            for n, other in enumerate(taken):
+                matrix[rows, ends[n] : ends[n + 1]] -= (
+                    taken[k].read @ (answer[:, n, None] * other.made)
+                ).real
+        try:
+            between = np.linalg.solve(matrix, target)
+        except np.linalg.LinAlgError:
+            return None
+        forces = np.stack([f.made @ between[ends[k] : ends[k + 1]] for k, f in enumerate(taken)], axis=1)
+        out: Complex128 = own @ forces + change.total
+        return out
 
 
 def direct_changes(

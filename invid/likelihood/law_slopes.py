@@ -1,0 +1,339 @@
+"""Laws around the motion there is: what a change of inner motion does to their forces.
+
+Where a record closes, a law of the motion at the same time is a product over time and so a convolution over
+the lines: a Toeplitz and a Hankel matrix, both from one Fourier transform of its slope.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from typing import Protocol
+
+import numpy as np
+
+from invid.effects.catalogue.backlash import Backlash, spring_index
+from invid.effects.effect import ForceEffect, ImpedanceEffect
+from invid.effects.laws.beyond_band import PASSES as BEYOND_PASSES
+from invid.effects.laws.beyond_band import answer, beyond_band
+from invid.effects.laws.sign import DryLaw, clip_law
+from invid.effects.motion import View, along
+from invid.likelihood.placed_effect import Candidate, Term
+from invid.model.place import Pattern
+from invid.numerics.arrays import Bool, Complex128, Float64
+
+STEP = 1e-6
+"""Difference of a sample of motion, over the rms of the motion, that a local law's slope is taken with."""
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """What P parameters change at the forces there are."""
+
+    base: Complex128
+    """(F, ΣN, P) motion of the linear plant."""
+    missing: Complex128
+    """(F, M, P) missing torque of it."""
+    springs: Float64
+    """(springs, P), stiffness; ``dampers`` (springs, P)."""
+    dampers: Float64
+    total: Complex128
+    """(F, M, P) what the effects contribute."""
+    back: Complex128
+    """(F, ΣN, P) inner motion that follows from it."""
+
+    def only(self, columns: Bool) -> Change:
+        """Some of the parameters."""
+        return Change(*(getattr(self, f.name)[..., columns] for f in fields(self)))
+
+
+@dataclass(frozen=True, eq=False)
+class Factors:
+    """A slope taken apart: f = made · (Re(read · u) + direct), with u (F,) the change of the motion that it
+    reads, f (F,) that of the force, and r numbers between."""
+
+    read: Complex128
+    """(r, F)."""
+    made: Complex128
+    """(F, r)."""
+    direct: Float64
+    """(r, P) what the springs and dampers themselves change."""
+
+
+class Slope(Protocol):
+    """A law around the motion there is: the force that a change of motion makes."""
+
+    def force(self, view: View, change: Change, inner: Complex128, jumps: Float64) -> Complex128:
+        """(F, P) lines of the force along the place."""
+        ...
+
+    @property
+    def pattern(self) -> Pattern:
+        """Where it reads motion."""
+        ...
+
+    def factors(self, view: View, change: Change) -> Factors | None:
+        """The same where the record closes; ``None`` where that is no product over time."""
+        ...
+
+
+def slopes_of(view: View, candidate: Candidate) -> list[tuple[Term, Slope]] | None:
+    """The laws that feel inner motion, each around the motion there is; ``None`` where one of them has no
+    slope by itself: it remembers, or is read from the torque."""
+    out: list[tuple[Term, Slope]] = []
+    for term, x in zip(candidate.terms, candidate.x, strict=True):
+        effect = term.effect
+        if isinstance(effect, ImpedanceEffect):
+            if not effect.steady:
+                return None
+        elif term.feels(view):
+            slope = _slope(view, term, x)
+            if slope is None:
+                return None
+            out.append((term, slope))
+    return out
+
+
+def _slope(view: View, term: Term, x: Float64) -> Slope | None:
+    effect, place = term.effect, term.place
+    if view.record.lines[-1] * 2 >= view.record.samples:
+        return None
+    if isinstance(effect, DryLaw) and (share := effect.holding(view, place, x.tolist())) is not None:
+        return _Holding.of(view, share, place.axis)
+    if type(effect) is Backlash and not view.record.transient:
+        return _Gap.of(view, term, float(np.exp(x[0])))
+    if not (isinstance(effect, ForceEffect) and effect.local and term.inner):
+        return None
+    return _Local.of(view, effect, term, x)
+
+
+@dataclass(frozen=True, eq=False)
+class _Holding:
+    """Friction that holds a motor: where it stands, the torque of its spring, as far as it is not beyond."""
+
+    pattern: Pattern
+    spring: int
+    phase: Complex128
+    """(m, F) e^{jωt} at the samples at which it holds."""
+    share: Float64
+    """(m,) of each sample."""
+    time: Float64
+    ends: tuple[bool, bool]
+    """Whether the first and the last sample of the record are among them."""
+    wave: Float64
+    rate: Float64
+
+    @classmethod
+    def of(cls, view: View, share: Float64, axis: int) -> _Holding | None:
+        """``share`` (n,) of each sample in which friction takes whatever acts."""
+        structure, record = view.structure, view.record
+        at = structure.motor_dofs[axis]
+        if structure.sizes[axis] == 1:
+            share = np.zeros_like(share)  # what acts is the drive's torque alone
+        rows = np.flatnonzero(share)
+        pattern: Pattern = ((at + 1, 1.0), (at, -1.0))
+        spring = structure.spring_pairs.index((at, at + 1)) if structure.sizes[axis] > 1 else 0
+        return cls(
+            pattern,
+            spring,
+            np.exp((2j * np.pi / record.samples) * rows[:, None] * record.lines),
+            share[rows],
+            record.wave_time[rows],
+            (bool(rows.size) and rows[0] == 0, bool(rows.size) and rows[-1] == record.samples - 1),
+            view.wave(pattern)[rows] if rows.size else np.zeros(0),
+            view.velocity(pattern)[rows] if rows.size else np.zeros(0),
+        )
+
+    def force(self, view: View, change: Change, inner: Complex128, jumps: Float64) -> Complex128:
+        record, omega = view.record, view.omega
+        if not self.share.size:
+            return np.zeros((omega.size, inner.shape[-1]), dtype=complex)
+        k, d = float(view.springs[self.spring]), float(view.dampers[self.spring])
+        lines, wander = motion_along(view, self.pattern, inner, jumps)
+        torque = (self.phase @ ((k + 1j * omega * d)[:, None] * lines)).real
+        torque += (k * self.time + d)[:, None] * wander
+        torque += self.wave[:, None] * change.springs[self.spring]
+        torque += self.rate[:, None] * change.dampers[self.spring]
+        held = self.share[:, None] * torque
+        out: Complex128 = (self.phase.conj().T @ held) * (2.0 / record.samples)
+        if record.transient:
+            first, last = held[0] * self.ends[0], held[-1] * self.ends[1]
+            out = out + (last - first) / record.samples
+        out[0] *= 0.5
+        return out / view.smear[:, None]
+
+    def factors(self, view: View, change: Change) -> Factors | None:
+        record, omega = view.record, view.omega
+        k, d = float(view.springs[self.spring]), float(view.dampers[self.spring])
+        made: Complex128 = self.phase.conj().T * self.share * (2.0 / record.samples)
+        made[0] *= 0.5
+        direct = self.wave[:, None] * change.springs[self.spring]
+        direct = direct + self.rate[:, None] * change.dampers[self.spring]
+        read: Complex128 = self.phase * (k + 1j * omega * d)
+        return Factors(read, made / view.smear[:, None], direct)
+
+
+@dataclass(frozen=True, eq=False)
+class _Local:
+    """A law of the motion at the same time, or at the samples beside it, beyond the band too."""
+
+    pattern: Pattern
+    smeared: bool
+    compliance: Float64 | None
+    position: tuple[Float64, Float64, Float64]
+    """(n,) each: change of the force at the sample before, at and after the one that moves."""
+    velocity: tuple[Float64, Float64, Float64]
+
+    @classmethod
+    def of(cls, view: View, effect: ForceEffect, term: Term, x: Float64) -> _Local:
+        count, pattern = len(effect.coefficients), term.place.pattern(view.structure)
+
+        def law() -> Float64:
+            out: Float64 = effect.law(view, term.place, x[count:].tolist()) @ x[:count]
+            return out
+
+        compliance = beyond_band(view, term.place) if effect.answered else None
+        try:
+            if compliance is not None:
+                view.hide(pattern, answer(view, pattern, compliance, law)[1])
+            found = [_slopes_over_time(view, pattern, rate, law) for rate in (False, True)]
+        finally:
+            view.hide(pattern, None)
+        return cls(pattern, effect.smeared, compliance, found[0], found[1])
+
+    def factors(self, view: View, change: Change) -> Factors | None:
+        if self.compliance is not None or view.record.transient:
+            return None
+        own = 1j * view.omega
+        same, mirrored = _convolution(view, self.position)
+        if any(w.any() for w in self.velocity):
+            rate, turned = _convolution(view, self.velocity)
+            same, mirrored = same + rate * own, mirrored - turned * own
+        smear = view.smear if self.smeared else np.ones(own.size)
+        nothing = np.zeros((own.size, change.springs.shape[1]), dtype=complex)
+        return _of_lines(same / smear[:, None], mirrored / smear[:, None], nothing)
+
+    def force(self, view: View, change: Change, inner: Complex128, jumps: Float64) -> Complex128:
+        record, own = view.record, 1j * view.omega[:, None]
+        lines, wander = motion_along(view, self.pattern, inner, jumps)
+        position = record.to_waves(lines) + record.wave_time[:, None] * wander
+        force = seen = self._along(position, record.to_waves(own * lines) + wander)
+        if self.compliance is not None:
+            rate = 1j * record.wave_omega[:, None]
+            for _ in range(BEYOND_PASSES):
+                hidden = -self.compliance[:, None] * np.fft.rfft(force, axis=0)
+                more = (np.fft.irfft(h, record.samples, axis=0) for h in (hidden, rate * hidden))
+                force = 0.5 * (force + seen + self._along(*more))
+        return view.to_lines(force, smeared=self.smeared)
+
+    def _along(self, position: Float64, velocity: Float64) -> Float64:
+        """(n, P) force for a change of motion over time."""
+        force = np.zeros_like(position)
+        for wave, (before, at, after) in ((position, self.position), (velocity, self.velocity)):
+            force += at[:, None] * wave
+            for slope, shift in ((before, -1), (after, 1)):
+                if slope.any():
+                    force += np.roll(slope[:, None] * wave, shift, axis=0)
+        return force
+
+
+@dataclass(frozen=True, eq=False)
+class _Gap:
+    """Free play of a record that closes: spring and damper lose the deflection within it."""
+
+    pattern: Pattern
+    spring: int
+    inside: Complex128
+    """(F,) lines of what they lose."""
+    position: tuple[Float64, Float64, Float64]
+
+    @classmethod
+    def of(cls, view: View, term: Term, gap: float) -> _Gap:
+        pattern = term.place.pattern(view.structure)
+
+        def law() -> Float64:
+            return clip_law(view.wave(pattern), 0.5 * gap)
+
+        lines = view.to_lines(law()[:, None], smeared=True)[:, 0]
+        return cls(
+            pattern, spring_index(view.structure, term.place), lines,
+            _slopes_over_time(view, pattern, False, law),
+        )  # fmt: skip
+
+    def factors(self, view: View, change: Change) -> Factors | None:
+        k, d, own = float(view.springs[self.spring]), float(view.dampers[self.spring]), 1j * view.omega
+        stiff = -(k + own * d)[:, None] / view.smear[:, None]
+        same, mirrored = _convolution(view, self.position)
+        moved = own[:, None] * change.dampers[self.spring] + change.springs[self.spring]
+        return _of_lines(stiff * same, stiff * mirrored, -self.inside[:, None] * moved)
+
+    def force(self, view: View, change: Change, inner: Complex128, jumps: Float64) -> Complex128:
+        factors = self.factors(view, change)
+        assert factors is not None  # noqa: S101 - a record that closes
+        out: Complex128 = factors.made @ ((factors.read @ along(self.pattern, inner)).real + factors.direct)
+        return out
+
+
+def _slopes_over_time(
+    view: View, pattern: Pattern, rate: bool, law: Callable[[], Float64]
+) -> tuple[Float64, Float64, Float64]:
+    """(n,) each: change of a law at the sample before, at and after the one that moves (or its ``rate``)."""
+    kept = dict(view._waves)
+    wave, rest = view._wave(pattern, rate), law()
+    length = STEP * max(float(np.sqrt(np.mean(wave**2))), 1e-300)
+    at, before, after = (np.zeros(wave.size) for _ in range(3))
+    for mask in _apart(wave.size):
+        view._waves[(pattern, rate)] = wave + length * mask
+        change = (law() - rest) / length
+        moved = np.flatnonzero(mask)
+        at[moved] = change[moved]
+        before[moved] = change[moved - 1]
+        after[moved] = change[(moved + 1) % wave.size]
+    view._waves = kept
+    return before, at, after
+
+
+def _convolution(view: View, slopes: tuple[Float64, Float64, Float64]) -> tuple[Complex128, Complex128]:
+    """(F, F) twice: lines of the force are the first times those of the motion and the second times their
+    conjugates."""
+    count, lines = view.record.samples, view.record.lines
+    same: Complex128 = np.zeros((lines.size, lines.size), dtype=complex)
+    mirrored: Complex128 = np.zeros_like(same)
+    for slope, shift in zip(slopes, (-1, 0, 1), strict=True):
+        if not slope.any():
+            continue
+        spectrum = np.fft.fft(slope)
+        turn = np.exp((-2j * np.pi * shift / count) * lines)[:, None]
+        same += turn * spectrum[(lines[:, None] - lines) % count]
+        mirrored += turn * spectrum[(lines[:, None] + lines) % count]
+    same[0] *= 0.5
+    mirrored[0] *= 0.5
+    return same / count, mirrored / count
+
+
+def _of_lines(same: Complex128, mirrored: Complex128, direct: Complex128) -> Factors:
+    """Factors with the real and imaginary parts of the force's lines between."""
+    # Re(S x̄) = Re(S̄ x), and an imaginary part is a real one of −j times.
+    read = np.concatenate((same + mirrored.conj(), 1j * (mirrored.conj() - same)))
+    made = np.concatenate((np.eye(same.shape[0]), 1j * np.eye(same.shape[0])), axis=1)
+    return Factors(read, made, np.concatenate((direct.real, direct.imag)))
+
+
+def _apart(count: int) -> list[Float64]:
+    """Masks (n,) whose samples have two others between them, around the end too."""
+    number = np.arange(count) % 3
+    for k in range(count % 3):
+        number[count - 1 - k] = 3 + k
+    return [(number == k).astype(float) for k in np.unique(number)]
+
+
+def motion_along(
+    view: View, pattern: Pattern, inner: Complex128, jumps: Float64
+) -> tuple[Complex128, Float64]:
+    """(F, P) lines along a place, and (P,) the rate at which it wanders besides."""
+    lines = along(pattern, inner)
+    if view.closing is None:
+        return lines, np.zeros(inner.shape[-1])
+    slopes = jumps[: inner.shape[1]] / view.record.span
+    wander = np.asarray(sum(sign * slopes[at] for at, sign in pattern))
+    return lines + along(pattern, view.closing.inner) @ jumps - view.slope * wander, wander
