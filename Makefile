@@ -10,7 +10,7 @@ STAMP  := $(VENV)/.stamp-installed
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo test check bench docs pictures serve system-packages lock sbom clean
+.PHONY: demo test check bench bench-page docs pictures serve system-packages lock sbom clean
 
 demo: $(STAMP)
 	$(BIN)/invid demo --out invid-demo
@@ -27,6 +27,10 @@ check: $(STAMP)
 
 bench: $(STAMP)
 	$(BIN)/python benchmarks/run_all.py
+
+# Short settings, about eight processor minutes; without --quick hours.
+bench-page: $(STAMP)
+	$(BIN)/python benchmarks/run_all.py --page docs/reference/benchmarks.md --quick
 
 # The documentation site, offline, warnings are errors: build/docs/index.html.
 docs: $(STAMP)

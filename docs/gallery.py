@@ -57,7 +57,9 @@ def main() -> None:
 
 def entry(effect: Effect, finding: Finding, diagnosis: Diagnosis) -> str:
     """One cause: its picture, what was found, what to do, how to be sure."""
-    sizes = ", ".join(f"{n} {p.value:.3g} {p.unit}".rstrip() for n, p in finding.parameters.items())
+    sizes = ", ".join(
+        f"{n} {p.value:.3g}{'' if p.unit == '1' else f' {p.unit}'}" for n, p in finding.parameters.items()
+    )
     lines = [
         f"## {effect.title[0].upper()}{effect.title[1:]}",
         "",
