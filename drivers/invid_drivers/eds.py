@@ -35,6 +35,8 @@ class Declared:
     path: Path
     vendor_id: int | None
     product_code: int | None
+    revision: int | None
+    """[DeviceInfo] RevisionNumber."""
     variables: tuple[Variable, ...]
     rpdos: int
     tpdos: int
@@ -84,6 +86,7 @@ def parse_eds(path: Path, node_id: int) -> Declared:
         path=path,
         vendor_id=od.device_information.vendor_number,
         product_code=od.device_information.product_number,
+        revision=od.device_information.revision_number,
         variables=entries,
         rpdos=sum((0x1400 + n, 1) in objects for n in range(512)),
         tpdos=sum((0x1800 + n, 1) in objects for n in range(512)),

@@ -59,7 +59,7 @@ def factored(columns: Float64) -> tuple[Float64, Float64]:
     except np.linalg.LinAlgError:
         pass
     left, size, right = np.linalg.svd(scaled, full_matrices=False)
-    seen = size > 1e-9 * max(float(size[0]), 1e-300)
+    seen = size > 1e-9 * max(float(size.max(initial=0.0)), 1e-300)  # no rows: rank 0
     return left[:, seen], right[seen].T / size[seen] / scale[:, None]
 
 

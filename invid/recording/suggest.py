@@ -117,6 +117,9 @@ def suggest(table: Table, path: Path) -> Suggestion:
             unsure.append("'frequencies_hz' of the excited lines is not known: add it where it is")
     else:
         unsure.append("no column looks like a torque with a position or a velocity: name them by hand")
+        reasons.append("columns and what they hold: " + "; ".join(_ranges(table, time_column)))
+        for field_name in ("position", "torque"):
+            asked[f"axes A1 {field_name}.column"] = f"which of the columns is the {field_name}, and its unit"
         document["axes"] = [
             {
                 "name": "A1",
@@ -133,6 +136,15 @@ def suggest(table: Table, path: Path) -> Suggestion:
         document["motion"] = "rotary"
         unsure.append("no unit tells a rotary from a linear machine: 'motion: rotary' is a guess")
     return Suggestion(document, tuple(reasons), tuple(unsure), asked)
+
+
+def _ranges(table: Table, time_column: str | None) -> list[str]:
+    found = []
+    for name, column in list(table.columns.items())[:24]:
+        known = column[np.isfinite(column)]
+        if name != time_column and known.size:
+            found.append(f"{name} {known.min():.4g} … {known.max():.4g}")
+    return found
 
 
 def _motion_untold(axes: list[dict[str, Any]]) -> bool:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import can
@@ -11,39 +10,20 @@ import typer
 from invid.cli.output import EXIT_OK, emit, note
 from invid.config import parse_config
 from invid.errors import BusError, InputError
-from invid.planning import bus_load
-from invid.planning.round_trip import SHARE, bound, shortest_cycle
+from invid.planning.round_trip import SHARE, bound
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.link import Link, SdoAbortedError, SdoError
 from invid_drivers.cia402.objects import Object
 from invid_drivers.cia402.reservation import Reservation
 from invid_drivers.connect import is_virtual, open_bus
+from invid_drivers.eds_match import match, read_all
+from invid_drivers.first_config import CYCLES, Found, first_config
 from invid_drivers.round_trip import sample
 
 ANSWER_S = 0.05
 """A node answers an SDO request within a few milliseconds; 127 silent ids then take seven seconds."""
 
-MAX_LOAD = 0.8
-CYCLES = (0.001, 0.002, 0.004, 0.01, 0.02)
-
 MODES = {4: "profile torque", 8: "cyclic position", 10: "cyclic torque"}
-
-
-@dataclass(frozen=True)
-class Found:
-    """A node that answered."""
-
-    node_id: int
-    device_type: int
-    vendor_id: int
-    product_code: int
-    rated_torque: float
-    modes: int
-
-    @property
-    def is_drive(self) -> bool:
-        """Whether it says that it is a CiA 402 drive."""
-        return self.device_type & 0xFFFF == 402
 
 
 def scan(bus: can.BusABC, *, first: int = 1, last: int = 127) -> list[Found]:
@@ -77,6 +57,13 @@ def ask_all(link: Link, *, first: int = 1, last: int = 127) -> list[Found]:
             except SdoError:
                 return None
 
+        def name(client: object = client) -> str:
+            try:
+                said: bytes = client.upload(0x1008, 0)  # type: ignore[attr-defined]
+            except SdoError:
+                return ""
+            return said.decode("utf-8", "replace").strip("\0 ")
+
         device = read(od.DEVICE_TYPE)
         if device is None:
             continue
@@ -88,58 +75,13 @@ def ask_all(link: Link, *, first: int = 1, last: int = 127) -> list[Found]:
                 read(od.PRODUCT_CODE) or 0,
                 (read(od.RATED_TORQUE) or 0) / 1000.0,
                 read(od.SUPPORTED_MODES) or 0,
+                revision=read(od.REVISION_NUMBER) or 0,
+                name=name(),
+                increments=read(od.ENCODER_INCREMENTS) or 0,
+                revolutions=read(od.ENCODER_REVOLUTIONS) or 0,
             )
         )
     return found
-
-
-def first_config(
-    interface: str, channel: str, bitrate: int, nodes: list[Found], round_trip_s: float = 0.0
-) -> str:
-    """YAML text of a config for the drives found; limits are timid and to be set by a person.
-
-    The cycle is the shortest that bus load and the adapter's round trip [s] carry.
-    """
-    lines = [
-        "# Written by `invid init`. Check every limit before anything moves.",
-        "format: invid-config",
-        "format_version: 1",
-        "robot: unnamed",
-        "motion: rotary",
-        "bus:",
-        f"  interface: {interface}",
-        f"  channel: {channel}",
-        f"  bitrate_bit_per_s: {bitrate}",
-        f"  cycle_s: {_cycle(len(nodes), bitrate, round_trip_s):g}"
-        + (
-            f"           # the adapter's round trip is {round_trip_s * 1e3:.2g} ms (99 %)"
-            * (round_trip_s > 0)
-        ),
-        "axes:",
-    ]
-    for n, node in enumerate(nodes, start=1):
-        torque = f"{0.1 * node.rated_torque:g}" if node.rated_torque > 0 else "0.1"
-        lines += [
-            f"  - name: A{n}",
-            f"    node_id: {node.node_id}        # vendor 0x{node.vendor_id:08X}, product "
-            f"0x{node.product_code:08X}",
-        ]
-        if node.rated_torque <= 0:
-            lines.append("    rated_torque_Nm: 1      # the drive's 0x6076 is missing or 0: set it")
-        lines += [
-            "    gravity_loaded: unknown # does it fall without torque? true or false; unknown is as true",
-            "    limits:                 # a tenth of rated torque, three degrees: raise with care",
-            f"      torque_Nm: {torque}",
-            "      position_window_rad: 0.05",
-            "      velocity_rad_per_s: 0.5",
-        ]
-    return "\n".join(lines) + "\n"
-
-
-def _cycle(drives: int, bitrate: int, round_trip_s: float) -> float:
-    """Not below 1 ms, which few drives take."""
-    loaded = next((c for c in CYCLES if bus_load(drives, cycle_s=c, bitrate=bitrate) <= MAX_LOAD), CYCLES[-1])
-    return shortest_cycle(round_trip_s, drives, bitrate, loaded)
 
 
 def register(app: typer.Typer) -> None:
@@ -150,12 +92,18 @@ def register(app: typer.Typer) -> None:
         interface: str = typer.Option("socketcan", "--interface", help="python-can interface."),
         channel: str = typer.Option("can0", "--channel", help="Its channel."),
         bitrate: int = typer.Option(1_000_000, "--bitrate", help="Bit rate [bit/s]."),
+        eds: list[Path] = typer.Option(
+            [], "--eds", help="EDS or DCF file, or a folder of them; matched by vendor, product, revision."
+        ),
         out: Path = typer.Option(Path("cell.yaml"), "-o", "--out", help="Config to write."),
         as_json: bool = typer.Option(False, "--json", help="One JSON document on stdout."),
     ) -> int:
         """Scan a bus (reads only) and write a first config."""
         if out.exists():
             raise InputError(f"{out}: stands there already; name another file with -o or remove it first")
+        files, refused = read_all(eds)
+        for sentence in refused:
+            note(f"warning: {sentence}")
         note(f"asking node ids 1…127 on {interface} {channel}")
         probe = parse_config(
             "format: invid-config\nrobot: scan\n"
@@ -185,9 +133,10 @@ def register(app: typer.Typer) -> None:
                 f"{len(nodes)} nodes answered, none of them a CiA 402 drive" if nodes else "no node answered"
             )
             raise BusError(f"{interface} {channel}: {seen}; check power, cable, termination and bit rate")
-        text = first_config(interface, channel, bitrate, drives, round_trip)
-        parse_config(text, source=str(out))
-        out.write_text(text, encoding="utf-8")
+        matches = [match(d.identity, files) for d in drives] if eds else []
+        written = first_config(interface, channel, bitrate, drives, round_trip, matches, out.parent)
+        parse_config(written.text, source=str(out))
+        out.write_text(written.text, encoding="utf-8")
         document = {
             "config": str(out),
             "round_trip_ms": round_trip * 1e3,
@@ -196,15 +145,21 @@ def register(app: typer.Typer) -> None:
                     "node_id": d.node_id,
                     "vendor_id": d.vendor_id,
                     "product_code": d.product_code,
+                    "revision": d.revision,
+                    "name": d.name,
+                    "eds": str(matches[i].file) if matches and matches[i].file else None,
+                    "eds_reason": matches[i].why if matches else None,
                     "rated_torque": d.rated_torque,
                     "modes": [name for mode, name in MODES.items() if d.modes & 1 << (mode - 1)],
                 }
-                for d in drives
+                for i, d in enumerate(drives)
             ],
+            "asked": written.asked,
         }
         emit(
             document,
-            f"{out}: {len(drives)} drives. Set names and limits, then `invid check {out}`",
+            f"{out}: {len(drives)} drives. {len(written.asked)} lines say ASK: fill them in, then "
+            f"`invid check {out}`",
             as_json=as_json,
         )
         return EXIT_OK

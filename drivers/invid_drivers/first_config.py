@@ -1,0 +1,197 @@
+"""The config that ``invid init`` writes: what each drive says, what nobody but a person knows, and why."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from invid.planning import bus_load
+from invid.planning.round_trip import shortest_cycle
+from invid_drivers.cia402.vendors import VENDORS
+from invid_drivers.eds_match import Identity, Match
+
+MAX_LOAD = 0.8
+CYCLES = (0.001, 0.002, 0.004, 0.01, 0.02)
+
+
+@dataclass(frozen=True)
+class Found:
+    """A node that answered; 0 and "" where it does not say."""
+
+    node_id: int
+    device_type: int
+    vendor_id: int
+    product_code: int
+    rated_torque: float
+    modes: int
+    revision: int = 0
+    name: str = ""
+    increments: int = 0
+    """Of the encoder in ``revolutions`` of the motor (0x608F)."""
+    revolutions: int = 0
+
+    @property
+    def is_drive(self) -> bool:
+        """Whether it says that it is a CiA 402 drive."""
+        return self.device_type & 0xFFFF == 402
+
+    @property
+    def identity(self) -> Identity:
+        """Object 0x1018."""
+        return Identity(self.vendor_id, self.product_code, self.revision)
+
+
+def vendor_row(name: str) -> str | None:
+    """Row of the table of vendors for a drive that calls itself so (0x1008); ``None`` where none is plain."""
+    said = re.sub(r"[^a-z0-9]", "", name.lower())
+    fits = [key for key, row in VENDORS.items() if key != "generic" and _short(row.name) in said]
+    return fits[0] if len(fits) == 1 else None
+
+
+def _short(name: str) -> str:
+    # The product alone: "Elmo Gold" calls itself "Gold".
+    return re.sub(r"[^a-z0-9]", "", name.split()[-1].lower())
+
+
+@dataclass(frozen=True)
+class FirstConfig:
+    """YAML with a comment on each line, and what a person must say, by key."""
+
+    text: str
+    asked: dict[str, str]
+
+
+def first_config(
+    interface: str,
+    channel: str,
+    bitrate: int,
+    nodes: Sequence[Found],
+    round_trip_s: float = 0.0,
+    matches: Sequence[Match] = (),
+    beside: Path = Path(),
+) -> FirstConfig:
+    """A config for the drives found; limits are timid and to be set by a person.
+
+    Parameters
+    ----------
+    round_trip_s
+        The adapter's, 99 %; the cycle is the shortest that it and the bus load carry.
+    matches
+        The EDS of each node; none: no file was given.
+    beside
+        Folder of the config: files below it are named from there.
+    """
+    asked = {"robot": "what it is called in reports", "motion": "rotary or linear"}
+    cycle = _cycle(len(nodes), bitrate, round_trip_s)
+    why = "of bus load" + (
+        f" and the adapter's round trip, {round_trip_s * 1e3:.2g} ms (99 %)" * (round_trip_s > 0)
+    )
+    lines = [
+        "# Written by `invid init`. Check every limit before anything moves. ASK: only you know.",
+        "format: invid-config",
+        "format_version: 1",
+        "robot: unnamed          # ASK: its name in reports",
+        "motion: rotary          # ASK: rotary, or linear (m and N instead of rad and N·m)",
+        "bus:",
+        f"  interface: {interface}",
+        f"  channel: {channel}",
+        f"  bitrate_bit_per_s: {bitrate}  # as given; a wrong one stops all traffic",
+        f"  cycle_s: {cycle:g}  # the shortest carried, because {why}",
+        "axes:                   # in the order of node ids",
+    ]
+    for n, node in enumerate(nodes, start=1):
+        lines += _axis(f"A{n}", node, matches[n - 1] if matches else None, beside, asked)
+    return FirstConfig("\n".join(lines) + "\n", asked)
+
+
+def _axis(name: str, node: Found, file: Match | None, beside: Path, asked: dict[str, str]) -> list[str]:
+    row = vendor_row(node.name)
+    lines = [
+        f"  - name: {name}",
+        f"    node_id: {node.node_id}          # {_who(node)}",
+    ]
+    if file is None:
+        lines.append(
+            "    # eds:              # none was given: the drive is asked for everything (--eds FOLDER)"
+        )
+    elif file.file is None:
+        lines.append(f"    # eds:              # ASK: {file.why}")
+        asked[f"{name} eds"] = file.why
+    else:
+        lines.append(f"    eds: {_quoted(_from(beside, file.file))}  # {file.why}")
+    if row is not None:
+        lines.append(
+            f"    vendor: {row}      # it calls itself {_plain(node.name)!r}: row of docs/reference/drives.md"
+        )
+        if VENDORS[row].advice:
+            lines.append(f"                        # {VENDORS[row].advice}")
+    else:
+        lines.append(
+            "    vendor: generic     # ASK: a row of docs/reference/drives.md, where its vendor has one"
+        )
+        asked[f"{name} vendor"] = "a row of docs/reference/drives.md, where its vendor has one"
+    if node.rated_torque > 0:
+        lines.append(
+            f"    # rated_torque_Nm: {node.rated_torque:g}  # the drive's (0x6076): compare with the plate"
+        )
+    else:
+        lines.append("    rated_torque_Nm: 1  # ASK: 0x6076 is missing or 0; from the plate")
+        asked[f"{name} rated_torque_Nm"] = "from the motor's plate: 0x6076 is missing or 0"
+    if node.increments and node.revolutions:
+        size = 2 * math.pi * node.revolutions / node.increments
+        lines.append(
+            f"    # position_rad_per_count: {size:.6g}  # 0x608F: "
+            f"{node.increments} counts in {node.revolutions} turn{'s' * (node.revolutions != 1)} of the motor"
+        )
+    else:
+        lines.append(
+            "    # position_rad_per_count:  # ASK: 0x608F is missing or 0; 2π / counts a turn of the motor"
+        )
+        asked[f"{name} position_rad_per_count"] = "2π / counts a turn of the motor: 0x608F is missing or 0"
+    if not node.modes >> 9 & 1:
+        asked[f"{name} modes"] = "0x6502 does not list cyclic torque (bit 9): see docs/reference/drives.md"
+        lines.append(
+            "    # 0x6502 does not list cyclic torque: `invid check` says which other way there is, if any"
+        )
+    asked[f"{name} gravity_loaded"] = "does it fall without torque? true or false"
+    asked[f"{name} limits"] = "torque, travel and speed that the machine may see"
+    torque = f"{0.1 * node.rated_torque:g}" if node.rated_torque > 0 else "0.1"
+    return [
+        *lines,
+        "    gravity_loaded: unknown # ASK: does it fall without torque? true or false; unknown is as true",
+        "    limits:                 # ASK: a tenth of rated torque, three degrees: raise with care",
+        f"      torque_Nm: {torque}",
+        "      position_window_rad: 0.05",
+        "      velocity_rad_per_s: 0.5",
+    ]
+
+
+def _who(node: Found) -> str:
+    name = f"{_plain(node.name)!r}, " if node.name else ""
+    return (
+        f"{name}vendor 0x{node.vendor_id:08X}, product 0x{node.product_code:08X}, "
+        f"revision 0x{node.revision:08X}"
+    )
+
+
+def _plain(text: str) -> str:
+    """A name that a drive sent, fit for one line of YAML."""
+    return "".join(c for c in text if c.isprintable())[:60]
+
+
+def _quoted(path: str) -> str:
+    return "'" + path.replace("'", "''") + "'"
+
+
+def _from(folder: Path, file: Path) -> str:
+    inside = file.resolve().is_relative_to(folder.resolve())
+    return str(file.resolve().relative_to(folder.resolve()) if inside else file.resolve())
+
+
+def _cycle(drives: int, bitrate: int, round_trip_s: float) -> float:
+    """Not below 1 ms, which few drives take."""
+    loaded = next((c for c in CYCLES if bus_load(drives, cycle_s=c, bitrate=bitrate) <= MAX_LOAD), CYCLES[-1])
+    return shortest_cycle(round_trip_s, drives, bitrate, loaded)
