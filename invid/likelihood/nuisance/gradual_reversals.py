@@ -16,6 +16,7 @@ from invid.likelihood.nuisance.friction_columns import mean_sign, motor_velocity
 from invid.likelihood.nuisance.torque_lags import COULOMB, LAG_PAYS, NOISE_LIKE
 from invid.likelihood.records import used_lines, with_columns
 from invid.likelihood.residual import MissingTorqueProblem
+from invid.numerics import budget
 from invid.numerics.arrays import Complex128, Float64
 from invid.numerics.whitening import stack
 from invid.signals.spectra import LineSpectra
@@ -42,6 +43,8 @@ def with_gradual_reversals(
     ]
     wider, found = problem, solution
     for k, axis in places:
+        if budget.is_left_out("how gradually friction turns over"):
+            break
         best = _best_width(wider, found, spectra, k, axis)
         if best is not None:
             wider = with_columns(wider, best, wider.column_names)
