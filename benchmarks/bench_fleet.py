@@ -8,6 +8,11 @@ estimates of one run are correlated (one common factor, 0.5). One run in twenty 
 ``size`` times what runs of that parameter really scatter, in one parameter of every cell, at a random week
 from the third on, for good. The bar counts changes after eight runs or more: a mean of fewer is no
 population yet.
+
+What can be had at this level (48 tests share 1e-3, z = 4.26), computed: who knows every scatter tells 82, 94,
+97 and 98 % after 2–3, 4–7, 8–15 and more runs, 97.2 % in all; who never learns that a cell scatters 15 % more
+or less (z = 5.0) 54, 75, 85 and 89 %. The detector (44, 74, 94 and 99 %, 93.8 % in all) goes from below the
+second to the first: what is missing are changes before a cell's own scatter is known.
 """
 
 from __future__ import annotations
