@@ -160,7 +160,7 @@ def promised(
     scores = screened(Screen(here), terms)
     late = [t for t in terms if t.effect.cause == "torque_delay"]
     trials = list(apply_rule("delay-beyond-bound", here, train, held, late, asked.free))
-    if trials or asked.among is None:  # one beside those known was weighed when they were found
+    if trials or not known:  # one beside those known was weighed when they were found
         trials += apply_rule("lag-beside-delay", here, train, held, trials, terms)
     tried = {(t.term.effect.cause, t.term.place) for t in trials}
     # Without a shape there is one minimum, and those known are in it.
@@ -244,13 +244,13 @@ def is_smaller_model(trial: Trial) -> bool:
 
 def promised_rivals(last: Trial, train: Sequence[Record], terms: Sequence[Term]) -> list[Term] | None:
     """Of ``terms`` those that may take the place of the cause that a fit has last, by one linear pass over
-    all of them without it; ``None`` where that does not tell (delays and lags share the layout's times).
+    all of them without it; ``None`` where that does not tell (a delay takes a parameter of the layout).
 
     They promise half of what it takes, or as much as it does to within what competes. A larger friction model
     always promises as much as the smaller one in it: it counts where the rest of it pays for its parameters.
     """
     one = last.fit
-    if last.term.effect.cause in ("torque_delay", "torque_lag"):
+    if last.term.effect.cause == "torque_delay":
         return None
     others = one.candidate.only(range(len(one.candidate.terms) - 1))
     rest = evaluate(one.layout, train, one.p, others, jacobian=False, near=one.evaluation.views)
