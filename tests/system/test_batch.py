@@ -46,7 +46,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def batch(*arguments: str | Path) -> subprocess.Popen[str]:
     command = [sys.executable, "-m", "invid", "batch", *map(str, arguments)]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    return subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        # A shell that started the tests in the background has told its children to ignore Ctrl-C.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
 
 
 def run(*arguments: str | Path) -> tuple[int, str, str]:
