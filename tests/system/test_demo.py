@@ -99,3 +99,27 @@ def test_the_demo_says_that_its_friction_is_as_expected(demo: tuple[dict, Path])
         assert f["consequence"]["grade"] == "as_expected", f
         if f["cause"] == "coulomb_friction":
             assert abs(f["consequence"]["share_of_rated_torque"] - 0.002) < 0.0003
+
+
+def test_every_cell_of_the_notebook_runs(
+    demo: tuple[dict, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    root = CONFIG.parents[1]
+    if not (data := root.parent / "shared" / "data").is_dir():
+        pytest.skip(f"no measured data in {data}: the notebook's real record is NOT checked")
+    work = tmp_path / "invid"
+    work.mkdir()
+    (work / "invid-demo").symlink_to(demo[1])
+    (work / "configs").symlink_to(root / "configs")
+    (tmp_path / "shared").symlink_to(data.parent)
+    monkeypatch.chdir(work)
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    notebook = json.loads((root / "docs" / "tutorial" / "whole-job.ipynb").read_text(encoding="utf-8"))
+    names: dict = {}
+    for cell in notebook["cells"]:
+        if cell["cell_type"] == "code":
+            exec("".join(cell["source"]), names)
+    assert str(names["diagnosis"].verdict) == "explained"
+    assert {f.cause for f in names["diagnosis"].findings} == {"coulomb_friction", "viscous_friction"}
+    assert "stribeck_friction" in {f.cause for f in names["found"].findings}
+    names["plt"].close("all")
