@@ -5,7 +5,7 @@ from __future__ import annotations
 import fnmatch
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -25,7 +25,7 @@ from invid.recording.model import Experiment, Recording, nominal_sample_rate
 from invid.recording.rows import good_rows
 from invid.recording.tables import BrokenRow, Table
 from invid.recording.text_table import read_text_table
-from invid.recording.units import LINEAR, MachineConstants, Quantity, factor, normal_unit
+from invid.recording.units import BY_MACHINE, LINEAR, MachineConstants, Quantity, factor, normal_unit
 
 READERS = "invid.readers"
 """Entry point group of readers ``read(path, source, *, beside) -> Table``, named by the kind they read."""
@@ -39,6 +39,12 @@ _KINDS = {
 
 _STARTS = {b"\x89HDF\r\n\x1a\n": "hdf5", b"PAR1": "parquet", b"\x89MCAP0\r\n": "mcap", b"MDF     ": "mdf"}
 """First bytes of files whose name does not tell."""
+
+_READERS: dict[str, Callable[[Path], Table]] = {
+    "mat": read_mat_table, "hdf5": read_hdf5_table, "parquet": read_parquet_table,
+    "mdf": read_mdf_table, "mcap": read_mcap_table,
+}  # fmt: skip
+"""Kinds whose files say everything themselves."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,16 +69,8 @@ def read_table(path: Path, source: Source, *, beside: Path | None = None) -> Tab
         raise InputError(f"{path}: the file is empty")
     if kind is None:
         kind = next((k for start, k in _STARTS.items() if head.startswith(start)), "csv")
-    if kind == "mat":
-        return read_mat_table(path)
-    if kind == "hdf5":
-        return read_hdf5_table(path)
-    if kind == "parquet":
-        return read_parquet_table(path)
-    if kind == "mdf":
-        return read_mdf_table(path)
-    if kind == "mcap":
-        return read_mcap_table(path)
+    if kind in _READERS:
+        return _READERS[kind](path)
     if kind == "csv":
         return read_text_table(path, source)
     table: Table = _further_reader(kind, path)(path, source, beside=beside)
@@ -175,7 +173,7 @@ def _is_linear(chart: ImportMap) -> bool:
             unit = normal_unit(channel.unit)
             if unit in LINEAR[quantity]:
                 said[True] = f"{quantity} of {axis.name} in {channel.unit}"
-            elif unit not in ("raw", "counts", "A", "mA", "V", "%", "permille"):
+            elif unit not in ("raw", *BY_MACHINE):
                 said[False] = f"{quantity} of {axis.name} in {channel.unit}"
     if len(said) == 2:
         raise InputError(

@@ -67,8 +67,9 @@ def read_mcap_table(path: Path) -> Table:
         raise InputError(f"{path}: cannot be read as MCAP: {said}") from None
     columns, clocks = {}, {}
     for topic in topics.values():
-        columns.update(topic.columns())
-        clocks.update(dict.fromkeys([c for c in topic.columns() if c != topic.clock], topic.clock))
+        own = topic.columns()
+        columns.update(own)
+        clocks.update(dict.fromkeys([c for c in own if c != topic.clock], topic.clock))
     if not clocks:
         other = f" (messages in {', '.join(sorted(passed))} are not read)" if passed else ""
         raise InputError(f"{path}: holds no topic with numbers in at least two messages{other}")

@@ -40,7 +40,8 @@ def read_scope_export(name: str, lines: Sequence[str], split: Split, number: Num
     if not heads:
         raise InputError(f"{name}: a scope export without a line 'Name' above {_MARK!r}; export it again")
     names = split(lines[heads[-1]], delimiter)
-    units = _line("Unit", lines[heads[-1] : heads[-1] + _HEADER], delimiter, split, len(names))
+    block = lines[heads[-1] : heads[-1] + _HEADER]
+    units = _line("Unit", block, delimiter, split, len(names))
     first = next((i for i in range(mark, len(lines)) if not lines[i].strip()), mark) + 1
     rows = [split(line, delimiter) for line in lines[first:] if line.strip() and line.strip() != "EOF"]
     names = _without_end(names)
@@ -77,7 +78,6 @@ def read_scope_export(name: str, lines: Sequence[str], split: Split, number: Num
         raise InputError(f"{name}: the scope export has no time columns; export it with 'Timelines: All'")
     if max(c.size for c in columns.values()) < 2:
         raise InputError(f"{name}: the scope export holds no samples; is it the right file?")
-    block = lines[heads[-1] : heads[-1] + _HEADER]
     factors = [_line(f, block, delimiter, split, len(names)) for f in ("ScaleFactor", "Unit ScaleFactor")]
     scaled = [n for j, n in enumerate(names) if n in clocks and any(f[j] not in ("", "1") for f in factors)]
     reasons = ["the file is a text export of TwinCAT Scope"]

@@ -15,7 +15,14 @@ from invid.recording.clocks import on_clock
 from invid.recording.drive_tools import named_by, tool_of
 from invid.recording.import_map import FORMAT, ImportMap
 from invid.recording.tables import Table
-from invid.recording.units import FACTORS, LINEAR, normal_unit
+from invid.recording.units import (
+    BY_MACHINE,
+    BY_RATED_TORQUE,
+    BY_TORQUE_CONSTANT,
+    FACTORS,
+    LINEAR,
+    normal_unit,
+)
 
 _WORDS = {
     "time": r"^(time|t|timestamp|timestamps|zeit|time_cont|clock)$",
@@ -149,7 +156,7 @@ def _ranges(table: Table, time_column: str | None) -> list[str]:
 
 def _motion_untold(axes: list[dict[str, Any]]) -> bool:
     said = [a[q]["unit"] for a in axes for q in ("position", "velocity", "torque") if q in a]
-    return all(u in ("counts", "A", "mA", "V", "%", "permille") for u in said)
+    return all(u in BY_MACHINE for u in said)
 
 
 def _one_clock(table: Table, tool: str | None, unsure: list[str]) -> Table:
@@ -319,12 +326,12 @@ def _axis(
         unsure.append(f"unit of {torque!r} is not stated; {torque_unit} is assumed")
     channel: dict[str, Any] = {"column": torque, "unit": torque_unit}
     channel["meaning"] = "measured" if axis.torque else "demanded"
-    if torque_unit in ("A", "V", "mA"):
+    if torque_unit in BY_TORQUE_CONSTANT:
         channel["torque_constant"] = 1.0
         unsure.append(
             f"{torque!r} is in {torque_unit}: with torque_constant 1 all comes out per that constant"
         )
-    if torque_unit in ("%", "permille"):
+    if torque_unit in BY_RATED_TORQUE:
         entry["rated_torque"] = None
         asked[f"axes {name} rated_torque"] = f"{torque!r} is in {torque_unit} of it; N·m (or N)"
     entry["torque"] = channel
@@ -340,9 +347,8 @@ def _unit(name: str, quantity: str, table: Table, tool: str | None) -> tuple[str
     stated = table.units.get(name) or _unit_in_name(name) or (known.unit if known else None)
     if stated:
         unit = normal_unit(stated)
-        if unit in FACTORS[quantity] or (quantity == "torque" and unit in ("A", "V", "mA", "%", "permille")):
-            return unit, True
-        if unit == "counts" and quantity != "torque":
+        by_machine = unit in BY_MACHINE and (unit == "counts") == (quantity != "torque")
+        if unit in FACTORS[quantity] or by_machine:
             return unit, True
     return {"position": "rad", "velocity": "rad/s", "torque": "N·m"}[quantity], False
 

@@ -16,7 +16,7 @@ from invid.recording.import_map import Source
 from invid.recording.scope_export import is_scope_export, read_scope_export
 from invid.recording.tables import BrokenRow, Table
 from invid.recording.timestamps import DAY, past_midnight, seconds_of
-from invid.recording.units import FACTORS, normal_unit
+from invid.recording.units import BY_MACHINE, FACTORS, normal_unit
 
 MAX_BYTES = 2_000_000_000
 _DELIMITERS = (";", "\t", ",", "|", " ")
@@ -226,16 +226,7 @@ def _names(
 
 
 def _all_units(cells: list[str]) -> bool:
-    known = {u for table in FACTORS.values() for u in table} | {
-        "A",
-        "mA",
-        "V",
-        "%",
-        "permille",
-        "counts",
-        "-",
-        "",
-    }
+    known = {u for table in FACTORS.values() for u in table} | {*BY_MACHINE, "-", ""}
     return all(normal_unit(c.strip("[]()")) in known for c in cells)
 
 

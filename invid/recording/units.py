@@ -51,6 +51,12 @@ LINEAR = {
 }
 """Units of axes in metres and newtons; the others of these quantities are rotary."""
 
+BY_TORQUE_CONSTANT = {"A": 1.0, "mA": 1e-3, "V": 1.0}
+BY_RATED_TORQUE = {"%": 0.01, "permille": 0.001}
+"""Units of torque that only the machine's own constant gives a size; that constant times these."""
+BY_MACHINE = ("counts", *BY_TORQUE_CONSTANT, *BY_RATED_TORQUE)
+"""Units that do not say whether an axis is rotary or linear."""
+
 _SPELLINGS = {
     "nm": "N·m", "n*m": "N·m", "n.m": "N·m", "n m": "N·m", "newtonmeter": "N·m",
     "mnm": "mN·m", "ncm": "N·cm", "nmm": "N·mm", "knm": "kN·m",
@@ -99,16 +105,15 @@ def factor(quantity: Quantity, unit: str, constants: MachineConstants, where: st
     if name == "counts" and quantity != "time":
         return _needed(constants.per_count, "per_count", unit, where)
     if quantity == "torque":
-        if name in ("A", "V", "mA"):
-            size = 1e-3 if name == "mA" else 1.0
-            return size * _needed(constants.torque_constant, "torque_constant", unit, where)
-        if name == "%":
-            return 0.01 * _needed(constants.rated_torque, "rated_torque", unit, where)
-        if name == "permille":
-            return 0.001 * _needed(constants.rated_torque, "rated_torque", unit, where)
+        if name in BY_TORQUE_CONSTANT:
+            return BY_TORQUE_CONSTANT[name] * _needed(
+                constants.torque_constant, "torque_constant", unit, where
+            )
+        if name in BY_RATED_TORQUE:
+            return BY_RATED_TORQUE[name] * _needed(constants.rated_torque, "rated_torque", unit, where)
     known = [*FACTORS[quantity], "raw"]
     known += ["counts"] if quantity != "time" else []
-    known += ["A", "mA", "V", "%", "permille"] if quantity == "torque" else []
+    known += [*BY_TORQUE_CONSTANT, *BY_RATED_TORQUE] if quantity == "torque" else []
     raise InputError(f"{where}: unit {unit!r} is no unit of {quantity}; known are {', '.join(known)}")
 
 
