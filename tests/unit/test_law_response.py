@@ -45,5 +45,5 @@ def test_free_play_beside_friction_answers_as_differences_say(monkeypatch) -> No
     size = np.linalg.norm(differences, axis=0)
     seen = size > 0.0
     off = np.linalg.norm(solved - differences, axis=0)[seen] / size[seen]
-    assert np.median(off) < 0.02
-    assert off.max() < 0.15  # differences take two or three substitutions
+    assert np.median(off) < 0.005
+    assert off.max() < 0.02  # differences take two or three substitutions
