@@ -81,8 +81,8 @@ SECTIONS = (
         "One core, each command in a process of its own, counted after its imports; beside each figure its "
         "bar, and its ratio to a fixed workload, which says the same on a faster machine.",
         "bench_speed.py",
-        ("demo", "cell", "aperiodic", "six", "eight"),
-        ("demo",),
+        (),
+        ("plain", "dry", "demo", "rubbing", "cell", "aperiodic", "bench", "six", "eight", "help"),
     ),
 )  # fmt: skip
 
