@@ -154,12 +154,15 @@ class _Impeded:
     @classmethod
     def of(cls, view: View, effects: _Impedances) -> _Impeded:
         patterns = [place.pattern(view.structure) for _, place, _ in effects]
-        yields = np.stack([view.yields(p) for p in patterns], axis=-1)
+        push, yields = view.measured(
+            ("unit forces", tuple(patterns)),  # the same for all sizes of the effects
+            lambda: tuple(np.stack([f(p) for p in patterns], axis=-1) for f in (view.push, view.yields)),
+        )
         size = [effect.impedance(view, place, x.tolist()) for effect, place, x in effects]
         rows = [z[:, None] * along(p, yields) for z, p in zip(size, patterns, strict=True)]
         return cls(
             patterns,
-            np.stack([view.push(p) for p in patterns], axis=-1),
+            push,
             yields,
             size,
             np.linalg.inv(np.eye(len(effects)) + np.stack(rows, axis=1)).astype(np.complex128),
