@@ -28,9 +28,9 @@ from invid_service.store.store import (
 )
 from invid_service.store.tables import Base
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "unit"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "unit" / "service"))
 from service_doubles import running, wait_for
-from test_service_departures import keep, noisy
+from test_departures import keep, noisy
 
 SERVERS = sorted(Path("/usr/lib/postgresql").glob("*/bin/initdb"))
 pytestmark = [

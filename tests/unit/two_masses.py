@@ -6,9 +6,10 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import expm
 
-from invid.recording.model import Experiment, Recording
+from invid.recording.model import Experiment, Kind, Recording, Role
 
 MASS, SPRING, DAMPER = np.array([0.7, 2.0]), 1000.0, 0.5
+STEP, PERIOD, NOISE, HOLD = 0.002, 2048, 0.05, 40.0
 
 
 def held(
@@ -31,6 +32,30 @@ def held(
         torque[n] = wanted - hold * state[0] - rate * state[2]
         state = phi @ state + gamma * (torque[n] + beside[n])
     return position, torque
+
+
+def from_rest(seed: int, role: Role, key: str) -> Experiment:
+    """Two periods from rest of a two-mass axis (0.7 and 2 kg·m², 1000 N·m/rad), softly held."""
+    rng = np.random.default_rng(seed)
+    lines = np.arange(1, 120, 2)
+    bins = np.zeros(PERIOD // 2 + 1, complex)
+    bins[lines] = np.exp(2j * np.pi * rng.random(lines.size)) * PERIOD / 2 * 0.4
+    excitation = np.tile(np.fft.irfft(bins), 2)
+    position, torque = held(excitation, STEP, HOLD, rate=1.0)
+    return Experiment(
+        key=key,
+        kind=Kind.MULTISINE,
+        role=role,
+        excited_axis=0,
+        hold_gain=np.array([HOLD]),
+        period_samples=PERIOD,
+        frequencies_hz=lines / (PERIOD * STEP),
+        sample_rate_hz=1.0 / STEP,
+        time=np.arange(excitation.size) * STEP,
+        position=(position + 1e-7 * rng.standard_normal(position.size))[:, None],
+        torque=(torque + NOISE * rng.standard_normal(torque.size))[:, None],
+        torque_demand=torque[:, None],
+    )
 
 
 def recording(*experiments: Experiment) -> Recording:

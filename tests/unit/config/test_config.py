@@ -1,0 +1,137 @@
+"""Configs: what is taken, and what is refused with file, line, field, value and the way out."""
+
+from pathlib import Path
+
+import pytest
+
+from invid.config import load_config, parse_config
+from invid.errors import ConfigError
+
+GOOD = """format: invid-config
+robot: two axes
+bus: {interface: invid-virtual, channel: x}
+axes:
+  - name: A1
+    node_id: 1
+    limits: {torque_Nm: 10, position_window_rad: 0.1, velocity_rad_per_s: 1e-1}
+  - name: A2
+    node_id: 2
+    limits: {torque_Nm: 20, position_window_rad: 0.1, velocity_rad_per_s: 1}
+"""
+CONFIGS = sorted((Path(__file__).parents[3] / "configs").glob("*.yaml"))
+
+
+def message(text: str) -> str:
+    with pytest.raises(ConfigError) as caught:
+        parse_config(text, source="cell.yaml")
+    return str(caught.value)
+
+
+def test_units_in_keys_fill_the_same_fields_for_rotary_and_linear_axes() -> None:
+    rotary = parse_config(GOOD)
+    linear = parse_config(
+        GOOD.replace("robot:", "motion: linear\nrobot:")
+        .replace("torque_Nm", "force_N")
+        .replace("window_rad", "window_m")
+        .replace("velocity_rad_per_s", "velocity_m_per_s")
+    )
+    assert rotary.axes[0].limits == linear.axes[0].limits
+    assert rotary.axes[0].limits.torque == 10
+    assert rotary.axes[0].limits.velocity == pytest.approx(0.1)
+
+
+def test_a_negative_limit_is_refused_with_its_line_field_and_value() -> None:
+    said = message(GOOD.replace("torque_Nm: 20", "torque_Nm: -20"))
+    assert said.startswith("cell.yaml:10:")
+    assert "axes[1].limits.torque_Nm is -20" in said
+
+
+def test_an_unknown_key_is_refused_with_its_line() -> None:
+    said = message(GOOD.replace("    node_id: 2\n", "    node_id: 2\n    nodeid: 3\n"))
+    assert "cell.yaml:10: axes[1].nodeid" in said
+
+
+def test_a_key_in_the_units_of_the_other_motion_is_refused() -> None:
+    said = message(
+        GOOD.replace("position_window_rad: 0.1, velocity_rad_per_s: 1}", "position_window_m: 0.1}")
+    )
+    assert "cell.yaml:10" in said
+    assert "linear" in said
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "word"),
+    [("name: A2", "name: A1", "A1"), ("node_id: 2", "node_id: 1", "node_id 1")],
+)
+def test_axis_names_and_node_ids_may_not_repeat(old: str, new: str, word: str) -> None:
+    said = message(GOOD.replace(old, new))
+    assert word in said
+    assert "more than one axis" in said
+
+
+def test_a_key_that_stands_twice_is_refused() -> None:
+    assert "stands twice" in message(GOOD + "robot: again\n")
+
+
+def test_a_missing_limit_is_named() -> None:
+    said = message(GOOD.replace("torque_Nm: 20, ", ""))
+    assert "axes[1].limits" in said
+    assert "missing" in said
+
+
+@pytest.mark.parametrize("value", [".inf", ".nan", "ten", "[1]", "null"])
+def test_a_limit_that_is_no_finite_number_is_refused(value: str) -> None:
+    assert "torque_Nm" in message(GOOD.replace("torque_Nm: 20", f"torque_Nm: {value}"))
+
+
+def test_an_experiment_on_an_axis_that_is_not_there_is_refused() -> None:
+    assert "'A7'" in message(GOOD + "experiments: [{kind: multisine, axes: [A7]}]\n")
+
+
+def test_a_misspelt_key_in_an_experiment_is_refused_with_its_line() -> None:
+    said = message(GOOD + "experiments:\n  - kind: multisine\n    bandHz: [1, 2]\n")
+    assert said.startswith("cell.yaml:13: experiments[0].bandHz")
+
+
+def test_a_yaml_bomb_ends_before_it_fills_the_memory() -> None:
+    bomb = "a: &a [1,1,1,1,1,1,1,1,1]\n"
+    for n, (new, old) in enumerate(zip("bcdefghij", "abcdefghi", strict=True)):
+        bomb += f"{new}: &{new} [" + ",".join([f"*{old}"] * 9) + f"]  # {n}\n"
+    assert "aliases" in message(GOOD + bomb)
+
+
+def test_yaml_tags_build_no_objects() -> None:
+    assert "cell.yaml" in message(GOOD.replace("two axes", "!!python/object/apply:os.getcwd []"))
+
+
+@pytest.mark.parametrize(
+    "text", ["", "just a word", "[1, 2]", "format: [unclosed", "format: other\n", "\x00"]
+)
+def test_a_text_that_is_no_config_is_one_message(text: str) -> None:
+    assert message(text).startswith("cell.yaml")
+
+
+def test_a_missing_file_and_a_folder_are_one_message(tmp_path: Path) -> None:
+    for path in (tmp_path / "none.yaml", tmp_path):
+        with pytest.raises(ConfigError, match=str(path)):
+            load_config(path)
+
+
+def test_a_recording_given_as_config_is_refused_by_its_size_or_content(tmp_path: Path) -> None:
+    path = tmp_path / "recording.h5"
+    path.write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(range(256)) * 10)
+    with pytest.raises(ConfigError, match="not a text file"):
+        load_config(path)
+
+
+@pytest.mark.parametrize("path", CONFIGS, ids=lambda p: p.name)
+def test_every_shipped_config_loads_and_its_bus_is_within_budget(path: Path) -> None:
+    from invid.planning import make_plan
+
+    plan = make_plan(load_config(path))
+    assert plan.duration_s > 0
+    assert plan.budget.load <= plan.budget.max_load
+
+
+def test_there_are_shipped_configs() -> None:
+    assert len(CONFIGS) >= 5

@@ -1,0 +1,162 @@
+"""What the words of a diagnosis promise holds in every document, of elastic and of rigid machines."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[2]))
+from hidden.generator import make
+from large_motion import recording as recording_of
+from large_motion import simulate as large_motion
+from test_consequence_grades import diagnosis as document_of
+from test_consequence_grades import recording as plain_recording
+from test_consequence_grades import term
+
+from invid.cli.app import run
+from invid.diagnosis.consequence import with_consequences
+from invid.diagnosis.diagnose import diagnose
+from invid.model.diagnosis_document import (
+    Alternative,
+    AxisResidual,
+    Unexplained,
+    Verdict,
+    diagnosis_to_json,
+)
+from invid.numerics.arrays import frozen_float
+from invid.recording.hdf5 import write_recording
+from invid.recording.model import Recording, Role
+
+
+def broken(document: dict, recording: Recording) -> list[str]:
+    """The promises that a document breaks; CONTRACT.md, read again here."""
+    out = []
+    residual, share = document["residual"], document["explained_fraction"]
+    if document["verdict"] == "explained":
+        if share is not None and share < 0.9:
+            out.append(f"explained with {share}")
+        out += [
+            f"explained with {r['axis']} at {r['after'] / r['noise_floor']:.3g} floors"
+            for r in residual
+            if r["after"] > 1.2 * r["noise_floor"] * (1 + 1e-9)
+        ]
+    for finding in document["findings"]:
+        if finding["alternatives"] and finding["confidence"] > 0.89:
+            out.append(f"{finding['cause']} at {finding['confidence']} with alternatives")
+    if document["verdict"] in ("consistent", "unexplained") and document["findings"]:
+        out.append(f"{document['verdict']} with findings")
+    if document["verdict"] in ("partly_explained", "unexplained") and document["unexplained"] is None:
+        out.append(f"{document['verdict']} and nothing said of what is left")
+    held = recording.with_role(Role.VALIDATE) or recording.experiments
+    torque = sum(float(np.nansum(np.square(e.torque))) for e in held) / sum(e.samples for e in held)
+    missed = sum(max(r["after"] ** 2 - r["noise_floor"] ** 2, 0.0) for r in residual)
+    if torque > 0 and np.sqrt(missed / torque) > 0.5:
+        if document["model"]["fit"].get("trustworthy", True):
+            out.append("more than half of the torque missed, and trusted")
+        if not document["warnings"] or "misses" not in document["warnings"][0]:
+            out.append("more than half of the torque missed, and not said first")
+    return out
+
+
+@pytest.mark.parametrize(
+    ("share", "floors", "contested", "verdict"),
+    list(product((None, 0.5, 0.89, 0.9, 1.0), (1.0, 1.2, 1.25, 3.8), (False, True), Verdict)),
+)
+def test_no_document_says_more_than_its_numbers_carry(
+    share: float | None, floors: float, contested: bool, verdict: Verdict
+) -> None:
+    rivals = (Alternative("viscous_friction", "A1", "mass 1", 0.1),) if contested else ()
+    named = verdict in (Verdict.EXPLAINED, Verdict.PARTLY_EXPLAINED)
+    terms = (term("coulomb_friction", torque=0.4),) if named else ()
+    start = document_of(*terms, verdict=verdict, explained=share, after=floors * 0.05, rivals=rivals)
+    result = with_consequences(start, plain_recording())
+    says = diagnosis_to_json(result)
+    if verdict is Verdict.EXPLAINED:
+        kept = (share is None or share >= 0.9) and floors <= 1.2
+        assert result.verdict is (Verdict.EXPLAINED if kept else Verdict.PARTLY_EXPLAINED)
+        assert broken(says, plain_recording()) == []
+    else:
+        assert result.verdict is verdict
+        assert not [b for b in broken(says, plain_recording()) if "left" not in b]
+    assert all(f.confidence <= 0.89 for f in result.findings if f.alternatives)
+
+
+def test_a_document_that_broke_them_would_be_found() -> None:
+    good = diagnosis_to_json(
+        with_consequences(document_of(term("coulomb_friction", torque=0.4)), plain_recording())
+    )
+    assert broken(good, plain_recording()) == []
+    for change in (
+        {"explained_fraction": 0.65},
+        {"residual": [{"axis": "A1", "before": 1.0, "after": 0.19, "noise_floor": 0.05}]},
+        {
+            "residual": [{"axis": "A1", "before": 9.0, "after": 6.0, "noise_floor": 0.05}],
+            "verdict": "consistent",
+        },
+    ):
+        assert broken({**good, **change}, plain_recording()), change
+
+
+ELASTIC = (
+    ("coulomb_friction", 11), ("cubic_stiffness", 12), ("backlash", 13), ("gravity", 14), ("power_drag", 15),
+    ("end_stop", 16), (None, 17),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("cause", "seed"), ELASTIC)
+def test_diagnoses_of_elastic_machines_keep_them(cause: str | None, seed: int) -> None:
+    recording, _ = make(cause, seed=seed, motors=1, target_db=None if cause is None else 25)
+    assert broken(diagnosis_to_json(diagnose(recording)), recording) == []
+
+
+RIGID = {
+    "nothing": {},
+    "friction": {"dry": (1.0, 1.0), "wet": (0.6, 0.6)},
+    "by direction": {"dry": (1.5, 0.8), "wet": (0.3, 0.9)},
+    "weight": {"extra": lambda q, v, t: 2.0 * np.sin(q + 0.4)},
+    "no name": {"extra": lambda q, v, t: 1.5 * np.sin(9.0 * t)},
+    "beside no name": {"dry": (1.0, 1.0), "extra": lambda q, v, t: 0.8 * np.tanh(3.0 * q) * v},
+    "hardly any noise": {"dry": (1.0, 1.0), "noise": 1e-5},
+}
+
+
+@pytest.mark.parametrize("case", RIGID)
+def test_diagnoses_of_rigid_machines_keep_them(case: str) -> None:
+    recording = recording_of(large_motion(np.random.default_rng(5), seconds=12.0, **RIGID[case]))
+    assert broken(diagnosis_to_json(diagnose(recording)), recording) == []
+
+
+def test_where_more_than_half_of_the_torque_is_missed_the_command_ends_with_three(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A torque channel that is not the motor's: drawn by chance beside the motion."""
+    rng = np.random.default_rng(3)
+    moved = large_motion(rng, seconds=12.0)
+    wander = np.cumsum(rng.normal(size=moved.torque.shape), axis=0)
+    torque = frozen_float(moved.torque + moved.torque.std() / wander.std() * 3.0 * wander)
+    recording = recording_of(replace(moved, torque=torque))
+    write_recording(recording, tmp_path / "rec.h5")
+    status = run(["diagnose", str(tmp_path / "rec.h5"), "--json"])
+    document = json.loads(capsys.readouterr().out)
+    assert broken(document, recording) == []
+    assert sum(r["after"] ** 2 for r in document["residual"]) > 0.25 * float(np.mean(torque**2))
+    assert status == 3
+    assert "misses" in document["warnings"][0]
+
+
+def test_an_elastic_document_that_misses_more_than_half_is_not_trusted() -> None:
+    start = document_of(verdict=Verdict.UNEXPLAINED, explained=None)
+    rows = tuple(AxisResidual(a, "N·m", 6.0, 6.0, 0.05) for a in ("A1", "A2", "A3"))
+    left = Unexplained("A1", (), (), "A1: much is left")
+    recording = plain_recording()
+    result = with_consequences(replace(start, residual=rows, unexplained=left), recording)
+    document = diagnosis_to_json(result)
+    assert document["model"]["fit"]["trustworthy"] is False
+    assert "misses" in document["warnings"][0]
+    assert broken(document, recording) == []

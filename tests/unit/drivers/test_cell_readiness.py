@@ -1,0 +1,108 @@
+"""A cell whose axes an earlier run left energised is not ready, in command and service alike."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from invid.config import CellConfig, load_config
+from invid_drivers.cia402.hold_memory import HoldMemory, Seen
+from invid_drivers.cia402.holding import energised_reason
+from invid_drivers.cia402.journal import journal_path
+from invid_drivers.cia402.states import DriveState
+from invid_drivers.readiness import loads_to_support, not_ready
+from invid_service.cells.readiness import Situation, readiness
+
+CONFIG = Path(__file__).parents[3] / "configs" / "case-study-unix.yaml"
+
+
+@pytest.fixture
+def cell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> CellConfig:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    config = load_config(CONFIG)
+    bus = config.bus.model_copy(update={"channel": str(tmp_path / "nobody.sock")})
+    return config.model_copy(update={"bus": bus})
+
+
+def situation(config: CellConfig, mode: str = "full") -> Situation:
+    return Situation(
+        config=config,
+        occupied_by=None,
+        free_bytes=10**12,
+        needed_bytes=0,
+        store_answers=True,
+        shutting_down=False,
+        has_model=True,
+        mode=mode,  # type: ignore[arg-type]
+        drives=not_ready(config),
+    )
+
+
+def test_an_axis_that_was_left_held_is_said_and_taken_over_by_the_service_as_by_the_command(
+    cell: CellConfig,
+) -> None:
+    assert readiness(situation(cell)).notes == []
+    memory = HoldMemory.beside(journal_path(cell.bus.interface, cell.bus.channel))
+    memory.keep("drive of A2", Seen(2, loaded=True, holds=True, resumes=True, left_held=True))
+    found = readiness(situation(cell))  # nobody answers on the bus: what is remembered counts
+    assert found.can_start
+    (note,) = found.notes
+    assert note.code == "axis_energised"
+    assert "axis A2 (node 2) is energised" in note.text
+    assert "takes it over without letting go" in note.text
+    assert "support its load" in note.fix
+    assert note.values == {"axis": "A2", "node": "2"}
+    assert readiness(situation(cell, "simulate")).notes == []
+    memory.keep("drive of A2", Seen(2, loaded=True, holds=True, resumes=True))
+    assert readiness(situation(cell)).notes == []
+
+
+def test_a_held_axis_whose_drive_does_not_go_back_to_operation_keeps_the_cell_from_starting(
+    cell: CellConfig,
+) -> None:
+    memory = HoldMemory.beside(journal_path(cell.bus.interface, cell.bus.channel))
+    memory.keep("drive of A2", Seen(2, loaded=True, holds=True, resumes=False, left_held=True))
+    found = readiness(situation(cell))
+    assert not found.can_start
+    (reason,) = found.reasons
+    assert reason.code == "axis_energised"
+    assert "does not go back to operation" in reason.text
+    assert found.notes == []
+
+
+@pytest.mark.parametrize("state", [DriveState.OPERATION_ENABLED, DriveState.QUICK_STOP_ACTIVE])
+def test_only_what_this_program_left_held_is_taken_over(cell: CellConfig, state: DriveState) -> None:
+    found = energised_reason("A1", 1, state, None)
+    ready = readiness(replace(situation(cell), drives=(found,)))
+    assert ready.can_start == (state is DriveState.QUICK_STOP_ACTIVE)
+
+
+def test_loads_are_to_be_supported_until_each_hold_was_seen_and_in_no_simulation(cell: CellConfig) -> None:
+    axes = [
+        a.model_copy(update={"gravity_loaded": g})
+        for a, g in zip(cell.axes, (True, False, None), strict=True)
+    ]
+    hardware = cell.model_copy(update={"simulation": None, "axes": axes})
+    assert loads_to_support(hardware) == ("A1", "A3")
+    assert loads_to_support(hardware.model_copy(update={"simulation": cell.simulation})) == ()
+    memory = HoldMemory.beside(journal_path(cell.bus.interface, cell.bus.channel))
+    memory.keep("drive of A1", Seen(1, loaded=True, holds=True))
+    assert loads_to_support(hardware) == ("A3",)
+
+
+def test_an_axis_at_which_a_run_ended_names_the_command_that_clears_it(cell: CellConfig) -> None:
+    memory = HoldMemory.beside(journal_path(cell.bus.interface, cell.bus.channel))
+    memory.keep("drive of A3", Seen(3, loaded=True, suspect="axis A3: the encoder is stuck"))
+    (reason,) = readiness(situation(cell)).reasons
+    assert reason.code == "axis_suspect"
+    assert "encoder is stuck" in reason.text
+    assert "invid check --cleared A3" in reason.fix
+
+
+def test_a_memory_that_cannot_be_read_knows_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "holds.json"
+    for text in ("", "[]", '{"x": 1}', '{"x": {"nobody": 1}}', "\x00"):
+        path.write_text(text, encoding="utf-8")
+        assert dict(HoldMemory(path).seen) == {}

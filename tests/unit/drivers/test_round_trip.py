@@ -1,0 +1,192 @@
+"""Round trips of an adapter: how many samples bound what, which cycle follows, what is refused."""
+
+from __future__ import annotations
+
+import collections
+import contextlib
+import json
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import can
+import numpy as np
+import pytest
+import yaml
+
+from invid.cli.app import run
+from invid.config import CellConfig, parse_config
+from invid.errors import BusError, ConfigError
+from invid.planning import make_plan
+from invid.planning.round_trip import bound, judge, needed, rank, tolerable_share
+from invid_drivers.cia402.link import Link
+from invid_drivers.cli import check, init
+from invid_drivers.round_trip import probe, require, sample
+
+ROOT = Path(__file__).parents[3]
+
+
+class SlowBus(can.BusABC):
+    """Nodes that answer 0x1000 and nothing else, behind an adapter that takes a time of its own each way."""
+
+    def __init__(
+        self, nodes: tuple[int, ...], adapter_s: float, sdo_s: dict[int, float] | None = None
+    ) -> None:
+        super().__init__(channel="slow")
+        self.nodes, self.adapter_s, self.sdo_s = nodes, adapter_s, sdo_s or {}
+        self.asked: list[tuple[int, bytes]] = []
+        self._coming: collections.deque[tuple[float, can.Message]] = collections.deque()
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        self.asked.append((msg.arbitration_id, bytes(msg.data)))
+        node = msg.arbitration_id - 0x600
+        if node not in self.nodes:
+            return
+        ready = time.monotonic() + self.adapter_s + self.sdo_s.get(node, 0.0)
+        answer = bytes((0x43, 0x00, 0x10, 0x00)) + (402).to_bytes(4, "little")
+        self._coming.append(
+            (ready, can.Message(arbitration_id=0x580 + node, data=answer, is_extended_id=False))
+        )
+        self._coming = collections.deque(sorted(self._coming, key=lambda c: c[0]))
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        end = time.monotonic() + (timeout or 0.0)
+        while time.monotonic() < end:
+            if self._coming and self._coming[0][0] <= time.monotonic():
+                return self._coming.popleft()[1]
+            time.sleep(0.00005)
+        return None
+
+    def shutdown(self) -> None:
+        super().shutdown()
+
+
+@contextlib.contextmanager
+def slow(nodes: tuple[int, ...], adapter_s: float, **sdo: Any) -> Iterator[Link]:
+    bus = SlowBus(nodes, adapter_s, **sdo)
+    try:
+        yield Link(bus, heartbeat_s=0.1)
+    finally:
+        bus.shutdown()
+
+
+def hardware(cycle_s: float = 0.001, **bus: Any) -> CellConfig:
+    document = yaml.safe_load((ROOT / "configs" / "case-study-unix.yaml").read_text(encoding="utf-8"))
+    del document["simulation"]
+    document["bus"] |= {"cycle_s": cycle_s, **bus}
+    document["safety"] = {"missed_tpdos": 5}
+    return parse_config(yaml.safe_dump(document))
+
+
+@pytest.mark.parametrize(("count", "from_the_top"), [(299, 1), (600, 2), (2000, 13)])
+def test_the_rank_is_that_of_the_binomial_law(count: int, from_the_top: int) -> None:
+    """Counted by hand: P(at most k - 1 of n are beyond the 99 % quantile) is at most 5 %."""
+    beyond = np.random.default_rng(1).binomial(count, 0.01, size=400_000)
+    assert rank(count, 0.99) == count - from_the_top + 1
+    assert np.mean(beyond < from_the_top) <= 0.0505
+    assert np.mean(beyond < from_the_top + 1) > 0.05
+
+
+def test_fewer_samples_than_299_bound_no_99_percent_and_the_largest_is_taken() -> None:
+    assert rank(298, 0.99) is None
+    assert bound([0.001] * 297 + [0.009], 0.99) == 0.009
+
+
+def test_the_bound_is_above_the_true_share_in_95_of_100_samples() -> None:
+    rng = np.random.default_rng(5)
+    true = -np.log(0.01)  # 99 % quantile of the exponential distribution
+    above = [bound(rng.exponential(size=600), 0.99) >= true for _ in range(2000)]
+    assert 0.94 <= np.mean(above) <= 0.995
+
+
+def test_late_answers_in_a_row_end_a_run_as_seldom_as_is_said() -> None:
+    share, cycles = tolerable_share(20_000, 2), 20_000
+    rng = np.random.default_rng(3)
+    ended = 0
+    for _ in range(2000):
+        late = rng.random(cycles) < share
+        ended += bool(np.any(late[1:] & late[:-1]))
+    assert ended / 2000 <= 0.02
+
+
+def test_a_cycle_asks_for_the_frames_of_all_drives_beside_what_the_adapter_takes() -> None:
+    # six drives: SYNC 55, RPDO 95 and TPDO 135 bits each, at 1 Mbit/s, of which the probe's 270 were in it
+    assert needed(0.0005, 6, 1_000_000) == pytest.approx((0.0005 + (55 + 6 * 230 - 270) * 1e-6) / 0.85)
+    assert needed(0.0005, 6, 1_000_000) > 0.001
+    assert needed(0.0005, 6, 1_000_000) < 0.002
+
+
+@pytest.mark.parametrize(("adapter_s", "cycle_s", "carries"), [(0.004, 0.001, False), (0.004, 0.008, True)])
+def test_an_adapter_of_four_milliseconds_carries_no_kilohertz_and_the_longer_cycle_is_proposed(
+    adapter_s: float, cycle_s: float, carries: bool
+) -> None:
+    config = hardware(cycle_s)
+    with slow((1, 2, 3), adapter_s) as link:
+        found = probe(link, config, make_plan(config))
+        asked = set(link.bus.asked)  # type: ignore[attr-defined]
+    assert asked == {(0x600 + n, bytes((0x40, 0x00, 0x10, 0, 0, 0, 0, 0))) for n in (1, 2, 3)}
+    assert found.carries is carries
+    assert found.median_s == pytest.approx(adapter_s, rel=0.5)
+    assert 0.005 <= found.shortest_cycle_s <= 0.02
+    if carries:
+        assert require(found, config) == [] or found.late_share > 0.01
+    else:
+        with pytest.raises(ConfigError, match=r"cycle_s is 0\.001.*Set bus\.cycle_s to 0\.0"):
+            require(found, config)
+        assert found.late_share == 1.0
+
+
+def test_a_drive_that_is_slow_to_answer_sdo_is_not_taken_for_the_adapter_beside_a_fast_one() -> None:
+    with slow((1, 2), 0.0002, sdo_s={2: 0.02}) as link:
+        assert np.median(sample(link, [1, 2], every_s=0.001, count=30)) < 0.01
+
+
+def test_a_round_trip_that_is_stated_decides_instead_of_the_probe() -> None:
+    samples = [0.004] * 600
+    plain, stated = hardware(0.002), hardware(0.002, round_trip_s=0.0004)
+    cycles = 10_000
+    assert not judge(samples, plain, cycles=cycles, loaded_s=0.001).carries
+    found = judge(samples, stated, cycles=cycles, loaded_s=0.001)
+    assert found.carries
+    assert found.shortest_cycle_s == 0.002
+
+
+def test_a_simulated_cell_is_told_and_not_refused() -> None:
+    config = parse_config((ROOT / "configs" / "case-study-unix.yaml").read_text(encoding="utf-8"))
+    found = judge([0.05] * 600, config, cycles=10_000, loaded_s=0.001)
+    (said,) = require(found, config)
+    assert "Set bus.cycle_s to" in said
+
+
+def test_a_bus_on_which_nobody_answers_is_one_sentence() -> None:
+    with slow((), 0.0) as link, pytest.raises(BusError, match="no node answers SDO"):
+        sample(link, [1, 2], every_s=0.001)
+
+
+def test_init_proposes_the_cycle_that_the_adapter_carries(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(init, "open_bus", lambda _: SlowBus((1, 2), 0.004))
+    monkeypatch.setattr(init, "ANSWER_S", 0.012)  # 125 silent ids are asked twice
+    out = tmp_path / "cell.yaml"
+    assert run(["init", "--channel", "slow", "-o", str(out), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["round_trip_ms"] >= 4.0
+    written = yaml.safe_load(out.read_text(encoding="utf-8"))
+    assert 0.005 <= written["bus"]["cycle_s"] <= 0.05
+    parse_config(out.read_text(encoding="utf-8"))
+
+
+def test_check_does_not_call_a_cycle_ready_that_the_adapter_does_not_carry(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The drives answer as they do; only what is probed of the adapter is slow."""
+    config = parse_config((ROOT / "configs" / "case-study.yaml").read_text(encoding="utf-8"))
+    hard = hardware(config.bus.cycle_s)
+    monkeypatch.setattr(check, "is_virtual", lambda _: False)
+    monkeypatch.setattr(
+        check, "probe", lambda link, _, plan: judge([0.004] * 600, hard, cycles=10_000, loaded_s=0.001)
+    )
+    monkeypatch.setattr(check, "require", lambda found, _: require(found, hard))
+    with pytest.raises(ConfigError, match=r"Set bus\.cycle_s to"):
+        check.preflight(config)

@@ -1,0 +1,38 @@
+"""What the manuals say, as rows: an unknown counts as the worst, and the docs say the same as the code."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+
+from invid_drivers.cia402.manuals import NO, QUESTIONS, UNKNOWN, YES, Manual
+from invid_drivers.cia402.vendors import VENDORS, reference, vendor
+
+PAGE = (Path(__file__).parents[3] / "docs" / "reference" / "drives.md").read_text(encoding="utf-8")
+
+
+def test_an_unknown_protection_is_none_and_an_unknown_danger_is_one() -> None:
+    assert (YES.certain, NO.certain, UNKNOWN.certain) == (True, False, False)
+    assert (YES.possible, NO.possible, UNKNOWN.possible) == (True, False, True)
+
+
+def test_of_a_generic_drive_nothing_is_assumed() -> None:
+    row = vendor("generic")
+    assert row is not None
+    assert {row.fact(name) for name in QUESTIONS} == {"unknown"}
+
+
+@pytest.mark.parametrize("name", list(VENDORS))
+def test_every_fact_names_its_source_and_every_source_a_fact(name: str) -> None:
+    row = VENDORS[name]
+    assert {f for f in QUESTIONS if row.fact(f) != "unknown"} == set(row.sources)
+
+
+def test_every_question_of_the_table_is_a_field_and_every_field_is_asked() -> None:
+    assert set(QUESTIONS) == {f.name for f in fields(Manual)} - {"sources"}
+
+
+def test_the_reference_shows_the_facts_of_the_code() -> None:
+    assert reference() in PAGE

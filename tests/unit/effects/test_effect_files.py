@@ -1,0 +1,242 @@
+"""A cause of one file outside the tree is fitted, named, simulated, saved, reloaded and drawn."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[2]))
+from hidden.generator import Truth, make
+from large_motion import recording as recording_of
+from large_motion import simulate as integrate
+
+import invid
+from invid.cli.app import run
+from invid.effects.registry import effect_of, using
+from invid.model.document import EffectTerm, Estimate
+from invid.recording import Recording, Role, write_recording
+from invid.report import figure_data, render_report
+from invid.report.dependence import linear_model_of
+
+FILES = Path(__file__).parents[2] / "effects"
+DRAG, CUSHION = FILES / "quadratic_drag.py", FILES / "end_cushion.py"
+
+
+def hidden_drag(seed: int) -> tuple[Recording, Truth]:
+    """Drag with the square of the speed, by the tests' own integrator, some 20 dB above noise."""
+    size = {"coefficient": 6.0, "power": 2.0}
+    return make("power_drag", seed=seed, motors=1, size=size, noise=0.002, validate=True)
+
+
+@pytest.fixture(scope="module")
+def drag() -> tuple[Recording, Truth, invid.Diagnosis]:
+    recording, truth = hidden_drag(4)
+    return recording, truth, invid.diagnose(recording, effects=[DRAG])
+
+
+def test_drag_that_was_hidden_is_found_named_and_measured(
+    drag: tuple[Recording, Truth, invid.Diagnosis],
+) -> None:
+    _, truth, diagnosis = drag
+    assert diagnosis.verdict == "explained"
+    (finding,) = diagnosis.findings
+    assert (finding.cause, finding.axis, finding.element) == (
+        "quadratic_drag",
+        truth.effects[0].axis,
+        truth.effects[0].element,
+    )
+    size = finding.parameters["coefficient"]
+    assert size.unit == "N·m·s²/rad²"
+    assert size.std is not None
+    assert size.std < 0.05 * size.value
+    assert size.value == pytest.approx(truth.effects[0].parameters["coefficient"], abs=4 * size.std)
+    assert "drag that grows with the square of the speed" in finding.sentence
+    assert "square of the speed" in diagnosis.headline
+    assert pickle.loads(pickle.dumps(diagnosis)).findings[0].cause == "quadratic_drag"
+
+
+def test_without_its_file_the_same_drag_is_not_explained_by_that_name() -> None:
+    assert effect_of("quadratic_drag") is None
+    with using([DRAG]):
+        assert effect_of("quadratic_drag") is not None
+    assert effect_of("quadratic_drag") is None
+
+
+def test_another_kind_of_law_with_a_place_of_its_own_is_found_too() -> None:
+    recording, truth = make("end_stop", seed=3, motors=1, target_db=25)
+    diagnosis = invid.diagnose(recording, effects=[CUSHION, DRAG])
+    (finding,) = diagnosis.findings
+    assert finding.cause == "end_cushion"
+    true = truth.effects[0].parameters
+    for name, value in (("stiffness", true["stiffness"]), ("begin", true["position"])):
+        found = finding.parameters[name]
+        assert found.std is not None
+        assert found.value == pytest.approx(value, abs=4 * found.std), name
+    again = invid.diagnose(recording, model=diagnosis.model, effects=[CUSHION])
+    assert (again.verdict, again.findings) == ("consistent", ())
+
+
+def error_of(model: invid.Model, recording: Recording) -> float:
+    """Rms of simulated less measured motion over all experiments for validation."""
+    answer = invid.simulate(model, recording, effects=[DRAG])
+    held = [k for k, e in enumerate(recording.experiments) if e.role is Role.VALIDATE]
+    left = [answer.experiments[k].position - recording.experiments[k].position for k in held]
+    return float(np.sqrt(np.mean(np.concatenate(left) ** 2)))
+
+
+def test_it_is_saved_reloaded_simulated_and_known_to_the_next_diagnosis(
+    drag: tuple[Recording, Truth, invid.Diagnosis], tmp_path: Path
+) -> None:
+    recording, _, diagnosis = drag
+    diagnosis.model.save(tmp_path / "model.json")
+    model = invid.load_model(tmp_path / "model.json")
+    assert model.effects == diagnosis.model.effects
+    assert error_of(model, recording) < 0.5 * error_of(linear_model_of(diagnosis), recording)
+    again = invid.diagnose(recording, model=model, effects=[DRAG])
+    assert (again.verdict, again.findings) == ("consistent", ())
+    with pytest.raises(invid.ModelError, match="--effects"):
+        invid.simulate(model, recording)
+    with pytest.raises(invid.ModelError, match="--effects"):
+        invid.diagnose(recording, model=model)
+
+
+def test_it_is_drawn_as_the_parabola_that_it_is(drag: tuple[Recording, Truth, invid.Diagnosis]) -> None:
+    recording, _, diagnosis = drag
+    linear = linear_model_of(diagnosis)
+    with using([DRAG]):
+        (picture,) = figure_data(recording, linear, diagnosis)["causes"]
+        assert "square of the speed" in render_report(recording, linear, diagnosis)
+    x, y = (np.array(picture["fit"][k]) for k in "xy")
+    size = diagnosis.findings[0].parameters["coefficient"].value
+    np.testing.assert_allclose(y, size * x * np.abs(x), rtol=1e-9)
+    points = np.array(picture["x"]), np.array(picture["y"])
+    assert np.corrcoef(points[1], points[0] * np.abs(points[0]))[0, 1] > 0.85  # the rest is noise
+
+
+PLAIN = """
+from invid.effects import Experiment, MotionEffect, Parameter, mass_places
+
+
+class Plain(MotionEffect):
+    cause, family, over = "plain_drag", "friction", "velocity"
+    numbers = (Parameter("coefficient", "damping", low=0.0),)
+    title, check = "plain drag", "Check it."
+    separating = Experiment("speeds", "slow moves")
+
+    def places(self, structure):
+        return mass_places(structure)
+
+    def resistance(self, motion, shape):
+        return motion.velocity[:, None]
+
+
+EFFECT = Plain()
+"""
+
+
+def test_the_simulation_reads_a_law_from_a_table_as_exactly_as_it_is_written(tmp_path: Path) -> None:
+    """Viscous friction at the load as a static law, and as the damper that it is: the same motion."""
+    recording, truth = make(None, seed=4, motors=1, moves=False, periods=2)
+    model = invid.identify(recording, masses=truth.chains.masses_per_branch)
+    file = tmp_path / "plain.py"
+    file.write_text(PLAIN)
+    element = f"mass {truth.chains.masses_per_branch[0]}"
+    answers = []
+    for cause in ("viscous_friction", "plain_drag"):
+        term = EffectTerm(cause, model.axes[0], {"coefficient": Estimate(0.5)}, element)
+        extended = dataclasses.replace(model, effects=(term,))
+        answers.append(invid.simulate(extended, recording, effects=[file]).experiments[0].position)
+    plain = invid.simulate(dataclasses.replace(model, effects=()), recording).experiments[0].position
+    late = slice(answers[0].size // 2, None)  # where each started is fitted, and forgotten by then
+    assert np.abs(answers[1] - answers[0])[late].max() < 5e-3 * np.abs(plain - answers[0])[late].max()
+
+
+def test_a_rigid_machine_in_large_motion_shows_it_as_well() -> None:
+    one, other = (
+        integrate(np.random.default_rng(k), mass=0.5, dry=(1.0, 1.0), extra=lambda q, v, t: 0.3 * v * abs(v))
+        for k in (1, 2)
+    )
+    recording = recording_of(one, dataclasses.replace(other, key="001"))
+    diagnosis = invid.diagnose(recording, effects=[DRAG])
+    found = {f.cause: f for f in diagnosis.findings}
+    assert {"quadratic_drag", "coulomb_friction"} <= set(found)
+    size = found["quadratic_drag"].parameters["coefficient"]
+    assert size.value == pytest.approx(0.3, abs=max(4 * (size.std or 0.0), 0.02))
+    answer = invid.simulate(diagnosis.model, recording, effects=[DRAG])
+    assert np.isfinite(answer.experiments[0].position).all()
+
+
+def test_the_commands_take_a_file_and_the_table_of_results_holds_its_cause(
+    drag: tuple[Recording, Truth, invid.Diagnosis], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording, _, diagnosis = drag
+    write_recording(recording, tmp_path / "rec.h5")
+    rec, out = str(tmp_path / "rec.h5"), tmp_path / "model.json"
+    diagnosis.model.save(out)
+    assert run(["diagnose", rec, "--effects", str(DRAG), "--report", str(tmp_path / "r.html")]) == 0
+    said = capsys.readouterr()
+    assert "drag that grows with the square of the speed" in said.out
+    assert "square of the speed" in (tmp_path / "r.html").read_text(encoding="utf-8")
+    sim = ["simulate", str(out), rec, "-o", str(tmp_path / "sim.h5")]
+    assert run(sim) == 2
+    assert "--effects FILE.py" in capsys.readouterr().err
+    assert run([*sim, "--effects", str(DRAG)]) == 0
+    assert run(["identify", rec, "--effects", str(DRAG), "-o", str(tmp_path / "m.json")]) == 0
+
+
+BAD = {
+    "no file": (None, "cannot be read"),
+    "syntax": ("def (:\n", "SyntaxError in line 1"),
+    "raises": ("import nowhere_at_all\n", "ModuleNotFoundError"),
+    "empty": ("x = 1\n", "holds no EFFECT"),
+    "class": (PLAIN.replace("EFFECT = Plain()", "EFFECT = Plain"), "write EFFECT = Plain()"),
+    "no effect": ("EFFECT = 3\n", "EFFECT is int"),
+    "no title": (PLAIN.replace('"plain drag", "Check it."', '"", "Check it."'), "title is empty"),
+    "unit": (PLAIN.replace('"damping"', '"furlongs"'), "no kind of quantity is called 'furlongs'"),
+    "taken": (PLAIN.replace("plain_drag", "gravity"), "the catalogue has a cause of that name"),
+    "shape": (PLAIN.replace("motion.velocity[:, None]", "motion.velocity"), "its resistance has shape (10,)"),
+    "law": (PLAIN.replace("motion.velocity[:, None]", "motion.speed"), "AttributeError"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_a_bad_file_is_one_sentence_and_exit_two(
+    case: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text, said = BAD[case]
+    file = tmp_path / "mine.py"
+    if text is not None:
+        file.write_text(text)
+    assert run(["diagnose", "nothing.h5", "--effects", str(file)]) == 2
+    heard = capsys.readouterr().err.strip()
+    assert said in heard
+    assert "Traceback" not in heard
+    assert len(heard.splitlines()) == 1
+
+
+def test_an_installed_package_offers_its_effects_by_an_entry_point(tmp_path: Path) -> None:
+    (tmp_path / "fan_drag.py").write_text(DRAG.read_text(encoding="utf-8"), encoding="utf-8")
+    info = tmp_path / "fan_drag-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: fan-drag\nVersion: 1.0\n")
+    points = info / "entry_points.txt"
+    points.write_text("[invid.effects]\ndrag = fan_drag:EFFECT\n")
+    asks = "import invid.effects.registry as r; print('quadratic_drag' in [e.cause for e in r.effects()])"
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+
+    def asked() -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, "-c", asks], env=environment, capture_output=True, text=True, check=False
+        )
+
+    assert asked().stdout.strip() == "True"
+    points.write_text("[invid.effects]\ndrag = fan_drag:NOTHING\n")
+    broken = asked()
+    assert "package fan-drag, entry point 'drag'" in broken.stderr.splitlines()[-1]

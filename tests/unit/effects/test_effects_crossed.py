@@ -1,0 +1,246 @@
+"""Every cause crossed with every use, from its derivatives to its experiment, on both kinds of machine."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[2]))
+from hidden.generator import make
+from large_motion import experiment
+from large_motion import recording as recording_of
+from test_extended_model import SIZES
+
+from invid.config import load_config
+from invid.diagnosis.consequence import consequence_of
+from invid.diagnosis.headline import title_of
+from invid.diagnosis.known_effects import place_of, vector_of
+from invid.diagnosis.linear_fit import layout_of
+from invid.diagnosis.score_test import terms_for
+from invid.diagnosis.sentences import finding_sentence
+from invid.diagnosis.validation import split
+from invid.effects.curve import curve
+from invid.effects.effect import PlaceMotion
+from invid.effects.registry import BY_CAUSE, CATALOGUE, LARGE_MOTION, load_effects, using
+from invid.effects.sizes import Machine
+from invid.effects.units import unit_of
+from invid.likelihood.evaluation import evaluate
+from invid.likelihood.placed_effect import Candidate, Term
+from invid.model.chains import CoupledChains
+from invid.model.document import ChainStd, EffectTerm, Estimate, Model, load_model
+from invid.model.parameters import ChainStructure
+from invid.planning.separating_experiments import is_measurable, to_separate
+from invid.recording.model import Recording
+from invid.signals.spectra import all_spectra
+from invid.simulation.rigid import simulate_motion
+from invid.simulation.run import simulate
+
+FILES = Path(__file__).parents[2] / "effects"
+CONFIG = Path(__file__).parents[3] / "configs" / "case-study.yaml"
+FURTHER = [e for f in sorted(FILES.glob("*.py")) for e in load_effects(f)]
+SIZE = {
+    **SIZES,
+    "quadratic_drag": ("mass 1", {"coefficient": 3.0}),
+    "end_cushion": ("mass 1", {"stiffness": 30.0, "begin": 0.002}),
+    "load_dependent_friction": ("mass 1", {"coefficient": 0.1, "inertia_counts": 0.0}),
+    "quadratic_stiffness": ("spring 0", {"coefficient": 5.0}),
+}
+ELASTIC = [*CATALOGUE, *FURTHER]
+EVERY = [*ELASTIC, *LARGE_MOTION]
+"""All effects, and those that an elastic machine can have."""
+NOT_FITTED = ("dropped_samples", "spring_damping")
+"""Found in the samples; part of the linear model."""
+NO_LARGE_MOTION = {
+    "presliding_friction", "cogging", "torque_lag", "torque_gain", "torque_saturation",
+    "encoder_eccentricity", "dropped_samples", "spring_damping", "backlash", "spring_hysteresis",
+    "transmission_error", "extra_mode", "coupling_stiffness", "payload_change", "parameter_drift",
+}  # fmt: skip
+"""Causes that a rigid machine in large motion is not asked for."""
+NO_CURVE = {"encoder_eccentricity", "dropped_samples", "extra_mode", "payload_change", "parameter_drift"}
+"""Causes whose missing torque is a function of no one quantity."""
+
+
+@pytest.fixture(autouse=True)
+def known():
+    with using(FURTHER):
+        yield
+
+
+@pytest.fixture(scope="module")
+def excited() -> tuple[Recording, CoupledChains]:
+    recording, truth = make(None, seed=21, masses=(2, 3), noise=0.003, drive="smooth", moves=False, periods=2)
+    return recording, truth.chains
+
+
+def term_of(effect, axes) -> EffectTerm:
+    element, values = SIZE[effect.cause]
+    other = axes[1] if effect.cause == "coupling_stiffness" else None
+    units = {name: unit_of(kind, False) for name, kind in effect.parameters.items()}
+    parameters = {k: Estimate(v, 0.1 * abs(v), units[k]) for k, v in values.items()}
+    return EffectTerm(effect.cause, axes[0], parameters, element, other)
+
+
+def model_of(chains: CoupledChains, *effects: EffectTerm) -> Model:
+    return Model("cell", "refined", chains, ChainStd.unknown(chains), effects=effects)
+
+
+def ids(effect) -> str:
+    return effect.cause
+
+
+def test_the_sizes_here_are_those_of_all_effects() -> None:
+    assert sorted(SIZE) == sorted(e.cause for e in EVERY)
+    assert sorted(BY_CAUSE) == sorted(e.cause for e in EVERY)
+
+
+@pytest.mark.parametrize("effect", ELASTIC, ids=ids)
+def test_its_derivatives_are_those_of_its_contribution(effect, excited) -> None:
+    """Gradient of χ² by the effect's own parameters against differences of χ²."""
+    if effect.cause in NOT_FITTED:
+        return
+    recording, chains = excited
+    train, _, _ = split(recording, all_spectra(recording))
+    structure = ChainStructure(chains.masses_per_branch, chains.axes, viscous=False)
+    layout = layout_of(structure, train, 0.0)
+    p = np.full(layout.count, 0.5)
+    p[: structure.count] = structure.vector(chains)
+    p[structure.count : structure.count + structure.motors] = 0.5 * layout.step
+    one = term_of(effect, chains.axes)
+    place, x = place_of(one, structure), vector_of(one)
+    assert place in effect.places(structure)
+    here = evaluate(layout, train, p, Candidate((Term(effect, place),), (x,)), thorough=True)
+    gradient = 2.0 * here.jacobian.T @ here.residual
+    size = np.linalg.norm(here.jacobian, axis=0)
+
+    def cost(at: np.ndarray) -> float:
+        candidate = Candidate((Term(effect, place),), (at,))
+        return evaluate(layout, train, p, candidate, jacobian=False, near=here.views).cost
+
+    for k in range(x.size):
+        at = layout.count + k
+        if size[at] == 0.0:
+            continue  # a shape that nothing tells in these records
+        h = 1e-4 * max(abs(float(x[k])), 1e-3)
+        up, down = x.copy(), x.copy()
+        up[k] += h
+        down[k] -= h
+        expected = (cost(up) - cost(down)) / (2 * h)
+        # Laws that stick have kinks, and inner motion agrees to some per cent.
+        scale = size[at] * np.sqrt(here.cost)
+        assert gradient[at] == pytest.approx(expected, rel=0.1, abs=0.02 * scale), (effect.cause, k)
+
+
+@pytest.mark.parametrize("effect", ELASTIC, ids=ids)
+def test_it_is_searched_at_its_places_unless_it_sits_elsewhere(effect, excited) -> None:
+    _, chains = excited
+    structure = ChainStructure(chains.masses_per_branch, chains.axes)
+    searched = [t.place for t in terms_for(structure, linear_axes=False) if t.effect is effect]
+    assert searched == effect.places(structure)
+    assert bool(searched) is (effect.cause not in NOT_FITTED)
+
+
+@pytest.mark.parametrize("effect", ELASTIC, ids=ids)
+def test_it_is_saved_reloaded_and_simulated(effect, excited, tmp_path: Path) -> None:
+    recording, chains = excited
+    model = model_of(chains, term_of(effect, chains.axes))
+    model.save(tmp_path / "model.json")
+    loaded = load_model(tmp_path / "model.json")
+    assert loaded.effects == model.effects
+    first = recording.experiments[0].key
+    answers = [simulate(m, recording, only=(first,)).experiments[0] for m in (model_of(chains), loaded)]
+    assert np.isfinite(answers[1].position).all()
+    assert np.abs(answers[1].position - answers[0].position).max() > 0.0
+
+
+@pytest.mark.parametrize("effect", EVERY, ids=ids)
+def test_its_curve_resists_as_it_says(effect, excited) -> None:
+    _, chains = excited
+    size = 5.0 if effect.over.startswith("torque") else 0.01
+    x = size * np.sin(np.linspace(0, 4 * np.pi, 400))
+    found = curve(term_of(effect, chains.axes), x, 1000.0)
+    assert (found is None) is (effect.cause in {*NO_CURVE, "load_dependent_friction"})
+    if found is not None:
+        assert found.x.shape == found.y.shape
+        assert np.isfinite(found.y).all()
+        assert np.abs(found.y).max() > 0.0
+
+
+@pytest.mark.parametrize("effect", EVERY, ids=ids)
+def test_it_is_said_in_a_sentence_with_size_place_and_check(effect, excited) -> None:
+    _, chains = excited
+    one = term_of(effect, chains.axes)
+    sizes = chains.masses_per_branch
+    text = finding_sentence(one, 0.9, 0.99, (), sizes, chains.axes)
+    assert text.startswith(f"Axis {chains.axes[0]}: {effect.title}")
+    assert text.endswith(effect.check)
+    assert "±" in text
+    assert title_of(effect.cause) in effect.title
+    doubtful = finding_sentence(one, 0.9, 0.5, (), sizes, chains.axes)
+    assert effect.separating.text in doubtful
+
+
+@pytest.mark.parametrize("effect", EVERY, ids=ids)
+def test_what_it_means_is_graded_or_said_to_have_no_figure(effect, excited) -> None:
+    _, chains = excited
+    axes = chains.axes
+    machine = Machine(chains, False, dict.fromkeys(axes, 10.0), dict.fromkeys(axes, 3.0), 20.0, {})
+    found = consequence_of(term_of(effect, axes), machine)
+    figured = any(s.expected is not None for s in effect.sizes)
+    assert (found.source is not None) is figured
+    assert all(np.isfinite(v) for v in found.measures.values())
+    assert found.reason
+
+
+@pytest.mark.parametrize("effect", ELASTIC, ids=ids)
+def test_an_experiment_separates_it_or_a_person_has_to(effect) -> None:
+    config = load_config(CONFIG)
+    axis = config.axes[0].name
+    finding = {
+        "cause": effect.cause,
+        "axis": axis,
+        "alternatives": [{"cause": c} for c in effect.looks_like or (effect.cause,)],
+    }
+    document = {"format": "invid-diagnosis", "findings": [finding]}
+    if any(is_measurable(c) for c in (effect.cause, *effect.looks_like)):
+        assert to_separate(document, config).config.experiments
+    else:
+        with pytest.raises(ValueError, match="no measurement of the drives"):
+            to_separate(document, config)
+    assert set(effect.looks_like) <= {e.cause for e in EVERY} - {effect.cause}
+
+
+@pytest.mark.parametrize("effect", EVERY, ids=ids)
+def test_a_rigid_machine_fits_and_simulates_it_or_says_that_it_cannot(effect) -> None:
+    rng = np.random.default_rng(3)
+    n = 400
+    time = np.arange(n) / 200.0
+    position = np.sin(2 * np.pi * 0.7 * time)
+    velocity = 2 * np.pi * 0.7 * np.cos(2 * np.pi * 0.7 * time)
+    motion = PlaceMotion(position, velocity, time, 0.01, rng.normal(size=n), rng.normal(size=n))
+    shape = {"stribeck_friction": (0.5, 2.0), "end_cushion": (0.2,)}.get(effect.cause, ())
+    chains = CoupledChains.build([[1.0]], [[]], ground_springs=[50.0], axes=["A1"])
+    one = replace(term_of(effect, ("A1", "A1")), other_axis=None)
+    if effect.cause == "cubic_stiffness":
+        one = replace(one, element="spring 0")
+    if effect.cause in ("gravity", "viscous_friction"):
+        one = replace(one, element="mass 1")
+    recording = recording_of(experiment(time, position[:, None], 5.0 * position[:, None]))
+    model = Model("cell", "trajectory", chains, ChainStd.unknown(chains), effects=(one,))
+    if effect.cause in NO_LARGE_MOTION:
+        with pytest.raises(ValueError, match=effect.cause):
+            effect.regressors(motion, shape)
+        with pytest.raises(ValueError, match=effect.cause):
+            simulate_motion(model, recording)
+        return
+    columns = effect.regressors(motion, shape)
+    assert columns.shape == (n, len(effect.coefficients) or 1)  # a delay is linear here
+    assert np.isfinite(columns).all()
+    assert np.abs(columns).max() > 0.0
+    plain = simulate_motion(replace(model, effects=()), recording).experiments[0].position
+    assert np.isfinite(simulate_motion(model, recording).experiments[0].position).all()
+    if effect.cause != "load_dependent_friction":  # without a weight there is no load
+        assert np.abs(simulate_motion(model, recording).experiments[0].position - plain).max() > 0.0

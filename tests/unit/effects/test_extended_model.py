@@ -1,0 +1,207 @@
+"""A model with effects is a model like any other: saved, loaded, simulated, compared, diagnosed again."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from hidden.generator import make
+
+from invid.diagnosis.diagnose import OF_GIVEN, diagnose
+from invid.diagnosis.known_effects import given_effects, place_of, vector_of
+from invid.effects.registry import CATALOGUE
+from invid.errors import InputError, ModelError
+from invid.model.chains import CoupledChains
+from invid.model.diagnosis_document import Verdict
+from invid.model.document import (
+    ChainStd,
+    EffectTerm,
+    Estimate,
+    Model,
+    dump_json,
+    load_model,
+    model_from_json,
+    model_to_json,
+    save_model,
+)
+from invid.model.parameters import ChainStructure
+from invid.recording.model import Experiment, Kind, Recording, Role
+from invid.simulation.run import simulate
+
+CHAINS = CoupledChains.build(
+    [[1.0, 1.5], [2.0, 3.0, 1.0]],
+    [[800.0], [1500.0, 2500.0]],
+    [[1.0], [1.5, 2.0]],
+    [[0, 0.6], [0.6, 0]],
+    axes=["A1", "A2"],
+)
+SIZES = {
+    "coulomb_friction": ("mass 1", {"torque": 0.4}),
+    "viscous_friction": ("mass 2", {"coefficient": 0.3}),
+    "stribeck_friction": ("mass 1", {"static": 0.6, "coulomb": 0.4, "velocity": 0.02}),
+    "presliding_friction": ("mass 1", {"stiffness": 300.0, "torque": 0.3}),
+    "asymmetric_friction": (
+        "mass 1",
+        {"coulomb_positive": 0.4, "coulomb_negative": 0.3, "viscous_positive": 0.2, "viscous_negative": 0.1},
+    ),
+    "torque_offset": ("mass 1", {"torque": 0.2}),
+    "cogging": ("mass 1", {"torque": 0.3, "cycles_per_rev": 24.0, "phase": 0.7}),
+    "torque_delay": (None, {"delay": 0.004}),
+    "torque_lag": (None, {"time_constant": 0.003}),
+    "torque_gain": (None, {"gain": 1.1}),
+    "torque_saturation": (None, {"limit": 2.0}),
+    "encoder_eccentricity": (None, {"amplitude": 1e-4, "phase": 0.5}),
+    "dropped_samples": (None, {"fraction": 0.05}),
+    "spring_damping": ("spring 1", {"coefficient": 0.7}),
+    "cubic_stiffness": ("spring 1", {"coefficient": 4e6}),
+    "backlash": ("spring 1", {"gap": 1e-3}),
+    "spring_hysteresis": ("spring 1", {"stiffness": 200.0, "torque": 0.2}),
+    "transmission_error": ("spring 1", {"amplitude": 1e-4, "cycles_per_rev": 30.0, "phase": 0.4}),
+    "gravity": ("mass 2", {"torque": 0.8, "angle": 0.3}),
+    "extra_mode": ("mass 2", {"mass": 0.2, "stiffness": 900.0, "damping_ratio": 0.02}),
+    "coupling_stiffness": (None, {"stiffness": 100.0}),
+    "payload_change": ("mass 2", {"mass": 0.3, "time": 2.0}),
+    "parameter_drift": ("spring 1", {"parameter": 1.0, "rate": -20.0}),
+}
+
+
+def term(cause: str) -> EffectTerm:
+    element, values = SIZES[cause]
+    other = "A2" if cause == "coupling_stiffness" else None
+    return EffectTerm(cause, "A1", {k: Estimate(v, 0.1 * abs(v)) for k, v in values.items()}, element, other)
+
+
+def extended(*effects: EffectTerm) -> Model:
+    return Model("cell", "refined", CHAINS, ChainStd.unknown(CHAINS), effects=effects)
+
+
+@pytest.fixture(scope="module")
+def excited() -> Recording:
+    """Six seconds of torque and a motion that is not the model's: only the drift is kept near it."""
+    time = np.arange(1500) / 250.0
+    lines = np.array([1.0, 1.5, 2.5, 3.5])
+    phase = np.random.default_rng(5).uniform(0, 2 * np.pi, (2, lines.size))
+    torque = 1.5 * np.sin(2 * np.pi * lines * time[:, None, None] + phase).sum(axis=-1)
+    one = Experiment(
+        key="000",
+        kind=Kind.MULTISINE,
+        role=Role.IDENTIFY,
+        excited_axis=-1,
+        hold_gain=np.zeros(2),
+        period_samples=500,
+        frequencies_hz=lines,
+        sample_rate_hz=250.0,
+        time=time,
+        position=0.01 * np.sin(2 * np.pi * time)[:, None] * np.ones(2),
+        torque=torque,
+    )
+    return Recording(
+        robot="cell",
+        axes=("A1", "A2"),
+        position_unit="rad",
+        torque_unit="N·m",
+        created="2026-01-01T00:00:00Z",
+        experiments=(one,),
+    )
+
+
+def test_the_sizes_here_are_those_of_the_whole_catalogue() -> None:
+    assert sorted(SIZES) == sorted(e.cause for e in CATALOGUE)
+    assert len(SIZES) == 23
+
+
+@pytest.mark.parametrize("cause", sorted(SIZES))
+def test_every_cause_is_saved_loaded_and_simulated_to_another_motion_than_without_it(
+    cause: str, excited: Recording, tmp_path: Path
+) -> None:
+    path = tmp_path / "model.json"
+    save_model(extended(term(cause)), path)
+    loaded = load_model(path)
+    assert loaded.effects == (term(cause),)
+    plain = simulate(extended(), excited).experiments[0]
+    other = simulate(loaded, excited).experiments[0]
+    assert np.isfinite(other.position).all()
+    moved = np.abs(other.position - plain.position).max() + np.abs(other.torque - plain.torque).max()
+    assert moved > 1e-6
+
+
+@pytest.mark.parametrize("effect", CATALOGUE, ids=lambda e: e.cause)
+def test_parameters_become_the_fitted_vector_and_back(effect) -> None:
+    if effect.cause == "dropped_samples":  # sits in the samples, is not fitted
+        return
+    one = term(effect.cause)
+    structure = ChainStructure(CHAINS.masses_per_branch, CHAINS.axes)
+    place = place_of(one, structure)
+    x = vector_of(one)
+    assert x.size == len(effect.coefficients) + len(effect.shapes)
+    back = effect.values(x.tolist(), place)
+    for name, value in SIZES[effect.cause][1].items():
+        assert back[name] == pytest.approx(value, rel=1e-9)
+    assert place.element is None or place.element == one.element
+
+
+def test_a_drifting_parameter_may_be_called_by_its_name() -> None:
+    document = model_to_json(extended())
+    for given in ("A1.spring.1", {"value": "spring 1"}, {"value": 1, "name": "A1.spring.1"}):
+        document["effects"] = [
+            {
+                "cause": "parameter_drift",
+                "axis": "A1",
+                "parameters": {"parameter": given, "rate": {"value": -20}},
+            }
+        ]
+        loaded = model_from_json(document)
+        assert loaded.effects[0].value("parameter") == 1.0
+        again = model_from_json(json.loads(dump_json(model_to_json(loaded))))
+        assert again.effects == loaded.effects
+    document["effects"][0]["parameters"]["parameter"] = "A2.spring.1"
+    with pytest.raises(ModelError, match=r"A1\.spring\.1"):
+        model_from_json(document)
+
+
+def test_an_effect_that_is_in_the_model_is_not_found_again_and_leaves_nothing_missing() -> None:
+    recording, truth = make("coulomb_friction", seed=11, motors=1, target_db=20)
+    first = diagnose(recording)
+    assert first.verdict is Verdict.EXPLAINED
+    document = json.loads(dump_json(model_to_json(first.model)))
+    second = diagnose(recording, model=model_from_json(document))
+    assert second.verdict is Verdict.CONSISTENT
+    assert second.findings == ()
+    found = second.model.effects
+    assert [e.cause for e in found] == ["coulomb_friction"]
+    assert found[0].value("torque") == pytest.approx(truth.effects[0].parameters["torque"], rel=0.1)
+    r = second.residual[0]
+    assert r.before > 1.5 * r.after
+    assert r.after < 1.2 * r.noise_floor
+
+
+def test_friction_that_has_gone_since_comes_out_as_nothing_and_nothing_takes_its_place() -> None:
+    recording, truth = make("coulomb_friction", seed=11, motors=1, target_db=20)
+    wrong = diagnose(recording).model
+    nothing = make(None, seed=11, motors=1)[0]
+    # the friction that the model carries is gone: it comes out as nothing, and no other cause in its stead
+    d = diagnose(nothing, model=dataclasses.replace(wrong, warnings=("axis A1 jammed",), provenance={}))
+    assert d.verdict is Verdict.CONSISTENT
+    assert [w for w in d.warnings if "jammed" in w] == [f"{OF_GIVEN}axis A1 jammed"]
+    again = diagnose(nothing, model=d.model)
+    assert [w for w in again.warnings if "jammed" in w] == [f"{OF_GIVEN}axis A1 jammed"]
+    assert abs(d.model.effects[0].value("torque")) < 0.1 * truth.effects[0].parameters["torque"]
+
+
+def test_given_effects_that_are_no_cause_are_refused_by_name() -> None:
+    structure = ChainStructure(CHAINS.masses_per_branch, CHAINS.axes)
+    with pytest.raises(ModelError, match="moonlight"):
+        given_effects(extended(EffectTerm("moonlight", "A1", {})), structure)
+
+
+def test_motion_that_runs_away_beyond_all_numbers_is_said_and_no_traceback(excited: Recording) -> None:
+    away = EffectTerm("viscous_friction", "A1", {"coefficient": Estimate(-2e4, None)}, "mass 1")
+    with np.errstate(all="ignore"), pytest.raises(InputError, match="a million times"):
+        simulate(extended(away), excited)

@@ -1,0 +1,551 @@
+"""Exported models, loaded by the tools they are for: the frequency responses are those of the matrices."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+import scipy.io
+import scipy.linalg
+import scipy.signal
+
+import invid
+from invid.model.chains import CoupledChains, case_study
+from invid.model.document import ChainStd, EffectTerm, Estimate, Model, model_from_json, parameter_vector
+
+control = pytest.importorskip("control")
+mujoco = pytest.importorskip("mujoco")
+yourdfpy = pytest.importorskip("yourdfpy")
+fmpy = pytest.importorskip("fmpy")
+validate_fmu = pytest.importorskip("fmpy.validation").validate_fmu
+
+# Light damping (0.2 %), so that a wrong number shows as a peak in the wrong place.
+SIZES = {
+    "one mass": (1,),
+    "one axis": (4,),
+    "unequal": (3, 1, 2, 5),
+    "single masses": (1, 1, 1),
+    "many": (2, 3, 3, 3, 2, 1),
+}
+
+
+def machine(name: str, *, coupled: bool = True, linear: bool = False, seed: int = 1) -> Model:
+    """A random plant of the given shape with couplings of both signs; knows nothing of the exporters."""
+    sizes = SIZES[name]
+    rng = np.random.default_rng([seed, len(sizes), sum(sizes)])
+    masses = [rng.uniform(0.3, 3.0, n) for n in sizes]
+    springs = [rng.uniform(500.0, 4000.0, n - 1) for n in sizes]
+    dampers = [0.002 * 2 * np.sqrt(k * m[1:]) for k, m in zip(springs, masses, strict=True)]
+    count = len(sizes)
+    couplings = np.zeros((count, count))
+    if coupled:
+        # Strong, and no row dominated by its diagonal: a full random positive definite block.
+        factor = rng.normal(size=(count, count + 1))
+        block = factor @ factor.T
+        scale = np.sqrt(np.array([m[-1] for m in masses]) / np.diag(block))
+        couplings = block * np.outer(scale, scale)
+        np.fill_diagonal(couplings, 0.0)
+        couplings = 0.5 * (couplings + couplings.T)
+    chains = CoupledChains.build(masses, springs, dampers, couplings)
+    names, values = parameter_vector(chains)
+    return Model(
+        robot="robot of a test",
+        method="refined",
+        chains=chains,
+        std=ChainStd.unknown(chains),
+        linear=linear,
+        covariance=np.diag((1e-3 * np.abs(values)) ** 2),
+        parameter_names=names,
+    )
+
+
+def truth(model: Model, damping: dict[int, float] | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """M, D, K of the model's chains, with viscous friction at the coordinates named."""
+    mass = np.array(model.chains.mass_matrix)
+    damp = np.array(model.chains.damping_matrix)
+    for at, value in (damping or {}).items():
+        damp[at, at] += value
+    return mass, damp, np.array(model.chains.stiffness_matrix)
+
+
+def lines(mass: np.ndarray, stiffness: np.ndarray) -> np.ndarray:
+    """Angular frequencies from a hundredth of the lowest mode to 1.5 times the highest, modes among them."""
+    modes = np.sqrt(np.maximum(scipy.linalg.eigh(stiffness, mass, eigvals_only=True), 0.0))
+    elastic = modes[modes > 1e-3]
+    if elastic.size == 0:
+        return np.geomspace(1.0, 1000.0, 50)
+    spread = np.geomspace(0.01 * elastic[0], 1.5 * elastic[-1], 300)
+    return np.sort(np.concatenate([spread, elastic * 1.0003, elastic * 0.999]))
+
+
+def response(matrices: tuple[np.ndarray, ...], motors: np.ndarray, omega: np.ndarray) -> np.ndarray:
+    mass, damp, stiff = matrices
+    out = []
+    for w in omega:
+        out.append(np.linalg.inv(stiff + 1j * w * damp - w**2 * mass)[np.ix_(motors, motors)])
+    return np.array(out)
+
+
+def assert_same(found: np.ndarray, wanted: np.ndarray) -> None:
+    """0.1 % of each element, or of what its axes do at that line where the element is near a zero."""
+    own = np.abs(np.diagonal(wanted, axis1=1, axis2=2))
+    size = np.maximum(np.abs(wanted), 1e-3 * np.sqrt(own[:, :, None] * own[:, None, :]))
+    assert np.max(np.abs(found - wanted) / size) < 1e-3
+
+
+CASES = [(n, c, linear) for n in SIZES for c in (False, True) for linear in (False, True) if c or not linear]
+
+
+@pytest.mark.parametrize(("name", "coupled", "linear"), CASES)
+def test_python_control_answers_as_the_model_does(
+    name: str, coupled: bool, linear: bool, tmp_path: Path
+) -> None:
+    model = machine(name, coupled=coupled, linear=linear)
+    invid.export(model, "statespace", tmp_path / "m.mat")
+    mat = scipy.io.loadmat(tmp_path / "m.mat", simplify_cells=True)
+    count = model.chains.branches
+    a, b, c, d = (np.asarray(mat[k], dtype=float) for k in "ABCD")
+    system = control.ss(a, b.reshape(a.shape[0], count), c.reshape(count, -1), d.reshape(count, count))
+    mass, damp, stiff = truth(model)
+    omega = lines(mass, stiff)
+    found = np.array([system(1j * w) for w in omega]).reshape(omega.size, count, count)
+    assert_same(found, response((mass, damp, stiff), model.chains.motor_dofs, omega))
+    assert list(np.atleast_1d(mat["inputs"])) == [f"{x}.torque" for x in model.axes]
+    assert list(np.atleast_1d(mat["outputs"])) == [f"{x}.position" for x in model.axes]
+    assert len(np.atleast_1d(mat["states"])) == a.shape[0]
+    assert mat["input_unit"] == ("N" if linear else "N·m")
+    assert list(np.atleast_1d(mat["parameters"])) == list(model.parameter_names)
+    np.testing.assert_allclose(
+        np.reshape(mat["covariance"], model.covariance.shape), model.covariance, rtol=1e-12
+    )
+
+
+def mujoco_matrices(m: object) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """M, D, K from MuJoCo's forward dynamics, and B: the generalised force of each control."""
+    data = mujoco.MjData(m)
+    n, count = m.nv, m.nu
+
+    def force(q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
+        mujoco.mj_resetData(m, data)
+        data.qpos[:], data.qvel[:], data.ctrl[:] = q, v, u
+        mujoco.mj_forward(m, data)
+        return np.array(data.qfrc_passive + data.qfrc_actuator)
+
+    zero, none, eye = np.zeros(n), np.zeros(count), np.eye(n)
+    stiff = -np.array([force(e, zero, none) for e in eye]).T
+    damp = -np.array([force(zero, e, none) for e in eye]).T
+    drive = np.array([force(zero, zero, e) for e in np.eye(count)]).T.reshape(n, count)
+    mujoco.mj_resetData(m, data)
+    mujoco.mj_forward(m, data)
+    # The accelerations themselves, not a mass matrix that the solver might not use.
+    accelerations = []
+    for e in eye:
+        data.qfrc_applied[:] = e
+        mujoco.mj_forward(m, data)
+        accelerations.append(np.array(data.qacc))
+    return np.linalg.inv(np.array(accelerations).T), damp, stiff, drive
+
+
+@pytest.mark.parametrize(("name", "coupled", "linear"), CASES)
+def test_mujoco_answers_as_the_model_does(name: str, coupled: bool, linear: bool, tmp_path: Path) -> None:
+    model = machine(name, coupled=coupled, linear=linear)
+    invid.export(model, "mjcf", tmp_path / "m.xml")
+    m = mujoco.MjModel.from_xml_path(str(tmp_path / "m.xml"))
+    names = [f"{a}.mass.{q + 1}" for a, n in zip(model.axes, SIZES[name], strict=True) for q in range(n)]
+    assert [m.joint(i).name for i in range(m.njnt)] == names
+    assert [m.actuator(i).name for i in range(m.nu)] == list(model.axes)
+    kind = mujoco.mjtJoint.mjJNT_SLIDE if linear else mujoco.mjtJoint.mjJNT_HINGE
+    assert all(int(t) == int(kind) for t in m.jnt_type)
+    mass, damp, stiff, drive = mujoco_matrices(m)
+    motors = model.chains.motor_dofs
+    np.testing.assert_allclose(drive, np.eye(m.nv)[:, motors], atol=1e-12)
+    wanted = truth(model)
+    omega = lines(wanted[0], wanted[2])
+    assert_same(response((mass, damp, stiff), motors, omega), response(wanted, motors, omega))
+
+
+def test_a_motor_a_million_times_lighter_than_its_load_is_no_matter(tmp_path: Path) -> None:
+    chains = CoupledChains.build(
+        [[2e-6, 1e-4, 80.0], [3e-6], [5e-5, 9.0]],
+        [[40.0, 5e4], [], [900.0]],
+        [[1e-5, 2.0], [], [0.05]],
+        [[0, -4e-3, 26.0], [-4e-3, 0, -1.3e-3], [26.0, -1.3e-3, 0]],
+    )
+    model = replace(
+        machine("one mass"), chains=chains, std=ChainStd.unknown(chains), covariance=None, parameter_names=()
+    )
+    wanted = truth(model)
+    omega = lines(wanted[0], wanted[2])
+    invid.export(model, "mjcf", tmp_path / "m.xml")
+    m = mujoco.MjModel.from_xml_path(str(tmp_path / "m.xml"))
+    found = response(mujoco_matrices(m)[:3], chains.motor_dofs, omega)
+    assert_same(found, response(wanted, chains.motor_dofs, omega))
+    invid.export(model, "statespace", tmp_path / "m.mat")
+    mat = scipy.io.loadmat(tmp_path / "m.mat", simplify_cells=True)
+    system = control.ss(mat["A"], mat["B"], mat["C"], mat["D"])
+    found = np.array([system(1j * w) for w in omega])
+    assert_same(found, response(wanted, chains.motor_dofs, omega))
+
+
+def test_mujocos_own_integrator_follows_the_model_at_the_step_in_the_file(tmp_path: Path) -> None:
+    model = machine("unequal")
+    invid.export(model, "mjcf", tmp_path / "m.xml")
+    m = mujoco.MjModel.from_xml_path(str(tmp_path / "m.xml"))
+    mass, damp, stiff = truth(model)
+    n, motors = mass.shape[0], model.chains.motor_dofs
+    a = np.block(
+        [[np.zeros((n, n)), np.eye(n)], [-np.linalg.solve(mass, stiff), -np.linalg.solve(mass, damp)]]
+    )
+    b = np.vstack([np.zeros((n, len(motors))), np.linalg.solve(mass, np.eye(n)[:, motors])])
+    step = float(m.opt.timestep)
+    ad, bd, *_ = scipy.signal.cont2discrete((a, b, np.eye(2 * n), np.zeros((2 * n, len(motors)))), step)
+    rng = np.random.default_rng(3)
+    data, x = mujoco.MjData(m), np.zeros(2 * n)
+    errors, sizes = [], []
+    for _ in range(4000):
+        u = rng.normal(size=len(motors))
+        data.ctrl[:] = u
+        mujoco.mj_step(m, data)
+        x = ad @ x + bd @ u
+        errors.append(data.qpos - x[:n])
+        sizes.append(x[:n])
+    assert np.sqrt(np.mean(np.square(errors))) < 1e-3 * np.sqrt(np.mean(np.square(sizes)))
+
+
+def urdf_matrices(path: Path) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray], list[str]]:
+    """M, D, K in absolute positions of the links, from what yourdfpy reads and Gazebo's springs."""
+    robot = yourdfpy.URDF.load(str(path), build_scene_graph=False, load_meshes=False).robot
+    springs = {
+        g.get("reference"): float(g.findtext("springStiffness"))
+        for g in ElementTree.parse(path).getroot().iter("gazebo")
+    }
+    links = {x.name: x for x in robot.links}
+    names = [j.child for j in robot.joints]
+    n = len(names)
+    absolute = np.zeros((n, n))  # position of each link per position of each joint
+    for k, joint in enumerate(robot.joints):
+        if joint.parent != "base":
+            absolute[k] = absolute[names.index(joint.parent)]
+        absolute[k, k] = 1.0
+    relative = np.linalg.inv(absolute)
+    inertias = [
+        links[j.child].inertial.mass if j.type == "prismatic" else links[j.child].inertial.inertia[2, 2]
+        for j in robot.joints
+    ]
+    damp = np.diag([float(j.dynamics.damping or 0.0) for j in robot.joints])
+    stiff = np.diag([springs.get(j.name, 0.0) for j in robot.joints])
+    return (np.diag(inertias), relative.T @ damp @ relative, relative.T @ stiff @ relative), names
+
+
+@pytest.mark.parametrize("linear", [False, True])
+@pytest.mark.parametrize("name", list(SIZES))
+def test_a_urdf_without_couplings_answers_as_the_model_does(name: str, linear: bool, tmp_path: Path) -> None:
+    model = machine(name, coupled=False, linear=linear)
+    written = invid.export(model, "urdf", tmp_path / "m.urdf")
+    assert not any("couplings" in x or "frequencies" in x for x in written.losses)
+    found, names = urdf_matrices(tmp_path / "m.urdf")
+    motors = np.array([names.index(f"{a}.mass.1") for a in model.axes])
+    wanted = truth(model)
+    omega = lines(wanted[0], wanted[2])
+    assert_same(response(found, motors, omega), response(wanted, model.chains.motor_dofs, omega))
+    # Another reader of the same file: its joints count from the link before.
+    m = mujoco.MjModel.from_xml_path(str(tmp_path / "m.urdf"))
+    mass = mujoco_matrices(m)[0]
+    absolute = scipy.linalg.block_diag(*(np.tril(np.ones((n, n))) for n in SIZES[name]))
+    np.testing.assert_allclose(mass, absolute.T @ wanted[0] @ absolute, rtol=1e-6, atol=1e-9)
+
+
+def test_what_a_urdf_loses_of_couplings_is_said_with_its_size(tmp_path: Path) -> None:
+    model = machine("unequal")
+    written = invid.export(model, "urdf", tmp_path / "m.urdf")
+    assert "A1-A2" in next(x for x in written.losses if "couplings" in x)
+    said = next(x for x in written.losses if "frequencies" in x)
+    (mass, _, stiff), _ = urdf_matrices(tmp_path / "m.urdf")
+    wanted = truth(model)
+    there = np.sqrt(np.maximum(scipy.linalg.eigh(stiff, mass, eigvals_only=True), 0.0))
+    here = np.sqrt(np.maximum(scipy.linalg.eigh(wanted[2], wanted[0], eigvals_only=True), 0.0))
+    elastic = here > 1e-6 * here[-1]
+    shift = 100 * np.abs(there[elastic] / here[elastic] - 1).max()
+    assert float(said.split("up to ")[1].split(" %")[0]) == pytest.approx(shift, rel=0.01)
+    beside = json.loads((tmp_path / "m.urdf.json").read_text())
+    assert beside["losses"] == list(written.losses)
+
+
+def pulse_answer(
+    path: Path, inputs: str, outputs: list[str], step: float, count: int, **start: float
+) -> np.ndarray:
+    """(count, outputs) positions after a unit torque that acts for one communication step."""
+    times = np.array([0.0, 0.5 * step, 0.5 * step, count * step])
+    pulse = np.array(
+        list(zip(times, [1.0, 1.0, 0.0, 0.0], strict=True)), dtype=[("time", float), (inputs, float)]
+    )
+    found = fmpy.simulate_fmu(
+        str(path),
+        stop_time=count * step,
+        output_interval=step,
+        input=pulse,
+        output=outputs,
+        start_values=start,
+        use_event_mode=False,
+        set_stop_time=False,
+    )
+    return np.array([found[o] for o in outputs]).T
+
+
+@pytest.mark.parametrize(("name", "linear"), [("unequal", False), ("one mass", False), ("one axis", True)])
+def test_fmpy_answers_as_the_model_does(name: str, linear: bool, tmp_path: Path) -> None:
+    model = machine(name, linear=linear)
+    invid.export(model, "fmu", tmp_path / "m.fmu")
+    assert validate_fmu(str(tmp_path / "m.fmu")) == []
+    mass, damp, stiff = truth(model)
+    n, motors = mass.shape[0], model.chains.motor_dofs
+    omega = lines(mass, stiff)
+    step, count = 1.0 / (1.5 * omega[-1]), 600
+    a = np.block(
+        [[np.zeros((n, n)), np.eye(n)], [-np.linalg.solve(mass, stiff), -np.linalg.solve(mass, damp)]]
+    )
+    b = np.vstack([np.zeros((n, len(motors))), np.linalg.solve(mass, np.eye(n)[:, motors])])
+    system = (a, b, np.eye(2 * n)[motors], np.zeros((len(motors),) * 2))
+    _, wanted = scipy.signal.dimpulse((*scipy.signal.cont2discrete(system, step)[:4], step), n=count + 1)
+    outputs = [f"{x}.position" for x in model.axes]
+    for i, axis in enumerate(model.axes):
+        found = pulse_answer(tmp_path / "m.fmu", f"{axis}.torque", outputs, step, count)
+        # Frequency responses on a line beside the axis, where free axes have one too.
+        s = 5.0 / (count * step) + 1j * omega
+        to_frequency = np.exp(-s[:, None] * step * np.arange(count + 1))
+        g, h = to_frequency @ found, to_frequency @ wanted[i]
+        assert np.max(np.abs(g - h) / np.abs(h).max(axis=1, keepdims=True)) < 1e-3
+
+
+def test_model_exchange_gives_the_rates_of_the_model(tmp_path: Path) -> None:
+    model = machine("unequal").extended(
+        effect("viscous_friction", "A1", "mass 1", coefficient=5.0),
+        effect("torque_lag", "A4", time_constant=2e-3),
+    )
+    path = tmp_path / "m.fmu"
+    invid.export(model, "fmu", path)
+    assert validate_fmu(str(path)) == []
+    description = fmpy.read_model_description(str(path))
+    reference = {v.name: v.valueReference for v in description.modelVariables}
+    fmu = fmpy.fmi3.FMU3Model(
+        guid=description.guid,
+        unzipDirectory=fmpy.extract(str(path)),
+        modelIdentifier=description.modelExchange.modelIdentifier,
+        instanceName="one",
+    )
+    fmu.instantiate()
+    fmu.enterInitializationMode()
+    fmu.exitInitializationMode()
+    count = 23  # eleven positions, eleven velocities, the torque that lags
+    states, rates = (ctypes.c_double * count)(), (ctypes.c_double * count)()
+
+    def rates_at(state: int | None, axis: str | None) -> np.ndarray:
+        states[:] = [float(k == state) for k in range(count)]
+        for name in model.axes:
+            fmu.setFloat64([reference[f"{name}.torque"]], [float(name == axis)])
+        fmu.setContinuousStates(states, count)
+        fmu.getContinuousStateDerivatives(rates, count)
+        return np.array(rates[:])
+
+    a = np.array([rates_at(k, None) for k in range(count)]).T
+    b = np.array([rates_at(None, axis) for axis in model.axes]).T
+    motors = model.chains.motor_dofs
+    mass, damp, stiff = truth(model, {0: 5.0})
+    omega = lines(mass, stiff)
+    system = control.ss(a, b, np.eye(count)[motors], np.zeros((4, 4)))
+    wanted = response((mass, damp, stiff), motors, omega)
+    wanted[:, :, 3] /= (1 + 2e-3j * omega)[:, None]
+    assert_same(np.array([system(1j * w) for w in omega]), wanted)
+    outputs = [v.name for v in description.modelVariables if v.causality == "output"]
+    assert set(outputs) == {f"{x}.{what}" for x in model.axes for what in ("position", "velocity")}
+
+
+def test_the_fmus_parameters_make_another_plant(tmp_path: Path) -> None:
+    model = machine("one axis", coupled=False)
+    invid.export(model, "fmu", tmp_path / "m.fmu")
+    heavier = replace(
+        model.chains, masses=(np.array([*model.chains.masses[0][:-1], 2 * model.chains.masses[0][-1]]),)
+    )
+    invid.export(replace(model, chains=heavier), "fmu", tmp_path / "h.fmu")
+    given = {"A1.mass.4": float(heavier.masses[0][-1])}
+    outputs = ["A1.position"]
+    changed = pulse_answer(tmp_path / "m.fmu", "A1.torque", outputs, 1e-3, 200, **given)
+    wanted = pulse_answer(tmp_path / "h.fmu", "A1.torque", outputs, 1e-3, 200)
+    plain = pulse_answer(tmp_path / "m.fmu", "A1.torque", outputs, 1e-3, 200)
+    np.testing.assert_allclose(changed, wanted, rtol=1e-9, atol=1e-15)
+    assert np.abs(plain - wanted).max() > 1e-3 * np.abs(wanted).max()
+
+
+def effect(
+    cause: str, axis: str = "A1", element: str | None = None, other: str | None = None, **sizes: float
+):
+    return EffectTerm(cause, axis, {k: Estimate(v, 0.1 * v) for k, v in sizes.items()}, element, other)
+
+
+def test_linear_effects_are_in_the_matrices(tmp_path: Path) -> None:
+    model = machine("unequal").extended(
+        effect("viscous_friction", "A1", "mass 1", coefficient=2.0),
+        effect("viscous_friction", "A3", "mass 2", coefficient=1.5),
+        effect("torque_gain", "A2", gain=1.2),
+        effect("torque_lag", "A4", time_constant=2e-3),
+        effect("extra_mode", "A1", "mass 3", mass=0.2, stiffness=900.0, damping_ratio=0.03),
+        effect("coupling_stiffness", "A1", None, "A4", stiffness=700.0),
+    )
+    mass, damp, stiff = (np.pad(x, (0, 1)) for x in truth(model, {0: 2.0, 5: 1.5}))
+    mass[11, 11] = 0.2
+    for matrix, value in ((stiff, 900.0), (damp, 2 * 0.03 * np.sqrt(900.0 * 0.2))):
+        matrix[np.ix_([2, 11], [2, 11])] += value * np.array([[1, -1], [-1, 1]])
+    stiff[np.ix_([2, 10], [2, 10])] += 700.0 * np.array([[1, -1], [-1, 1]])
+    motors = model.chains.motor_dofs
+    omega = lines(mass, stiff)
+    wanted = response((mass, damp, stiff), motors, omega) * np.array([1, 1.2, 1, 1])
+    wanted[:, :, 3] /= (1 + 2e-3j * omega)[:, None]
+
+    written = invid.export(model, "statespace", tmp_path / "m.mat")
+    assert written.losses == ()
+    mat = scipy.io.loadmat(tmp_path / "m.mat", simplify_cells=True)
+    system = control.ss(mat["A"], mat["B"], mat["C"], mat["D"])
+    assert_same(np.array([system(1j * w) for w in omega]), wanted)
+
+    assert invid.export(model, "mjcf", tmp_path / "m.xml").losses == ()
+    m = mujoco.MjModel.from_xml_path(str(tmp_path / "m.xml"))
+    found = response(mujoco_matrices(m)[:3], motors, omega)
+    assert_same(
+        found * np.array([1, 1.2, 1, 1]),
+        wanted * np.where(np.arange(4) == 3, 1 + 2e-3j * omega[:, None, None], 1),
+    )
+    assert m.actuator("A2").gainprm[0] == pytest.approx(1.2)
+    assert m.actuator("A4").dynprm[0] == pytest.approx(2e-3)
+    assert int(m.actuator("A4").dyntype[0]) == int(mujoco.mjtDyn.mjDYN_FILTEREXACT)
+
+    lost = " ".join(invid.export(model, "urdf", tmp_path / "m.urdf").losses)
+    for cause in ("torque_gain", "torque_lag", "coupling_stiffness", "viscous_friction on A3"):
+        assert cause in lost
+    assert "viscous_friction on A1" not in lost
+
+
+@pytest.mark.parametrize("to", ["statespace", "mjcf", "urdf", "fmu"])
+def test_every_effect_that_is_not_in_the_file_is_named(to: str, tmp_path: Path) -> None:
+    model = machine("one axis").extended(
+        effect("coulomb_friction", "A1", "mass 2", torque=0.4),
+        effect("backlash", "A1", "spring 1", gap=1e-3),
+        effect("torque_delay", "A1", delay=7e-4),
+        effect("from_a_plug_in", "A1", size=3.0),
+    )
+    written = invid.export(model, to, tmp_path / "f")
+    for cause in ("coulomb_friction", "backlash", "torque_delay", "from_a_plug_in"):
+        assert sum(cause in x for x in written.losses) >= 1, cause
+    beside = json.loads((tmp_path / "f.json").read_text())
+    assert beside["losses"] == list(written.losses)
+    assert model_from_json(beside["model"]).effects[1].cause == "backlash"
+    if to == "statespace":
+        assert scipy.io.loadmat(tmp_path / "f")["input_delay"].ravel() == pytest.approx(7e-4)
+    if to == "mjcf":
+        m = mujoco.MjModel.from_xml_path(str(tmp_path / "f"))
+        assert m.dof_frictionloss.tolist() == [0, 0.4, 0, 0]
+        assert m.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS)
+
+
+def test_plants_drawn_from_the_mat_file_are_plants_of_the_model(tmp_path: Path) -> None:
+    model = machine("unequal")
+    invid.export(model, "statespace", tmp_path / "m.mat")
+    mat = scipy.io.loadmat(tmp_path / "m.mat", simplify_cells=True)
+    drawn = np.random.default_rng(5).multivariate_normal(mat["values"], mat["covariance"])
+    change = drawn - mat["values"]
+    mass = mat["mass_matrix"] + np.tensordot(change, mat["mass_derivative"], 1)
+    damp = mat["damping_matrix"] + np.tensordot(change, mat["damping_derivative"], 1)
+    stiff = mat["stiffness_matrix"] + np.tensordot(change, mat["stiffness_derivative"], 1)
+    named = dict(zip(mat["parameters"], drawn, strict=True))
+    c = model.chains
+    again = CoupledChains.build(
+        [[named[f"{a}.mass.{q + 1}"] for q in range(m.size)] for a, m in zip(c.axes, c.masses, strict=True)],
+        [
+            [named[f"{a}.spring.{q + 1}"] for q in range(k.size)]
+            for a, k in zip(c.axes, c.springs, strict=True)
+        ],
+        [
+            [named[f"{a}.damper.{q + 1}"] for q in range(k.size)]
+            for a, k in zip(c.axes, c.springs, strict=True)
+        ],
+        [
+            [named.get(f"{a}-{b}.coupling", named.get(f"{b}-{a}.coupling", 0.0)) for b in c.axes]
+            for a in c.axes
+        ],
+    )
+    np.testing.assert_allclose(mass, again.mass_matrix, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(damp, again.damping_matrix, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(stiff, again.stiffness_matrix, rtol=1e-9, atol=1e-9)
+
+
+def test_a_model_without_covariance_gives_its_variances_and_says_so(tmp_path: Path) -> None:
+    model = replace(machine("one mass"), covariance=None, parameter_names=())
+    written = invid.export(model, "statespace", tmp_path / "m.mat")
+    assert "A1.mass.1" in written.warnings[0]
+    assert np.isnan(scipy.io.loadmat(tmp_path / "m.mat")["covariance"]).all()
+    assert json.loads((tmp_path / "m.mat.json").read_text())["parameters"]["covariance"] == [[None]]
+
+
+@pytest.mark.parametrize("name", ["A 1", "Achse 'ü'", "x-y", "1"])
+def test_any_axis_name_makes_files_that_their_tools_read(name: str, tmp_path: Path) -> None:
+    chains = replace(case_study(damping_ratio=0.01), axes=(name, "A-2", "C"))
+    model = replace(
+        machine("one mass"), chains=chains, std=ChainStd.unknown(chains), covariance=None, parameter_names=()
+    )
+    for to in ("statespace", "mjcf", "urdf", "fmu"):
+        invid.export(model, to, tmp_path / to)
+    assert mujoco.MjModel.from_xml_path(str(tmp_path / "mjcf")).actuator(0).name == name
+    assert validate_fmu(str(tmp_path / "fmu")) == []
+    assert len(yourdfpy.URDF.load(str(tmp_path / "urdf"), build_scene_graph=False).robot.joints) == 9
+
+
+def run(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "invid", *map(str, arguments)], capture_output=True, text=True, check=False
+    )
+
+
+def test_the_command_says_losses_on_stderr_and_one_document_on_stdout(tmp_path: Path) -> None:
+    machine("one axis").extended(effect("coulomb_friction", torque=0.4)).save(tmp_path / "m.json")
+    done = run("export", tmp_path / "m.json", "--to", "statespace", "-o", tmp_path / "m.mat", "--json")
+    assert done.returncode == 0, done.stderr
+    assert "coulomb_friction" in done.stderr
+    assert json.loads(done.stdout)["losses"] == ["coulomb_friction on A1 (torque 0.4) is left out"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("--to", "simulink", "-o", "x"), "there are statespace, mjcf, urdf, fmu"),
+        (("--to", "mjcf", "-o", "."), "is a folder"),
+        (("--to", "urdf", "-o", "/proc/nothing/x"), "cannot be written"),
+    ],
+)
+def test_bad_requests_end_with_one_message(arguments: tuple[str, ...], says: str, tmp_path: Path) -> None:
+    machine("one axis").save(tmp_path / "m.json")
+    done = run("export", tmp_path / "m.json", *arguments)
+    assert done.returncode == 2
+    assert says in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_the_pages_example_draws_plants(tmp_path: Path) -> None:
+    page = (Path(__file__).parents[3] / "docs" / "how-to" / "export.md").read_text(encoding="utf-8")
+    program = page.split("```python\n")[1].split("```")[0]
+    model = machine("unequal", coupled=False)
+    invid.export(model, "statespace", tmp_path / "robot.mat")
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    mean, spread = (float(x) for x in done.stdout.removeprefix("highest mode ").split(" Hz")[0].split(" ± "))
+    mass, _, stiff = truth(model)
+    highest = np.sqrt(scipy.linalg.eigh(stiff, mass, eigvals_only=True)[-1]) / (2 * np.pi)
+    # Masses and springs known to 0.1 %: the mode to less than that, the mean of a hundred to a tenth of it.
+    assert mean == pytest.approx(highest, rel=1e-3)
+    assert 0 < spread < 1e-3 * highest

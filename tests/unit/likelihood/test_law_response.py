@@ -1,0 +1,49 @@
+"""Derivatives of laws solved for at once are those by differences."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from hidden.generator import make
+
+from invid.diagnosis.linear_fit import layout_of
+from invid.diagnosis.validation import split
+from invid.effects.registry import BY_CAUSE
+from invid.likelihood import evaluation
+from invid.likelihood.placed_effect import Candidate, Term
+from invid.model.parameters import ChainStructure
+from invid.model.place import Place
+from invid.signals.spectra import all_spectra
+
+
+def test_free_play_beside_friction_answers_as_differences_say(monkeypatch) -> None:
+    recording, truth = make(None, seed=21, masses=(2, 3), noise=0.003, drive="smooth", moves=False, periods=2)
+    chains = truth.chains
+    train, _, _ = split(recording, all_spectra(recording))
+    assert not train[0].transient
+    structure = ChainStructure(chains.masses_per_branch, chains.axes, viscous=False)
+    layout = layout_of(structure, train, 0.0)
+    p = np.full(layout.count, 0.5)
+    p[: structure.count] = structure.vector(chains)
+    p[structure.count : structure.count + structure.motors] = 0.5 * layout.step
+    terms = (
+        Term(BY_CAUSE["coulomb_friction"], Place("mass", 0, 1)),
+        Term(BY_CAUSE["cogging"], Place("mass", 1, 1)),
+        Term(BY_CAUSE["backlash"], Place("spring", 1, 1)),
+    )
+    x = (np.array([0.05]), np.array([0.02, 0.01, 6.0]), np.array([np.log(1e-4)]))
+    candidate = Candidate(terms, x)
+    here = evaluation.evaluate(layout, train, p, candidate, jacobian=False)
+    solved = evaluation.with_jacobian(here, layout, p, candidate, thorough=True).jacobian
+    monkeypatch.setattr(evaluation, "response_columns", lambda *_, **__: False)
+    differences = evaluation.with_jacobian(here, layout, p, candidate, thorough=True).jacobian
+    size = np.linalg.norm(differences, axis=0)
+    seen = size > 0.0
+    off = np.linalg.norm(solved - differences, axis=0)[seen] / size[seen]
+    assert np.median(off) < 0.005
+    assert off.max() < 0.02  # differences take two or three substitutions

@@ -1,0 +1,79 @@
+"""Periods that do not close: what their ends add, with and without effects that are linear in motion."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from two_masses import from_rest
+from two_masses import recording as recording_of
+
+from invid.diagnosis.linear_fit import layout_of
+from invid.effects.catalogue.parameter_drift import ParameterDrift
+from invid.effects.catalogue.payload_change import PayloadChange
+from invid.effects.catalogue.viscous_friction import ViscousFriction
+from invid.likelihood.evaluation import evaluate
+from invid.likelihood.placed_effect import Candidate, Term
+from invid.likelihood.prepare_records import by_period, record_of
+from invid.model.parameters import ChainStructure
+from invid.model.place import Place
+from invid.recording import Role
+from invid.signals.spectra import spectra_of
+from invid.signals.spectral_record import Record
+
+LONG_AGO = -1e7
+"""Where the recording's time begins for a drift: then a stiffness stands still within a record."""
+
+
+def periods() -> tuple[list[Record], Record]:
+    """Two periods from rest of the axis, each for itself, and their mean."""
+    experiment = from_rest(3, Role.IDENTIFY, "000")
+    recording = recording_of(experiment)
+    whole = record_of(spectra_of(experiment, drop_transient=False), experiment)
+    return by_period(recording, [whole], ["000"]), whole
+
+
+def excess(
+    record: Record, candidate: Candidate, mass: float = 2.0, spring: float = 1000.0, rubbing: float = 0.0
+) -> float:
+    """χ² of one period beyond what noise leaves, in standard deviations.
+
+    At the true plant (which rubs nowhere), but for what ``candidate`` has to make up for.
+    """
+    structure = ChainStructure((2,), ("A1",), viscous=True)
+    layout = layout_of(structure, [record], LONG_AGO)
+    p = np.zeros(layout.count)
+    at = structure.slices
+    p[at["mass"]] = np.log([0.7, mass])
+    p[at["spring"]] = np.log([spring])
+    p[at["damper"]] = 0.5
+    p[at["viscous"]] = rubbing
+    p[structure.count] = 0.5 * record.step  # the torque is held over each sample
+    p[layout.stairs_at] = 1.0
+    found = evaluate(layout, [record], p, candidate, jacobian=False)
+    return float((found.cost - found.dof) / np.sqrt(2 * found.dof))
+
+
+def test_each_period_of_a_motion_from_rest_has_the_mean_torque_of_its_own() -> None:
+    alone, whole = periods()
+    experiment = from_rest(3, Role.IDENTIFY, "000")
+    means = experiment.torque.reshape(2, -1).mean(axis=1)
+    assert [r.torque[0, 0].real for r in alone] == pytest.approx(means, abs=1e-12)
+    assert abs(means[0] - whole.torque[0, 0].real) > 1e-3
+    for record in alone:
+        assert abs(excess(record, Candidate())) < 5.0
+
+
+@pytest.mark.parametrize("number", [0, 1])
+@pytest.mark.parametrize("cause", ["stiffness", "mass", "friction"])
+def test_an_effect_that_is_linear_in_motion_makes_up_for_the_same_error_of_the_plant(
+    cause: str, number: int
+) -> None:
+    record = periods()[0][number]
+    middle = 0.5 * (record.start_time + record.end_time) - LONG_AGO
+    term, x, wrong = {
+        "stiffness": (Term(ParameterDrift(), Place("spring", 0, 1)), [100.0 / middle], {"spring": 900.0}),
+        "mass": (Term(PayloadChange(), Place("mass", 0, 2)), [0.3, LONG_AGO], {"mass": 1.7}),
+        "friction": (Term(ViscousFriction(), Place("mass", 0, 1)), [0.8], {"rubbing": -0.8}),
+    }[cause]
+    assert excess(record, Candidate(), **wrong) > 30.0
+    assert abs(excess(record, Candidate((term,), (np.array(x),)), **wrong)) < 5.0

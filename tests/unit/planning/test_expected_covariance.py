@@ -1,0 +1,177 @@
+"""Expected covariance before anything moves, against motion integrated and noise drawn independently."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from invid.config import CellConfig, load_config
+from invid.errors import ModelError
+from invid.identification.identify import identify
+from invid.model.chains import CoupledChains
+from invid.model.document import ChainStd, EffectTerm, Estimate, Model, parameter_vector
+from invid.planning import Plan, make_plan
+from invid.planning.belief import Belief, from_model, guess
+from invid.planning.expected_covariance import Noise, assumed_noise, expected, recorded_noise
+from invid.planning.goal import plan_for_goal
+from invid.planning.response import foretold_motion, hold_gains
+from invid.recording import read_recording
+from invid_drivers.connect import connect
+from invid_drivers.foretelling import sensor_noise
+from invid_drivers.measurement import run_measurement
+from invid_drivers.simulated import truth
+
+CONFIG = Path(__file__).parents[3] / "configs" / "case-study.yaml"
+
+
+@pytest.fixture(scope="module")
+def cell() -> CellConfig:
+    return load_config(CONFIG)
+
+
+@pytest.fixture(scope="module")
+def belief(cell: CellConfig) -> Belief:
+    plant = replace(truth(cell), ground_dampers=np.zeros(3))
+    return Belief(plant, np.array([0.05, 0.1, 0.2]), np.array([0.1, 0.2, 0.4]), "truth", False)
+
+
+@pytest.fixture(scope="module")
+def one_block(cell: CellConfig, belief: Belief) -> Plan:
+    plan = plan_for_goal(cell, belief, sensor_noise(cell), 0.01).plan
+    return plan.first(1)
+
+
+def without_friction(belief: Belief) -> Belief:
+    return replace(belief, coulomb=np.zeros(3), viscous=np.zeros(3))
+
+
+def test_the_motion_foretold_is_that_of_the_equations_of_motion(
+    cell: CellConfig, belief: Belief, one_block: Plan
+) -> None:
+    free = without_friction(belief)
+    (block,) = one_block.experiments
+    stiffness, damping = hold_gains(cell, block, free)
+    chains = free.chains
+    n, motors = chains.dofs, [0, 3, 6]
+    mass, spring, damper = chains.mass_matrix, chains.stiffness_matrix, chains.damping_matrix
+    a = np.zeros((2 * n, 2 * n))
+    a[:n, n:] = np.eye(n)
+    a[n:, :n], a[n:, n:] = -np.linalg.solve(mass, spring), -np.linalg.solve(mass, damper)
+    b = np.zeros((2 * n, 3))
+    b[n:] = np.linalg.inv(mass)[:, motors]
+    step = 0.001
+    exact = expm(np.block([[a, b], [np.zeros((3, 2 * n + 3))]]) * step)
+    ad, bd = exact[: 2 * n, : 2 * n], exact[: 2 * n, 2 * n :]
+    x, path = np.zeros(2 * n), []
+    # a sample is answered at the next SYNC, with the mean velocity of the cycle before it
+    seen, before = np.zeros(3), np.zeros(3)
+    for torque in block.torque:
+        path.append(x[motors])
+        held = torque - stiffness * seen - damping * (seen - before) / step
+        seen, before = x[motors], seen
+        x = ad @ x + bd @ held
+    found = foretold_motion(cell, block, free).position
+    wanted = np.array(path)
+    assert np.abs(found - wanted).max() < 2e-3 * np.abs(wanted).max()
+
+
+def test_expected_and_actual_scatter_agree_in_the_simulated_cell(
+    cell: CellConfig, belief: Belief, one_block: Plan, tmp_path: Path
+) -> None:
+    foretold = expected(cell, one_block, belief, sensor_noise(cell))
+    found, stated = [], []
+    for seed in range(5):
+        document = cell.model_dump(mode="python")
+        document["simulation"]["seed"] = 40 + seed
+        config = CellConfig.model_validate(document)
+        path = tmp_path / f"{seed}.h5"
+        run_measurement(config, one_block, connect(config), path)
+        model = identify(read_recording(path), masses=(3, 3, 3))
+        assert model.covariance is not None
+        found.append(parameter_vector(model.chains)[1])
+        stated.append(np.sqrt(np.diag(model.covariance)))
+    scatter = (np.array(found) - np.mean(found, axis=0)) / foretold.std * np.sqrt(5 / 4)
+    ratio = float(np.sqrt(np.mean(scatter[:, foretold.goal] ** 2)))
+    # 4 degrees of freedom for each of 18 correlated parameters: good to some 15 %
+    assert 0.7 < ratio < 1.5
+    # and beside the standard deviations that the estimator states from the records themselves
+    assert np.all(np.abs(np.log(np.median(stated, axis=0) / foretold.std)) < np.log(1.25))
+
+
+def test_half_the_torque_doubles_the_expected_uncertainty(
+    cell: CellConfig, belief: Belief, one_block: Plan
+) -> None:
+    free, noise = without_friction(belief), sensor_noise(cell)
+    full = expected(cell, one_block, free, noise)
+    half = expected(cell, one_block, free, noise, scale=0.5)
+    ratio = (half.std / full.std)[full.goal]
+    assert np.median(ratio) == pytest.approx(2.0, rel=0.05)
+
+
+def test_two_records_know_a_root_of_two_better_than_one(
+    cell: CellConfig, belief: Belief, one_block: Plan
+) -> None:
+    noise = sensor_noise(cell)
+    one = expected(cell, one_block, belief, noise)
+    (block,) = one_block.experiments
+    two = expected(cell, [block, replace(block, key="001")], belief, noise)
+    assert np.median((one.std / two.std)[one.goal]) == pytest.approx(np.sqrt(2), rel=0.1)
+
+
+def test_a_mass_that_nothing_reaches_is_said_to_be_unseen(cell: CellConfig, belief: Belief) -> None:
+    plan = make_plan(cell, axes=["A1"])
+    lonely = replace(belief, chains=replace(belief.chains, couplings=np.zeros((3, 3))))
+    # the other axes stand still in their holds: nothing is learnt of what is behind them
+    found = expected(cell, plan, lonely, sensor_noise(cell))
+    by_name = dict(zip(found.names, found.relative, strict=True))
+    assert by_name["A1.mass.3"] < 0.01
+    assert not by_name["A3.mass.3"] < 1.0
+    assert found.to_json()["worst"]["name"].startswith(("A2", "A3"))
+
+
+def test_a_guess_says_that_it_is_one_and_needs_every_inertia(cell: CellConfig) -> None:
+    made = guess(cell)
+    assert made is not None
+    assert made.guessed
+    assert "guess" in made.source
+    assert [float(m.sum()) for m in made.chains.masses] == pytest.approx([5.7, 15, 24])
+    document = cell.model_dump(mode="python")
+    document["axes"][1]["inertia"] = None
+    assert guess(CellConfig.model_validate(document)) is None
+
+
+def test_friction_of_an_accepted_model_is_part_of_the_belief(cell: CellConfig) -> None:
+    chains = truth(cell)
+    model = Model(
+        "r",
+        "refined",
+        chains,
+        ChainStd.unknown(chains),
+        effects=(
+            EffectTerm("coulomb_friction", "A2", {"torque": Estimate(0.3)}, element="mass 1"),
+            EffectTerm("viscous_friction", "A3", {"coefficient": Estimate(0.7)}, element="mass 1"),
+        ),
+    )
+    belief = from_model(model, cell)
+    assert belief.coulomb.tolist() == [0, 0.3, 0]
+    # the simulated plant's own ground dampers (0.1, 0.2 and 0.4) are counted once
+    assert belief.viscous == pytest.approx([0.1, 0.2, 1.1])
+    assert not belief.chains.ground_dampers.any()
+    other = CoupledChains.build([[1.0]], [[]], axes=["X"])
+    with pytest.raises(ModelError, match="the model of"):
+        from_model(Model("r", "refined", other, ChainStd.unknown(other)), cell)
+
+
+def test_noise_of_an_earlier_recording_is_what_its_sensors_had(
+    cell: CellConfig, belief: Belief, one_block: Plan, tmp_path: Path
+) -> None:
+    path = tmp_path / "earlier.h5"
+    run_measurement(cell, one_block, connect(cell), path)
+    noise: Noise = recorded_noise(read_recording(path))
+    # 0.5 % of 50, 100, 200 N·m, and a step of a thousandth over the root of twelve
+    wanted = np.hypot([0.25, 0.5, 1.0], np.array([0.05, 0.1, 0.2]) / np.sqrt(12))
+    assert noise.torque == pytest.approx(wanted, rel=0.1)
+    assert np.all(noise.position < 2 * 2 * np.pi / 524288)
+    assert assumed_noise(cell).source.startswith("assumed")

@@ -1,0 +1,198 @@
+"""Plans for a goal: within the limits, honest about what cannot be reached, and no longer than needed."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from invid.config import CellConfig, load_config
+from invid.errors import ConfigError, InputError
+from invid.planning.belief import Belief, guess
+from invid.planning.expected_covariance import expected
+from invid.planning.forecast import turning_back
+from invid.planning.goal import GoalPlan, plan_for_goal
+from invid.recording import Recording, read_recording
+from invid_drivers.cli.measure import parse_goal
+from invid_drivers.foretelling import sensor_noise
+from invid_drivers.goal import measure_to_goal
+from invid_drivers.measurement import measure_to_file
+from invid_drivers.simulated import truth
+
+CONFIG = Path(__file__).parents[3] / "configs" / "case-study.yaml"
+
+
+@pytest.fixture(scope="module")
+def cell() -> CellConfig:
+    return load_config(CONFIG)
+
+
+@pytest.fixture(scope="module")
+def belief(cell: CellConfig) -> Belief:
+    plant = replace(truth(cell), ground_dampers=np.zeros(3))
+    return Belief(plant, np.array([0.05, 0.1, 0.2]), np.array([0.1, 0.2, 0.4]), "truth", False)
+
+
+@pytest.fixture(scope="module")
+def design(cell: CellConfig, belief: Belief) -> GoalPlan:
+    return plan_for_goal(cell, belief, sensor_noise(cell), 0.01)
+
+
+def with_limits(cell: CellConfig, **limits: float) -> CellConfig:
+    document = cell.model_dump(mode="python")
+    for axis in document["axes"]:
+        axis["limits"] |= limits
+    return CellConfig.model_validate(document)
+
+
+def test_a_block_shakes_all_axes_at_once_each_on_lines_of_its_own(design: GoalPlan) -> None:
+    (block, *_) = design.plan.experiments
+    # the ramps at the ends smear each line over its neighbours, ten times weaker two lines off
+    spectrum = np.abs(np.fft.rfft(block.torque[:-1], axis=0)) / np.abs(block.torque).max(axis=0)
+    lines = np.rint(block.frequencies_hz * 5.0).astype(int)
+    strongest = spectrum[lines].argmax(axis=1)
+    assert np.bincount(strongest, minlength=3).min() >= 0.8 * lines.size / 3
+    assert np.all(block.torque[[0, -1]] == pytest.approx(0.0, abs=1e-3 * np.abs(block.torque).max()))
+
+
+def test_a_goal_of_one_per_cent_is_expected_in_one_block_below_the_largest_amplitude(
+    design: GoalPlan,
+) -> None:
+    assert design.reachable
+    assert design.needed == 1
+    assert design.expected.worst[1] < 0.01
+    assert design.amplitudes[0] < 0.7
+    assert list(design.amplitudes) == sorted(design.amplitudes)
+    assert design.expected_s < 8
+
+
+def test_no_block_exceeds_torque_travel_or_velocity(cell: CellConfig, belief: Belief) -> None:
+    tight = with_limits(cell, position=0.02, velocity=0.3)
+    design = plan_for_goal(tight, belief, sensor_noise(tight), 0.01)
+    for axis, f in zip(tight.axes, design.plan.forecast, strict=True):
+        assert f.peak_torque <= axis.limits.torque
+        # with the margin of a model
+        assert f.travel <= 0.02
+        assert f.velocity <= 0.3
+    assert any("velocity" in b or "position" in b for b in design.binding)
+
+
+def test_a_goal_beyond_the_limits_is_refused_with_the_figure_that_can_be_reached(
+    cell: CellConfig, belief: Belief
+) -> None:
+    design = plan_for_goal(cell, belief, sensor_noise(cell), 1e-5, max_duration_s=13.0)
+    assert not design.reachable
+    assert design.plan.shaking_s <= 13.0 + 2.0
+    name, worst = design.expected.worst
+    assert worst > 1e-5
+    assert name in design.sentence
+    assert f"{worst:.2g}" in design.sentence
+    assert any("duration" in b for b in design.binding)
+    assert any("torque limit" in b or "velocity" in b for b in design.binding)
+
+
+def test_a_parameter_that_no_excited_axis_reaches_is_named_not_planned_for(
+    cell: CellConfig, belief: Belief
+) -> None:
+    lonely = replace(belief, chains=replace(belief.chains, couplings=np.zeros((3, 3))))
+    design = plan_for_goal(cell, lonely, sensor_noise(cell), 0.01, axes=["A1"], max_duration_s=7.0)
+    assert not design.reachable
+    assert design.expected.worst[0].startswith(("A2", "A3"))
+    assert design.expected.worst[0] in design.sentence
+
+
+def test_amplitude_by_frequency_knows_the_worst_parameter_better_than_equal_shares(
+    cell: CellConfig, belief: Belief
+) -> None:
+    noise = sensor_noise(cell)
+    chosen = plan_for_goal(cell, belief, noise, 1e-3, max_duration_s=7.0)
+    blind = plan_for_goal(cell, replace(belief, guessed=True), noise, 1e-3, max_duration_s=7.0)
+    worst = []
+    for plan in (chosen, blind):
+        (block, *_) = plan.plan.experiments
+        torque = block.torque * (17.5 / np.abs(block.torque[:, 0]).max())
+        # the same peak on each axis for both
+        torque = torque / np.abs(torque).max(axis=0) * [17.5, 35.0, 70.0]
+        found = expected(cell, [replace(block, torque=torque)], belief, noise)
+        worst.append(float(np.sqrt(np.mean(found.relative[found.goal] ** 2))))
+    assert worst[0] < worst[1]
+
+
+def test_creep_is_planned_where_friction_is_near_the_torque_and_the_config_allows_it(
+    cell: CellConfig, belief: Belief
+) -> None:
+    document = cell.model_dump(mode="python")
+    document["experiments"] = [{"kind": "multisine", "creep_velocity": 0.02}]
+    allowed = CellConfig.model_validate(document)
+    sticky = replace(belief, coulomb=np.array([6.0, 0.2, 0.4]))
+    design = plan_for_goal(allowed, sticky, sensor_noise(allowed), 0.01)
+    (block, *_) = design.plan.experiments
+    assert block.reference is not None
+    assert np.abs(block.reference[:, 0]).max() > 0
+    assert not block.reference[:, 1:].any()
+    # 0.02 rad/s does not keep a motor going that is shaken faster; what would is said, and does.
+    (said,) = [w for w in design.plan.warnings if "turn back" in w]
+    assert said.startswith("axis A1:")
+    enough = float(said.split("creep_velocity of ")[1].split()[0])
+    path = block.reference * (1.02 * enough / 0.02)
+    assert turning_back(allowed, block, sticky) == [said]
+    assert not turning_back(allowed, replace(block, reference=path), sticky)
+    plain = plan_for_goal(cell, sticky, sensor_noise(cell), 0.01)
+    assert plain.plan.experiments[0].reference is None
+    assert any("creep_velocity" in w for w in plain.plan.warnings)
+
+
+def test_a_guess_plans_too_and_says_what_it_rests_on(cell: CellConfig) -> None:
+    belief = guess(cell)
+    assert belief is not None
+    design = plan_for_goal(cell, belief, sensor_noise(cell), 0.01)
+    assert any("guess" in w for w in design.plan.warnings)
+
+
+@pytest.mark.parametrize("text", ["", "0", "-1%", "100%", "1 per cent", "nan", "inf"])
+def test_a_goal_that_is_none_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match="such as 1%"):
+        parse_goal(text)
+
+
+def test_a_goal_is_a_percentage_or_a_share() -> None:
+    assert parse_goal("1%") == parse_goal(" 1 % ") == parse_goal("0.01") == pytest.approx(0.01)
+
+
+def test_an_axis_that_is_not_there_is_refused(cell: CellConfig, belief: Belief) -> None:
+    with pytest.raises(ConfigError, match="B7"):
+        plan_for_goal(cell, belief, sensor_noise(cell), 0.01, axes=["B7"])
+
+
+def test_the_measurement_stops_as_soon_as_the_measured_covariance_is_there(
+    cell: CellConfig, design: GoalPlan, tmp_path: Path
+) -> None:
+    path = tmp_path / "r.h5"
+    result, found = measure_to_goal(cell, design, path)
+    recording = read_recording(path)
+    assert found.meets(0.01)
+    assert found.blocks == len(recording.experiments) == 1
+    assert str(recording.outcome) == "completed"
+    assert result.duration_s < design.plan.duration_s + 20
+
+
+def test_whoever_judges_sees_every_finished_experiment_as_it_stands_in_the_file(
+    cell: CellConfig, design: GoalPlan, tmp_path: Path
+) -> None:
+    path, seen = tmp_path / "r.h5", []
+
+    def go_on(recording: Recording) -> bool:
+        seen.append(recording)
+        return len(seen) < 2
+
+    blocks = [replace(e, torque=0.5 * e.torque[:1500], record_to=1500) for e in design.plan.experiments]
+    plan = replace(design.plan, experiments=tuple(blocks))
+    measure_to_file(cell, path, plan=plan, go_on=go_on)
+    written = read_recording(path)
+    assert [len(r.experiments) for r in seen] == [1, 2]
+    assert len(written.experiments) == 2
+    for a, b in zip(seen[-1].experiments, written.experiments, strict=True):
+        assert a.key == b.key
+        assert np.array_equal(a.position, b.position)
+        assert np.array_equal(a.torque, b.torque)
+        assert np.array_equal(a.time, b.time)

@@ -1,0 +1,357 @@
+"""The HDF5 recording: written while measuring, killed, damaged, written by others."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import struct
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import can
+import h5py
+import numpy as np
+import pytest
+
+from invid.cli.app import run
+from invid.errors import InvidError, RecordingError
+from invid.recording import Outcome, read_recording, write_recording
+from invid.recording.spool import Spool
+
+
+def foreign(path: Path, *, n: int = 50, axes: int = 2) -> Path:
+    """A file with the required attributes alone, written as another program would."""
+    with h5py.File(path, "w") as f:
+        f.attrs["format"] = np.bytes_("invid-recording")
+        f.attrs["format_version"] = np.int32(1)
+        f.attrs["created"] = "2026-01-31T12:00:00Z"
+        f.attrs["robot"] = "other"
+        f.attrs["axes"] = np.array([f"A{i + 1}" for i in range(axes)], dtype=h5py.string_dtype())
+        f.attrs["position_unit"] = "rad"
+        f.attrs["torque_unit"] = "N·m"
+        f.create_group("someone/else")
+        e = f.create_group("experiments/000")
+        e.attrs["kind"], e.attrs["role"] = "other", "identify"
+        e.attrs["excited_axis"], e.attrs["period_samples"] = np.int64(-1), np.uint8(0)
+        e.attrs["hold_gain"] = np.array([[0.0, np.nan][:axes]])
+        e.attrs["frequencies_hz"] = h5py.Empty("f8")
+        e.attrs["sample_rate_hz"] = np.float32(100.0)
+        e["time"] = np.arange(n) / 100.0
+        e["position"] = np.random.default_rng(1).standard_normal((n, axes)).astype(np.float32)
+        e["torque"] = np.arange(n * axes, dtype=np.int16).reshape(n, axes)
+    return path
+
+
+def test_a_file_by_another_writer_with_only_the_required_attributes_is_read(tmp_path):
+    recording = read_recording(foreign(tmp_path / "r.h5"))
+    assert recording.axes == ("A1", "A2")
+    assert recording.experiments[0].torque[3, 1] == 7.0
+    assert np.isnan(recording.experiments[0].hold_gain[1])
+    write_recording(recording, tmp_path / "again.h5")
+    again = read_recording(tmp_path / "again.h5")
+    assert np.array_equal(again.experiments[0].position, recording.experiments[0].position)
+
+
+def _nan(e):
+    e["position"][7, 1] = np.nan
+
+
+def _backwards(e):
+    e["time"][9] = e["time"][3]
+
+
+def _no_torque(e):
+    del e["torque"]
+
+
+def _transposed(e):
+    values = e["torque"][()].T
+    del e["torque"]
+    e["torque"] = values
+
+
+def _link(e):
+    del e["torque"]
+    e["torque"] = h5py.ExternalLink("/etc/passwd", "/x")
+
+
+def _bomb(e):
+    del e["time"]
+    e.create_dataset("time", shape=(10**12,), dtype="f8", chunks=(1024,), compression="gzip")
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (_nan, "'position' of axis A2 is nan at sample 7"),
+        (_backwards, "'time' runs backwards at sample 9"),
+        (_no_torque, "dataset 'torque' is missing"),
+        (_transposed, "transposed"),
+        (_link, "link into another file"),
+        (_bomb, "more numbers than"),
+        (lambda e: e.attrs.__setitem__("period_samples", -3), "'period_samples' is -3"),
+        (lambda e: e.attrs.__setitem__("excited_axis", 2), "'excited_axis' is 2"),
+        (lambda e: e.attrs.__delitem__("role"), "'role' is missing"),
+        (lambda e: e.attrs.__setitem__("kind", "dance"), "'kind' is 'dance'"),
+        (lambda e: e.file.attrs.__setitem__("format_version", 7), "'format_version' is 7"),
+    ],
+)
+def test_a_violation_is_one_sentence_that_says_what_and_where(tmp_path, spoil, said):
+    path = foreign(tmp_path / "r.h5")
+    with h5py.File(path, "r+") as f:
+        spoil(f["experiments/000"])
+    with pytest.raises(RecordingError, match=said) as caught:
+        read_recording(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_cut_file_is_called_truncated(tmp_path):
+    """HDF5 says "… stored_eof … sblock->base_addr": there is no lock in that."""
+    path = foreign(tmp_path / "r.h5")
+    path.write_bytes(path.read_bytes()[:-200])
+    with pytest.raises(RecordingError, match="is truncated; copy it again"):
+        read_recording(path)
+
+
+def test_flipped_bytes_and_cut_files_raise_nothing_but_recording_errors(tmp_path):
+    whole = foreign(tmp_path / "r.h5").read_bytes()
+    rng = np.random.default_rng(3)
+    refused = 0
+    for trial in range(300):
+        raw = bytearray(whole)
+        for _ in range(int(rng.integers(1, 6))):
+            raw[int(rng.integers(raw.__len__()))] = int(rng.integers(256))
+        data = bytes(raw) if trial % 3 else bytes(raw[: int(rng.integers(len(raw)))])
+        path = tmp_path / f"f{trial}.h5"
+        path.write_bytes(data)
+        try:
+            read_recording(path)
+        except RecordingError:
+            refused += 1
+    assert refused > 90
+
+
+_WRITER = """
+import sys, time, numpy as np
+from invid.recording import Kind, Recording, RecordingWriter
+head = Recording(robot="r", axes=("A1",), position_unit="rad", torque_unit="N·m",
+                 created="2026-01-01T00:00:00Z", experiments=())
+with RecordingWriter(sys.argv[1], head) as w:
+    w.begin(kind=Kind.OTHER, excited_axis=0, sample_rate_hz=1000.0, demand=False, status=False)
+    start, k = time.monotonic(), 0
+    while True:
+        now = time.monotonic() - start
+        while k < now * 1000:
+            w.append(k / 1000, [float(k)], [1.0])
+            k += 1
+        print(k, flush=True)
+        time.sleep(0.005)
+"""
+
+
+def test_a_measurement_killed_in_the_middle_loses_at_most_the_last_second(tmp_path):
+    path = tmp_path / "r.h5"
+    process = subprocess.Popen(
+        [sys.executable, "-c", _WRITER, str(path)], stdout=subprocess.PIPE, text=True, env=os.environ
+    )
+    assert process.stdout is not None
+    written, end = 0, time.monotonic() + 60
+    while written < 3400 and time.monotonic() < end:
+        written = int(process.stdout.readline())
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert not path.exists()
+    assert run(["import", str(tmp_path / "r.h5.rows"), "-o", str(path)]) == 0
+    recording = read_recording(path)
+    assert recording.outcome is None
+    kept = recording.experiments[0].samples
+    assert written >= 3400
+    assert kept >= written - 1000  # it may have gone on between its last word and its end
+    assert np.array_equal(recording.experiments[0].position[:, 0], np.arange(kept))
+
+
+_FULL = """
+import resource, sys, numpy as np
+from invid.errors import RecordingError
+from invid.recording import Kind, Outcome, Recording, RecordingWriter
+head = Recording(robot="r", axes=("A1",), position_unit="rad", torque_unit="N·m",
+                 created="2026-01-01T00:00:00Z", experiments=())
+w = RecordingWriter(sys.argv[1], head)
+w.begin(kind=Kind.OTHER, excited_axis=0, sample_rate_hz=1000.0, demand=False, status=False)
+resource.setrlimit(resource.RLIMIT_FSIZE, (100_000,) * 2)
+noise = np.random.default_rng(1).standard_normal((10000, 1)).round(int(sys.argv[2]))
+try:
+    for k in range(0, 10000, 100):
+        w.append(np.arange(k, k + 100) / 1000, noise[k : k + 100], noise[k : k + 100])
+except RecordingError as error:
+    print(error)
+if sys.argv[3] == "1":
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 100_000))
+try:
+    w.close(Outcome.FAILED)
+except RecordingError as error:
+    print(error)
+"""
+
+
+@pytest.mark.parametrize(("worse", "where"), [("1", "r.h5.rows"), ("0", "r.h5")])
+def test_a_disk_that_takes_no_more_ends_the_writing_in_order_and_what_it_took_is_readable(
+    tmp_path, worse, where
+):
+    """The kernel refuses any file beyond a limit; where it is lower still at the end, the rows remain."""
+    path = tmp_path / "r.h5"
+    process = subprocess.run(
+        [sys.executable, "-c", _FULL, str(path), "3", worse], capture_output=True, text=True, check=False
+    )
+    assert process.returncode == 0, process.stderr  # no segmentation fault at the end
+    assert "takes no more rows (File too large)" in process.stdout
+    recording = read_recording(tmp_path / where)
+    kept = recording.experiments[0].samples
+    assert 75_000 < 24 * kept < 100_000
+    assert path.exists() is (where == "r.h5")
+    assert ("What was measured is in" in process.stdout) is (where != "r.h5")
+    if where == "r.h5":
+        assert recording.outcome is Outcome.FAILED
+
+
+def test_rows_cut_anywhere_are_read_up_to_the_cut_and_never_raise_anything_else(tmp_path):
+    spool = Spool(tmp_path / "r.h5", {"format": "invid-recording", "format_version": 1,
+        "created": "2026-01-01", "robot": "r", "axes": '["A1"]',
+        "position_unit": "rad", "torque_unit": "N·m"})  # fmt: skip
+    attributes = {"kind": "other", "role": "identify", "excited_axis": 0, "period_samples": 0,
+        "hold_gain": np.zeros(1), "frequencies_hz": np.zeros(0), "sample_rate_hz": 100.0}  # fmt: skip
+    spool.begin("000", ["time", "position", "torque"], attributes)
+    ends = []
+    for k in range(5):
+        spool.rows([np.arange(10 * k, 10 * k + 10) / 100, np.ones((10, 1)), np.ones((10, 1))])
+        ends.append(spool.size)
+    spool.close()
+    whole = spool.path.read_bytes()
+    rng = np.random.default_rng(2)
+    path = tmp_path / "cut.rows"
+    for cut in rng.integers(0, len(whole), 60):
+        path.write_bytes(whole[:cut])
+        frames = sum(cut >= end for end in ends)
+        if frames:
+            assert read_recording(path).experiments[0].samples == 10 * frames
+        else:
+            with pytest.raises(RecordingError):
+                read_recording(path)
+    for _ in range(60):
+        raw = bytearray(whole)
+        raw[int(rng.integers(len(raw)))] ^= 1 << int(rng.integers(8))
+        path.write_bytes(bytes(raw))
+        with contextlib.suppress(RecordingError):
+            read_recording(path)
+
+
+def test_rows_that_an_earlier_cut_left_are_not_overwritten(tmp_path):
+    (tmp_path / "r.h5.rows").write_bytes(b"earlier")
+    Spool(tmp_path / "r.h5", {}).close()
+    assert (tmp_path / "r.h5.rows").read_bytes() == b"earlier"
+    assert (tmp_path / "r.h5.2.rows").exists()
+
+
+CAN_MAP = """
+format: invid-import-map
+robot: logged
+motion: rotary
+source:
+  pdos:
+    - {id: 0x181, signals: [{name: q, type: int32}, {name: tau, type: int16}]}
+    - {id: 0x201, direction: to_drive, signals: [{name: cmd, type: int16}]}
+time: {column: time, unit: s}
+axes:
+  - name: A1
+    rated_torque: 2.0
+    position: {column: q, unit: counts, per_count: 0.001}
+    torque: {column: tau, unit: permille}
+    torque_demand: {column: cmd, unit: permille}
+"""
+
+
+@pytest.mark.parametrize("ending", ["log", "asc", "blf"])
+def test_a_can_log_becomes_a_recording_in_si_units(tmp_path, ending):
+    path = tmp_path / f"bus.{ending}"
+    with can.Logger(path) as log:
+        for k in range(60):
+            frames = [
+                (0x80, b""),
+                (0x181, struct.pack("<ih", 10 * k, -k)),
+            ]
+            frames.append((0x201, (k + 1).to_bytes(2, "little")))
+            for j, (identifier, data) in enumerate(frames):
+                log(can.Message(timestamp=1e9 + k * 0.01 + j * 1e-3, arbitration_id=identifier, data=data,
+                                is_extended_id=False, channel="can0"))  # fmt: skip
+    (tmp_path / "m.yaml").write_text(CAN_MAP)
+    out = tmp_path / "r.h5"
+    assert run(["import", str(path), "--map", str(tmp_path / "m.yaml"), "-o", str(out)]) == 0
+    e = read_recording(out).experiments[0]
+    k = np.round(e.position[:, 0] / 0.01).astype(int)
+    assert np.array_equal(k, np.arange(k[0], k[0] + k.size))
+    assert e.samples >= 58
+    assert e.torque[:, 0] == pytest.approx(-0.002 * k)
+    assert e.torque_demand is not None
+    assert e.torque_demand[:, 0] == pytest.approx(0.002 * k)
+    assert np.diff(e.time) == pytest.approx(0.01, abs=2e-4)
+
+
+CSV_MAP = """
+format: invid-import-map
+robot: table
+time: {column: t, unit: ms}
+axes:
+  - name: A1
+    position: {column: winkel, unit: deg, sign: -1}
+    torque: {column: strom, unit: A, torque_constant: 0.5}
+"""
+
+
+def _csv(path: Path, broken: int) -> Path:
+    rows = [f"{10 * k};{k},5;{k},25" for k in range(300)]
+    for k in range(broken):
+        rows[20 + 7 * k] = f"{10 * (20 + 7 * k)};x;1,0"
+    path.write_text("recorder 3\nt;winkel;strom\n" + "\n".join(rows) + "\n")
+    return path
+
+
+def test_decimal_commas_and_units_are_read_and_two_broken_rows_are_skipped_and_named(tmp_path, capsys):
+    (tmp_path / "m.yaml").write_text(CSV_MAP)
+    source, out = _csv(tmp_path / "d.csv", 2), tmp_path / "r.h5"
+    assert run(["import", str(source), "--map", str(tmp_path / "m.yaml"), "-o", str(out)]) == 0
+    assert "line 23" in capsys.readouterr().err
+    e = read_recording(out).experiments[0]
+    assert e.samples == 298
+    assert e.position[0, 0] == pytest.approx(-np.radians(0.5))
+    assert e.torque[1, 0] == pytest.approx(0.625)
+
+
+def test_more_than_one_per_cent_of_broken_rows_stops_and_leaves_an_older_recording_alone(tmp_path):
+    (tmp_path / "m.yaml").write_text(CSV_MAP)
+    out = tmp_path / "r.h5"
+    out.write_bytes(b"older")
+    arguments = [
+        "import",
+        str(_csv(tmp_path / "d.csv", 4)),
+        "--map",
+        str(tmp_path / "m.yaml"),
+        "-o",
+        str(out),
+    ]
+    assert run(arguments) == 2
+    assert out.read_bytes() == b"older"
+
+
+def test_every_map_that_ships_is_valid():
+    from invid.recording.import_map import load_map
+
+    maps = sorted((Path(__file__).parents[3] / "configs" / "import").glob("*.yaml"))
+    assert len(maps) >= 8
+    for path in maps:
+        try:
+            load_map(path)
+        except InvidError as error:
+            pytest.fail(str(error))

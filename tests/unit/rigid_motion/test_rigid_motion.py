@@ -1,0 +1,225 @@
+"""Large motions: an axis integrated here, by other code than the one under test."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from large_motion import RATE, Force, experiment, recording, simulate
+
+from invid.cli.app import run
+from invid.diagnosis.diagnose import diagnose
+from invid.errors import InputError, InvidError
+from invid.identification.identify import identify
+from invid.model.diagnosis_document import Diagnosis, Verdict, diagnosis_to_json
+from invid.model.document import dump_json, load_model
+from invid.recording import Kind, write_recording
+from invid.rigid_motion.diagnosis import diagnose_trajectory, identify_trajectory
+from invid.rigid_motion.record_kind import is_trajectory
+
+
+def causes(diagnosis: Diagnosis) -> set[str]:
+    return {f.effect.cause for f in diagnosis.findings}
+
+
+def test_a_plain_mass_with_noise_is_consistent_and_nothing_is_named():
+    for seed in range(4):
+        diagnosis = diagnose_trajectory(recording(simulate(np.random.default_rng(seed))))
+        assert diagnosis.verdict is Verdict.CONSISTENT, (seed, diagnosis.sentences)
+        assert not diagnosis.findings
+        mass = diagnosis.model.chains.masses[0][0]
+        assert mass == pytest.approx(0.5, rel=0.01)
+        # The command is held over the sample: half of it is the mean lag.
+        offset = diagnosis.model.fit["time_offset_s"]["A1.time_offset"]
+        assert offset["value"] == pytest.approx(0.5 / RATE, abs=0.1 / RATE)
+
+
+@pytest.mark.parametrize("noise", [0.02, 0.002])
+def test_the_noise_floor_is_what_noise_leaves_of_torque_and_of_the_encoder_s_counts(noise: float):
+    ratios = []
+    for seed in range(3):
+        (axis,) = diagnose_trajectory(recording(simulate(np.random.default_rng(seed), noise=noise))).residual
+        ratios.append(axis.after / axis.noise_floor)
+    # The smaller noise leaves the encoder's counts: their floor was a quarter too low.
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.1)
+
+
+def test_coulomb_and_viscous_friction_are_named_with_their_sizes():
+    rng = np.random.default_rng(1)
+    diagnosis = diagnose_trajectory(recording(simulate(rng, dry=(1.0, 1.0), wet=(0.6, 0.6))))
+    found = {f.effect.cause: f.effect for f in diagnosis.findings}
+    assert set(found) == {"coulomb_friction", "viscous_friction"}
+    assert found["coulomb_friction"].value("torque") == pytest.approx(1.0, rel=0.03)
+    assert found["viscous_friction"].value("coefficient") == pytest.approx(0.6, rel=0.05)
+    assert diagnosis.model.chains.masses[0][0] == pytest.approx(0.5, rel=0.02)
+    assert diagnosis.explained_fraction is not None
+    assert diagnosis.explained_fraction > 0.95
+
+
+def test_friction_that_differs_by_direction_is_named_asymmetric():
+    rng = np.random.default_rng(2)
+    diagnosis = diagnose_trajectory(recording(simulate(rng, dry=(1.5, 0.8), wet=(0.3, 0.9))))
+    found = {f.effect.cause: f.effect for f in diagnosis.findings}
+    assert set(found) == {"asymmetric_friction"}
+    effect = found["asymmetric_friction"]
+    assert effect.value("coulomb_positive") == pytest.approx(1.5, rel=0.05)
+    assert effect.value("coulomb_negative") == pytest.approx(0.8, rel=0.08)
+    assert effect.value("viscous_positive") == pytest.approx(0.3, abs=0.08)
+    assert effect.value("viscous_negative") == pytest.approx(0.9, abs=0.08)
+
+
+def test_an_offset_with_symmetric_friction_is_not_called_asymmetric():
+    rng = np.random.default_rng(3)
+    diagnosis = diagnose_trajectory(
+        recording(simulate(rng, dry=(1.0, 1.0), wet=(0.5, 0.5), extra=lambda q, v, t: 0.4, stroke=0.09))
+    )
+    found = {f.effect.cause: f.effect for f in diagnosis.findings}
+    assert "asymmetric_friction" not in found
+    assert found["torque_offset"].value("torque") == pytest.approx(0.4, rel=0.1)
+
+
+def test_gravity_is_named_with_its_angle():
+    rng = np.random.default_rng(4)
+    diagnosis = diagnose_trajectory(
+        recording(simulate(rng, extra=lambda q, v, t: 3.0 * np.sin(q + 0.4), stroke=1.5))
+    )
+    found = {f.effect.cause: f.effect for f in diagnosis.findings}
+    assert set(found) == {"gravity"}
+    assert found["gravity"].value("torque") == pytest.approx(3.0, rel=0.03)
+    assert found["gravity"].value("angle") == pytest.approx(0.4, abs=0.03)
+
+
+@pytest.mark.parametrize(
+    "extra",
+    [
+        lambda q, v, t: 0.6 * np.sin(23.0 * q + 0.3),
+        lambda q, v, t: 0.8 * np.sin(2 * np.pi * 3.1 * t),
+        lambda q, v, t: 0.8 * (t > 11.3) * np.sin(2 * np.pi * 1.3 * t),
+    ],
+    ids=["ripple over position", "hum over time", "hum that starts late"],
+)
+def test_what_is_outside_the_catalogue_is_left_unnamed(extra: Force):
+    diagnosis = diagnose_trajectory(recording(simulate(np.random.default_rng(5), extra=extra)))
+    assert not causes(diagnosis), diagnosis.sentences
+    assert diagnosis.verdict is Verdict.UNEXPLAINED
+    assert diagnosis.unexplained is not None
+    assert diagnosis.unexplained.axis == "A1"
+
+
+def test_a_mass_on_a_spring_to_ground_that_hardens_is_told_from_gravity():
+    rng = np.random.default_rng(6)
+    dt = 1e-4
+    drive = np.zeros(int(40 / dt))
+    for f in np.arange(0.5, 12.0, 0.37):
+        drive += 1.5 * np.sin(2 * np.pi * f * np.arange(drive.size) * dt + rng.uniform(0, 6.28))
+    q = v = 0.0
+    rows = []
+    for k, force in enumerate(drive):
+        if k % 20 == 0:
+            rows.append((k * dt, q, force))
+        v += dt * (force - 900.0 * q - 1.2 * v - 9e4 * q**3) / 0.4
+        q += dt * v
+    time, position, torque = np.array(rows).T
+    position = position + 2e-6 * rng.standard_normal(position.size)
+    data = recording(experiment(time, position[:, None], torque[:, None]))
+    assert is_trajectory(data)
+    diagnosis = diagnose_trajectory(data)
+    found = {f.effect.cause: f.effect for f in diagnosis.findings}
+    assert "cubic_stiffness" in found
+    assert not {"gravity", "coulomb_friction", "quadratic_stiffness"} & set(found)
+    assert found["cubic_stiffness"].value("coefficient") == pytest.approx(9e4, rel=0.05)
+    assert diagnosis.model.chains.ground_springs[0] == pytest.approx(900.0, rel=0.02)
+
+
+def test_constant_speeds_show_stribeck_friction_and_say_that_the_inertia_is_unknown():
+    rng = np.random.default_rng(7)
+    experiments = []
+    for k, speed in enumerate([s * d for s in np.geomspace(0.3, 30, 14) for d in (1, -1)]):
+        time = np.arange(400) / 100.0
+        friction = np.sign(speed) * (2.0 + 1.2 * np.exp(-((speed / 3.0) ** 2))) + 0.05 * speed
+        velocity = speed + 0.1 * rng.standard_normal(time.size)
+        position = np.concatenate(([0.0], np.cumsum(velocity[:-1] * 0.01)))
+        torque = friction + 0.3 * rng.standard_normal(time.size)
+        experiments.append(
+            experiment(
+                time,
+                position[:, None],
+                torque[:, None],
+                Kind.CONSTANT_VELOCITY,
+                f"{k:03d}",
+                attributes={"position_source": "integrated_velocity"},
+            )
+        )
+    data = recording(*experiments)
+    assert is_trajectory(data)
+    diagnosis = diagnose_trajectory(data)
+    found = {f.effect.cause: f.effect for f in diagnosis.findings}
+    assert {"stribeck_friction", "viscous_friction"} == set(found)
+    effect = found["stribeck_friction"]
+    assert effect.value("static") == pytest.approx(3.2, rel=0.05)
+    assert effect.value("coulomb") == pytest.approx(2.0, rel=0.05)
+    assert effect.value("velocity") == pytest.approx(3.0, rel=0.2)
+    assert np.isnan(diagnosis.model.std.masses[0][0])
+    assert any("no inertia" in w for w in diagnosis.warnings)
+
+
+def test_a_chain_with_a_visible_resonance_is_left_to_the_chain_diagnosis():
+    rng = np.random.default_rng(8)
+    dt = 2e-4
+    state = np.zeros(4)
+    rows = []
+    held = 0.0
+    for k in range(int(20 / dt)):
+        if k % 10 == 0:
+            held = 5.0 * rng.standard_normal()
+            rows.append((k * dt, state[0], held))
+        spring = 2000.0 * (state[0] - state[1]) + 0.3 * (state[2] - state[3])
+        state[2] += dt * (held - spring) / 0.5
+        state[3] += dt * spring / 1.0
+        state[:2] += dt * state[2:]
+    time, position, torque = np.array(rows).T
+    data = recording(experiment(time, position[:, None], torque[:, None]))
+    assert not is_trajectory(data)
+
+
+def test_a_record_without_motion_is_refused_in_one_sentence():
+    time = np.arange(2000) / 500.0
+    flat = np.zeros((2000, 1))
+    rng = np.random.default_rng(9)
+    with pytest.raises(InvidError):
+        identify_trajectory(recording(experiment(time, flat, rng.standard_normal((2000, 1)))))
+
+
+def test_the_diagnosis_is_strict_json_with_the_ladder_of_friction_models():
+    rng = np.random.default_rng(10)
+    diagnosis = diagnose_trajectory(recording(simulate(rng, dry=(1.0, 1.0), seconds=10)))
+    document = diagnosis_to_json(diagnosis)
+    dump_json(document)
+    rungs = [r["friction"] for r in document["details"]["ladder"]]
+    assert rungs[:2] == ["no friction", "viscous"]
+
+
+def test_the_commands_take_a_large_motion_to_a_rigid_model_and_back(tmp_path):
+    rng = np.random.default_rng(11)
+    data = recording(simulate(rng, dry=(1.0, 1.0), wet=(0.6, 0.6), seconds=10))
+    write_recording(data, tmp_path / "rec.h5")
+    model, diagnosis = tmp_path / "model.json", tmp_path / "diagnosis.json"
+    assert run(["identify", str(tmp_path / "rec.h5"), "-o", str(model)]) == 0
+    assert load_model(model).method == "trajectory"
+    # A model given by the caller does not send the record to the diagnosis of resonances.
+    assert run(["diagnose", str(tmp_path / "rec.h5"), "--model", str(model), "-o", str(diagnosis)]) == 0
+    assert '"coulomb_friction"' in diagnosis.read_text(encoding="utf-8")
+
+
+def test_more_masses_than_one_are_a_wish_for_the_chain():
+    data = recording(simulate(np.random.default_rng(12), seconds=10))
+    assert identify(data, masses=[2]).chains.masses_per_branch == (2,)
+    assert identify(data).chains.masses_per_branch == (1,)
+
+
+def test_a_model_of_other_axes_is_refused():
+    data = recording(simulate(np.random.default_rng(13), seconds=5))
+    other = replace(data, axes=("elsewhere",))
+    with pytest.raises(InputError, match="elsewhere"):
+        diagnose(data, model=identify_trajectory(other))

@@ -1,0 +1,240 @@
+"""The store: migrations, files, restarts, older releases, retention."""
+
+from __future__ import annotations
+
+import asyncio
+import shutil
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import pytest
+from alembic import command
+from alembic.autogenerate import compare_metadata
+from alembic.migration import MigrationContext
+from service_doubles import Director, running, settings_in, wait_for
+
+from invid.errors import ConfigError
+from invid.model.document import model_from_json
+from invid.recording import read_recording
+from invid_service.app import create_app
+from invid_service.jobs.states import ENDED, State, may_follow
+from invid_service.store.blobs import Blobs
+from invid_service.store.database import migrations_config, open_engine, upgrade
+from invid_service.store.lock import DataLock
+from invid_service.store.store import RunRecord, Store
+from invid_service.store.tables import Base
+
+V1 = Path(__file__).parents[2] / "data" / "store-v1"
+ACCEPTED, FAILED = "20261101T080000-00000001", "20261101T090000-00000002"
+WAITING, CUT_OFF = "20261101T100000-00000003", "20261101T110000-00000004"
+
+
+def record(identity: str, state: State, cell: str | None = "cell") -> RunRecord:
+    now = datetime.now(UTC)
+    return RunRecord(identity, cell, "robot", "full", ("A1",), True, state, now, "local")
+
+
+def test_the_migrations_make_exactly_the_tables_of_today(tmp_path: Path) -> None:
+    engine = open_engine(f"sqlite:///{tmp_path / 'store.sqlite'}")
+    upgrade(engine)
+    with engine.connect() as connection:
+        context = MigrationContext.configure(connection, opts={"compare_type": True})
+        assert compare_metadata(context, Base.metadata) == []
+        assert connection.exec_driver_sql("PRAGMA journal_mode").scalar() == "wal"
+
+
+def test_every_migration_can_be_undone(tmp_path: Path) -> None:
+    engine = open_engine(f"sqlite:///{tmp_path / 'store.sqlite'}")
+    upgrade(engine)
+    command.downgrade(migrations_config(engine), "base")
+    upgrade(engine)
+
+
+def test_a_store_of_an_older_release_still_opens(tmp_path: Path) -> None:
+    shutil.copytree(V1, tmp_path, dirs_exist_ok=True)
+    with running(tmp_path) as (client, _):
+        runs = {r["id"]: r for r in client.get("/api/v1/identifications").json()["identifications"]}
+        assert runs[ACCEPTED]["state"] == "succeeded"
+        assert runs[FAILED]["error"]["text"] == "A2 does not answer"
+        assert runs[CUT_OFF]["state"] == "interrupted"
+        model = client.get("/api/v1/cells/cell/model").json()
+        assert model["id"] == ACCEPTED
+        assert model_from_json(model).chains.masses[1].tolist() == [4.0, 5.0, 6.0]
+        for kind in ("recording", "model", "diagnosis", "report"):
+            answer = client.get(f"/api/v1/identifications/{ACCEPTED}/{kind}")
+            assert answer.status_code == 200
+        file = tmp_path / "old.h5"
+        file.write_bytes(client.get(f"/api/v1/identifications/{ACCEPTED}/recording").content)
+        assert read_recording(file).experiments[0].samples == 200
+        done = client.post(f"/api/v1/identifications/{WAITING}/actions", json={"type": "accept"})
+        assert done.json()["state"] == "succeeded"
+        changes = client.get("/api/v1/cells/cell/changes").json()
+        assert [p["parameter"] for p in changes["parameters"] if p["status"] == "changed"] == ["A2.mass.3"]
+
+
+@pytest.mark.parametrize("state", ["awaiting_arm", "running", "analysing"])
+def test_a_restart_interrupts_what_it_cut_off_and_never_runs_it_again(tmp_path: Path, state: str) -> None:
+    engine = open_engine(f"sqlite:///{tmp_path / 'data' / 'store.sqlite'}")
+    (tmp_path / "data").mkdir()
+    upgrade(engine)
+    store = Store(engine)
+    store.add_run(record("20261121T000000-0000000a", State.QUEUED))
+    store.save_state(record("20261121T000000-0000000a", State(state)), None)
+    store.close()
+    with running(tmp_path) as (client, director):
+        location = "/api/v1/identifications/20261121T000000-0000000a"
+        body = client.get(location).json()
+        assert body["state"] == "interrupted"
+        assert body["error"]["code"] == "interrupted"
+        assert '"state":"interrupted"' in client.get(f"{location}/events").text
+        assert director.workers == []
+        assert client.get("/api/v1/cells/cell/readiness").json()["can_start"] is True
+
+
+def test_a_clean_shutdown_stops_the_motion_and_interrupts_the_run(tmp_path: Path) -> None:
+    director = Director()
+    director.go.clear()
+    with running(tmp_path, director) as (client, _):
+        answer = client.post("/api/v1/cells/cell/identifications", json={"mode": "full", "arm": True})
+        location = answer.headers["Location"]
+        wait_for(client, location, "running")
+    assert {"type": "stop"} in director.workers[0].said
+    with running(tmp_path) as (client, _):
+        assert client.get(location).json()["state"] == "interrupted"
+
+
+def test_the_last_state_of_a_run_reaches_the_store_however_slowly(
+    tmp_path: Path,
+) -> None:
+    director = Director()
+    director.go.clear()
+    with running(tmp_path, director) as (client, _):
+        jobs = client.app.state.service.jobs  # type: ignore[attr-defined]
+        persist = jobs._persist
+
+        async def late(*given: Any) -> None:
+            await asyncio.sleep(0.4)  # as where every thread is busy and the disk slow
+            await persist(*given)
+
+        answer = client.post("/api/v1/cells/cell/identifications", json={"mode": "full", "arm": True})
+        location = answer.headers["Location"]
+        wait_for(client, location, "running")
+        jobs._persist = late
+    with running(tmp_path) as (client, _):
+        ended = client.get(location).json()
+    # Written by the service that ended; one that starts again would say that it was cut off.
+    assert ended["error"]["text"] == "the service was shut down"
+
+
+def test_a_result_that_awaits_accept_outlives_a_restart(tmp_path: Path) -> None:
+    with running(tmp_path) as (client, _):
+        answer = client.post("/api/v1/cells/cell/identifications", json={"mode": "full", "arm": True})
+        location = answer.headers["Location"]
+        wait_for(client, location, "awaiting_accept")
+    with running(tmp_path) as (client, _):
+        assert client.get(location).json()["state"] == "awaiting_accept"
+        done = client.post(f"{location}/actions", json={"type": "accept"})
+        assert done.json()["state"] == "succeeded"
+
+
+def test_ended_states_have_no_way_out() -> None:
+    assert not [(a, b) for a in ENDED for b in State if may_follow(a, b)]
+    assert all(any(may_follow(s, e) for e in ENDED) for s in State if s not in ENDED)
+
+
+def test_the_database_itself_refuses_a_second_run_on_a_cell(tmp_path: Path) -> None:
+    from invid_service.store.store import CellBusyError
+
+    engine = open_engine(f"sqlite:///{tmp_path / 'store.sqlite'}")
+    upgrade(engine)
+    store = Store(engine)
+    store.add_run(record("a", State.QUEUED))
+    with pytest.raises(CellBusyError):
+        store.add_run(record("b", State.QUEUED))
+    store.add_run(record("c", State.QUEUED, cell=None))
+    store.add_run(record("d", State.QUEUED, cell=None))
+
+
+def test_the_history_keeps_its_order_when_the_clock_is_set_back(tmp_path: Path) -> None:
+    noon = datetime(2026, 11, 22, 12, tzinfo=UTC)
+    with running(tmp_path) as (client, _):
+        service = client.app.state.service  # type: ignore[attr-defined]
+        started = []
+        for hours in (0, -3, -1, -7):
+            service.clock = lambda now=noon + timedelta(hours=hours): now
+            answer = client.post("/api/v1/cells/cell/identifications", json={"mode": "full", "arm": True})
+            started.append(answer.headers["Location"])
+            wait_for(client, started[-1], "awaiting_accept")
+            client.post(f"{started[-1]}/actions", json={"type": "accept"})
+        newest_first = [s.rsplit("/", 1)[1] for s in reversed(started)]
+        runs = client.get("/api/v1/identifications").json()["identifications"]
+        assert [r["id"] for r in runs] == newest_first
+        cell = client.get("/api/v1/cells/cell").json()
+        assert (cell["last_identification"]["id"], cell["model"]["id"]) == (newest_first[0],) * 2
+        assert [m["id"] for m in client.get("/api/v1/cells/cell/models").json()["models"]] == newest_first
+        changes = client.get("/api/v1/cells/cell/changes").json()
+        assert (changes["to"], changes["from"]) == tuple(newest_first[:2])
+
+
+def test_runs_of_an_older_store_are_numbered_by_their_clock(tmp_path: Path) -> None:
+    engine = open_engine(f"sqlite:///{tmp_path / 'store.sqlite'}")
+    command.upgrade(migrations_config(engine), "0002")
+    with engine.begin() as connection:
+        for identity, hour in (("b", 9), ("c", 10), ("a", 8)):
+            connection.exec_driver_sql(
+                "INSERT INTO runs (id, robot, mode, axes, simulated, state, created, requested_by, facts) "
+                f"VALUES ('{identity}', 'r', 'full', '[]', 0, 'failed', '2026-11-22 {hour:02}:00:00.000000', "
+                "'x', '{}')"
+            )
+    upgrade(engine)
+    store = Store(engine)
+    store.add_run(record("now", State.QUEUED))
+    assert [r.id for r in store.runs()] == ["now", "c", "b", "a"]
+
+
+def test_a_second_service_on_the_same_data_folder_is_refused(tmp_path: Path) -> None:
+    lock = DataLock(tmp_path / "data")
+    with pytest.raises(ConfigError, match="another invid service"):
+        create_app(settings_in(tmp_path))
+    lock.release()
+    (tmp_path / "file").write_text("no folder")
+    with pytest.raises(ConfigError, match=r"cannot be written.*--data-dir"):
+        DataLock(tmp_path / "file" / "data")
+
+
+def test_stored_files_are_whole_checksummed_and_inside_the_store(tmp_path: Path) -> None:
+    blobs = Blobs(tmp_path / "files")
+    source = tmp_path / "model.json"
+    source.write_text("{}")
+    blob = blobs.put("run", "model", source)
+    assert blobs.intact(blob)
+    assert not list(tmp_path.rglob("*.part"))
+    blobs.path(blob.path).write_text("{ }")
+    assert not blobs.intact(blob)
+    with pytest.raises(ValueError, match="outside"):
+        blobs.path("../../etc/passwd")
+
+
+def test_files_go_after_their_time_but_accepted_ones_stay(tmp_path: Path) -> None:
+    with running(tmp_path) as (client, _):
+        locations = []
+        for decision in ("accept", "reject"):
+            answer = client.post("/api/v1/cells/cell/identifications", json={"mode": "full", "arm": True})
+            locations.append(answer.headers["Location"])
+            wait_for(client, locations[-1], "awaiting_accept")
+            client.post(f"{locations[-1]}/actions", json={"type": decision})
+        service = client.app.state.service  # type: ignore[attr-defined]
+        service.clock = lambda: datetime.now(UTC) + timedelta(days=91)
+        assert service.expire() >= 4
+        assert client.get(f"{locations[0]}/recording").status_code == 200
+        gone = client.get(f"{locations[1]}/recording")
+        assert gone.status_code == 410
+        assert gone.json()["type"] == "urn:invid:problem:artefact-expired"
+        assert client.get(locations[1]).json()["state"] == "cancelled"
+
+
+@pytest.mark.parametrize("url", ["nonsense", "sqlite:////nowhere/at/all.sqlite", "nodb://x/y"])
+def test_a_database_that_cannot_be_opened_is_one_sentence(tmp_path: Path, url: str) -> None:
+    with pytest.raises(ConfigError, match=r"database_url|store"):
+        create_app(settings_in(tmp_path, database_url=url))

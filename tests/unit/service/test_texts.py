@@ -1,0 +1,144 @@
+"""The page's catalogues: the same keys in every language, and exactly those that the page uses."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import get_args
+
+import pytest
+from service_doubles import running
+
+from invid import errors
+from invid.config import load_config
+from invid.effects.registry import CATALOGUE
+from invid.model.diagnosis_document import Grade, Verdict
+from invid.planning import make_plan
+from invid.report.branch_drawing import WORDS
+from invid_service.cells.readiness import Reason
+from invid_service.jobs.states import State
+from invid_service.jobs.stops import STOPS, Run, action_for
+from invid_service.jobs.worker import FIXES, error_info
+from invid_service.problems import CATALOGUE as PROBLEMS
+from invid_service.web import texts
+from invid_service.web.texts import LANGUAGES, catalogue, preferred
+
+WEB = Path(texts.__file__).parent
+ENGLISH = catalogue("en")
+FAMILIES = {key.split(".")[0] for key in ENGLISH}
+
+
+def sources() -> dict[str, str]:
+    files = [*sorted((WEB / "static").glob("*.js")), WEB / "templates" / "page.html"]
+    return {f.name: f.read_text(encoding="utf-8") for f in files}
+
+
+def used() -> tuple[set[str], set[str]]:
+    """Keys named in full, and beginnings that are completed while the page runs ("state.")."""
+    whole, begun = set[str](), set[str]()
+    for text in sources().values():
+        begun |= {p for p in re.findall(r"[`\"]([a-z_]+\.)(?:\$\{|\" ~)", text) if p[:-1] in FAMILIES}
+        begun |= {f"{f}." for f in re.findall(r"\bnamed\(\"([a-z]+)\"", text)}
+        named = re.findall(r"\"([a-z]+\.[a-z_.]+)\"", text)
+        whole |= {k for k in named if k.split(".")[0] in FAMILIES and not k.endswith((".js", ".json"))}
+    # Not texts but names of files and of keys beside them.
+    return whole - {"report.html", "model.json", "diagnosis.json", "recording.h"}, begun
+
+
+@pytest.mark.parametrize("language", LANGUAGES[1:])
+def test_every_language_has_the_same_keys_and_the_same_gaps_to_fill(language: str) -> None:
+    other = catalogue(language)
+    assert other.keys() == ENGLISH.keys()
+    for key, text in ENGLISH.items():
+        gaps = set(re.findall(r"\{\w+\}", text)), set(re.findall(r"\{\w+\}", other[key]))
+        assert gaps[0] == gaps[1], key
+        assert other[key].strip(), key
+
+
+def test_every_key_that_the_page_uses_is_there() -> None:
+    whole, begun = used()
+    assert len(whole) > 150, "the pattern finds what it is meant to find"
+    assert whole - ENGLISH.keys() == set()
+    for beginning in begun:
+        assert any(k.startswith(beginning) for k in ENGLISH), beginning
+
+
+def test_no_text_is_kept_that_nothing_shows() -> None:
+    whole, begun = used()
+    fetched = {"drawing.", "phase.", "language."}  # by the service, and by the phases that it names
+    unused = [k for k in ENGLISH if k not in whole and not any(k.startswith(b) for b in begun | fetched)]
+    assert unused == []
+
+
+def test_what_the_service_may_name_has_a_name_in_every_language() -> None:
+    reference = (Path(__file__).parents[3] / "docs" / "reference" / "causes.md").read_text(encoding="utf-8")
+    measures = re.findall(r"^\|[^|]+\| `(\w+)`", reference, re.M)
+    assert "gravity_fraction_of_rated" in measures
+    for language in LANGUAGES:
+        known = catalogue(language)
+        wanted = {f"cause.{e.cause}" for e in CATALOGUE}
+        wanted |= {f"effect.{p}" for e in CATALOGUE for p in e.parameters}
+        wanted |= {f"measure.{name}" for name in measures}
+        wanted |= (
+            {f"state.{s}" for s in State} | {f"verdict.{v}" for v in Verdict} | {f"grade.{g}" for g in Grade}
+        )
+        for code in get_args(Reason.model_fields["code"].annotation):
+            wanted |= {f"reason.{code}", f"reason.{code}.fix"}
+        wanted |= {f"problem.{kind}" for kind in PROBLEMS}
+        for name in FIXES:
+            code = error_info(getattr(errors, name)("x"))["code"]
+            wanted |= {f"error.{code}", f"error.{code}.fix"}
+        stops = [Run("full", "planned", False, "A1"), Run("test", "planned", False, "A1")]
+        for code in STOPS:
+            wanted |= {f"halt.{code}", *(f"action.{action_for(code, run)['code']}" for run in stops)}
+        assert wanted - known.keys() == set()
+
+
+def test_every_phase_of_a_sweep_has_its_words() -> None:
+    config = load_config(Path(__file__).parents[3] / "configs" / "case-study.yaml")
+    patterns = [
+        re.compile(re.sub(r"\\\{\d\\\}", ".+", re.escape(k.removeprefix("phase."))))
+        for k in ENGLISH
+        if k.startswith("phase.")
+    ]
+    for phase in make_plan(config).phases:
+        assert any(p.fullmatch(phase.name) for p in patterns), phase.name
+
+
+def test_the_drawing_says_in_english_what_the_catalogue_says() -> None:
+    words = texts.drawing_words("en")
+    assert {k: words[k] for k in WORDS if k != "unknown"} == {
+        k: v for k, v in WORDS.items() if k != "unknown"
+    }
+
+
+@pytest.mark.parametrize(
+    ("header", "language"),
+    [
+        ("", "en"),
+        ("de", "de"),
+        ("de-CH,de;q=0.9,en;q=0.8", "de"),
+        ("en-GB,en;q=0.9,de;q=0.8", "en"),
+        ("fr,de;q=0.5,en;q=0.4", "de"),
+        ("fr-FR,it;q=0.9", "en"),
+        ("de;q=0,en", "en"),
+        ("de;q=abc,en;q=0.1", "en"),
+        (";;,,=;q", "en"),
+    ],
+)
+def test_the_browser_chooses_the_language(header: str, language: str) -> None:
+    assert preferred(header) == language
+
+
+def test_the_page_speaks_as_the_browser_asks_and_as_was_chosen_on_it(tmp_path: Path) -> None:
+    with running(tmp_path) as (client, _):
+        german = client.get("/", headers={"Accept-Language": "de-DE,de;q=0.9"})
+        assert '<html lang="de">' in german.text
+        assert german.headers["Content-Language"] == "de"
+        assert "Accept-Language" in german.headers["Vary"]
+        assert "Prüfen und vorbereiten" in german.text
+        assert '<html lang="en">' in client.get("/").text
+        client.cookies.set("invid-language", "de")
+        assert '<html lang="de">' in client.get("/", headers={"Accept-Language": "en"}).text
+        client.cookies.set("invid-language", "../../x")
+        assert '<html lang="en">' in client.get("/", headers={"Accept-Language": "en"}).text
