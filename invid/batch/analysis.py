@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import inspect
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -68,9 +66,9 @@ def analyse_recording(path: Path, name: str, options: Options) -> Outcome:
     masses = list(options.masses) if isinstance(options.masses, tuple) else options.masses
     try:
         recording = replace(read_recording(path), source=name)
-        model = identify(recording, masses=masses, **_budget(identify, options.budget))  # type: ignore[arg-type]
+        model = identify(recording, masses=masses, budget=options.budget)  # type: ignore[arg-type]
         left = None if options.budget is None else max(options.budget - (time.monotonic() - began), 0.1)
-        diagnosis = diagnose(recording, model=model, **_budget(diagnose, left))
+        diagnosis = diagnose(recording, model=model, budget=left)
     except InvidError as error:
         text = " ".join(str(error).replace(str(path), name).split())
         return Outcome(name, "failed", error.exit_code, error=text)
@@ -86,12 +84,3 @@ def analyse_recording(path: Path, name: str, options: Options) -> Outcome:
         model=dump_json(model_to_json(model)),
         diagnosis=dump_json(diagnosis_to_json(diagnosis)),
     )
-
-
-def has_budget() -> bool:
-    """Whether this version's identification and diagnosis can be given a budget of time."""
-    return all("budget" in inspect.signature(f).parameters for f in (identify, diagnose))
-
-
-def _budget(function: Callable[..., Any], seconds: float | None) -> dict[str, Any]:
-    return {"budget": seconds} if seconds is not None and has_budget() else {}

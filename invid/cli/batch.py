@@ -33,12 +33,11 @@ def register(app: typer.Typer) -> None:
         as_json: bool = typer.Option(False, "--json", help="Print one JSON document."),
     ) -> int:
         """Identify and diagnose every recording below a folder; run the same again to go on."""
-        from invid.batch.analysis import Options, has_budget
+        from invid.batch.analysis import Options
         from invid.batch.batch import run_batch
 
-        if budget is not None and not (budget > 0 and has_budget()):
-            reason = "must be above 0" if has_budget() else "this version has no budget of time"
-            raise InputError(f"--budget {budget:g}: {reason}")
+        if budget is not None and not budget > 0:
+            raise InputError(f"--budget {budget:g}: must be above 0")
         wanted = parse_masses(masses)
         options = Options(wanted if wanted is None or isinstance(wanted, str) else tuple(wanted), budget)
         try:

@@ -83,7 +83,7 @@ def compare_causes(
         elif was is None and now is not None:
             twin = _same_place(now, before.values(), after)
         found.append(_paired(name, was, now, twin, (old, new), repeatability, scatter))
-    return _judged(found, alpha, tolerance, scatter)
+    return _judged(found, alpha, tolerance)
 
 
 def _paired(
@@ -198,9 +198,7 @@ def _same_place(
     return None
 
 
-def _judged(
-    found: Sequence[CauseChange], alpha: float, tolerance: float, scatter: Repeatability
-) -> tuple[CauseChange, ...]:
+def _judged(found: Sequence[CauseChange], alpha: float, tolerance: float) -> tuple[CauseChange, ...]:
     """Status of every cause by Holm's step-down procedure over all that can be tested."""
     tested = [k for k, c in enumerate(found) if c.p_value is not None]
     out, running = list(found), 0.0

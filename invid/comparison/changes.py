@@ -17,6 +17,10 @@ class Status(StrEnum):
     CANNOT_TELL = "cannot_tell"
 
 
+def _estimate_to_json(e: Estimate | None) -> dict[str, Any] | None:
+    return None if e is None else {"value": e.value, "std": e.std}
+
+
 @dataclass(frozen=True)
 class Change:
     """One parameter, before and after.
@@ -51,18 +55,14 @@ class Change:
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
-
-        def estimate(e: Estimate | None) -> dict[str, Any] | None:
-            return None if e is None else {"value": e.value, "std": e.std}
-
         return {
             "parameter": self.name,
             "label": self.label,
             "axis": self.axis,
             "kind": self.kind,
             "unit": self.unit,
-            "old": estimate(self.old),
-            "new": estimate(self.new),
+            "old": _estimate_to_json(self.old),
+            "new": _estimate_to_json(self.new),
             "status": str(self.status),
             "reason": self.reason,
             "difference": self.difference,
@@ -129,10 +129,6 @@ class CauseChange:
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
-
-        def estimate(e: Estimate | None) -> dict[str, Any] | None:
-            return None if e is None else {"value": e.value, "std": e.std}
-
         return {
             "name": self.name,
             "cause": self.cause,
@@ -142,8 +138,8 @@ class CauseChange:
             "parameter": self.parameter,
             "unit": self.unit,
             "label": self.label,
-            "old": estimate(self.old),
-            "new": estimate(self.new),
+            "old": _estimate_to_json(self.old),
+            "new": _estimate_to_json(self.new),
             "status": str(self.status),
             "reason": self.reason,
             "difference": self.difference,

@@ -132,7 +132,7 @@ def compare(
     tested = [k for k, c in enumerate(both) if c.std is not None and c.name not in sizes]
     if tested:
         known = [both[k] for k in tested]
-        covariance = scatter.factor**2 * _covariance(old, new, known, repeatability)
+        covariance = scatter.factor**2 * _covariance(old, new, known)
         white, sound = Whitened.of(np.array([c.difference for c in known], dtype=float), covariance)
         if not sound:
             warnings.append(
@@ -166,7 +166,7 @@ def compare(
     return replace(comparison, sentences=said)
 
 
-def _covariance(old: Model, new: Model, changes: Sequence[Change], repeatability: float) -> Float64:
+def _covariance(old: Model, new: Model, changes: Sequence[Change]) -> Float64:
     """Covariance of the differences: joint over the linear parameters, each effect for itself."""
     spread = np.array([c.std or 0.0 for c in changes])
     covariance: Float64 = np.diag(spread**2)

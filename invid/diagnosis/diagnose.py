@@ -140,7 +140,7 @@ def _diagnosed(
         result = replace(result, details={**result.details, "linear_model": model_to_json(linear)})
     if selection.cut:
         result = cut_short(result)
-    return with_dropped(result, recording, dropped, before_repair(recording, bare, result) if dropped else {})
+    return with_dropped(result, recording, dropped, before_repair(recording, bare) if dropped else {})
 
 
 def _look(

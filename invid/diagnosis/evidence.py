@@ -267,7 +267,7 @@ def told(found: JointFit, number: int, chance: float = 0.01) -> bool | None:
     is known.
 
     With none of the effect there are no shapes: that cycles are not told, and the phase with them, says
-    nothing of the size (997019: a gear error of 215 in χ² whose sine and cosine are 2.6 std from none).
+    nothing of the size (a gear error of 215 in χ² whose sine and cosine are 2.6 std from none).
     """
     term, x = found.candidate.terms[number], found.candidate.x[number]
     count = len(term.effect.coefficients)

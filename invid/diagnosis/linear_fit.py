@@ -32,7 +32,7 @@ LIGHTEST = 1e-8
 """Share of its branch that a mass has at least where a fit starts: rounding is 1e-16 of the matrices."""
 LOWER = 0.5
 """Share of χ² to which another start must bring a fit that is doubted. A guess: a wrong minimum
-of a linear machine is off by far more (720061 of the hidden effects: 11 000 times), while what a strong
+of a linear machine is off by far more (11 000 times in one hidden case), while what a strong
 effect leaves is about the same in every minimum, and the one that the identification found is as good."""
 
 

@@ -31,13 +31,12 @@ from invid.signals.spectral_record import Record
 NONE_YET = "causes of what is missing (none was weighed to the end)"
 BESIDE = "relatives of the friction found"
 FURTHER = "further causes"
-OTHER_MASSES = "the other masses of the axis"
 AGAIN = "each cause once more beside the others"
 """What a search leaves out when its time is spent, as the warning says it."""
 HALF = 0.6
 """Share of what is still to be done that is taken to lie ahead after one more cause; for progress alone."""
 MODE = 150
-"""Iterations for a mode moved to another mass of its axis; 20 left it at χ² 2036, 150 at 2003 (830051)."""
+"""Iterations for a mode moved to another mass of its axis; 20 end above the minimum (empirical)."""
 NOTHING = Candidate()
 AN_AXIS = 8
 """Causes an axis at most besides the friction that the search starts with: no limit that evidence meets (two

@@ -106,7 +106,7 @@ def _unseen(extended: Model, final: Trial, linear: bool) -> tuple[str, ...]:
         return ()
     band = (min(float(b[0]) for b in bands) / 2 / np.pi, max(float(b[-1]) for b in bands) / 2 / np.pi)
     names, values = parameter_vector(extended.chains)
-    blind = blind_directions(extended.chains, names, values, extended.covariance, band, linear)
+    blind = blind_directions(extended.chains, names, values, extended.covariance, band)
     return blind.sentences if any(".damper." not in n for n in blind.unseen) else ()
 
 

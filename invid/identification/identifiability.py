@@ -33,7 +33,6 @@ def blind_directions(
     values: Float64,
     covariance: Float64,
     band_hz: tuple[float, float],
-    linear: bool,
 ) -> Blind:
     """Directions of parameter space (masses, springs, couplings) that the data leave open."""
     scale = np.array([_scale(chains, n, v) for n, v in zip(names, values, strict=True)])

@@ -107,7 +107,7 @@ def refined_model(
     top = max(float(s.frequency_hz[s.excited].max()) for s in spectra if s.excited.any())
     bottom = min(float(s.frequency_hz[s.excited].min()) for s in spectra if s.excited.any())
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    blind = blind_directions(chains, names, values, covariance, (bottom, top), recording.linear)
+    blind = blind_directions(chains, names, values, covariance, (bottom, top))
     doubts: list[str] = []
     unseen: list[str] = []
     if fit.solution.result != "converged":

@@ -79,12 +79,6 @@ class Modes:
         inverse: Float64 = self.high_gain - self.shapes.T @ self.shapes
         return inverse
 
-    @property
-    def omega_std(self) -> Float64:
-        """(n,) standard deviation of the resonances [rad/s]."""
-        std: Float64 = self.omega * np.sqrt(np.diag(self.covariance)[: self.omega.size])
-        return std
-
     def weights(self, axis: int) -> tuple[Float64, Float64]:
         """λ (n + 1,) with the rigid 0 first, and the weights of the modes in (G_ii) [λ; 1/mass]."""
         poles = np.concatenate(([0.0], self.omega**2))

@@ -234,9 +234,9 @@ def fitted(
         # a hair more, so that rounds end
         factor *= np.where(lower < 1.0, 0.99 * lower, 1.0)
         changed = {int(j) for j in np.flatnonzero(lower < 1.0)}
-        scaled = [_scaled(config, e, factor) if changed & set(e.excited) else None for e in experiments]
+        scaled = [_scaled(e, factor) if changed & set(e.excited) else None for e in experiments]
         peaks = [p if e is None else peaks_of(config, e, belief) for e, p in zip(scaled, peaks, strict=True)]
-    result = tuple(_scaled(config, e, factor) for e in experiments)
+    result = tuple(_scaled(e, factor) for e in experiments)
     said = [
         f"axis {config.axes[j].name}: its torque is planned at {share * factor[j]:.0%} of what the config "
         f"asks for, so that the {why} stays within its limit by {belief.source}"
@@ -246,7 +246,7 @@ def fitted(
     return result, peaks, said
 
 
-def _scaled(config: CellConfig, e: PlannedExperiment, factor: Float64) -> PlannedExperiment:
+def _scaled(e: PlannedExperiment, factor: Float64) -> PlannedExperiment:
     """With every torque, and the travel of a creep, times the factor of its axis."""
     if factor.min() >= 1.0:
         return e

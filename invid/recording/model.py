@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from invid.errors import RecordingError
 from invid.numerics.arrays import Float64, UInt16
 
 
@@ -133,15 +132,6 @@ class Recording:
     def with_role(self, role: Role) -> tuple[Experiment, ...]:
         """Experiments of one role, in the order run."""
         return tuple(e for e in self.experiments if e.role is role)
-
-    def axis_index(self, name: str) -> int:
-        """Index of the axis called ``name``; RecordingError where there is none."""
-        try:
-            return self.axes.index(name)
-        except ValueError:
-            raise RecordingError(
-                f"{self.source}: no axis {name!r}; the recording has {list(self.axes)}"
-            ) from None
 
 
 def nominal_sample_rate(time: Float64) -> float:

@@ -216,9 +216,3 @@ def doublet(samples: int) -> Float64:
     quarter = max(1, -(-samples // 4))
     wave: Float64 = np.repeat(np.array([1.0, -1.0, -1.0, 1.0]), quarter)
     return wave
-
-
-def crest_factor(samples: npt.ArrayLike) -> float:
-    """Peak over rms."""
-    values = np.asarray(samples, dtype=float)
-    return float(np.abs(values).max() / np.sqrt(np.mean(values**2)))

@@ -7,8 +7,8 @@ import numpy as np
 from invid.numerics.arrays import Complex128, Float64
 
 
-def pooled_covariance(deviations: Complex128, floor: Float64) -> tuple[Complex128, Float64]:
-    """Covariance of the mean over periods, pooled over neighbouring lines.
+def pooled_covariance(deviations: Complex128, floor: Float64) -> Complex128:
+    """(F, C, C) covariance of the mean over periods, pooled over neighbouring lines.
 
     Parameters
     ----------
@@ -16,13 +16,6 @@ def pooled_covariance(deviations: Complex128, floor: Float64) -> tuple[Complex12
         (P, F, C) period spectra minus their mean over the periods.
     floor
         (C,) or (F, C) smallest believable noise power of one line of one period.
-
-    Returns
-    -------
-    covariance
-        (F, C, C) of the mean over the P periods.
-    dof
-        (F,) real degrees of freedom behind it.
 
     Noise varies smoothly with frequency, so neighbours share one covariance: as many as give four
     complex degrees of freedom per channel pair's row (4·C), which keeps a C×C matrix well
@@ -40,8 +33,8 @@ def pooled_covariance(deviations: Complex128, floor: Float64) -> tuple[Complex12
     diagonal = np.einsum("fcc->fc", covariance).real
     lift = np.maximum(floor - diagonal, 0.0)
     covariance = covariance + np.einsum("fc,cd->fcd", lift, np.eye(channels))
-    dof = 2.0 * free * (high - low)
-    return covariance / periods, dof.astype(float)
+    pooled: Complex128 = covariance / periods
+    return pooled
 
 
 def flat_covariance(floor: Float64, lines: int) -> Complex128:

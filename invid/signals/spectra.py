@@ -50,8 +50,6 @@ class LineSpectra:
         (F, M) complex amplitudes [rad or m], [N·m or N], averaged over periods.
     covariance
         (F, 2M, 2M) complex covariance E[n nᴴ] of the *averaged* n = [position noise; torque noise].
-    covariance_dof
-        (F,) real degrees of freedom behind each covariance (for Hotelling's inflation).
     excited
         (F,) True on lines that the excitation drives.
     transient
@@ -78,7 +76,6 @@ class LineSpectra:
     position: Complex128
     torque: Complex128
     covariance: Complex128
-    covariance_dof: Float64
     excited: Bool
     periods: int
     sample_rate_hz: float
@@ -273,7 +270,7 @@ def _periodic(
     deviations = spectra[:, band] - mean[band]
     del spectra
     least = np.maximum(np.maximum(floor, averaged * used), rounding * used)
-    covariance, dof = pooled_covariance(deviations, least)
+    covariance = pooled_covariance(deviations, least)
     excited = excited_lines(experiment, hz[band], mean[band], covariance, motors, period * data.step)
     return _assemble(
         experiment,
@@ -281,7 +278,6 @@ def _periodic(
         hz[band],
         mean[band],
         covariance,
-        dof,
         excited,
         periods=used,
         transient=not settling.settled,
@@ -317,7 +313,7 @@ def _whole(
     if quiet.sum() < 16:
         quiet = hz > 0.9 * hz[-1]
     single = np.empty((nyquist, 2 * motors))
-    floor, dof, share = _quiet([wave[:count]], hz, quiet, data.step, single)
+    floor, _, share = _quiet([wave[:count]], hz, quiet, data.step, single)
     floor *= share
     step = quantum(wave)
     band = band_of(hz, top, band_hz)
@@ -335,7 +331,6 @@ def _whole(
         hz[band],
         mean[band],
         covariance,
-        np.full(int(band.sum()), dof),
         excited,
         periods=1,
         transient=True,
@@ -428,7 +423,6 @@ def _assemble(
     hz: Float64,
     mean: Complex128,
     covariance: Complex128,
-    dof: Float64,
     excited: Bool,
     *,
     periods: int,
@@ -456,7 +450,6 @@ def _assemble(
         position=fixed(mean[:, :motors]),
         torque=fixed(mean[:, motors:]),
         covariance=fixed(covariance),
-        covariance_dof=frozen_float(dof),
         excited=frozen(excited, np.bool_),  # type: ignore[arg-type]
         periods=periods,
         sample_rate_hz=1.0 / data.step,

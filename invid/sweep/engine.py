@@ -17,8 +17,6 @@ from invid.sweep.ports import Cell, Sink
 from invid.sweep.rehearsal import Rehearsal
 from invid.sweep.watch import Statistics
 
-TRIAL_SIGNS_S = 3.5
-"""What the trial of the signs of one axis takes about (case study)."""
 WORTH_SAYING = 0.9
 """A permitted speed that the measured inertia lowers by less than a tenth needs no words."""
 DECIDE_S, DECIDE_POLL_S = 60.0, 0.1

@@ -48,11 +48,6 @@ class Recorder:
         self._written = 0
         self._holes = False
 
-    @property
-    def opened(self) -> bool:
-        """Whether anything went into a file."""
-        return self._writer is not None
-
     def begin(self, experiment: PlannedExperiment, hold_gain: Sequence[float], scale: float) -> None:
         """A new experiment."""
         self._reset()

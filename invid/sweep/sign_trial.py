@@ -71,8 +71,6 @@ class Trial:
 
     response: trials.Response
     log: Log
-    torque_still: bool
-    """Whether 0x6077 showed one value all through."""
 
 
 class SignTrial:
@@ -148,7 +146,7 @@ class SignTrial:
         still = came.sum() >= trials.SIDE_ROWS and bool(np.ptp(torque[came]) == 0)
         if amplitude >= SEEN_SHARE * self._rated:
             self._still.append(still)
-        return Trial(found, kept, still)
+        return Trial(found, kept)
 
     def _passed_on(self, kept: Log) -> bool:
         """Whether held axes answer: an axis that stands passes nothing on, so its encoder is stuck.

@@ -67,8 +67,6 @@ class Service:
     metrics: Metrics
     start_locks: dict[str, asyncio.Lock] = field(default_factory=lambda: defaultdict(asyncio.Lock))
     webhook: Webhook | None = None
-    uploads: int = 0
-    """Uploads that are being received."""
     shutting_down: bool = False
     _asking: asyncio.Lock = field(default_factory=asyncio.Lock)
     _asked: dict[str, tuple[float, tuple[CellReason, ...]]] = field(default_factory=dict)

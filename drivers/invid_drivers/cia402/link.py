@@ -32,7 +32,7 @@ MOST_ECHOES = 1000
 UNANSWERED_S = 1.0
 """A question of the cycle that stayed unanswered so long may be asked again."""
 
-NMT_START, NMT_STOP, NMT_PRE_OPERATIONAL, NMT_RESET, NMT_RESET_COMMUNICATION = 0x01, 0x02, 0x80, 0x81, 0x82
+NMT_START, NMT_STOP, NMT_PRE_OPERATIONAL = 0x01, 0x02, 0x80
 
 
 class RealClock:

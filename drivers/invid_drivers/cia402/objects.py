@@ -48,7 +48,6 @@ class Object:
 
 
 DEVICE_TYPE = Object(0x1000, 0, "I", "device type")
-ERROR_REGISTER = Object(0x1001, 0, "B", "error register")
 SYNC_PERIOD = Object(0x1006, 0, "I", "communication cycle period")
 CONSUMER_HEARTBEAT = Object(0x1016, 1, "I", "consumer heartbeat")
 PRODUCER_HEARTBEAT = Object(0x1017, 0, "H", "producer heartbeat")

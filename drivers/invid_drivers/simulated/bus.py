@@ -69,7 +69,6 @@ class VirtualWire:
         self.sole_inbox: deque[tuple[int, int, bytes]] | None = None
         self.limit = cell.simulation.tx_queue_frames
         self.frames = 0
-        self.busy_ns = 0
         cell.transmit = self._from_node
         cell.loops_back = True
 
@@ -111,7 +110,6 @@ class VirtualWire:
                 if busy is not None:
                     length = frame_ns[len(busy[2])]
                     busy_until = self.now_ns + length
-                    self.busy_ns += length
             due = cell.due_ns
             if late and late[0][0] < due:
                 due = late[0][0]

@@ -361,10 +361,6 @@ class SimulatedCell:
         """Let a fault happen when its time or state comes, for campaigns."""
         self._injector.plan(fault)
 
-    def begin_fault(self, fault: FaultConfig) -> None:
-        """Let a fault happen now, for tests and campaigns."""
-        self._injector.begin(fault, self.now_ns)
-
 
 def _lag(h: float, time_constant: float) -> float:
     """Share of the way a first-order lag covers in one sub-step."""

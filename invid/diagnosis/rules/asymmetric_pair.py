@@ -27,7 +27,7 @@ def with_asymmetry(found: Selection, train: Sequence[Record], held: Sequence[Rec
     """The selection, every part of such a pair doubted as much as the records leave the one cause possible.
 
     The pair is that cause with the same viscous friction both ways, or with none: of an asymmetric friction
-    at 6 dB it left nothing but noise, and its parts were certain one by one (1040127).
+    at 6 dB it left nothing but noise, and its parts were certain one by one.
     """
     known = len(found.base.fit.candidate.terms)
     final, terms = found.final, found.final.fit.candidate.terms

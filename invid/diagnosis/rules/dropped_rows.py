@@ -85,8 +85,8 @@ def _repeats(e: Experiment, axis: int) -> tuple[Bool, Float64, Float64]:
 def _at_once(slow: tuple[Float64, Float64], alone: tuple[Bool, Bool], most: Float64) -> Float64:
     """(n − 1,) chance that two rounded signals repeat at once, each as often as it does alone.
 
-    The larger of two estimates row by row is more than either: it made 0.9 % of 1.4 % lost (1010072). Where
-    the signals do not repeat as rounded ones do there is no better.
+    The larger of two estimates row by row is more than either: it made 0.9 % of 1.4 % lost
+    in one hidden case. Where the signals do not repeat as rounded ones do there is no better.
     """
     out: Float64 = slow[0] * slow[1]
     for own, other, seen in zip(slow, slow[::-1], alone, strict=True):
@@ -176,7 +176,7 @@ def _interpolated(time: Float64, values: Float64, kept: np.ndarray, at: np.ndarr
     return out
 
 
-def before_repair(recording: Recording, base: JointFit, result: Diagnosis) -> dict[str, float]:
+def before_repair(recording: Recording, base: JointFit) -> dict[str, float]:
     """Rms missing torque of every axis on the held-out records as they were recorded."""
     spectra = all_spectra(recording)
     _, held, _ = split(recording, spectra)

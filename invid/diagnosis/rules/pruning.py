@@ -35,7 +35,7 @@ def _without(
 
     def less() -> JointFit:
         # Beside a cubic spring a gap of nothing leaves a valley in which the thorough steps alone stand still
-        # (600036: χ² 742, where it is 708).
+        # (seen: χ² 742, where it is 708).
         began = fit(final.layout, train, final.p, candidate, iterations=40, quick=True)
         return fit(final.layout, train, began.p, began.candidate, iterations=40)
 

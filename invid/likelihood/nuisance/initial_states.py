@@ -28,7 +28,7 @@ def begun(view: View, candidate: Candidate, extra: Complex128, cost: Cost) -> tu
 
     A slider in a weak motion may never give way in both directions: then all of a record feels where it
     stood before, be it as a constant torque. At half the amplitude presliding friction of 37 dB left 480
-    times the noise from rest, and none from where it had stood (1007016). ``view.starts`` keeps the answer.
+    times the noise from rest, and none from where it had stood. ``view.starts`` keeps the answer.
     """
     columns = []
     for term, x in zip(candidate.terms, candidate.x, strict=True):

@@ -70,14 +70,6 @@ class Blobs:
             raise ValueError(f"{relative!r} lies outside the store")
         return path
 
-    def intact(self, blob: Blob) -> bool:
-        """True where the file is there with its checksum."""
-        path = self.path(blob.path)
-        if not path.is_file():
-            return False
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest() == blob.sha256
-
     def clear_scratch(self, run: str) -> None:
         """Forget a run's working folder."""
         shutil.rmtree(self.work / run, ignore_errors=True)

@@ -185,7 +185,7 @@ def test_what_the_band_does_not_reach_is_said_in_words() -> None:
     for i, j in ((k2, k2), (k2, m3), (m3, k2), (m3, m3)):
         covariance[i, j] = 0.5 * values[i] * values[j]
     covariance[k2, k2] *= 1.001
-    blind = blind_directions(chains, names, values, covariance, (0.1, 4.0), False)
+    blind = blind_directions(chains, names, values, covariance, (0.1, 4.0))
     assert blind.unseen == {"A1.spring.2", "A1.mass.3"}
     assert len(blind.sentences) == 1
     assert "m3 of A1 and K2 of A1: only as a ratio" in blind.sentences[0]
@@ -196,6 +196,6 @@ def test_a_known_plant_leaves_nothing_unsaid() -> None:
     chains = case_study()
     names, values = parameter_vector(chains)
     covariance = np.diag((0.01 * np.maximum(np.abs(values), 1e-3)) ** 2)
-    blind = blind_directions(chains, names, values, covariance, (0.1, 15.0), False)
+    blind = blind_directions(chains, names, values, covariance, (0.1, 15.0))
     assert blind.unseen == frozenset()
     assert blind.sentences == ()

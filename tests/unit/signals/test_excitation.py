@@ -39,18 +39,22 @@ def test_detection_lines_stay_free_but_never_the_ends_of_the_band() -> None:
         assert 0.1 < 1 - kept.size / everything.size < 0.3
 
 
+def crest_factor(wave: np.ndarray) -> float:
+    return float(np.abs(wave).max() / np.sqrt(np.mean(wave**2)))
+
+
 def test_the_crest_factor_beats_random_phases_and_the_peak_is_one() -> None:
     signal = excitation.multisine(lines(), PERIOD, RATE, rng=np.random.default_rng(2))
     rng = np.random.default_rng(3)
     shape = signal.lines**-0.5
     t = np.arange(PERIOD) / PERIOD
     random = [
-        excitation.crest_factor(
+        crest_factor(
             shape @ np.cos(2 * np.pi * np.outer(signal.lines, t) + rng.uniform(0, 6.3, (shape.size, 1)))
         )
         for _ in range(20)
     ]
-    assert excitation.crest_factor(signal.period()) < min(random)
+    assert crest_factor(signal.period()) < min(random)
     assert np.abs(signal.period()).max() == pytest.approx(1.0)
 
 
