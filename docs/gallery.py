@@ -63,7 +63,7 @@ def entry(effect: Effect, finding: Finding, diagnosis: Diagnosis) -> str:
     lines = [
         f"## {effect.title[0].upper()}{effect.title[1:]}",
         "",
-        f"![Missing torque and fitted {effect.title}](images/gallery/{effect.cause}.svg)",
+        f"![Missing torque, measured and fitted](images/gallery/{effect.cause}.svg)",
         "",
         f"- **Named**: `{effect.cause}` at {finding.element or finding.axis}, {sizes}; "
         f"verdict `{diagnosis.verdict}`.",

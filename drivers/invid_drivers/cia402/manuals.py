@@ -38,9 +38,6 @@ RampUnit = Literal["rpm/s", "position units/s²", "unknown"]
 Reaction = Literal["quick stop", "voltage off", "nothing", "unknown"]
 """What a drive does by itself. Unknown: nothing, then voltage off, whichever is worse for the axis."""
 
-Moment = Literal["when the stop is commanded", "when the drive is enabled", "unknown"]
-"""When the drive reads 0x605A. Unknown: write it before the drive is enabled, in time for both."""
-
 BrakeClosing = Literal["at standstill", "when disabled", "unknown"]
 """When the drive closes its brake. Unknown: too late to hold a loaded axis."""
 
@@ -55,21 +52,18 @@ class Manual:
         Cyclic synchronous torque (mode 10).
     torque_offset
         0x60B2 adds to the torque in cyclic synchronous position.
-    enforces_torque_limit, enforces_position_range, enforces_velocity_limit
-        0x6072 (or the vendor's own torque limit), 0x607D and 0x607F act in a torque mode.
+    enforces_torque_limit
+        0x6072 (or the vendor's own torque limit) acts in a torque mode.
     quick_stop_default
         0x605A as delivered; ``None`` where the object is missing or its value is unknown.
     quick_stop_values
         What 0x605A takes; empty where unknown.
-    quick_stop_evaluated
-        When the drive reads 0x605A.
     quick_stop_ramp_unit
         Unit of 0x6085.
     ramp_capped_by_torque_limit
         0x6072 bounds the torque of the quick stop, so that the ramp of 0x6085 may not be reached.
-    heartbeat_lost, leaves_operational
-        What the drive does where the heartbeat it watches is missing, and where NMT takes it out of
-        operational, both with 0x6007 as delivered.
+    heartbeat_lost
+        What the drive does where the heartbeat it watches is missing, with 0x6007 as delivered.
     rpdo_event_timer
         0x1400:5 watches for a missing RPDO.
     sync_supervision
@@ -83,15 +77,11 @@ class Manual:
     cyclic_torque: Answer = UNKNOWN
     torque_offset: Answer = UNKNOWN
     enforces_torque_limit: Answer = UNKNOWN
-    enforces_position_range: Answer = UNKNOWN
-    enforces_velocity_limit: Answer = UNKNOWN
     quick_stop_default: int | None = None
     quick_stop_values: tuple[int, ...] = ()
-    quick_stop_evaluated: Moment = "unknown"
     quick_stop_ramp_unit: RampUnit = "unknown"
     ramp_capped_by_torque_limit: Answer = UNKNOWN
     heartbeat_lost: Reaction = "unknown"
-    leaves_operational: Reaction = "unknown"
     rpdo_event_timer: Answer = UNKNOWN
     sync_supervision: Answer = UNKNOWN
     brake_closes: BrakeClosing = "unknown"
@@ -113,15 +103,11 @@ QUESTIONS = {
     "cyclic_torque": "cyclic synchronous torque",
     "torque_offset": "0x60B2 in cyclic position",
     "enforces_torque_limit": "0x6072 acts in torque mode",
-    "enforces_position_range": "0x607D acts in torque mode",
-    "enforces_velocity_limit": "0x607F acts in torque mode",
     "quick_stop_default": "0x605A as delivered",
     "quick_stop_values": "0x605A takes",
-    "quick_stop_evaluated": "0x605A is read",
     "quick_stop_ramp_unit": "unit of 0x6085",
     "ramp_capped_by_torque_limit": "0x6072 caps that ramp",
     "heartbeat_lost": "heartbeat lost",
-    "leaves_operational": "NMT leaves operational",
     "rpdo_event_timer": "0x1400:5 event timer",
     "sync_supervision": "notices missing SYNC",
     "brake_closes": "brake closes",
@@ -141,10 +127,7 @@ def table(rows: Mapping[str, Manual]) -> str:
 
 
 def sources(rows: Mapping[str, Manual]) -> str:
-    """Where each fact was read, as a Markdown list; facts of one source together."""
-    lines = []
-    for vendor, row in rows.items():
-        for source in dict.fromkeys(row.sources.values()):
-            facts = [QUESTIONS[name] for name, where in row.sources.items() if where == source]
-            lines.append(f"- `{vendor}`: {source}: {', '.join(facts)}.")
-    return "\n".join(lines)
+    """Where the facts were read, as a Markdown list (each fact with its own in ``Manual.sources``)."""
+    return "\n".join(
+        f"- `{vendor}`: {'; '.join(dict.fromkeys(row.sources.values()))}." for vendor, row in rows.items()
+    )
