@@ -10,7 +10,7 @@ from typing import cast
 import numpy as np
 
 from invid.diagnosis.acceptance import accepted, is_asked_for, least_gain, needed_gain, without_untold
-from invid.diagnosis.candidates import REACH, is_smaller_model, refitted, screened, tell_of
+from invid.diagnosis.candidates import REACH, is_smaller_model, refitted, rivals_of_best, screened, tell_of
 from invid.diagnosis.context import apply_rule
 from invid.diagnosis.evidence import Step, Trial, at_bound, attempted, extends
 from invid.diagnosis.score_test import Score, Screen, terms_for
@@ -57,9 +57,9 @@ def select(
     """Adds causes while both the training and the held-out gain are significant.
 
     ``free``: linear parameters of the fit whose time offsets were not bounded; where delays start. ``start``:
-    those of the model, tried for a first cause where those of the fit lead nowhere. ``moves``: slow
-    moves beside the records, which tell laws of position apart. ``family``: of
-    causes, where only those of one are asked for. ``friction``: what the identification fitted along, where the search starts.
+    those of the model, tried for a first cause where those of the fit lead nowhere. ``moves``: slow moves
+    beside the records, which tell laws of position apart. ``family``: of causes, where only those of one are
+    asked for. ``friction``: what the identification fitted along, where the search starts.
 
     A lag keeps the time offset of its axis beside it: two timings, where a delay is one. Where what the lag's
     model leaves is more than the difference between the two, the data do not ask for the second timing, and
@@ -210,18 +210,27 @@ def _reconsidered(
     """Every cause but the last sought anew beside all others.
 
     It was chosen while those after it were missing, and may have stood for a part of them: a ripple for
-    gravity beside friction, one mass for the next.
+    gravity beside friction, one mass for the next. A mode may be the chain's own, which another cause hid
+    from the linear fit.
     """
     known, newest = len(found.base.fit.candidate.terms), len(found.steps) - 1
     for number in reversed(range(len(found.steps))):
         final, at, count = found.final, known + number, known + len(found.steps)
-        if number == newest and number >= every:
+        mode = found.steps[number].chosen.term.effect.cause == "extra_mode"
+        if number == newest and not mode and number >= every:
             continue
         last = Trial(reordered(final.fit, [*range(at), *range(at + 1, count), at]), final.held)
         rest = attempted(partial(without_last, last.fit, train), held)
         if rest is None:
             continue
+        if mode:
+            other = apply_rule("mode-in-chain", last, rest, train, held)
+            if other is None and number == newest:
+                continue
+            rest = other or rest
         rejects = rest.rejects([*train, *held])
+        if number == newest and rejects and number >= every:
+            continue
         # What stands for a part of another axis' cause leaves the rest of that.
         axis = None if found.final.rejects([*train, *held]) else last.term.place.axis
         here = replace(asked, axis=axis)
@@ -358,6 +367,7 @@ def _candidates(
 
     reached = min((t.fit.cost for t in (*trials, *known)), default=np.inf)
     trials += refitted(here, train, held, scores, least, reached)
+    trials = with_known(trials, rivals_of_best(trials, scores, here, train, held))
     if first and rejects and asked.start is not None and not known:
         trials = apply_rule("start-from-model", trials, asked.start, here, train, held, terms)
     return trials, scores

@@ -13,6 +13,7 @@ from invid.diagnosis.rules.dropped_rows import find_dropped
 from invid.diagnosis.rules.gradual_sign import with_gradual_signs
 from invid.diagnosis.rules.known_friction import with_known_friction
 from invid.diagnosis.rules.load_change import searched_around
+from invid.diagnosis.rules.mode_in_chain import with_the_mode_in_the_chain
 from invid.diagnosis.rules.near_variants import delays, elsewhere, ladder, lags
 from invid.diagnosis.rules.nonrepeating_torque import said_of_scatter
 from invid.diagnosis.rules.own_evidence import on_own_evidence
@@ -95,6 +96,12 @@ RULES: tuple[Rule, ...] = (
         lambda step, *_: (step,),
         applies=lambda step, *_: "dry" in step.chosen.term.effect.parts
         and "viscous" in step.chosen.term.effect.parts,
+    ),
+    Rule(
+        "mode-in-chain", Stage.SELECTION,
+        "A mode found beside a chain may be one of its own that the fit has lost: the inverse puts it back.",
+        "inverse of a chain from its modes, equations 13 to 23 of the paper",
+        with_the_mode_in_the_chain, _none,
     ),
     Rule(
         "asymmetric-pair", Stage.SELECTION,

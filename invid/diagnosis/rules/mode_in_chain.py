@@ -1,0 +1,98 @@
+"""A mode found beside a chain that is one of the chain's own, which the fit has lost."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import scipy.linalg
+
+from invid.diagnosis.evidence import Trial, attempted
+from invid.errors import InvidError
+from invid.inverse import chains_of, gains_of
+from invid.likelihood.joint_fit import JointFit, fit
+from invid.model.chains import CoupledChains
+from invid.modes.model import modes_of_matrices
+from invid.numerics.arrays import Float64
+from invid.signals.spectral_record import Record
+
+MODE_IN = 20
+"""Iterations of a chain that has the mode in it, from where the modes put it: within ten of its minimum."""
+
+
+def with_the_mode_in_the_chain(
+    last: Trial, rest: Trial, train: Sequence[Record], held: Sequence[Record]
+) -> Trial | None:
+    """The fit of a chain that has the mode found beside it, where that may be one of its own; none where no
+    such fit is better than ``rest``, that of the chain without."""
+    own = with_the_mode_in_it(last.fit, train)
+    if own is None:
+        return None
+    candidate = replace(rest.fit.candidate, x=last.fit.candidate.x[:-1])
+    found = attempted(partial(fit, rest.fit.layout, train, own, candidate, iterations=MODE_IN), held)
+    return None if found is None or found.cost > rest.cost else found
+
+
+def with_the_mode_in_it(fitted: JointFit, records: Sequence[Record]) -> Float64 | None:
+    """(n,) parameters of chains that have the mode which stands beside them as last effect, in place of the
+    one that the records show least; none where no such chains are.
+
+    A fit in another minimum has a light mass where the machine has a mode, and the mode then shows beside the
+    chain. What the two move like together is known to the noise, and chains follow from modes at the motors
+    (the paper's inverse): no search.
+    """
+    structure = fitted.layout.structure
+    term, x = fitted.candidate.terms[-1], fitted.candidate.x[-1]
+    if term.effect.cause != "extra_mode" or structure.grounded:
+        return None
+    found = term.effect.values(x.tolist(), term.place)
+    mass, damping, stiffness = structure.matrices(fitted.p[: structure.count])
+    (at, _), *_ = term.place.pattern(structure)
+    damper = 2.0 * found["damping_ratio"] * float(np.sqrt(found["mass"] * found["stiffness"]))
+    mass = scipy.linalg.block_diag(mass, found["mass"])
+    damping, stiffness = (
+        _joined(matrix, at, size) for matrix, size in ((damping, damper), (stiffness, found["stiffness"]))
+    )
+    shown = modes_of_matrices(mass, damping, stiffness, structure.motor_dofs, structure.sizes)
+    omega, ratio, shapes = shown.omega, shown.damping, shown.shapes
+    every = np.concatenate([r.omega[r.excited] for r in records])[:, None]
+    gain = np.abs(every**2 / (omega**2 - every**2 + 2j * ratio * omega * every)) ** 2
+    kept = np.arange(omega.size) != int(np.argmin(gain.sum(axis=0) * (shapes**2).sum(axis=1) ** 2))
+    rigid = shown.high_gain - shapes.T @ shapes
+    modes = replace(
+        shown,
+        omega=omega[kept],
+        damping=ratio[kept],
+        shapes=shapes[kept],
+        high_gain=rigid + shapes[kept].T @ shapes[kept],
+    )
+    try:
+        with np.errstate(all="ignore"):
+            chains = chains_of(modes, gains_of(modes, axes=structure.axes), axes=structure.axes, repair=True)
+    except (InvidError, np.linalg.LinAlgError, ValueError):
+        return None
+    return _with_chains(fitted, chains) if _finite(chains) else None
+
+
+def _joined(matrix: Float64, at: int, size: float) -> Float64:
+    """(ΣN + 1, ΣN + 1) with one more coordinate, a spring or damper of ``size`` between it and ``at``."""
+    out = scipy.linalg.block_diag(matrix, size)
+    out[at, at] += size
+    out[at, -1] = out[-1, at] = -size
+    return np.asarray(out, dtype=float)
+
+
+def _finite(chains: CoupledChains) -> bool:
+    return all(bool(np.isfinite(v).all()) for part in (chains.masses, chains.springs) for v in part)
+
+
+def _with_chains(fitted: JointFit, chains: CoupledChains) -> Float64:
+    structure = fitted.layout.structure
+    p = fitted.p.copy()
+    p[: structure.count] = structure.vector(chains)
+    return p
+
+
+__all__ = ["with_the_mode_in_it", "with_the_mode_in_the_chain"]
