@@ -13,6 +13,7 @@ from invid.effects.motion import rms
 from invid.likelihood.candidate_pool import each
 from invid.likelihood.joint_fit import JointFit, fit, held_out
 from invid.likelihood.placed_effect import Candidate, Term
+from invid.model.place import Place
 from invid.numerics import budget
 from invid.numerics.arrays import Float64
 from invid.signals.spectral_record import Record
@@ -149,6 +150,38 @@ def with_those_from(
         if trial.fit.cost < (found[key].fit.cost if key in found else here.cost):
             found[key] = trial
     return list(found.values())
+
+
+def rivals_of_best(
+    trials: Sequence[Trial],
+    scores: Sequence[Score],
+    here: JointFit,
+    train: Sequence[Record],
+    held: Sequence[Record],
+) -> list[Trial]:
+    """Candidates that promised as much as the best one and did not get there, from its linear parameters.
+
+    A strong cause bends the linear fit without it. Whichever candidate finds the way back from there would
+    stand without the rivals that explain as much and only lost their way.
+    """
+    plain = [t for t in trials if t.fit.p.size == here.p.size]
+    if not plain:
+        return []
+    best = min(plain, key=lambda t: t.fit.cost)
+    gain = {_key(s.term): s.gain for s in scores}
+    arrived = {_key(t.term) for t in plain if t.fit.converged or t is best}
+    promised = NEARLY * gain.get(_key(best.term), np.inf)
+    lost = [s.term for s in scores[:REFITTED] if s.gain >= promised and _key(s.term) not in arrived]
+    if not lost:
+        return []
+    there = finite(partial(fit, here.layout, train, best.fit.p, here.candidate, iterations=0))
+    if there is None:
+        return []
+    return refitted(there, train, held, screened(Screen(there), lost), any_gain, best.fit.cost)
+
+
+def _key(term: Term) -> tuple[str, Place]:
+    return term.effect.cause, term.place
 
 
 def is_smaller_model(trial: Trial) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal, cast
+from typing import Literal
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from invid.diagnosis.extended_model import extended_model
 from invid.diagnosis.known_effects import folded
 from invid.diagnosis.promises import cut_short
 from invid.diagnosis.rules.dropped_rows import before_repair, repaired, with_dropped
-from invid.diagnosis.search_pass import Look, looked
+from invid.diagnosis.search_pass import looked
 from invid.diagnosis.time_domain_check import REFUSED, Replay, replay, with_replay
 from invid.diagnosis.verdict import document
 from invid.effects.units import unit_of
@@ -92,7 +92,6 @@ def _diagnosed(
         return _rigid(recording, model)
     dropped = apply_rule("dropped-rows", recording)
     sound = repaired(recording, dropped) if dropped else recording
-    own = model is None
     if model is None:
         with budget.part(TIME_TO_IDENTIFY, 0.0, 0.3):
             kind = machine_kind(recording, masses, lambda: identify_chains(sound, masses))
@@ -112,10 +111,10 @@ def _diagnosed(
         )
     check_units(model, recording)
     with budget.part(TIME_TO_SEARCH, 0.3, 0.9):
-        look = _look(sound, model, recording, masses, own=own)
+        look = looked(sound, folded(model))
     sound, model, tones, bare = look.recording, look.model, look.tones, look.bare
     train, held = look.train, look.held
-    selection = apply_rule("viscous-allowed-for", look.selection).as_far_as_explained()
+    selection = look.selection.as_far_as_explained()
     warnings = [*look.warnings, *said_of_holds(selection.final.fit, recording)]
     result = document(sound, model, selection, bare, train, held, tones, warnings)
     if result.verdict is Verdict.UNEXPLAINED and selection.steps:
@@ -141,24 +140,6 @@ def _diagnosed(
     if selection.cut:
         result = cut_short(result)
     return with_dropped(result, recording, dropped, before_repair(recording, bare) if dropped else {})
-
-
-def _look(
-    sound: Recording,
-    model: Model,
-    recording: Recording,
-    masses: Sequence[int] | Literal["auto"] | None,
-    *,
-    own: bool,
-) -> Look:
-    """The search, and those after it that start elsewhere; ``own``: the model is of this recording."""
-    look = looked(sound, folded(model))
-    look = apply_rule("reidentify", look, masses if own else model.chains.masses_per_branch)
-    if own:
-        declared = recording.masses_per_axis if masses is None else masses
-        look = apply_rule("declared-masses", look, declared)
-    selection = apply_rule("viscous-with-dry", look.selection, look.train, look.held)
-    return cast(Look, replace(look, selection=selection))
 
 
 def _rigid(recording: Recording, model: Model | None, analysis: Analysis | None = None) -> Diagnosis:

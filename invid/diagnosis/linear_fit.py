@@ -8,9 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from invid.diagnosis.context import apply_rule
-from invid.diagnosis.evidence import Trial, finite
 from invid.diagnosis.known_effects import given_effects
-from invid.diagnosis.thresholds import FAR
 from invid.diagnosis.tone import Tone
 from invid.diagnosis.validation import PLAIN, Asked
 from invid.likelihood.hypothesis import Layout
@@ -20,9 +18,7 @@ from invid.likelihood.null_test import with_scatter
 from invid.likelihood.placed_effect import Candidate
 from invid.likelihood.prepare_records import by_period
 from invid.model.document import Model
-from invid.model.forward import resonances
 from invid.model.parameters import ChainStructure
-from invid.numerics import budget
 from invid.numerics.arrays import Float64
 from invid.recording.model import Recording
 from invid.signals.spectra import LineSpectra
@@ -30,10 +26,6 @@ from invid.signals.spectral_record import Record
 
 LIGHTEST = 1e-8
 """Share of its branch that a mass has at least where a fit starts: rounding is 1e-16 of the matrices."""
-LOWER = 0.5
-"""Share of χ² to which another start must bring a fit that is doubted. A guess: a wrong minimum
-of a linear machine is off by far more (11 000 times in one hidden case), while what a strong
-effect leaves is about the same in every minimum, and the one that the identification found is as good."""
 
 
 def linear_fit(
@@ -63,11 +55,6 @@ def linear_fit(
     first = fit(
         layout, with_scatter(train, spectra, layout, start), start, given, iterations=25, strict=False
     )
-    gone = _vanishing(first)
-    if not given.terms and (gone or doubted(model, first)):
-        again = apply_rule("spread-restart", first, train)
-        if gone or again.cost < LOWER * first.cost:
-            first = again
     train = with_scatter(train, spectra, layout, first.p)
     held = with_scatter(held, spectra, layout, first.p)
     keys = [r.key for r in (*train, *held) if asked.apart or r.trend or (asked.each and r.differs)]
@@ -87,20 +74,6 @@ def without_effects(base: JointFit, train: Sequence[Record]) -> JointFit:
     linear, rest = base.p[: layout.structure.count], base.p[base.layout.stairs_at.start :]
     p = np.concatenate((linear, base.layout.delays(base.p), rest))
     return fit(layout, train, p, Candidate(), iterations=25)
-
-
-def from_causes(base: JointFit, final: JointFit, train: Sequence[Record]) -> JointFit | None:
-    """The linear model started where the fit with causes ended, where that explains most of what they do.
-
-    Beside a linear model in a wrong minimum any cause may be what leads out of it: a drift that changed a
-    spring by more than itself left no more than noise, and so did the linear parameters found with it alone.
-    """
-    if base.cost < FAR * base.dof or final.p.size != base.p.size or final.candidate is base.candidate:
-        return None
-    alone = finite(lambda: fit(base.layout, train, final.p, base.candidate, iterations=25))
-    if alone is None or base.cost - alone.cost < alone.cost - final.cost:
-        return None
-    return alone
 
 
 def layout_of(
@@ -149,64 +122,6 @@ def start_of(model: Model, layout: Layout) -> Float64:
     start[layout.stairs_at] = 0.5
     start[layout.holds_at] = [h.expected for h in layout.holds]
     return start
-
-
-def _vanishing(fitted: JointFit) -> bool:
-    """A mass below a ten-thousandth of its branch in a fit that does not reach the noise: a wrong minimum."""
-    chains = fitted.layout.structure.chains(fitted.p[: fitted.layout.structure.count])
-    gone = any(bool((m < 1e-4 * m.sum()).any()) for m in chains.masses)
-    return gone and fitted.cost > FAR * fitted.dof
-
-
-def doubted(model: Model, fitted: JointFit | Trial) -> bool:
-    """Whether the identification does not trust its fit and that fit does not reach the noise."""
-    return model.fit.get("trustworthy", True) is False and fitted.cost > FAR * fitted.dof
-
-
-def restarted(fitted: JointFit, train: Sequence[Record]) -> JointFit:
-    """The best of fits from evenly shared masses with springs that spread their modes over the band.
-
-    Effects start as they are.
-    """
-    layout, structure = fitted.layout, fitted.layout.structure
-    best = fitted
-    masses = structure.slices["mass"]
-    totals = np.exp(fitted.p[masses])
-    top = highest_line(train)
-    for part in (0.6, 0.35, 0.2, 0.85):
-        if budget.is_left_out("further evenly shared masses"):
-            break
-        p = fitted.p.copy()
-        at = 0
-        springs: list[float] = []
-        for n in structure.sizes:
-            share = float(totals[at : at + n].sum()) / n
-            p[masses.start + at : masses.start + at + n] = np.log(share)
-            springs += [float(np.log(share * (part * top) ** 2 / 2))] * (n - 1)
-            at += n
-        p[structure.slices["spring"]] = springs
-        p[structure.slices["damper"]] = 0.02 * np.exp(springs) / top
-        trial = fit(layout, train, p, fitted.candidate, iterations=60, strict=False)
-        if trial.cost < best.cost:
-            best = trial
-        if best.cost < 2.0 * best.dof:
-            break
-    return best
-
-
-def highest_line(records: Sequence[Record]) -> float:
-    """Highest excited line [rad/s]."""
-    return max(float(r.omega[r.excited].max()) for r in records if r.excited.any())
-
-
-def spare_mode(fitted: JointFit, records: Sequence[Record]) -> bool:
-    """Whether the chains have a resonance above all excited lines.
-
-    A mode that the records show beside them may be that one, the fit in another minimum.
-    """
-    structure = fitted.layout.structure
-    chains = structure.chains(fitted.p[: structure.count])
-    return float(np.max(resonances(chains), initial=0.0)) > highest_line(records)
 
 
 def tones_in(fitted: JointFit, held: Sequence[Record], spectra: Sequence[LineSpectra]) -> list[Tone]:

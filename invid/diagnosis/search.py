@@ -10,7 +10,7 @@ from typing import cast
 import numpy as np
 
 from invid.diagnosis.acceptance import accepted, is_asked_for, least_gain, needed_gain, without_untold
-from invid.diagnosis.candidates import REACH, is_smaller_model, refitted, screened, tell_of
+from invid.diagnosis.candidates import REACH, is_smaller_model, refitted, rivals_of_best, screened, tell_of
 from invid.diagnosis.context import apply_rule
 from invid.diagnosis.evidence import Step, Trial, at_bound, attempted, extends
 from invid.diagnosis.score_test import Score, Screen, terms_for
@@ -29,14 +29,13 @@ from invid.numerics.distributions import chi2_isf
 from invid.signals.spectral_record import Record
 
 NONE_YET = "causes of what is missing (none was weighed to the end)"
-BESIDE = "relatives of the friction found"
 FURTHER = "further causes"
 AGAIN = "each cause once more beside the others"
 """What a search leaves out when its time is spent, as the warning says it."""
 HALF = 0.6
 """Share of what is still to be done that is taken to lie ahead after one more cause; for progress alone."""
 MODE = 150
-"""Iterations for a mode moved to another mass of its axis; 20 end above the minimum (empirical)."""
+"""Iterations for a mode moved to another mass of its axis: it creeps along a valley, and 20 stop halfway."""
 NOTHING = Candidate()
 AN_AXIS = 8
 """Causes an axis at most besides the friction that the search starts with: no limit that evidence meets (two
@@ -53,22 +52,20 @@ def select(
     start: Float64 | None = None,
     moves: Sequence[Move] = (),
     family: str | None = None,
-    begun: Sequence[Trial] = (),
     friction: Candidate = NOTHING,
 ) -> Selection:
     """Adds causes while both the training and the held-out gain are significant.
 
     ``free``: linear parameters of the fit whose time offsets were not bounded; where delays start. ``start``:
-    those of the model, tried for a first cause where those of the fit lead nowhere. ``moves``: slow
-    moves beside the records, which tell laws of position apart. ``family``: of
-    causes, where only those of one are asked for. ``begun``: what the first cause is chosen from, in place of
-    a screen. ``friction``: what the identification fitted along, where the search starts.
+    those of the model, tried for a first cause where those of the fit lead nowhere. ``moves``: slow moves
+    beside the records, which tell laws of position apart. ``family``: of causes, where only those of one are
+    asked for. ``friction``: what the identification fitted along, where the search starts.
 
     A lag keeps the time offset of its axis beside it: two timings, where a delay is one. Where what the lag's
     model leaves is more than the difference between the two, the data do not ask for the second timing, and
     the delay leads; the lag stays its rival.
     """
-    asked = _Asked(linear_axes, free, start, moves, family=family, begun=begun, friction=friction)
+    asked = _Asked(linear_axes, free, start, moves, family=family, friction=friction)
     found = _search(base, train, held, asked)
     contested = frozenset(
         s.chosen.term.place.axis
@@ -116,8 +113,6 @@ class _Asked:
     """Where causes are looked for; everywhere where it is none."""
     family: str | None = None
     """Which causes are looked for; all where it is none."""
-    begun: Sequence[Trial] = ()
-    """What the first cause is chosen from, in place of a screen."""
     friction: Candidate = NOTHING
     """Laws that the identification fitted along: where the search starts."""
 
@@ -129,7 +124,6 @@ def _search(base: JointFit, train: Sequence[Record], held: Sequence[Record], ask
     if begun is not None and (_right(begun) or budget.spent()):
         return begun
     found = _added(Selection(start, start), train, held, asked)
-    found = apply_rule("viscous-with-dry", found, train, held)
     again = budget.or_else(AGAIN, partial(_reconsidered, found, train, held, asked), found)
     if [_named(s) for s in again.steps] != [_named(s) for s in found.steps]:
         again = _added(again, train, held, asked)  # beside another cause there may be more to find
@@ -199,13 +193,10 @@ def _added(
             sure = replace(now, cut=found.cut)
     if small and current.cost > FAR * current.dof:
         # Far from the noise what is small beside the first cause may be what a law of that errs by.
-        return cast(
-            Selection, apply_rule("pruning", replace(sure, rejected=rejected, cut=found.cut), train, held)
-        )
+        return replace(sure, rejected=rejected, cut=found.cut)
     if current.cost > FAR * current.dof:  # what a wrong model leaves, any cause may fit
         small = {_named(s) for s in steps[besides:]}
-    found = without_untold(Selection(start, current, tuple(steps), rejected, found.cut), small, train, held)
-    return cast(Selection, apply_rule("pruning", found, train, held))
+    return without_untold(Selection(start, current, tuple(steps), rejected, found.cut), small, train, held)
 
 
 def _reconsidered(
@@ -288,15 +279,7 @@ def _step(
         and asked.family in (None, t.effect.family)
     ]
     count, rows = max(len(terms), 1), here.dof
-    scores: list[Score] = []
-    if asked.begun and first and not known:
-        trials = list(asked.begun)
-    else:
-        trials, scores = _candidates(
-            here, train, held, asked, terms, first=first, rejects=rejects, known=known
-        )
-    least_left = min((t.fit.cost for t in trials), default=np.inf)
-    trials = [apply_rule("change-retimed", t, train, held) if t.fit.cost <= least_left else t for t in trials]
+    trials, scores = _candidates(here, train, held, asked, terms, first=first, rejects=rejects, known=known)
     trials = apply_rule("gradual-sign", trials, current, train, held)
     trials = [t for t in trials if not is_smaller_model(t)]  # some were larger only for want of rounding
     trials = with_known(trials, known)
@@ -328,8 +311,6 @@ def _step(
     trials = polished + [t for t in trials if t not in best[:4]]
     if not trials:
         return None, tuple(scores[:5]), False
-    if trials[0].rejects([*train, *held]):
-        trials = with_known(trials, apply_rule("mode-moved", trials, current, train, held, terms))
     dispersion = min(t.dispersion for t in trials)
     ranked = _ranked([(t, t.score(dispersion, rows)) for t in trials], asked.contested)
     best_of_all = ranked[0][0]
@@ -386,10 +367,9 @@ def _candidates(
 
     reached = min((t.fit.cost for t in (*trials, *known)), default=np.inf)
     trials += refitted(here, train, held, scores, least, reached)
+    trials = with_known(trials, rivals_of_best(trials, scores, here, train, held))
     if first and rejects and asked.start is not None and not known:
         trials = apply_rule("start-from-model", trials, asked.start, here, train, held, terms)
-    if first and rejects and not known:
-        trials = with_known(trials, apply_rule("stiff-coupling", here, train, held, terms))
     return trials, scores
 
 

@@ -7,17 +7,16 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from invid.diagnosis.context import apply_rule, current
-from invid.diagnosis.evidence import Trial
 from invid.diagnosis.known_effects import fitted_friction
 from invid.diagnosis.linear_fit import linear_fit, start_of, tones_in, without_effects
 from invid.diagnosis.search import select
-from invid.diagnosis.selection import Selection, is_lost
+from invid.diagnosis.selection import Selection
 from invid.diagnosis.slow_move import moves_of
 from invid.diagnosis.thresholds import CLOSE
 from invid.diagnosis.tone import Tone, without_tones
 from invid.diagnosis.validation import PLAIN, Asked, split
 from invid.errors import InputError
-from invid.likelihood.joint_fit import JointFit, fit, held_out
+from invid.likelihood.joint_fit import JointFit
 from invid.likelihood.null_test import null_test
 from invid.likelihood.prepare_records import with_sticking
 from invid.model.document import Model
@@ -76,48 +75,12 @@ def _over_periods(recording: Recording, model: Model) -> Look:
     every period: what repeats in none may have a law that holds in all. What the mean shows beside that is
     measured by what differs, and any cause may pass (presliding friction, of a ripple)."""
     look = _over_changes(recording, model)
-    differs = any(r.differs for r in (*look.train, *look.held))
-    if look.tones or not (differs or is_lost(look.selection)):
+    if look.tones or not any(r.differs for r in (*look.train, *look.held)):
         return look
     if budget.is_left_out("every period of the records by itself"):
         return _cut(look)
-    other = _looked(look.recording, model, Asked(each=True)) if differs else look
-    if other.selection.steps and other.selection.final.cost < CLOSE * other.selection.final.dof:
-        return other
-    strong = budget.or_else(
-        "a mode that the linear fit is lost for", partial(_with_a_strong_mode, other), None
-    )
-    if strong is not None:
-        return strong
-    rattling = budget.or_else("a gap as wide as its spring deflects", partial(_rattling, look, other), None)
-    if rattling is not None:
-        return rattling
+    other = _looked(look.recording, model, Asked(each=True))
     return other if other.selection.steps else look
-
-
-def _with_a_strong_mode(look: Look) -> Look | None:
-    """The look with a mode that the linear fit without it was lost for, and what else there is beside it."""
-    if not is_lost(look.selection):
-        return None
-    base, linear = look.selection.base, look.recording.linear
-    modes = apply_rule("heavy-mode", base.fit, look.train, look.held)
-    if not modes:
-        return None
-    found = select(
-        base.fit, look.train, look.held, linear_axes=linear, moves=moves_of(look.recording), begun=modes
-    )
-    return replace(look, selection=found) if found.steps else None
-
-
-def _rattling(look: Look, other: Look) -> Look | None:
-    """The look with a gap as wide as its spring deflects, in the records of the ``other``, period by period
-    where those differ: a load that rattles seldom does the same in all of them."""
-    base = other.selection.base
-    step = apply_rule("wide-gap", base, other.train, other.held)
-    if step is None:
-        return None
-    selection = Selection(base, step.chosen, (step,))
-    return replace(look, train=other.train, held=other.held, bare=base.fit, selection=selection)
 
 
 def _over_changes(recording: Recording, model: Model) -> Look:
@@ -173,10 +136,6 @@ def _looked(recording: Recording, model: Model, asked: Asked = PLAIN) -> Look:
     if tones:
         recording = without_tones(recording, tones)
         spectra, warnings, (base, free, train, held) = begun(recording)
-    if asked.apart and not apply_rule("time-causes-first", base, held, linear_axes=recording.linear):
-        nothing = Trial(base, held_out(base, held))
-        unchanged = Selection(nothing, nothing)
-        return Look(recording, model, spectra, tones, train, held, base, unchanged, warnings)
     search = partial(
         select,
         linear_axes=recording.linear,
@@ -187,20 +146,9 @@ def _looked(recording: Recording, model: Model, asked: Asked = PLAIN) -> Look:
     )
     with budget.part(1.0, 0.1, 0.9):
         selection = search(base, train, held)
-    if selection.steps:
-        parts = selection.final.fit.evaluation, selection.final.held
-        less = tuple(apply_rule("scatter-explained", part) for part in parts)
-        if any(a is not b for a, b in zip((*less[0], *less[1]), (*train, *held), strict=True)):
-            train, held = less
-            base = fit(base.layout, train, base.p, base.candidate, iterations=25)
-            selection = search(base, train, held)
-    settled = apply_rule("restart-from-causes", base, selection.final.fit, train)
-    if settled is not None:
-        base, selection = settled, search(settled, train, held)
     if not selection.steps and selection.final.fit is not base:
         # A chain that has in it what was found beside.
         base, selection = selection.final.fit, replace(selection, base=selection.final)
-    selection = apply_rule("change-between-records", selection)
     around = apply_rule("load-change", selection, recording, base, search)
     if around is not None:
         base, selection, train, held = around

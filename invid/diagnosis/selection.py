@@ -8,7 +8,6 @@ import numpy as np
 
 from invid.diagnosis.evidence import Step, Trial
 from invid.diagnosis.score_test import Score
-from invid.diagnosis.thresholds import FAR, LEFT, REACHED
 from invid.likelihood.placed_effect import Term
 from invid.numerics.arrays import Float64
 
@@ -56,17 +55,6 @@ class Selection:
             at += term.size
         covariance = fit.covariance + np.diag(shift**2)
         return replace(self, final=replace(self.final, fit=replace(fit, covariance=covariance)))
-
-
-def is_far(base: Trial) -> bool:
-    """Whether a linear fit, without effects that the model came with, is far from the noise."""
-    return not base.fit.candidate.terms and base.fit.cost >= FAR * base.fit.dof
-
-
-def is_lost(selection: Selection) -> bool:
-    """Whether a search ended far from the noise, as ``trust`` has it, on a linear fit that is far from it."""
-    base, final = selection.base, selection.final
-    return is_far(base) and final.cost > REACHED * final.dof and final.excess > LEFT * base.excess
 
 
 def _size(term: Term, x: Float64) -> Float64:

@@ -93,8 +93,6 @@ class View:
         """(2ΣN,) positions, then velocities: how far the ends of a record that does not close are apart."""
         self.closing: Closing | None = None
         self.secants = Secants()
-        self.read: Float64 | None = None
-        """What was read from the measured torque of a load that rattles (``nuisance.spring_force``)."""
         self.starts: dict[Pattern, float] = {}
         """Where sliders stood when the record began, over what they give way at."""
         self.missing: Complex128 | None = None

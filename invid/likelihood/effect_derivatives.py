@@ -12,7 +12,7 @@ from invid.likelihood.inner_motion import learned
 from invid.likelihood.law_response import direct_changes, respond
 from invid.likelihood.law_slopes import Change, slopes_of
 from invid.likelihood.nuisance.transients import of_jumps
-from invid.likelihood.placed_effect import Candidate, Term, contributions, forces_of, rattling
+from invid.likelihood.placed_effect import Candidate, Term, contributions, forces_of
 from invid.numerics.arrays import Complex128, Float64
 
 
@@ -71,7 +71,7 @@ def effect_columns(view: View, candidate: Candidate, columns: Complex128, at: in
     steps = steps_of(view, candidate)
     if not steps:
         return
-    if not inner and rattling(candidate) is None:
+    if not inner:
         columns[..., at : at + len(steps)] = direct_changes(view, candidate, steps)[0]
         return
 

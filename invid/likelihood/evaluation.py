@@ -193,7 +193,7 @@ def _seen(
     else:
         view.missing = r
     if before is not None:
-        view.of_ends, view.secants, view.read = before.of_ends, before.secants, before.read
+        view.of_ends, view.secants = before.of_ends, before.secants
         view.starts = dict(before.starts)
         view.respond(before.feedback, before.jumps)
     extra = contributions(view, candidate)
@@ -239,7 +239,7 @@ def _derivative(seen: Seen, layout: Layout, p: Float64, candidate: Candidate, th
         view, candidate, sp, q, columns, layout.count, strong=strong
     )
     if not together:
-        if strong and seen.ends is not None and view.read is None:
+        if strong and seen.ends is not None:
             learn_answers(view, candidate)
         effect_columns(view, candidate, columns, layout.count)
     if seen.ends is not None:

@@ -7,11 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from invid.effects.catalogue.backlash import RattlingBacklash, spring_index
 from invid.effects.effect import Effect, ImpedanceEffect
 from invid.effects.motion import View, along
 from invid.likelihood.inner_motion import Forces, settled
-from invid.likelihood.nuisance.spring_force import Gap, law_of, read
 from invid.model.place import Pattern, Place
 from invid.numerics.arrays import Complex128, Float64
 
@@ -71,9 +69,6 @@ def contributions(
     """
     if not candidate.terms:
         return np.zeros_like(view.acting)
-    rattles = rattling(candidate)
-    if rattles is not None:
-        return _read(view, rattles, early=early)
     forces = forces_of(view, candidate)
     if at_once(candidate):
         total, back = forces()
@@ -93,30 +88,6 @@ def contributions(
 def at_once(candidate: Candidate) -> bool:
     """Whether all forces follow from the motors' spectra, exactly: nothing has to come into agreement."""
     return all(isinstance(t.effect, ImpedanceEffect) and t.effect.steady for t in candidate.terms)
-
-
-def rattling(candidate: Candidate) -> tuple[Term, Float64] | None:
-    """A gap whose motion is read from the torque, with its parameters; it stands alone."""
-    found = [
-        (t, x)
-        for t, x in zip(candidate.terms, candidate.x, strict=True)
-        if isinstance(t.effect, RattlingBacklash)
-    ]
-    if found and len(candidate.terms) > 1:
-        raise ValueError("a gap that is read from the torque stands alone")
-    return found[0] if found else None
-
-
-def _read(view: View, rattles: tuple[Term, Float64], *, early: bool) -> Complex128:
-    """(F, M) of such a gap; ``early``: the motion is read, else it stays as it is."""
-    term, x = rattles
-    pattern, at = term.place.pattern(view.structure), spring_index(view.structure, term.place)
-    gap = Gap(float(view.springs[at]), float(view.dampers[at]), float(np.exp(x[0])))
-    if early:
-        force, view.read = read(view, pattern, gap, view.read)
-    else:
-        force = law_of(view, view.wave(pattern), gap)
-    return view.push(pattern) * force[:, None]
 
 
 _Impedances = Sequence[tuple[ImpedanceEffect, Place, Float64]]

@@ -5,14 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-import numpy as np
-
-from invid.diagnosis.candidates import any_gain, refitted, screened
-from invid.diagnosis.evidence import Step, Trial, attempted
-from invid.diagnosis.score_test import Screen, terms_for
+from invid.diagnosis.evidence import Step, attempted
 from invid.diagnosis.selection import Selection
-from invid.diagnosis.thresholds import HELD_OUT
-from invid.likelihood.joint_fit import JointFit, fit, held_out
+from invid.likelihood.joint_fit import JointFit, fit
 from invid.likelihood.prepare_records import by_period
 from invid.recording.model import Recording
 from invid.signals.spectral_record import Record
@@ -20,62 +15,6 @@ from invid.signals.spectral_record import Record
 NEAR = 0.25
 """Share of a period beyond its ends within which a change found may be one of that period. A guess; where
 there is a choice the records that are left decide."""
-LARGER_PART = 0.5
-"""Share of what is missing that a change with time must take where it is looked for because records that are
-kept out miss ``look.ALIKE`` times as much as those fitted: what those miss is their difference."""
-
-
-def changes_with_time(base: JointFit, held: Sequence[Record], *, linear_axes: bool) -> bool:
-    """Whether a cause that changes with time takes the larger part of what the records miss.
-
-    The whole search takes a minute where they differ for another reason, as their amplitude.
-    """
-    candidate, train = base.candidate, base.evaluation.records
-    every = terms_for(base.layout.structure, linear_axes=linear_axes, chosen=candidate.terms)
-    terms = [t for t in every if t.effect.family == "time"]
-    trials = refitted(base, train, held, screened(Screen(base), terms), any_gain, np.inf)
-    now = Trial(base, held_out(base, held))
-    return any(t.excess < (1.0 - LARGER_PART) * now.excess for t in trials)
-
-
-def between_records(selection: Selection) -> Selection:
-    """The selection with the time of a load's change in a gap between records, where they say no more.
-
-    A record taken whole that the change lies in is a mixture of both loads; only how far it is from the
-    records beside it is seen, and an earlier change of a larger load leaves it as far. What stands in a gap
-    is nothing special, and needs no record to be left out.
-    """
-    final, time = selection.final, change_of(selection)
-    if time is None:
-        return selection
-    records = [*final.fit.evaluation.records, *final.held.records]
-    for odd in records:
-        if odd.alone or not _within(odd, time):
-            continue
-        before = max((r.end_time for r in records if r.end_time <= odd.start_time), default=None)
-        after = min((r.start_time for r in records if r.start_time >= odd.end_time), default=None)
-        gaps = [0.5 * (before + odd.start_time)] if before is not None else []
-        gaps += [0.5 * (odd.end_time + after)] if after is not None else []
-        trials = [t for t in (_at_time(selection, gap) for gap in gaps) if t is not None]
-        best = min(trials, key=lambda t: t.cost, default=None)
-        if best is not None and best.cost < final.cost + HELD_OUT * final.dispersion:
-            steps = (*selection.steps[:-1], replace(selection.steps[-1], chosen=best))
-            return replace(selection, final=best, steps=steps)
-    return selection
-
-
-def _at_time(selection: Selection, time: float) -> Trial | None:
-    """The final fit with the load changing at ``time``, between two records."""
-    final = selection.final
-    fitted, held = final.fit, final.held.records
-    candidate = fitted.candidate
-    x = tuple(
-        np.array([v[0], time]) if t.effect.cause == "payload_change" else v
-        for t, v in zip(candidate.terms, candidate.x, strict=True)
-    )
-    start = replace(candidate, x=x)
-    train = fitted.evaluation.records
-    return attempted(lambda: fit(fitted.layout, train, fitted.p, start, iterations=25), held)
 
 
 def around_change(selection: Selection, recording: Recording) -> tuple[list[Record], list[Record]] | None:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from invid.diagnosis.evidence import Step, Trial, at_bound, attempted, finite, refit
 from invid.diagnosis.score_test import terms_for
-from invid.diagnosis.thresholds import CLOSE, COMPETES
+from invid.diagnosis.thresholds import COMPETES
 from invid.effects.laws.sign import DryLaw
 from invid.effects.registry import BY_CAUSE
 from invid.likelihood.candidate_pool import each
@@ -165,25 +164,6 @@ def elsewhere(
 
     trials = each(tried_there, out, here, [*train, *held])
     return [t for t in trials if t is not None and not at_bound(t.fit)]
-
-
-def retimed(trial: Trial, train: Sequence[Record], held: Sequence[Record]) -> Trial:
-    """A load's change from the time that all records together ask for.
-
-    In a period of the training that is half of one load, half of the other, a small change early and a large
-    one late are alike: the fit ends at either, and a record kept out tells. For the cause that leaves the
-    training least; other causes come back as they are.
-    """
-    here, term = trial.fit, trial.term
-    if term.effect.cause != "payload_change" or trial.held.cost < CLOSE * trial.held.dof:
-        return trial
-    best = trial
-    for (time,) in term.effect.grid([*here.evaluation.views, *trial.held.views], term.place):
-        start = replace(here.candidate, x=(*here.candidate.x[:-1], np.array([trial.x[0], time])))
-        other = attempted(partial(fit, here.layout, train, here.p, start, iterations=20), held)
-        if other is not None and other.cost < best.cost:
-            best = other
-    return best
 
 
 def delays(

@@ -88,11 +88,3 @@ class Backlash(Effect):
     def simulation(self, at: ModelPlace) -> Sequence[Element]:
         a, b, stiffness, damping = at.spring()
         return [ForceLaw(Law.BACKLASH, a, b, (0.5 * abs(at.value("gap")), stiffness, damping))]
-
-
-class RattlingBacklash(Backlash):
-    """The same where the gap is as wide as the spring deflects: the motion behind it is read from the torque.
-
-    Of all motions that follow such a law behind given motors the measured torque tells which it was; left to
-    the law alone the load may be found in another (``invid.likelihood.nuisance.spring_force``).
-    """

@@ -1,4 +1,4 @@
-"""A mode beside a chain: at which mass it is, and whether it is one of the chain's own."""
+"""A mode found beside a chain that is one of the chain's own, which the fit has lost."""
 
 from __future__ import annotations
 
@@ -10,47 +10,16 @@ import numpy as np
 import scipy.linalg
 
 from invid.diagnosis.evidence import Trial, attempted
-from invid.diagnosis.linear_fit import restarted, spare_mode
-from invid.diagnosis.rules.near_variants import elsewhere
 from invid.errors import InvidError
 from invid.inverse import chains_of, gains_of
 from invid.likelihood.joint_fit import JointFit, fit
-from invid.likelihood.placed_effect import Term
 from invid.model.chains import CoupledChains
 from invid.modes.model import modes_of_matrices
 from invid.numerics.arrays import Float64
 from invid.signals.spectral_record import Record
 
-MOVED, HALF = 40, 0.5
-"""Iterations of a mode moved to another mass of its axis before any is accepted, and the share of what is
-left that it takes where it is. A mode takes a tenth or less of what another cause leaves; a guess."""
 MODE_IN = 20
 """Iterations of a chain that has the mode in it, from where the modes put it: within ten of its minimum."""
-
-
-def modes_moved(
-    trials: Sequence[Trial],
-    current: Trial,
-    train: Sequence[Record],
-    held: Sequence[Record],
-    terms: Sequence[Term],
-) -> list[Trial]:
-    """Of each axis the mode that takes most, at the other masses of its axis, where it takes half of what is
-    left.
-
-    Each branch of a chain shows all modes of all branches. A mode at the wrong end of the right branch, or on
-    another one, takes two thirds of what is missing and is refused; one mass further it takes all.
-    """
-    best: dict[int, Trial] = {}
-    for trial in trials:
-        axis, takes = trial.term.place.axis, current.cost - trial.cost
-        if trial.term.effect.cause == "extra_mode" and takes > HALF * current.excess:
-            best[axis] = min(best.get(axis, trial), trial, key=lambda t: t.cost)
-    out: list[Trial] = []
-    for trial in best.values():
-        tried = [t.term for t in trials if t.cost < trial.cost]
-        out += elsewhere(trial, train, held, terms, [trial.term, *tried], iterations=MOVED)
-    return out
 
 
 def with_the_mode_in_the_chain(
@@ -59,12 +28,10 @@ def with_the_mode_in_the_chain(
     """The fit of a chain that has the mode found beside it, where that may be one of its own; none where no
     such fit is better than ``rest``, that of the chain without."""
     own = with_the_mode_in_it(last.fit, train)
-    begun = replace(rest.fit, candidate=replace(rest.fit.candidate, x=last.fit.candidate.x[:-1]))
-    found: Trial | None = None
-    if own is not None:
-        found = attempted(partial(fit, begun.layout, train, own, begun.candidate, iterations=MODE_IN), held)
-    if (found is None or found.cost > rest.cost) and spare_mode(last.fit, train):
-        found = attempted(partial(restarted, begun, train), held)
+    if own is None:
+        return None
+    candidate = replace(rest.fit.candidate, x=last.fit.candidate.x[:-1])
+    found = attempted(partial(fit, rest.fit.layout, train, own, candidate, iterations=MODE_IN), held)
     return None if found is None or found.cost > rest.cost else found
 
 
@@ -128,4 +95,4 @@ def _with_chains(fitted: JointFit, chains: CoupledChains) -> Float64:
     return p
 
 
-__all__ = ["modes_moved", "with_the_mode_in_it", "with_the_mode_in_the_chain"]
+__all__ = ["with_the_mode_in_it", "with_the_mode_in_the_chain"]

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
 
-from invid.diagnosis.rules import mode_place
-from invid.diagnosis.rules.mode_place import modes_moved, with_the_mode_in_it
+from invid.diagnosis.rules.mode_in_chain import with_the_mode_in_it
 from invid.effects.catalogue.extra_mode import _peaks
 from invid.effects.registry import BY_CAUSE
 from invid.likelihood.placed_effect import Candidate, Term
@@ -65,28 +64,3 @@ def test_a_mode_is_looked_for_where_causes_found_before_leave_most() -> None:
     assert _peaks([view], ((0, 1),))[0] == pytest.approx(LINES[31])
     view.remaining = None
     assert LINES[2] <= _peaks([view], ((0, 1),))[0] <= LINES[8]
-
-
-def test_a_mode_that_takes_half_is_tried_at_the_other_masses_before_it_is_refused(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    def trial(cause: str, axis: int, number: int, cost: float) -> Any:
-        return SimpleNamespace(term=Term(BY_CAUSE[cause], Place("mass", axis, number)), cost=cost)
-
-    asked: list[tuple[int, int]] = []
-
-    def elsewhere(best: Any, *_: Any, **__: Any) -> list[Any]:
-        asked.append((best.term.place.axis, best.term.place.number))
-        return []
-
-    monkeypatch.setattr(mode_place, "elsewhere", elsewhere)
-    current: Any = SimpleNamespace(cost=1100.0, excess=1000.0)
-    trials = [
-        trial("extra_mode", 0, 1, 300.0),
-        trial("extra_mode", 0, 2, 400.0),
-        trial("extra_mode", 1, 4, 450.0),
-        trial("extra_mode", 2, 1, 900.0),  # takes a fifth
-        trial("coulomb_friction", 1, 1, 200.0),
-    ]
-    modes_moved(cast(Any, trials), current, [], [], [])
-    assert asked == [(0, 1), (1, 4)]
