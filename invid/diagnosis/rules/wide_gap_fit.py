@@ -19,11 +19,12 @@ from invid.effects.catalogue.backlash import spring_index
 from invid.identification.lowest_lines import rigid
 from invid.likelihood.evaluation import noise_of, views_of
 from invid.likelihood.hypothesis import Layout, acting_of, priors_of
-from invid.likelihood.joint_fit import LARGEST_STEP, JointFit, limits_of
+from invid.likelihood.joint_fit import JointFit, limits_of
 from invid.likelihood.nuisance.spring_force import PASSES, STAGES, Gap, Reading, law_of, resistance
 from invid.likelihood.nuisance.transients import closing_of, ends_of
 from invid.likelihood.placed_effect import Term
 from invid.numerics.arrays import Complex128, Float64
+from invid.numerics.levenberg_marquardt import Parabola, minimise
 from invid.numerics.whitening import whitener
 from invid.signals.spectral_record import Record
 
@@ -155,34 +156,24 @@ class FreePlay:
         limited = np.append(
             np.concatenate((structure.logarithmic, np.zeros(count - structure.count, bool))), True
         )
-        here = self.solved(start.p, start.width, start.unknown, share)
-        damping = 1e-3
-        for _ in range(ITERATIONS):
+        answers: list[
+            tuple[Float64, Float64]
+        ] = []  # of the point that was asked last, which is where steps begin
+
+        def parabola(here: Free) -> Parabola:
+            nonlocal answers
             normal, slope, answers = self._normal(here, share)
             v = np.append(here.p, here.width)
             move = ~(((v <= low) & (slope > 0)) | ((v >= high) & (slope < 0))) & (np.diag(normal) > 0)
-            scale = np.sqrt(np.diag(normal)[move])
-            inner = normal[np.ix_(move, move)] / scale[:, None] / scale
-            there: Free | None = None
-            for _ in range(6):
-                step = np.zeros(v.size)
-                step[move] = (
-                    -np.linalg.solve(inner + damping * np.eye(scale.size), slope[move] / scale) / scale
-                )
-                largest = float(np.abs(step[limited]).max())
-                step *= min(1.0, LARGEST_STEP / max(largest, 1e-300))
-                trial = np.clip(v + step, low, high)
-                there = self._tried(trial, here, answers, trial - v, share)
-                if there is not None:
-                    break
-                damping = max(damping, 1e-6) * 10.0
-            if there is None:
-                break
-            gained, here = here.cost - there.cost, there
-            damping = max(damping / 8.0, 1e-10)
-            if gained < GAINED * here.cost:
-                break
-        return here
+            return Parabola.of_normal(normal, slope, move)
+
+        def moved(here: Free, step: Float64) -> Free | None:
+            v = np.append(here.p, here.width)
+            trial = np.clip(v + step, low, high)
+            return self._tried(trial, here, answers, trial - v, share)
+
+        begun = self.solved(start.p, start.width, start.unknown, share)
+        return minimise(begun, parabola, moved, limited=limited, iterations=ITERATIONS, gain=GAINED).point
 
     def covariance(self, free: Free) -> Float64:
         """(n + 1, n + 1) of parameters and logarithm of the gap, what the law misses counted as noise.
@@ -208,16 +199,15 @@ class FreePlay:
     def _tried(
         self, v: Float64, here: Free, answers: Sequence[tuple[Float64, Float64]], step: Float64, share: float
     ) -> Free | None:
-        """What is at ``v`` (n + 1,), the unknowns moved along; none where that is no better."""
+        """What is at ``v`` (n + 1,), the unknowns moved along; none where no plant is."""
         if not self.layout.structure.admissible(v[: self.layout.structure.count]):
             return None
         unknown = [u + own + moved @ step for u, (own, moved) in zip(here.unknown, answers, strict=True)]
         with np.errstate(all="ignore"):
             try:
-                there = self.solved(v[:-1], float(v[-1]), unknown, share, FEW)
+                return self.solved(v[:-1], float(v[-1]), unknown, share, FEW)
             except (np.linalg.LinAlgError, ValueError):
                 return None
-        return there if there.cost < here.cost else None
 
     def _normal(self, here: Free, share: float) -> tuple[Float64, Float64, list[tuple[Float64, Float64]]]:
         """Normal matrix (n + 1, n + 1) and slope of parameters and gap with the unknowns eliminated, and by
