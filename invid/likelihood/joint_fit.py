@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from invid.likelihood.covariance import inverse_normal
 from invid.likelihood.evaluation import Evaluation, evaluate, with_jacobian
 from invid.likelihood.hypothesis import Layout
 from invid.likelihood.nuisance.hold_share import SHARES
@@ -219,18 +220,11 @@ def _covariance(here: Evaluation, v: Float64) -> Float64:
     over lines (White 1980), true also where a model that is not quite right leaves more on the few lines that
     the parameter is read from than on the rest.
     """
-    jacobian = here.jacobian
-    scale = np.linalg.norm(jacobian, axis=0)
-    blind = scale == 0
-    scale[blind] = 1.0
-    _, size, right = np.linalg.svd(np.linalg.qr(jacobian / scale, mode="r"), full_matrices=False)
-    seen = size > 1e-9 * size[0]
-    out: Float64 = (right[seen].T / size[seen] ** 2) @ right[seen] / scale[:, None] / scale
+    out, lost = inverse_normal(here.jacobian)
     spread = max(1.0, here.cost / max(here.dof - v.size, 1))
     plain = np.diag(out) * spread
     robust = ((_line_scores(here) @ out) ** 2).sum(axis=0) * here.dof / max(here.dof - v.size, 1)
     wider = np.sqrt(np.maximum(robust / np.where(plain > 0, plain, np.inf), 1.0))
-    lost = np.flatnonzero(blind | (np.abs(right[~seen]) > 1e-2).any(axis=0))
     out[lost, lost] = np.inf
     out *= spread * wider[:, None] * wider
     return out
