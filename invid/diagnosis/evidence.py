@@ -11,12 +11,13 @@ import numpy as np
 from invid.effects.catalogue.extra_mode import frequency_told
 from invid.likelihood.evaluation import Evaluation, evaluate, numbers_on
 from invid.likelihood.hypothesis import Layout
-from invid.likelihood.joint_fit import LARGEST_STEP, JointFit, fit, held_out, limits_of, pack, unpack
+from invid.likelihood.joint_fit import JointFit, fit, held_out, limits_of, pack, unpack
 from invid.likelihood.null_test import null_test
 from invid.likelihood.placed_effect import Candidate, Term
 from invid.numerics import budget
 from invid.numerics.arrays import Bool, Float64
 from invid.numerics.distributions import chi2_isf
+from invid.numerics.levenberg_marquardt import LARGEST_STEP
 from invid.signals.spectral_record import Record
 
 

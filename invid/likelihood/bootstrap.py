@@ -117,7 +117,7 @@ def _noisier(fit: Fit, rng: np.random.Generator) -> MissingTorqueProblem:
     scale = np.sqrt(max(1.0, fit.solution.reduced))
     blocks = []
     for block in fit.problem.blocks:
-        noise = scale * _complex(rng, block.covariance)
+        noise = scale * _complex(rng, block.noise)
         motors = block.position.shape[1]
         blocks.append(
             replace(
@@ -133,10 +133,8 @@ def _noisier(fit: Fit, rng: np.random.Generator) -> MissingTorqueProblem:
     return replace(fit.problem, blocks=tuple(blocks), priors=priors)
 
 
-def _complex(rng: np.random.Generator, covariance: Complex128) -> Complex128:
-    """(F, 2M) complex normal numbers of an (F, 2M, 2M) covariance E[n nᴴ]."""
-    power, vectors = np.linalg.eigh(covariance)
+def _complex(rng: np.random.Generator, power: Float64) -> Complex128:
+    """(F, 2M) complex normal numbers of an (F, 2M) power E[|n|²]."""
     both = rng.standard_normal((2, *power.shape))
-    plain = (both[0] + 1j * both[1]) * np.sqrt(np.maximum(power, 0.0) / 2.0)
-    out: Complex128 = np.einsum("fij,fj->fi", vectors, plain)
+    out: Complex128 = (both[0] + 1j * both[1]) * np.sqrt(power / 2.0)
     return out

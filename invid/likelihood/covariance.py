@@ -6,21 +6,17 @@ import numpy as np
 
 from invid.likelihood.levenberg_marquardt import Solution, spectrum_of
 from invid.likelihood.residual import MissingTorqueProblem
-from invid.numerics.arrays import Float64
+from invid.numerics.arrays import Float64, Int64
 
 
 def physical_covariance(problem: MissingTorqueProblem, solution: Solution) -> Float64:
     """(n, n) covariance of the structure's parameters in physical units, inflated by χ²/ν > 1.
 
-    Directions that the data do not see (singular values below 1e-9 of the largest, columns scaled)
-    get an infinite variance on every parameter they move by more than a hundredth.
+    Infinite variances where the data do not see a parameter.
     """
     full = np.zeros((solution.p.size, solution.p.size))
     free = np.flatnonzero(solution.free)
-    scale, size, right, blind = spectrum_of(solution.jacobian)
-    seen = size > 1e-9 * size[0]
-    inverse = (right[seen].T / size[seen] ** 2) @ right[seen] / scale[:, None] / scale
-    lost = np.flatnonzero(blind | (np.abs(right[~seen]) > 1e-2).any(axis=0))
+    inverse, lost = inverse_normal(solution.jacobian)
     inverse[lost, lost] = np.inf
     full[np.ix_(free, free)] = inverse * max(1.0, solution.reduced)
     count = problem.structure.count
@@ -29,6 +25,18 @@ def physical_covariance(problem: MissingTorqueProblem, solution: Solution) -> Fl
     with np.errstate(invalid="ignore"):
         result: Float64 = full[:count, :count] * factor[:, None] * factor
     return result
+
+
+def inverse_normal(jacobian: Float64) -> tuple[Float64, Int64]:
+    """(n, n) inverse of JᵀJ, and which parameters the data do not see.
+
+    Directions that they do not see (singular values below 1e-9 of the largest, columns scaled) are left out
+    of the inverse; every parameter they move by more than a hundredth counts as not seen.
+    """
+    scale, size, right, blind = spectrum_of(jacobian)
+    seen = size > 1e-9 * size[0]
+    inverse: Float64 = (right[seen].T / size[seen] ** 2) @ right[seen] / scale[:, None] / scale
+    return inverse, np.flatnonzero(blind | (np.abs(right[~seen]) > 1e-2).any(axis=0))
 
 
 def spread_of(solution: Solution) -> Float64:

@@ -29,7 +29,7 @@ from invid.likelihood.hypothesis import Acting, Layout, acting_of, folded_of, pr
 from invid.likelihood.nuisance.initial_states import begun
 from invid.likelihood.nuisance.transients import Ends, closing_of, ends_of
 from invid.likelihood.placed_effect import Candidate, at_once, contributions
-from invid.likelihood.residual import condense_dense
+from invid.likelihood.residual import covariance_of_missing, plants_of
 from invid.model.transient_terms import end_derivative
 from invid.numerics.arrays import Complex128, Float64
 from invid.numerics.whitening import factored, stack, unstack, unwhitener, whitener
@@ -106,15 +106,11 @@ def views_of(
     sp = p[: structure.count]
     values = structure.physical(sp)
     inertance = structure.inertance(sp)
-    plants: dict[bytes, tuple[Complex128, Complex128, Complex128]] = {}
     out = []
     if acting is None:
         acting = [acting_of(r, layout, p) for r in records]
-    for record, torque in zip(records, acting, strict=True):
-        key = record.omega.tobytes()
-        if key not in plants:
-            plants[key] = condense_dense(structure, sp, record.omega)
-        motion, stiffness, inner = plants[key]
+    plants = plants_of(structure, sp, records)
+    for record, torque, (motion, stiffness, inner) in zip(records, acting, plants, strict=True):
         out.append(
             View(
                 record,
@@ -331,9 +327,7 @@ def noise_of(view: View, factor: Complex128, candidate: Candidate | None = None)
             noise = noise.copy()
             noise[:, term.place.axis] *= position
             noise[:, motors + term.place.axis] *= torque
-    z = view.stiffness
-    covariance: Complex128 = np.einsum("fij,fj,fkj->fik", z, noise[:, :motors], z.conj())
+    covariance = covariance_of_missing(view.stiffness, factor, noise)
     index = np.arange(motors)
-    covariance[:, index, index] += np.abs(factor) ** 2 * noise[:, motors:]
     covariance[:, index, index] += record.scatter
     return covariance

@@ -11,7 +11,7 @@ import numpy as np
 
 from invid.likelihood.levenberg_marquardt import Solution, spectrum_of
 from invid.likelihood.residual import MissingTorqueProblem, State
-from invid.numerics.arrays import Complex128, Float64
+from invid.numerics.arrays import Float64
 
 WINDOW = 24
 """Neighbouring lines that share one excess variance: its own standard error is then 20 %."""
@@ -20,26 +20,24 @@ SIGNIFICANT = 3.0
 
 
 def excess_variance(
-    problem: MissingTorqueProblem, solution: Solution, base: list[Complex128]
-) -> tuple[list[Complex128], list[Float64]]:
-    """Covariances with the excess added to the torque of each axis, and the excess (F, M) per block.
+    problem: MissingTorqueProblem, solution: Solution, base: list[Float64]
+) -> tuple[list[Float64], list[Float64]]:
+    """Noise powers with the excess added to the torque of each axis, and the excess (F, M) per block.
 
-    ``base`` is each block's sensor noise (F, 2M, 2M).
+    ``base`` is each block's sensor noise (F, 2M).
     """
-    plain = problem.with_covariance(base)
+    plain = problem.with_noise(base)
     states = problem.states(solution.p)
     base_states = plain.states(solution.p)
     leverage = _leverage(problem, solution)
-    covariances, excesses = [], []
+    powers, excesses = [], []
     for state, base_state, lev, noise in zip(states, base_states, leverage, base, strict=True):
         excess = _excess(state, base_state, lev)
-        covariance = noise.copy()
-        motors = excess.shape[1]
-        index = np.arange(motors, 2 * motors)
-        covariance[:, index, index] += excess
-        covariances.append(covariance)
+        power = noise.copy()
+        power[:, excess.shape[1] :] += excess
+        powers.append(power)
         excesses.append(excess)
-    return covariances, excesses
+    return powers, excesses
 
 
 def _leverage(problem: MissingTorqueProblem, solution: Solution) -> list[Float64]:

@@ -28,7 +28,7 @@ from invid.likelihood.residual import MissingTorqueProblem
 from invid.model.chains import CoupledChains
 from invid.model.parameters import ChainStructure
 from invid.numerics import budget
-from invid.numerics.arrays import Complex128, Float64
+from invid.numerics.arrays import Float64
 from invid.numerics.distributions import chi2_isf
 from invid.signals.spectra import LineSpectra
 
@@ -109,13 +109,13 @@ def fit_structure(
         problem, solution, holds = placed_holds(problem, solution, spectra)
         problem, solution = _inner_friction(problem, solution)
         problem, solution = with_torque_lags(problem, solution)
-    base = [b.covariance for b in problem.blocks]
+    base = [b.noise for b in problem.blocks]
     noise_chi2, noise_cost = solution.reduced, solution.chi2
     excess: list[Float64] = []
     budget.tell("identifying", 0.8 if thorough else 0.3)
     if thorough:
         problem, solution, excess = _weighted(problem, solution, base)
-        plain = problem.with_covariance(base)
+        plain = problem.with_noise(base)
         again = solution if budget.spent() else gauss_newton(plain, solution.p)
         if again.chi2 < 0.9 * noise_cost:
             # The weights led out of a wrong minimum: what is left beyond the noise is to be judged anew.
@@ -211,14 +211,11 @@ def _promising(
 
 def _tempered(problem: MissingTorqueProblem, share: float) -> MissingTorqueProblem:
     """The problem with a share of every amplitude as further noise."""
-    covariances = []
+    noise = []
     for block in problem.blocks:
-        covariance = block.covariance.copy()
-        index = np.arange(2 * problem.structure.motors)
         power = np.abs(np.concatenate((block.position, block.torque), axis=1)) ** 2
-        covariance[:, index, index] += share**2 * power
-        covariances.append(covariance)
-    return problem.with_covariance(covariances)
+        noise.append(block.noise + share**2 * power)
+    return problem.with_noise(noise)
 
 
 def _boundary(
@@ -267,13 +264,13 @@ def _inner_friction(
 
 
 def _weighted(
-    problem: MissingTorqueProblem, solution: Solution, base: list[Complex128]
+    problem: MissingTorqueProblem, solution: Solution, base: list[Float64]
 ) -> tuple[MissingTorqueProblem, Solution, list[Float64]]:
     """Refit with what is left beyond the noise as a variance of its own, until it stands."""
     excess: list[Float64] = [np.zeros(b.position.shape) for b in problem.blocks]
     for _ in range(6):
-        covariances, new = excess_variance(problem, solution, base)
-        problem = problem.with_covariance(covariances)
+        noise, new = excess_variance(problem, solution, base)
+        problem = problem.with_noise(noise)
         if not any(e.any() for e in new) and not any(e.any() for e in excess):
             return problem, solution, new
         before = solution.p
@@ -288,7 +285,7 @@ def _weighted(
 
 
 def _drop_coulomb(
-    problem: MissingTorqueProblem, solution: Solution, base: list[Complex128], excess: list[Float64]
+    problem: MissingTorqueProblem, solution: Solution, base: list[Float64], excess: list[Float64]
 ) -> tuple[MissingTorqueProblem, Solution, list[Float64]]:
     """Leaves out Coulomb coefficients that the data do not ask for, or that would drive the motion."""
     part = problem.slices["column"]

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from invid.likelihood.covariance import inverse_normal
 from invid.likelihood.evaluation import Evaluation, evaluate, with_jacobian
 from invid.likelihood.hypothesis import Layout
 from invid.likelihood.nuisance.hold_share import SHARES
 from invid.likelihood.placed_effect import Candidate
-from invid.numerics import budget
 from invid.numerics.arrays import Bool, Float64
+from invid.numerics.levenberg_marquardt import Parabola, minimise
 from invid.signals.spectral_record import Record
-
-LARGEST_STEP = 0.7
-"""Largest step of a logarithm in one iteration: unguarded steps overflow."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +116,6 @@ def fit(
     if not np.array_equal(v, pack(p, candidate)):
         p, candidate = unpack(layout, candidate, v)
         known = evaluate(layout, records, p, candidate, jacobian=False)
-    here = with_jacobian(known, layout, p, candidate, thorough=thorough)
     limited = np.zeros(v.size, dtype=bool)
     limited[: structure.count] = structure.logarithmic
     at = layout.count
@@ -126,55 +123,63 @@ def fit(
         count = len(term.effect.coefficients)
         limited[at + count : at + term.size] = term.effect.logarithmic
         at += term.size
-    damping, converged = 1e-4, False
-    for _ in range(iterations):
-        if budget.is_left_out("fits to their end"):
-            break
-        move = ~_stuck(v, low, high, here)
-        jacobian = here.jacobian[:, move]
-        scale = np.linalg.norm(jacobian, axis=0)
-        scale[scale == 0] = 1.0
-        triangle: Float64 = np.asarray(
-            np.linalg.qr(np.column_stack((jacobian / scale, here.residual)), mode="r")
-        )
-        n = int(move.sum())
-        left, size, right = np.linalg.svd(triangle[:n, :n])
-        projected = left.T @ triangle[:n, n]
-        keep = size > 1e-12 * size[0]
-        predicted = float(projected[keep] @ projected[keep])
-        if predicted < tolerance * max(here.cost / max(here.dof, 1), 1e-12):
-            converged = True
-            break
-        accepted: Evaluation | None = None
-        for _ in range(7):
-            step = np.zeros(v.size)
-            step[move] = -(right.T @ (size / (size**2 + damping) * projected)) / scale
-            largest = float(np.abs(step[limited]).max(initial=0.0))
-            if largest > LARGEST_STEP:
-                step = step * (LARGEST_STEP / largest)
-            trial = np.clip(v + step, low, high)
-            tp, tc = unpack(layout, candidate, trial)
-            if structure.admissible(tp[: structure.count]):
-                with np.errstate(all="ignore"):
-                    try:
-                        there = evaluate(layout, records, tp, tc, jacobian=False, near=here.views)
-                    except np.linalg.LinAlgError:
-                        there = None
-                if there is not None and np.isfinite(there.cost) and there.cost < here.cost:
-                    accepted = there
-                    break
-            damping = max(damping, 1e-6) * 10.0
-        if accepted is None:
-            converged = predicted < 0.3 * here.cost / max(here.dof, 1)
-            break
-        gained = here.cost - accepted.cost
-        v, p, candidate = trial, tp, tc
-        here = with_jacobian(accepted, layout, p, candidate, thorough=thorough)
-        damping = max(damping / 8.0, 1e-12)
-        if gained < 0.1 * tolerance * here.cost / max(here.dof, 1):
-            converged = True
-            break
-    return JointFit(layout, p, candidate, here, _covariance(here, v), converged)
+
+    def parabola(here: _Point) -> Parabola:
+        around = here.derive(layout, thorough=thorough)
+        return Parabola.of_rows(around.jacobian, around.residual, ~_stuck(here.v, low, high, around))
+
+    def moved(here: _Point, step: Float64) -> _Point | None:
+        trial = np.clip(here.v + step, low, high)
+        p, candidate = unpack(layout, here.candidate, trial)
+        if not structure.admissible(p[: structure.count]):
+            return None
+        with np.errstate(all="ignore"):
+            try:
+                there = evaluate(layout, records, p, candidate, jacobian=False, near=here.evaluation.views)
+            except np.linalg.LinAlgError:
+                return None
+        return _Point(trial, p, candidate, there)
+
+    found = minimise(
+        _Point(v, p, candidate, known),
+        parabola,
+        moved,
+        limited=limited,
+        iterations=iterations,
+        dof=known.dof,
+        tolerance=tolerance,
+        gain=0.1 * tolerance,
+    )
+    last = found.point
+    here = last.derive(layout, thorough=thorough)
+    return JointFit(
+        layout, last.p, last.candidate, here, _covariance(here, last.v), found.result == "converged"
+    )
+
+
+@dataclass(eq=False)
+class _Point:
+    """A point of the search; its Jacobian is made when it is asked for, for an accepted one only."""
+
+    v: Float64
+    p: Float64
+    candidate: Candidate
+    evaluation: Evaluation
+    derived: bool = field(default=False, init=False)
+
+    @property
+    def cost(self) -> float:
+        """χ²."""
+        return self.evaluation.cost
+
+    def derive(self, layout: Layout, *, thorough: bool) -> Evaluation:
+        """The evaluation with its Jacobian."""
+        if not self.derived:
+            self.evaluation = with_jacobian(
+                self.evaluation, layout, self.p, self.candidate, thorough=thorough
+            )
+            self.derived = True
+        return self.evaluation
 
 
 def reordered(found: JointFit, order: Sequence[int]) -> JointFit:
@@ -215,18 +220,11 @@ def _covariance(here: Evaluation, v: Float64) -> Float64:
     over lines (White 1980), true also where a model that is not quite right leaves more on the few lines that
     the parameter is read from than on the rest.
     """
-    jacobian = here.jacobian
-    scale = np.linalg.norm(jacobian, axis=0)
-    blind = scale == 0
-    scale[blind] = 1.0
-    _, size, right = np.linalg.svd(np.linalg.qr(jacobian / scale, mode="r"), full_matrices=False)
-    seen = size > 1e-9 * size[0]
-    out: Float64 = (right[seen].T / size[seen] ** 2) @ right[seen] / scale[:, None] / scale
+    out, lost = inverse_normal(here.jacobian)
     spread = max(1.0, here.cost / max(here.dof - v.size, 1))
     plain = np.diag(out) * spread
     robust = ((_line_scores(here) @ out) ** 2).sum(axis=0) * here.dof / max(here.dof - v.size, 1)
     wider = np.sqrt(np.maximum(robust / np.where(plain > 0, plain, np.inf), 1.0))
-    lost = np.flatnonzero(blind | (np.abs(right[~seen]) > 1e-2).any(axis=0))
     out[lost, lost] = np.inf
     out *= spread * wider[:, None] * wider
     return out

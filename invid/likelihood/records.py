@@ -11,7 +11,6 @@ from invid.likelihood.nuisance.torque_channel import Block
 from invid.likelihood.residual import MissingTorqueProblem
 from invid.model.parameters import ChainStructure
 from invid.numerics.arrays import Bool, Complex128, Float64
-from invid.signals.noise import flat_covariance
 from invid.signals.spectra import LineSpectra
 
 HOLD_OFFSET = ".hold_time_offset"
@@ -22,8 +21,6 @@ def problem_from_spectra(
     structure: ChainStructure,
     spectra: Sequence[LineSpectra],
     *,
-    lines: str = "excited",
-    noise: str = "floor",
     boundary: Sequence[bool] | None = None,
     holds: Mapping[int, tuple[float, float]] | None = None,
 ) -> MissingTorqueProblem:
@@ -31,14 +28,9 @@ def problem_from_spectra(
 
     Parameters
     ----------
-    lines
-        "excited" (the lines that carry information in a steady state) or "all" up to the highest
-        excited one; records with boundary terms always use all.
-    noise
-        "floor": white noise of each channel, from the lines above the band; "spectra": the
-        covariance in the spectra (from the spread of the periods).
     boundary
-        Per record, whether it carries boundary terms; default where the spectra say so.
+        Per record, whether it carries boundary terms; default where the spectra say so. Such a record is
+        fitted on all lines up to the highest excited one, others on the excited lines.
     holds
         Gains (P, D) of holds that work beside the command while their axis is driven.
     """
@@ -49,7 +41,7 @@ def problem_from_spectra(
     blocks = []
     for number, s in enumerate(spectra):
         transient = s.transient if boundary is None else boundary[number]
-        used = used_lines(s, everything=transient or lines == "all")
+        used = used_lines(s, everything=transient)
         further = []
         hold = np.zeros((int(used.sum()), motors), dtype=complex)
         for i in range(motors):
@@ -63,13 +55,10 @@ def problem_from_spectra(
                 omega=s.omega[used],
                 position=s.position[used],
                 torque=s.torque[used],
-                covariance=flat_covariance(s.line_floor[used], int(used.sum()))
-                if noise == "floor"
-                else s.covariance[used],
+                noise=s.line_floor[used],
                 span=s.span_s,
                 transient=transient,
                 ends_in=s.periods == 1 and s.transient,
-                delay_index=tuple(range(motors)),
                 further_index=tuple(further),
                 hold=hold,
                 staircase_index=tuple(

@@ -12,9 +12,8 @@ projected out.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +23,7 @@ from invid.model.parameters import ChainStructure
 from invid.model.transient_terms import end_columns, end_derivative, end_forces, end_places, end_points
 from invid.numerics.arrays import Bool, Complex128, Float64
 from invid.numerics.whitening import factored, stack, whitener
+from invid.signals.spectral_record import SpectralLines
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,12 +31,8 @@ class State:
     """Everything known about one block at one parameter vector, before whitening."""
 
     block: Block
-    motion: Complex128
-    """(F, ΣN, M) W."""
     stiffness: Complex128
     """(F, M, M) Z."""
-    inner: Complex128
-    """(F, ΣN, M) … see ``inner_inverse``; here Z_ii⁻¹ padded to all coordinates, (F, ΣN, ΣN)."""
     residual: Complex128
     """(F, M) missing torque r, boundary terms included."""
     jacobian: Complex128
@@ -49,25 +45,8 @@ class State:
     """(2FM, 2ΣN or 0) orthonormal basis of the whitened boundary columns."""
     projected_position: Complex128
     """(F, M) Θ̂."""
-    all_motion: Complex128
-    """(F, ΣN) motion of all coordinates, boundary response included."""
     ends: Float64
     """(2ΣN,) end-minus-start position and velocity of every coordinate; empty without boundary terms."""
-
-
-class Extra(Protocol):
-    """Further torque-side terms with parameters of their own (effects, extra shapes)."""
-
-    names: tuple[str, ...]
-
-    def evaluate(
-        self, block: Block, motion: Complex128, q: Complex128, x: Float64
-    ) -> tuple[Complex128, Complex128]:
-        """Contribution (F, M) to r and its derivative (F, M, len(names)) at values ``x``.
-
-        ``motion`` is W (F, ΣN, M), ``q`` (F, ΣN) the motion of all coordinates.
-        """
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +54,7 @@ class MissingTorqueProblem:
     """Residual and Jacobian of all records.
 
     The parameter vector is: the structure's, delays [s] (lags of torque channels [s²] among them),
-    staircase parameters [−], column coefficients, extra parameters.
+    staircase parameters [−], column coefficients.
     """
 
     structure: ChainStructure
@@ -83,7 +62,6 @@ class MissingTorqueProblem:
     delay_names: tuple[str, ...] = ()
     staircase_names: tuple[str, ...] = ()
     column_names: tuple[str, ...] = ()
-    extra: Extra | None = None
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Mean and standard deviation of parameters about which something is known beforehand."""
     fixed: tuple[str, ...] = ()
@@ -92,18 +70,16 @@ class MissingTorqueProblem:
     @property
     def names(self) -> tuple[str, ...]:
         """All parameters."""
-        extra = () if self.extra is None else tuple(self.extra.names)
-        return self.structure.names + self.delay_names + self.staircase_names + self.column_names + extra
+        return self.structure.names + self.delay_names + self.staircase_names + self.column_names
 
     @property
     def slices(self) -> dict[str, slice]:
-        """Where structure, delay, staircase, column, extra stand."""
+        """Where structure, delay, staircase, column stand."""
         counts = {
             "structure": self.structure.count,
             "delay": len(self.delay_names),
             "staircase": len(self.staircase_names),
             "column": len(self.column_names),
-            "extra": 0 if self.extra is None else len(self.extra.names),
         }
         out, at = {}, 0
         for kind, count in counts.items():
@@ -130,16 +106,12 @@ class MissingTorqueProblem:
     # --- evaluation ----------------------------------------------------------------------------
     def states(self, p: Float64) -> list[State]:
         """Unwhitened quantities of every block."""
-        plants: dict[bytes, tuple[Complex128, Complex128, Complex128]] = {}
         sp = p[self.slices["structure"]]
+        plants = plants_of(self.structure, sp, self.blocks)
         inertance = self.structure.inertance(sp)
-        out = []
-        for block in self.blocks:
-            key = block.omega.tobytes()
-            if key not in plants:
-                plants[key] = condense_dense(self.structure, sp, block.omega)
-            out.append(self._state(block, p, inertance, *plants[key]))
-        return out
+        return [
+            self._state(block, p, inertance, *plant) for block, plant in zip(self.blocks, plants, strict=True)
+        ]
 
     def _state(
         self,
@@ -158,22 +130,11 @@ class MissingTorqueProblem:
         effective = stiffness - _diagonal(channel.hold)
         residual = np.einsum("fij,fj->fi", effective, block.position) - factor * block.torque
         residual = residual - np.einsum("fij,fj->fi", stiffness, channel.folded @ inertance)
-        both = np.concatenate((effective, -_diagonal(factor)), axis=2)
-        cross = block.covariance @ both.conj().transpose(0, 2, 1)  # C_nr (F, 2M, M)
-        covariance = both @ cross
-        covariance = 0.5 * (covariance + covariance.conj().transpose(0, 2, 1))
+        covariance = covariance_of_missing(effective, factor, block.noise)
         columns = s["column"]
-        if columns.stop > columns.start:
-            residual = residual + block.columns @ p[columns]
-        free = np.einsum("fqm,fm->fq", motion, block.position)
-        extra_jac = np.zeros((block.omega.size, motors, 0), dtype=complex)
-        if self.extra is not None:
-            contribution, extra_jac = self.extra.evaluate(block, motion, free, p[s["extra"]])
-            residual = residual + contribution
+        residual = residual + block.columns @ p[columns]
         root = whitener(covariance)
-        basis = np.zeros((2 * block.omega.size * motors, 0))
-        forces = np.zeros((block.omega.size, structure.dofs, 0), dtype=complex)
-        ends = np.zeros(0)
+        basis, ends = np.zeros((2 * residual.size, 0)), np.zeros(0)
         if block.transient:
             forces = end_forces(structure, sp, block.omega, block.span)
             points = end_points(block.omega, block.step, block.span, ends_in=block.ends_in)
@@ -181,13 +142,12 @@ class MissingTorqueProblem:
             basis, back = factored(stack(root @ boundary))
             ends = -(back @ (basis.T @ stack(root @ residual[..., None])[:, 0]))
             residual = residual + boundary @ ends
-            shift = points @ ends[end_places(structure)].reshape(2, motors)
         gain = np.linalg.solve(covariance, residual[..., None])[..., 0]
-        noise = np.einsum("fcm,fm->fc", cross, gain)
-        position = block.position - noise[:, :motors]
+        sensed, felt = block.noise[:, :motors], block.noise[:, motors:]
+        position = block.position - sensed * np.einsum("fij,fi->fj", effective.conj(), gain)
+        torque = block.torque + felt * factor.conj() * gain
         if block.transient:
-            position = position + shift
-        torque = block.torque - noise[:, motors:]
+            position = position + points @ ends[end_places(structure)].reshape(2, motors)
         q = np.einsum("fqm,fm->fq", motion, position)
         if block.transient:
             q = q - np.einsum("fab,fb->fa", inner, forces @ ends)
@@ -204,10 +164,7 @@ class MissingTorqueProblem:
         command = torque + block.hold * position
         jacobian[..., s["staircase"]] = -channel.by_stair * command[..., None]
         jacobian[..., columns] = block.columns
-        jacobian[..., s["extra"]] = extra_jac
-        return State(
-            block, motion, stiffness, inner, residual, jacobian, covariance, root, basis, position, q, ends
-        )
+        return State(block, stiffness, residual, jacobian, covariance, root, basis, position, ends)
 
     def evaluate(self, p: Float64) -> tuple[Float64, Float64]:
         """Whitened residual (rows,) and Jacobian (rows, free parameters), boundary terms projected out."""
@@ -242,10 +199,33 @@ class MissingTorqueProblem:
         priors = sum(bool(f) and n in self.priors for f, n in zip(free, self.names, strict=True))
         return rows + priors - int(free.sum())
 
-    def with_covariance(self, covariances: Sequence[Complex128]) -> MissingTorqueProblem:
-        """The same problem with other noise covariances."""
-        blocks = tuple(replace(b, covariance=c) for b, c in zip(self.blocks, covariances, strict=True))
+    def with_noise(self, noise: Sequence[Float64]) -> MissingTorqueProblem:
+        """The same problem with other noise powers (F, 2M) of its blocks."""
+        blocks = tuple(replace(b, noise=n) for b, n in zip(self.blocks, noise, strict=True))
         return replace(self, blocks=blocks)
+
+
+def covariance_of_missing(stiffness: Complex128, factor: Complex128, noise: Float64) -> Complex128:
+    """(F, M, M) C_r of r = Z Θ − A T for ``stiffness`` (F, M, M), ``factor`` (F, M) and the noise power
+    (F, 2M) of [Θ; T]."""
+    motors = factor.shape[1]
+    seen = stiffness * noise[:, None, :motors]
+    out: Complex128 = seen @ stiffness.conj().transpose(0, 2, 1)
+    index = np.arange(motors)
+    out[:, index, index] += np.abs(factor) ** 2 * noise[:, motors:]
+    return out
+
+
+def plants_of(
+    structure: ChainStructure, p: Float64, records: Sequence[SpectralLines]
+) -> Iterator[tuple[Complex128, Complex128, Complex128]]:
+    """``condense_dense`` of the structure's parameters for every record, once for each set of lines."""
+    plants: dict[bytes, tuple[Complex128, Complex128, Complex128]] = {}
+    for record in records:
+        key = record.omega.tobytes()
+        if key not in plants:
+            plants[key] = condense_dense(structure, p, record.omega)
+        yield plants[key]
 
 
 def condense_dense(

@@ -8,8 +8,8 @@ import numpy as np
 
 from invid.modes.data import FrfData
 from invid.modes.model import high_gain_pairs, lag_functions, mode_shape_functions, pairs
-from invid.numerics import budget
 from invid.numerics.arrays import Bool, Complex128, Float64
+from invid.numerics.levenberg_marquardt import Parabola, minimise
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,32 +129,32 @@ def levenberg(data: FrfData, weight: Float64, start: ModalFit, iterations: int =
     """Levenberg–Marquardt from ``start`` under ``weight`` (F, P); resonances and damping in logarithms."""
     allowed = high_gain_pairs(data.masses)
     n = start.omega.size
-    x, trust = _pack(start), 1e-3
-    cost, gradient, hessian = normal_equations(data, weight, start, allowed)
-    for _ in range(iterations):
-        if budget.spent():
-            break
-        scale = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
-        normal = hessian / np.outer(scale, scale)
-        improved = False
-        for _ in range(8):
-            step = -np.linalg.solve(normal + trust * np.eye(x.size), gradient / scale) / scale
-            step[: 2 * n] = np.clip(step[: 2 * n], -1.0, 1.0)  # log steps: at most a factor e
-            trial = x + step
-            trial[n : 2 * n] = np.clip(trial[n : 2 * n], np.log(1e-7), np.log(2.0))
-            fit = _unpack(trial, start)
-            fresh = _cost(data, weight, fit, allowed)
-            if np.isfinite(fresh) and fresh < cost:
-                improved = True
-                break
-            trust *= 6.0
-        if not improved:
-            break
-        gain, x, trust = cost - fresh, trial, max(trust / 5.0, 1e-12)
-        cost, gradient, hessian = normal_equations(data, weight, fit, allowed)
-        if gain < 1e-6 * cost:
-            break
-    return _unpack(x, start)
+    limited = np.arange(_pack(start).size) < 2 * n
+
+    def at(x: Float64) -> _Point:
+        fit = _unpack(x, start)
+        return _Point(x, fit, _cost(data, weight, fit, allowed))
+
+    def parabola(here: _Point) -> Parabola:
+        _, gradient, normal = normal_equations(data, weight, here.fit, allowed)
+        return Parabola.of_normal(normal, gradient)
+
+    def moved(here: _Point, step: Float64) -> _Point:
+        trial = here.x + step
+        trial[n : 2 * n] = np.clip(trial[n : 2 * n], np.log(1e-7), np.log(2.0))
+        return at(trial)
+
+    begun = at(_pack(start))
+    return minimise(begun, parabola, moved, limited=limited, iterations=iterations, gain=1e-6).point.fit
+
+
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """A modal fit of the search."""
+
+    x: Float64
+    fit: ModalFit
+    cost: float
 
 
 def misfit(data: FrfData, fit: ModalFit) -> Float64:

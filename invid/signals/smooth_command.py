@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from invid.numerics.arrays import Complex128, Float64
 from invid.numerics.distributions import f_isf
+from invid.numerics.levenberg_marquardt import Parabola, minimise
 from invid.signals.spectra import LineSpectra
 
 CHANCE = 1e-6
@@ -127,30 +129,32 @@ def _roughness(parts: Sequence[_Part], law: Float64) -> Float64:
 
 def _smoothest(parts: Sequence[_Part], begun: Float64) -> Float64:
     """Levenberg–Marquardt on the roughness over the logarithms of P and D."""
-    x: Float64 = np.log(begun)
-    now = _roughness(parts, np.exp(x))
-    damping = 1e-2
-    for _ in range(40):
-        columns = []
-        for k in range(2):
-            step = np.zeros(2)
-            step[k] = 1e-4
-            columns.append((_roughness(parts, np.exp(x + step)) - now) / 1e-4)
-        jacobian = np.stack(columns, axis=1)
-        normal = jacobian.T @ jacobian
-        gradient = jacobian.T @ now
-        moved = False
-        for _ in range(8):
-            lift = damping * (np.diag(np.diag(normal)) + 1e-12 * np.eye(2))
-            move = -np.linalg.solve(normal + lift, gradient)
-            trial = x + np.clip(move, -1.0, 1.0)
-            rough = _roughness(parts, np.exp(trial))
-            if rough @ rough < now @ now:
-                moved = bool(rough @ rough < (1.0 - 1e-6) * (now @ now))
-                x, now, damping = trial, rough, max(damping / 4.0, 1e-8)
-                break
-            damping *= 8.0
-        if not moved:
-            break
-    result: Float64 = np.exp(x)
+
+    def at(x: Float64) -> _Law:
+        rough = _roughness(parts, np.exp(x))
+        return _Law(x, rough, float(rough @ rough))
+
+    def parabola(here: _Law) -> Parabola:
+        steps = 1e-4 * np.eye(2)
+        columns = [(at(here.x + step).roughness - here.roughness) / 1e-4 for step in steps]
+        return Parabola.of_rows(np.stack(columns, axis=1), here.roughness)
+
+    found = minimise(
+        at(np.log(begun)),
+        parabola,
+        lambda here, step: at(here.x + step),
+        limited=np.ones(2, dtype=bool),
+        iterations=40,
+        gain=1e-6,
+    )
+    result: Float64 = np.exp(found.point.x)
     return result
+
+
+@dataclass(frozen=True, eq=False)
+class _Law:
+    """Logarithms of P and D, and what they leave."""
+
+    x: Float64
+    roughness: Float64
+    cost: float

@@ -1,4 +1,4 @@
-"""One record, prepared for a diagnosis."""
+"""One record on its lines, for every fit; prepared with its motion over time, for a diagnosis."""
 
 from __future__ import annotations
 
@@ -12,20 +12,57 @@ from invid.signals.aliasing import Images
 from invid.signals.standstill import Standing, standing
 
 
-@dataclass(frozen=True, eq=False)
-class Record:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SpectralLines:
+    """One record on the lines of a fit.
+
+    Attributes
+    ----------
+    omega
+        (F,) [rad/s].
+    position, torque
+        (F, M) complex amplitudes.
+    noise
+        (F, 2M) noise power of [position; torque].
+    span
+        Duration [s] that boundary terms are spread over.
+    transient
+        Whether it has boundary terms: a record that does not close.
+    step
+        Sample interval [s].
+    ends_in
+        Whether the spectra hold the end-point correction h/2·(x_n − x_0) that makes a sum the integral.
+    integrated
+        Whether the position is a velocity's running sum.
+    """
+
+    key: str
+    omega: Float64
+    position: Complex128
+    torque: Complex128
+    noise: Float64
+    span: float
+    transient: bool
+    step: float
+    ends_in: bool = True
+    integrated: bool = False
+
+    @cached_property
+    def folding(self) -> Images:
+        """What a torque that is held over the sample folds onto the lines."""
+        return Images.of(self.omega, self.step, integrated=self.integrated)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Record(SpectralLines):
     """One record, prepared: lines (0 Hz first), noise, and what the motors did over time.
 
     Attributes
     ----------
-    omega, lines
-        (F,) [rad/s] and their index in the transform of the wave; the first is 0.
-    position, torque
-        (F, M) complex amplitudes; means at 0.
+    lines
+        (F,) index of the lines in the transform of the wave; the first is 0, its amplitudes are means.
     filtered
         (F, M) positions with lines that are noise taken out: what effects are evaluated on.
-    noise
-        (F, 2M) noise power of [position; torque].
     scatter
         (F, M) variance of r [(N·m)² or N²] that the scatter between periods adds to the sensors' noise.
     motor_wave, motor_velocity, velocity_noise
@@ -41,18 +78,10 @@ class Record:
         (M,) True for axes whose torque in this record no law tells: held, they stand on their friction.
     """
 
-    key: str
-    omega: Float64
     lines: np.ndarray
-    position: Complex128
-    torque: Complex128
     filtered: Complex128
-    noise: Float64
     noise_dof: float
     scatter: Float64
-    span: float
-    transient: bool
-    step: float
     motor_wave: Float64
     motor_velocity: Float64
     velocity_noise: Float64
@@ -76,10 +105,6 @@ class Record:
     """Whether it scatters from period to period far beyond the sensors' noise."""
     unseen: Float64 = field(default_factory=lambda: np.zeros((0, 0)))
     """(n//2 + 1, M) share of each line of the waves above the band in use that was taken for noise."""
-    ends_in: bool = True
-    """Whether the spectra hold the end-point correction h/2·(x_n − x_0) that makes a sum the integral."""
-    integrated: bool = False
-    """Whether the position is a velocity's running sum."""
 
     @property
     def samples(self) -> int:
@@ -120,11 +145,6 @@ class Record:
         """When each motor stands; none for those that never do, or whose noise hides it."""
         noise = self.velocity_noise
         return tuple(standing(v, float(noise[i])) for i, v in enumerate(self.motor_velocity.T))
-
-    @cached_property
-    def folding(self) -> Images:
-        """What a torque that is held over the sample folds onto the lines."""
-        return Images.of(self.omega, self.step, integrated=self.integrated)
 
     def unseen_speed(self, torque: Float64, axis: int) -> Float64:
         """(n,) velocity that a ``torque`` (n,) gives one unit of inertia on the lines that noise has hidden.

@@ -91,7 +91,7 @@ def placed_holds(
             structure, spectra, boundary=[b.transient for b in problem.blocks], holds=holds
         ).blocks
         blocks = tuple(
-            replace(new, columns=old.columns, covariance=old.covariance)
+            replace(new, columns=old.columns, noise=old.noise)
             for new, old in zip(blocks, problem.blocks, strict=True)
         )
         if within < tight and 0.0 < common < 0.55 * step:
@@ -186,7 +186,7 @@ def with_open_holds(
     for block, s in zip(problem.blocks, spectra, strict=True):
         part = np.zeros((block.omega.size, structure.motors, len(names)), dtype=complex)
         jw, half = 1j * block.omega, block.step / 2
-        smear = block.images.smear
+        smear = block.folding.smear
         for number, i in enumerate(gains):
             if not s.driven[i]:
                 continue

@@ -74,7 +74,7 @@ def with_sharp_reversals(
             key = whole.omega.tobytes()
             if key not in plants:
                 plants = {key: _condensed(problem, solution.p, whole.omega)}
-            found = fusion(problem, solution.p, whole, state.ends, s, *plants[key])
+            found = fusion(problem, solution.p, whole, state.ends, *plants[key])
             periodic = not s.transient or s.periods > 1
             signs[number] = reversing(found, s, signs[number], size * moves, inertia, periodic=periodic)
             spectrum = sign_spectrum(s, signs[number])[used_lines(s, everything=state.block.transient)]
@@ -116,11 +116,10 @@ def fusion(
     p: Float64,
     whole: Block,
     ends: Float64,
-    s: LineSpectra,
     motion: Complex128,
     stiffness: Complex128,
 ) -> Fusion:
-    """The record ``s``, as the block ``whole`` of all its lines, under parameters ``p`` and boundary terms
+    """A record, as the block ``whole`` of all its lines, under parameters ``p`` and boundary terms
     ``ends``; W and Z are ``motion`` (L, ΣN, M) and ``stiffness`` (L, M, M)."""
     structure = problem.structure
     motors, lines = structure.motors, whole.omega.size
@@ -135,9 +134,8 @@ def fusion(
         forces = end_forces(structure, sp, whole.omega[part], whole.span)
         points = end_points(whole.omega[part], whole.step, whole.span, ends_in=whole.ends_in)
         missing[part] += end_columns(structure, motion[part], effective[part], forces, points) @ ends
-    floor = np.broadcast_to(s.floor, (lines, 2 * motors))
-    other = floor[:, motors:] * np.abs(channel.factor) ** 2
-    return Fusion(whole.omega, missing, effective, floor[:, :motors], other)
+    other = whole.noise[:, motors:] * np.abs(channel.factor) ** 2
+    return Fusion(whole.omega, missing, effective, whole.noise[:, :motors], other)
 
 
 def _condensed(problem: MissingTorqueProblem, p: Float64, omega: Float64) -> tuple[Complex128, Complex128]:
@@ -282,7 +280,7 @@ def whole_block(block: Block, s: LineSpectra) -> Block:
         omega=omega,
         position=amplitudes(s.position_wave, s.position),
         torque=amplitudes(s.torque_wave, s.torque),
-        covariance=np.zeros((0, 2 * motors, 2 * motors), dtype=complex),
+        noise=np.broadcast_to(s.floor, (lines.size, 2 * motors)),
         hold=law,
         columns=np.zeros((lines.size, motors, 0), dtype=complex),
         stepped=None,

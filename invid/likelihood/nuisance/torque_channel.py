@@ -3,36 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from invid.numerics.arrays import Complex128, Float64
-from invid.signals.aliasing import Images
+from invid.signals.spectral_record import SpectralLines
 
 
-@dataclass(frozen=True, eq=False)
-class Block:
-    """One record on the lines that the fit uses.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Block(SpectralLines):
+    """One record on the lines that the fit of an identification uses, and which parameters it knows.
 
     Attributes
     ----------
-    omega
-        (F,) [rad/s].
-    position, torque
-        (F, M).
-    covariance
-        (F, 2M, 2M) of [position; torque].
-    span
-        Duration [s] the boundary terms are spread over.
-    transient
-        Whether boundary terms are needed.
-    ends_in
-        Whether the spectra already hold the end-point correction h/2·(x_n − x_0).
-    delay_index
-        (M,) which delay parameter each axis' torque has; −1 none.
     further_index
-        (M,) a second delay parameter that adds to the first, for the torque of a hold; −1 none.
+        (M,) a second delay parameter that adds to the axis' own, for the torque of a hold; −1 none.
     hold
         (F, M) hold law at work while the axis is driven, torque −hold·position acting with both
         delays while the command acts with the first alone; zero for none.
@@ -40,8 +25,6 @@ class Block:
         (M,) which hold-over-the-sample parameter, or −1 where it is known (``staircase``).
     staircase
         (M,) known values, used where the index is −1.
-    step
-        Sample interval [s].
     columns
         (F, M, L) columns shared by all records (torque side, one coefficient each).
     lag_index
@@ -51,29 +34,13 @@ class Block:
         (F, M) part of the torque that is held over each sample and stands in ``torque`` as it acts.
     """
 
-    key: str
-    omega: Float64
-    position: Complex128
-    torque: Complex128
-    covariance: Complex128
-    span: float
-    transient: bool
-    ends_in: bool
-    delay_index: tuple[int, ...]
     further_index: tuple[int, ...]
     hold: Complex128
     staircase_index: tuple[int, ...]
     staircase: Float64
-    step: float
     columns: Complex128
     lag_index: tuple[int, ...] = ()
     stepped: Complex128 | None = None
-    integrated: bool = False
-
-    @cached_property
-    def images(self) -> Images:
-        """What a torque that is held over the sample folds onto the lines."""
-        return Images.of(self.omega, self.step, integrated=self.integrated)
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,10 +66,11 @@ class Acting:
 
 
 def acting(block: Block, delays: Float64, stairs: Float64) -> Acting:
-    """The torque channels of ``block`` under delays [s] (and squares of lags [s²]) and staircase shares."""
+    """The torque channels of ``block`` under delays [s] (the axes' own first, squares of lags [s²] among
+    the others) and staircase shares."""
     motors, lines = block.position.shape[1], block.omega.size
     jw = 1j * block.omega
-    smear = block.images.smear
+    smear = block.folding.smear
     factor = np.ones((lines, motors), dtype=complex)
     hold_part = np.zeros((lines, motors), dtype=complex)
     by_delay = np.zeros((lines, motors, delays.size), dtype=complex)
@@ -111,8 +79,8 @@ def acting(block: Block, delays: Float64, stairs: Float64) -> Acting:
     stepped = np.zeros((lines, motors), dtype=complex)
     steps_at = np.zeros(motors)
     for i in range(motors):
-        first, further = block.delay_index[i], block.further_index[i]
-        own = delays[first] if first >= 0 else 0.0
+        further = block.further_index[i]
+        own = delays[i]
         beside = block.hold[:, i].any()
         late = own + (delays[further] if further >= 0 else 0.0)
         z = np.exp(-jw * (own if beside else late))
@@ -127,14 +95,12 @@ def acting(block: Block, delays: Float64, stairs: Float64) -> Acting:
             steps_at[i] -= block.step / 2  # the half sample by which holding is late is in the delay
         if stair >= 0:
             by_stair[:, i, stair] = -z * smear
-        if first >= 0:
-            by_delay[:, i, first] = -jw * factor[:, i]
+        by_delay[:, i, i] = -jw * factor[:, i]
         if beside:
             z2 = np.exp(-jw * late)
             z1 = factor[:, i].copy()
             hold_part[:, i] = (z1 - z2) * block.hold[:, i]
-            if first >= 0:
-                by_hold[:, i, first] = -jw * (z1 - z2)
+            by_hold[:, i, i] = -jw * (z1 - z2)
             if further >= 0:
                 by_hold[:, i, further] = jw * z2
         elif further >= 0:
@@ -147,7 +113,7 @@ def acting(block: Block, delays: Float64, stairs: Float64) -> Acting:
             by_delay[:, i, lag] = slope * factor[:, i]
             if beside:
                 by_hold[:, i, lag] = slope * passed * (z1 - z2)
-    images = block.images.at(steps_at) * stepped
+    images = block.folding.at(steps_at) * stepped
     return Acting(factor, hold_part, by_delay, by_hold, by_stair, images)
 
 

@@ -51,7 +51,7 @@ def problem_of(
     lines: int = 40,
     delay: float = 0.0,
 ) -> MissingTorqueProblem:
-    """One block an axis; measured = true + circular noise of the covariance given to the fit."""
+    """One block an axis; measured = true + circular noise of the power given to the fit."""
     omega = np.linspace(3.0, 90.0, lines)
     frf = full_frf(chains, omega)
     count = chains.branches
@@ -61,7 +61,6 @@ def problem_of(
         acting = torque * np.exp(-1j * omega * delay)[:, None]
         position = np.einsum("fij,fj->fi", frf, acting)
         level = np.concatenate((np.full(count, noise * np.abs(position).mean()), np.full(count, noise)))
-        covariance = np.broadcast_to(np.diag(level**2), (lines, 2 * count, 2 * count)).astype(complex)
         both = (
             rng.standard_normal((lines, 2 * count)) + 1j * rng.standard_normal((lines, 2 * count))
         ) / np.sqrt(2)
@@ -71,11 +70,10 @@ def problem_of(
                 omega=omega,
                 position=position + both[:, :count] * level[:count],
                 torque=torque + both[:, count:] * level[count:],
-                covariance=covariance,
+                noise=np.tile(level**2, (lines, 1)),
                 span=5.0,
                 transient=transient,
                 ends_in=True,
-                delay_index=tuple(range(count)),
                 further_index=(-1,) * count,
                 hold=np.zeros((lines, count), dtype=complex),
                 staircase_index=(-1,) * count,
