@@ -12,7 +12,8 @@ from invid.diagnosis.consequence import with_consequences
 from invid.diagnosis.context import apply_rule, current, running
 from invid.diagnosis.extended_model import extended_model
 from invid.diagnosis.known_effects import folded
-from invid.diagnosis.promises import cut_short
+from invid.diagnosis.outcome import cut_short
+from invid.diagnosis.rigid import diagnose_trajectory
 from invid.diagnosis.rules.dropped_rows import before_repair, repaired, with_dropped
 from invid.diagnosis.search_pass import Look, looked
 from invid.diagnosis.time_domain_check import REFUSED, Replay, replay, with_replay
@@ -27,8 +28,6 @@ from invid.model.diagnosis_document import Diagnosis, Verdict
 from invid.model.document import Model, model_to_json
 from invid.numerics import budget
 from invid.recording.model import Recording
-from invid.rigid_motion.analysis import Analysis
-from invid.rigid_motion.diagnosis import diagnose_trajectory
 from invid.rigid_motion.record_kind import is_rigid_case
 from invid.signals.encoder_glitches import without_glitches
 from invid.signals.plausibility import check_units
@@ -89,7 +88,7 @@ def _diagnosed(
 ) -> Diagnosis:
     """The diagnosis of a recording without glitches."""
     if model is not None and is_rigid_case(recording, model.chains.masses_per_branch):
-        return _rigid(recording, model)
+        return diagnose_trajectory(recording, model=model)
     dropped = apply_rule("dropped-rows", recording)
     sound = repaired(recording, dropped) if dropped else recording
     own = model is None
@@ -100,7 +99,7 @@ def _diagnosed(
             if model is None and not kind.rigid:
                 model = identify_chains(sound, masses)
         if model is None:
-            result = _rigid(recording, None, kind.analysis)
+            result = diagnose_trajectory(recording, analysis=kind.analysis)
             return replace(result, warnings=(*result.warnings, kind.said)) if kind.said else result
     elif model.provenance.get("recorded") != recording.created:
         said = (w.removeprefix(OF_GIVEN) for w in model.warnings)
@@ -159,12 +158,6 @@ def _look(
         look = apply_rule("declared-masses", look, declared)
     selection = apply_rule("viscous-with-dry", look.selection, look.train, look.held)
     return cast(Look, replace(look, selection=selection))
-
-
-def _rigid(recording: Recording, model: Model | None, analysis: Analysis | None = None) -> Diagnosis:
-    """The diagnosis of rigid axes, with what there was no time for."""
-    result = diagnose_trajectory(recording, model=model, analysis=analysis)
-    return cut_short(result) if result.details.get("cut_short") else result
 
 
 def said_of_holds(final: JointFit, recording: Recording) -> list[str]:

@@ -12,6 +12,7 @@ from invid.diagnosis.confidence import at_floor, effect_term, judge
 from invid.diagnosis.context import apply_rule
 from invid.diagnosis.extended_model import extended_model
 from invid.diagnosis.known_effects import carried
+from invid.diagnosis.outcome import assembled, explained_share
 from invid.diagnosis.residual_character import unexplained_of
 from invid.diagnosis.selection import Selection
 from invid.diagnosis.thresholds import BROUGHT_DOWN
@@ -21,7 +22,7 @@ from invid.effects.registry import of_the_plant
 from invid.effects.units import unit_of
 from invid.likelihood.joint_fit import JointFit, held_out
 from invid.likelihood.null_test import NullTest, null_test, rms_torque
-from invid.model.diagnosis_document import AxisResidual, Diagnosis, Finding, Verdict
+from invid.model.diagnosis_document import AxisResidual, Diagnosis
 from invid.model.document import Model
 from invid.recording.model import Recording
 from invid.signals.spectral_record import Record
@@ -63,48 +64,22 @@ def document(
         after, floor = rms_torque(shown.held, i)
         before, after = (float(np.hypot(level, np.sqrt(beside))) for level in (before, after))
         residual.append(AxisResidual(axis, unit, before, after, floor))
-    b2 = sum(r.before**2 for r in residual)
-    a2 = sum(r.after**2 for r in residual)
-    n2 = sum(r.noise_floor**2 for r in residual)
-    explained = None
-    if named or known:
-        explained = float(np.clip(1.0 - (a2 - n2) / max(b2 - n2, 1e-300), 0.0, 1.0))
+    explained = explained_share(residual) if named or known else None
     humming = unexplained = said_of_tones(tones, recording, unit)
     # A model with causes in it is as right as where they were found: what is called explained there is here.
     as_found = not selection.steps and not linear.broken and at_floor(base)
     as_found = as_found and explained is not None and explained > BROUGHT_DOWN
-    if not tones and (not coherent or as_found):
+    quiet = not tones and (not coherent or as_found)
+    if quiet:
         unexplained = apply_rule("nonrepeating-torque", (base.fit.evaluation, base.held), recording, unit)
-        verdict = Verdict.CONSISTENT if unexplained is None else Verdict.UNEXPLAINED
     elif not named:
-        verdict = Verdict.UNEXPLAINED
         if coherent:
             unexplained = in_the_way(linear, unexplained_of(base, recording))
-    elif judged.complete and not tones:
-        verdict = Verdict.EXPLAINED
-    else:
-        verdict = Verdict.PARTLY_EXPLAINED
-        if not judged.complete:
-            unexplained = unexplained_of(final, recording)
-        if selection.partly and explained is not None and unexplained is not None:
+    elif not judged.complete:
+        unexplained = unexplained_of(final, recording)
+        if selection.partly and explained is not None:
             rest = f"{1.0 - explained:.0%} of what was missing is left. {unexplained.sentence}"
             unexplained = in_the_way(linear, replace(unexplained, sentence=rest))
-    findings = tuple(_axis_by_name(f) for f in sure)
-    warnings = [*warnings, *untimed]
-    said = distrust_sentences(linear, model.chains.masses_per_branch, partly=bool(named))
-    sentences = [*said, *(f.sentence for f in findings)]
-    if verdict is Verdict.CONSISTENT:
-        sentences.append(
-            "The model"
-            + (", with the causes it already contains," if known else "")
-            + " explains the measurement to within "
-            + ("1.2 times " if coherent else "")
-            + "its noise: nothing is missing."
-        )
-    if unexplained is not None:
-        sentences.append(unexplained.sentence)
-    if humming is not None and humming is not unexplained:
-        sentences.append(humming.sentence)
     effects = [effect_term(shown, k, recording) for k in range(known)] + [f.effect for f in named]
     inside = of_the_plant(carried(model))
     effects += [e for e in carried(model) if e not in inside]
@@ -118,25 +93,25 @@ def document(
             "unseen": list(linear.unseen),
         },
     )
-    return Diagnosis(
-        verdict=verdict,
-        residual=tuple(residual),
-        explained_fraction=explained,
-        findings=findings,
-        unexplained=unexplained,
-        model=extended,
-        warnings=tuple(dict.fromkeys([*said, *model.warnings, *warnings, *judged.warnings])),
-        sentences=tuple(sentences),
+    said = distrust_sentences(linear, model.chains.masses_per_branch, partly=bool(named))
+    within = ("1.2 times " if coherent else "") + "its noise"
+    return assembled(
+        recording,
+        residual,
+        sure,
+        extended,
+        missing=not quiet or unexplained is not None,
+        complete=judged.complete and not tones,
+        explained=explained,
+        left=unexplained,
+        said=said,
+        nothing="The model"
+        + (", with the causes it already contains," if known else "")
+        + f" explains the measurement to within {within}: nothing is missing.",
+        further=[] if humming is None else [humming.sentence],
+        warnings=[*said, *model.warnings, *warnings, *untimed, *judged.warnings],
         details=_details(before_test, after_test, selection, judged.explained),
     )
-
-
-def _axis_by_name(finding: Finding) -> Finding:
-    """The separating experiment names its axis as everything else does."""
-    planned = finding.separating_experiment
-    if planned is None:
-        return finding
-    return replace(finding, separating_experiment={**planned, "axis": finding.effect.axis})
 
 
 def _details(before: NullTest, after: NullTest, selection: Selection, explained: float) -> dict[str, Any]:

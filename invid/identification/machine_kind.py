@@ -21,7 +21,7 @@ from invid.model.parameters import ChainStructure
 from invid.numerics.arrays import frozen_float
 from invid.recording.model import Experiment, Kind, Recording, Role
 from invid.rigid_motion.analysis import Analysis, analyse, row_floor
-from invid.rigid_motion.diagnosis import identify_trajectory
+from invid.rigid_motion.model import identify_trajectory
 from invid.rigid_motion.record_kind import is_trajectory
 from invid.rigid_motion.selection import judged
 from invid.signals.drive_torque import with_acting_torque

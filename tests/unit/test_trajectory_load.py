@@ -8,8 +8,8 @@ from scipy.integrate import solve_ivp
 from test_trajectory import experiment, moves, recording
 from test_trajectory_simulation import effect, model
 
+from invid.diagnosis.rigid import diagnose_trajectory
 from invid.model.diagnosis_document import Diagnosis
-from invid.rigid_motion.diagnosis import diagnose_trajectory
 from invid.simulation.run import simulate
 
 RATE, SUB = 500.0, 20
