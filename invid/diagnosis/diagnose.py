@@ -10,25 +10,23 @@ import numpy as np
 
 from invid.diagnosis.consequence import with_consequences
 from invid.diagnosis.context import apply_rule, current, running
-from invid.diagnosis.extended_model import extended_model
 from invid.diagnosis.known_effects import folded
 from invid.diagnosis.outcome import cut_short
 from invid.diagnosis.rigid import diagnose_trajectory
 from invid.diagnosis.rules.dropped_rows import before_repair, repaired, with_dropped
 from invid.diagnosis.search_pass import Look, looked
 from invid.diagnosis.time_domain_check import REFUSED, Replay, replay, with_replay
-from invid.diagnosis.verdict import document
+from invid.diagnosis.verdict import document, extended_model
 from invid.effects.units import unit_of
 from invid.errors import InputError, NotIdentifiableError
 from invid.identification.identify import identify_chains
-from invid.identification.machine_kind import machine_kind
+from invid.identification.machine_kind import is_of_rigid_axes, machine_kind
 from invid.likelihood.joint_fit import JointFit
 from invid.likelihood.null_test import null_test
 from invid.model.diagnosis_document import Diagnosis, Verdict
 from invid.model.document import Model, model_to_json
 from invid.numerics import budget
 from invid.recording.model import Recording
-from invid.rigid_motion.record_kind import is_rigid_case
 from invid.signals.encoder_glitches import without_glitches
 from invid.signals.plausibility import check_units
 
@@ -87,7 +85,7 @@ def _diagnosed(
     recording: Recording, model: Model | None, masses: Sequence[int] | Literal["auto"] | None
 ) -> Diagnosis:
     """The diagnosis of a recording without glitches."""
-    if model is not None and is_rigid_case(recording, model.chains.masses_per_branch):
+    if model is not None and is_of_rigid_axes(model, recording):
         return diagnose_trajectory(recording, model=model)
     dropped = apply_rule("dropped-rows", recording)
     sound = repaired(recording, dropped) if dropped else recording

@@ -235,17 +235,11 @@ def _distrusted(diagnosis: Diagnosis, recording: Recording) -> Diagnosis:
     )
     return replace(
         diagnosis,
-        model=untrusted(diagnosis.model, said),
+        model=diagnosis.model.distrusted(said),
         warnings=(said, *diagnosis.warnings),
         sentences=(said, *diagnosis.sentences),
         details={**diagnosis.details, "missed_fraction": share},
     )
-
-
-def untrusted(model: Model, reason: str) -> Model:
-    """The model with a reason why it is not to be trusted."""
-    doubts = [*model.fit.get("doubts", ()), reason]
-    return replace(model, fit={**model.fit, "trustworthy": False, "doubts": doubts})
 
 
 def missed_share(residual: Sequence[AxisResidual], recording: Recording) -> float:
@@ -285,7 +279,7 @@ def cut_short(result: Diagnosis) -> Diagnosis:
         verdict=Verdict.UNEXPLAINED,
         unexplained=left,
         sentences=sentences,
-        model=untrusted(result.model, reason),
+        model=result.model.distrusted(reason),
         warnings=(*result.warnings, reason),
         details=details,
     )

@@ -5,6 +5,8 @@ Each says whether it is statistical (a test), physical (a bound), of the contrac
 
 from __future__ import annotations
 
+from invid.model.document import MISSED as MISSED
+
 # --- Significance: is a cause there
 SIGNIFICANCE = 1e-3
 """Chance, over all candidates together, that noise passes the training gain; the held-out gain must pass as
@@ -70,8 +72,6 @@ OWN_RIVAL = 0.8
 """Share of its gain that no cause of another kind or place reaches beside it. A guess."""
 BROUGHT_DOWN = 0.98
 """Share of what was missing that causes explain at least where the rest stands out of the noise."""
-MISSED = 0.5
-"""Share of the torque from which a model that misses it is not to be trusted (contract)."""
 
 # --- Rivals: what the data cannot tell apart
 NEAR = 0.3

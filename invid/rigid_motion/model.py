@@ -13,6 +13,11 @@ from invid.numerics.arrays import frozen_float
 from invid.recording.model import Recording
 from invid.rigid_motion.analysis import Analysis, analyse
 from invid.rigid_motion.effect_terms import term_of
+from invid.rigid_motion.regression import fit
+from invid.rigid_motion.regressors import Term
+
+TRAJECTORY = "trajectory"
+"""The method that a model of rigid axes says it was made by."""
 
 
 def identify_trajectory(recording: Recording, *, analysis: Analysis | None = None) -> Model:
@@ -61,12 +66,17 @@ def model_of(a: Analysis, given: Model | None = None) -> Model:
                 "sine": {"value": float(value[1]), "std": float(std[1])},
                 "meaning": "M11 += 2 b cos q2, M12 += b cos q2, with the Coriolis terms that belong to it",
             }
-    for i in range(count):
-        if mass[i] <= 0:
-            raise NotIdentifiableError(
-                f"{recording.source}: the inertia of {recording.axes[i]} comes out as {mass[i]:.3g}: nothing "
-                f"in its band accelerates enough; record faster moves"
-            )
+    unseen = [] if a.reach.steady else [i for i in range(count) if not np.isfinite(mass_std[i])]
+    doubts = []
+    for i in unseen:
+        mass[i] = _hidden_inertia(a, i)
+        doubts.append(
+            f"the inertia of {recording.axes[i]} does not show: the mass in this model, {mass[i]:.2g}, is "
+            "what the rest could hide; record faster moves, or see that the torque is the motor's"
+        )
+    warnings += doubts
+    if doubts:
+        facts |= {"trustworthy": False, "doubts": doubts}
     try:
         chains = CoupledChains.build(
             [[m] for m in mass],
@@ -89,7 +99,7 @@ def model_of(a: Analysis, given: Model | None = None) -> Model:
     )
     return Model(
         robot=recording.robot,
-        method="trajectory",
+        method=TRAJECTORY,
         chains=chains,
         std=std_of,
         linear=recording.linear,
@@ -98,6 +108,17 @@ def model_of(a: Analysis, given: Model | None = None) -> Model:
         fit={**facts, "rows": int(a.design.torque.size), "independent_rows": round(final.effective, 1)},
         provenance={"recording": recording.source, "model_of": "rigid body with gravity and friction"},
     )
+
+
+def _hidden_inertia(a: Analysis, axis: int) -> float:
+    """Standard deviation of an inertia beside the rest of the model: what may be there and not be seen."""
+    own = Term("inertia", axis, ("mass",), base=True)
+    _, std = fit(a.design, [*a.final.terms, own]).of(own)
+    if not std[0] > 0:
+        raise NotIdentifiableError(
+            f"{a.recording.source}: {a.recording.axes[axis]} does not accelerate; record faster moves"
+        )
+    return float(std[0])
 
 
 def _warnings(a: Analysis) -> list[str]:

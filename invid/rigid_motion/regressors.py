@@ -188,7 +188,7 @@ def base_terms(axes: int, steady: bool) -> list[Term]:
     """
     if steady:
         return []
-    terms = [Term("inertia", i, ("mass",), base=True) for i in range(axes)]
+    terms = [Term("inertia", i, ("mass",), ("mass",), base=True) for i in range(axes)]
     terms += [Term("time_offset", i, ("delay",), base=True) for i in range(axes)]
     terms += [
         Term("coupling", i, ("coupling",), base=True, other=j)

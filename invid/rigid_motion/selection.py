@@ -288,19 +288,27 @@ def _same_both_ways(design: Design, current: Fit, rest: list[Term], term: Term) 
 
 
 def consistent(design: Design, terms: list[Term]) -> tuple[Fit, list[Term]]:
-    """Fit with every load as the rest has it, and no cause with a sign that it cannot have.
+    """Fit with every load as the rest has it, and nothing with a sign that it cannot have.
 
-    Beside what was taken after it a cause may turn into what it cannot be; the latest of them goes first.
+    Beside what was taken after it a cause may turn into what it cannot be; the latest of them goes first, and
+    an inertia that the motion does not show last, with what it couples to.
     """
     while True:
         terms = settled(design, terms)
         current = fit(design, terms)
-        wrong = [t for t in terms if not t.base and not physical(current, t)]
+        wrong = [t for t in terms if not physical(current, t)]
         if not wrong:
             return current, terms
-        terms = [t for t in terms if t is not wrong[-1]]
-        if wrong[-1].cause == "stribeck_friction":
-            terms += _simpler(wrong[-1])[0]
+        last = next((t for t in reversed(wrong) if not t.base), wrong[-1])
+        terms = [t for t in terms if t is not last and not _hangs_on(t, last)]
+        if last.cause == "stribeck_friction":
+            terms += _simpler(last)[0]
+
+
+def _hangs_on(term: Term, inertia: Term) -> bool:
+    """Whether a term couples the motion of an axis to one whose inertia is ``inertia``."""
+    coupled = term.cause in ("coupling", "configuration") and inertia.cause == "inertia"
+    return coupled and inertia.axis in (term.axis, term.other)
 
 
 def pruned(design: Design, terms: list[Term]) -> tuple[Fit, list[Term]]:

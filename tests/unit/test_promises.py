@@ -183,6 +183,22 @@ def test_where_more_than_half_of_the_torque_is_missed_the_command_ends_with_thre
     assert "misses" in document["warnings"][0]
 
 
+def test_the_same_holds_for_chains_and_for_the_identification(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The torque of each record runs backwards."""
+    recording, _ = make(None, seed=17, motors=1, target_db=None)
+    backwards = tuple(replace(e, torque=e.torque[::-1].copy()) for e in recording.experiments)
+    recording = replace(recording, experiments=backwards)
+    write_recording(recording, tmp_path / "rec.h5")
+    assert run(["identify", str(tmp_path / "rec.h5"), "--masses", "1", "--json"]) == 3
+    capsys.readouterr()
+    assert run(["diagnose", str(tmp_path / "rec.h5"), "--masses", "1", "--json"]) == 3
+    document = json.loads(capsys.readouterr().out)
+    assert broken(document, recording) == []
+    assert "misses" in document["warnings"][0]
+
+
 def test_a_document_that_misses_more_than_half_is_not_trusted() -> None:
     start = document_of(verdict=Verdict.UNEXPLAINED, explained=None)
     rows = [AxisResidual(a, "N·m", 6.0, 6.0, 0.05) for a in ("A1", "A2", "A3")]
