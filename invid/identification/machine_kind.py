@@ -68,7 +68,7 @@ def machine_kind(
     try:
         found = analyse(recording)
         missed = rigid_misses(found)
-        identify_trajectory(recording, analysis=found)  # an inertia may come out negative
+        identify_trajectory(recording, analysis=found)  # an axis may not accelerate at all
         analysis = None if found.selection.cut else found  # there may be time for more of it
     except InvidError:
         analysis, missed = None, float("inf")
