@@ -7,20 +7,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from invid.diagnosis.evidence import Step, Trial, extends, sized, unearned
+from invid.diagnosis.outcome import Cause, competes, finding_of, likelihood_share
 from invid.diagnosis.selection import Selection
-from invid.diagnosis.sentences import finding_sentence
 from invid.diagnosis.thresholds import (
     AT_FLOOR,
     BROUGHT_DOWN,
     COMPETES,
-    CONTESTED,
     FLOOR,
     LARGER,
     MOST_OF_CHI2,
     NAMED,
 )
 from invid.effects.laws.sign import ROUNDING, DryLaw
-from invid.effects.registry import BY_CAUSE
 from invid.effects.units import unit_of
 from invid.likelihood.joint_fit import JointFit
 from invid.likelihood.null_test import NullTest, rms_torque
@@ -29,10 +27,6 @@ from invid.model.diagnosis_document import Alternative, Finding
 from invid.model.document import EffectTerm, Estimate
 from invid.numerics.arrays import Float64
 from invid.recording.model import Recording
-
-UNSIZED = 0.5
-"""Most that is claimed of a cause whose size cannot be told from none: something is there, and it fits."""
-
 
 SLOW = 400.0
 """χ² gain of dry friction below which a Stribeck effect is not excluded, where none was fitted: forty per
@@ -209,25 +203,11 @@ def _finding(selection: Selection, number: int, recording: Recording, explained:
     before, after = _axis_rms(step.before, axis), _axis_rms(step.chosen, axis)
     total = sum(s.before.cost - s.chosen.cost for s in selection.steps)
     fraction = float(np.clip((step.before.cost - step.chosen.cost) / max(total, 1e-300), 0, 1)) * explained
-    sure = 1.0 if selection.partly else 0.55 + 0.45 * _ramp(explained)
-    confidence = float(np.clip(share * sure, 0.01, 0.999))
-    said = [SPRING] if _like_a_spring(final.fit, at) else [BRAKE] if like_a_brake(effect) else []
-    if alternatives or said or selection.partly or final.cost > AT_FLOOR * final.dof:
-        confidence = min(confidence, CONTESTED)
-    if sized(final.fit, at) is False:
-        confidence = min(confidence, UNSIZED)
+    said = (SPRING,) if _like_a_spring(final.fit, at) else (BRAKE,) if like_a_brake(effect) else ()
+    cause = Cause(effect, before, after, fraction, share, alternatives, sized(final.fit, at), doubts=said)
+    near = final.cost <= AT_FLOOR * final.dof and not selection.partly
     sizes = final.fit.layout.structure.sizes
-    sentence = finding_sentence(effect, fraction, confidence, alternatives, sizes, recording.axes)
-    return Finding(
-        effect=effect,
-        confidence=confidence,
-        before=before,
-        after=after,
-        fraction=fraction,
-        alternatives=alternatives,
-        separating_experiment=_separating(step.chosen.term, rivals, bool(alternatives)),
-        sentence=" ".join([sentence, *said]),
-    )
+    return finding_of(cause, explained, sizes, recording.axes, at_noise=near, own=selection.partly)
 
 
 def _like_a_spring(fit: JointFit, at: int) -> bool:
@@ -290,30 +270,19 @@ def _other_scale(
     return (Alternative("torque_gain", recording.axes[axis], None, _axis_rms(final, axis), None),)
 
 
-def _ramp(explained: float) -> float:
-    return float(np.clip((explained - NAMED) / (0.995 - NAMED), 0.0, 1.0))
-
-
 def _rivals(step: Step, left: float) -> tuple[list[Trial], float]:
-    """Candidates that the data cannot tell from the chosen one, and its share of the likelihood.
-
-    Likelihood ratios overstate certainty where the models are imperfect (the dispersion only accounts
-    for their size, not for their coherence); halving the exponent is empirical, from hidden plants.
-    """
+    """Candidates that the data cannot tell from the chosen one, and its share of the likelihood."""
     rows = step.before.fit.dof
     scores: Float64 = np.array([s - unearned(t, rows) for t, s in step.ranked])
-    weights = np.exp(-0.25 * np.clip(scores - scores.min(), 0.0, 200.0))
     # Weight is weight, at the load or at the motor: the other end is an alternative, no doubt of the cause.
     own = [n == 0 or _same_weight(t.term, step.ranked[0][0].term) for n, (t, _) in enumerate(step.ranked)]
-    share = float(weights[own].sum() / weights.sum())
-    chosen = step.ranked[0][1]
-    rivals = [t for (t, s) in step.ranked[1:] if s - chosen < COMPETES and _competes(step, t)]
-    rivals += [
+    chosen, best = step.ranked[0][1], step.chosen
+    rivals = [
         t
-        for (t, _) in step.ranked[1:]
-        if t not in rivals and t.cost - step.chosen.cost < left and _competes(step, t)
+        for t, s in sorted(step.ranked[1:], key=lambda ranked: ranked[1] - chosen >= COMPETES)
+        if competes(s - chosen, t.cost - best.cost, left) and _competes(step, t)
     ]
-    return rivals, share
+    return rivals, likelihood_share(scores, own)
 
 
 def _same_weight(one: Term, other: Term) -> bool:
@@ -333,17 +302,3 @@ def _competes(step: Step, rival: Trial) -> bool:
     if len(rival.fit.candidate.terms) < len(chosen.fit.candidate.terms):
         return True  # one cause for two: a constant torque with it
     return not (extends(rival, chosen) and chosen.cost - rival.cost < LARGER)
-
-
-def _separating(term: Term, rivals: list[Trial], contested: bool) -> dict[str, object] | None:
-    if not contested:
-        return None
-    effect = BY_CAUSE[term.effect.cause]
-    others = sorted({t.term.effect.cause for t in rivals} - {term.effect.cause})
-    kind = "constant_velocity" if effect.family in ("friction", "position", "constant") else "multisine"
-    return {
-        "kind": kind,
-        "axis": term.place.axis,
-        "separates": [term.effect.cause, *others],
-        "description": effect.separating.text,
-    }

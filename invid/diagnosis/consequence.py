@@ -12,7 +12,6 @@ import numpy as np
 
 from invid.config import CellConfig, parse_config
 from invid.diagnosis.headline import headline
-from invid.diagnosis.promises import keep_promises
 from invid.effects.registry import effect_of
 from invid.effects.sizes import Machine, Size, measured
 from invid.errors import ConfigError
@@ -113,7 +112,7 @@ def _no_figure(
 
 
 def with_consequences(diagnosis: Diagnosis, recording: Recording) -> Diagnosis:
-    """The same diagnosis, graded: findings by consequence, a headline, words that keep the contract."""
+    """The same diagnosis, graded: findings by consequence, and a headline."""
     machine, warnings = machine_of(diagnosis, recording)
     graded = [_graded(f, machine) for f in diagnosis.findings]
     rank = {id(f): _rank(f) for f in graded}
@@ -124,7 +123,6 @@ def with_consequences(diagnosis: Diagnosis, recording: Recording) -> Diagnosis:
         sentences=_sentences(diagnosis, graded, findings),
         warnings=tuple(dict.fromkeys([*diagnosis.warnings, *warnings])),
     )
-    result = keep_promises(result, recording)
     # A later comparison asks whether a cause that is not in the model was looked for.
     model = replace(result.model, fit={**result.model.fit, "verdict": str(result.verdict)})
     result = replace(result, model=model)

@@ -10,26 +10,23 @@ import numpy as np
 
 from invid.diagnosis.consequence import with_consequences
 from invid.diagnosis.context import apply_rule, current, running
-from invid.diagnosis.extended_model import extended_model
 from invid.diagnosis.known_effects import folded
-from invid.diagnosis.promises import cut_short
+from invid.diagnosis.outcome import cut_short
+from invid.diagnosis.rigid import diagnose_trajectory
 from invid.diagnosis.rules.dropped_rows import before_repair, repaired, with_dropped
 from invid.diagnosis.search_pass import looked
 from invid.diagnosis.time_domain_check import REFUSED, Replay, replay, with_replay
-from invid.diagnosis.verdict import document
+from invid.diagnosis.verdict import document, extended_model
 from invid.effects.units import unit_of
 from invid.errors import InputError, NotIdentifiableError
 from invid.identification.identify import identify_chains
-from invid.identification.machine_kind import machine_kind
+from invid.identification.machine_kind import is_of_rigid_axes, machine_kind
 from invid.likelihood.joint_fit import JointFit
 from invid.likelihood.null_test import null_test
 from invid.model.diagnosis_document import Diagnosis, Verdict
 from invid.model.document import Model, model_to_json
 from invid.numerics import budget
 from invid.recording.model import Recording
-from invid.rigid_motion.analysis import Analysis
-from invid.rigid_motion.diagnosis import diagnose_trajectory
-from invid.rigid_motion.record_kind import is_rigid_case
 from invid.signals.encoder_glitches import without_glitches
 from invid.signals.plausibility import check_units
 
@@ -88,8 +85,8 @@ def _diagnosed(
     recording: Recording, model: Model | None, masses: Sequence[int] | Literal["auto"] | None
 ) -> Diagnosis:
     """The diagnosis of a recording without glitches."""
-    if model is not None and is_rigid_case(recording, model.chains.masses_per_branch):
-        return _rigid(recording, model)
+    if model is not None and is_of_rigid_axes(model, recording):
+        return diagnose_trajectory(recording, model=model)
     dropped = apply_rule("dropped-rows", recording)
     sound = repaired(recording, dropped) if dropped else recording
     if model is None:
@@ -99,7 +96,7 @@ def _diagnosed(
             if model is None and not kind.rigid:
                 model = identify_chains(sound, masses)
         if model is None:
-            result = _rigid(recording, None, kind.analysis)
+            result = diagnose_trajectory(recording, analysis=kind.analysis)
             return replace(result, warnings=(*result.warnings, kind.said)) if kind.said else result
     elif model.provenance.get("recorded") != recording.created:
         said = (w.removeprefix(OF_GIVEN) for w in model.warnings)
@@ -140,12 +137,6 @@ def _diagnosed(
     if selection.cut:
         result = cut_short(result)
     return with_dropped(result, recording, dropped, before_repair(recording, bare) if dropped else {})
-
-
-def _rigid(recording: Recording, model: Model | None, analysis: Analysis | None = None) -> Diagnosis:
-    """The diagnosis of rigid axes, with what there was no time for."""
-    result = diagnose_trajectory(recording, model=model, analysis=analysis)
-    return cut_short(result) if result.details.get("cut_short") else result
 
 
 def said_of_holds(final: JointFit, recording: Recording) -> list[str]:

@@ -16,7 +16,7 @@ from invid.diagnosis.evidence import Step, Trial, at_bound, attempted, extends
 from invid.diagnosis.score_test import Score, Screen, terms_for
 from invid.diagnosis.selection import Selection
 from invid.diagnosis.slow_move import Move
-from invid.diagnosis.thresholds import FAR, LARGER, LEFT, MOST, REACHED, SIGNIFICANCE
+from invid.diagnosis.thresholds import FAR, LARGER, LEFT, MOST, NEAR, REACHED, SIGNIFICANCE
 from invid.likelihood.candidate_pool import each
 from invid.likelihood.hypothesis import Layout
 from invid.likelihood.joint_fit import JointFit, fit, held_out, reordered, without_last
@@ -288,7 +288,7 @@ def _step(
     trials.sort(key=lambda t: t.score(1.0, rows))
     best = [
         trials[0],
-        *(t for t in trials[1:] if t.cost - trials[0].cost < 0.3 * (current.cost - trials[0].cost)),
+        *(t for t in trials[1:] if t.cost - trials[0].cost < NEAR * (current.cost - trials[0].cost)),
     ]
 
     def hopeless(t: Trial) -> bool:

@@ -27,17 +27,22 @@ def number(estimate: Estimate) -> str:
 
 
 def place_of(term: EffectTerm, sizes: Sequence[int], axes: Sequence[str]) -> str:
-    """ "at the motor", "at the load", "in spring 2"."""
+    """ "at the motor", "at the load", "in spring 2"; nothing where an axis has one mass."""
+    if term.other_axis is not None and term.cause == "gravity":
+        return f" of the link that {term.other_axis} carries, felt on both,"
     if term.other_axis is not None:
         return f" to axis {term.other_axis}"
     if term.element is None:
         return ""
     kind, _, q = term.element.partition(" ")
+    if term.element == "spring 0":
+        return " in the spring to ground"
     if kind == "spring":
         return f" in {term.element}, counted from the motor"
+    count = sizes[list(axes).index(term.axis)]
     if q == "1":
-        return " at the motor"
-    return " at the load" if int(q) == sizes[list(axes).index(term.axis)] else f" at {term.element}"
+        return " at the motor" if count > 1 else ""
+    return " at the load" if int(q) == count else f" at {term.element}"
 
 
 def _rival(rival: Alternative, term: EffectTerm) -> str:
@@ -47,6 +52,14 @@ def _rival(rival: Alternative, term: EffectTerm) -> str:
     if rival.cause == term.cause and rival.element is not None:
         return f"the same at {rival.element}"
     return BY_CAUSE[rival.cause].title
+
+
+def separating_text(causes: Sequence[str]) -> str:
+    """What tells causes apart, the one named first; where they ask for different things, either."""
+    experiments = {e.kind: e.text for e in (BY_CAUSE[c].separating for c in reversed(causes))}
+    first = BY_CAUSE[causes[0]].separating
+    others = [t for k, t in sorted(experiments.items()) if k != first.kind]
+    return "; or ".join([first.text, *others[:1]])
 
 
 def finding_sentence(
@@ -73,7 +86,8 @@ def finding_sentence(
         text += "is there as well: beyond the noise, though less than a per cent of what the model missed."
     if rivals:
         others = sorted({_rival(r, term) for r in rivals})
-        text += f" The data cannot tell it from {', '.join(others)}: {effect.separating.text}."
+        tells = separating_text([term.cause, *sorted({r.cause for r in rivals})])
+        text += f" The data cannot tell it from {', '.join(others)}: {tells}."
     elif confidence < 0.8:
         text += f" This is likely, not certain; to be sure: {effect.separating.text}."
     return f"{text} {effect.check}"

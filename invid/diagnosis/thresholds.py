@@ -5,6 +5,8 @@ Each says whether it is statistical (a test), physical (a bound), of the contrac
 
 from __future__ import annotations
 
+from invid.model.document import MISSED as MISSED
+
 # --- Significance: is a cause there
 SIGNIFICANCE = 1e-3
 """Chance, over all candidates together, that noise passes the training gain; the held-out gain must pass as
@@ -70,12 +72,14 @@ OWN_RIVAL = 0.8
 """Share of its gain that no cause of another kind or place reaches beside it. A guess."""
 BROUGHT_DOWN = 0.98
 """Share of what was missing that causes explain at least where the rest stands out of the noise."""
-MISSED = 0.5
-"""Share of the torque from which a model that misses it is not to be trusted (contract)."""
 
 # --- Rivals: what the data cannot tell apart
+NEAR = 0.3
+"""Share of the best candidate's gain that one may miss of it and still be weighed as its rival. A guess."""
 COMPETES = 9.0
 """Difference of −2 ln(likelihood) within which two causes are called indistinguishable (about 3 σ)."""
 CONTESTED = 0.89
 """Most that is claimed where alternatives remain. exp(−COMPETES/4) leaves a rival at the edge a tenth of the
 likelihood, so a cause with one has at most nine tenths."""
+UNSIZED = 0.5
+"""Most that is claimed of a cause whose size cannot be told from none: something is there, and it fits."""

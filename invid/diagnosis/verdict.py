@@ -10,8 +10,8 @@ import numpy as np
 
 from invid.diagnosis.confidence import at_floor, effect_term, judge
 from invid.diagnosis.context import apply_rule
-from invid.diagnosis.extended_model import extended_model
 from invid.diagnosis.known_effects import carried
+from invid.diagnosis.outcome import assembled, explained_share
 from invid.diagnosis.residual_character import unexplained_of
 from invid.diagnosis.selection import Selection
 from invid.diagnosis.thresholds import BROUGHT_DOWN
@@ -21,8 +21,10 @@ from invid.effects.registry import of_the_plant
 from invid.effects.units import unit_of
 from invid.likelihood.joint_fit import JointFit, held_out
 from invid.likelihood.null_test import NullTest, null_test, rms_torque
-from invid.model.diagnosis_document import AxisResidual, Diagnosis, Finding, Verdict
-from invid.model.document import Model
+from invid.model.diagnosis_document import AxisResidual, Diagnosis
+from invid.model.document import EffectTerm, Model, parameter_vector
+from invid.model.parameter_names import std_by_name
+from invid.numerics.arrays import frozen_float
 from invid.recording.model import Recording
 from invid.signals.spectral_record import Record
 
@@ -63,48 +65,22 @@ def document(
         after, floor = rms_torque(shown.held, i)
         before, after = (float(np.hypot(level, np.sqrt(beside))) for level in (before, after))
         residual.append(AxisResidual(axis, unit, before, after, floor))
-    b2 = sum(r.before**2 for r in residual)
-    a2 = sum(r.after**2 for r in residual)
-    n2 = sum(r.noise_floor**2 for r in residual)
-    explained = None
-    if named or known:
-        explained = float(np.clip(1.0 - (a2 - n2) / max(b2 - n2, 1e-300), 0.0, 1.0))
+    explained = explained_share(residual) if named or known else None
     humming = unexplained = said_of_tones(tones, recording, unit)
     # A model with causes in it is as right as where they were found: what is called explained there is here.
     as_found = not selection.steps and not linear.broken and at_floor(base)
     as_found = as_found and explained is not None and explained > BROUGHT_DOWN
-    if not tones and (not coherent or as_found):
+    quiet = not tones and (not coherent or as_found)
+    if quiet:
         unexplained = apply_rule("nonrepeating-torque", (base.fit.evaluation, base.held), recording, unit)
-        verdict = Verdict.CONSISTENT if unexplained is None else Verdict.UNEXPLAINED
     elif not named:
-        verdict = Verdict.UNEXPLAINED
         if coherent:
             unexplained = in_the_way(linear, unexplained_of(base, recording))
-    elif judged.complete and not tones:
-        verdict = Verdict.EXPLAINED
-    else:
-        verdict = Verdict.PARTLY_EXPLAINED
-        if not judged.complete:
-            unexplained = unexplained_of(final, recording)
-        if selection.partly and explained is not None and unexplained is not None:
+    elif not judged.complete:
+        unexplained = unexplained_of(final, recording)
+        if selection.partly and explained is not None:
             rest = f"{1.0 - explained:.0%} of what was missing is left. {unexplained.sentence}"
             unexplained = in_the_way(linear, replace(unexplained, sentence=rest))
-    findings = tuple(_axis_by_name(f) for f in sure)
-    warnings = [*warnings, *untimed]
-    said = distrust_sentences(linear, model.chains.masses_per_branch, partly=bool(named))
-    sentences = [*said, *(f.sentence for f in findings)]
-    if verdict is Verdict.CONSISTENT:
-        sentences.append(
-            "The model"
-            + (", with the causes it already contains," if known else "")
-            + " explains the measurement to within "
-            + ("1.2 times " if coherent else "")
-            + "its noise: nothing is missing."
-        )
-    if unexplained is not None:
-        sentences.append(unexplained.sentence)
-    if humming is not None and humming is not unexplained:
-        sentences.append(humming.sentence)
     effects = [effect_term(shown, k, recording) for k in range(known)] + [f.effect for f in named]
     inside = of_the_plant(carried(model))
     effects += [e for e in carried(model) if e not in inside]
@@ -118,25 +94,25 @@ def document(
             "unseen": list(linear.unseen),
         },
     )
-    return Diagnosis(
-        verdict=verdict,
-        residual=tuple(residual),
-        explained_fraction=explained,
-        findings=findings,
-        unexplained=unexplained,
-        model=extended,
-        warnings=tuple(dict.fromkeys([*said, *model.warnings, *warnings, *judged.warnings])),
-        sentences=tuple(sentences),
+    said = distrust_sentences(linear, model.chains.masses_per_branch, partly=bool(named))
+    within = ("1.2 times " if coherent else "") + "its noise"
+    return assembled(
+        recording,
+        residual,
+        sure,
+        extended,
+        missing=not quiet or unexplained is not None,
+        complete=judged.complete and not tones,
+        explained=explained,
+        left=unexplained,
+        said=said,
+        nothing="The model"
+        + (", with the causes it already contains," if known else "")
+        + f" explains the measurement to within {within}: nothing is missing.",
+        further=[] if humming is None else [humming.sentence],
+        warnings=[*said, *model.warnings, *warnings, *untimed, *judged.warnings],
         details=_details(before_test, after_test, selection, judged.explained),
     )
-
-
-def _axis_by_name(finding: Finding) -> Finding:
-    """The separating experiment names its axis as everything else does."""
-    planned = finding.separating_experiment
-    if planned is None:
-        return finding
-    return replace(finding, separating_experiment={**planned, "axis": finding.effect.axis})
 
 
 def _details(before: NullTest, after: NullTest, selection: Selection, explained: float) -> dict[str, Any]:
@@ -162,3 +138,68 @@ def _details(before: NullTest, after: NullTest, selection: Selection, explained:
             for step in selection.steps
         ],
     }
+
+
+def extended_model(
+    model: Model,
+    fitted: JointFit,
+    effects: tuple[EffectTerm, ...],
+) -> Model:
+    """The linear parameters refitted jointly, with the effects."""
+    structure = fitted.layout.structure
+    chains = structure.chains(fitted.p[: structure.count])
+    values = structure.physical(fitted.p[: structure.count])
+    factor = np.where(structure.logarithmic, values, 1.0)
+    n = structure.count
+    with np.errstate(invalid="ignore"):
+        covariance = fitted.covariance[:n, :n] * factor[:, None] * factor
+    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    std = np.where(np.isfinite(std), std, np.nan)
+    names = parameter_vector(chains)[0]
+    place = {name: k for k, name in enumerate(structure.names)}
+    index = [place[name] for name in names]
+    finite = bool(np.isfinite(covariance).all())
+    layout = fitted.layout
+    # A demand logged beside the torque has its half sample of being held by itself.
+    logged = any(v.record.command is not None for v in fitted.evaluation.views)
+    offsets = layout.delays(fitted.p) + (0.5 * layout.step if logged else 0.0)
+    offsets[list(layout.smoothed)] -= fitted.p[layout.smoothed_at]
+    held = 0.5 * layout.step * layout.stairs(fitted.p)
+    facts = {
+        **dict(model.fit),
+        "chi2": fitted.cost,
+        "dof": fitted.dof,
+        "time_offset_s": {
+            f"{structure.axes[i]}.time_offset": {
+                "value": float(offsets[i]),
+                "std": _finite(float(np.sqrt(max(fitted.covariance[n + k, n + k], 0.0)))),
+            }
+            for k, i in enumerate(layout.free_delays)
+        }
+        | {
+            f"{structure.axes[i]}.time_offset": {"value": float(held[i]), "std": None}
+            for i in layout.held_late
+        },
+        "torque_lag_s": dict(model.fit.get("torque_lag_s", {}))
+        | {
+            structure.axes[i]: {
+                "value": float(fitted.p[at]),
+                "std": _finite(float(np.sqrt(max(fitted.covariance[at, at], 0.0)))),
+            }
+            for i, at in zip(layout.smoothed, range(layout.smoothed_at.start, layout.count), strict=True)
+        },
+        "joint_with_effects": bool(effects),
+    }
+    return replace(
+        model,
+        chains=chains,
+        std=std_by_name(chains, dict(zip(structure.names, std.tolist(), strict=True))),
+        effects=effects,
+        covariance=frozen_float(covariance[np.ix_(index, index)]) if finite else None,
+        parameter_names=names if finite else (),
+        fit=facts,
+    )
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None

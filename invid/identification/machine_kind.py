@@ -16,12 +16,12 @@ from invid.likelihood.fit import Fit, fit_structure
 from invid.likelihood.nuisance.torque_lags import with_coulomb
 from invid.likelihood.records import carried, problem_from_spectra
 from invid.model.chains import CoupledChains
-from invid.model.document import Model
+from invid.model.document import MISSED, Model
 from invid.model.parameters import ChainStructure
-from invid.numerics.arrays import frozen_float
+from invid.numerics.arrays import Float64, frozen_float
 from invid.recording.model import Experiment, Kind, Recording, Role
 from invid.rigid_motion.analysis import Analysis, analyse, row_floor
-from invid.rigid_motion.diagnosis import identify_trajectory
+from invid.rigid_motion.model import TRAJECTORY, identify_trajectory
 from invid.rigid_motion.record_kind import is_trajectory
 from invid.rigid_motion.selection import judged
 from invid.signals.drive_torque import with_acting_torque
@@ -31,8 +31,8 @@ RIGID_ENOUGH = 0.1
 """Share of the torque (rms, rows kept out) below which rigid axes are not doubted. Empirical: 0.007 to 0.17
 on five real rigid machines, 0.11 and more on twenty simulated chains in moves, noise and chirps."""
 CLEARLY = 0.5
-"""What chains may miss of what rigid axes miss: a factor of two in amplitude, as wherever one structure is
-believed over another (``model_facts.BEATEN``)."""
+"""What chains may miss of what rigid axes miss where an axis was moved: a factor of two in amplitude, as
+wherever one structure is believed over another (``model_facts.BEATEN``)."""
 PIECES = 12
 """Pieces of each record; chains are judged on every third, from all over it: the end of a chirp shows what
 its beginning does not."""
@@ -68,45 +68,77 @@ def machine_kind(
     try:
         found = analyse(recording)
         missed = rigid_misses(found)
-        identify_trajectory(recording, analysis=found)  # an inertia may come out negative
+        identify_trajectory(recording, analysis=found)  # an axis may not accelerate at all
         analysis = None if found.selection.cut else found  # there may be time for more of it
     except InvidError:
         analysis, missed = None, float("inf")
     if moved and missed < RIGID_ENOUGH:
         return MachineKind(rigid=True, analysis=analysis)
+    model, left = None, float("inf")
     try:
         model = chains()
-        left = chains_miss(recording, model.chains)
+        # One mass an axis is no elasticity: rigid axes hold that, and the weight that changes with the pose.
+        if max(model.chains.masses_per_branch) > 1:
+            left = chains_miss(recording, model.chains)
     except (InvidError, np.linalg.LinAlgError):
-        model, left = None, float("inf")
-    said = f"rigid axes miss {_share(missed)} of the torque on rows kept out, chains {_share(left)}"
-    # What looks like shaking is taken for moves only where that is clearly better, and the other way round;
-    # one mass an axis is no elasticity.
-    elastic = model is not None and max(model.chains.masses_per_branch) > 1
-    if model is not None and (elastic and left < CLEARLY * missed if moved else not missed < CLEARLY * left):
+        pass
+    if np.isinf(missed) and np.isinf(left):
+        return MachineKind(moved and model is None, model)  # whoever fits it again says why
+    said = f"rigid axes miss {_share(missed)} of the torque on rows kept out, " + (
+        "and no elasticity shows"
+        if model is not None and max(model.chains.masses_per_branch) == 1
+        else f"chains {_share(left)}"
+    )
+    # The better one wins; of what is moved and not shaken only where it is so clearly.
+    if model is not None and left < (CLEARLY if moved else 1.0) * missed:
         said = f"taken for an elastic machine: {said}"
         return MachineKind(False, replace(model, warnings=(*model.warnings, said)), said)
-    if np.isinf(missed):
-        return MachineKind(moved)  # neither can be fitted: whoever fits it again says why
     return MachineKind(True, said=f"taken for a rigid machine: {said}", analysis=analysis)
 
 
+def is_of_rigid_axes(model: Model, recording: Recording) -> bool:
+    """Whether a recording is to be diagnosed as one of rigid axes, beside a model that is given."""
+    if max(model.chains.masses_per_branch) > 1:
+        return False
+    periodic = any(e.period_samples and e.periods >= 2 for e in recording.experiments)
+    return is_trajectory(recording) or (model.method == TRAJECTORY and not periodic)
+
+
 def rigid_model(recording: Recording, kind: MachineKind) -> Model:
-    """The model of rigid axes, with what was said when the kind was chosen."""
-    model = identify_trajectory(recording, analysis=kind.analysis)
-    return replace(model, warnings=(*model.warnings, kind.said)) if kind.said else model
+    """The model of rigid axes, with what was said when the kind was chosen.
+
+    One that misses more than half of the torque is not to be trusted.
+    """
+    analysis = analyse(recording) if kind.analysis is None else kind.analysis
+    model = identify_trajectory(recording, analysis=analysis)
+    left, power = np.sum(_rigid_powers(analysis), axis=0)
+    warnings = [kind.said] if kind.said else []
+    if left > MISSED**2 * power:
+        said = f"the model misses {_share(float(np.sqrt(left / power)))} of the torque on rows kept out"
+        model, warnings = model.distrusted(said), [said, *warnings]
+    return replace(model, warnings=(*warnings, *model.warnings))
 
 
 def rigid_misses(analysis: Analysis) -> float:
     """Rms share of the torque that rigid axes miss beyond noise on rows kept out; that of the worst axis."""
+    return _worst(_rigid_powers(analysis))
+
+
+def _rigid_powers(analysis: Analysis) -> Float64:
+    """(M, 2) power that is missing on rows kept out, beyond noise, and that of the torque."""
     design, rows, floor = analysis.design, judged(analysis.design), row_floor(analysis)
-    shares = [0.0]
+    left = analysis.final.held_out**2 - floor
+    out = np.zeros((design.axes, 2))
     for i in range(design.axes):
         mine = rows & (design.axis == i)
-        power = float(np.sum(design.torque[mine] ** 2))
-        left = float(np.sum(analysis.final.held_out[mine] ** 2) - np.sum(floor[mine]))
-        shares.append(float(np.sqrt(max(left, 0.0) / power)) if power > 0 else 0.0)
-    return max(shares)
+        out[i] = max(float(left[mine].sum()), 0.0), float(np.sum(design.torque[mine] ** 2))
+    return out
+
+
+def _worst(powers: Float64) -> float:
+    """The largest share, in rms, of what an axis misses; (M, 2) powers missing and in all."""
+    left, power = powers.T
+    return float(np.sqrt(np.max(np.maximum(left, 0.0) / np.maximum(power, 1e-300))))
 
 
 def chains_miss(recording: Recording, chains: CoupledChains) -> float:
@@ -126,12 +158,12 @@ def chains_miss(recording: Recording, chains: CoupledChains) -> float:
 def _missed(fitted: Fit, spectra: Sequence[LineSpectra]) -> float:
     """Share that a fit misses of other records: nothing is fitted there but their ends."""
     problem = with_coulomb(problem_from_spectra(fitted.structure, spectra), spectra)
-    left = power = 0.0
+    powers = np.zeros((len(fitted.structure.axes), 2))
     for state in problem.states(carried(fitted.problem, fitted.solution.p, problem)):
         noise = np.einsum("fii->fi", state.covariance).real
-        left += float((np.abs(state.residual) ** 2 / noise - 1.0).sum())
-        power += float((np.abs(state.block.torque) ** 2 / noise).sum())
-    return float(np.sqrt(max(left, 0.0) / max(power, 1e-300)))
+        powers[:, 0] += (np.abs(state.residual) ** 2 / noise - 1.0).sum(axis=0)
+        powers[:, 1] += (np.abs(state.block.torque) ** 2 / noise).sum(axis=0)
+    return _worst(powers)
 
 
 def _pieces(recording: Recording, numbers: Collection[int]) -> tuple[LineSpectra, ...]:

@@ -128,11 +128,14 @@ class _Holding:
         """``share`` (n,) of each sample in which friction takes whatever acts."""
         structure, record = view.structure, view.record
         at = structure.motor_dofs[axis]
+        pattern: Pattern = ((at, 1.0),)
+        spring = 0
         if structure.sizes[axis] == 1:
             share = np.zeros_like(share)  # what acts is the drive's torque alone
+        else:
+            pattern = ((at + 1, 1.0), (at, -1.0))
+            spring = structure.spring_pairs.index((at, at + 1))
         rows = np.flatnonzero(share)
-        pattern: Pattern = ((at + 1, 1.0), (at, -1.0))
-        spring = structure.spring_pairs.index((at, at + 1)) if structure.sizes[axis] > 1 else 0
         return cls(
             pattern,
             spring,
@@ -164,6 +167,9 @@ class _Holding:
 
     def factors(self, view: View, change: Change) -> Factors | None:
         record, omega = view.record, view.omega
+        if not self.share.size:
+            none = np.zeros((0, omega.size), dtype=complex)
+            return Factors(none, none.T, np.zeros((0, change.springs.shape[1])))
         k, d = float(view.springs[self.spring]), float(view.dampers[self.spring])
         made: Complex128 = self.phase.conj().T * self.share * (2.0 / record.samples)
         made[0] *= 0.5

@@ -24,6 +24,8 @@ from invid.numerics.arrays import Float64, frozen_float
 
 FORMAT = "invid-model"
 FORMAT_VERSION = 1
+MISSED = 0.5
+"""Share of the torque from which a model that misses it is not to be trusted (contract)."""
 
 
 @dataclass(frozen=True)
@@ -121,6 +123,11 @@ class Model:
     def extended(self, *effects: EffectTerm) -> Model:
         """The same model with further effects."""
         return replace(self, effects=self.effects + effects)
+
+    def distrusted(self, reason: str) -> Model:
+        """The same model with a reason why it is not to be trusted."""
+        doubts = [*self.fit.get("doubts", ()), reason]
+        return replace(self, fit={**self.fit, "trustworthy": False, "doubts": doubts})
 
     def save(self, path: str | Path) -> None:
         """Write the ``invid-model`` file; InputError where that cannot be."""

@@ -1,22 +1,17 @@
-"""Terms of a fit as the contract's effects, and the experiments that would tell rivals apart."""
+"""Terms of a fit as the contract's effects."""
 
 from __future__ import annotations
-
-from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
 from invid.effects.effect import Effect
-from invid.effects.registry import BY_CAUSE, effect_of
+from invid.effects.registry import BY_CAUSE
 from invid.effects.units import unit_of
 from invid.model.document import EffectTerm, Estimate
 from invid.model.place import Place
 from invid.numerics.arrays import Float64
 from invid.rigid_motion.analysis import Analysis
 from invid.rigid_motion.regressors import Term
-
-_LOADED = "load_dependent_friction"
 
 
 def term_of(analysis: Analysis, term: Term) -> EffectTerm:
@@ -69,41 +64,3 @@ def _moved(effect: Effect, shape: float) -> float:
 def _shape(analysis: Analysis, term: Term, unit: str | None) -> Estimate:
     spread = analysis.shape_std.get(term, np.inf)
     return Estimate(float(term.shape or 0.0), float(spread) if np.isfinite(spread) else None, unit)
-
-
-def separating(axis: str, causes: set[str], speed: float, linear: bool) -> Mapping[str, Any] | None:
-    """The experiment that would tell ``causes`` on ``axis`` apart."""
-    unit = "m/s" if linear else "rad/s"
-    if _LOADED in causes:
-        return {
-            "kind": "other",
-            "axis": axis,
-            "text": f"repeat the motion of {axis} with another payload: friction that depends on the load "
-            "changes with it, other friction does not",
-        }
-    known = [e for c in causes if (e := effect_of(c)) is not None]
-    friction = [e for e in known if e.family == "friction"]
-    if len(friction) > 1 or (friction and any(e.family == "constant" for e in known)):
-        ladder = [round(speed * f, 6) for f in (0.01, 0.03, 0.1, 0.3, 1.0)]
-        return {
-            "kind": "constant_velocity",
-            "axis": axis,
-            "speeds": ladder,
-            "unit": unit,
-            "directions": [1, -1],
-            "text": f"move {axis} at constant speeds of {ladder} {unit} in both directions",
-        }
-    if any(e.separating.kind == "positions" for e in known):
-        return {
-            "kind": "other",
-            "axis": axis,
-            "text": f"move {axis} slowly through as much of its range as it has, in both directions",
-        }
-    if any(e.separating.kind == "amplitudes" for e in known):
-        return {
-            "kind": "multisine",
-            "axis": axis,
-            "amplitude_scale": [0.3, 1.0],
-            "text": f"excite {axis} at two amplitudes a factor of three apart",
-        }
-    return {"kind": "other", "axis": axis, "text": f"repeat the motion of {axis} at another speed and load"}

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from scipy.signal import csd, find_peaks, welch
 
@@ -30,12 +28,6 @@ SHAKEN = 4.0
 """Reversals of velocity a second from which an axis is shaken, not moved. Empirical: at most 1.8 on the moves
 of six arms of two links (one axis changes the inertia of the other, so that rigid axes alone account for a
 tenth of the torque in one), 7.8 and more on 16 chains that noise or a stepped sine shook."""
-
-
-def is_rigid_case(recording: Recording, masses: Sequence[int] | str | None) -> bool:
-    """True where the rigid model is the one to fit: a large motion, and nobody asks for more masses."""
-    rigid = masses is None or isinstance(masses, str) or all(n == 1 for n in masses)
-    return rigid and is_trajectory(recording)
 
 
 def is_trajectory(recording: Recording) -> bool:

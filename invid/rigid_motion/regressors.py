@@ -81,8 +81,6 @@ def columns(term: Term, motion: Motion) -> Float64:
             out[:, i, 0] = motion.position[:, i]
         case "time_offset":
             out[:, i, 0] = motion.torque_rate[:, i]
-        case "square_of_speed":
-            out[:, i, 0] = motion.velocity[:, i] * np.abs(motion.velocity[:, i])
         case _:
             effect = effect_of(term.cause)
             if effect is None:
@@ -190,7 +188,7 @@ def base_terms(axes: int, steady: bool) -> list[Term]:
     """
     if steady:
         return []
-    terms = [Term("inertia", i, ("mass",), base=True) for i in range(axes)]
+    terms = [Term("inertia", i, ("mass",), ("mass",), base=True) for i in range(axes)]
     terms += [Term("time_offset", i, ("delay",), base=True) for i in range(axes)]
     terms += [
         Term("coupling", i, ("coupling",), base=True, other=j)

@@ -1,13 +1,12 @@
 """Which causes the data ask for: forward by what they explain, back by what they can do without.
 
 A cause is taken when the training rows and the rows kept out both say so at one per cent, the tests
-counting independent rows (serial correlation) and pieces, not samples. Rivals that the kept-out rows
-cannot tell from the one taken are kept as alternatives.
+counting independent rows (serial correlation) and pieces, not samples.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -25,29 +24,13 @@ LEAST_GAIN = 0.1
 """Smallest part of the kept-out residual power that a cause must remove. Empirical: on measured axes the
 rigid model itself is wrong by some per cent of the remaining power in ways that any smooth term picks up.
 Machines drawn at random (six decades of inertia, 200 to 2000 Hz, tests/property) hold it too."""
-INDISTINCT = 0.05
-"""Rivals whose kept-out residual differs from the best with a higher p-value than this are alternatives."""
-
-
-@dataclass
-class Step:
-    """One cause taken, with its rivals at that moment."""
-
-    term: Term
-    before: float
-    after: float
-    p_value: float
-    rivals: list[tuple[Term, float]] = field(default_factory=list)
 
 
 @dataclass
 class Selection:
     """Where the search ended."""
 
-    base: Fit
     final: Fit
-    steps: list[Step]
-    ladder: list[tuple[list[Term], Fit]]
     cut: bool = False
     """Whether the budget ended the search before it ended by itself."""
 
@@ -155,10 +138,7 @@ def fit_fast(design: Design, terms: list[Term], length: float) -> Fit:
 
 def select(design: Design, base: list[Term], candidates: list[Term], *, most: int = 12) -> Selection:
     """Forward selection, then everything taken out again that is not missed."""
-    start = fit(design, base)
-    current, terms = start, list(base)
-    steps: list[Step] = []
-    ladder: list[tuple[list[Term], Fit]] = [(list(terms), start)]
+    current, terms = fit(design, base), list(base)
     labels: dict[tuple[str, int, int | None, str], list[Term]] = {}
     for c in candidates:
         labels.setdefault(c.label, []).append(c)
@@ -177,7 +157,7 @@ def select(design: Design, base: list[Term], candidates: list[Term], *, most: in
             trial = best_of_label(design, terms, options, length)
             if trial is not None:
                 tried.append((trial.terms[-1], trial))
-        cut = cut or budget.is_left_out(f"causes beside {len(steps)} found")
+        cut = cut or budget.is_left_out(f"causes beside {number} found")
         if cut:  # of a step cut short nobody knows what would have been best
             break
         tried += _under_load(design, current, terms, length)
@@ -195,33 +175,13 @@ def select(design: Design, base: list[Term], candidates: list[Term], *, most: in
                 break
             good, tried = [pair], [pair]
         # Information criterion on independent rows: more coefficients must earn their place.
-        chosen, best = min(good, key=lambda p: _criterion(p[1], length))
-        rivals = [
-            (t, rms(f.held_out[judged(design)]))
-            for t, f in good
-            if t is not chosen
-            and t.axis == chosen.axis
-            and chosen.cause not in t.replaces
-            and t.cause not in chosen.replaces
-            and held_out_p(design, f, best) > INDISTINCT
-        ]
-        steps.append(
-            Step(
-                chosen,
-                rms(current.held_out[judged(design)]),
-                rms(best.held_out[judged(design)]),
-                held_out_p(design, current, best),
-                rivals,
-            )
-        )
+        _, best = min(good, key=lambda p: _criterion(p[1], length))
         terms = settled(design, list(best.terms))
         current = fit(design, terms)
         design.reweigh(current.residual)
         current = fit(design, terms)
-        ladder.append((list(terms), current))
-    start = fit(design, base)
     current, terms = pruned(design, terms)
-    return Selection(start, current, steps, ladder, cut or budget.is_left_out("further causes"))
+    return Selection(current, cut or budget.is_left_out("further causes"))
 
 
 def _under_load(design: Design, current: Fit, terms: list[Term], length: float) -> list[tuple[Term, Fit]]:
@@ -328,19 +288,27 @@ def _same_both_ways(design: Design, current: Fit, rest: list[Term], term: Term) 
 
 
 def consistent(design: Design, terms: list[Term]) -> tuple[Fit, list[Term]]:
-    """Fit with every load as the rest has it, and no cause with a sign that it cannot have.
+    """Fit with every load as the rest has it, and nothing with a sign that it cannot have.
 
-    Beside what was taken after it a cause may turn into what it cannot be; the latest of them goes first.
+    Beside what was taken after it a cause may turn into what it cannot be; the latest of them goes first, and
+    an inertia that the motion does not show last, with what it couples to.
     """
     while True:
         terms = settled(design, terms)
         current = fit(design, terms)
-        wrong = [t for t in terms if not t.base and not physical(current, t)]
+        wrong = [t for t in terms if not physical(current, t)]
         if not wrong:
             return current, terms
-        terms = [t for t in terms if t is not wrong[-1]]
-        if wrong[-1].cause == "stribeck_friction":
-            terms += _simpler(wrong[-1])[0]
+        last = next((t for t in reversed(wrong) if not t.base), wrong[-1])
+        terms = [t for t in terms if t is not last and not _hangs_on(t, last)]
+        if last.cause == "stribeck_friction":
+            terms += _simpler(last)[0]
+
+
+def _hangs_on(term: Term, inertia: Term) -> bool:
+    """Whether a term couples the motion of an axis to one whose inertia is ``inertia``."""
+    coupled = term.cause in ("coupling", "configuration") and inertia.cause == "inertia"
+    return coupled and inertia.axis in (term.axis, term.other)
 
 
 def pruned(design: Design, terms: list[Term]) -> tuple[Fit, list[Term]]:

@@ -9,10 +9,10 @@ import numba
 import numpy as np
 import pytest
 
+from invid.diagnosis.rigid import diagnose_trajectory
 from invid.model.diagnosis_document import Diagnosis, Verdict
 from invid.numerics.arrays import frozen_float
 from invid.recording import Experiment, Kind, Recording, Role
-from invid.rigid_motion.diagnosis import diagnose_trajectory
 from invid.rigid_motion.record_kind import is_trajectory
 
 

@@ -10,6 +10,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import uniform_filter1d
 from scipy.special import erfinv
 
+from invid.diagnosis.outcome import explained_share, left_over, verdict_of
 from invid.diagnosis.validation import split
 from invid.effects.registry import BY_CAUSE
 from invid.effects.units import unit_of
@@ -191,9 +192,7 @@ def with_dropped(
     if not dropped:
         return result
     residual = tuple(replace(r, before=max(before[r.axis], r.after)) for r in result.residual)
-    b2, a2 = sum(r.before**2 for r in residual), sum(r.after**2 for r in residual)
-    n2 = sum(r.noise_floor**2 for r in residual)
-    explained = float(np.clip(1.0 - (a2 - n2) / max(b2 - n2, 1e-300), 0.0, 1.0))
+    explained = explained_share(residual)
     findings = []
     known = {e.axis for e in result.model.effects if e.cause == "dropped_samples"}
     for d in dropped:
@@ -218,13 +217,18 @@ def with_dropped(
         )
     if not findings:
         return replace(result, residual=residual, explained_fraction=explained)
-    verdict = Verdict.EXPLAINED if result.verdict is Verdict.CONSISTENT else result.verdict
-    if verdict is Verdict.UNEXPLAINED:
-        verdict = Verdict.PARTLY_EXPLAINED
+    complete = result.verdict in (Verdict.CONSISTENT, Verdict.EXPLAINED)
+    verdict = verdict_of(residual, explained, named=True, missing=True, complete=complete)
+    left = result.unexplained
+    if left is None and verdict is not Verdict.EXPLAINED:
+        left = left_over(residual, explained)
     kept = [s for s in result.sentences if result.verdict is not Verdict.CONSISTENT]
+    if left is not None and left is not result.unexplained:
+        kept.append(left.sentence)
     return replace(
         result,
         verdict=verdict,
+        unexplained=left,
         residual=residual,
         explained_fraction=explained,
         findings=(*findings, *result.findings),

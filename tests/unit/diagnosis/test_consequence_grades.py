@@ -9,6 +9,7 @@ import pytest
 
 from invid.config import parse_config
 from invid.diagnosis.consequence import with_consequences
+from invid.diagnosis.outcome import assembled
 from invid.effects.registry import CATALOGUE
 from invid.model.chains import CoupledChains
 from invid.model.diagnosis_document import (
@@ -212,10 +213,28 @@ def test_play_between_loads_of_a_hysteretic_spring_is_twice_torque_over_stiffnes
     assert consequence.grade is Grade.WATCH  # beyond 2 minutes of arc, below 4
 
 
+def concluded(start: Diagnosis, recording: Recording) -> Diagnosis:
+    """The document of figures whose words the start leaves open."""
+    return with_consequences(
+        assembled(
+            recording,
+            start.residual,
+            start.findings,
+            start.model,
+            missing=True,
+            complete=True,
+            explained=start.explained_fraction,
+            left=start.unexplained,
+            warnings=start.warnings,
+        ),
+        recording,
+    )
+
+
 def test_words_keep_the_contract_whatever_an_engine_says() -> None:
     rival = Alternative("viscous_friction", "A1", "mass 1", 0.06)
     found = diagnosis(term("coulomb_friction", torque=0.4), explained=0.7, rivals=(rival,))
-    result = with_consequences(found, recording())
+    result = concluded(found, recording())
     assert result.verdict is Verdict.PARTLY_EXPLAINED
     assert result.unexplained is not None
     assert result.unexplained.sentence in result.sentences
@@ -227,12 +246,12 @@ def test_a_model_that_misses_more_than_half_of_the_torque_is_not_trusted_and_say
     lost = Unexplained("A1", (), (), "A1: much is left")
     found = diagnosis(verdict=Verdict.UNEXPLAINED, explained=None, after=6.0, unexplained=lost)
     found = replace(found, warnings=("another",))
-    result = with_consequences(found, recording(torque=10.0))
+    result = concluded(found, recording(torque=10.0))
     assert "misses 85% of the torque" in result.warnings[0]  # 6 of 10/√2 rms
     assert result.model.fit["trustworthy"] is False
     assert result.grade is None
     assert "not to be trusted" in result.headline
-    assert with_consequences(found, recording(torque=20.0)).warnings == ("another",)
+    assert concluded(found, recording(torque=20.0)).warnings == ("another",)
 
 
 def test_nothing_found_is_nothing_to_do_and_nothing_named_is_not() -> None:

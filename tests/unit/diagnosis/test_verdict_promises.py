@@ -20,12 +20,11 @@ from test_consequence_grades import recording as plain_recording
 from test_consequence_grades import term
 
 from invid.cli.app import run
-from invid.diagnosis.consequence import with_consequences
 from invid.diagnosis.diagnose import diagnose
+from invid.diagnosis.outcome import Cause, assembled, finding_of
 from invid.model.diagnosis_document import (
     Alternative,
     AxisResidual,
-    Unexplained,
     Verdict,
     diagnosis_to_json,
 )
@@ -65,31 +64,64 @@ def broken(document: dict, recording: Recording) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    ("share", "floors", "contested", "verdict"),
-    list(product((None, 0.5, 0.89, 0.9, 1.0), (1.0, 1.2, 1.25, 3.8), (False, True), Verdict)),
+    ("share", "floors", "contested", "named", "missing", "complete"),
+    list(product((None, 0.5, 0.89, 0.9, 1.0), (1.0, 1.2, 1.25, 3.8), *[(False, True)] * 4)),
 )
 def test_no_document_says_more_than_its_numbers_carry(
-    share: float | None, floors: float, contested: bool, verdict: Verdict
+    share: float | None, floors: float, contested: bool, named: bool, missing: bool, complete: bool
 ) -> None:
     rivals = (Alternative("viscous_friction", "A1", "mass 1", 0.1),) if contested else ()
-    named = verdict in (Verdict.EXPLAINED, Verdict.PARTLY_EXPLAINED)
-    terms = (term("coulomb_friction", torque=0.4),) if named else ()
-    start = document_of(*terms, verdict=verdict, explained=share, after=floors * 0.05, rivals=rivals)
-    result = with_consequences(start, plain_recording())
-    says = diagnosis_to_json(result)
-    if verdict is Verdict.EXPLAINED:
-        kept = (share is None or share >= 0.9) and floors <= 1.2
+    start = document_of(term("coulomb_friction", torque=0.4), after=floors * 0.05, rivals=rivals)
+    recording = plain_recording()
+    result = assembled(
+        recording,
+        start.residual,
+        start.findings if named else (),
+        start.model,
+        missing=missing,
+        complete=complete,
+        explained=share,
+    )
+    if named:
+        kept = complete and (share is None or share >= 0.9) and floors <= 1.2
         assert result.verdict is (Verdict.EXPLAINED if kept else Verdict.PARTLY_EXPLAINED)
-        assert broken(says, plain_recording()) == []
     else:
-        assert result.verdict is verdict
-        assert not [b for b in broken(says, plain_recording()) if "left" not in b]
+        assert result.verdict is (Verdict.UNEXPLAINED if missing else Verdict.CONSISTENT)
+    assert broken(diagnosis_to_json(result), recording) == []
     assert all(f.confidence <= 0.89 for f in result.findings if f.alternatives)
 
 
+@pytest.mark.parametrize("own", [False, True])
+def test_nobody_is_certain_where_something_is_left_or_competes(own: bool) -> None:
+    effect, rival = term("coulomb_friction", torque=0.4), Alternative("viscous_friction", "A1", "mass 1", 0.1)
+    alone = Cause(effect, 1.0, 0.05, 1.0, 0.999)
+    for cause, at_noise, most in (
+        (alone, True, 0.999),
+        (alone, False, 0.89),
+        (replace(alone, alternatives=(rival,)), True, 0.89),
+        (replace(alone, doubts=("It may be another.",)), True, 0.89),
+        (replace(alone, sized=False), True, 0.5),
+    ):
+        found = finding_of(cause, 1.0, (1,), ("A1",), at_noise=at_noise, own=own)
+        assert found.confidence == pytest.approx(most)
+        assert (found.separating_experiment is None) == (not cause.alternatives)
+    # Little is explained: a cause that stands on all of the evidence is less sure, one on its own is not.
+    little = finding_of(alone, 0.9, (1,), ("A1",), at_noise=True, own=own).confidence
+    assert little == pytest.approx(0.999 if own else 0.55, abs=1e-3)
+
+
 def test_a_document_that_broke_them_would_be_found() -> None:
+    start = document_of(term("coulomb_friction", torque=0.4))
     good = diagnosis_to_json(
-        with_consequences(document_of(term("coulomb_friction", torque=0.4)), plain_recording())
+        assembled(
+            plain_recording(),
+            start.residual,
+            start.findings,
+            start.model,
+            missing=True,
+            complete=True,
+            explained=1.0,
+        )
     )
     assert broken(good, plain_recording()) == []
     for change in (
@@ -150,12 +182,27 @@ def test_where_more_than_half_of_the_torque_is_missed_the_command_ends_with_thre
     assert "misses" in document["warnings"][0]
 
 
-def test_an_elastic_document_that_misses_more_than_half_is_not_trusted() -> None:
+def test_the_same_holds_for_chains_and_for_the_identification(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The torque of each record runs backwards."""
+    recording, _ = make(None, seed=17, motors=1, target_db=None)
+    backwards = tuple(replace(e, torque=e.torque[::-1].copy()) for e in recording.experiments)
+    recording = replace(recording, experiments=backwards)
+    write_recording(recording, tmp_path / "rec.h5")
+    assert run(["identify", str(tmp_path / "rec.h5"), "--masses", "1", "--json"]) == 3
+    capsys.readouterr()
+    assert run(["diagnose", str(tmp_path / "rec.h5"), "--masses", "1", "--json"]) == 3
+    document = json.loads(capsys.readouterr().out)
+    assert broken(document, recording) == []
+    assert "misses" in document["warnings"][0]
+
+
+def test_a_document_that_misses_more_than_half_is_not_trusted() -> None:
     start = document_of(verdict=Verdict.UNEXPLAINED, explained=None)
-    rows = tuple(AxisResidual(a, "N·m", 6.0, 6.0, 0.05) for a in ("A1", "A2", "A3"))
-    left = Unexplained("A1", (), (), "A1: much is left")
+    rows = [AxisResidual(a, "N·m", 6.0, 6.0, 0.05) for a in ("A1", "A2", "A3")]
     recording = plain_recording()
-    result = with_consequences(replace(start, residual=rows, unexplained=left), recording)
+    result = assembled(recording, rows, (), start.model, missing=True, complete=False, explained=None)
     document = diagnosis_to_json(result)
     assert document["model"]["fit"]["trustworthy"] is False
     assert "misses" in document["warnings"][0]

@@ -7,8 +7,8 @@ import pytest
 from large_motion import effect, experiment, model, moves, recording
 from scipy.integrate import solve_ivp
 
+from invid.diagnosis.rigid import diagnose_trajectory
 from invid.model.diagnosis_document import Diagnosis
-from invid.rigid_motion.diagnosis import diagnose_trajectory
 from invid.simulation.run import simulate
 
 RATE, SUB = 500.0, 20

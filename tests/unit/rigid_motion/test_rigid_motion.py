@@ -10,12 +10,13 @@ from large_motion import RATE, Force, experiment, recording, simulate
 
 from invid.cli.app import run
 from invid.diagnosis.diagnose import diagnose
+from invid.diagnosis.rigid import diagnose_trajectory
 from invid.errors import InputError, InvidError
 from invid.identification.identify import identify
 from invid.model.diagnosis_document import Diagnosis, Verdict, diagnosis_to_json
 from invid.model.document import dump_json, load_model
 from invid.recording import Kind, write_recording
-from invid.rigid_motion.diagnosis import diagnose_trajectory, identify_trajectory
+from invid.rigid_motion.model import identify_trajectory
 from invid.rigid_motion.record_kind import is_trajectory
 
 

@@ -1,0 +1,285 @@
+"""What may be said of the figures of a search: verdict, confidence, words; for machines of every kind.
+
+Whoever diagnoses hands over residuals of rows kept out, causes and what competes with them. The words mean
+what the contract says (CONTRACT.md): *explained* asks for nine tenths of what was missing and every axis
+within 1.2 of its floor; a finding with alternatives has a confidence of at most 0.89; a model that misses
+more than half of the torque is not to be trusted, and the first warning says so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from invid.diagnosis.sentences import finding_sentence, separating_text
+from invid.diagnosis.thresholds import COMPETES, CONTESTED, EXPLAINED, FLOOR, MISSED, NAMED, UNSIZED
+from invid.effects.registry import BY_CAUSE
+from invid.model.diagnosis_document import Alternative, AxisResidual, Diagnosis, Finding, Unexplained, Verdict
+from invid.model.document import EffectTerm, Model
+from invid.numerics.arrays import Float64
+from invid.recording.model import Recording, Role
+
+
+@dataclass(frozen=True, eq=False)
+class Cause:
+    """One cause that was found, with what the data say of it.
+
+    Attributes
+    ----------
+    before, after
+        Rms missing torque of its axis on rows kept out, without it and with it.
+    fraction
+        Share of what the model missed that it takes.
+    share
+        Its share of the likelihood, among all that competes (``likelihood_share``).
+    alternatives
+        What the data cannot tell from it (``competes``).
+    sized
+        Whether its size differs from none; ``None`` where that is not known.
+    remarks
+        Further sentences; ``doubts`` are those that leave no certainty.
+    """
+
+    effect: EffectTerm
+    before: float
+    after: float
+    fraction: float
+    share: float
+    alternatives: tuple[Alternative, ...] = ()
+    sized: bool | None = None
+    remarks: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
+
+
+def likelihood_share(scores: Float64, own: Sequence[bool]) -> float:
+    """The chosen candidates' share of the likelihood of all; ``scores``: −2 ln L with penalty.
+
+    Likelihood ratios overstate certainty where the models are imperfect (the dispersion only accounts
+    for their size, not for their coherence); halving the exponent is empirical, from hidden plants.
+    """
+    weights = np.exp(-0.25 * np.clip(scores - scores.min(), 0.0, 200.0))
+    return float(weights[list(own)].sum() / weights.sum())
+
+
+def competes(worse: float, costlier: float, left: float) -> bool:
+    """Whether a candidate is told from the chosen one neither by its score, ``worse`` by so much in −2 ln L
+    with penalty, nor by a cost that is higher by less than all that even the chosen one leaves."""
+    return worse < COMPETES or costlier < left
+
+
+def finding_of(
+    cause: Cause,
+    explained: float,
+    sizes: Sequence[int],
+    axes: Sequence[str],
+    *,
+    at_noise: bool,
+    own: bool = False,
+) -> Finding:
+    """A cause as a finding: how sure, in words, and what tells it from its rivals.
+
+    Nobody may be certain where alternatives remain or more than 1.2 floors are left (not ``at_noise``): the
+    cause named may then be a disguise of another. ``own``: it stands on its own evidence, whatever share of
+    all that was missing is explained.
+    """
+    sure = 1.0 if own else 0.55 + 0.45 * _ramp(explained)
+    confidence = float(np.clip(cause.share * sure, 0.01, 0.999))
+    if cause.alternatives or cause.doubts or not at_noise:
+        confidence = min(confidence, CONTESTED)
+    if cause.sized is False:
+        confidence = min(confidence, UNSIZED)
+    sentence = finding_sentence(cause.effect, cause.fraction, confidence, cause.alternatives, sizes, axes)
+    return Finding(
+        effect=cause.effect,
+        confidence=confidence,
+        before=cause.before,
+        after=cause.after,
+        fraction=cause.fraction,
+        alternatives=cause.alternatives,
+        separating_experiment=separating(cause.effect, cause.alternatives),
+        sentence=" ".join([sentence, *cause.remarks, *cause.doubts]),
+    )
+
+
+def _ramp(explained: float) -> float:
+    return float(np.clip((explained - NAMED) / (0.995 - NAMED), 0.0, 1.0))
+
+
+def separating(term: EffectTerm, rivals: Sequence[Alternative]) -> dict[str, object] | None:
+    """The experiment that tells a cause from its rivals; ``None`` where it has none."""
+    if not rivals:
+        return None
+    effect = BY_CAUSE[term.cause]
+    others = sorted({r.cause for r in rivals} - {term.cause})
+    slow = effect.family in ("friction", "position", "constant")
+    return {
+        "kind": "constant_velocity" if slow else "multisine",
+        "axis": term.axis,
+        "separates": [term.cause, *others],
+        "description": separating_text([term.cause, *others]),
+    }
+
+
+def explained_share(residual: Sequence[AxisResidual]) -> float:
+    """The contract's explained fraction: power of what was missing that is gone, noise taken off."""
+    before, after, noise = (
+        sum(x**2 for x in column)
+        for column in zip(*((r.before, r.after, r.noise_floor) for r in residual), strict=True)
+    )
+    return float(np.clip(1.0 - (after - noise) / max(before - noise, 1e-300), 0.0, 1.0))
+
+
+def above_floor(residual: Sequence[AxisResidual]) -> AxisResidual | None:
+    """The axis farthest above 1.2 times its floor; ``None`` where all are within."""
+    left = [r for r in residual if not r.after <= FLOOR * r.noise_floor]
+    return max(left, key=floors, default=None)
+
+
+def floors(residual: AxisResidual) -> float:
+    """What an axis misses, in noise floors."""
+    return residual.after / max(residual.noise_floor, 1e-300)
+
+
+def verdict_of(
+    residual: Sequence[AxisResidual], explained: float | None, *, named: bool, missing: bool, complete: bool
+) -> Verdict:
+    """What the data say; ``missing``: the records ask for more than the model without causes, ``complete``:
+    no test finds anything beside those that are named."""
+    if not named:
+        return Verdict.UNEXPLAINED if missing else Verdict.CONSISTENT
+    taken = explained is None or explained >= EXPLAINED
+    return (
+        Verdict.EXPLAINED
+        if complete and taken and above_floor(residual) is None
+        else Verdict.PARTLY_EXPLAINED
+    )
+
+
+def assembled(
+    recording: Recording,
+    residual: Sequence[AxisResidual],
+    findings: Sequence[Finding],
+    model: Model,
+    *,
+    missing: bool,
+    complete: bool,
+    explained: float | None,
+    left: Unexplained | None = None,
+    said: Sequence[str] = (),
+    nothing: str = "The model explains the measurement to within its noise: nothing is missing.",
+    further: Sequence[str] = (),
+    warnings: Sequence[str] = (),
+    details: Mapping[str, Any] | None = None,
+) -> Diagnosis:
+    """The diagnosis of an outcome.
+
+    Parameters
+    ----------
+    missing, complete, explained
+        See ``verdict_of``.
+    left
+        What is left in words, where the caller knows more of it than its size.
+    said, nothing, further
+        Sentences before those of findings, the one of a consistent record, and those at the end.
+    """
+    findings = [
+        replace(f, confidence=min(f.confidence, CONTESTED)) if f.alternatives else f for f in findings
+    ]
+    verdict = verdict_of(residual, explained, named=bool(findings), missing=missing, complete=complete)
+    if verdict in (Verdict.PARTLY_EXPLAINED, Verdict.UNEXPLAINED) and left is None:
+        left = left_over(residual, explained)
+    sentences = [*said, *(f.sentence for f in findings)]
+    if verdict is Verdict.CONSISTENT:
+        sentences.append(nothing)
+    if left is not None:
+        sentences.append(left.sentence)
+    result = Diagnosis(
+        verdict=verdict,
+        residual=tuple(residual),
+        explained_fraction=explained,
+        findings=tuple(findings),
+        unexplained=left,
+        model=model,
+        warnings=tuple(dict.fromkeys(warnings)),
+        sentences=tuple(dict.fromkeys([*sentences, *further])),
+        details={} if details is None else details,
+    )
+    return _distrusted(result, recording)
+
+
+def left_over(residual: Sequence[AxisResidual], explained: float | None) -> Unexplained:
+    """How much is left, on the axis farthest above its floor."""
+    worst = max(residual, key=floors)
+    short = explained is not None and explained < EXPLAINED
+    of = f", {1 - (explained or 0.0):.0%} of what was missing on all axes" if short else ""
+    return Unexplained(
+        worst.axis,
+        (),
+        (),
+        f"{worst.axis}: {worst.after:.3g} {worst.unit} rms is left over a noise floor of "
+        f"{worst.noise_floor:.3g} {worst.unit}{of}",
+    )
+
+
+def _distrusted(diagnosis: Diagnosis, recording: Recording) -> Diagnosis:
+    """A model that misses more than half of the torque is not to be trusted, and that comes first."""
+    share = missed_share(diagnosis.residual, recording)
+    if not share > MISSED:
+        return diagnosis
+    said = (
+        f"The model cannot be trusted: it misses {share:.0%} of the torque. See that the torque channel is "
+        "the motor's, that every axis moves freely, and that the number of masses fits."
+    )
+    return replace(
+        diagnosis,
+        model=diagnosis.model.distrusted(said),
+        warnings=(said, *diagnosis.warnings),
+        sentences=(said, *diagnosis.sentences),
+        details={**diagnosis.details, "missed_fraction": share},
+    )
+
+
+def missed_share(residual: Sequence[AxisResidual], recording: Recording) -> float:
+    """Rms that the extended model misses beyond noise, over the rms of the torque, all axes together."""
+    left = sum(max(r.after**2 - r.noise_floor**2, 0.0) for r in residual)
+    held = recording.with_role(Role.VALIDATE) or recording.experiments
+    power = np.zeros(recording.axis_count)
+    samples = sum(e.samples for e in held)
+    for e in held:
+        power += np.nansum(np.square(e.torque), axis=0)
+    total = float(power.sum()) / max(samples, 1)
+    return float(np.sqrt(left / total)) if total > 0 else 0.0
+
+
+def cut_short(result: Diagnosis) -> Diagnosis:
+    """The diagnosis with no more certainty than a search that did not end allows.
+
+    A cause that was found may have a rival that was not weighed: no finding is surer than a contested one.
+    Without any finding the record is neither free of causes nor without a name for them: it counts as
+    unexplained, and its model as not to be trusted.
+    """
+    details = {**result.details, "cut_short": True}
+    if result.findings:
+        findings = tuple(replace(f, confidence=min(f.confidence, CONTESTED)) for f in result.findings)
+        return replace(result, findings=findings, details=details)
+    reason = "the search for causes was cut short by its budget: what was not looked at may be there"
+    left = result.unexplained
+    if left is None:
+        left = Unexplained(max(result.residual, key=floors).axis, (), (), "")
+        left = replace(left, sentence=f"{left.axis}: {reason}")
+    else:
+        left = replace(left, sentence=f"{left.sentence}; {reason}")
+    told = {*result.sentences[-1:]} if result.unexplained is None else {result.unexplained.sentence}
+    sentences = (*(s for s in result.sentences if s not in told), left.sentence)
+    return replace(
+        result,
+        verdict=Verdict.UNEXPLAINED,
+        unexplained=left,
+        sentences=sentences,
+        model=result.model.distrusted(reason),
+        warnings=(*result.warnings, reason),
+        details=details,
+    )

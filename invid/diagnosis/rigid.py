@@ -1,0 +1,262 @@
+"""The diagnosis of a large motion: rows over time and what is missing in them, judged as every other."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from invid.diagnosis.outcome import (
+    Cause,
+    above_floor,
+    assembled,
+    competes,
+    cut_short,
+    explained_share,
+    finding_of,
+    floors,
+    likelihood_share,
+)
+from invid.diagnosis.thresholds import FLOOR, NEAR
+from invid.errors import InputError
+from invid.model.diagnosis_document import Alternative, AxisResidual, Diagnosis, Unexplained
+from invid.model.document import EffectTerm, Model
+from invid.numerics import budget
+from invid.numerics.arrays import Float64
+from invid.recording.model import Recording
+from invid.rigid_motion.analysis import Analysis, analyse, row_floor, sampling_leaves
+from invid.rigid_motion.effect_terms import term_of
+from invid.rigid_motion.figures import figures_of
+from invid.rigid_motion.model import model_of
+from invid.rigid_motion.regression import Fit, fit
+from invid.rigid_motion.regressors import ASYMMETRIC, Term
+from invid.rigid_motion.selection import (
+    best_of_label,
+    held_out_cost,
+    held_out_p,
+    judged,
+    may_join,
+    rms,
+    training_p,
+)
+
+
+def diagnose_trajectory(
+    recording: Recording, *, model: Model | None = None, analysis: Analysis | None = None
+) -> Diagnosis:
+    """Diagnosis of moves, constant velocities, start and stop, velocity without position.
+
+    ``model`` only lends what such a record cannot show (the inertia at constant velocity); ``analysis`` is
+    that of this recording, where it is there already.
+    """
+    if model is not None and model.axes != recording.axes:
+        raise InputError(
+            f"the model has the axes {list(model.axes)}, the recording {list(recording.axes)}; diagnose with "
+            "the model of this robot, or without one"
+        )
+    a = analyse(recording) if analysis is None else analysis
+    extended = model_of(a, model)
+    residual = _residuals(a)
+    terms = [t for t in a.final.terms if not t.base]
+    explained = explained_share(residual) if terms else None
+    near = above_floor(residual) is None
+    missing = any(
+        r.after > max(FLOOR * r.noise_floor, allowed)
+        for r, allowed in zip(residual, sampling_leaves(a), strict=True)
+    )
+    causes = sorted(_causes(a, terms, explained or 0.0), key=lambda c: c.after - c.before)
+    sizes = extended.chains.masses_per_branch
+    result = assembled(
+        recording,
+        residual,
+        # Each was tested against the model without it on rows kept out: it stands on its own evidence.
+        [finding_of(c, explained or 0.0, sizes, recording.axes, at_noise=near, own=True) for c in causes],
+        extended,
+        missing=missing,
+        complete=True,
+        explained=explained,
+        left=None if near or not (terms or missing) else _left(a, residual),
+        warnings=extended.warnings,
+        details=figures_of(a, extended),
+    )
+    return cut_short(result) if a.selection.cut else result
+
+
+def _residuals(a: Analysis) -> tuple[AxisResidual, ...]:
+    rows, unit, floor = judged(a.design), a.recording.torque_unit, row_floor(a)
+    result = []
+    for i, name in enumerate(a.recording.axes):
+        mine = rows & (a.design.axis == i)
+        before, after = rms(a.base.held_out[mine]), rms(a.final.held_out[mine])
+        result.append(AxisResidual(name, unit, before, after, float(np.sqrt(np.mean(floor[mine])))))
+    return tuple(result)
+
+
+class _Costs:
+    """χ² of fits over independent rows, in the scatter that the final fit leaves."""
+
+    def __init__(self, a: Analysis) -> None:
+        self.design, self.final = a.design, a.final
+        own = a.design.has_validation
+        train = ~a.design.validate if own else judged(a.design)
+        length = train.sum() / max(a.final.effective, 1.0)
+        self.held = float(judged(a.design).sum() / length)
+        # Rows that are predicted by fits without them are all rows, and count once.
+        self.trained = a.final.effective if own else 0.0
+        rows = judged(a.design)
+        noise = float(np.mean((row_floor(a) * a.design.weight**2)[rows]))
+        share = 1.0 - noise / max(held_out_cost(a.design, a.final), 1e-300)
+        count = self.held + self.trained
+        self.left = max(count * share - 3.0 * float(np.sqrt(2.0 * count)), 0.0)
+        """What even the final fit leaves beyond noise, three standard deviations taken off."""
+
+    def of(self, result: Fit) -> float:
+        """χ² of a fit."""
+        held = held_out_cost(self.design, result) / max(held_out_cost(self.design, self.final), 1e-300)
+        return self.held * held + self.trained * result.cost / max(self.final.cost, 1e-300)
+
+    def score(self, result: Fit) -> float:
+        """−2 ln(likelihood) and Schwarz' penalty of all coefficients and shapes."""
+        count = self.held + self.trained
+        numbers = result.value.size + sum(t.shape is not None for t in result.terms)
+        return self.of(result) + float(np.log(max(count, 2.0))) * numbers
+
+
+def _causes(a: Analysis, terms: list[Term], explained: float) -> list[Cause]:
+    """The terms with what they take and what competes with them."""
+    costs, design = _Costs(a), a.design
+    others = [[t for t in a.final.terms if t is not term] for term in terms]
+    without = [fit(design, rest) for rest in others]
+    gains = [max(costs.of(w) - costs.of(a.final), 0.0) for w in without]
+    found = []
+    for term, rest, bare, gain in zip(terms, others, without, gains, strict=True):
+        mine = judged(design) & (design.axis == term.axis)
+        near = _near(a, term, rest, costs, costs.of(a.final) + NEAR * gain)
+        scores = np.array([costs.score(f) for f in (a.final, *near)])
+        chance = max(training_p(bare, a.final), held_out_p(design, bare, a.final))
+        alternatives = tuple(
+            Alternative(f.terms[-1].cause, a.recording.axes[term.axis], "mass 1", rms(f.held_out[mine]))
+            for f, score in zip(near, scores[1:], strict=True)
+            if competes(score - scores[0], costs.of(f) - costs.of(a.final), costs.left)
+        )
+        effect, remarks = _plain(a, term, rest)
+        found.append(
+            Cause(
+                effect,
+                rms(bare.held_out[mine]),
+                rms(a.final.held_out[mine]),
+                explained * gain / max(sum(gains), 1e-300),
+                (1.0 - chance) * likelihood_share(scores, [True, *(False for _ in near)]),
+                alternatives,
+                remarks=remarks,
+            )
+        )
+    return found
+
+
+def _near(a: Analysis, term: Term, rest: list[Term], costs: _Costs, most: float) -> list[Fit]:
+    """Fits of other causes in this one's stead that take about as much."""
+    labels: dict[Any, list[Term]] = {}
+    for c in a.candidates:
+        # What contains the term is a refinement that was tried and not needed, not a rival.
+        nested = term.cause in c.replaces or c.cause in term.replaces
+        if c.axis == term.axis and not (c.base or nested) and c.label != term.label and may_join(rest, c):
+            labels.setdefault(c.label, []).append(c)
+    found = []
+    for options in labels.values():
+        if budget.is_left_out("rivals of the causes found"):
+            break
+        trial = best_of_label(a.design, rest, options)
+        if trial is not None and costs.of(trial) < most:
+            found.append(trial)
+    return found
+
+
+def _plain(a: Analysis, term: Term, rest: list[Term]) -> tuple[EffectTerm, tuple[str, ...]]:
+    """The effect in the cause's own parameters, and what the model has beyond them, in sentences.
+
+    Friction that differs by direction has four parameters; where it also bends at low speed, the four are
+    those of the best law without the bend (with the bend they would mean something else), and the bend stands
+    in the model's effect. The symmetric law beside it lets a reader compare with tables.
+    """
+    effect = term_of(a, term)
+    if term.cause == "load_dependent_friction":
+        counted = "weight and inertia" if effect.value("inertia_counts") else "weight"
+        return effect, (f"The load is the joint's {counted}.",)
+    if term.cause != "asymmetric_friction":
+        return effect, ()
+    remarks: list[str] = []
+    if len(term.names) > len(ASYMMETRIC):
+        bend = {n: effect.parameters[n] for n in effect.parameters if n.startswith("low_speed")}
+        own = Term("asymmetric_friction", term.axis, ASYMMETRIC)
+        beyond = effect
+        effect = term_of(replace(a, final=fit(a.design, [*rest, own])), own)
+        up, down, speed = (p.value for p in bend.values())
+        unit, force = bend["low_speed_velocity"].unit, beyond.parameters["coulomb_positive"].unit
+        remarks.append(
+            f"Below about {speed:.3g} {unit} it changes by {up:.3g} (forward) and {down:.3g} {force} "
+            "(backward): see the model."
+        )
+    same = [
+        Term("coulomb_friction", term.axis, ("torque",)),
+        Term("viscous_friction", term.axis, ("coefficient",)),
+        Term("torque_offset", term.axis, ("torque",)),
+    ]
+    if any(t.cause == "gravity" and t.axis == term.axis for t in rest):
+        return effect, tuple(remarks)
+    # As tables in the literature are made: without the sampling instant of the torque.
+    symmetric = fit(a.design, [*(t for t in rest if t.cause != "time_offset"), *same])
+    units = [p.unit for p in effect.parameters.values()]
+    sizes = [
+        f"{name} {value[0]:.4g} ± {std[0]:.2g} {unit}"
+        for name, unit, (value, std) in zip(
+            ("Coulomb", "viscous", "offset"),
+            (units[0], units[2], units[0]),
+            (symmetric.of(t) for t in same),
+            strict=True,
+        )
+    ]
+    remarks.append(f"As one law for both directions: {', '.join(sizes)}.")
+    return effect, tuple(remarks)
+
+
+def _left(a: Analysis, residual: tuple[AxisResidual, ...]) -> Unexplained:
+    """Where and how the part lives that no cause explains, on the axis farthest above its floor."""
+    worst = max(range(len(residual)), key=lambda i: floors(residual[i]))
+    mine = a.design.axis == worst
+    left = a.final.held_out[mine]
+    motion = max(a.motions, key=lambda m: int(m.keep.sum()))
+    character = []
+    position = np.concatenate([m.rows(m.position)[:, worst] for m in a.motions])
+    velocity = np.concatenate([m.rows(m.velocity)[:, worst] for m in a.motions])
+    time = np.arange(left.size, dtype=float)
+    for name, driver in (("position", position), ("velocity", velocity), ("time", time)):
+        if _depends(left, driver, a.final.effective / a.design.axes):
+            character.append(f"{name}-dependent")
+    frequencies: tuple[float, ...] = ()
+    if not motion.steady and left.size >= 64:
+        power = np.abs(np.fft.rfft(left - left.mean())) ** 2
+        line = np.fft.rfftfreq(left.size, motion.row_step)
+        top = sorted(float(f) for f in line[np.argsort(power)[-3:]])
+        frequencies = tuple(round(f, 3) for f in top)
+    r = residual[worst]
+    how = (", " + ", ".join(character)) if character else ""
+    where = f" around {', '.join(f'{f:g}' for f in frequencies)} Hz" if frequencies else ""
+    return Unexplained(
+        axis=r.axis,
+        frequencies_hz=frequencies,
+        character=tuple(character),
+        sentence=f"{r.axis}: {r.after:.3g} {r.unit} rms is left over a noise floor of {r.noise_floor:.3g} "
+        f"{r.unit}{where}{how}; no cause of the catalogue explains it",
+    )
+
+
+def _depends(residual: Float64, driver: Float64, effective: float) -> bool:
+    """More than a tenth of the residual's power, and significant, in its mean over ten bins of ``driver``."""
+    edges = np.quantile(driver, np.linspace(0, 1, 11)[1:-1])
+    bins = np.searchsorted(edges, driver)
+    sums = np.bincount(bins, residual, 10)
+    counts = np.maximum(np.bincount(bins, minlength=10), 1)
+    share = float(np.sum(sums**2 / counts) / max(np.sum(residual**2), 1e-300))
+    return share > max(0.1, 20.0 / max(effective, 1.0))

@@ -1,0 +1,141 @@
+"""The model of a large motion: inertias, couplings, springs to ground, and the effects the data ask for."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from invid.errors import ModelError, NotIdentifiableError
+from invid.model.chains import CoupledChains
+from invid.model.document import ChainStd, Model
+from invid.numerics.arrays import frozen_float
+from invid.recording.model import Recording
+from invid.rigid_motion.analysis import Analysis, analyse
+from invid.rigid_motion.effect_terms import term_of
+from invid.rigid_motion.regression import fit
+from invid.rigid_motion.regressors import Term
+
+TRAJECTORY = "trajectory"
+"""The method that a model of rigid axes says it was made by."""
+
+
+def identify_trajectory(recording: Recording, *, analysis: Analysis | None = None) -> Model:
+    """Rigid (or grounded) model with the effects the data ask for, fitted together.
+
+    ``analysis``: that of this recording, where it is there already.
+    """
+    return model_of(analyse(recording) if analysis is None else analysis)
+
+
+def model_of(a: Analysis, given: Model | None = None) -> Model:
+    """The model of an analysis; ``given`` lends what such a record cannot show, the inertia."""
+    recording, final = a.recording, a.final
+    count = recording.axis_count
+    mass, mass_std = np.ones(count), np.full(count, np.nan)
+    coupling, coupling_std = np.zeros((count, count)), np.full((count, count), np.nan)
+    spring, spring_std = np.zeros(count), np.full(count, np.nan)
+    warnings = list(_warnings(a))
+    if a.reach.steady:
+        if given is not None and given.chains.branches == count:
+            mass = np.array([m.sum() for m in given.chains.masses])
+        warnings.append(
+            "constant velocity shows no inertia: the masses in this model are placeholders; record moves "
+            "that accelerate to identify them"
+        )
+    facts: dict[str, Any] = {}
+    for term in final.terms:
+        value, std = final.of(term)
+        if term.cause == "inertia":
+            mass[term.axis], mass_std[term.axis] = value[0], std[0]
+        elif term.cause == "coupling" and term.other is not None:
+            for i, j in ((term.axis, term.other), (term.other, term.axis)):
+                coupling[i, j], coupling_std[i, j] = value[0], std[0]
+        elif term.cause == "time_offset":
+            offsets = facts.setdefault("time_offset_s", {})
+            offsets[f"{recording.axes[term.axis]}.time_offset"] = {
+                "value": float(value[0]),
+                "std": float(std[0]),
+            }
+        elif term.cause == "ground_spring":
+            spring[term.axis], spring_std[term.axis] = value[0], std[0]
+        elif term.cause == "configuration":
+            facts["inertia_with_angle"] = {
+                "axes": [recording.axes[term.axis], recording.axes[term.other or 0]],
+                "cosine": {"value": float(value[0]), "std": float(std[0])},
+                "sine": {"value": float(value[1]), "std": float(std[1])},
+                "meaning": "M11 += 2 b cos q2, M12 += b cos q2, with the Coriolis terms that belong to it",
+            }
+    unseen = [] if a.reach.steady else [i for i in range(count) if not np.isfinite(mass_std[i])]
+    doubts = []
+    for i in unseen:
+        mass[i] = _hidden_inertia(a, i)
+        doubts.append(
+            f"the inertia of {recording.axes[i]} does not show: the mass in this model, {mass[i]:.2g}, is "
+            "what the rest could hide; record faster moves, or see that the torque is the motor's"
+        )
+    warnings += doubts
+    if doubts:
+        facts |= {"trustworthy": False, "doubts": doubts}
+    try:
+        chains = CoupledChains.build(
+            [[m] for m in mass],
+            [[] for _ in mass],
+            None,
+            coupling,
+            ground_springs=spring,
+            axes=recording.axes,
+        )
+    except ModelError as error:
+        warnings.append(f"inertia couplings left out: {error}")
+        chains = CoupledChains.build([[m] for m in mass], [[] for _ in mass], axes=recording.axes)
+    unknown = ChainStd.unknown(chains)
+    std_of = ChainStd(
+        masses=tuple(frozen_float([s]) for s in mass_std),
+        springs=unknown.springs,
+        dampers=unknown.dampers,
+        couplings=frozen_float(coupling_std),
+        ground_springs=frozen_float(spring_std),
+    )
+    return Model(
+        robot=recording.robot,
+        method=TRAJECTORY,
+        chains=chains,
+        std=std_of,
+        linear=recording.linear,
+        effects=tuple(term_of(a, t) for t in final.terms if not t.base),
+        warnings=tuple(warnings),
+        fit={**facts, "rows": int(a.design.torque.size), "independent_rows": round(final.effective, 1)},
+        provenance={"recording": recording.source, "model_of": "rigid body with gravity and friction"},
+    )
+
+
+def _hidden_inertia(a: Analysis, axis: int) -> float:
+    """Standard deviation of an inertia beside the rest of the model: what may be there and not be seen."""
+    own = Term("inertia", axis, ("mass",), base=True)
+    _, std = fit(a.design, [*a.final.terms, own]).of(own)
+    if not std[0] > 0:
+        raise NotIdentifiableError(
+            f"{a.recording.source}: {a.recording.axes[axis]} does not accelerate; record faster moves"
+        )
+    return float(std[0])
+
+
+def _warnings(a: Analysis) -> list[str]:
+    found = []
+    if not a.design.has_validation:
+        found.append(
+            "the recording names no validation data: whole pieces (or constant-speed records) were kept out "
+            "in turn"
+        )
+    if any(e.attributes.get("position_source") == "integrated_velocity" for e in a.recording.experiments):
+        found.append(
+            "position is the integral of a measured velocity: causes that depend on position were weak"
+        )
+    if not a.reach.steady:
+        cutoffs = ", ".join(f"{f:.3g}" for f in a.band.rows_hz)
+        found.append(
+            f"residuals are judged below {cutoffs} Hz; the noise floor is read from the upper quarter of the "
+            f"spectra and taken as white"
+        )
+    return found
