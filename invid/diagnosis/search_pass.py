@@ -16,6 +16,7 @@ from invid.diagnosis.slow_move import moves_of
 from invid.diagnosis.thresholds import CLOSE
 from invid.diagnosis.tone import Tone, without_tones
 from invid.diagnosis.validation import PLAIN, Asked, split
+from invid.diagnosis.whole_records import differ, is_explained, unfolded
 from invid.errors import InputError
 from invid.likelihood.joint_fit import JointFit, fit, held_out
 from invid.likelihood.null_test import null_test
@@ -75,6 +76,9 @@ def _over_periods(recording: Recording, model: Model) -> Look:
     """The look at the mean of each record's periods. Where they differ far beyond the sensors' noise, one at
     every period: what repeats in none may have a law that holds in all. What the mean shows beside that is
     measured by what differs, and any cause may pass (presliding friction, of a ripple)."""
+    whole = budget.or_else("the records taken whole", partial(_of_whole, recording, model), None)
+    if whole is not None:
+        return whole
     look = _over_changes(recording, model)
     differs = any(r.differs for r in (*look.train, *look.held))
     if look.tones or not (differs or is_lost(look.selection)):
@@ -93,6 +97,16 @@ def _over_periods(recording: Recording, model: Model) -> Look:
     if rattling is not None:
         return rattling
     return other if other.selection.steps else look
+
+
+def _of_whole(recording: Recording, model: Model) -> Look | None:
+    """The look at whole records where the scatter between their periods is what the laws found make."""
+    *_, (base, _, train, held) = _begun(recording, model, PLAIN)
+    scatter = differ(base, held)
+    if not scatter or any(r.alone for r in (*train, *held)):
+        return None
+    look = _looked(unfolded(recording), model)
+    return look if look.selection.steps and is_explained(look.selection.final, scatter) else None
 
 
 def _with_a_strong_mode(look: Look) -> Look | None:
