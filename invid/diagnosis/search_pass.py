@@ -15,8 +15,7 @@ from invid.diagnosis.selection import Selection, is_lost
 from invid.diagnosis.slow_move import moves_of
 from invid.diagnosis.thresholds import CLOSE
 from invid.diagnosis.tone import Tone, without_tones
-from invid.diagnosis.validation import PLAIN, Asked, split
-from invid.diagnosis.whole_records import differ, is_explained, unfolded
+from invid.diagnosis.validation import PLAIN, Asked, is_law_of_motion, scatter_of, split, unfolded
 from invid.errors import InputError
 from invid.likelihood.joint_fit import JointFit, fit, held_out
 from invid.likelihood.null_test import null_test
@@ -102,11 +101,11 @@ def _over_periods(recording: Recording, model: Model) -> Look:
 def _of_whole(recording: Recording, model: Model) -> Look | None:
     """The look at whole records where the scatter between their periods is what the laws found make."""
     *_, (base, _, train, held) = _begun(recording, model, PLAIN)
-    scatter = differ(base, held)
+    scatter = scatter_of(base, held)
     if not scatter or any(r.alone for r in (*train, *held)):
         return None
-    look = _looked(unfolded(recording), model)
-    return look if look.selection.steps and is_explained(look.selection.final, scatter) else None
+    look = _looked(unfolded(recording), model, Asked(whole=True))
+    return look if look.selection.steps and is_law_of_motion(look.selection.final, scatter) else None
 
 
 def _with_a_strong_mode(look: Look) -> Look | None:
