@@ -56,7 +56,7 @@ def linear_fit(
     logged = train[0].command is not None
     holds = holds_inside(spectra, model, recording, with_command=logged)
     smoothed = tuple(range(structure.motors)) if asked.whole else smoothed_in(model)
-    layout = layout_of(structure, train, origin, holds, () if logged else smoothed)
+    layout = layout_of(structure, train, origin, holds, () if logged and not asked.whole else smoothed)
     given = given_effects(model, structure)
     late = [t.place.axis for t in given.terms if t.effect.cause == "torque_delay"]
     layout, _ = layout.without_delay(late)

@@ -16,6 +16,7 @@ from invid.diagnosis.slow_move import moves_of
 from invid.diagnosis.thresholds import CLOSE
 from invid.diagnosis.tone import Tone, without_tones
 from invid.diagnosis.validation import PLAIN, Asked, is_law_of_motion, scatter_of, split, unfolded
+from invid.diagnosis.whole_search import search_beside_friction
 from invid.errors import InputError
 from invid.likelihood.joint_fit import JointFit, fit, held_out
 from invid.likelihood.null_test import null_test
@@ -99,13 +100,26 @@ def _over_periods(recording: Recording, model: Model) -> Look:
 
 
 def _of_whole(recording: Recording, model: Model) -> Look | None:
-    """The look at whole records where the scatter between their periods is what the laws found make."""
-    *_, (base, _, train, held) = _begun(recording, model, PLAIN)
-    scatter = scatter_of(base, held)
+    """The look at whole records, against every motor's friction, where that and the causes beside it are what
+    the scatter between their periods is made of."""
+    *_, (folded, _, train, held) = _begun(recording, model, PLAIN)
+    scatter = scatter_of(folded, held)
     if not scatter or any(r.alone for r in (*train, *held)):
         return None
-    look = _looked(unfolded(recording), model, Asked(whole=True))
-    return look if look.selection.steps and is_law_of_motion(look.selection.final, scatter) else None
+    current().searches += 1
+    whole = unfolded(recording)
+    spectra, warnings, (base, _, train, held) = _begun(whole, model, Asked(whole=True))
+    selection = search_beside_friction(
+        Trial(base, held_out(base, held)),
+        fitted_friction(model, base.layout.structure),
+        start_of(model, base.layout),
+        train,
+        held,
+        linear_axes=recording.linear,
+    )
+    if selection is None or not selection.steps or not is_law_of_motion(selection.final, scatter):
+        return None
+    return Look(whole, model, spectra, (), train, held, without_effects(base, train), selection, warnings)
 
 
 def _with_a_strong_mode(look: Look) -> Look | None:
