@@ -53,3 +53,16 @@ def test_periods_that_differ_are_taken_whole_and_a_motor_ripples_twice() -> None
     assert len(cycles) == 2
     assert abs(cycles[0] - 6.0) < 0.1
     assert abs(cycles[1] - 24.0) < 0.2
+
+
+def test_a_stiffening_spring_is_found_where_no_period_is_like_the_next() -> None:
+    """The mean of unlike periods hid the spring and the load's bearing behind their scatter."""
+    recording, truth = draw(702)
+    diagnosis = diagnose(recording)
+    result = scored(truth, diagnosis)
+    named = {f[0]: f[-1] for f in result["faults"]}
+    assert named["cubic_stiffness"], result["named"]
+    assert named["viscous_friction"], result["named"]
+    assert result["gravity"] == [1, 1]
+    assert not result["wrong"]
+    assert max(result["floors"]) <= 1.2
