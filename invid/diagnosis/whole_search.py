@@ -69,7 +69,7 @@ def search_beside_friction(
             found = more
     except budget.BudgetSpent:
         cut = True
-    return replace(_named(base, null, found, train, held), cut=cut)
+    return replace(_named(base, null, found, train, held, linear_axes), cut=cut)
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,7 +201,12 @@ def _foreseen(trial: Trial, held: Sequence[Record]) -> float:
 
 
 def _named(
-    base: Trial, null: Trial, found: _Found, train: Sequence[Record], held: Sequence[Record]
+    base: Trial,
+    null: Trial,
+    found: _Found,
+    train: Sequence[Record],
+    held: Sequence[Record],
+    linear_axes: bool,
 ) -> Selection:
     """The selection with friction named by its parts, and without what is not told from nothing."""
     known = len(base.fit.candidate.terms)
@@ -232,18 +237,58 @@ def _named(
         if other is None:
             break
         whole, every = other, [*every[:weakest], *every[weakest + 1 :]]
-    # A step stands for its law as it was found: the law named last is that of the whole.
     out = []
-    count = len(every)
     for n, step in enumerate(every):
-        order = [*range(known), *(known + m for m in range(count) if m != n), known + n]
-        own = Trial(reordered(whole.fit, order), whole.held)
-        before = step.before if step.chosen is not null else base
         if step.chosen is null:
-            out.append(Step(before, own, ((own, own.cost),)))
+            own = _led_by(whole, known + n)
+            out.append(Step(base, own, ((own, own.cost),)))
+        elif step.chosen.term.effect.family == "position" and step.chosen.term.place.kind == "mass":
+            out.append(step)  # a weight, a ripple: read from its own motor's motion
         else:
+            whole, step = _exchanged(whole, known + n, step, train, held, linear_axes)
             out.append(step)
     return Selection(base, whole, tuple(out))
+
+
+def _led_by(trial: Trial, at: int) -> Trial:
+    """The same fit with effect ``at`` as its last one."""
+    count = len(trial.fit.candidate.terms)
+    return Trial(reordered(trial.fit, [*(k for k in range(count) if k != at), at]), trial.held)
+
+
+def _exchanged(
+    whole: Trial, at: int, step: Step, train: Sequence[Record], held: Sequence[Record], linear_axes: bool
+) -> tuple[Trial, Step]:
+    """A cause against those that it is easily taken for, beside all others: it was chosen while some of them
+    were missing."""
+    if budget.spent():
+        return whole, step
+    own, here = _led_by(whole, at), whole.fit
+    run = partial(fit, here.layout, train, here.p, here.candidate.without(at), iterations=10, quick=True)
+    rest = attempted(run, held)
+    if rest is None:
+        return whole, step
+    lost, term = rest.fit.cost - here.cost, own.term
+    terms = [
+        t
+        for t in terms_for(here.layout.structure, linear_axes=linear_axes, chosen=rest.fit.candidate.terms)
+        if t.effect.cause in (term.effect.cause, *term.effect.looks_like)
+        and t.place.axis == term.place.axis
+        and (t.effect.cause, t.place) != (term.effect.cause, term.place)
+    ]
+    scores = [s for s in screened(Screen(rest.fit), terms) if s.gain > NEAR * lost]
+    trials = [_fitted(rest.fit, s, train, held) for s in scores[:TRIED]]
+    all_ = [own, *(t for t in trials if t is not None and not at_bound(t.fit))]
+    least, rows = min(t.fit.dispersion for t in all_), here.dof
+    ranked = sorted(
+        ((t, t.fit.cost / least + penalty(t, rows)) for t in all_), key=lambda r: (r[1], r[0] is not own)
+    )
+    best = ranked[0][0]
+    if best is not own:
+        count = len(best.fit.candidate.terms)
+        order = [*range(at), count - 1, *range(at, count - 1)]
+        whole = Trial(reordered(best.fit, order), best.held)
+    return whole, Step(rest, best, tuple(ranked))
 
 
 def _wald(found: JointFit, number: int) -> float:
