@@ -10,13 +10,13 @@ from invid.diagnosis.context import apply_rule, current
 from invid.diagnosis.evidence import Trial
 from invid.diagnosis.known_effects import fitted_friction
 from invid.diagnosis.linear_fit import linear_fit, start_of, tones_in, without_effects
+from invid.diagnosis.rules.whole_search import search_beside_friction
 from invid.diagnosis.search import select
 from invid.diagnosis.selection import Selection, is_lost
 from invid.diagnosis.slow_move import moves_of
 from invid.diagnosis.thresholds import CLOSE, FAR, NAMED_SHARE
 from invid.diagnosis.tone import Tone, without_tones
 from invid.diagnosis.validation import PLAIN, Asked, is_law_of_motion, scatter_of, split, unfolded
-from invid.diagnosis.whole_search import search_beside_friction
 from invid.errors import InputError
 from invid.likelihood.joint_fit import JointFit, fit, held_out
 from invid.likelihood.null_test import null_test
