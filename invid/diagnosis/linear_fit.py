@@ -47,7 +47,8 @@ def linear_fit(
     origin = min(float(e.time[0]) for e in recording.experiments)
     logged = train[0].command is not None
     holds = holds_inside(spectra, model, recording, with_command=logged)
-    layout = layout_of(structure, train, origin, holds, () if logged else smoothed_in(model))
+    smoothed = tuple(range(structure.motors)) if asked.whole else smoothed_in(model)
+    layout = layout_of(structure, train, origin, holds, () if logged and not asked.whole else smoothed)
     given = given_effects(model, structure)
     late = [t.place.axis for t in given.terms if t.effect.cause == "torque_delay"]
     layout, _ = layout.without_delay(late)
@@ -116,7 +117,8 @@ def start_of(model: Model, layout: Layout) -> Float64:
         value = found.get("value") if isinstance(found, dict) else None
         start[structure.count + k] = 0.5 * layout.step if value is None else float(value)
     for k, i in enumerate(layout.smoothed):
-        time_constant = float(model.fit["torque_lag_s"][structure.axes[i]]["value"])
+        lag = model.fit.get("torque_lag_s", {}).get(structure.axes[i], {})
+        time_constant = max(float(lag.get("value") or 0.0), 0.0)
         start[layout.smoothed_at.start + k] = time_constant
         start[structure.count + layout.free_delays.index(i)] += time_constant  # which held the lag's delay
     start[layout.stairs_at] = 0.5

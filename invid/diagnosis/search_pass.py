@@ -9,12 +9,13 @@ from functools import partial
 from invid.diagnosis.context import apply_rule, current
 from invid.diagnosis.known_effects import fitted_friction
 from invid.diagnosis.linear_fit import linear_fit, start_of, tones_in, without_effects
+from invid.diagnosis.rules.whole_search import search_beside_friction
 from invid.diagnosis.search import select
 from invid.diagnosis.selection import Selection
 from invid.diagnosis.slow_move import moves_of
-from invid.diagnosis.thresholds import CLOSE
+from invid.diagnosis.thresholds import CLOSE, FAR, NAMED_SHARE
 from invid.diagnosis.tone import Tone, without_tones
-from invid.diagnosis.validation import PLAIN, Asked, split
+from invid.diagnosis.validation import PLAIN, Asked, is_law_of_motion, scatter_of, split, unfolded
 from invid.errors import InputError
 from invid.likelihood.joint_fit import JointFit
 from invid.likelihood.null_test import null_test
@@ -27,6 +28,8 @@ from invid.signals.plausibility import check_plausible
 from invid.signals.spectra import LineSpectra, all_spectra
 from invid.signals.spectral_record import Record
 
+WHOLE = "the records taken whole, against the friction of every motor"
+"""What a budget that is spent leaves out."""
 ALIKE = 5.0
 """How many times as far from its noise as the training records the held-out one may be before it counts as
 another machine's: twice the amplitude of an unknown law is four times the power. A guess."""
@@ -71,6 +74,49 @@ def looked(recording: Recording, model: Model) -> Look:
 
 
 def _over_periods(recording: Recording, model: Model) -> Look:
+    """The look at whole records against every motor's friction, where their periods differ and its laws leave
+    a tenth of that scatter at most, or of what the look at their mean leaves; else that look."""
+    *_, (folded, _, train, held) = _begun(recording, model, PLAIN)
+    scatter = scatter_of(folded, held)
+    whole: Look | None = None
+    beside_friction = partial(_of_whole, recording, model)
+    if scatter and not any(r.alone for r in (*train, *held)):
+        with budget.part(0.5, 0.05, 0.4):  # the rest is for the other look
+            whole = budget.or_else(WHOLE, beside_friction, None)
+        if whole is not None and is_law_of_motion(whole.selection.final, scatter):
+            return whole
+    look = _by_periods(recording, model)
+    final = look.selection.final
+    if look.tones or final.cost < FAR * final.dof:
+        return look
+    if whole is None and not scatter:
+        whole = budget.or_else(WHOLE, beside_friction, None)
+    if whole is None:
+        return look
+    other = whole.selection.final
+    nearer = other.excess / other.dof < (1.0 - NAMED_SHARE) * final.excess / final.dof
+    return whole if nearer else look
+
+
+def _of_whole(recording: Recording, model: Model) -> Look | None:
+    """The look at whole records, against the friction of every motor; ``None`` where it finds nothing."""
+    current().searches += 1
+    whole = unfolded(recording)
+    spectra, warnings, (base, _, train, held) = _begun(whole, model, Asked(whole=True))
+    selection = search_beside_friction(
+        Trial(base, held_out(base, held)),
+        fitted_friction(model, base.layout.structure),
+        start_of(model, base.layout),
+        train,
+        held,
+        linear_axes=recording.linear,
+    )
+    if selection is None or not selection.steps:
+        return None
+    return Look(whole, model, spectra, (), train, held, without_effects(base, train), selection, warnings)
+
+
+def _by_periods(recording: Recording, model: Model) -> Look:
     """The look at the mean of each record's periods. Where they differ far beyond the sensors' noise, one at
     every period: what repeats in none may have a law that holds in all. What the mean shows beside that is
     measured by what differs, and any cause may pass (presliding friction, of a ripple)."""

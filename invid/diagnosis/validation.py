@@ -8,11 +8,16 @@ the others do, or lies on the other side of a change. The rigid engine keeps blo
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
 
+from invid.diagnosis.evidence import Trial
+from invid.diagnosis.thresholds import NAMED_SHARE
+from invid.likelihood.evaluation import Evaluation, numbers_on
+from invid.likelihood.joint_fit import JointFit, held_out
+from invid.likelihood.null_test import DIFFERS
 from invid.likelihood.prepare_records import demand_used, of_lines, record_of
 from invid.recording.model import Recording, Role
 from invid.signals.spectra import LineSpectra
@@ -36,12 +41,16 @@ class Asked:
         Every record is followed from period to period; the first that is held out joins the training.
     each
         So are records whose periods differ far beyond the sensors' noise.
+    whole
+        The records are ``unfolded``: what their identification could not see behind the scatter, torque that
+        the drive smooths, is free.
     """
 
     spare: bool = True
     within: bool = False
     apart: bool = False
     each: bool = False
+    whole: bool = False
 
 
 PLAIN = Asked()
@@ -183,3 +192,42 @@ def split(
     train, held = row.parts(offer)
     said = row.sentence(offer)
     return train, held, [] if said is None else [said]
+
+
+def unfolded(recording: Recording) -> Recording:
+    """The recording with every experiment as one record without a period.
+
+    A law of motion is not linear: on the mean of periods that differ it gives something else than its own
+    mean, and what it gives otherwise in each of them passes for noise. Taken whole, with the ends of a record
+    that does not close, such a record is as exact as any other.
+    """
+    experiments = tuple(replace(e, period_samples=0) for e in recording.experiments)
+    return replace(recording, experiments=experiments)
+
+
+def scatter_of(fit: JointFit, held: Sequence[Record]) -> float:
+    """Power of the scatter between periods over that of the sensors' noise, of the training or the held-out
+    records the larger; zero where the periods are alike but for noise."""
+    level = max(_scatter_in(fit.evaluation), _scatter_in(held_out(fit, held)))
+    return level if level > DIFFERS else 0.0
+
+
+def _scatter_in(part: Evaluation) -> float:
+    ratios = []
+    for view, covariance, root in zip(part.views, part.covariance, part.roots, strict=True):
+        record = view.record
+        if record.alone or not record.scatter.any():
+            continue
+        seen = numbers_on(record, root) > 0
+        seen[0] = False
+        own = np.einsum("fii->fi", covariance).real - record.scatter
+        ratios.append(float(np.mean(record.scatter[seen] / np.maximum(own[seen], 1e-300))))
+    return float(np.mean(ratios)) if ratios else 0.0
+
+
+def is_law_of_motion(final: Trial, scatter: float) -> bool:
+    """Whether the laws found leave a tenth of the ``scatter`` at most in whole records.
+
+    Noise of the torque or a disturbance, which no law of the motion gives, is left there as it was.
+    """
+    return final.excess < (1.0 - NAMED_SHARE) * scatter * final.dof

@@ -145,6 +145,10 @@ class Effect:
         """Whether its force in a record depends on what was before (``view.starts``)."""
         return False
 
+    def follows_motor(self, place: Place) -> bool:
+        """Whether its force at a place of inner motion follows from the motor's measured motion alone."""
+        return False
+
     def rarity(self, place: Place, structure: ChainStructure) -> float:
         """−2 ln of the odds, before any data, that this cause sits here and not where it usually does."""
         return 0.0

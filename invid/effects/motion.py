@@ -264,6 +264,19 @@ class View:
             )
         return self._yields[pattern]
 
+    def spread(self, pattern: Pattern, missing: Complex128) -> Complex128:
+        """(F,) force along the pattern that ``missing`` (F, M) would take, each line by how well it is told.
+
+        For what is summed up over many lines: of a force that is spread over all of them none need stand out
+        of its noise.
+        """
+        push = self.push(pattern)
+        weighted = np.einsum("fij,fj->fi", self.certainty, push).conj()
+        information = np.einsum("fi,fi->f", weighted, push).real
+        most = max(float(np.median(information)), 1e-300)
+        force: Complex128 = -np.einsum("fi,fi->f", weighted, missing) / np.maximum(information, most)
+        return force
+
     def inferred(self, pattern: Pattern, missing: Complex128) -> Complex128:
         """(F,) force along the pattern that ``missing`` (F, M) would take, whatever its law.
 

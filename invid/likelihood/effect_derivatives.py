@@ -53,7 +53,13 @@ def response_columns(
         stiffness[:, structure.slices["spring"]] = np.diag(view.springs)  # they move as logarithms
         damping[:, structure.slices["damper"]] = np.eye(springs)
     change = Change(base, missing, stiffness, damping, total, back)
-    response = respond(view, candidate, slopes, change)
+    moved = np.ones(count, dtype=bool)
+    if view.record.transient:
+        # A force on a motor whose motion is measured moves no inner mass but by the ends of the record.
+        moved[known:] = [candidate.terms[number].feels(view) for number, *_ in steps]
+        moved[structure.count : known] = False
+    response = total
+    response[..., moved] = respond(view, candidate, slopes, change.only(moved))
     columns[..., :known] += response[..., :known]
     columns[..., linear:] = response[..., known:]
     return True

@@ -86,7 +86,7 @@ def slopes_of(view: View, candidate: Candidate) -> list[tuple[Term, Slope]] | No
         if isinstance(effect, ImpedanceEffect):
             if not effect.steady:
                 return None
-        elif term.feels(view):
+        elif term.feels(view) and not effect.follows_motor(term.place):
             slope = _slope(view, term, x)
             if slope is None:
                 return None
@@ -100,7 +100,7 @@ def _slope(view: View, term: Term, x: Float64) -> Slope | None:
         return None
     if isinstance(effect, DryLaw) and (share := effect.holding(view, place, x.tolist())) is not None:
         return _Holding.of(view, share, place.axis)
-    if type(effect) is Backlash and not view.record.transient:
+    if type(effect) is Backlash:
         return _Gap.of(view, term, float(np.exp(x[0])))
     if not (isinstance(effect, ForceEffect) and effect.local and term.inner):
         return None
@@ -222,8 +222,13 @@ class _Local:
     def force(self, view: View, change: Change, inner: Complex128, jumps: Float64) -> Complex128:
         record, own = view.record, 1j * view.omega[:, None]
         lines, wander = motion_along(view, self.pattern, inner, jumps)
-        position = record.to_waves(lines) + record.wave_time[:, None] * wander
-        force = seen = self._along(position, record.to_waves(own * lines) + wander)
+        shape = (record.samples, lines.shape[1])
+        position = velocity = np.zeros(shape)  # a law seldom reads both
+        if any(s.any() for s in self.position):
+            position = record.to_waves(lines) + record.wave_time[:, None] * wander
+        if any(s.any() for s in self.velocity):
+            velocity = record.to_waves(own * lines) + wander
+        force = seen = self._along(position, velocity)
         if self.compliance is not None:
             rate = 1j * record.wave_omega[:, None]
             for _ in range(BEYOND_PASSES):
@@ -234,23 +239,18 @@ class _Local:
 
     def _along(self, position: Float64, velocity: Float64) -> Float64:
         """(n, P) force for a change of motion over time."""
-        force = np.zeros_like(position)
-        for wave, (before, at, after) in ((position, self.position), (velocity, self.velocity)):
-            force += at[:, None] * wave
-            for slope, shift in ((before, -1), (after, 1)):
-                if slope.any():
-                    force += np.roll(slope[:, None] * wave, shift, axis=0)
-        return force
+        return _shifted(self.position, position) + _shifted(self.velocity, velocity)
 
 
 @dataclass(frozen=True, eq=False)
 class _Gap:
-    """Free play of a record that closes: spring and damper lose the deflection within it."""
+    """Free play: spring and damper lose the deflection within it."""
 
     pattern: Pattern
     spring: int
     inside: Complex128
-    """(F,) lines of what they lose."""
+    """(F,) lines of what they lose, ``rate`` (F,) those of its rate."""
+    rate: Complex128
     position: tuple[Float64, Float64, Float64]
 
     @classmethod
@@ -260,13 +260,20 @@ class _Gap:
         def law() -> Float64:
             return clip_law(view.wave(pattern), 0.5 * gap)
 
-        lines = view.to_lines(law()[:, None], smeared=True)[:, 0]
+        wave = law()
+        lines = view.to_lines(wave[:, None], smeared=True)[:, 0]
+        rate = 1j * view.omega * lines
+        if view.record.transient:
+            rate = rate + (wave[-1] - wave[0]) * (2.0 / view.record.span)
+            rate[0] *= 0.5
         return cls(
-            pattern, spring_index(view.structure, term.place), lines,
+            pattern, spring_index(view.structure, term.place), lines, rate,
             _slopes_over_time(view, pattern, False, law),
         )  # fmt: skip
 
     def factors(self, view: View, change: Change) -> Factors | None:
+        if view.record.transient:
+            return None
         k, d, own = float(view.springs[self.spring]), float(view.dampers[self.spring]), 1j * view.omega
         stiff = -(k + own * d)[:, None] / view.smear[:, None]
         same, mirrored = _convolution(view, self.position)
@@ -274,10 +281,32 @@ class _Gap:
         return _of_lines(stiff * same, stiff * mirrored, -self.inside[:, None] * moved)
 
     def force(self, view: View, change: Change, inner: Complex128, jumps: Float64) -> Complex128:
-        factors = self.factors(view, change)
-        assert factors is not None  # noqa: S101 - a record that closes
-        out: Complex128 = factors.made @ ((factors.read @ along(self.pattern, inner)).real + factors.direct)
+        record, omega = view.record, view.omega[:, None]
+        lines, wander = motion_along(view, self.pattern, inner, jumps)
+        wave = record.to_waves(lines) + record.wave_time[:, None] * wander
+        inside = _shifted(self.position, wave)
+        lost = view.to_lines(inside, smeared=True)
+        rate = 1j * omega * lost
+        if record.transient:
+            rate = rate + (inside[-1] - inside[0]) * (2.0 / record.span)
+            rate[0] *= 0.5
+        k, d = float(view.springs[self.spring]), float(view.dampers[self.spring])
+        out: Complex128 = -(k * lost + d * rate)
+        out -= (
+            self.inside[:, None] * change.springs[self.spring]
+            + self.rate[:, None] * change.dampers[self.spring]
+        )
         return out
+
+
+def _shifted(slopes: tuple[Float64, Float64, Float64], wave: Float64) -> Float64:
+    """(n, P) change of a law for a change of its wave (n, P), ``slopes`` as of ``_slopes_over_time``."""
+    before, at, after = slopes
+    out = at[:, None] * wave if at.any() else np.zeros_like(wave)
+    for slope, shift in ((before, -1), (after, 1)):
+        if slope.any():
+            out += np.roll(slope[:, None] * wave, shift, axis=0)
+    return out
 
 
 def _slopes_over_time(

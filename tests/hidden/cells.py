@@ -378,7 +378,8 @@ def is_true(truth: Cell, f: Finding) -> bool:
     if e.cause == "gravity":
         return axis in truth.weights
     if e.cause == "cogging":
-        return any(abs(e.parameters["cycles_per_rev"].value - n) < 0.1 * n for n in (6, 24))
+        cycles = e.parameters["cycles_per_rev"]
+        return any(abs(cycles.value - n) < max(0.1 * n, 3.0 * (cycles.std or 0.0)) for n in (6, 24))
     return any(_names(truth, fault, f) for fault in truth.faults)
 
 

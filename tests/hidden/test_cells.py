@@ -34,3 +34,35 @@ def test_friction_is_named_beside_what_no_catalogue_has_and_the_rest_is_said() -
     assert diagnosis.unexplained.axis == truth.axes[0]
     assert "even" in diagnosis.unexplained.character
     assert all(f.confidence < 0.9 for f in diagnosis.findings)
+
+
+def test_periods_that_differ_are_taken_whole_and_a_motor_ripples_twice() -> None:
+    """A stiffening spring with free play beside friction: the mean of three unlike periods hid the first, and
+    one ripple a motor left the other."""
+    recording, truth = draw(20001)
+    diagnosis = diagnose(recording)
+    result = scored(truth, diagnosis)
+    assert [f[0] for f in result["faults"]] == ["backlash", "cubic_stiffness"]
+    assert all(f[-1] for f in result["faults"]), result["named"]
+    assert not result["wrong"]
+    gap = next(f for f in diagnosis.findings if f.effect.cause == "backlash").effect.parameters["gap"]
+    assert abs(gap.value - truth.faults[0].p[0]) < 0.02 * truth.faults[0].p[0]
+    cycles = sorted(
+        f.effect.parameters["cycles_per_rev"].value for f in diagnosis.findings if f.effect.cause == "cogging"
+    )
+    assert len(cycles) == 2
+    assert abs(cycles[0] - 6.0) < 0.1
+    assert abs(cycles[1] - 24.0) < 0.2
+
+
+def test_a_stiffening_spring_is_found_where_no_period_is_like_the_next() -> None:
+    """The mean of unlike periods hid the spring and the load's bearing behind their scatter."""
+    recording, truth = draw(702)
+    diagnosis = diagnose(recording)
+    result = scored(truth, diagnosis)
+    named = {f[0]: f[-1] for f in result["faults"]}
+    assert named["cubic_stiffness"], result["named"]
+    assert named["viscous_friction"], result["named"]
+    assert result["gravity"] == [1, 1]
+    assert not result["wrong"]
+    assert max(result["floors"]) <= 1.2

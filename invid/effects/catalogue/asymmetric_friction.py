@@ -9,7 +9,8 @@ import numpy as np
 
 from invid.effects.effect import Experiment, PlaceMotion
 from invid.effects.elements import Element, ForceLaw, Law, ModelPlace
-from invid.effects.laws.sign import DryLaw, bend, sign_law
+from invid.effects.laws.sign import DryLaw, bend, even_law, excess_law, sign_law
+from invid.effects.motion import View, rms
 from invid.effects.sizes import FRICTION, JOINT_SOURCE, Size, asymmetric_share
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place, mass_places
@@ -34,8 +35,14 @@ class AsymmetricFriction(DryLaw):
         "viscous_positive": "damping",
         "viscous_negative": "damping",
     }
-    coefficients = ("coulomb_positive", "coulomb_negative", "viscous_positive", "viscous_negative")
-    lower, upper = (0.0,) * 4, (np.inf,) * 4
+    coefficients: tuple[str, ...] = (
+        "coulomb_positive",
+        "coulomb_negative",
+        "viscous_positive",
+        "viscous_negative",
+    )
+    lower: tuple[float, ...] = (0.0,) * 4
+    upper: tuple[float, ...] = (np.inf,) * 4
     main = "coulomb_positive"
     smeared = True
 
@@ -44,7 +51,10 @@ class AsymmetricFriction(DryLaw):
 
     def of(self, v: Float64, soft: float, shape: Sequence[float], turn: float) -> Float64:
         sign = sign_law(v, soft, turn)
-        return np.stack([0.5 * (1 + sign), -0.5 * (1 - sign), np.maximum(v, 0.0), np.minimum(v, 0.0)], axis=1)
+        # Of a joint that turns over gradually neither direction's friction acts at rest.
+        whole = even_law(v, soft) if self.rounding > 0.0 else 1.0
+        up, down = 0.5 * (whole + sign), -0.5 * (whole - sign)
+        return np.stack([up, down, np.maximum(v, 0.0), np.minimum(v, 0.0)], axis=1)
 
     def held(self, x: Sequence[float]) -> tuple[float, float]:
         return -x[1], x[0]
@@ -77,3 +87,31 @@ class AsymmetricFriction(DryLaw):
             near = bend(v, shape)
             columns += [forward * near, -(1 - forward) * near]
         return np.stack(columns, axis=1)
+
+
+class AsymmetricStribeck(AsymmetricFriction):
+    """The same with more of it at slow speed, exp(−(θ̇/low_speed_velocity)²), in each direction."""
+
+    parameters: ClassVar[Mapping[str, str]] = {
+        **AsymmetricFriction.parameters,
+        "low_speed_positive": "torque",
+        "low_speed_negative": "torque",
+        "low_speed_velocity": "velocity",
+    }
+    coefficients = (*AsymmetricFriction.coefficients, "low_speed_positive", "low_speed_negative")
+    lower, upper = (0.0,) * 6, (np.inf,) * 6
+    shapes, logarithmic = ("low_speed_velocity",), (True,)
+
+    def limits(self, views: Sequence[View], place: Place) -> list[tuple[float, float]]:
+        size = max(rms([v.velocity(place.pattern(v.structure)) for v in views]), 1e-300)
+        return [(float(np.log(0.02 * size)), float(np.log(1.5 * size)))]
+
+    def of(self, v: Float64, soft: float, shape: Sequence[float], turn: float) -> Float64:
+        width = float(np.exp(shape[0]))
+        odd = excess_law(v, soft, width, turn)
+        even = even_law(v, soft) * np.exp(-((v / width) ** 2))
+        slow = np.stack([0.5 * (even + odd), -0.5 * (even - odd)], axis=1)
+        return np.concatenate((super().of(v, soft, (), turn), slow), axis=1)
+
+    def held(self, x: Sequence[float]) -> tuple[float, float]:
+        return -x[1] - x[5], x[0] + x[4]

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from invid.effects.effect import Experiment, ForceEffect
+from invid.effects.effect import Effect, Experiment, ForceEffect
 from invid.effects.elements import Element, ForceLaw, Law, ModelPlace
 from invid.effects.laws.ripple_cycles import cycle_grid, ripples, turned
 from invid.effects.motion import View, rms
@@ -42,6 +42,10 @@ class Cogging(ForceEffect):
 
     def places(self, structure: ChainStructure) -> list[Place]:
         return motor_places(structure)
+
+    def stands_beside(self, other: Effect) -> bool:
+        # The poles and the slots of one motor ripple with cycles of their own.
+        return True
 
     def grid(self, views: Sequence[View], place: Place) -> list[tuple[float, ...]]:
         size = rms([v.wave(place.pattern(v.structure)) for v in views])

@@ -47,6 +47,9 @@ class TransmissionError(Effect):
     def places(self, structure: ChainStructure) -> list[Place]:
         return spring_places(structure)
 
+    def follows_motor(self, place: Place) -> bool:
+        return place.number == 1
+
     def _motor_side(self, view: View, place: Place) -> Float64:
         return view.wave((place.pattern(view.structure)[0],))
 

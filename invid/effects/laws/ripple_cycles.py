@@ -52,7 +52,7 @@ def ripples(views: Sequence[View], coordinate: Pattern, force: Pattern) -> list[
     length = next_fast_len(4 * bins, real=True)
     power = np.zeros(length // 2 + 1)
     for view, angle, remaining in readable:
-        lines = view.inferred(force, remaining)
+        lines = view.spread(force, remaining)
         lines[0] = 0.0
         wave = view.record.to_wave(lines)
         summed = np.bincount(((angle - low) / width).astype(int), weights=wave, minlength=bins)

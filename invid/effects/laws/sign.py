@@ -148,7 +148,7 @@ def _acting(view: View, place: Place) -> Float64:
 
 
 @compiled
-def _between(v: np.ndarray, phi: np.ndarray, plain: np.ndarray, turn: float, rest: float) -> np.ndarray:
+def mean_between(v: np.ndarray, phi: np.ndarray, plain: np.ndarray, turn: float, rest: float) -> np.ndarray:
     """(n,) mean over the intervals around each sample of a wave that closes; ``turn`` see ``sign_law``,
     ``rest`` is the antiderivative at zero."""
     count = v.size
@@ -186,7 +186,7 @@ def _sign(v: np.ndarray, soft: float, turn: float) -> np.ndarray:
         phi[k] = soft * (u + (log1p(exp(-2.0 * u)) if near else 0.0))
         size = tanh(u) if near else 1.0
         plain[k] = size if v[k] > 0 else -size
-    return _between(v, phi, plain, turn, soft * log1p(1.0))
+    return mean_between(v, phi, plain, turn, soft * log1p(1.0))
 
 
 @compiled
@@ -194,10 +194,12 @@ def _excess(v: np.ndarray, soft: float, width: float, turn: float) -> np.ndarray
     phi, plain = np.empty(v.size), np.empty(v.size)
     for k in range(v.size):
         u, w = abs(v[k]) / soft, abs(v[k]) / width
-        phi[k] = width * sqrt(pi) / 2 * erf(w)
+        # What the sign has not reached yet where it changes over, as if the bend were one there.
+        late = soft * (log1p(exp(-2.0 * u)) if u < FAR else 0.0)
+        phi[k] = width * sqrt(pi) / 2 * erf(w) + late
         size = (tanh(u) if u < FAR else 1.0) * exp(-w * w)
         plain[k] = size if v[k] > 0 else -size
-    return _between(v, phi, plain, turn, 0.0)
+    return mean_between(v, phi, plain, turn, soft * log1p(1.0))
 
 
 @compiled
@@ -207,7 +209,7 @@ def _clipped(d: np.ndarray, half: float) -> np.ndarray:
         u = abs(d[k])
         phi[k] = 0.5 * u * u if u < half else half * (u - 0.5 * half)
         plain[k] = min(max(d[k], -half), half)
-    return _between(d, phi, plain, 0.0, 0.0)
+    return mean_between(d, phi, plain, 0.0, 0.0)
 
 
 def clip_law(d: Float64, half: float) -> Float64:
@@ -230,6 +232,22 @@ def sign_law(v: Float64, soft: float, turn: float = 0.0) -> Float64:
 def excess_law(v: Float64, soft: float, width: float, turn: float = 0.0) -> Float64:
     """(n,) sign(v)·exp(−(v/width)²); ``turn`` see ``sign_law``."""
     out: Float64 = _excess(np.ascontiguousarray(v), soft, width, turn)
+    return out
+
+
+@compiled
+def _even(v: np.ndarray, soft: float) -> np.ndarray:
+    phi, plain = np.empty(v.size), np.empty(v.size)
+    for k in range(v.size):
+        u = v[k] / soft
+        size = tanh(u) if abs(u) < FAR else (1.0 if u > 0 else -1.0)
+        phi[k], plain[k] = v[k] - soft * size, size * size
+    return mean_between(v, phi, plain, 0.0, 0.0)
+
+
+def even_law(v: Float64, soft: float) -> Float64:
+    """(n,) the square of the sign: one, but where it changes over."""
+    out: Float64 = _even(np.ascontiguousarray(v), soft)
     return out
 
 
