@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from invid.diagnosis.context import apply_rule, current
+from invid.diagnosis.evidence import Trial
 from invid.diagnosis.known_effects import fitted_friction
 from invid.diagnosis.linear_fit import linear_fit, start_of, tones_in, without_effects
 from invid.diagnosis.rules.whole_search import search_beside_friction
@@ -17,7 +18,7 @@ from invid.diagnosis.thresholds import CLOSE, FAR, NAMED_SHARE
 from invid.diagnosis.tone import Tone, without_tones
 from invid.diagnosis.validation import PLAIN, Asked, is_law_of_motion, scatter_of, split, unfolded
 from invid.errors import InputError
-from invid.likelihood.joint_fit import JointFit
+from invid.likelihood.joint_fit import JointFit, held_out
 from invid.likelihood.null_test import null_test
 from invid.likelihood.prepare_records import with_sticking
 from invid.model.document import Model

@@ -8,63 +8,102 @@ modes.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from invid.errors import InvidError
 from invid.inverse.lanczos import lanczos
 from invid.inverse.springs import last_mass, springs_and_masses
 from invid.likelihood.fit import Fit
+from invid.likelihood.nuisance.torque_channel import acting
+from invid.likelihood.residual import MissingTorqueProblem, State
 from invid.model.chains import CoupledChains
+from invid.numerics.arrays import Complex128, Float64
 from invid.numerics.whitening import stack
 
-TRIED = 300
-"""Frequencies that are tried, evenly over those of the records."""
 LOSS = (0.005, 0.02, 0.08)
 """Loss factors of the further mode that are tried: harmonic drives and gears lie between."""
+AT_ONCE = 64
+"""Frequencies whose modes are held in memory together."""
 
 
-def with_further_mode(fit: Fit) -> list[CoupledChains]:
-    """A start with one mass more for a single free branch; none for others, or where no mode is missing."""
+@dataclass(frozen=True)
+class MissingMode:
+    """The mode that the missing torque asks for most, and what χ² falls by with it, all else linear."""
+
+    omega: float
+    """[rad/s]"""
+    share: float
+    """φ² at the motor [1/kg or 1/(kg·m²)]."""
+    gain: float
+
+
+def missing_mode(fit: Fit) -> MissingMode | None:
+    """The mode that the fit of a single free branch lacks; None for others, or where none would help."""
     sizes = fit.chains.masses_per_branch
     if len(sizes) != 1 or sizes[0] < 2 or np.any(fit.chains.ground_springs):
-        return []
-    mode = _missing_mode(fit)
-    return [] if mode is None else _extended(fit.chains, *mode)
-
-
-def _missing_mode(fit: Fit) -> tuple[float, float] | None:
-    """Frequency [rad/s] and φ² [1/kg or 1/(kg·m²)] of the mode that the missing torque asks for most."""
+        return None
     problem, p = fit.problem, fit.solution.p
     residual, jacobian = problem.evaluate(p)
     basis, _ = np.linalg.qr(jacobian / np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300))
     left = residual - basis @ (basis.T @ residual)
     states = problem.states(p)
+    torques = [_plant_torque(problem, s, p) for s in states]
     omega = np.concatenate([s.block.omega for s in states])
-    best, found = 0.0, None
-    for at in np.quantile(omega, np.linspace(0.0, 1.0, TRIED)):
-        for loss in LOSS:
+    found: MissingMode | None = None
+    for loss in LOSS:
+        tried = _frequencies(omega[omega > 0], loss)
+        for at in np.array_split(tried, -(-tried.size // AT_ONCE)):
             rows = []
-            for s in states:
-                line = s.block.omega
-                felt = -(s.stiffness[:, 0, 0] ** 2) * s.projected_position[:, 0]
-                column = (felt / (at**2 - line**2 + 1j * loss * at * line))[:, None, None]
-                white = stack(s.root @ column)[:, 0]
+            for s, torque in zip(states, torques, strict=True):
+                line = s.block.omega[:, None]
+                column = -s.stiffness[:, 0] * torque / (at**2 - line**2 + 1j * loss * at * line)
+                white = stack(s.root @ column[:, None])
                 rows.append(white - s.basis @ (s.basis.T @ white))
-            rows.append(np.zeros(residual.size - sum(r.size for r in rows)))  # what is known beforehand
+            # What is known beforehand.
+            rows.append(np.zeros((residual.size - sum(len(r) for r in rows), at.size)))
             own = np.concatenate(rows)
             own = own - basis @ (basis.T @ own)
-            power, along = float(own @ own), float(own @ left)
-            if power > 0 and along < 0 and along**2 / power > best:
-                best, found = along**2 / power, (float(at), -along / power)
+            power, along = np.sum(own**2, axis=0), left @ own
+            gain = np.where((power > 0) & (along < 0), along**2 / np.maximum(power, 1e-300), 0.0)
+            most = int(gain.argmax())
+            if gain[most] > (0.0 if found is None else found.gain):
+                share = float(-along[most] / power[most])
+                found = MissingMode(float(at[most]), share, float(gain[most]))
     return found
 
 
-def _extended(chains: CoupledChains, at: float, share: float) -> list[CoupledChains]:
-    """The free chain with one more mode at ``at`` [rad/s] of φ² ``share`` at the motor."""
+def _plant_torque(problem: MissingTorqueProblem, state: State, p: Float64) -> Complex128:
+    """(F, M) torque on the plant: that of the drive without friction.
+
+    Not Z·Θ: where a record does not close, most of that may be what its ends leave on all lines.
+    """
+    block, s = state.block, problem.slices
+    channel = acting(block, p[s["delay"]], p[s["staircase"]])
+    driven: Complex128 = channel.factor * block.torque + channel.hold * block.position
+    return driven - block.columns @ p[s["column"]]
+
+
+def _frequencies(omega: Float64, loss: float) -> Float64:
+    """Frequencies [rad/s] no wider apart than a mode of that loss is wide between its half powers, or lines.
+
+    On a coarser grid a mode of low loss falls between two of them and is not seen.
+    """
+    first, last = float(omega.min()), float(omega.max())
+    apart = (last - first) / max(np.unique(omega).size - 1, 1)
+    even = np.arange(first, min(apart / loss, last), apart) if apart > 0 else omega[:1]
+    start = max(first, apart / loss)
+    wider = np.geomspace(start, last, 2 + int(np.log(last / start) / loss)) if last > start else omega[:0]
+    return np.concatenate((even, wider))
+
+
+def with_mode(chains: CoupledChains, mode: MissingMode) -> list[CoupledChains]:
+    """The free chain with one mode more, as a start; empty where no chain has those modes."""
     root = np.sqrt(chains.masses[0])
     squares, shapes = np.linalg.eigh(chains.stiffness_matrix / root[:, None] / root)
-    weights = np.append((shapes[0] / root[0]) ** 2, share)
-    poles = np.append(np.maximum(squares, 0.0), at**2)
+    weights = np.append((shapes[0] / root[0]) ** 2, mode.share)
+    poles = np.append(np.maximum(squares, 0.0), mode.omega**2)
     order = np.argsort(poles)
     rows = lanczos(poles[order], np.sqrt(weights[order]), poles.size - 1)
     if rows.diagonal.size < poles.size - 1:
@@ -78,4 +117,4 @@ def _extended(chains: CoupledChains, at: float, share: float) -> list[CoupledCha
         return []
 
 
-__all__ = ["with_further_mode"]
+__all__ = ["MissingMode", "missing_mode", "with_mode"]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from invid.errors import InvidError
-from invid.identification.further_mode import with_further_mode
+from invid.identification.further_mode import MissingMode, missing_mode, with_mode
 from invid.identification.starts import fit_sizes, measured_frf
 from invid.likelihood.fit import AT_NOISE, Fit, fit_structure
 from invid.model.chains import CoupledChains
@@ -34,6 +34,9 @@ GAIN = 1.3
 """A further mass must lower χ² by this factor: coloured residuals (friction, ripple) let any extra
 parameter fit a few per cent of them, a missing mode leaves tens to thousands (case study: 26 000 for
 two masses, 1.3 for three and for four)."""
+NEAR = 3.0
+"""χ²/ν up to which what one mode more would take is told from the missing torque alone; beyond, the fit may
+stand in a wrong minimum. Empirical: friction that a fit lacks leaves 1.1 to 3 in records without a period."""
 UNSEEN = 0.5
 """Relative standard deviation of a final mass from which it is none: the data do not tell it from a wall, nor
 (two of them below it) from nothing."""
@@ -51,13 +54,15 @@ def choose_order(spectra: Sequence[LineSpectra], axes: Sequence[str], *, most: i
     dofs: dict[tuple[int, ...], int] = {}
     chains: dict[tuple[int, ...], CoupledChains] = {}
     fits: dict[tuple[int, ...], Fit] = {}
+    modes: dict[tuple[int, ...], MissingMode | None] = {}
     vanishing: dict[str, list[str]] = {}
     standing: dict[str, list[str]] = {}
 
     def cost(sizes: tuple[int, ...], parent: tuple[int, ...] = ()) -> float:
         if sizes not in costs:
             begun = _split(chains.get(parent), sizes)
-            hidden = _from_hidden_mode(spectra, fits.get((sizes[0] - 1,))) if count == 1 else None
+            smaller = (sizes[0] - 1,)
+            hidden = _from_hidden_mode(spectra, fits.get(smaller), mode_of(smaller)) if count == 1 else None
             try:
                 if hidden is not None and hidden.noise_chi2 < AT_NOISE:
                     fit = hidden
@@ -78,11 +83,26 @@ def choose_order(spectra: Sequence[LineSpectra], axes: Sequence[str], *, most: i
                     standing[_label(sizes)] = walls
         return costs[sizes]
 
+    def mode_of(sizes: tuple[int, ...]) -> MissingMode | None:
+        if sizes not in modes:
+            modes[sizes] = missing_mode(fits[sizes]) if sizes in fits else None
+        return modes[sizes]
+
+    def is_settled(small: tuple[int, ...]) -> bool:
+        """Whether no further mass could be better by the factor asked for."""
+        before = cost(small)
+        if count > 1 or small == (1,):
+            return before < GAIN * dofs[small]  # already noise
+        # Not by the noise: a floor that is too high hides a mode. What one mode takes to first order, twice.
+        mode = mode_of(small) if before < NEAR * dofs[small] else None
+        gain = np.inf if before >= NEAR * dofs[small] else 0.0 if mode is None else mode.gain
+        return bool(2.0 * gain < (1.0 - 1.0 / GAIN) * before)
+
     def needed(small: tuple[int, ...], large: tuple[int, ...]) -> bool:
         """Whether the larger structure is better by more than its parameters may."""
         before = cost(small)
-        if before < GAIN * dofs[small]:
-            return False  # already noise: nothing could be better by the factor asked for
+        if is_settled(small):
+            return False
         if large not in costs and budget.is_left_out(f"{_label(large)} masses"):
             return False
         budget.tell(f"trying {_label(large)} masses", 0.3 * (1.0 - 0.8 ** len(costs)))
@@ -137,16 +157,18 @@ def choose_order(spectra: Sequence[LineSpectra], axes: Sequence[str], *, most: i
     return OrderChoice(best, evidence, warnings, chains.get(best))
 
 
-def _from_hidden_mode(spectra: Sequence[LineSpectra], smaller: Fit | None) -> Fit | None:
+def _from_hidden_mode(
+    spectra: Sequence[LineSpectra], smaller: Fit | None, mode: MissingMode | None
+) -> Fit | None:
     """The fit with one mass more from the mode that the smaller one misses.
 
     For itself, not among the other starts: where it falls back to the smaller chain, as a split mass may, the
     two would pass for one minimum found twice, and no further start be tried.
     """
-    if smaller is None or smaller.noise_chi2 < GAIN:
+    if smaller is None or mode is None:
         return None
     try:
-        starts = with_further_mode(smaller)
+        starts = with_mode(smaller.chains, mode)
         structure = ChainStructure((smaller.structure.sizes[0] + 1,), smaller.structure.axes)
         found = fit_structure(spectra, structure, starts, thorough=False) if starts else None
     except (InvidError, np.linalg.LinAlgError):

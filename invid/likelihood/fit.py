@@ -98,7 +98,7 @@ def fit_structure(
         )
     # A large plant's further starts take longer than a search on from the first.
     patience = 1 if large(structure.sizes) else 5 if thorough else 2
-    solution = _best(problem, starts, 80 if thorough else 30, patience)
+    problem, solution = _best(problem, starts, spectra, 80 if thorough else 30, patience)
     holds: dict[str, str] = {}
     budget.tell("identifying", 0.6 if thorough else 0.3)
     if thorough and not budget.is_left_out("transients, holds, inner friction and lags of the model"):
@@ -158,10 +158,18 @@ def large(sizes: Sequence[int]) -> bool:
 
 
 def _best(
-    problem: MissingTorqueProblem, starts: Iterable[CoupledChains], iterations: int, patience: int
-) -> Solution:
-    """The lowest cost from all starts; stops at the first that cannot be told from noise, or where a
-    second start leads to the same minimum as the best before it."""
+    problem: MissingTorqueProblem,
+    starts: Iterable[CoupledChains],
+    spectra: Sequence[LineSpectra],
+    iterations: int,
+    patience: int,
+) -> tuple[MissingTorqueProblem, Solution]:
+    """The lowest cost from all starts, and the problem with the friction that it was reached with.
+
+    Stops at the first that cannot be told from noise, or where a second start leads to the same minimum as
+    the best before it. How gradually friction turns over is asked after each: under a sign that is too sharp
+    a mode more or less is hidden behind what friction leaves, and no start would be told from noise.
+    """
     best: Solution | None = None
     for number, p in enumerate(_promising(problem, starts, patience)):
         if best is not None and budget.is_left_out("further starts of the identification"):
@@ -169,10 +177,12 @@ def _best(
         budget.tell(f"identifying, start {number + 1}", 0.5 * (1.0 - 0.5**number))
         for share in TEMPER[1:]:
             p = gauss_newton(_tempered(problem, share), p, iterations=15, tolerance=0.1).p
-        found = gauss_newton(problem, p, iterations=iterations)
+        turned, found = with_gradual_reversals(
+            problem, gauss_newton(problem, p, iterations=iterations), spectra
+        )
         again = best is not None and abs(found.chi2 - best.chi2) < 1e-3 * best.chi2
         if best is None or found.chi2 < best.chi2:
-            best = found
+            problem, best = turned, found
         if again or best.reduced < AT_NOISE:
             break
     if best is None:
@@ -180,7 +190,7 @@ def _best(
             "no start for the fit: no frequency at which all axes are excited; excite every axis, one an "
             "experiment or all at once"
         )
-    return best
+    return problem, best
 
 
 def _promising(

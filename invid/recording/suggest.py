@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from invid.numerics.arrays import Float64
 from invid.recording.clocks import on_clock
 from invid.recording.drive_tools import named_by, tool_of
 from invid.recording.import_map import FORMAT, ImportMap
+from invid.recording.record_names import further_experiments, only_first, records_by_name
 from invid.recording.tables import Table
 from invid.recording.units import (
     BY_MACHINE,
@@ -95,6 +96,10 @@ def suggest(table: Table, path: Path) -> Suggestion:
         reasons.append(f"the names are those of {tool}")
     if table.clocks:
         table = _one_clock(table, tool, unsure)
+    records = records_by_name(table.columns)
+    if records:
+        table = replace(table, columns=only_first(table.columns, records))
+        reasons.append(f"{len(records)} records under different names: one experiment each")
     document: dict[str, Any] = {"format": FORMAT, "format_version": 1, "robot": path.stem}
     if "pdos" in table.notes:
         document["source"] = {"pdos": table.notes["pdos"]}
@@ -109,7 +114,7 @@ def suggest(table: Table, path: Path) -> Suggestion:
     document["time"], time_column = _time(table, reasons, unsure, asked)
     axes = _axes(table, time_column, tool, reasons, unsure)
     document["axes"] = [_axis(name, a, table, tool, reasons, unsure, asked) for name, a in axes.items()]
-    document["axes"] = [a for a in document["axes"] if a]
+    document["axes"] = [a for a in document["axes"] if a] or _input_output(table, unsure)
     experiment: dict[str, Any] = {"rows": [0, None], "role": "identify", "kind": "other"}
     if document["axes"]:
         first = document["axes"][0]
@@ -123,20 +128,15 @@ def suggest(table: Table, path: Path) -> Suggestion:
             )
             unsure.append("'frequencies_hz' of the excited lines is not known: add it where it is")
     else:
-        unsure.append("no column looks like a torque with a position or a velocity: name them by hand")
+        unsure.append("no column looks like a torque with a motion: name them by hand")
         reasons.append("columns and what they hold: " + "; ".join(_ranges(table, time_column)))
         for field_name in ("position", "torque"):
             asked[f"axes A1 {field_name}.column"] = f"which of the columns is the {field_name}, and its unit"
-        document["axes"] = [
-            {
-                "name": "A1",
-                "position": {"column": "?", "unit": "rad"},
-                "torque": {"column": "?", "unit": "N·m"},
-            }
-        ]
-    document["experiments"] = [experiment]
-    used = {json.dumps(a, ensure_ascii=False) for a in document["axes"]}
-    rest = [n for n in table.columns if n != time_column and not any(f'"{n}"' in u for u in used)]
+        blank = {"position": {"column": "?", "unit": "rad"}, "torque": {"column": "?", "unit": "N·m"}}
+        document["axes"] = [{"name": "A1", **blank}]
+    named = json.dumps([document["time"], document["axes"]], ensure_ascii=False)
+    document["experiments"] = [experiment, *further_experiments(records, lambda n: f'"{n}"' in named)]
+    rest = [n for n in table.columns if n != time_column and f'"{n}"' not in named]
     if rest:
         reasons.append("left out: " + ", ".join(rest[:30]))
     if document["axes"] and _motion_untold(document["axes"]):
@@ -241,7 +241,7 @@ def _unit_in_name(name: str) -> str | None:
     lowered = name.lower()
     for suffix, unit in (
         ("deg_per_s", "deg/s"), ("rad_per_s", "rad/s"), ("_rpm", "rpm"), ("_deg", "deg"), ("_rad", "rad"),
-        ("_permille", "permille"), ("_percent", "%"),
+        ("_counts", "counts"), ("_ticks", "counts"), ("_permille", "permille"), ("_percent", "%"),
         ("_nm", "N·m"), ("_ms", "ms"), ("_us", "us"), ("_mm", "mm"), ("_m", "m"), ("_n", "N"), ("_s", "s"),
         ("_a", "A"), ("_v", "V"),
     ):  # fmt: skip
@@ -291,6 +291,20 @@ def _axes(
         if name not in named:
             named[name] = axis
     return named
+
+
+def _input_output(table: Table, unsure: list[str]) -> list[dict[str, Any]]:
+    """One axis from ``u`` and ``y``, as system identification calls input and output."""
+    found = {letter: [n for n in table.columns if _words(n)[:1] == [letter]] for letter in "uy"}
+    if any(len(names) != 1 for names in found.values()):
+        return []
+    (u,), (y,) = found["u"], found["y"]
+    unsure.append(
+        f"{u!r} and {y!r} are taken for torque [N·m] and position [rad], as input and output are called; "
+        "where the output is a velocity write 'velocity' in place of 'position'"
+    )
+    torque = {"column": u, "unit": "N·m", "meaning": "measured"}
+    return [{"name": "A1", "position": {"column": y, "unit": "rad"}, "torque": torque}]
 
 
 def _axis(

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from invid.identification.further_mode import _extended
+from invid.identification.further_mode import LOSS, MissingMode, _frequencies, with_mode
 from invid.model.chains import CoupledChains
 
 
@@ -19,7 +19,7 @@ def test_the_further_mode_stands_beside_those_of_the_smaller_chain() -> None:
         [np.array([4.0, 3.0, 5.0])], [np.array([9e4, 7e4])], [np.array([9.0, 7.0])], axes=["A1"]
     )
     at, share = 2 * np.pi * 31.0, 2e-3
-    (found,) = _extended(chains, at, share)
+    (found,) = with_mode(chains, MissingMode(at, share, 1.0))
     before, weights = _modes(chains.masses[0], chains.springs[0])
     after, further = _modes(found.masses[0], found.springs[0])
     order = np.argsort(np.append(before, at))
@@ -27,3 +27,13 @@ def test_the_further_mode_stands_beside_those_of_the_smaller_chain() -> None:
     assert np.allclose(further, np.append(weights, share)[order], rtol=1e-6)
     assert np.isclose(found.masses[0].sum(), 12.0)
     assert np.allclose(found.dampers[0] / found.springs[0], 1e-4)
+
+
+def test_no_mode_of_low_loss_falls_between_two_frequencies_that_are_tried() -> None:
+    lines = 2 * np.pi * np.arange(1, 1400) / 10.0
+    for loss in LOSS:
+        tried = np.sort(_frequencies(lines, loss))
+        assert tried[0] <= lines[0]
+        assert tried[-1] >= lines[-1] * (1 - 1e-9)
+        apart = np.diff(tried)
+        assert np.all(apart <= 1.01 * np.maximum(loss * tried[1:], lines[1] - lines[0]))

@@ -278,3 +278,35 @@ def test_a_scope_export_whose_names_hold_the_separator_is_refused(tmp_path, caps
     path.write_text(text.replace("\t", " "), encoding="utf-8")
     assert run(["import", str(path), "--suggest"]) == 2
     assert "export it with another separator" in capsys.readouterr().err
+
+
+def test_two_records_of_one_file_under_different_names_are_suggested_as_two_experiments(tmp_path, capsys):
+    half = COUNT // 2
+    path = tmp_path / "bench.mat"
+    columns = {"u_est": TORQUE, "y_est": ANGLE, "u_val": TORQUE[:half], "y_val": ANGLE[:half], "note": "x"}
+    savemat(path, columns)
+    chart, asked = suggested(path, capsys)
+    assert list(asked) == ["time.sample_rate_hz"]
+    chart["time"]["sample_rate_hz"] = RATE
+    recording = imported(path, chart)
+    holds(recording)
+    told, kept = recording.experiments
+    assert (told.role, kept.role) == ("identify", "validate")
+    assert kept.position[:, 0] == pytest.approx(ANGLE[:half])
+
+
+def test_axes_that_are_numbered_are_no_records(tmp_path, capsys):
+    path = tmp_path / "two.mat"
+    savemat(path, {"pos1": ANGLE, "tau1": TORQUE, "pos2": ANGLE, "tau2": TORQUE})
+    chart, _ = suggested(path, capsys)
+    assert len(chart["axes"]) == 2
+    assert len(chart["experiments"]) == 1
+
+
+def test_counts_that_a_name_tells_are_asked_for_what_one_is_worth(tmp_path, capsys):
+    path = tmp_path / "log.csv"
+    rows = "\n".join(f"{t},{round(1e4 * a)},{q}" for t, a, q in zip(TIME, ANGLE, TORQUE, strict=True))
+    path.write_text("time_s,enc_counts,torque_Nm\n" + rows, encoding="utf-8")
+    chart, asked = suggested(path, capsys)
+    assert chart["axes"][0]["position"]["unit"] == "counts"
+    assert list(asked) == ["axes A1 position.per_count"]
