@@ -30,7 +30,7 @@ from invid.model.document import parameter_vector
 from invid.model.parameters import structure_of
 from invid.planning import make_plan
 from invid.planning.belief import Belief, guess
-from invid.planning.expected_covariance import expected, in_goal, parameter_scale
+from invid.planning.expected_covariance import expected, is_in_goal, parameter_scale
 from invid.planning.goal import plan_for_goal
 from invid.recording import read_recording
 from invid.signals.spectra import all_spectra
@@ -72,7 +72,7 @@ def errors(config: CellConfig, path: Path) -> tuple[float, bool]:
         return float("inf"), False
     _, found = parameter_vector(model.chains)
     off = np.abs(found - values) / parameter_scale(plant)
-    return float(off[in_goal(names)].max()), bool(model.fit["trustworthy"])
+    return float(off[is_in_goal(names)].max()), bool(model.fit["trustworthy"])
 
 
 def foretold(seeds: range, folder: Path) -> bool:
@@ -185,7 +185,7 @@ def stepped_error(config: CellConfig, path: Path) -> float:
     names, values = parameter_vector(plant)
     place = {n: k for k, n in enumerate(fit.names)}
     off = np.abs(fit.values[[place[n] for n in names]] - values) / parameter_scale(plant)
-    return float(off[in_goal(names)].max())
+    return float(off[is_in_goal(names)].max())
 
 
 def stepped_config(seed: int, count: int, peaks: np.ndarray) -> CellConfig:

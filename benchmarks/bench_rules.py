@@ -95,18 +95,18 @@ def judged(truth: Any, found: Any) -> tuple[str, bool, int]:
 
 def diagnosed(recording: Any, truth: Any, without: list[str], seconds: float) -> dict[str, Any]:
     """Outcome, answer and time of one diagnosis with some rules off."""
-    from invid.diagnosis.context import running, without_rules
+    from invid.diagnosis.context import context_without, use_context
     from invid.diagnosis.diagnose import diagnose
     from invid.errors import InvidError
-    from invid.numerics.budget import Budget, in_force
+    from invid.numerics.budget import Budget, use_budget
 
-    context = without_rules(without, clock=time.process_time)
+    context = context_without(without, clock=time.process_time)
     asked: list[dict[str, Any]] = []
     begin = time.process_time()
     floors: list[float] = []
     points, outcome, wrong, answer = 0, "crash", False, ["", []]
     try:
-        with running(context), in_force(Budget(seconds, time.process_time)):
+        with use_context(context), use_budget(Budget(seconds, time.process_time)):
             found = diagnose(recording)
         asked = [a.to_json() for a in context.latest.asked] if context.latest is not None else []
         outcome, wrong, points = judged(truth, found)

@@ -333,20 +333,20 @@ def _limits(seconds: float | None, report: Callable[[Progress], None] | None) ->
     import numpy as np
 
     from invid.errors import InputError
-    from invid.numerics.budget import Budget, in_force
+    from invid.numerics.budget import Budget, use_budget
 
     if seconds is not None and not seconds > 0:
         raise InputError(f"budget of {seconds:g} s: give a number of seconds above 0")
     end = None if seconds == float("inf") else seconds
     own = None if end is None and report is None else Budget(end, time.monotonic, report)
-    with in_force(own), np.errstate(all="ignore"):
+    with use_budget(own), np.errstate(all="ignore"):
         yield
 
 
 def _using(effects: Effects) -> AbstractContextManager[None]:
-    from invid.effects.registry import using
+    from invid.effects.registry import registered_effects
 
-    return using(list(effects))
+    return registered_effects(list(effects))
 
 
 def _sizes(masses: Masses) -> Masses:

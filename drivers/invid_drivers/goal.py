@@ -14,7 +14,7 @@ from invid.config import CellConfig
 from invid.errors import InputError, NotIdentifiableError
 from invid.identification.identify import Masses, identify
 from invid.model.document import Model, parameter_vector
-from invid.planning.expected_covariance import in_goal, parameter_scale
+from invid.planning.expected_covariance import is_in_goal, parameter_scale
 from invid.planning.goal import GoalPlan
 from invid.recording import Recording, read_recording
 from invid.sweep import Progress
@@ -61,7 +61,7 @@ def reached(recording: Recording, masses: Masses = None) -> Reached:
         return Reached(blocks, "", float("inf"), False, "; ".join(model.warnings[:2]))
     place = {n: k for k, n in enumerate(model.parameter_names)}
     std = np.sqrt(np.maximum(np.diag(model.covariance), 0.0))[[place[n] for n in names]]
-    relative = np.where(in_goal(names), std / parameter_scale(model.chains), 0.0)
+    relative = np.where(is_in_goal(names), std / parameter_scale(model.chains), 0.0)
     at = int(np.argmax(relative))
     trusted = bool(model.fit.get("trustworthy", True))
     reason = "" if trusted else "; ".join(model.warnings[:2])

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from invid.comparison.screening import Screening, refit, screen, updated
+from invid.comparison.screening import Screening, refit_from, screen, update_model
 from invid.config import CellConfig
 from invid.errors import NotIdentifiableError
 from invid.model.document import Model, parameter_vector
@@ -116,10 +116,10 @@ def screen_cell(
 
     def go_on(recording: Recording) -> bool:
         try:
-            fit = refit(joined(record, recording), now.chains)
+            fit = refit_from(joined(record, recording), now.chains)
         except NotIdentifiableError:
             return True
-        new[:] = [updated(model, found, fit)]
+        new[:] = [update_model(model, found, fit)]
         return _worst(new[0], found.refuted) > wanted
 
     part = out.with_name(out.name + ".again")

@@ -77,9 +77,9 @@ def register(app: typer.Typer) -> None:
 
         use_effects(context, effects)
         if without_rule:
-            from invid.diagnosis.context import running, without_rules
+            from invid.diagnosis.context import context_without, use_context
 
-            context.with_resource(running(without_rules(without_rule)))
+            context.with_resource(use_context(context_without(without_rule)))
         wanted = parse_masses(masses)
         if model is not None and masses is not None:
             raise InputError(

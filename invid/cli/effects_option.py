@@ -22,6 +22,6 @@ def use_effects(context: typer.Context, files: Sequence[Path] | None) -> None:
     """Makes the effects of the files known until the running command ends; InputError says what is wrong."""
     if not files:
         return
-    from invid.effects.registry import using
+    from invid.effects.registry import registered_effects
 
-    context.with_resource(using(list(files)))
+    context.with_resource(registered_effects(list(files)))

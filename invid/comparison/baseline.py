@@ -31,7 +31,7 @@ SPARSE = 1e-3
 """Chance with which a few parameters explain so much of a difference that has nothing to do with them."""
 
 
-def same_shape(one: Model, other: Model) -> bool:
+def has_same_shape(one: Model, other: Model) -> bool:
     """True where both have the same parameters, effects included, so that a mean has a meaning."""
     return (
         one.linear == other.linear
@@ -48,7 +48,7 @@ def _sorted(model: Model) -> list[EffectTerm]:
     return sorted(model.effects, key=_key)
 
 
-def pooled(models: Sequence[Model]) -> Model:
+def pool_models(models: Sequence[Model]) -> Model:
     """Mean of models of the same shape (the last gives names and facts), with the covariance of that mean.
 
     One weight a model, by the size of its variances: the mean of each parameter then lies between its values,
@@ -123,9 +123,9 @@ def _mean_effect(terms: Sequence[EffectTerm], weights: Sequence[float]) -> Effec
     return replace(last, parameters=parameters)
 
 
-def agree(mean: Model, other: Model, factor: float) -> bool:
+def agrees_with(mean: Model, other: Model, factor: float) -> bool:
     """True where ``other`` may be one more measurement of what ``mean`` is the mean of."""
-    if not same_shape(mean, other):
+    if not has_same_shape(mean, other):
         return False
     white = difference(mean, other, factor)
     if white is None:
@@ -155,11 +155,11 @@ def _apart(name: str, was: float, now: float) -> float:
     return math.remainder(now - was, 2 * math.pi) if name in ("phase", "angle") else now - was
 
 
-def together(model: Model, earlier: Sequence[Model], factor: float) -> list[Model]:
+def pool_agreeing(model: Model, earlier: Sequence[Model], factor: float) -> list[Model]:
     """``model`` and those before it that agree with it, oldest first; ``earlier`` is oldest first."""
     group = [model]
     for other in reversed(earlier):
-        if len(group) == MOST or not agree(pooled(group), other, factor):
+        if len(group) == MOST or not agrees_with(pool_models(group), other, factor):
             break
         group.insert(0, other)
     return group
@@ -182,15 +182,15 @@ def steady(white: Whitened) -> tuple[float, int]:
     return best
 
 
-def foretold(history: Sequence[Model], factor: float) -> list[tuple[float, int]]:
+def forecast_errors(history: Sequence[Model], factor: float) -> list[tuple[float, int]]:
     """``steady`` of each run against the mean of the runs before it that agree with it, oldest first."""
     found: list[tuple[float, int]] = []
     group: list[Model] = []
     for model in history:
-        mean = pooled(group) if group else None
+        mean = pool_models(group) if group else None
         white = None if mean is None else difference(mean, model)
         if white is not None:
             found.append(steady(white))
-        goes_on = mean is not None and agree(mean, model, factor)
+        goes_on = mean is not None and agrees_with(mean, model, factor)
         group = [*group, model][-MOST:] if goes_on else [model]
     return found

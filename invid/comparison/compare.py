@@ -16,7 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from invid.comparison.baseline import pooled, together
+from invid.comparison.baseline import pool_agreeing, pool_models
 from invid.comparison.causes import cause_sentences, compare_causes, with_cause_verdicts
 from invid.comparison.changes import CauseChange, CauseStatus, Change, Comparison, Repeatability, Status
 from invid.comparison.joint_test import Selection, Whitened, covariance_of, detectable, joint_p, select
@@ -79,7 +79,7 @@ def compare(
         by how much the fits' covariances are too small; ``None`` where there is no history to ask.
     before, after
         Earlier models of the state that ``old`` and ``new`` stand for, oldest first: those that agree with
-        it (``baseline.together``) are averaged with it, which makes smaller changes detectable.
+        it (``baseline.pool_agreeing``) are averaged with it, which makes smaller changes detectable.
 
     Raises
     ------
@@ -117,8 +117,8 @@ def compare(
     # A factor below 1 sharpens the comparison; runs of one state are not torn apart on it, as a run that is
     # off by chance would then stand alone for its side.
     apart = max(1.0, scatter.factor)
-    sides = together(old, before, apart), together(new, after, apart)
-    old, new = pooled(sides[0]), pooled(sides[1])
+    sides = pool_agreeing(old, before, apart), pool_agreeing(new, after, apart)
+    old, new = pool_models(sides[0]), pool_models(sides[1])
     parameters = linear_parameters(old, new, common, repeatability)
     effects = paired_effects(old, new, common, repeatability)
     causes = compare_causes(

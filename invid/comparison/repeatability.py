@@ -1,6 +1,6 @@
 """How much a cell varies from run to run: one factor λ on what the fits' covariances say, from its history.
 
-Each run is compared with the mean of the runs before it that agree with it (``baseline.foretold``):
+Each run is compared with the mean of the runs before it that agree with it (``baseline.forecast_errors``):
 with equal covariances these are independent, each χ² with as many degrees of freedom as parameters, times
 λ². So all of the history counts, and a slow drift, which the mean lags behind, counts as bad repeatability.
 A change of tool must not: each χ² is cut at the value that one in ten exceeds by chance, and λ² is the
@@ -18,7 +18,7 @@ from itertools import pairwise
 
 from scipy.special import chdtr
 
-from invid.comparison.baseline import foretold, steady
+from invid.comparison.baseline import forecast_errors, steady
 from invid.comparison.changes import Repeatability
 from invid.comparison.joint_test import difference
 from invid.model.document import Model
@@ -48,7 +48,7 @@ def repeatability(history: Sequence[Model], *, spanning: tuple[Model, Model] | N
         # Agreement with a mean is judged at λ; the steps from run to run give a first one without it.
         steps = [_misfit(a, b) for a, b in pairwise(piece)]
         rough = _scale(_calm([s for s in steps if s is not None]))
-        found += foretold(piece, max(1.0, rough))
+        found += forecast_errors(piece, max(1.0, rough))
     found = _calm(found)
     if len(found) < MINIMUM_RUNS:
         return Repeatability(pairs=len(found))

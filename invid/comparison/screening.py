@@ -22,7 +22,7 @@ from invid.model.parameter_names import chains_by_name, std_by_name
 from invid.model.parameters import structure_of
 from invid.numerics.arrays import Bool, Float64, frozen_float
 from invid.numerics.distributions import chi2_sf
-from invid.planning.expected_covariance import in_goal, parameter_scale
+from invid.planning.expected_covariance import is_in_goal, parameter_scale
 from invid.recording.model import Recording, Role
 from invid.signals.spectra import all_spectra
 
@@ -129,7 +129,7 @@ def screen(recording: Recording, model: Model) -> Screening:
         )
 
     try:
-        fit = refit(recording, model.chains)
+        fit = refit_from(recording, model.chains)
     except NotIdentifiableError as error:
         return unable(str(error))
     if fit.solution.result != "converged" or fit.explained < EXPLAINED:
@@ -137,10 +137,10 @@ def screen(recording: Recording, model: Model) -> Screening:
             f"the accepted structure explains {fit.explained:.0%} of the torque only "
             f"(fit {fit.solution.result}): identify anew"
         )
-    now, covariance = fitted(fit, names)
+    now, covariance = fitted_values(fit, names)
     if not np.isfinite(covariance).all():
         return unable("the record does not show every parameter: excite every axis, or longer")
-    scale = parameter_scale(model.chains)[in_goal(parameter_vector(model.chains)[0])]
+    scale = parameter_scale(model.chains)[is_in_goal(parameter_vector(model.chains)[0])]
     spread = prior + covariance + np.diag((SYSTEMATIC * scale) ** 2)
     difference = now - before
     chi2 = _quadratic(difference, spread)
@@ -172,14 +172,14 @@ def accepted(model: Model, axes: Sequence[str]) -> tuple[tuple[str, ...], Float6
             "--method refined and data that show every parameter"
         )
     everything, values = parameter_vector(model.chains)
-    wanted = in_goal(everything)
+    wanted = is_in_goal(everything)
     names = tuple(n for n, w in zip(everything, wanted, strict=True) if w)
     place = {n: k for k, n in enumerate(model.parameter_names)}
     index = [place[n] for n in names]
     return names, values[wanted], model.covariance[np.ix_(index, index)]
 
 
-def refit(recording: Recording, start: CoupledChains) -> Fit:
+def refit_from(recording: Recording, start: CoupledChains) -> Fit:
     """The maximum-likelihood fit of the record from known parameters."""
     spectra = all_spectra(recording, Role.IDENTIFY)
     if not spectra:
@@ -187,7 +187,7 @@ def refit(recording: Recording, start: CoupledChains) -> Fit:
     return fit_structure(spectra, structure_of(start), [start])
 
 
-def fitted(fit: Fit, names: Sequence[str]) -> tuple[Float64, Float64]:
+def fitted_values(fit: Fit, names: Sequence[str]) -> tuple[Float64, Float64]:
     """Values and covariance of the named parameters."""
     place = {n: k for k, n in enumerate(fit.names)}
     index = [place[n] for n in names]
@@ -216,14 +216,14 @@ def changed_parts(names: Sequence[str], difference: Float64, spread: Float64) ->
     return tuple(parts[k] for k in sorted(freed))
 
 
-def updated(model: Model, screening: Screening, fit: Fit) -> Model:
+def update_model(model: Model, screening: Screening, fit: Fit) -> Model:
     """The accepted model with its changed parts measured again.
 
     Unchanged masses, springs and couplings keep what was known of them, as a Gaussian prior; the
     parameters of the changed parts come from the new records alone. Dampers come from the new records.
     """
     everything, _ = parameter_vector(model.chains)
-    now, covariance = fitted(fit, everything)
+    now, covariance = fitted_values(fit, everything)
     known, before, prior = accepted(model, model.axes)
     kept = [k for k, n in enumerate(known) if n not in screening.refuted]
     pick = np.zeros((len(kept), len(everything)))

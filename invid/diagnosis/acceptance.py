@@ -6,7 +6,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
-from invid.diagnosis.evidence import Trial, attempted, excess_in, sized, told
+from invid.diagnosis.evidence import (
+    CandidateEvidence,
+    evidence_if_finite,
+    excess_chi2,
+    is_significant_at_shapes,
+    is_size_significant,
+)
 from invid.diagnosis.selection import Selection
 from invid.diagnosis.thresholds import (
     CLOSE,
@@ -20,22 +26,22 @@ from invid.diagnosis.thresholds import (
     WEAK,
 )
 from invid.likelihood.joint_fit import JointFit, fit
-from invid.likelihood.placed_effect import Term
+from invid.likelihood.placed_effect import PlacedEffect
 from invid.model.place import Place
 from invid.numerics import budget
 from invid.numerics.distributions import chi2_isf
-from invid.signals.spectral_record import Record
+from invid.signals.spectral_record import SpectralRecord
 
 
-def least_gain(here: JointFit, term: Term, count: int, *, first: bool) -> float:
+def least_gain(here: JointFit, term: PlacedEffect, count: int, *, first: bool) -> float:
     """Gain of training χ² below which a cause cannot be accepted."""
     significant = chi2_isf(SIGNIFICANCE / count, 1)
     if first:
         return significant
-    return max(significant, SMALL_REMAINDER * excess_in(here.evaluation, _axes(term.place)))
+    return max(significant, SMALL_REMAINDER * excess_chi2(here.evaluation, _axes(term.place)))
 
 
-def needed_gain(current: Trial, trial: Trial, count: int, *, rejects: bool) -> float:
+def needed_gain(current: CandidateEvidence, trial: CandidateEvidence, count: int, *, rejects: bool) -> float:
     """Gain of χ² that a cause needs of ``count`` to be there; ``rejects``: the records ask for one."""
     unknowns = max(trial.term.size + trial.starts - current.starts, 1)
     return chi2_isf((SIGNIFICANCE if rejects else WEAK) / count, unknowns)
@@ -46,12 +52,12 @@ def _axes(place: Place) -> set[int]:
     return {place.axis} if place.other < 0 else {place.axis, place.other}
 
 
-def accepted(
-    current: Trial,
-    trial: Trial,
+def is_accepted(
+    current: CandidateEvidence,
+    trial: CandidateEvidence,
     dispersion: tuple[float, float],
     count: int,
-    start: Trial,
+    start: CandidateEvidence,
     *,
     first: bool,
     rejects: bool,
@@ -83,13 +89,13 @@ def accepted(
         return False
     # An encoder of few counts errs alike in every period, on a handful of lines, which χ² takes for noise. By
     # the scatter over the lines, which does not, the size has to differ from none as well.
-    if not rejects and told(trial.fit, -1, SIGNIFICANCE / count) is False:
+    if not rejects and is_significant_at_shapes(trial.fit, -1, SIGNIFICANCE / count) is False:
         return False
     if first:
         return True
     excess, gained = current.excess, current.cost - trial.cost
     reached, takes_all = trial.cost < CLOSE * trial.dof, gained > NAMED_SHARE * excess
-    if not (reached and takes_all) and told(trial.fit, -1) is False:
+    if not (reached and takes_all) and is_significant_at_shapes(trial.fit, -1) is False:
         return False  # beside a weight a thousand times all else what is left has a shape, and no size
     remainder = SMALL_REMAINDER if small else REMAINDER
     if gained < remainder * current.excess_on(_axes(trial.term.place)):
@@ -104,30 +110,32 @@ def accepted(
     return gained > share * start.excess_in_motion
 
 
-def is_asked_for(without: Trial, trial: Trial) -> bool:
+def is_asked_for(without: CandidateEvidence, trial: CandidateEvidence) -> bool:
     """Whether the training records ask for a friction law and the held-out ones do not refuse it."""
     gain = (without.fit.cost - trial.fit.cost) / trial.dispersion
     return gain > chi2_isf(WEAK, 1) and trial.held.cost < without.held.cost
 
 
-def without_untold(
-    found: Selection, small: set[tuple[str, Place]], train: Sequence[Record], held: Sequence[Record]
+def drop_insignificant_causes(
+    found: Selection,
+    small: set[tuple[str, Place]],
+    train: Sequence[SpectralRecord],
+    held: Sequence[SpectralRecord],
 ) -> Selection:
-    """Without the causes of these names whose size is not told from none beside those that came after: they
-    took what the law of another left."""
+    """The selection without causes of these names whose size is not significant beside those found later."""
     known, final = len(found.base.fit.candidate.terms), found.final.fit
     lost = [
         n
         for n, s in enumerate(found.steps)
         if (s.chosen.term.effect.cause, s.chosen.term.place) in small
-        and sized(final, known + n, SIGNIFICANCE) is False
+        and is_size_significant(final, known + n, SIGNIFICANCE) is False
     ]
-    if not lost or len(lost) == len(found.steps) or budget.spent():
+    if not lost or len(lost) == len(found.steps) or budget.is_spent():
         return found
     number = lost[-1]
     fewer = partial(fit, final.layout, train, final.p, final.candidate.without(known + number), iterations=25)
-    rest = attempted(fewer, held)
+    rest = evidence_if_finite(fewer, held)
     if rest is None:
         return found
     steps = (*found.steps[:number], *found.steps[number + 1 :])
-    return without_untold(replace(found, final=rest, steps=steps), small, train, held)
+    return drop_insignificant_causes(replace(found, final=rest, steps=steps), small, train, held)

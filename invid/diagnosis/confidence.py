@@ -6,7 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from invid.diagnosis.evidence import Step, Trial, extends, sized, unearned
+from invid.diagnosis.evidence import (
+    CandidateEvidence,
+    Step,
+    is_extension_of,
+    is_size_significant,
+    unearned_phase_penalty,
+)
 from invid.diagnosis.outcome import Cause, competes, finding_of, likelihood_share
 from invid.diagnosis.selection import Selection
 from invid.diagnosis.thresholds import (
@@ -22,7 +28,7 @@ from invid.effects.laws.sign import ROUNDING, DryLaw
 from invid.effects.units import unit_of
 from invid.likelihood.joint_fit import JointFit
 from invid.likelihood.null_test import NullTest, rms_torque
-from invid.likelihood.placed_effect import Term
+from invid.likelihood.placed_effect import PlacedEffect
 from invid.model.diagnosis_document import Alternative, Finding
 from invid.model.document import EffectTerm, Estimate
 from invid.numerics.arrays import Float64
@@ -80,14 +86,14 @@ def judge(selection: Selection, recording: Recording, after: NullTest) -> Judgem
     findings = tuple(
         _finding(selection, number, recording, explained) for number in range(len(selection.steps))
     )
-    complete = not after.rejects or (explained > BROUGHT_DOWN and at_floor(final))
+    complete = not after.rejects or (explained > BROUGHT_DOWN and is_at_floor(final))
     named = explained >= NAMED or (explained >= MOST_OF_CHI2 and _power_explained(base, final) >= NAMED)
     if selection.partly:
         named, complete = True, False
     return Judgement(findings, named, complete, explained)
 
 
-def at_floor(final: Trial) -> bool:
+def is_at_floor(final: CandidateEvidence) -> bool:
     """Whether every axis' held-out missing torque is within 1.2 times its floor: what ``residual`` shows.
 
     χ² says less: a rest on a few lines weighs little among many, and is what the torque still lacks.
@@ -97,7 +103,7 @@ def at_floor(final: Trial) -> bool:
     return all(r <= FLOOR * n for r, n in pairs)
 
 
-def _power_explained(base: Trial, final: Trial) -> float:
+def _power_explained(base: CandidateEvidence, final: CandidateEvidence) -> float:
     """The contract's explained fraction: power of the torque missing on held-out data, noise taken off."""
     motors = base.fit.layout.structure.motors
     before = [rms_torque(base.held, i) for i in range(motors)]
@@ -107,7 +113,7 @@ def _power_explained(base: Trial, final: Trial) -> float:
     return 1.0 - (sum(r**2 for r, _ in after) - floor) / excess if excess > 0 else 0.0
 
 
-def estimates(trial: Trial, number: int, linear: bool) -> dict[str, Estimate]:
+def parameter_estimates(trial: CandidateEvidence, number: int, linear: bool) -> dict[str, Estimate]:
     """The contract's parameters of one effect with their standard deviations."""
     term, x = trial.fit.candidate.terms[number], trial.fit.candidate.x[number]
     covariance = trial.fit.covariance_of(number)
@@ -148,7 +154,7 @@ def _of_amplitude(x: Float64, covariance: Float64) -> float:
     return float(change @ change)
 
 
-def _gap(trial: Trial, time: float) -> float:
+def _gap(trial: CandidateEvidence, time: float) -> float:
     """Length of the gap between records in which ``time`` lies: anywhere in it the data are the same."""
     records = [*trial.fit.evaluation.records, *trial.held.records]
     before = max((r.end_time for r in records if r.end_time <= time + r.step), default=time)
@@ -156,10 +162,10 @@ def _gap(trial: Trial, time: float) -> float:
     return max(after - before, records[0].step)
 
 
-def effect_term(trial: Trial, number: int, recording: Recording) -> EffectTerm:
+def effect_term(trial: CandidateEvidence, number: int, recording: Recording) -> EffectTerm:
     """One effect in the model's terms."""
     term = trial.fit.candidate.terms[number]
-    parameters = estimates(trial, number, recording.linear)
+    parameters = parameter_estimates(trial, number, recording.linear)
     if isinstance(term.effect, DryLaw) and term.effect.rounding > 0:
         unit = unit_of("velocity", recording.linear)
         parameters[ROUNDING] = Estimate(term.effect.rounding, None, unit)
@@ -172,12 +178,12 @@ def effect_term(trial: Trial, number: int, recording: Recording) -> EffectTerm:
     )
 
 
-def _rms(trial: Trial) -> float:
+def _rms(trial: CandidateEvidence) -> float:
     motors = trial.fit.layout.structure.motors
     return float(np.sqrt(sum(rms_torque(trial.held, i)[0] ** 2 for i in range(motors))))
 
 
-def _axis_rms(trial: Trial, axis: int) -> float:
+def _axis_rms(trial: CandidateEvidence, axis: int) -> float:
     return rms_torque(trial.held, axis)[0]
 
 
@@ -203,8 +209,10 @@ def _finding(selection: Selection, number: int, recording: Recording, explained:
     before, after = _axis_rms(step.before, axis), _axis_rms(step.chosen, axis)
     total = sum(s.before.cost - s.chosen.cost for s in selection.steps)
     fraction = float(np.clip((step.before.cost - step.chosen.cost) / max(total, 1e-300), 0, 1)) * explained
-    said = (SPRING,) if _like_a_spring(final.fit, at) else (BRAKE,) if like_a_brake(effect) else ()
-    cause = Cause(effect, before, after, fraction, share, alternatives, sized(final.fit, at), doubts=said)
+    said = (SPRING,) if _like_a_spring(final.fit, at) else (BRAKE,) if is_degenerate_stribeck(effect) else ()
+    cause = Cause(
+        effect, before, after, fraction, share, alternatives, is_size_significant(final.fit, at), doubts=said
+    )
     near = final.cost <= AT_FLOOR * final.dof and not selection.partly
     sizes = final.fit.layout.structure.sizes
     return finding_of(cause, explained, sizes, recording.axes, at_noise=near, own=selection.partly)
@@ -218,7 +226,7 @@ def _like_a_spring(fit: JointFit, at: int) -> bool:
     return abs(constant) < 3.0 * std
 
 
-def like_a_brake(effect: EffectTerm) -> bool:
+def is_degenerate_stribeck(effect: EffectTerm) -> bool:
     """Whether Stribeck friction lacks its static part, or a Coulomb level by three standard deviations."""
     if effect.cause != "stribeck_friction":
         return False
@@ -249,7 +257,7 @@ def _slow_friction(
     )
 
 
-def _sticks(slow: Trial, dry: Trial) -> bool:
+def _sticks(slow: CandidateEvidence, dry: CandidateEvidence) -> bool:
     """Whether a fitted Stribeck effect gains what its parameters do by chance, and is as large as one is."""
     std = float(np.sqrt(max(slow.fit.covariance_of(-1)[1, 1], 0.0)))
     gained = (dry.cost - slow.cost) / dry.dispersion
@@ -259,7 +267,7 @@ def _sticks(slow: Trial, dry: Trial) -> bool:
 
 
 def _other_scale(
-    final: Trial, term: Term, recording: Recording, known: tuple[Alternative, ...]
+    final: CandidateEvidence, term: PlacedEffect, recording: Recording, known: tuple[Alternative, ...]
 ) -> tuple[Alternative, ...]:
     """With two axes, one's torque scaled by g and the other's by 1/g are the same data."""
     if term.effect.cause != "torque_gain" or recording.axis_count != 2:
@@ -270,10 +278,10 @@ def _other_scale(
     return (Alternative("torque_gain", recording.axes[axis], None, _axis_rms(final, axis), None),)
 
 
-def _rivals(step: Step, left: float) -> tuple[list[Trial], float]:
+def _rivals(step: Step, left: float) -> tuple[list[CandidateEvidence], float]:
     """Candidates that the data cannot tell from the chosen one, and its share of the likelihood."""
     rows = step.before.fit.dof
-    scores: Float64 = np.array([s - unearned(t, rows) for t, s in step.ranked])
+    scores: Float64 = np.array([s - unearned_phase_penalty(t, rows) for t, s in step.ranked])
     # Weight is weight, at the load or at the motor: the other end is an alternative, no doubt of the cause.
     own = [n == 0 or _same_weight(t.term, step.ranked[0][0].term) for n, (t, _) in enumerate(step.ranked)]
     chosen, best = step.ranked[0][1], step.chosen
@@ -285,12 +293,12 @@ def _rivals(step: Step, left: float) -> tuple[list[Trial], float]:
     return rivals, likelihood_share(scores, own)
 
 
-def _same_weight(one: Term, other: Term) -> bool:
+def _same_weight(one: PlacedEffect, other: PlacedEffect) -> bool:
     """Whether both are gravity on the same axis."""
     return one.effect.cause == other.effect.cause == "gravity" and one.place.axis == other.place.axis
 
 
-def _competes(step: Step, rival: Trial) -> bool:
+def _competes(step: Step, rival: CandidateEvidence) -> bool:
     """Not a larger friction model at the same place that gains nothing by being larger.
 
     Nested models always fit as well; the smaller is the answer unless the larger gains what its
@@ -301,4 +309,4 @@ def _competes(step: Step, rival: Trial) -> bool:
     chosen = step.chosen
     if len(rival.fit.candidate.terms) < len(chosen.fit.candidate.terms):
         return True  # one cause for two: a constant torque with it
-    return not (extends(rival, chosen) and chosen.cost - rival.cost < LARGER)
+    return not (is_extension_of(rival, chosen) and chosen.cost - rival.cost < LARGER)

@@ -1,6 +1,6 @@
 """Does it matter: the grade of every finding with its reason, the order of the findings, the headline.
 
-One place for what the words of a diagnosis promise, whichever engine found them (``with_consequences``).
+One place for what the words of a diagnosis promise, whichever engine found them (``grade_consequences``).
 """
 
 from __future__ import annotations
@@ -111,7 +111,7 @@ def _no_figure(
     return "no figure to judge by; a limit of this axis can stand in its config (acceptable)"
 
 
-def with_consequences(diagnosis: Diagnosis, recording: Recording) -> Diagnosis:
+def grade_consequences(diagnosis: Diagnosis, recording: Recording) -> Diagnosis:
     """The same diagnosis, graded: findings by consequence, and a headline."""
     machine, warnings = machine_of(diagnosis, recording)
     graded = [_graded(f, machine) for f in diagnosis.findings]

@@ -73,7 +73,7 @@ class Rule:
 
 
 @dataclass(frozen=True)
-class Asked:
+class RuleUse:
     """One rule that applied: whether it changed anything, χ² before and after, and its processor time [s]."""
 
     rule: str
@@ -107,7 +107,7 @@ class Context:
     without: frozenset[str] = frozenset()
     clock: Callable[[], float] | None = None
     searches: int = 0
-    asked: list[Asked] = field(default_factory=list)
+    asked: list[RuleUse] = field(default_factory=list)
     latest: Context | None = None
     """That of the diagnosis which ran last within this one: every rule that was asked there."""
 
@@ -124,14 +124,14 @@ class Context:
 _current: ContextVar[Context] = ContextVar("context of the diagnosis")
 
 
-def current() -> Context:
+def current_context() -> Context:
     """The context of the diagnosis that runs; all rules on, where none does."""
     return _current.get(Context())
 
 
 @contextmanager
-def running(context: Context) -> Iterator[Context]:
-    """Within, rules are asked in this context."""
+def use_context(context: Context) -> Iterator[Context]:
+    """Context manager: within it rules are asked in this context."""
     token = _current.set(context)
     try:
         yield context
@@ -139,7 +139,7 @@ def running(context: Context) -> Iterator[Context]:
         _current.reset(token)
 
 
-def without_rules(names: Collection[str], clock: Callable[[], float] | None = None) -> Context:
+def context_without(names: Collection[str], clock: Callable[[], float] | None = None) -> Context:
     """A context with these rules off; InputError where there is no rule of a name."""
     known = rules_by_name()
     for name in names:
@@ -156,7 +156,7 @@ def rules_by_name() -> Mapping[str, Rule]:
 
 def apply_rule(name: str, *given: Any, **options: Any) -> Any:
     """What a rule makes of what it is given; what there would be without it, where it is off."""
-    rule, context = rules_by_name()[name], current()
+    rule, context = rules_by_name()[name], current_context()
     if name in context.without:
         return rule.without(*given, **options)
     if not rule.applies(*given, **options):
@@ -172,10 +172,10 @@ def apply_rule(name: str, *given: Any, **options: Any) -> Any:
         return rule.without(*given, **options)
     spent = None if context.clock is None else context.clock() - begin
     plain = rule.without(*given, **options)
-    costs = cost_of(given[0] if given else None), cost_of(found)
+    costs = chi2_of(given[0] if given else None), chi2_of(found)
     changed = not _same(found, plain)
     chi2 = None if not changed or costs[0] is None or costs[1] is None else (costs[0], costs[1])
-    context.asked.append(Asked(name, rule.stage, max(context.searches, 1), changed, chi2, spent))
+    context.asked.append(RuleUse(name, rule.stage, max(context.searches, 1), changed, chi2, spent))
     return found
 
 
@@ -186,7 +186,7 @@ def _same(one: object, other: object) -> bool:
     return one is other or (isinstance(one, bool | float | str) and one == other)
 
 
-def cost_of(value: object) -> float | None:
+def chi2_of(value: object) -> float | None:
     """χ² of what a rule hands on, where it has one: of a fit, a trial, a step, a selection or the best of
     several."""
     for path in (("selection", "final", "cost"), ("final", "cost"), ("chosen", "cost"), ("cost",)):
@@ -196,6 +196,6 @@ def cost_of(value: object) -> float | None:
         if isinstance(found, float | int):
             return float(found)
     if isinstance(value, Sequence) and not isinstance(value, str):
-        costs = [c for c in map(cost_of, value) if c is not None]
+        costs = [c for c in map(chi2_of, value) if c is not None]
         return min(costs, default=None)
     return None

@@ -8,15 +8,19 @@ from typing import Literal
 
 import numpy as np
 
-from invid.diagnosis.consequence import with_consequences
-from invid.diagnosis.context import apply_rule, current, running
-from invid.diagnosis.known_effects import folded
-from invid.diagnosis.outcome import cut_short
+from invid.diagnosis.consequence import grade_consequences
+from invid.diagnosis.context import apply_rule, current_context, use_context
+from invid.diagnosis.known_effects import merge_spring_damping
+from invid.diagnosis.outcome import limit_unfinished_search
 from invid.diagnosis.rigid import diagnose_trajectory
-from invid.diagnosis.rules.dropped_rows import before_repair, repaired, with_dropped
-from invid.diagnosis.search_pass import looked
-from invid.diagnosis.time_domain_check import REFUSED, Replay, replay, with_replay
-from invid.diagnosis.verdict import document, extended_model
+from invid.diagnosis.rules.dropped_rows import (
+    add_dropped_rows_finding,
+    interpolate_dropped_rows,
+    rms_before_repair,
+)
+from invid.diagnosis.search_pass import run_search_pass
+from invid.diagnosis.time_domain_check import REFUSED, Replay, add_time_domain_check, simulate_held_out
+from invid.diagnosis.verdict import build_diagnosis, extended_model
 from invid.effects.units import unit_of
 from invid.errors import InputError, NotIdentifiableError
 from invid.identification.identify import identify_chains
@@ -27,7 +31,7 @@ from invid.model.diagnosis_document import Diagnosis, Verdict
 from invid.model.document import Model, model_to_json
 from invid.numerics import budget
 from invid.recording.model import Recording
-from invid.signals.encoder_glitches import without_glitches
+from invid.signals.encoder_glitches import remove_glitches
 from invid.signals.plausibility import check_units
 
 CLEARLY = 0.1
@@ -61,9 +65,9 @@ def diagnose(
     InputError, NotIdentifiableError
         Data from which no model can be drawn, or a model that does not fit the recording's axes.
     """
-    recording, told = without_glitches(recording)
+    recording, told = remove_glitches(recording)
     # What a search tries far from the solution may overflow; it is told by its size and taken back.
-    with running(current().fresh()) as context, np.errstate(all="ignore"):
+    with use_context(current_context().fresh()) as context, np.errstate(all="ignore"):
         try:
             result = _diagnosed(recording, model, masses)
         except np.linalg.LinAlgError as error:
@@ -78,7 +82,7 @@ def diagnose(
         result = replace(result, warnings=(*kept, cut))
     if told:
         result = replace(result, warnings=tuple(dict.fromkeys([*result.warnings, *told])))
-    return with_consequences(result, recording)
+    return grade_consequences(result, recording)
 
 
 def _diagnosed(
@@ -88,9 +92,9 @@ def _diagnosed(
     if model is not None and is_of_rigid_axes(model, recording):
         return diagnose_trajectory(recording, model=model)
     dropped = apply_rule("dropped-rows", recording)
-    sound = repaired(recording, dropped) if dropped else recording
+    sound = interpolate_dropped_rows(recording, dropped) if dropped else recording
     if model is None:
-        with budget.part(TIME_TO_IDENTIFY, 0.0, 0.3):
+        with budget.use_share(TIME_TO_IDENTIFY, 0.0, 0.3):
             kind = machine_kind(recording, masses, lambda: identify_chains(sound, masses))
             model = kind.model
             if model is None and not kind.rigid:
@@ -107,40 +111,42 @@ def _diagnosed(
             "the model of this robot, or without one"
         )
     check_units(model, recording)
-    with budget.part(TIME_TO_SEARCH, 0.3, 0.9):
-        look = looked(sound, folded(model))
+    with budget.use_share(TIME_TO_SEARCH, 0.3, 0.9):
+        look = run_search_pass(sound, merge_spring_damping(model))
     sound, model, tones, bare = look.recording, look.model, look.tones, look.bare
     train, held = look.train, look.held
     selection = look.selection.as_far_as_explained()
-    warnings = [*look.warnings, *said_of_holds(selection.final.fit, recording)]
-    result = document(sound, model, selection, bare, train, held, tones, warnings)
+    warnings = [*look.warnings, *hold_timing_warnings(selection.final.fit, recording)]
+    result = build_diagnosis(sound, model, selection, bare, train, held, tones, warnings)
     if result.verdict is Verdict.UNEXPLAINED and selection.steps:
         alone = apply_rule("own-evidence", selection, train, held)
         if alone is not None:
             selection = alone.as_far_as_explained()
-            result = document(sound, model, selection, bare, train, held, tones, warnings)
+            result = build_diagnosis(sound, model, selection, bare, train, held, tones, warnings)
     budget.tell("simulating over time", 0.92)
     if result.findings and not budget.is_left_out("the extended model simulated over time"):
         linear = extended_model(model, bare, ())
-        answer = replay(sound, look.spectra, linear, result.model, selection.final.fit, held)
+        answer = simulate_held_out(sound, look.spectra, linear, result.model, selection.final.fit, held)
         reached = not null_test(selection.final.held.cost, selection.final.held.dof, held).rejects
         lost = isinstance(answer, Replay) and answer.lost and reached
         if isinstance(answer, Replay) and answer.refused and not lost:
-            result = document(
+            result = build_diagnosis(
                 sound, model, selection, bare, train, held, tones, [*warnings, REFUSED], refused=True
             )
         elif isinstance(answer, Replay) and not lost:
             selection = selection.wider(answer.shift)
-            result = document(sound, model, selection, bare, train, held, tones, warnings)
-        result = with_replay(result, answer, sound, lost=lost)
+            result = build_diagnosis(sound, model, selection, bare, train, held, tones, warnings)
+        result = add_time_domain_check(result, answer, sound, lost=lost)
         result = replace(result, details={**result.details, "linear_model": model_to_json(linear)})
     if selection.cut:
-        result = cut_short(result)
-    return with_dropped(result, recording, dropped, before_repair(recording, bare) if dropped else {})
+        result = limit_unfinished_search(result)
+    return add_dropped_rows_finding(
+        result, recording, dropped, rms_before_repair(recording, bare) if dropped else {}
+    )
 
 
-def said_of_holds(final: JointFit, recording: Recording) -> list[str]:
-    """What holds that no record shows alone were taken to do, where that is not to act with the command."""
+def hold_timing_warnings(final: JointFit, recording: Recording) -> list[str]:
+    """Warnings about holds that no record shows alone and that were not taken to act with the command."""
     layout, said = final.layout, []
     for hold, share in zip(layout.holds, final.p[layout.holds_at], strict=True):
         friction = 0.5 * layout.step * float(share) * hold.stiffness

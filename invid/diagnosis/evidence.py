@@ -9,38 +9,38 @@ from typing import Protocol, TypeVar
 import numpy as np
 
 from invid.effects.catalogue.extra_mode import frequency_told
-from invid.likelihood.evaluation import Evaluation, evaluate, numbers_on
+from invid.likelihood.evaluation import Evaluation, count_per_line, evaluate
 from invid.likelihood.hypothesis import Layout
-from invid.likelihood.joint_fit import JointFit, fit, held_out, limits_of, pack, unpack
+from invid.likelihood.joint_fit import JointFit, evaluate_held_out, fit, pack, parameter_bounds, unpack
 from invid.likelihood.null_test import null_test
-from invid.likelihood.placed_effect import Candidate, Term
+from invid.likelihood.placed_effect import Candidate, PlacedEffect
 from invid.numerics import budget
 from invid.numerics.arrays import Bool, Float64
 from invid.numerics.distributions import chi2_isf
 from invid.numerics.levenberg_marquardt import LARGEST_STEP
-from invid.signals.spectral_record import Record
+from invid.signals.spectral_record import SpectralRecord
 
 
-def excess_in(part: Evaluation, axes: Collection[int], *, moving: bool = False) -> float:
+def excess_chi2(part: Evaluation, axes: Collection[int], *, moving: bool = False) -> float:
     """χ² beyond its expectation in the missing torque of some axes; ``moving``: without lines at 0 Hz."""
     chosen, out = sorted(axes), 0.0
     for view, root, missing in zip(part.views, part.roots, part.missing, strict=True):
         white = np.abs(np.einsum("fij,fj->fi", root, missing)) ** 2
-        rows, rests = numbers_on(view.record, root), view.record.omega == 0.0
+        rows, rests = count_per_line(view.record, root), view.record.omega == 0.0
         counted = ~rests if moving else np.ones(rests.size, dtype=bool)
         out += float((white[:, chosen] - rows[:, None])[counted].sum())
     return out
 
 
 @dataclass(frozen=True, eq=False)
-class Trial:
+class CandidateEvidence:
     """One candidate, refitted jointly."""
 
     fit: JointFit
     held: Evaluation
 
     @property
-    def term(self) -> Term:
+    def term(self) -> PlacedEffect:
         """The effect added last."""
         return self.fit.candidate.terms[-1]
 
@@ -66,13 +66,13 @@ class Trial:
 
     def excess_on(self, axes: Collection[int]) -> float:
         """What is beyond noise in the missing torque of some axes."""
-        return sum(excess_in(part, axes) for part in (self.fit.evaluation, self.held))
+        return sum(excess_chi2(part, axes) for part in (self.fit.evaluation, self.held))
 
     @property
     def excess_in_motion(self) -> float:
         """What is beyond noise in all torque that is not constant over its record."""
         every = range(self.fit.layout.structure.motors)
-        return sum(excess_in(part, every, moving=True) for part in (self.fit.evaluation, self.held))
+        return sum(excess_chi2(part, every, moving=True) for part in (self.fit.evaluation, self.held))
 
     @property
     def beyond_noise(self) -> float:
@@ -94,7 +94,7 @@ class Trial:
         """χ²/ν of both, at least 1."""
         return max(1.0, self.cost / self.dof)
 
-    def rejects(self, records: Sequence[Record]) -> bool:
+    def rejects(self, records: Sequence[SpectralRecord]) -> bool:
         """Whether it leaves more than the noise of its records, training and held out together."""
         return null_test(self.cost, self.dof, records).rejects
 
@@ -105,19 +105,19 @@ class Trial:
 
     def score(self, dispersion: float, rows: int) -> float:
         """−2 ln(likelihood) and Schwarz' penalty of all effects: what candidates are ranked by."""
-        return self.cost / dispersion + penalty(self, rows)
+        return self.cost / dispersion + schwarz_penalty(self, rows)
 
 
 @dataclass(frozen=True, eq=False)
 class Step:
     """One cause added: before, the chosen one, and those that compete, best first."""
 
-    before: Trial
-    chosen: Trial
-    ranked: tuple[tuple[Trial, float], ...]
+    before: CandidateEvidence
+    chosen: CandidateEvidence
+    ranked: tuple[tuple[CandidateEvidence, float], ...]
     """Candidates with −2 ln(likelihood) plus penalty, over the dispersion, best first."""
 
-    def against(self, rivals: Sequence[tuple[Trial, float]]) -> Step:
+    def against(self, rivals: Sequence[tuple[CandidateEvidence, float]]) -> Step:
         """The same step with more that compete; the chosen one stays first."""
         others = sorted((*self.ranked[1:], *rivals), key=lambda r: r[1])
         return replace(self, ranked=(self.ranked[0], *others))
@@ -131,7 +131,7 @@ class _Costly(Protocol):
 T = TypeVar("T", bound=_Costly)
 
 
-def finite(run: Callable[[], T]) -> T | None:
+def fit_if_finite(run: Callable[[], T]) -> T | None:
     """What ``run`` fits; none where nothing finite follows from its start.
 
     Raises
@@ -148,7 +148,9 @@ def finite(run: Callable[[], T]) -> T | None:
     return out if np.isfinite(out.cost) else None
 
 
-def attempted(run: Callable[[], JointFit], held: Sequence[Record]) -> Trial | None:
+def evidence_if_finite(
+    run: Callable[[], JointFit], held: Sequence[SpectralRecord]
+) -> CandidateEvidence | None:
     """What ``run`` fits, judged on held-out records; none where nothing finite follows from its start.
 
     Raises
@@ -157,17 +159,17 @@ def attempted(run: Callable[[], JointFit], held: Sequence[Record]) -> Trial | No
         No time is left to begin.
     """
 
-    def trial() -> Trial:
+    def trial() -> CandidateEvidence:
         found = run()
-        return Trial(found, held_out(found, held))
+        return CandidateEvidence(found, evaluate_held_out(found, held))
 
-    return finite(trial)
+    return fit_if_finite(trial)
 
 
-def refit(
+def refit_with_effect(
     current: JointFit,
-    records: Sequence[Record],
-    term: Term,
+    records: Sequence[SpectralRecord],
+    term: PlacedEffect,
     x: Float64,
     iterations: int,
     shift: Float64 | None = None,
@@ -178,7 +180,11 @@ def refit(
 
 
 def _start(
-    current: JointFit, records: Sequence[Record], term: Term, x: Float64, shift: Float64 | None
+    current: JointFit,
+    records: Sequence[SpectralRecord],
+    term: PlacedEffect,
+    x: Float64,
+    shift: Float64 | None,
 ) -> tuple[Layout, Float64, Candidate, Evaluation | None]:
     """Where the joint fit starts, with its evaluation if finite: the cheapest of the screen's joint step,
     shares of it, and of sizes alone.
@@ -195,7 +201,7 @@ def _start(
     tries = [(0.0, 1.0), (0.0, 0.4), (0.0, 0.1), (0.0, 0.01)]
     if shift is not None and shift.size and np.isfinite(shift).all():
         tries = [(1.0, 1.0), (0.5, 1.0), *tries[:1], (0.4, 0.4), *tries[1:]]
-    low, high = limits_of(current.layout, current.candidate, current.evaluation, True)
+    low, high = parameter_bounds(current.layout, current.candidate, current.evaluation, True)
     for step, share in tries:
         moved = pack(current.p, current.candidate)
         if step and shift is not None:
@@ -230,9 +236,8 @@ def _logarithmic(current: JointFit) -> Bool:
     return out
 
 
-def at_bound(found: JointFit) -> bool:
-    """A shape at the edge of what it may be, a size beyond: the fit wants something else than the cause that
-    was added last."""
+def is_at_bound(found: JointFit) -> bool:
+    """Whether a shape or size of the last effect ends at its bound: the fit then wants another cause."""
     term, x, views = found.candidate.terms[-1], found.candidate.x[-1], found.evaluation.views
     if term.effect.beyond(views, term.place, x.tolist()):
         return True
@@ -252,7 +257,7 @@ def at_bound(found: JointFit) -> bool:
     return any(v <= low + 1e-9 or v >= high - 1e-9 for v, (low, high) in zip(shapes, limits, strict=True))
 
 
-def sized(found: JointFit, number: int, chance: float = 0.01) -> bool | None:
+def is_size_significant(found: JointFit, number: int, chance: float = 0.01) -> bool | None:
     """Whether a coefficient of an effect differs from zero (Wald); ``None`` where none is known."""
     term, x = found.candidate.terms[number], found.candidate.x[number]
     count = len(term.effect.coefficients)
@@ -263,7 +268,7 @@ def sized(found: JointFit, number: int, chance: float = 0.01) -> bool | None:
     return wald > chi2_isf(chance, count)
 
 
-def told(found: JointFit, number: int, chance: float = 0.01) -> bool | None:
+def is_significant_at_shapes(found: JointFit, number: int, chance: float = 0.01) -> bool | None:
     """Whether a coefficient of an effect differs from zero at the shapes that were found; ``None`` where none
     is known.
 
@@ -282,7 +287,7 @@ def told(found: JointFit, number: int, chance: float = 0.01) -> bool | None:
     return wald > chi2_isf(chance, count)
 
 
-def penalty(trial: Trial, rows: int) -> float:
+def schwarz_penalty(trial: CandidateEvidence, rows: int) -> float:
     """Schwarz' penalty of the parameters of the effects and of what they remember, and how rare their places
     are."""
     terms, structure = trial.fit.candidate.terms, trial.fit.layout.structure
@@ -290,7 +295,7 @@ def penalty(trial: Trial, rows: int) -> float:
     return float(np.log(max(rows, 2))) * (sum(t.size for t in terms) + trial.starts) + rare
 
 
-def extends(larger: Trial, smaller: Trial) -> bool:
+def is_extension_of(larger: CandidateEvidence, smaller: CandidateEvidence) -> bool:
     """Whether one is a larger friction model at the same place: then it always fits as well."""
     one, other = larger.term, smaller.term
     return (
@@ -300,7 +305,7 @@ def extends(larger: Trial, smaller: Trial) -> bool:
     )
 
 
-def unearned(trial: Trial, rows: int) -> float:
+def unearned_phase_penalty(trial: CandidateEvidence, rows: int) -> float:
     """What Schwarz' penalty asks too much for a phase of the effect added last that the data barely see.
 
     ln(rows) a parameter is the logarithm of prior over posterior variance where the prior is that of one row.

@@ -79,9 +79,9 @@ def _grade(group: Sequence[Finding]) -> Grade:
 def _clause(group: Sequence[Finding], axes: Sequence[str], *, advice: bool) -> str:
     """ "Dry friction on all three axes, up to 0.2 % of rated torque: as expected, nothing to do"."""
     if len(group) == 1:
-        text = f"{title(group[0])} {_where(group, axes)}"
+        text = f"{finding_title(group[0])} {_where(group, axes)}"
     else:
-        titles = list(dict.fromkeys(title_of(f.effect.cause) for f in group))
+        titles = list(dict.fromkeys(cause_title(f.effect.cause) for f in group))
         text = f"{_together(titles)} {_where(group, axes)}{_instead(group, axes)}"
     sizes = [
         f.consequence.text.split(", ")[0] for f in group if f.consequence is not None and f.consequence.text
@@ -102,7 +102,7 @@ def _instead(group: Sequence[Finding], axes: Sequence[str]) -> str:
     contested: dict[str, list[str]] = {}
     for f in group:
         for other in f.alternatives[:1]:
-            contested.setdefault(_lower(title_of(other.cause)), []).append(f.effect.axis)
+            contested.setdefault(_lower(cause_title(other.cause)), []).append(f.effect.axis)
     said = _and([f"on {on_axes(where, axes)} it may be {other}" for other, where in contested.items()])
     return f" ({said} instead)" if said else ""
 
@@ -128,16 +128,16 @@ def _summed(rest: Sequence[Sequence[Finding]]) -> list[str]:
     return [f"beside it {' and '.join(said)}"] if said else []
 
 
-def title(finding: Finding) -> str:
+def finding_title(finding: Finding) -> str:
     """What a person calls the cause, with what it may be instead."""
     return " or ".join(
         dict.fromkeys(
-            [title_of(finding.effect.cause), *(title_of(a.cause) for a in finding.alternatives[:1])]
+            [cause_title(finding.effect.cause), *(cause_title(a.cause) for a in finding.alternatives[:1])]
         )
     )
 
 
-def title_of(cause: str) -> str:
+def cause_title(cause: str) -> str:
     """ "dry friction" of "coulomb_friction"."""
     effect = BY_CAUSE.get(cause)
     return cause.replace("_", " ") if effect is None else effect.title.split(" (")[0]

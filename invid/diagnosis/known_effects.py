@@ -9,7 +9,7 @@ import numpy as np
 
 from invid.effects.registry import BY_CAUSE, LARGE_MOTION, effect_of, effects
 from invid.errors import ModelError
-from invid.likelihood.placed_effect import Candidate, Term
+from invid.likelihood.placed_effect import Candidate, PlacedEffect
 from invid.model.document import EffectTerm, Model
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place
@@ -19,7 +19,7 @@ NORMAL_FRICTION = ("coulomb_friction", "viscous_friction")
 """What ``invid identify`` fits along (``invid.identification.model_facts``)."""
 
 
-def carried(model: Model) -> tuple[EffectTerm, ...]:
+def effects_in_model(model: Model) -> tuple[EffectTerm, ...]:
     """Effects that count as part of the model: all but the friction that an identification fitted along.
 
     ``invid identify`` needs friction to get the linear parameters right; whether it is there, and of what
@@ -35,15 +35,17 @@ def carried(model: Model) -> tuple[EffectTerm, ...]:
 
 def fitted_friction(model: Model, structure: ChainStructure) -> Candidate:
     """The friction that an identification fitted along, as causes at their places; none for other models."""
-    kept = {id(e) for e in carried(model)}
+    kept = {id(e) for e in effects_in_model(model)}
     out = Candidate()
     for term in model.effects:
         if id(term) not in kept and min(term.parameters[n].value for n in term.parameters) > 0.0:
-            out = out.plus(Term(BY_CAUSE[term.cause], place_of(term, structure)), vector_of(term))
+            out = out.plus(
+                PlacedEffect(BY_CAUSE[term.cause], effect_place(term, structure)), effect_vector(term)
+            )
     return out
 
 
-def place_of(term: EffectTerm, structure: ChainStructure) -> Place:
+def effect_place(term: EffectTerm, structure: ChainStructure) -> Place:
     """Where an effect of a model sits; ModelError where the model has no such place."""
     axes = list(structure.axes)
     effect = BY_CAUSE[term.cause]
@@ -69,7 +71,7 @@ def place_of(term: EffectTerm, structure: ChainStructure) -> Place:
     return Place(kind, axis, int(number))
 
 
-def vector_of(term: EffectTerm) -> Float64:
+def effect_vector(term: EffectTerm) -> Float64:
     """The parameters of an effect as they are fitted; ModelError where one is missing or impossible."""
     effect = BY_CAUSE[term.cause]
     values = {
@@ -87,7 +89,7 @@ def vector_of(term: EffectTerm) -> Float64:
     return x
 
 
-def folded(model: Model) -> Model:
+def merge_spring_damping(model: Model) -> Model:
     """The model with its ``spring_damping`` among the dampers, which are the same thing."""
     extra = [e for e in model.effects if (law := effect_of(e.cause)) is not None and law.in_chain]
     if not extra:
@@ -96,7 +98,7 @@ def folded(model: Model) -> Model:
     dampers = [d.copy() for d in chains.dampers]
     structure = ChainStructure(chains.masses_per_branch, chains.axes)
     for term in extra:
-        place = place_of(term, structure)
+        place = effect_place(term, structure)
         dampers[place.axis][place.number - 1] += term.value("coefficient")
     kept = tuple(e for e in model.effects if e not in extra)
     return replace(
@@ -104,10 +106,10 @@ def folded(model: Model) -> Model:
     )
 
 
-def given_effects(model: Model, structure: ChainStructure) -> Candidate:
+def known_effects_candidate(model: Model, structure: ChainStructure) -> Candidate:
     """The effects of a model as they enter the fit of the linear parameters."""
     out = Candidate()
-    for term in carried(model):
+    for term in effects_in_model(model):
         effect = effect_of(term.cause)
         if effect is not None and (effect.in_samples or effect.in_chain):
             continue
@@ -117,5 +119,5 @@ def given_effects(model: Model, structure: ChainStructure) -> Candidate:
                 f"{', '.join(sorted(e.cause for e in effects()))}; one from a file of its own needs "
                 "that file (--effects FILE.py)"
             )
-        out = out.plus(Term(effect.known(term), place_of(term, structure)), vector_of(term))
+        out = out.plus(PlacedEffect(effect.known(term), effect_place(term, structure)), effect_vector(term))
     return out

@@ -8,34 +8,34 @@ from dataclasses import replace
 import numpy as np
 
 from invid.diagnosis.context import apply_rule
-from invid.diagnosis.known_effects import given_effects
+from invid.diagnosis.known_effects import known_effects_candidate
 from invid.diagnosis.tone import Tone
-from invid.diagnosis.validation import PLAIN, Asked
+from invid.diagnosis.validation import PLAIN, ValidationRequest
 from invid.likelihood.hypothesis import Layout
-from invid.likelihood.joint_fit import JointFit, fit, held_out
-from invid.likelihood.nuisance.hold_share import HeldInside, holds_inside
-from invid.likelihood.null_test import with_scatter
+from invid.likelihood.joint_fit import JointFit, evaluate_held_out, fit
+from invid.likelihood.nuisance.hold_share import InsideHold, find_inside_holds
+from invid.likelihood.null_test import add_scatter
 from invid.likelihood.placed_effect import Candidate
-from invid.likelihood.prepare_records import by_period
+from invid.likelihood.prepare_records import split_into_periods
 from invid.model.document import Model
 from invid.model.parameters import ChainStructure
 from invid.numerics.arrays import Float64
 from invid.recording.model import Recording
 from invid.signals.spectra import LineSpectra
-from invid.signals.spectral_record import Record
+from invid.signals.spectral_record import SpectralRecord
 
 LIGHTEST = 1e-8
 """Share of its branch that a mass has at least where a fit starts: rounding is 1e-16 of the matrices."""
 
 
-def linear_fit(
+def fit_linear_model(
     model: Model,
     recording: Recording,
     spectra: Sequence[LineSpectra],
-    train: Sequence[Record],
-    held: Sequence[Record],
-    asked: Asked = PLAIN,
-) -> tuple[JointFit, Float64, list[Record], list[Record]]:
+    train: Sequence[SpectralRecord],
+    held: Sequence[SpectralRecord],
+    asked: ValidationRequest = PLAIN,
+) -> tuple[JointFit, Float64, list[SpectralRecord], list[SpectralRecord]]:
     """The model, with the effects it came with, fitted to the training records, its parameters with unbounded
     time offsets, and the records with their scatter.
 
@@ -46,28 +46,26 @@ def linear_fit(
     structure = ChainStructure(chains.masses_per_branch, chains.axes, viscous=False, grounded=grounded)
     origin = min(float(e.time[0]) for e in recording.experiments)
     logged = train[0].command is not None
-    holds = holds_inside(spectra, model, recording, with_command=logged)
-    smoothed = tuple(range(structure.motors)) if asked.whole else smoothed_in(model)
+    holds = find_inside_holds(spectra, model, recording, with_command=logged)
+    smoothed = tuple(range(structure.motors)) if asked.whole else axes_with_smoothed_torque(model)
     layout = layout_of(structure, train, origin, holds, () if logged and not asked.whole else smoothed)
-    given = given_effects(model, structure)
+    given = known_effects_candidate(model, structure)
     late = [t.place.axis for t in given.terms if t.effect.cause == "torque_delay"]
     layout, _ = layout.without_delay(late)
-    start = start_of(model, layout)
-    first = fit(
-        layout, with_scatter(train, spectra, layout, start), start, given, iterations=25, strict=False
-    )
-    train = with_scatter(train, spectra, layout, first.p)
-    held = with_scatter(held, spectra, layout, first.p)
+    start = start_vector(model, layout)
+    first = fit(layout, add_scatter(train, spectra, layout, start), start, given, iterations=25, strict=False)
+    train = add_scatter(train, spectra, layout, first.p)
+    held = add_scatter(held, spectra, layout, first.p)
     keys = [r.key for r in (*train, *held) if asked.apart or r.trend or (asked.each and r.differs)]
     # A tone that repeats with no period looks like a change from one to the next.
-    if keys and (asked.apart or asked.each or not tones_in(first, held, spectra)):
-        train, held = by_period(recording, train, keys), by_period(recording, held, keys)
+    if keys and (asked.apart or asked.each or not find_tones(first, held, spectra)):
+        train, held = split_into_periods(recording, train, keys), split_into_periods(recording, held, keys)
         if asked.apart and len(held) > 1 and held[0].alone:
             train, held = [*train, held[0]], held[1:]
     return fit(layout, train, first.p, first.candidate, iterations=25), first.p, train, held
 
 
-def without_effects(base: JointFit, train: Sequence[Record]) -> JointFit:
+def refit_without_effects(base: JointFit, train: Sequence[SpectralRecord]) -> JointFit:
     """The linear model alone fitted to the same records, where the model came with effects."""
     if not base.candidate.terms:
         return base
@@ -79,9 +77,9 @@ def without_effects(base: JointFit, train: Sequence[Record]) -> JointFit:
 
 def layout_of(
     structure: ChainStructure,
-    records: Sequence[Record],
+    records: Sequence[SpectralRecord],
     origin: float,
-    holds: tuple[HeldInside, ...] = (),
+    holds: tuple[InsideHold, ...] = (),
     smoothed: tuple[int, ...] = (),
 ) -> Layout:
     """Delay and hold-over-the-sample parameters that the records leave open, the holds' shares, and the time
@@ -94,7 +92,7 @@ def layout_of(
     return Layout(structure, records[0].step, unknown, known, free, origin, holds=holds, smoothed=smoothed)
 
 
-def smoothed_in(model: Model) -> tuple[int, ...]:
+def axes_with_smoothed_torque(model: Model) -> tuple[int, ...]:
     """Axes whose drive smooths the torque that it reports, by three standard deviations in ``fit``."""
     found = []
     for i, axis in enumerate(model.axes):
@@ -105,7 +103,7 @@ def smoothed_in(model: Model) -> tuple[int, ...]:
     return tuple(found)
 
 
-def start_of(model: Model, layout: Layout) -> Float64:
+def start_vector(model: Model, layout: Layout) -> Float64:
     """(n,) parameters of the model as it came."""
     structure, start = layout.structure, np.zeros(layout.count)
     # A mass that vanished in the identification makes the chain's matrices singular.
@@ -126,7 +124,9 @@ def start_of(model: Model, layout: Layout) -> Float64:
     return start
 
 
-def tones_in(fitted: JointFit, held: Sequence[Record], spectra: Sequence[LineSpectra]) -> list[Tone]:
+def find_tones(
+    fitted: JointFit, held: Sequence[SpectralRecord], spectra: Sequence[LineSpectra]
+) -> list[Tone]:
     """Tones of the training and the held-out records."""
-    both = (fitted.evaluation, held_out(fitted, held))
+    both = (fitted.evaluation, evaluate_held_out(fitted, held))
     return list(apply_rule("tones", both, fitted.layout, fitted.p, spectra))

@@ -132,7 +132,7 @@ def explained_share(residual: Sequence[AxisResidual]) -> float:
     return float(np.clip(1.0 - (after - noise) / max(before - noise, 1e-300), 0.0, 1.0))
 
 
-def above_floor(residual: Sequence[AxisResidual]) -> AxisResidual | None:
+def axis_above_floor(residual: Sequence[AxisResidual]) -> AxisResidual | None:
     """The axis farthest above 1.2 times its floor; ``None`` where all are within."""
     left = [r for r in residual if not r.after <= FLOOR * r.noise_floor]
     return max(left, key=floors, default=None)
@@ -153,7 +153,7 @@ def verdict_of(
     taken = explained is None or explained >= EXPLAINED
     return (
         Verdict.EXPLAINED
-        if complete and taken and above_floor(residual) is None
+        if complete and taken and axis_above_floor(residual) is None
         else Verdict.PARTLY_EXPLAINED
     )
 
@@ -226,7 +226,7 @@ def left_over(residual: Sequence[AxisResidual], explained: float | None) -> Unex
 
 def _distrusted(diagnosis: Diagnosis, recording: Recording) -> Diagnosis:
     """A model that misses more than half of the torque is not to be trusted, and that comes first."""
-    share = missed_share(diagnosis.residual, recording)
+    share = missed_torque_share(diagnosis.residual, recording)
     if not share > MISSED:
         return diagnosis
     said = (
@@ -242,7 +242,7 @@ def _distrusted(diagnosis: Diagnosis, recording: Recording) -> Diagnosis:
     )
 
 
-def missed_share(residual: Sequence[AxisResidual], recording: Recording) -> float:
+def missed_torque_share(residual: Sequence[AxisResidual], recording: Recording) -> float:
     """Rms that the extended model misses beyond noise, over the rms of the torque, all axes together."""
     left = sum(max(r.after**2 - r.noise_floor**2, 0.0) for r in residual)
     held = recording.with_role(Role.VALIDATE) or recording.experiments
@@ -254,7 +254,7 @@ def missed_share(residual: Sequence[AxisResidual], recording: Recording) -> floa
     return float(np.sqrt(left / total)) if total > 0 else 0.0
 
 
-def cut_short(result: Diagnosis) -> Diagnosis:
+def limit_unfinished_search(result: Diagnosis) -> Diagnosis:
     """The diagnosis with no more certainty than a search that did not end allows.
 
     A cause that was found may have a rival that was not weighed: no finding is surer than a contested one.

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from invid.diagnosis.evidence import Trial
-from invid.likelihood.null_test import informative
+from invid.diagnosis.evidence import CandidateEvidence
+from invid.likelihood.null_test import informative_lines
 from invid.model.diagnosis_document import Unexplained
 from invid.recording.model import Recording
 
 
-def unexplained_of(trial: Trial, recording: Recording) -> Unexplained:
+def describe_unexplained(trial: CandidateEvidence, recording: Recording) -> Unexplained:
     """Axis, frequencies and character of the excess of the training and held-out records."""
     motors = recording.axis_count
     power = np.zeros(motors)
@@ -21,7 +21,7 @@ def unexplained_of(trial: Trial, recording: Recording) -> Unexplained:
         for number, view in enumerate(evaluation.views):
             r = evaluation.missing[number]
             c = np.einsum("fii->fi", evaluation.covariance[number]).real
-            good = informative(evaluation.covariance[number], view.record)
+            good = informative_lines(evaluation.covariance[number], view.record)
             excess = np.where(good, np.abs(r) ** 2 / np.maximum(c, 1e-300) - 1.0, 0.0)
             excess[0] *= 0.5
             power += excess.sum(axis=0)
@@ -65,7 +65,7 @@ def unexplained_of(trial: Trial, recording: Recording) -> Unexplained:
     )
 
 
-def _follows(trial: Trial, axis: int) -> str:
+def _follows(trial: CandidateEvidence, axis: int) -> str:
     """What the missing torque goes with over time: position, velocity, or neither."""
     best: dict[str, float] = {"position-dependent": 0.0, "velocity-dependent": 0.0}
     total = 0.0
@@ -73,7 +73,7 @@ def _follows(trial: Trial, axis: int) -> str:
     for number, view in enumerate(evaluation.views):
         record = view.record
         half = np.zeros(record.samples // 2 + 1, dtype=complex)
-        good = informative(evaluation.covariance[number], record)[:, axis]
+        good = informative_lines(evaluation.covariance[number], record)[:, axis]
         half[record.lines] = np.where(good, evaluation.missing[number][:, axis], 0.0) * (record.samples / 2)
         r = np.fft.irfft(half, record.samples)
         total += float(r @ r)

@@ -9,14 +9,14 @@ import numpy as np
 
 from invid.diagnosis.outcome import (
     Cause,
-    above_floor,
     assembled,
+    axis_above_floor,
     competes,
-    cut_short,
     explained_share,
     finding_of,
     floors,
     likelihood_share,
+    limit_unfinished_search,
 )
 from invid.diagnosis.thresholds import FLOOR, NEAR
 from invid.errors import InputError
@@ -29,15 +29,15 @@ from invid.rigid_motion.analysis import Analysis, analyse, row_floor, sampling_l
 from invid.rigid_motion.effect_terms import term_of
 from invid.rigid_motion.figures import figures_of
 from invid.rigid_motion.model import model_of
-from invid.rigid_motion.regression import Fit, fit
-from invid.rigid_motion.regressors import ASYMMETRIC, Term
+from invid.rigid_motion.regression import Fit, fit_terms
+from invid.rigid_motion.regressors import ASYMMETRIC, Regressor
 from invid.rigid_motion.selection import (
     best_of_label,
+    can_join,
     held_out_cost,
     held_out_p,
-    judged,
-    may_join,
-    rms,
+    judged_rows,
+    root_mean_square,
     training_p,
 )
 
@@ -60,7 +60,7 @@ def diagnose_trajectory(
     residual = _residuals(a)
     terms = [t for t in a.final.terms if not t.base]
     explained = explained_share(residual) if terms else None
-    near = above_floor(residual) is None
+    near = axis_above_floor(residual) is None
     missing = any(
         r.after > max(FLOOR * r.noise_floor, allowed)
         for r, allowed in zip(residual, sampling_leaves(a), strict=True)
@@ -80,15 +80,15 @@ def diagnose_trajectory(
         warnings=extended.warnings,
         details=figures_of(a, extended),
     )
-    return cut_short(result) if a.selection.cut else result
+    return limit_unfinished_search(result) if a.selection.cut else result
 
 
 def _residuals(a: Analysis) -> tuple[AxisResidual, ...]:
-    rows, unit, floor = judged(a.design), a.recording.torque_unit, row_floor(a)
+    rows, unit, floor = judged_rows(a.design), a.recording.torque_unit, row_floor(a)
     result = []
     for i, name in enumerate(a.recording.axes):
         mine = rows & (a.design.axis == i)
-        before, after = rms(a.base.held_out[mine]), rms(a.final.held_out[mine])
+        before, after = root_mean_square(a.base.held_out[mine]), root_mean_square(a.final.held_out[mine])
         result.append(AxisResidual(name, unit, before, after, float(np.sqrt(np.mean(floor[mine])))))
     return tuple(result)
 
@@ -99,12 +99,12 @@ class _Costs:
     def __init__(self, a: Analysis) -> None:
         self.design, self.final = a.design, a.final
         own = a.design.has_validation
-        train = ~a.design.validate if own else judged(a.design)
+        train = ~a.design.validate if own else judged_rows(a.design)
         length = train.sum() / max(a.final.effective, 1.0)
-        self.held = float(judged(a.design).sum() / length)
+        self.held = float(judged_rows(a.design).sum() / length)
         # Rows that are predicted by fits without them are all rows, and count once.
         self.trained = a.final.effective if own else 0.0
-        rows = judged(a.design)
+        rows = judged_rows(a.design)
         noise = float(np.mean((row_floor(a) * a.design.weight**2)[rows]))
         share = 1.0 - noise / max(held_out_cost(a.design, a.final), 1e-300)
         count = self.held + self.trained
@@ -123,20 +123,22 @@ class _Costs:
         return self.of(result) + float(np.log(max(count, 2.0))) * numbers
 
 
-def _causes(a: Analysis, terms: list[Term], explained: float) -> list[Cause]:
+def _causes(a: Analysis, terms: list[Regressor], explained: float) -> list[Cause]:
     """The terms with what they take and what competes with them."""
     costs, design = _Costs(a), a.design
     others = [[t for t in a.final.terms if t is not term] for term in terms]
-    without = [fit(design, rest) for rest in others]
+    without = [fit_terms(design, rest) for rest in others]
     gains = [max(costs.of(w) - costs.of(a.final), 0.0) for w in without]
     found = []
     for term, rest, bare, gain in zip(terms, others, without, gains, strict=True):
-        mine = judged(design) & (design.axis == term.axis)
+        mine = judged_rows(design) & (design.axis == term.axis)
         near = _near(a, term, rest, costs, costs.of(a.final) + NEAR * gain)
         scores = np.array([costs.score(f) for f in (a.final, *near)])
         chance = max(training_p(bare, a.final), held_out_p(design, bare, a.final))
         alternatives = tuple(
-            Alternative(f.terms[-1].cause, a.recording.axes[term.axis], "mass 1", rms(f.held_out[mine]))
+            Alternative(
+                f.terms[-1].cause, a.recording.axes[term.axis], "mass 1", root_mean_square(f.held_out[mine])
+            )
             for f, score in zip(near, scores[1:], strict=True)
             if competes(score - scores[0], costs.of(f) - costs.of(a.final), costs.left)
         )
@@ -144,8 +146,8 @@ def _causes(a: Analysis, terms: list[Term], explained: float) -> list[Cause]:
         found.append(
             Cause(
                 effect,
-                rms(bare.held_out[mine]),
-                rms(a.final.held_out[mine]),
+                root_mean_square(bare.held_out[mine]),
+                root_mean_square(a.final.held_out[mine]),
                 explained * gain / max(sum(gains), 1e-300),
                 (1.0 - chance) * likelihood_share(scores, [True, *(False for _ in near)]),
                 alternatives,
@@ -155,13 +157,13 @@ def _causes(a: Analysis, terms: list[Term], explained: float) -> list[Cause]:
     return found
 
 
-def _near(a: Analysis, term: Term, rest: list[Term], costs: _Costs, most: float) -> list[Fit]:
+def _near(a: Analysis, term: Regressor, rest: list[Regressor], costs: _Costs, most: float) -> list[Fit]:
     """Fits of other causes in this one's stead that take about as much."""
-    labels: dict[Any, list[Term]] = {}
+    labels: dict[Any, list[Regressor]] = {}
     for c in a.candidates:
         # What contains the term is a refinement that was tried and not needed, not a rival.
         nested = term.cause in c.replaces or c.cause in term.replaces
-        if c.axis == term.axis and not (c.base or nested) and c.label != term.label and may_join(rest, c):
+        if c.axis == term.axis and not (c.base or nested) and c.label != term.label and can_join(rest, c):
             labels.setdefault(c.label, []).append(c)
     found = []
     for options in labels.values():
@@ -173,7 +175,7 @@ def _near(a: Analysis, term: Term, rest: list[Term], costs: _Costs, most: float)
     return found
 
 
-def _plain(a: Analysis, term: Term, rest: list[Term]) -> tuple[EffectTerm, tuple[str, ...]]:
+def _plain(a: Analysis, term: Regressor, rest: list[Regressor]) -> tuple[EffectTerm, tuple[str, ...]]:
     """The effect in the cause's own parameters, and what the model has beyond them, in sentences.
 
     Friction that differs by direction has four parameters; where it also bends at low speed, the four are
@@ -189,9 +191,9 @@ def _plain(a: Analysis, term: Term, rest: list[Term]) -> tuple[EffectTerm, tuple
     remarks: list[str] = []
     if len(term.names) > len(ASYMMETRIC):
         bend = {n: effect.parameters[n] for n in effect.parameters if n.startswith("low_speed")}
-        own = Term("asymmetric_friction", term.axis, ASYMMETRIC)
+        own = Regressor("asymmetric_friction", term.axis, ASYMMETRIC)
         beyond = effect
-        effect = term_of(replace(a, final=fit(a.design, [*rest, own])), own)
+        effect = term_of(replace(a, final=fit_terms(a.design, [*rest, own])), own)
         up, down, speed = (p.value for p in bend.values())
         unit, force = bend["low_speed_velocity"].unit, beyond.parameters["coulomb_positive"].unit
         remarks.append(
@@ -199,14 +201,14 @@ def _plain(a: Analysis, term: Term, rest: list[Term]) -> tuple[EffectTerm, tuple
             "(backward): see the model."
         )
     same = [
-        Term("coulomb_friction", term.axis, ("torque",)),
-        Term("viscous_friction", term.axis, ("coefficient",)),
-        Term("torque_offset", term.axis, ("torque",)),
+        Regressor("coulomb_friction", term.axis, ("torque",)),
+        Regressor("viscous_friction", term.axis, ("coefficient",)),
+        Regressor("torque_offset", term.axis, ("torque",)),
     ]
     if any(t.cause == "gravity" and t.axis == term.axis for t in rest):
         return effect, tuple(remarks)
     # As tables in the literature are made: without the sampling instant of the torque.
-    symmetric = fit(a.design, [*(t for t in rest if t.cause != "time_offset"), *same])
+    symmetric = fit_terms(a.design, [*(t for t in rest if t.cause != "time_offset"), *same])
     units = [p.unit for p in effect.parameters.values()]
     sizes = [
         f"{name} {value[0]:.4g} ± {std[0]:.2g} {unit}"

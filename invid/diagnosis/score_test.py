@@ -12,7 +12,7 @@ from invid.effects.effect import Effect
 from invid.effects.motion import View
 from invid.effects.registry import effects
 from invid.likelihood.joint_fit import JointFit
-from invid.likelihood.placed_effect import Term
+from invid.likelihood.placed_effect import PlacedEffect
 from invid.model.parameters import ChainStructure
 from invid.model.place import Pattern
 from invid.numerics.arrays import Complex128, Float64
@@ -23,7 +23,7 @@ from invid.numerics.whitening import stack
 class Score:
     """How much χ² a cause at a place takes away, at its best shape, before anything is refitted."""
 
-    term: Term
+    term: PlacedEffect
     x: Float64
     gain: float
     shift: Float64 = field(default_factory=lambda: np.zeros(0))
@@ -35,7 +35,9 @@ class Score:
         return self.term.size
 
 
-def terms_for(structure: ChainStructure, *, linear_axes: bool, chosen: Sequence[Term] = ()) -> list[Term]:
+def terms_to_test(
+    structure: ChainStructure, *, linear_axes: bool, chosen: Sequence[PlacedEffect] = ()
+) -> list[PlacedEffect]:
     """Every cause at every place that can be there and is not chosen yet."""
     out = []
     for effect in effects():
@@ -47,7 +49,7 @@ def terms_for(structure: ChainStructure, *, linear_axes: bool, chosen: Sequence[
             if most is not None:
                 taken |= sum(t.effect.cause == effect.cause for t in chosen) >= most
             if not taken:
-                out.append(Term(effect, place))
+                out.append(PlacedEffect(effect, place))
     return out
 
 
@@ -92,7 +94,7 @@ class Screen:
         out: Float64 = white - self.basis @ (self.basis.T @ white)
         return out
 
-    def shift(self, term: Term, x: Float64) -> Float64:
+    def shift(self, term: PlacedEffect, x: Float64) -> Float64:
         """(n,) Gauss–Newton step of the parameters fitted so far with the effect at ``x`` in place."""
         self._reconstruct(term)
         evaluation = self.fit.evaluation
@@ -104,7 +106,7 @@ class Screen:
         out: Float64 = -self._back @ (self.basis.T @ white)
         return out
 
-    def at(self, term: Term, shape: Sequence[float]) -> tuple[float, Float64]:
+    def at(self, term: PlacedEffect, shape: Sequence[float]) -> tuple[float, Float64]:
         """Gain and parameter vector at one shape."""
         effect, place = term.effect, term.place
         if not effect.coefficients:
@@ -118,7 +120,7 @@ class Screen:
         gain, coefficients = _regress(effect, columns, self.residual)
         return gain, np.concatenate((coefficients, np.asarray(shape, dtype=float)))
 
-    def _reconstruct(self, term: Term | None) -> None:
+    def _reconstruct(self, term: PlacedEffect | None) -> None:
         """Inner motion of every view, had the missing torque come from a force at the term's place."""
         read = term is not None and term.inner and term.effect.along_pattern
         pattern = term.place.pattern(self.fit.layout.structure) if term is not None and read else None
@@ -135,7 +137,7 @@ class Screen:
         """Gives the views of the fit their own inner motion back."""
         self._reconstruct(None)
 
-    def _nonlinear(self, view: View, term: Term, shape: Sequence[float]) -> Complex128:
+    def _nonlinear(self, view: View, term: PlacedEffect, shape: Sequence[float]) -> Complex128:
         """Contribution on top of the causes chosen, inner motion in agreement with it."""
         self._reconstruct(term)
         if not term.inner or view.missing is not None:
@@ -150,7 +152,7 @@ class Screen:
         view.respond(before)
         return total
 
-    def best(self, term: Term, *, polish: bool = False) -> Score:
+    def best(self, term: PlacedEffect, *, polish: bool = False) -> Score:
         """The best shape of the grid, polished between its neighbours where asked."""
         self._reconstruct(term)
         grid = term.effect.grid(self.views, term.place)
@@ -165,7 +167,7 @@ class Screen:
         return Score(term, x, gain, self.shift(term, x))
 
     def _polish(
-        self, term: Term, gain: float, x: Float64, shape: list[float], grid: list[tuple[float, ...]]
+        self, term: PlacedEffect, gain: float, x: Float64, shape: list[float], grid: list[tuple[float, ...]]
     ) -> tuple[float, Float64]:
         """Bisection of the grid's spacing, one shape after the other."""
         limits = term.effect.limits(self.views, term.place)

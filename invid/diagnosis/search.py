@@ -9,24 +9,37 @@ from typing import cast
 
 import numpy as np
 
-from invid.diagnosis.acceptance import accepted, is_asked_for, least_gain, needed_gain, without_untold
-from invid.diagnosis.candidates import REACH, is_smaller_model, refitted, rivals_of_best, screened, tell_of
+from invid.diagnosis.acceptance import (
+    drop_insignificant_causes,
+    is_accepted,
+    is_asked_for,
+    least_gain,
+    needed_gain,
+)
+from invid.diagnosis.candidates import (
+    REACH,
+    is_smaller_model,
+    refit_candidates,
+    report_candidate,
+    rivals_of_best,
+    screen_candidates,
+)
 from invid.diagnosis.context import apply_rule
-from invid.diagnosis.evidence import Step, Trial, at_bound, attempted, extends
-from invid.diagnosis.score_test import Score, Screen, terms_for
+from invid.diagnosis.evidence import CandidateEvidence, Step, evidence_if_finite, is_at_bound, is_extension_of
+from invid.diagnosis.score_test import Score, Screen, terms_to_test
 from invid.diagnosis.selection import Selection
-from invid.diagnosis.slow_move import Move
+from invid.diagnosis.slow_move import SlowMove
 from invid.diagnosis.thresholds import FAR, LARGER, LEFT, MOST, NEAR, REACHED, SIGNIFICANCE
-from invid.likelihood.candidate_pool import each
+from invid.likelihood.candidate_pool import map_candidates
 from invid.likelihood.hypothesis import Layout
-from invid.likelihood.joint_fit import JointFit, fit, held_out, reordered, without_last
+from invid.likelihood.joint_fit import JointFit, drop_last_effect, evaluate_held_out, fit, reorder_effects
 from invid.likelihood.null_test import null_test
-from invid.likelihood.placed_effect import Candidate, Term
+from invid.likelihood.placed_effect import Candidate, PlacedEffect
 from invid.model.place import Place
 from invid.numerics import budget
 from invid.numerics.arrays import Float64
 from invid.numerics.distributions import chi2_isf
-from invid.signals.spectral_record import Record
+from invid.signals.spectral_record import SpectralRecord
 
 NONE_YET = "causes of what is missing (none was weighed to the end)"
 FURTHER = "further causes"
@@ -42,15 +55,15 @@ AN_AXIS = 8
 of friction, a weight, four faults), and an end where it is misled."""
 
 
-def select(
+def select_causes(
     base: JointFit,
-    train: Sequence[Record],
-    held: Sequence[Record],
+    train: Sequence[SpectralRecord],
+    held: Sequence[SpectralRecord],
     *,
     linear_axes: bool,
     free: Float64 | None = None,
     start: Float64 | None = None,
-    moves: Sequence[Move] = (),
+    moves: Sequence[SlowMove] = (),
     family: str | None = None,
     friction: Candidate = NOTHING,
 ) -> Selection:
@@ -83,7 +96,7 @@ def select(
     return other if other.final.cost - found.final.cost < found.final.beyond_noise else found
 
 
-def _alone(found: Selection, records: Sequence[Record]) -> bool:
+def _alone(found: Selection, records: Sequence[SpectralRecord]) -> bool:
     """Whether one lag leaves nothing but noise and its delay more: beside others that is the larger model."""
     if len(found.steps) > 1 or found.final.rejects(records):
         return False
@@ -95,7 +108,7 @@ def _named(step: Step) -> tuple[str, Place]:
     return step.chosen.term.effect.cause, step.chosen.term.place
 
 
-def _is(trial: Trial, cause: str, axis: int) -> bool:
+def _is(trial: CandidateEvidence, cause: str, axis: int) -> bool:
     return trial.term.effect.cause == cause and trial.term.place.axis == axis
 
 
@@ -106,7 +119,7 @@ class _Asked:
     linear_axes: bool
     free: Float64 | None
     start: Float64 | None
-    moves: Sequence[Move]
+    moves: Sequence[SlowMove]
     contested: frozenset[int] = frozenset()
     """Axes on which a delay goes before its lag."""
     axis: int | None = None
@@ -117,11 +130,13 @@ class _Asked:
     """Laws that the identification fitted along: where the search starts."""
 
 
-def _search(base: JointFit, train: Sequence[Record], held: Sequence[Record], asked: _Asked) -> Selection:
+def _search(
+    base: JointFit, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord], asked: _Asked
+) -> Selection:
     """Causes added one by one."""
-    start = Trial(base, held_out(base, held))
+    start = CandidateEvidence(base, evaluate_held_out(base, held))
     begun = _from_friction(start, train, held, asked)
-    if begun is not None and (_right(begun) or budget.spent()):
+    if begun is not None and (_right(begun) or budget.is_spent()):
         return begun
     found = _added(Selection(start, start), train, held, asked)
     again = budget.or_else(AGAIN, partial(_reconsidered, found, train, held, asked), found)
@@ -140,7 +155,7 @@ def _right(found: Selection) -> bool:
 
 
 def _from_friction(
-    start: Trial, train: Sequence[Record], held: Sequence[Record], asked: _Asked
+    start: CandidateEvidence, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord], asked: _Asked
 ) -> Selection | None:
     """The search begun with the friction of the identification; ``None`` where there is none."""
     known = apply_rule("known-friction", start, asked.friction, asked.start, train, held)
@@ -157,7 +172,11 @@ def _from_friction(
 
 
 def _added(
-    found: Selection, train: Sequence[Record], held: Sequence[Record], asked: _Asked, besides: int = 0
+    found: Selection,
+    train: Sequence[SpectralRecord],
+    held: Sequence[SpectralRecord],
+    asked: _Asked,
+    besides: int = 0,
 ) -> Selection:
     """Causes added one by one to those found; ``besides``: how many of them were known, and do not count.
 
@@ -173,7 +192,7 @@ def _added(
             break  # what the causes leave is noise; what else fits it says how imperfect their models are
         number = len(steps)
         try:
-            with budget.part(1.0, 1.0 - HALF**number, 1.0 - HALF ** (number + 1)):
+            with budget.use_share(1.0, 1.0 - HALF**number, 1.0 - HALF ** (number + 1)):
                 step, rejected, little = _step(
                     current, train, held, asked, first, first=not steps, rejects=rejects, small=True
                 )
@@ -196,13 +215,15 @@ def _added(
         return replace(sure, rejected=rejected, cut=found.cut)
     if current.cost > FAR * current.dof:  # what a wrong model leaves, any cause may fit
         small = {_named(s) for s in steps[besides:]}
-    return without_untold(Selection(start, current, tuple(steps), rejected, found.cut), small, train, held)
+    return drop_insignificant_causes(
+        Selection(start, current, tuple(steps), rejected, found.cut), small, train, held
+    )
 
 
 def _reconsidered(
     found: Selection,
-    train: Sequence[Record],
-    held: Sequence[Record],
+    train: Sequence[SpectralRecord],
+    held: Sequence[SpectralRecord],
     asked: _Asked,
     *,
     every: int = 0,
@@ -219,8 +240,10 @@ def _reconsidered(
         mode = found.steps[number].chosen.term.effect.cause == "extra_mode"
         if number == newest and not mode and number >= every:
             continue
-        last = Trial(reordered(final.fit, [*range(at), *range(at + 1, count), at]), final.held)
-        rest = attempted(partial(without_last, last.fit, train), held)
+        last = CandidateEvidence(
+            reorder_effects(final.fit, [*range(at), *range(at + 1, count), at]), final.held
+        )
+        rest = evidence_if_finite(partial(drop_last_effect, last.fit, train), held)
         if rest is None:
             continue
         if mode:
@@ -250,22 +273,22 @@ def _reconsidered(
         step = cast(Step, apply_rule("slow-moves", step, asked.moves))
         added = apply_rule("friction-ladder", step, train, held)
         order = [*range(at), *range(count - 1, count - 1 + len(added)), *range(at, count - 1)]
-        chosen = Trial(reordered(added[-1].chosen.fit, order), added[-1].chosen.held)
+        chosen = CandidateEvidence(reorder_effects(added[-1].chosen.fit, order), added[-1].chosen.held)
         steps = (*found.steps[:number], *added, *found.steps[number + 1 :])
         found = replace(found, final=chosen, steps=steps)
     return found
 
 
 def _step(
-    current: Trial,
-    train: Sequence[Record],
-    held: Sequence[Record],
+    current: CandidateEvidence,
+    train: Sequence[SpectralRecord],
+    held: Sequence[SpectralRecord],
     asked: _Asked,
-    start: Trial,
+    start: CandidateEvidence,
     *,
     first: bool,
     rejects: bool,
-    known: Sequence[Trial] = (),
+    known: Sequence[CandidateEvidence] = (),
     small: bool = False,
 ) -> tuple[Step | None, tuple[Score, ...], bool]:
     """The cause that is best beside those of ``current``, what the screen says else, and whether the cause is
@@ -273,7 +296,9 @@ def _step(
     here = current.fit
     terms = [
         t
-        for t in terms_for(here.layout.structure, linear_axes=asked.linear_axes, chosen=here.candidate.terms)
+        for t in terms_to_test(
+            here.layout.structure, linear_axes=asked.linear_axes, chosen=here.candidate.terms
+        )
         if (t.effect.cause != "torque_delay" or _late(here.layout, here.p, t.place.axis))
         and asked.axis in (None, t.place.axis, t.place.other)
         and asked.family in (None, t.effect.family)
@@ -282,7 +307,7 @@ def _step(
     trials, scores = _candidates(here, train, held, asked, terms, first=first, rejects=rejects, known=known)
     trials = apply_rule("gradual-sign", trials, current, train, held)
     trials = [t for t in trials if not is_smaller_model(t)]  # some were larger only for want of rounding
-    trials = with_known(trials, known)
+    trials = merge_trials(trials, known)
     if not trials:
         return None, tuple(scores[:5]), False
     trials.sort(key=lambda t: t.score(1.0, rows))
@@ -291,23 +316,23 @@ def _step(
         *(t for t in trials[1:] if t.cost - trials[0].cost < NEAR * (current.cost - trials[0].cost)),
     ]
 
-    def hopeless(t: Trial) -> bool:
+    def hopeless(t: CandidateEvidence) -> bool:
         # Noise alone has had its best by now: what little more there is makes no cause of it.
         least = needed_gain(current, t, count, rejects=rejects)
         return not rejects and REACH * (current.cost - t.cost) < least
 
-    def polish(t: Trial) -> Trial:
-        if budget.spent():
+    def polish(t: CandidateEvidence) -> CandidateEvidence:
+        if budget.is_spent():
             return t
-        tell_of("fitting", t.term, here, 0.7)
+        report_candidate("fitting", t.term, here, 0.7)
         more = fit(t.fit.layout, train, t.fit.p, t.fit.candidate, iterations=40)
-        return Trial(more, held_out(more, held))
+        return CandidateEvidence(more, evaluate_held_out(more, held))
 
     open_ = [t for t in best[:4] if not t.fit.converged and not hopeless(t)]
-    gone_on = iter(each(polish, open_, here, [*train, *held]))
+    gone_on = iter(map_candidates(polish, open_, here, [*train, *held]))
     # Where the fit went on it may have reached an edge, and then wants something else than this cause.
     polished = [next(gone_on) if t in open_ else t for t in best[:4]]
-    polished = [t for t in polished if not at_bound(t.fit)]
+    polished = [t for t in polished if not is_at_bound(t.fit)]
     trials = polished + [t for t in trials if t not in best[:4]]
     if not trials:
         return None, tuple(scores[:5]), False
@@ -317,7 +342,7 @@ def _step(
     quiet = not null_test(here.cost, here.dof, train).rejects
     apart = min(t.fit.dispersion for t in trials), min(t.held_dispersion for t in trials)
     there = partial(
-        accepted, current, best_of_all, apart, count, start, first=first, rejects=rejects, quiet=quiet
+        is_accepted, current, best_of_all, apart, count, start, first=first, rejects=rejects, quiet=quiet
     )
     sure = there()
     if not sure and not (small and there(small=True)):
@@ -325,7 +350,7 @@ def _step(
     if best_of_all.term.effect.cause == "extra_mode":
         # A mode on one mass is nearly one on the next with another size, and a fit creeps along that.
         others = apply_rule("next-mass", best_of_all, train, held, terms, [best_of_all.term], iterations=MODE)
-        trials = with_known(trials, others)
+        trials = merge_trials(trials, others)
     elif best_of_all.rejects([*train, *held]):
         trials += apply_rule("next-mass", best_of_all, train, held, terms, [t.term for t in trials])
     dispersion = min(t.dispersion for t in trials)
@@ -337,17 +362,17 @@ def _step(
 
 def _candidates(
     here: JointFit,
-    train: Sequence[Record],
-    held: Sequence[Record],
+    train: Sequence[SpectralRecord],
+    held: Sequence[SpectralRecord],
     asked: _Asked,
-    terms: Sequence[Term],
+    terms: Sequence[PlacedEffect],
     *,
     first: bool,
     rejects: bool,
-    known: Sequence[Trial],
-) -> tuple[list[Trial], list[Score]]:
+    known: Sequence[CandidateEvidence],
+) -> tuple[list[CandidateEvidence], list[Score]]:
     """Joint fits of what the screen promises, and the screen's other answers."""
-    scores = screened(Screen(here), terms)
+    scores = screen_candidates(Screen(here), terms)
     late = [t for t in terms if t.effect.cause == "torque_delay"]
     trials = list(apply_rule("delay-beyond-bound", here, train, held, late, asked.free))
     trials += apply_rule("lag-beside-delay", here, train, held, trials, terms)
@@ -362,18 +387,20 @@ def _candidates(
     # A rival of those known takes as much.
     known_gain = max((here.cost - t.fit.cost for t in known), default=0.0)
 
-    def least(term: Term) -> float:
+    def least(term: PlacedEffect) -> float:
         return max(least_gain(here, term, len(terms), first=first), known_gain)
 
     reached = min((t.fit.cost for t in (*trials, *known)), default=np.inf)
-    trials += refitted(here, train, held, scores, least, reached)
-    trials = with_known(trials, rivals_of_best(trials, scores, here, train, held))
+    trials += refit_candidates(here, train, held, scores, least, reached)
+    trials = merge_trials(trials, rivals_of_best(trials, scores, here, train, held))
     if first and rejects and asked.start is not None and not known:
         trials = apply_rule("start-from-model", trials, asked.start, here, train, held, terms)
     return trials, scores
 
 
-def with_known(trials: Sequence[Trial], known: Sequence[Trial]) -> list[Trial]:
+def merge_trials(
+    trials: Sequence[CandidateEvidence], known: Sequence[CandidateEvidence]
+) -> list[CandidateEvidence]:
     """Trials and those known; of one cause at one place the better."""
     found = {(t.term.effect.cause, t.term.place): t for t in trials}
     for trial in known:
@@ -383,7 +410,9 @@ def with_known(trials: Sequence[Trial], known: Sequence[Trial]) -> list[Trial]:
     return list(found.values())
 
 
-def _ranked(scored: Sequence[tuple[Trial, float]], contested: frozenset[int]) -> list[tuple[Trial, float]]:
+def _ranked(
+    scored: Sequence[tuple[CandidateEvidence, float]], contested: frozenset[int]
+) -> list[tuple[CandidateEvidence, float]]:
     """Best first; a lag on a contested axis just behind the delay there.
 
     So is a larger friction model behind a smaller one where the training records do not ask for it: one in 26
@@ -396,7 +425,7 @@ def _ranked(scored: Sequence[tuple[Trial, float]], contested: frozenset[int]) ->
         behind = trial.term.effect.cause == "torque_lag" and trial.term.place.axis in contested
         least = delays.get(trial.term.place.axis, score) if behind else score
         for smaller, s in scored:
-            if not extends(trial, smaller):
+            if not is_extension_of(trial, smaller):
                 continue
             limit = LARGER * trial.dispersion
             if smaller.fit.cost - trial.fit.cost < limit or trial.held.cost - smaller.held.cost > limit:

@@ -6,28 +6,35 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
-from invid.diagnosis.context import apply_rule, current
-from invid.diagnosis.evidence import Trial
+from invid.diagnosis.context import apply_rule, current_context
+from invid.diagnosis.evidence import CandidateEvidence
 from invid.diagnosis.known_effects import fitted_friction
-from invid.diagnosis.linear_fit import linear_fit, start_of, tones_in, without_effects
+from invid.diagnosis.linear_fit import find_tones, fit_linear_model, refit_without_effects, start_vector
 from invid.diagnosis.rules.whole_search import search_beside_friction
-from invid.diagnosis.search import select
+from invid.diagnosis.search import select_causes
 from invid.diagnosis.selection import Selection
-from invid.diagnosis.slow_move import moves_of
+from invid.diagnosis.slow_move import find_slow_moves
 from invid.diagnosis.thresholds import CLOSE, FAR, NAMED_SHARE
-from invid.diagnosis.tone import Tone, without_tones
-from invid.diagnosis.validation import PLAIN, Asked, is_law_of_motion, scatter_of, split, unfolded
+from invid.diagnosis.tone import Tone, remove_tones
+from invid.diagnosis.validation import (
+    PLAIN,
+    ValidationRequest,
+    is_law_of_motion,
+    scatter_of,
+    split_records,
+    unfolded,
+)
 from invid.errors import InputError
-from invid.likelihood.joint_fit import JointFit, held_out
+from invid.likelihood.joint_fit import JointFit, evaluate_held_out
 from invid.likelihood.null_test import null_test
-from invid.likelihood.prepare_records import with_sticking
+from invid.likelihood.prepare_records import leave_out_sticking_axes
 from invid.model.document import Model
 from invid.numerics import budget
 from invid.numerics.arrays import Float64
 from invid.recording.model import Recording, Role
 from invid.signals.plausibility import check_plausible
 from invid.signals.spectra import LineSpectra, all_spectra
-from invid.signals.spectral_record import Record
+from invid.signals.spectral_record import SpectralRecord
 
 WHOLE = "the records taken whole, against the friction of every motor"
 """What a budget that is spent leaves out."""
@@ -37,8 +44,8 @@ another machine's: twice the amplitude of an unknown law is four times the power
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
-    """What was seen, and in what.
+class SearchPass:
+    """The result of one search pass, with the recording and the model that it looked at.
 
     ``recording`` is without the ``tones`` that repeat with no period; ``bare`` is the fit of the linear model
     alone, ``selection`` starts from the model with the effects it came with.
@@ -48,15 +55,15 @@ class Look:
     model: Model
     spectra: tuple[LineSpectra, ...]
     tones: Sequence[Tone]
-    train: Sequence[Record]
-    held: Sequence[Record]
+    train: Sequence[SpectralRecord]
+    held: Sequence[SpectralRecord]
     bare: JointFit
     selection: Selection
     warnings: list[str]
 
 
-def looked(recording: Recording, model: Model) -> Look:
-    """The linear fit, and causes added while the records ask for them.
+def run_search_pass(recording: Recording, model: Model) -> SearchPass:
+    """The linear fit, then causes added while the records ask for them.
 
     What is kept out may have been measured after a change: the training is free of it, and little or nothing
     there says what it was. Then each record without a role keeps a part of its own out; of records for
@@ -74,15 +81,15 @@ def looked(recording: Recording, model: Model) -> Look:
     return replace(look, warnings=[*look.warnings, *told])
 
 
-def _over_periods(recording: Recording, model: Model) -> Look:
+def _over_periods(recording: Recording, model: Model) -> SearchPass:
     """The look at whole records against every motor's friction, where their periods differ and its laws leave
     a tenth of that scatter at most, or of what the look at their mean leaves; else that look."""
     *_, (folded, _, train, held) = _begun(recording, model, PLAIN)
     scatter = scatter_of(folded, held)
-    whole: Look | None = None
+    whole: SearchPass | None = None
     beside_friction = partial(_of_whole, recording, model)
     if scatter and not any(r.alone for r in (*train, *held)):
-        with budget.part(0.5, 0.05, 0.4):  # the rest is for the other look
+        with budget.use_share(0.5, 0.05, 0.4):  # the rest is for the other look
             whole = budget.or_else(WHOLE, beside_friction, None)
         if whole is not None and is_law_of_motion(whole.selection.final, scatter):
             return whole
@@ -99,25 +106,27 @@ def _over_periods(recording: Recording, model: Model) -> Look:
     return whole if nearer else look
 
 
-def _of_whole(recording: Recording, model: Model) -> Look | None:
+def _of_whole(recording: Recording, model: Model) -> SearchPass | None:
     """The look at whole records, against the friction of every motor; ``None`` where it finds nothing."""
-    current().searches += 1
+    current_context().searches += 1
     whole = unfolded(recording)
-    spectra, warnings, (base, _, train, held) = _begun(whole, model, Asked(whole=True))
+    spectra, warnings, (base, _, train, held) = _begun(whole, model, ValidationRequest(whole=True))
     selection = search_beside_friction(
-        Trial(base, held_out(base, held)),
+        CandidateEvidence(base, evaluate_held_out(base, held)),
         fitted_friction(model, base.layout.structure),
-        start_of(model, base.layout),
+        start_vector(model, base.layout),
         train,
         held,
         linear_axes=recording.linear,
     )
     if selection is None or not selection.steps:
         return None
-    return Look(whole, model, spectra, (), train, held, without_effects(base, train), selection, warnings)
+    return SearchPass(
+        whole, model, spectra, (), train, held, refit_without_effects(base, train), selection, warnings
+    )
 
 
-def _by_periods(recording: Recording, model: Model) -> Look:
+def _by_periods(recording: Recording, model: Model) -> SearchPass:
     """The look at the mean of each record's periods. Where they differ far beyond the sensors' noise, one at
     every period: what repeats in none may have a law that holds in all. What the mean shows beside that is
     measured by what differs, and any cause may pass (presliding friction, of a ripple)."""
@@ -126,11 +135,11 @@ def _by_periods(recording: Recording, model: Model) -> Look:
         return look
     if budget.is_left_out("every period of the records by itself"):
         return _cut(look)
-    other = _looked(look.recording, model, Asked(each=True))
+    other = _looked(look.recording, model, ValidationRequest(each=True))
     return other if other.selection.steps else look
 
 
-def _over_changes(recording: Recording, model: Model) -> Look:
+def _over_changes(recording: Recording, model: Model) -> SearchPass:
     look = _looked(recording, model)
     base = look.selection.base
     if look.selection.steps:
@@ -140,18 +149,18 @@ def _over_changes(recording: Recording, model: Model) -> Look:
     if changed and budget.is_left_out("changes between the records and within them"):
         return _cut(look)
     if not rejected and changed:
-        other = _looked(recording, model, Asked(within=True))
+        other = _looked(recording, model, ValidationRequest(within=True))
         return other if other.selection.steps else look
     if not rejected or base.held.cost / base.held.dof < ALIKE * base.fit.dispersion:
         return look
     if not any(s.role is Role.VALIDATE for s in look.spectra):
-        other = _looked(recording, model, Asked(spare=False))
+        other = _looked(recording, model, ValidationRequest(spare=False))
         return other if other.selection.steps else look
-    other = _looked(look.recording, model, Asked(apart=True))
+    other = _looked(look.recording, model, ValidationRequest(apart=True))
     return other if _changes(other) else look
 
 
-def _cut(look: Look) -> Look:
+def _cut(look: SearchPass) -> SearchPass:
     """The look with a search that the budget ended."""
     return replace(look, selection=replace(look.selection, cut=True))
 
@@ -163,35 +172,35 @@ def _explained_by_a_change(recording: Recording, model: Model) -> bool:
     between two lines, and so the same as a tone; of two periods exactly. With that taken out the rest of the
     drift fits no law. A law of one or two numbers that explains all periods is no chance, and a tone is none.
     """
-    _, _, (base, free, train, held) = _begun(recording, model, Asked(apart=True))
-    found = select(base, train, held, linear_axes=recording.linear, free=free, family="time")
+    _, _, (base, free, train, held) = _begun(recording, model, ValidationRequest(apart=True))
+    found = select_causes(base, train, held, linear_axes=recording.linear, free=free, family="time")
     return bool(found.steps) and found.final.cost < CLOSE * found.final.dof
 
 
-def _changes(look: Look) -> bool:
+def _changes(look: SearchPass) -> bool:
     """Whether a cause was found that changes with time alone."""
     return any(s.chosen.term.effect.family == "time" for s in look.selection.steps)
 
 
-def _looked(recording: Recording, model: Model, asked: Asked = PLAIN) -> Look:
-    current().searches += 1
+def _looked(recording: Recording, model: Model, asked: ValidationRequest = PLAIN) -> SearchPass:
+    current_context().searches += 1
     begun = partial(_begun, model=model, asked=asked)
     spectra, warnings, (base, free, train, held) = begun(recording)
-    tones = [] if asked.each else tones_in(base, held, spectra)
-    if tones and not asked.apart and not budget.spent() and _explained_by_a_change(recording, model):
-        return _looked(recording, model, Asked(apart=True))
+    tones = [] if asked.each else find_tones(base, held, spectra)
+    if tones and not asked.apart and not budget.is_spent() and _explained_by_a_change(recording, model):
+        return _looked(recording, model, ValidationRequest(apart=True))
     if tones:
-        recording = without_tones(recording, tones)
+        recording = remove_tones(recording, tones)
         spectra, warnings, (base, free, train, held) = begun(recording)
     search = partial(
-        select,
+        select_causes,
         linear_axes=recording.linear,
         free=free,
-        start=start_of(model, base.layout),
-        moves=moves_of(recording),
+        start=start_vector(model, base.layout),
+        moves=find_slow_moves(recording),
         friction=fitted_friction(model, base.layout.structure),
     )
-    with budget.part(1.0, 0.1, 0.9):
+    with budget.use_share(1.0, 0.1, 0.9):
         selection = search(base, train, held)
     if not selection.steps and selection.final.fit is not base:
         # A chain that has in it what was found beside.
@@ -199,25 +208,25 @@ def _looked(recording: Recording, model: Model, asked: Asked = PLAIN) -> Look:
     around = apply_rule("load-change", selection, recording, base, search)
     if around is not None:
         base, selection, train, held = around
-    bare = without_effects(base, train)
-    return Look(recording, model, spectra, tones, train, held, bare, selection, warnings)
+    bare = refit_without_effects(base, train)
+    return SearchPass(recording, model, spectra, tones, train, held, bare, selection, warnings)
 
 
-_Begun = tuple[JointFit, Float64, list[Record], list[Record]]
+_Begun = tuple[JointFit, Float64, list[SpectralRecord], list[SpectralRecord]]
 
 
 def _begun(
-    recording: Recording, model: Model, asked: Asked
+    recording: Recording, model: Model, asked: ValidationRequest
 ) -> tuple[tuple[LineSpectra, ...], list[str], _Begun]:
-    """Spectra, what to warn about, and the linear fit with its records (``linear_fit``)."""
+    """Spectra, what to warn about, and the linear fit with its records (``fit_linear_model``)."""
     budget.tell("reading spectra", 0.0)
     spectra = all_spectra(recording)
     if not spectra:
         raise InputError(f"{recording.source}: no experiment shakes an axis; nothing to compare with a model")
     check_plausible(recording, spectra)
-    train, held, warnings = split(recording, spectra, asked)
-    train, standing = with_sticking(train, spectra, model, recording)
-    held, _ = with_sticking(held, spectra, model, recording)
+    train, held, warnings = split_records(recording, spectra, asked)
+    train, standing = leave_out_sticking_axes(train, spectra, model, recording)
+    held, _ = leave_out_sticking_axes(held, spectra, model, recording)
     warnings = [*(w for s in spectra for w in s.warnings), *warnings, *standing]
     budget.tell("fitting the linear model", 0.05)
-    return spectra, warnings, linear_fit(model, recording, spectra, train, held, asked)
+    return spectra, warnings, fit_linear_model(model, recording, spectra, train, held, asked)

@@ -6,9 +6,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from invid.diagnosis.evidence import Step, Trial
+from invid.diagnosis.evidence import CandidateEvidence, Step
 from invid.diagnosis.score_test import Score
-from invid.likelihood.placed_effect import Term
+from invid.likelihood.placed_effect import PlacedEffect
 from invid.numerics.arrays import Float64
 
 ALIKE = 3.0
@@ -21,8 +21,8 @@ and a fifth of its torque was left."""
 class Selection:
     """Where forward selection ended."""
 
-    base: Trial
-    final: Trial
+    base: CandidateEvidence
+    final: CandidateEvidence
     steps: tuple[Step, ...] = ()
     rejected: tuple[Score, ...] = field(default=())
     cut: bool = False
@@ -57,7 +57,7 @@ class Selection:
         return replace(self, final=replace(self.final, fit=replace(fit, covariance=covariance)))
 
 
-def _size(term: Term, x: Float64) -> Float64:
+def _size(term: PlacedEffect, x: Float64) -> Float64:
     """(k,) change of the first parameters, those that say how large an effect is, that doubles it."""
     effect, count = term.effect, len(term.effect.coefficients)
     if effect.coefficients == ("sine", "cosine"):

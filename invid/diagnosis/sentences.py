@@ -14,7 +14,7 @@ SEEN = 0.005
 """Share of what the model missed from which a finding is said to explain it: below, it would round to 0 %."""
 
 
-def number(estimate: Estimate) -> str:
+def format_estimate(estimate: Estimate) -> str:
     """Value ± one standard deviation with as many digits as it deserves."""
     unit = f" {estimate.unit}" if estimate.unit and estimate.unit != "1" else ""
     if estimate.std is None or not estimate.std > 0:
@@ -26,7 +26,7 @@ def number(estimate: Estimate) -> str:
     return f"{estimate.value:.{digits}f} ± {estimate.std:.{digits}f}{unit}"
 
 
-def place_of(term: EffectTerm, sizes: Sequence[int], axes: Sequence[str]) -> str:
+def place_phrase(term: EffectTerm, sizes: Sequence[int], axes: Sequence[str]) -> str:
     """ "at the motor", "at the load", "in spring 2"; nothing where an axis has one mass."""
     if term.other_axis is not None and term.cause == "gravity":
         return f" of the link that {term.other_axis} carries, felt on both,"
@@ -73,13 +73,13 @@ def finding_sentence(
     """Cause, place, size, gain, what to check; or what it cannot be told from."""
     effect = BY_CAUSE[term.cause]
     main = term.parameters.get(effect.main)
-    size = effect.size_text(number(main)) if main is not None else ""
+    size = effect.size_text(format_estimate(main)) if main is not None else ""
     if main is not None and main.unit == "s":
         thousand = replace(
             main, value=1e3 * main.value, std=None if main.std is None else 1e3 * main.std, unit="ms"
         )
-        size = f" ({number(thousand)})"
-    text = f"Axis {term.axis}: {effect.title}{size}{place_of(term, sizes, axes)} "
+        size = f" ({format_estimate(thousand)})"
+    text = f"Axis {term.axis}: {effect.title}{size}{place_phrase(term, sizes, axes)} "
     if fraction >= SEEN:
         text += f"explains {100 * fraction:.0f} % of what the model missed."
     else:

@@ -9,7 +9,7 @@ import numpy as np
 from invid.errors import InvidError
 from invid.numerics.arrays import Float64
 from invid.recording.model import Experiment, Kind, Recording
-from invid.signals.timebase import uniform
+from invid.signals.timebase import resample_uniformly
 
 LONGEST, SHORTEST = 0.5, 0.1
 """Length [s] of the stretches that count as one observation: slow beside the flexible modes, short beside a
@@ -20,7 +20,7 @@ numbers."""
 
 
 @dataclass(frozen=True, eq=False)
-class Move:
+class SlowMove:
     """Means over n stretches of one slow move: (n, M) velocity, acceleration and torque.
 
     ``path`` (samples, M) is the position, ``rows`` how many samples a stretch is long.
@@ -33,15 +33,15 @@ class Move:
     torque: Float64
 
 
-def moves_of(recording: Recording) -> tuple[Move, ...]:
+def find_slow_moves(recording: Recording) -> tuple[SlowMove, ...]:
     """Every slow move of a recording that is long enough to say anything."""
     found = (_move(e) for e in recording.experiments if e.kind is Kind.CONSTANT_VELOCITY)
     return tuple(m for m in found if m is not None)
 
 
-def _move(experiment: Experiment) -> Move | None:
+def _move(experiment: Experiment) -> SlowMove | None:
     try:
-        data = uniform(experiment)
+        data = resample_uniformly(experiment)
     except InvidError:
         return None
     length = data.position.shape[0]
@@ -51,10 +51,10 @@ def _move(experiment: Experiment) -> Move | None:
     q, at = data.position, np.arange(rows, length - rows, rows)
     velocity = (q[at + rows] - q[at - rows]) / (2 * rows * data.step)
     acceleration = (q[at + rows] - 2.0 * q[at] + q[at - rows]) / (rows * data.step) ** 2
-    return Move(q, rows, velocity, acceleration, means_over_stretches(data.torque, rows))
+    return SlowMove(q, rows, velocity, acceleration, stretch_means(data.torque, rows))
 
 
-def means_over_stretches(values: Float64, rows: int) -> Float64:
+def stretch_means(values: Float64, rows: int) -> Float64:
     """(n, L) means of (samples, L) under triangles of half-width ``rows``.
 
     The second difference of the position over that distance is the acceleration's mean under the same

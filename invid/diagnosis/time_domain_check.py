@@ -19,20 +19,20 @@ from invid.diagnosis.thresholds import CONTESTED
 from invid.effects.motion import View
 from invid.effects.registry import of_the_plant
 from invid.errors import InvidError
-from invid.likelihood.evaluation import Evaluation, evaluate, views_of
+from invid.likelihood.evaluation import Evaluation, evaluate, record_views
 from invid.likelihood.joint_fit import JointFit
 from invid.likelihood.null_test import rms_torque
 from invid.likelihood.placed_effect import Candidate
 from invid.model.diagnosis_document import Diagnosis
 from invid.model.document import Model
 from invid.numerics.arrays import Complex128, Float64
-from invid.numerics.parallel import at_once
+from invid.numerics.parallel import parallel_map
 from invid.numerics.whitening import orthonormal, stack, unstack, unwhitener
 from invid.recording.model import Experiment, Recording
-from invid.signals.periods import fold, without_drift
+from invid.signals.periods import fold, remove_drift
 from invid.signals.spectra import LineSpectra, spectra_of
-from invid.signals.spectral_record import Record
-from invid.signals.timebase import uniform
+from invid.signals.spectral_record import SpectralRecord
+from invid.signals.timebase import resample_uniformly
 from invid.simulation.run import simulate
 
 REFUSED = (
@@ -110,13 +110,13 @@ class Replay:
         }
 
 
-def replay(
+def simulate_held_out(
     recording: Recording,
     spectra: Sequence[LineSpectra],
     linear: Model,
     extended: Model,
     fitted: JointFit,
-    held: Sequence[Record],
+    held: Sequence[SpectralRecord],
 ) -> Replay | str:
     """Simulates both models on the held-out records; a sentence where that cannot be done.
 
@@ -127,11 +127,11 @@ def replay(
     keys = tuple(dict.fromkeys(r.key for r in held))
     # Lost rows were put right before anything was fitted.
     driving = replace(extended, effects=of_the_plant(extended.effects))
-    views = views_of(fitted.layout, held, fitted.p)
+    views = record_views(fitted.layout, held, fitted.p)
     driven = _driven(recording, spectra, views)
     try:
         models = [_without_offsets(m) for m in (linear, driving)]
-        plain, answer = at_once(lambda m: simulate(m, driven, only=keys), models, known=[driven])
+        plain, answer = parallel_map(lambda m: simulate(m, driven, only=keys), models, known=[driven])
     except InvidError as error:
         return f"the extended model could not be simulated over time: {error}"
     evaluation = _left_by(answer, spectra, views, fitted)
@@ -193,7 +193,7 @@ def _left_by(
     return _rung_out(evaluation, fitted.candidate)
 
 
-def _shift(fitted: JointFit, held: Sequence[Record], replayed: Evaluation) -> Float64:
+def _shift(fitted: JointFit, held: Sequence[SpectralRecord], replayed: Evaluation) -> Float64:
     """(n,) Gauss-Newton step of all parameters from what the regression leaves to what the simulation leaves.
 
     The noise is the same in both, so the step is the disagreement of two physics and no matter of chance. The
@@ -219,7 +219,7 @@ def _shift(fitted: JointFit, held: Sequence[Record], replayed: Evaluation) -> Fl
     return np.where(np.isfinite(out), out, 0.0)
 
 
-def with_replay(
+def add_time_domain_check(
     result: Diagnosis, answer: Replay | str, recording: Recording, *, lost: bool = False
 ) -> Diagnosis:
     """The diagnosis with what the simulation over time says of its extension; none where it is ``lost``."""
@@ -309,11 +309,13 @@ def _driven(recording: Recording, spectra: Sequence[LineSpectra], views: Sequenc
     waves: dict[str, Float64] = {}
     for view in views:
         record = view.record
-        waves[record.key] = wave_of(view.acting + view.images - record.torque, record, known[record.key])
-    return with_torque(recording, spectra, waves)
+        waves[record.key] = wave_from_amplitudes(
+            view.acting + view.images - record.torque, record, known[record.key]
+        )
+    return add_torque(recording, spectra, waves)
 
 
-def wave_of(lines: Complex128, record: Record, s: LineSpectra) -> Float64:
+def wave_from_amplitudes(lines: Complex128, record: SpectralRecord, s: LineSpectra) -> Float64:
     """(period, M) wave of (F, M) amplitudes as sampled, its mean left out."""
     period = s.position_wave.shape[0]
     half = np.zeros((period // 2 + 1, lines.shape[1]), dtype=complex)
@@ -322,7 +324,7 @@ def wave_of(lines: Complex128, record: Record, s: LineSpectra) -> Float64:
     return out
 
 
-def with_torque(
+def add_torque(
     recording: Recording, spectra: Sequence[LineSpectra], waves: Mapping[str, Float64]
 ) -> Recording:
     """The recording with waves (period, M) added to the torque of the experiments that they are given for."""
@@ -333,7 +335,7 @@ def with_torque(
         if change is None:
             experiments.append(e)
             continue
-        step = float(e.time[-1] - e.time[0]) / max(uniform(e).samples - 1, 1)
+        step = float(e.time[-1] - e.time[0]) / max(resample_uniformly(e).samples - 1, 1)
         # Periods are counted from the end of the record.
         phase = (e.time - e.time[-1]) / step - 1.0
         if known[e.key].periods <= 1 and known[e.key].transient:
@@ -346,7 +348,7 @@ def with_torque(
 
 def _differences(
     answer: Recording, spectra: Sequence[LineSpectra], views: Sequence[View]
-) -> list[Record] | None:
+) -> list[SpectralRecord] | None:
     """Measured minus simulated, torque as it acts; ``None`` where the lines do not match."""
     known = {s.key: s for s in spectra}
     out = []
@@ -372,12 +374,12 @@ def _differences(
     return out
 
 
-def _lines_as(simulated: Experiment, s: LineSpectra, record: Record) -> Complex128 | None:
+def _lines_as(simulated: Experiment, s: LineSpectra, record: SpectralRecord) -> Complex128 | None:
     """(F, 2M) amplitudes of a simulated experiment on the lines and over the periods of a measured record.
 
     Not by ``spectra_of``: a simulation has no noise, so it would be judged settled at another period.
     """
-    data = uniform(simulated)
+    data = resample_uniformly(simulated)
     period = s.position_wave.shape[0]
     if s.periods <= 1 and s.transient:
         own = spectra_of(simulated)
@@ -388,7 +390,7 @@ def _lines_as(simulated: Experiment, s: LineSpectra, record: Record) -> Complex1
     else:
         if s.periods * period > data.samples:
             return None
-        position = without_drift(fold(data.position, period)[-s.periods :])
+        position = remove_drift(fold(data.position, period)[-s.periods :])
         torque = fold(data.torque, period)[-s.periods :]
         both = np.concatenate((position, torque), axis=2)
         if record.alone:

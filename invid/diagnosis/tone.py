@@ -10,7 +10,7 @@ import numpy as np
 from invid.model.diagnosis_document import Unexplained
 from invid.numerics.arrays import Complex128
 from invid.recording.model import Recording
-from invid.signals.spectral_record import Record
+from invid.signals.spectral_record import SpectralRecord
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +27,7 @@ class Tone:
     key: str
 
 
-def without_tones(recording: Recording, tones: Sequence[Tone]) -> Recording:
+def remove_tones(recording: Recording, tones: Sequence[Tone]) -> Recording:
     """The recording without what the tones did to its channels."""
     experiments = []
     for e in recording.experiments:
@@ -42,14 +42,14 @@ def without_tones(recording: Recording, tones: Sequence[Tone]) -> Recording:
     return replace(recording, experiments=tuple(experiments))
 
 
-def power_of(tones: Sequence[Tone], axis: int, records: Sequence[Record]) -> float:
+def tone_power(tones: Sequence[Tone], axis: int, records: Sequence[SpectralRecord]) -> float:
     """Mean square of the tones of an axis over these records."""
     keys = {r.key for r in records}
     total = sum(0.5 * t.amplitude**2 for t in tones if t.axis == axis and t.key in keys)
     return float(total) / max(len(keys), 1)
 
 
-def said_of_tones(tones: Sequence[Tone], recording: Recording, unit: str) -> Unexplained | None:
+def describe_tones(tones: Sequence[Tone], recording: Recording, unit: str) -> Unexplained | None:
     """Where the tones are, strongest first; none where there are none."""
     if not tones:
         return None

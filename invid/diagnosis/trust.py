@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from invid.diagnosis.evidence import Trial
+from invid.diagnosis.evidence import CandidateEvidence
 from invid.diagnosis.thresholds import CONTESTED, LEFT, REACHED
 from invid.identification.identifiability import blind_directions
 from invid.likelihood.evaluation import Evaluation
@@ -37,11 +37,11 @@ class Trust:
         return not self.broken and not self.unseen
 
 
-def trust(
+def judge_linear_fit(
     model: Model,
     extended: Model,
-    base: Trial,
-    final: Trial,
+    base: CandidateEvidence,
+    final: CandidateEvidence,
     tests: tuple[NullTest, NullTest],
     recording: Recording,
 ) -> Trust:
@@ -95,7 +95,7 @@ def _explained(evaluation: Evaluation) -> float:
     return max(0.0, 1.0 - left / max(total, 1e-300))
 
 
-def _unseen(extended: Model, final: Trial, linear: bool) -> tuple[str, ...]:
+def _unseen(extended: Model, final: CandidateEvidence, linear: bool) -> tuple[str, ...]:
     """Parameters that the joint fit leaves open, in words."""
     if extended.covariance is None:
         known, (names, _) = stds_by_name(extended), parameter_vector(extended.chains)
@@ -110,17 +110,17 @@ def _unseen(extended: Model, final: Trial, linear: bool) -> tuple[str, ...]:
     return blind.sentences if any(".damper." not in n for n in blind.unseen) else ()
 
 
-def cautious(findings: tuple[Finding, ...], found: Trust) -> tuple[Finding, ...]:
-    """Findings with no more confidence than a model allows that the data cannot tell in full."""
+def limit_confidence(findings: tuple[Finding, ...], found: Trust) -> tuple[Finding, ...]:
+    """Findings with their confidence limited where the data cannot tell all of the model."""
     if not found.unseen:
         return findings
     return tuple(replace(f, confidence=min(f.confidence, CONTESTED)) for f in findings)
 
 
-def untimed_holds(
+def doubt_unknown_hold_timing(
     findings: tuple[Finding, ...], recording: Recording, model: Model, final: JointFit
 ) -> tuple[tuple[Finding, ...], list[str]]:
-    """Findings without what may well be the timing of a hold, the rest that could be with less confidence.
+    """Findings without those that may well be the timing of a hold; less confidence for those that could be.
 
     A hold of gain P inside the drive that acts half a sample before the record says so looks like viscous
     friction of P·h/2, exactly. Demand beside the torque, or records that show the hold alone, tell. Friction
@@ -216,7 +216,7 @@ def distrust_sentences(found: Trust, masses: tuple[int, ...], *, partly: bool = 
     return []
 
 
-def in_the_way(found: Trust, left: Unexplained | None) -> Unexplained | None:
+def qualify_unexplained(found: Trust, left: Unexplained | None) -> Unexplained | None:
     """The description of what is missing, with the reason why it is not named."""
     if left is None or not found.broken:
         return left

@@ -13,23 +13,23 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from invid.diagnosis.evidence import Trial
+from invid.diagnosis.evidence import CandidateEvidence
 from invid.diagnosis.thresholds import NAMED_SHARE
-from invid.likelihood.evaluation import Evaluation, numbers_on
-from invid.likelihood.joint_fit import JointFit, held_out
+from invid.likelihood.evaluation import Evaluation, count_per_line
+from invid.likelihood.joint_fit import JointFit, evaluate_held_out
 from invid.likelihood.null_test import DIFFERS
-from invid.likelihood.prepare_records import demand_used, of_lines, record_of
+from invid.likelihood.prepare_records import line_weights, spectral_record, uses_demand
 from invid.recording.model import Recording, Role
 from invid.signals.spectra import LineSpectra
-from invid.signals.spectral_record import Record
+from invid.signals.spectral_record import SpectralRecord
 
-Parts = tuple[list[Record], list[Record]]
+Parts = tuple[list[SpectralRecord], list[SpectralRecord]]
 """Training and held-out records."""
 
 
 @dataclass(frozen=True)
-class Asked:
-    """What a look at a recording asks of its validation, and of how its records are taken.
+class ValidationRequest:
+    """What a search pass asks of the validation, and of how records are taken.
 
     Attributes
     ----------
@@ -53,17 +53,17 @@ class Asked:
     whole: bool = False
 
 
-PLAIN = Asked()
+PLAIN = ValidationRequest()
 """Nothing but what the table gives."""
 
 
 @dataclass(frozen=True, eq=False)
-class Offer:
+class ValidationRecords:
     """The records of a recording, as the rows of the table see them."""
 
     recording: Recording
     spectra: Sequence[LineSpectra]
-    asked: Asked
+    asked: ValidationRequest
 
     @cached_property
     def train(self) -> list[LineSpectra]:
@@ -71,7 +71,7 @@ class Offer:
         return [s for s in self.spectra if s.role is Role.IDENTIFY]
 
     @cached_property
-    def validate(self) -> list[Record]:
+    def validate(self) -> list[SpectralRecord]:
         """Records that are for validation."""
         return [self.record(s) for s in self.spectra if s.role is Role.VALIDATE]
 
@@ -81,10 +81,10 @@ class Offer:
         return ([s for s in self.train if s.driven.all()] or self.train)[-1]
 
     @cached_property
-    def record(self) -> Callable[..., Record]:
+    def record(self) -> Callable[..., SpectralRecord]:
         """Makes a record of spectra, or of some of their periods."""
         experiments = {e.key: e for e in self.recording.experiments}
-        made = partial(record_of, demand=demand_used(self.recording, self.spectra))
+        made = partial(spectral_record, demand=uses_demand(self.recording, self.spectra))
         return lambda s, *periods: made(s, experiments[s.key], *periods)
 
     @property
@@ -96,20 +96,20 @@ class Offer:
 
 
 @dataclass(frozen=True)
-class Row:
+class ValidationRow:
     """One way to keep something out: when it is taken, what it keeps out, and the warning that says so."""
 
     name: str
-    holds: Callable[[Offer], bool]
-    parts: Callable[[Offer], Parts]
-    sentence: Callable[[Offer], str | None]
+    holds: Callable[[ValidationRecords], bool]
+    parts: Callable[[ValidationRecords], Parts]
+    sentence: Callable[[ValidationRecords], str | None]
 
 
-def _by_role(offer: Offer) -> Parts:
+def _by_role(offer: ValidationRecords) -> Parts:
     return [offer.record(s) for s in offer.train], offer.validate
 
 
-def _is_spare(offer: Offer) -> bool:
+def _is_spare(offer: ValidationRecords) -> bool:
     """Whether there is a record more than the linear model needs: each axis once, or M of all at once."""
     motors = offer.recording.axis_count
     everything = any(s.driven.all() for s in offer.train)
@@ -117,37 +117,37 @@ def _is_spare(offer: Offer) -> bool:
     return asked and len(offer.train) > motors and (everything or motors == 1)
 
 
-def _without_spare(offer: Offer) -> Parts:
+def _without_spare(offer: ValidationRecords) -> Parts:
     kept = offer.spare
     return [offer.record(s) for s in offer.train if s is not kept], [offer.record(kept)]
 
 
-def _without_last_period(offer: Offer) -> Parts:
+def _without_last_period(offer: ValidationRecords) -> Parts:
     train = [offer.record(s, slice(0, s.periods - 1)) for s in offer.train]
     last = [offer.record(s, slice(s.periods - 1, None)) for s in offer.train]
     return train, [*last, *offer.validate]
 
 
-def _without_fifth_lines(offer: Offer) -> Parts:
+def _without_fifth_lines(offer: ValidationRecords) -> Parts:
     train, held = [], []
     for s in offer.train:
         record = offer.record(s)
         lines = np.arange(record.omega.size)
         last = lines % 5 == 4
-        train.append(of_lines(record, ~last))
+        train.append(line_weights(record, ~last))
         # There is one mean only: a weight would have no held-out gain without it.
-        held.append(of_lines(record, last | (lines == 0)))
+        held.append(line_weights(record, last | (lines == 0)))
     return train, [*held, *offer.validate]
 
 
-VALIDATION: tuple[Row, ...] = (
-    Row(
+VALIDATION: tuple[ValidationRow, ...] = (
+    ValidationRow(
         "role",
         lambda offer: bool(offer.validate) and not offer.asked.within,
         _by_role,
         lambda offer: None,
     ),
-    Row(
+    ValidationRow(
         "spare record",
         _is_spare,
         _without_spare,
@@ -156,7 +156,7 @@ VALIDATION: tuple[Row, ...] = (
             "fit instead; record one with another realisation and amplitude"
         ),
     ),
-    Row(
+    ValidationRow(
         "last period",
         lambda offer: all(s.periods >= 2 and s.deviations.shape[0] == s.periods for s in offer.train),
         _without_last_period,
@@ -165,7 +165,7 @@ VALIDATION: tuple[Row, ...] = (
             "repeats the same motion; record one with another realisation"
         ),
     ),
-    Row(
+    ValidationRow(
         "fifth line",
         lambda offer: True,
         _without_fifth_lines,
@@ -178,17 +178,17 @@ VALIDATION: tuple[Row, ...] = (
 """What is kept out; the first row that holds counts."""
 
 
-def row_of(offer: Offer) -> Row:
-    """The row of the table that counts."""
+def validation_row(offer: ValidationRecords) -> ValidationRow:
+    """The first row of the table whose condition holds."""
     return next(row for row in VALIDATION if row.holds(offer))
 
 
-def split(
-    recording: Recording, spectra: Sequence[LineSpectra], asked: Asked = PLAIN
-) -> tuple[list[Record], list[Record], list[str]]:
+def split_records(
+    recording: Recording, spectra: Sequence[LineSpectra], asked: ValidationRequest = PLAIN
+) -> tuple[list[SpectralRecord], list[SpectralRecord], list[str]]:
     """Training and held-out records, and what to warn about."""
-    offer = Offer(recording, spectra, asked)
-    row = row_of(offer)
+    offer = ValidationRecords(recording, spectra, asked)
+    row = validation_row(offer)
     train, held = row.parts(offer)
     said = row.sentence(offer)
     return train, held, [] if said is None else [said]
@@ -205,10 +205,10 @@ def unfolded(recording: Recording) -> Recording:
     return replace(recording, experiments=experiments)
 
 
-def scatter_of(fit: JointFit, held: Sequence[Record]) -> float:
+def scatter_of(fit: JointFit, held: Sequence[SpectralRecord]) -> float:
     """Power of the scatter between periods over that of the sensors' noise, of the training or the held-out
     records the larger; zero where the periods are alike but for noise."""
-    level = max(_scatter_in(fit.evaluation), _scatter_in(held_out(fit, held)))
+    level = max(_scatter_in(fit.evaluation), _scatter_in(evaluate_held_out(fit, held)))
     return level if level > DIFFERS else 0.0
 
 
@@ -218,14 +218,14 @@ def _scatter_in(part: Evaluation) -> float:
         record = view.record
         if record.alone or not record.scatter.any():
             continue
-        seen = numbers_on(record, root) > 0
+        seen = count_per_line(record, root) > 0
         seen[0] = False
         own = np.einsum("fii->fi", covariance).real - record.scatter
         ratios.append(float(np.mean(record.scatter[seen] / np.maximum(own[seen], 1e-300))))
     return float(np.mean(ratios)) if ratios else 0.0
 
 
-def is_law_of_motion(final: Trial, scatter: float) -> bool:
+def is_law_of_motion(final: CandidateEvidence, scatter: float) -> bool:
     """Whether the laws found leave a tenth of the ``scatter`` at most in whole records.
 
     Noise of the torque or a disturbance, which no law of the motion gives, is left there as it was.

@@ -8,34 +8,40 @@ from typing import Any
 
 import numpy as np
 
-from invid.diagnosis.confidence import at_floor, effect_term, judge
+from invid.diagnosis.confidence import effect_term, is_at_floor, judge
 from invid.diagnosis.context import apply_rule
-from invid.diagnosis.known_effects import carried
+from invid.diagnosis.known_effects import effects_in_model
 from invid.diagnosis.outcome import assembled, explained_share
-from invid.diagnosis.residual_character import unexplained_of
+from invid.diagnosis.residual_character import describe_unexplained
 from invid.diagnosis.selection import Selection
 from invid.diagnosis.thresholds import BROUGHT_DOWN
-from invid.diagnosis.tone import Tone, power_of, said_of_tones
-from invid.diagnosis.trust import cautious, distrust_sentences, in_the_way, trust, untimed_holds
+from invid.diagnosis.tone import Tone, describe_tones, tone_power
+from invid.diagnosis.trust import (
+    distrust_sentences,
+    doubt_unknown_hold_timing,
+    judge_linear_fit,
+    limit_confidence,
+    qualify_unexplained,
+)
 from invid.effects.registry import of_the_plant
 from invid.effects.units import unit_of
-from invid.likelihood.joint_fit import JointFit, held_out
+from invid.likelihood.joint_fit import JointFit, evaluate_held_out
 from invid.likelihood.null_test import NullTest, null_test, rms_torque
 from invid.model.diagnosis_document import AxisResidual, Diagnosis
 from invid.model.document import EffectTerm, Model, parameter_vector
 from invid.model.parameter_names import std_by_name
 from invid.numerics.arrays import frozen_float
 from invid.recording.model import Recording
-from invid.signals.spectral_record import Record
+from invid.signals.spectral_record import SpectralRecord
 
 
-def document(
+def build_diagnosis(
     recording: Recording,
     model: Model,
     selection: Selection,
     bare: JointFit,
-    train: Sequence[Record],
-    held: Sequence[Record],
+    train: Sequence[SpectralRecord],
+    held: Sequence[SpectralRecord],
     tones: Sequence[Tone],
     warnings: list[str],
     *,
@@ -43,7 +49,7 @@ def document(
 ) -> Diagnosis:
     base, final = selection.base, selection.final
     known = len(base.fit.candidate.terms)
-    without = base.held if bare is base.fit else held_out(bare, held)
+    without = base.held if bare is base.fit else evaluate_held_out(bare, held)
     before_test = null_test(base.fit.cost + base.held.cost, base.fit.dof + base.held.dof, [*train, *held])
     after_test = null_test(final.fit.cost + final.held.cost, final.fit.dof + final.held.dof, [*train, *held])
     # A cause below what the test of the whole sees is there if its extension gains anything.
@@ -51,39 +57,41 @@ def document(
     unit = unit_of("torque", recording.linear)
     judged = judge(selection, recording, after_test)
     full = extended_model(model, final.fit, ())
-    linear = trust(model, full, base, final, (before_test, after_test), recording)
+    linear = judge_linear_fit(model, full, base, final, (before_test, after_test), recording)
     trusted = selection.partly or not linear.broken
     named = judged.findings if judged.named and trusted and not refused else ()
-    sure, untimed = untimed_holds(cautious(tuple(named), linear), recording, model, final.fit)
+    sure, untimed = doubt_unknown_hold_timing(
+        limit_confidence(tuple(named), linear), recording, model, final.fit
+    )
     if named and not sure:  # all of it is a matter of sampling
         named, coherent = (), not judged.complete
     shown = final if named else base
     residual = []
     for i, axis in enumerate(recording.axes):
-        beside = power_of(tones, i, held)
+        beside = tone_power(tones, i, held)
         before, _ = rms_torque(without, i)
         after, floor = rms_torque(shown.held, i)
         before, after = (float(np.hypot(level, np.sqrt(beside))) for level in (before, after))
         residual.append(AxisResidual(axis, unit, before, after, floor))
     explained = explained_share(residual) if named or known else None
-    humming = unexplained = said_of_tones(tones, recording, unit)
+    humming = unexplained = describe_tones(tones, recording, unit)
     # A model with causes in it is as right as where they were found: what is called explained there is here.
-    as_found = not selection.steps and not linear.broken and at_floor(base)
+    as_found = not selection.steps and not linear.broken and is_at_floor(base)
     as_found = as_found and explained is not None and explained > BROUGHT_DOWN
     quiet = not tones and (not coherent or as_found)
     if quiet:
         unexplained = apply_rule("nonrepeating-torque", (base.fit.evaluation, base.held), recording, unit)
     elif not named:
         if coherent:
-            unexplained = in_the_way(linear, unexplained_of(base, recording))
+            unexplained = qualify_unexplained(linear, describe_unexplained(base, recording))
     elif not judged.complete:
-        unexplained = unexplained_of(final, recording)
+        unexplained = describe_unexplained(final, recording)
         if selection.partly and explained is not None:
             rest = f"{1.0 - explained:.0%} of what was missing is left. {unexplained.sentence}"
-            unexplained = in_the_way(linear, replace(unexplained, sentence=rest))
+            unexplained = qualify_unexplained(linear, replace(unexplained, sentence=rest))
     effects = [effect_term(shown, k, recording) for k in range(known)] + [f.effect for f in named]
-    inside = of_the_plant(carried(model))
-    effects += [e for e in carried(model) if e not in inside]
+    inside = of_the_plant(effects_in_model(model))
+    effects += [e for e in effects_in_model(model) if e not in inside]
     extended = extended_model(model, shown.fit, tuple(effects))
     extended = replace(
         extended,

@@ -19,7 +19,7 @@ from typing import ClassVar, Literal, Self
 import numpy as np
 
 from invid.effects.elements import Element, ModelPlace
-from invid.effects.laws.beyond_band import answered, beyond_band
+from invid.effects.laws.beyond_band import beyond_band, solve_beyond_band
 from invid.effects.motion import View, along
 from invid.effects.sizes import Size
 from invid.errors import InputError, ModelError
@@ -266,7 +266,7 @@ class ForceEffect(Effect):
                 out: Float64 = self.law(view, place, x[count:]) @ np.asarray(x[:count])
                 return out
 
-            wave = answered(view, pattern, compliance, resisting)
+            wave = solve_beyond_band(view, pattern, compliance, resisting)
             total = view.to_lines(wave[:, None], smeared=self.smeared)[:, 0]
         else:
             total = self.force(view, place, x[count:]) @ np.asarray(x[:count])

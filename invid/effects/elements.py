@@ -254,6 +254,8 @@ class ModelPlace:
         return default if given is None else given.value
 
 
-def dry(level: float, excess: float = 0.0, velocity: float = 1.0, exponent: float = 2.0) -> tuple[float, ...]:
+def dry_parameters(
+    level: float, excess: float = 0.0, velocity: float = 1.0, exponent: float = 2.0
+) -> tuple[float, ...]:
     """Parameters of ``Law.DRY``, alike in both directions."""
     return (level, level, excess, velocity, excess, exponent)

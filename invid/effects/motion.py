@@ -13,7 +13,7 @@ from invid.model.parameters import ChainStructure
 from invid.model.place import Pattern
 from invid.numerics.anderson import Secants
 from invid.numerics.arrays import Complex128, Float64
-from invid.signals.spectral_record import Record
+from invid.signals.spectral_record import SpectralRecord
 
 T = TypeVar("T")
 KEPT = 32
@@ -60,7 +60,7 @@ class View:
 
     def __init__(
         self,
-        record: Record,
+        record: SpectralRecord,
         structure: ChainStructure,
         motion: Complex128,
         stiffness: Complex128,

@@ -21,7 +21,7 @@ from invid.effects.units import unit_of
 from invid.errors import ModelError
 from invid.model.place import Place
 from invid.numerics.arrays import Float64
-from invid.signals.standstill import softness
+from invid.signals.standstill import sign_threshold
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,7 @@ class MotionEffect(ForceEffect):
         v = view.velocity(pattern)
         noise = float(view.record.velocity_noise[place.axis])
         time = view.record.start_time + view.record.wave_time
-        motion = PlaceMotion(view.wave(pattern), v, time, rest=2.0 * softness(v, noise))
+        motion = PlaceMotion(view.wave(pattern), v, time, rest=2.0 * sign_threshold(v, noise))
         units = [float(np.exp(s)) if log else s for s, log in zip(shape, self.logarithmic, strict=True)]
         return self.resistance(motion, units)
 

@@ -125,7 +125,7 @@ BY_CAUSE: Mapping[str, Effect] = _Causes()
 
 
 @contextmanager
-def using(given: Sequence[Effect | str | Path]) -> Iterator[None]:
+def registered_effects(given: Sequence[Effect | str | Path]) -> Iterator[None]:
     """Further effects, or files that hold them, are known within.
 
     Raises

@@ -90,7 +90,7 @@ def second_route(spectra: Sequence[LineSpectra], fit: Fit) -> PaperResult | Invi
         return NotIdentifiableError(f"the paper's method failed on these data: {error}")
 
 
-def widened(paper: PaperResult, measured: FrfMatrix) -> PaperResult:
+def widen_by_method_error(paper: PaperResult, measured: FrfMatrix) -> PaperResult:
     """The paper's result with the error of its method beside the noise.
 
     The method takes damping to first order. What that costs is found by applying it to its own result:
@@ -144,14 +144,14 @@ def modes_of_chains(chains: CoupledChains) -> Modes:
     return replace(modes, high_gain=high)
 
 
-def compared(
+def compare_routes(
     paper: PaperResult | InvidError,
     names: Sequence[str],
     values: Float64,
     covariance: Float64,
     warnings: list[str],
 ) -> dict[str, Any]:
-    """Do the paper's inverse and the maximum-likelihood fit agree within their joint uncertainty?
+    """Whether the paper's inverse and the maximum-likelihood fit agree within their joint uncertainty.
 
     The paper's route has a say only where its modes explain the FRF to its noise: otherwise its
     covariance is that of an error it does not know.
@@ -191,9 +191,9 @@ def compared(
 
 
 __all__ = [
-    "compared",
+    "compare_routes",
     "missed_by_structure",
     "modes_of_chains",
     "second_route",
-    "widened",
+    "widen_by_method_error",
 ]

@@ -27,7 +27,7 @@ class FewerExplain(Exception):
         self.fit = fit
 
 
-def with_fewer_masses(
+def fit_fewer_masses(
     spectra: Sequence[LineSpectra],
     sizes: Sequence[int],
     axes: Sequence[str],
@@ -53,7 +53,7 @@ def with_fewer_masses(
     return None
 
 
-def said_of_fewer(sizes: Sequence[int], fit: Fit) -> list[str]:
+def fewer_masses_warnings(sizes: Sequence[int], fit: Fit) -> list[str]:
     """What to warn about where the fit has other masses than the ``sizes`` that were declared."""
     found = fit.structure.sizes
     if found == tuple(sizes):

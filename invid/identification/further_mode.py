@@ -16,7 +16,7 @@ from invid.errors import InvidError
 from invid.inverse.lanczos import lanczos
 from invid.inverse.springs import last_mass, springs_and_masses
 from invid.likelihood.fit import Fit
-from invid.likelihood.nuisance.torque_channel import acting
+from invid.likelihood.nuisance.torque_channel import channel_torque
 from invid.likelihood.residual import MissingTorqueProblem, State
 from invid.model.chains import CoupledChains
 from invid.numerics.arrays import Complex128, Float64
@@ -80,7 +80,7 @@ def _plant_torque(problem: MissingTorqueProblem, state: State, p: Float64) -> Co
     Not Z·Θ: where a record does not close, most of that may be what its ends leave on all lines.
     """
     block, s = state.block, problem.slices
-    channel = acting(block, p[s["delay"]], p[s["staircase"]])
+    channel = channel_torque(block, p[s["delay"]], p[s["staircase"]])
     driven: Complex128 = channel.factor * block.torque + channel.hold * block.position
     return driven - block.columns @ p[s["column"]]
 

@@ -21,7 +21,7 @@ SIGNIFICANT = 3.0
 """Standard deviations below which a spring to ground is none."""
 
 
-def with_ground_springs(
+def fit_ground_springs(
     spectra: Sequence[LineSpectra],
     free: Fit,
     starts_for: Callable[[Sequence[LineSpectra]], Iterable[CoupledChains]],
@@ -37,7 +37,7 @@ def with_ground_springs(
         return free
     corrected = [replace(s, torque=s.torque - stiffness * s.position) for s in spectra]
     found = free
-    while grounded and not budget.spent():
+    while grounded and not budget.is_spent():
         structure = replace(_plain(free.structure), grounded=grounded)
         begun = [
             replace(c, ground_springs=np.where(np.isin(np.arange(stiffness.size), grounded), stiffness, 0.0))

@@ -16,7 +16,7 @@ _WORDS = {"mass": "m", "spring": "K", "damper": "D"}
 
 
 @dataclass(frozen=True)
-class Blind:
+class Unidentifiable:
     """Parameters the data cannot tell, and sentences about them."""
 
     LIMIT: ClassVar[float] = 0.25
@@ -33,19 +33,19 @@ def blind_directions(
     values: Float64,
     covariance: Float64,
     band_hz: tuple[float, float],
-) -> Blind:
+) -> Unidentifiable:
     """Directions of parameter space (masses, springs, couplings) that the data leave open."""
     scale = np.array([_scale(chains, n, v) for n, v in zip(names, values, strict=True)])
     judged = np.array([".damper." not in n for n in names])
     relative = np.sqrt(np.maximum(np.diag(covariance), 0.0)) / scale
-    open_ = [int(k) for k in np.flatnonzero(judged & ~(relative < Blind.LIMIT))]
+    open_ = [int(k) for k in np.flatnonzero(judged & ~(relative < Unidentifiable.LIMIT))]
     sentences: list[str] = []
     if open_:
         sentences += _groups(chains, names, covariance, scale, open_, band_hz)
     lost = [int(k) for k in np.flatnonzero(~np.isfinite(relative))]
     sentences += [f"{_word(names[k])}: not seen by these data at all" for k in lost if not judged[k]]
     unseen = frozenset(names[k] for k in [*open_, *lost])
-    return Blind(unseen, tuple(sentences))
+    return Unidentifiable(unseen, tuple(sentences))
 
 
 def _groups(
@@ -67,7 +67,7 @@ def _groups(
     size, vectors = np.linalg.eigh(block)
     told: set[int] = set()
     for at in np.argsort(size)[::-1]:
-        if size[at] < Blind.LIMIT**2 or len(told) == rest.size:
+        if size[at] < Unidentifiable.LIMIT**2 or len(told) == rest.size:
             break
         vector = vectors[:, at]
         members = [int(k) for k in np.flatnonzero(np.abs(vector) > 0.3 * np.abs(vector).max())]

@@ -9,14 +9,19 @@ from typing import Any, Literal
 import numpy as np
 
 from invid.errors import InputError, InvidError, NotIdentifiableError
-from invid.identification.crosscheck import compared, missed_by_structure, second_route, widened
-from invid.identification.fewer_masses import said_of_fewer
-from invid.identification.ground_springs import with_ground_springs
+from invid.identification.crosscheck import (
+    compare_routes,
+    missed_by_structure,
+    second_route,
+    widen_by_method_error,
+)
+from invid.identification.fewer_masses import fewer_masses_warnings
+from invid.identification.ground_springs import fit_ground_springs
 from invid.identification.machine_kind import machine_kind, rigid_model
 from invid.identification.model_facts import BEATEN, SUSPECT, paper_model, refined_model
 from invid.identification.model_order import choose_order
 from invid.identification.starts import chain_starts, fit_sizes, measured_frf
-from invid.identification.torque_timing import timely
+from invid.identification.torque_timing import refit_with_late_torque
 from invid.inverse import PaperResult, identify_paper
 from invid.likelihood.bootstrap import bootstrap as bootstrap_of
 from invid.likelihood.fit import AT_NOISE, Fit, fit_structure
@@ -24,12 +29,12 @@ from invid.likelihood.profile import profiles
 from invid.model.chains import CoupledChains
 from invid.model.document import Model
 from invid.model.parameters import ChainStructure
-from invid.modes.pole_search import searched_modes
+from invid.modes.pole_search import search_modes
 from invid.modes.settle import settled_frf
 from invid.numerics import budget
 from invid.recording.model import Recording, Role
-from invid.signals.drive_torque import with_acting_torque
-from invid.signals.encoder_glitches import without_glitches
+from invid.signals.drive_torque import replace_by_acting_torque
+from invid.signals.encoder_glitches import remove_glitches
 from invid.signals.frf import FrfMatrix
 from invid.signals.plausibility import check_plausible
 from invid.signals.spectra import LineSpectra, all_spectra
@@ -78,9 +83,9 @@ def identify(
     NotIdentifiableError
         Data from which no such model can be drawn at all; an excitation that drowns in the noise.
     """
-    recording, told = without_glitches(recording)
+    recording, told = remove_glitches(recording)
     # What a search tries far from the solution may overflow; it is told by its size and taken back.
-    with budget.part(TIME_TO_SEARCH), np.errstate(all="ignore"):
+    with budget.use_share(TIME_TO_SEARCH), np.errstate(all="ignore"):
         try:
             model = _model(recording, masses, method, profile, (bootstrap, workers))
         except np.linalg.LinAlgError as error:
@@ -117,7 +122,7 @@ def _chains(
     budget.tell("reading spectra", 0.0)
     spectra = all_spectra(recording, Role.IDENTIFY)
     _check(recording, spectra)
-    spectra = with_acting_torque(spectra, recording.experiments)
+    spectra = replace_by_acting_torque(spectra, recording.experiments)
     wanted = recording.masses_per_axis if masses is None else masses
     warnings = [w for s in spectra for w in s.warnings]
     order: dict[str, Any] = {}
@@ -136,17 +141,17 @@ def _chains(
     fit = fit_sizes(spectra, sizes, recording.axes, measured, further=further, declared=not order)
     paper: PaperResult | InvidError = NotIdentifiableError("the budget was spent before the second route")
     if not budget.is_left_out("the paper's method as a second route"):
-        fit, paper = from_second_route(spectra, fit)
+        fit, paper = restart_from_second_route(spectra, fit)
     doubtful = fit.noise_chi2 > SUSPECT and not budget.is_left_out("springs to ground and late torque")
     if doubtful and min(missed_by_structure(spectra, fit)) > BEATEN:
 
         def starts_for(corrected: Sequence[LineSpectra]) -> Iterator[CoupledChains]:
             return chain_starts(corrected, sizes, recording.axes, measured_frf(corrected), (), False)
 
-        other = timely(spectra, fit, starts_for)
-        other = other if other is not fit else with_ground_springs(spectra, fit, starts_for)
+        other = refit_with_late_torque(spectra, fit, starts_for)
+        other = other if other is not fit else fit_ground_springs(spectra, fit, starts_for)
         fit, paper = other, paper if other is fit else second_route(spectra, other)
-    warnings += said_of_fewer(sizes, fit)
+    warnings += fewer_masses_warnings(sizes, fit)
     model = refined_model(recording, spectra, fit, paper, warnings, order)
     further_facts: dict[str, Any] = {}
     if profile:
@@ -159,7 +164,9 @@ def _chains(
     return replace(model, fit={**model.fit, **further_facts}) if further_facts else model
 
 
-def from_second_route(spectra: Sequence[LineSpectra], fit: Fit) -> tuple[Fit, PaperResult | InvidError]:
+def restart_from_second_route(
+    spectra: Sequence[LineSpectra], fit: Fit
+) -> tuple[Fit, PaperResult | InvidError]:
     """The fit and the paper's result beside it, which is a further start where it contradicts the fit.
 
     Only where its modes explain the FRF to its noise while the fit has not come down to it: one of the two
@@ -169,7 +176,7 @@ def from_second_route(spectra: Sequence[LineSpectra], fit: Fit) -> tuple[Fit, Pa
     if isinstance(paper, InvidError) or paper.modes.model_error > 0.0:
         return fit, paper
     at_noise = fit.solution.result == "converged" and fit.noise_chi2 < AT_NOISE
-    if at_noise or compared(paper, fit.names, fit.values, fit.covariance, [])["agree"]:
+    if at_noise or compare_routes(paper, fit.names, fit.values, fit.covariance, [])["agree"]:
         return fit, paper
     structure = ChainStructure(fit.structure.sizes, fit.structure.axes)
     again = fit_structure(spectra, structure, [paper.chains])
@@ -186,7 +193,7 @@ def _by_paper(
     The torque acts later than recorded where it is held over the sample; modes are searched for on the
     records, under their noise, before they are fitted to the FRF matrix.
     """
-    found = searched_modes(spectra, sizes)
+    found = search_modes(spectra, sizes)
     start = None
     if found is not None:
         start, _, delay = found
@@ -207,7 +214,7 @@ def _by_paper(
             result = identify_paper(*data, sizes, axes=axes)
     except (np.linalg.LinAlgError, ValueError, FloatingPointError) as error:
         raise NotIdentifiableError(f"the paper's method failed on these data: {error}") from None
-    return widened(result, measured), measured
+    return widen_by_method_error(result, measured), measured
 
 
 # --- checks ------------------------------------------------------------------------------------

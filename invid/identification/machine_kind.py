@@ -13,8 +13,8 @@ import numpy as np
 
 from invid.errors import InvidError
 from invid.likelihood.fit import Fit, fit_structure
-from invid.likelihood.nuisance.torque_lags import with_coulomb
-from invid.likelihood.records import carried, problem_from_spectra
+from invid.likelihood.nuisance.torque_lags import add_coulomb_columns
+from invid.likelihood.records import problem_from_spectra, transfer_parameters
 from invid.model.chains import CoupledChains
 from invid.model.document import MISSED, Model
 from invid.model.parameters import ChainStructure
@@ -23,8 +23,8 @@ from invid.recording.model import Experiment, Kind, Recording, Role
 from invid.rigid_motion.analysis import Analysis, analyse, row_floor
 from invid.rigid_motion.model import TRAJECTORY, identify_trajectory
 from invid.rigid_motion.record_kind import is_trajectory
-from invid.rigid_motion.selection import judged
-from invid.signals.drive_torque import with_acting_torque
+from invid.rigid_motion.selection import judged_rows
+from invid.signals.drive_torque import replace_by_acting_torque
 from invid.signals.spectra import LineSpectra, all_spectra
 
 RIGID_ENOUGH = 0.1
@@ -67,7 +67,7 @@ def machine_kind(
         return MachineKind(rigid=False)
     try:
         found = analyse(recording)
-        missed = rigid_misses(found)
+        missed = rigid_missed_share(found)
         identify_trajectory(recording, analysis=found)  # an axis may not accelerate at all
         analysis = None if found.selection.cut else found  # there may be time for more of it
     except InvidError:
@@ -79,7 +79,7 @@ def machine_kind(
         model = chains()
         # One mass an axis is no elasticity: rigid axes hold that, and the weight that changes with the pose.
         if max(model.chains.masses_per_branch) > 1:
-            left = chains_miss(recording, model.chains)
+            left = chains_missed_share(recording, model.chains)
     except (InvidError, np.linalg.LinAlgError):
         pass
     if np.isinf(missed) and np.isinf(left):
@@ -119,14 +119,14 @@ def rigid_model(recording: Recording, kind: MachineKind) -> Model:
     return replace(model, warnings=(*warnings, *model.warnings))
 
 
-def rigid_misses(analysis: Analysis) -> float:
+def rigid_missed_share(analysis: Analysis) -> float:
     """Rms share of the torque that rigid axes miss beyond noise on rows kept out; that of the worst axis."""
     return _worst(_rigid_powers(analysis))
 
 
 def _rigid_powers(analysis: Analysis) -> Float64:
     """(M, 2) power that is missing on rows kept out, beyond noise, and that of the torque."""
-    design, rows, floor = analysis.design, judged(analysis.design), row_floor(analysis)
+    design, rows, floor = analysis.design, judged_rows(analysis.design), row_floor(analysis)
     left = analysis.final.held_out**2 - floor
     out = np.zeros((design.axes, 2))
     for i in range(design.axes):
@@ -141,7 +141,7 @@ def _worst(powers: Float64) -> float:
     return float(np.sqrt(np.max(np.maximum(left, 0.0) / np.maximum(power, 1e-300))))
 
 
-def chains_miss(recording: Recording, chains: CoupledChains) -> float:
+def chains_missed_share(recording: Recording, chains: CoupledChains) -> float:
     """The same for chains, fitted anew to two of three pieces of each record and judged on the others.
 
     Lines are weighted by their noise: beside the clamped resonances what is missing is mostly noise.
@@ -157,9 +157,9 @@ def chains_miss(recording: Recording, chains: CoupledChains) -> float:
 
 def _missed(fitted: Fit, spectra: Sequence[LineSpectra]) -> float:
     """Share that a fit misses of other records: nothing is fitted there but their ends."""
-    problem = with_coulomb(problem_from_spectra(fitted.structure, spectra), spectra)
+    problem = add_coulomb_columns(problem_from_spectra(fitted.structure, spectra), spectra)
     powers = np.zeros((len(fitted.structure.axes), 2))
-    for state in problem.states(carried(fitted.problem, fitted.solution.p, problem)):
+    for state in problem.states(transfer_parameters(fitted.problem, fitted.solution.p, problem)):
         noise = np.einsum("fii->fi", state.covariance).real
         powers[:, 0] += (np.abs(state.residual) ** 2 / noise - 1.0).sum(axis=0)
         powers[:, 1] += (np.abs(state.block.torque) ** 2 / noise).sum(axis=0)
@@ -169,7 +169,7 @@ def _missed(fitted: Fit, spectra: Sequence[LineSpectra]) -> float:
 def _pieces(recording: Recording, numbers: Collection[int]) -> tuple[LineSpectra, ...]:
     """Spectra of some of the pieces of each experiment that is not for validation."""
     own = tuple(_cut(e, n) for e in recording.experiments if e.role is Role.IDENTIFY for n in sorted(numbers))
-    return with_acting_torque(all_spectra(replace(recording, experiments=own), Role.IDENTIFY), own)
+    return replace_by_acting_torque(all_spectra(replace(recording, experiments=own), Role.IDENTIFY), own)
 
 
 def _cut(experiment: Experiment, number: int) -> Experiment:

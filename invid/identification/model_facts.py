@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from invid.errors import InvidError
-from invid.identification.crosscheck import compared, missed_by_structure
-from invid.identification.identifiability import Blind, blind_directions
+from invid.identification.crosscheck import compare_routes, missed_by_structure
+from invid.identification.identifiability import Unidentifiable, blind_directions
 from invid.inverse import PaperResult
 from invid.likelihood.fit import Fit
 from invid.model.document import EffectTerm, Estimate, Model, parameter_vector, units
@@ -56,7 +56,7 @@ def paper_model(
     for name, value, error in zip(names_all, values, std, strict=True):
         if ".damper." in name or ".coupling" in name:
             continue
-        if not np.isfinite(error) or error > Blind.LIMIT * abs(value):
+        if not np.isfinite(error) or error > Unidentifiable.LIMIT * abs(value):
             trust = False
             warnings.append(f"{name}: {value:.4g} ± {error:.2g} is not known; measure longer or use refined")
     return Model(
@@ -150,7 +150,7 @@ def refined_model(
                 f"{axis}: the recorded {channel} is low-passed ({1e3 * abs(lag['value']):.3g} ± "
                 f"{1e3 * lag['std']:.1g} ms, a lag, no mere delay); the parameters are corrected for it"
             )
-    routes = compared(paper, names, values, covariance, warnings)
+    routes = compare_routes(paper, names, values, covariance, warnings)
     finite = np.isfinite(covariance).all()
     facts = {
         "trustworthy": not doubts,

@@ -15,11 +15,11 @@ import numpy as np
 from invid.errors import InvidError
 from invid.inverse import starts
 from invid.model.chains import CoupledChains
-from invid.modes.pole_search import searched_modes
+from invid.modes.pole_search import search_modes
 from invid.signals.spectra import LineSpectra
 
 
-def start_apart(
+def start_separate_branches(
     spectra: Sequence[LineSpectra], sizes: Sequence[int], axes: Sequence[str]
 ) -> CoupledChains | None:
     """Chains without couplings, each from its own motor's motion and torque; ``None`` where one fails."""
@@ -30,7 +30,7 @@ def start_apart(
             return None
         try:
             with np.errstate(all="ignore"):
-                modes = searched_modes(own, (size,))
+                modes = search_modes(own, (size,))
                 if modes is None:
                     return None
                 shape, frf, _ = modes
@@ -64,4 +64,4 @@ def _alone(s: LineSpectra, axis: int) -> LineSpectra:
     )
 
 
-__all__ = ["start_apart"]
+__all__ = ["start_separate_branches"]

@@ -7,14 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from invid.identification.fewer_masses import FewerExplain, with_fewer_masses
-from invid.identification.separate_branches import start_apart
+from invid.identification.fewer_masses import FewerExplain, fit_fewer_masses
+from invid.identification.separate_branches import start_separate_branches
 from invid.inverse import starts
-from invid.likelihood.fit import Fit, fit_structure, large
+from invid.likelihood.fit import Fit, fit_structure, is_costly_to_start
 from invid.model.chains import CoupledChains
 from invid.model.parameters import ChainStructure
 from invid.modes import Modes
-from invid.modes.pole_search import searched_modes
+from invid.modes.pole_search import search_modes
 from invid.modes.rational_fit import FINE, TRUSTED, rational_modes
 from invid.numerics import budget
 from invid.signals.frf import FrfMatrix, frf_matrix, local_frf_matrix
@@ -65,7 +65,7 @@ def fewer_masses(spectra: Sequence[LineSpectra], sizes: Sequence[int], axes: Seq
     def starts_for(fewer: tuple[int, ...]) -> Iterator[CoupledChains]:
         return chain_starts(spectra, fewer, axes, measured_frf(spectra), (), False)
 
-    return with_fewer_masses(spectra, sizes, axes, starts_for)
+    return fit_fewer_masses(spectra, sizes, axes, starts_for)
 
 
 def chain_starts(
@@ -81,20 +81,20 @@ def chain_starts(
     yield from further
     crude: list[CoupledChains] = []
     count = 0
-    early = not large(sizes) and measured.frequency_hz.size > 0
+    early = not is_costly_to_start(sizes) and measured.frequency_hz.size > 0
     for modes, frf in _modal_starts(spectra, sizes, thorough):
-        if count and budget.spent():
+        if count and budget.is_spent():
             break
         *physical, equal = starts(frf.frequency_hz, frf.frf, frf.variance, sizes, axes=axes, modes=modes)
         yield from physical
         crude.append(equal)
-        if not count and early and not budget.spent():
+        if not count and early and not budget.is_spent():
             # Branches alike share poles, which as many poles as modes cannot fit; the modes of the FRF matrix
             # can, and take less time than a search under the noise.
             *shared, equal = starts(measured.frequency_hz, measured.frf, measured.variance, sizes, axes=axes)
             yield from shared
             crude.insert(0, equal)
-            alone = start_apart(spectra, sizes, axes) if thorough and len(sizes) > 1 else None
+            alone = start_separate_branches(spectra, sizes, axes) if thorough and len(sizes) > 1 else None
             if alone is not None:
                 yield alone
         if declared and not count and budget.is_left_out("fewer masses than declared"):
@@ -118,7 +118,7 @@ def _modal_starts(
     if found is not None:
         yield found
     for model_error in (0.0, FINE) if thorough else (0.0,):
-        searched = searched_modes(spectra, sizes, model_error=model_error)
+        searched = search_modes(spectra, sizes, model_error=model_error)
         if searched is not None:
             yield searched[:2]
     if thorough:

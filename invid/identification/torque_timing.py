@@ -19,7 +19,7 @@ PAYS = 0.5
 off 40 000 times, while one that the model does not explain costs about the same from every start."""
 
 
-def timely(
+def refit_with_late_torque(
     spectra: Sequence[LineSpectra],
     fit: Fit,
     starts_for: Callable[[Sequence[LineSpectra]], Iterable[CoupledChains]],

@@ -100,7 +100,7 @@ def _own(number: int) -> Float64 | None:
 def _draw(fit: Fit, seed: int, number: int) -> Float64 | None:
     """Parameters in physical units with noise drawn anew; none where the fit ends nowhere, empty where there
     was no time for it."""
-    if budget.spent():
+    if budget.is_spent():
         return np.zeros(0)
     rng = np.random.default_rng([seed, number])
     with np.errstate(all="ignore"):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from invid.likelihood.levenberg_marquardt import Solution, spectrum_of
+from invid.likelihood.levenberg_marquardt import Solution, jacobian_spectrum
 from invid.likelihood.residual import MissingTorqueProblem
 from invid.numerics.arrays import Float64, Int64
 
@@ -33,16 +33,16 @@ def inverse_normal(jacobian: Float64) -> tuple[Float64, Int64]:
     Directions that they do not see (singular values below 1e-9 of the largest, columns scaled) are left out
     of the inverse; every parameter they move by more than a hundredth counts as not seen.
     """
-    scale, size, right, blind = spectrum_of(jacobian)
+    scale, size, right, blind = jacobian_spectrum(jacobian)
     seen = size > 1e-9 * size[0]
     inverse: Float64 = (right[seen].T / size[seen] ** 2) @ right[seen] / scale[:, None] / scale
     return inverse, np.flatnonzero(blind | (np.abs(right[~seen]) > 1e-2).any(axis=0))
 
 
-def spread_of(solution: Solution) -> Float64:
+def parameter_std(solution: Solution) -> Float64:
     """(n,) standard deviation of every parameter as it moves (logarithms relative), inflated; NaN where
     fixed, infinite where the data do not see it."""
-    scale, size, right, blind = spectrum_of(solution.jacobian)
+    scale, size, right, blind = jacobian_spectrum(solution.jacobian)
     size = np.maximum(size, 1e-9 * size[0])
     own = np.sqrt(((right / size[:, None]) ** 2).sum(axis=0)) / scale
     own[blind] = np.inf

@@ -8,11 +8,11 @@ import numpy as np
 
 from invid.effects.effect import ImpedanceEffect
 from invid.effects.motion import View
-from invid.likelihood.inner_motion import learned
-from invid.likelihood.law_response import direct_changes, respond
-from invid.likelihood.law_slopes import Change, slopes_of
-from invid.likelihood.nuisance.transients import of_jumps
-from invid.likelihood.placed_effect import Candidate, Term, contributions, forces_of
+from invid.likelihood.inner_motion import learn_inner_directions
+from invid.likelihood.law_response import direct_effect_changes, effect_response
+from invid.likelihood.law_slopes import ForceChange, slopes_of
+from invid.likelihood.nuisance.transients import jump_response
+from invid.likelihood.placed_effect import Candidate, PlacedEffect, contributions, forces_of
 from invid.numerics.arrays import Complex128, Float64
 
 
@@ -36,14 +36,14 @@ def response_columns(
         return False
     structure = view.structure
     lines, coordinates = view.base.shape
-    steps = steps_of(view, candidate)
+    steps = difference_steps(view, candidate)
     known = linear if strong else 0
     count, springs = known + len(steps), view.springs.size
     base = np.zeros((lines, coordinates, count), dtype=complex)
     missing = np.zeros((*view.acting.shape, count), dtype=complex)
     total, back = np.zeros_like(missing), np.zeros_like(base)
     stiffness, damping = np.zeros((springs, count)), np.zeros((springs, count))
-    total[..., known:], back[..., known:] = direct_changes(view, candidate, steps)
+    total[..., known:], back[..., known:] = direct_effect_changes(view, candidate, steps)
     if strong:
         every = np.broadcast_to(np.eye(coordinates, dtype=complex), view.inner.shape)
         base[..., : structure.count] = -(
@@ -52,14 +52,14 @@ def response_columns(
         missing[..., :known] = columns[..., :known]
         stiffness[:, structure.slices["spring"]] = np.diag(view.springs)  # they move as logarithms
         damping[:, structure.slices["damper"]] = np.eye(springs)
-    change = Change(base, missing, stiffness, damping, total, back)
+    change = ForceChange(base, missing, stiffness, damping, total, back)
     moved = np.ones(count, dtype=bool)
     if view.record.transient:
         # A force on a motor whose motion is measured moves no inner mass but by the ends of the record.
         moved[known:] = [candidate.terms[number].feels(view) for number, *_ in steps]
         moved[structure.count : known] = False
     response = total
-    response[..., moved] = respond(view, candidate, slopes, change.only(moved))
+    response[..., moved] = effect_response(view, candidate, slopes, change.only(moved))
     columns[..., :known] += response[..., :known]
     columns[..., linear:] = response[..., known:]
     return True
@@ -74,11 +74,11 @@ def effect_columns(view: View, candidate: Candidate, columns: Complex128, at: in
     feedback, jumps = view.feedback, view.jumps
     view.forget_measured()  # both sides from the same inner motion
     inner = any(t.feels(view) for t in candidate.terms)
-    steps = steps_of(view, candidate)
+    steps = difference_steps(view, candidate)
     if not steps:
         return
     if not inner:
-        columns[..., at : at + len(steps)] = direct_changes(view, candidate, steps)[0]
+        columns[..., at : at + len(steps)] = direct_effect_changes(view, candidate, steps)[0]
         return
 
     def at_(trial: Candidate) -> Complex128:
@@ -97,7 +97,7 @@ def effect_columns(view: View, candidate: Candidate, columns: Complex128, at: in
             at += 1
 
 
-def learn_answers(view: View, candidate: Candidate) -> None:
+def learn_inner_response(view: View, candidate: Candidate) -> None:
     """What the inner motion of a record that does not close answers to a change of its effects.
 
     Beside a gap the differences were two to five times off without (chirps of the second generator).
@@ -108,7 +108,9 @@ def learn_answers(view: View, candidate: Candidate) -> None:
         for k in range(own.size):
             more[k] += _step_of(view, term, own, k)
         x.append(more)
-    learned(view, forces_of(view, candidate), forces_of(view, Candidate(candidate.terms, tuple(x))))
+    learn_inner_directions(
+        view, forces_of(view, candidate), forces_of(view, Candidate(candidate.terms, tuple(x)))
+    )
 
 
 def jump_columns(
@@ -121,7 +123,9 @@ def jump_columns(
                 h = _step_of(view, term, x, k)
                 more = x.copy()
                 more[k] += h
-                one, two = (of_jumps(view, Candidate((term,), (own,)), moved)[0] @ jumps for own in (x, more))
+                one, two = (
+                    jump_response(view, Candidate((term,), (own,)), moved)[0] @ jumps for own in (x, more)
+                )
                 columns[..., at] += (two - one) / h
             at += 1
 
@@ -145,7 +149,7 @@ def impedance_columns(
             columns[..., : view.structure.count] += view.push(pattern)[:, :, None] * force[:, None, :]
 
 
-def steps_of(view: View, candidate: Candidate) -> list[tuple[int, int, float]]:
+def difference_steps(view: View, candidate: Candidate) -> list[tuple[int, int, float]]:
     """Effect, number of the parameter and difference, for every parameter of the effects."""
     return [
         (number, k, _step_of(view, term, x, k))
@@ -154,7 +158,7 @@ def steps_of(view: View, candidate: Candidate) -> list[tuple[int, int, float]]:
     ]
 
 
-def _step_of(view: View, term: Term, x: Float64, k: int) -> float:
+def _step_of(view: View, term: PlacedEffect, x: Float64, k: int) -> float:
     """Step of a parameter for differences."""
     count = len(term.effect.coefficients)
     if k < count:
@@ -163,7 +167,7 @@ def _step_of(view: View, term: Term, x: Float64, k: int) -> float:
     return term.effect.difference(view, k - count, float(x[k]))
 
 
-def strong_inside(view: View, candidate: Candidate) -> bool:
+def moves_inner_masses(view: View, candidate: Candidate) -> bool:
     """Whether effects move inner masses by more than a hundredth of what moves along one of their patterns:
     below, what the laws gain by a change of that is a hundredth of a column.
 

@@ -21,23 +21,23 @@ from invid.likelihood.effect_derivatives import (
     impedance_columns,
     jump_columns,
     law_columns,
-    learn_answers,
+    learn_inner_response,
+    moves_inner_masses,
     response_columns,
-    strong_inside,
 )
-from invid.likelihood.hypothesis import Acting, Layout, acting_of, folded_of, priors_of
-from invid.likelihood.nuisance.initial_states import begun
-from invid.likelihood.nuisance.transients import Ends, closing_of, ends_of
-from invid.likelihood.placed_effect import Candidate, at_once, contributions
+from invid.likelihood.hypothesis import ActingTorque, Layout, acting_torque, aliased_motion, prior_residuals
+from invid.likelihood.nuisance.initial_states import solve_initial_states
+from invid.likelihood.nuisance.transients import Ends, record_ends, solve_record_ends
+from invid.likelihood.placed_effect import Candidate, contributions, is_linear_in_motion
 from invid.likelihood.residual import covariance_of_missing, plants_of
 from invid.model.transient_terms import end_derivative
 from invid.numerics.arrays import Complex128, Float64
 from invid.numerics.whitening import factored, stack, unstack, unwhitener, whitener
-from invid.signals.spectral_record import Record
+from invid.signals.spectral_record import SpectralRecord
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class RecordEvaluation:
     """One record through one plant with its effects: what its residual is made of and its Jacobian needs."""
 
     view: View
@@ -52,7 +52,7 @@ class Seen:
     jumps: Float64
     """(2ΣN,) ends of a record that does not close; empty for one that does."""
     ends: Ends | None
-    acting: Acting
+    acting: ActingTorque
     white: Float64
     """(rows,) whitened residual."""
 
@@ -64,7 +64,7 @@ class Evaluation:
     residual: Float64
     jacobian: Float64
     cost: float
-    seen: tuple[Seen, ...]
+    seen: tuple[RecordEvaluation, ...]
     dof: int = 0
 
     @property
@@ -93,13 +93,16 @@ class Evaluation:
         return tuple(s.root for s in self.seen)
 
     @property
-    def records(self) -> list[Record]:
+    def records(self) -> list[SpectralRecord]:
         """The records it is of."""
         return [s.view.record for s in self.seen]
 
 
-def views_of(
-    layout: Layout, records: Sequence[Record], p: Float64, acting: Sequence[Acting] | None = None
+def record_views(
+    layout: Layout,
+    records: Sequence[SpectralRecord],
+    p: Float64,
+    acting: Sequence[ActingTorque] | None = None,
 ) -> list[View]:
     """Every record through the plant at ``p``; ``acting``: its torques there, where they are known."""
     structure = layout.structure
@@ -108,7 +111,7 @@ def views_of(
     inertance = structure.inertance(sp)
     out = []
     if acting is None:
-        acting = [acting_of(r, layout, p) for r in records]
+        acting = [acting_torque(r, layout, p) for r in records]
     plants = plants_of(structure, sp, records)
     for record, torque, (motion, stiffness, inner) in zip(records, acting, plants, strict=True):
         out.append(
@@ -123,7 +126,7 @@ def views_of(
                 values[structure.slices["damper"]],
                 values[structure.slices["mass"]],
                 layout.origin,
-                np.einsum("fij,fj->fi", stiffness, folded_of(record, layout, p, inertance)),
+                np.einsum("fij,fj->fi", stiffness, aliased_motion(record, layout, p, inertance)),
                 inertance,
             )
         )
@@ -132,7 +135,7 @@ def views_of(
 
 def evaluate(
     layout: Layout,
-    records: Sequence[Record],
+    records: Sequence[SpectralRecord],
     p: Float64,
     candidate: Candidate,
     *,
@@ -146,32 +149,32 @@ def evaluate(
     ``thorough``: the Jacobian knows that strong effects feel what the linear parameters do to inner motion.
     """
     before = near if near and candidate.terms else [None] * len(records)
-    acting = [acting_of(r, layout, p) for r in records]
-    views = views_of(layout, records, p, acting)
+    acting = [acting_torque(r, layout, p) for r in records]
+    views = record_views(layout, records, p, acting)
     seen = tuple(_seen(v, a, layout, p, candidate, b) for v, a, b in zip(views, acting, before, strict=True))
-    priors, _ = priors_of(layout, p, 0)
+    priors, _ = prior_residuals(layout, p, 0)
     residual = np.concatenate([*(s.white for s in seen), priors])
     dof = sum(_numbers(s) for s in seen)
     here = Evaluation(residual, np.zeros((0, 0)), float(residual @ residual), seen, dof)
-    return with_jacobian(here, layout, p, candidate, thorough=thorough) if jacobian else here
+    return add_jacobian(here, layout, p, candidate, thorough=thorough) if jacobian else here
 
 
-def with_jacobian(
+def add_jacobian(
     here: Evaluation, layout: Layout, p: Float64, candidate: Candidate, *, thorough: bool
 ) -> Evaluation:
     """The same evaluation, at the same parameters, with its Jacobian."""
     parts = [_derivative(s, layout, p, candidate, thorough) for s in here.seen]
-    _, prior_rows = priors_of(layout, p, sum(t.size for t in candidate.terms))
+    _, prior_rows = prior_residuals(layout, p, sum(t.size for t in candidate.terms))
     return replace(here, jacobian=np.concatenate([*parts, prior_rows]))
 
 
 def _seen(
-    view: View, acting: Acting, layout: Layout, p: Float64, candidate: Candidate, before: View | None
-) -> Seen:
+    view: View, acting: ActingTorque, layout: Layout, p: Float64, candidate: Candidate, before: View | None
+) -> RecordEvaluation:
     """A record through a plant with effects; ``before``: a view close by, where its inner motion starts."""
     record = view.record
     r: Complex128 = np.einsum("fij,fj->fi", view.stiffness, record.position) - view.acting - view.images
-    covariance = noise_of(view, acting.factor, candidate)
+    covariance = residual_covariance(view, acting.factor, candidate)
     view.certainty = np.asarray(np.linalg.inv(covariance), dtype=np.complex128)
     root = whitener(covariance)
     if record.weight.size:
@@ -179,11 +182,11 @@ def _seen(
     rows, ends = 2 * r.size, None
     open_, basis, jumps = np.zeros((rows, 0)), np.zeros((rows, 0)), np.zeros(0)
     if record.transient:
-        ends = ends_of(view, layout, p)
+        ends = record_ends(view, layout, p)
         felt = ends.with_effects(view, candidate)
         open_ = stack(root @ felt.torque)
         basis, back = factored(open_)
-        view.closing = closing_of(view, felt, root, r)
+        view.closing = solve_record_ends(view, felt, root, r)
         view.respond(view.feedback, view.closed(np.zeros_like(r)))
         view.missing = view.left(np.zeros_like(r))
     else:
@@ -193,7 +196,7 @@ def _seen(
         view.starts = dict(before.starts)
         view.respond(before.feedback, before.jumps)
     extra = contributions(view, candidate)
-    extra, starting = begun(view, candidate, extra, partial(_left, root, basis, r))
+    extra, starting = solve_initial_states(view, candidate, extra, partial(_left, root, basis, r))
     if starting.any():
         basis, back = factored(np.column_stack((open_, stack(root @ starting))))
     if not any(t.feels(view) for t in candidate.terms):
@@ -209,10 +212,10 @@ def _seen(
     if record.transient:
         view.of_ends = felt.moved @ jumps
     view.remaining = r
-    return Seen(view, extra, r, covariance, root, basis, jumps, ends, acting, white)
+    return RecordEvaluation(view, extra, r, covariance, root, basis, jumps, ends, acting, white)
 
 
-def _numbers(seen: Seen) -> int:
+def _numbers(seen: RecordEvaluation) -> int:
     """Degrees of freedom of a record."""
     record, motors = seen.view.record, seen.missing.shape[1]
     lines = int(record.weight.sum()) if record.weight.size else record.omega.size
@@ -220,7 +223,9 @@ def _numbers(seen: Seen) -> int:
     return out
 
 
-def _derivative(seen: Seen, layout: Layout, p: Float64, candidate: Candidate, thorough: bool) -> Float64:
+def _derivative(
+    seen: RecordEvaluation, layout: Layout, p: Float64, candidate: Candidate, thorough: bool
+) -> Float64:
     """(rows, n) derivative of a record's whitened residual."""
     view, r, sp = seen.view, seen.missing, p[: layout.structure.count]
     effects = sum(t.size for t in candidate.terms)
@@ -229,14 +234,14 @@ def _derivative(seen: Seen, layout: Layout, p: Float64, candidate: Candidate, th
     columns[..., : layout.count], q = _linear_columns(
         layout, p, view, gain, seen.jumps, seen.acting, _passed(view, candidate)
     )
-    strong = thorough and not at_once(candidate) and strong_inside(view, candidate)
+    strong = thorough and not is_linear_in_motion(candidate) and moves_inner_masses(view, candidate)
     impedance_columns(view, candidate, sp, q, columns)
-    together = not at_once(candidate) and response_columns(
+    together = not is_linear_in_motion(candidate) and response_columns(
         view, candidate, sp, q, columns, layout.count, strong=strong
     )
     if not together:
         if strong and seen.ends is not None:
-            learn_answers(view, candidate)
+            learn_inner_response(view, candidate)
         effect_columns(view, candidate, columns, layout.count)
     if seen.ends is not None:
         jump_columns(view, candidate, seen.ends.moved, seen.jumps, columns, layout.count)
@@ -259,7 +264,7 @@ def _linear_columns(
     view: View,
     gain: Complex128,
     jumps: Float64,
-    acting: Acting,
+    acting: ActingTorque,
     passed: Complex128,
 ) -> tuple[Complex128, Complex128]:
     """(F, M, parameters) derivative of r by those of the layout, and (F, ΣN) the motion it is taken at.
@@ -306,14 +311,14 @@ def _passed(view: View, candidate: Candidate) -> Complex128:
     return out
 
 
-def numbers_on(record: Record, root: Complex128) -> Float64:
+def count_per_line(record: SpectralRecord, root: Complex128) -> Float64:
     """(F,) real numbers that every line of a record gives each axis: none where ``root`` (F, M, M) leaves it
     out, and one at 0 Hz."""
     out: Float64 = np.where(record.omega == 0.0, 1.0, 2.0) * (np.abs(root).sum(axis=(1, 2)) > 0)
     return out
 
 
-def noise_of(view: View, factor: Complex128, candidate: Candidate | None = None) -> Complex128:
+def residual_covariance(view: View, factor: Complex128, candidate: Candidate | None = None) -> Complex128:
     """(F, M, M) covariance of r; a sensor whose scale is wrong shows its noise at that scale.
 
     Without that, of two scales that fit alike the one that makes the noise appear larger would win.

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from invid.likelihood.levenberg_marquardt import Solution, spectrum_of
+from invid.likelihood.levenberg_marquardt import Solution, jacobian_spectrum
 from invid.likelihood.residual import MissingTorqueProblem, State
 from invid.numerics.arrays import Float64
 
@@ -42,7 +42,7 @@ def excess_variance(
 
 def _leverage(problem: MissingTorqueProblem, solution: Solution) -> list[Float64]:
     """Per block (M,) the mean share of a row's variance that the fit has taken up."""
-    scale, size, right, _ = spectrum_of(solution.jacobian)
+    scale, size, right, _ = jacobian_spectrum(solution.jacobian)
     seen = size > 1e-10 * size[0]
     hat = ((solution.jacobian @ (right[seen] / size[seen, None] / scale).T) ** 2).sum(axis=1)
     out, at = [], 0

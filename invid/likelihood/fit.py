@@ -9,21 +9,21 @@ from typing import Any
 import numpy as np
 
 from invid.errors import NotIdentifiableError
-from invid.likelihood.covariance import physical_covariance, spread_of
+from invid.likelihood.covariance import parameter_std, physical_covariance
 from invid.likelihood.excess_variance import excess_variance
 from invid.likelihood.levenberg_marquardt import Solution, gauss_newton
-from invid.likelihood.nuisance.gradual_reversals import with_gradual_reversals
-from invid.likelihood.nuisance.hold_timing import beyond, placed_holds, with_open_holds
-from invid.likelihood.nuisance.reversals import with_sharp_reversals
+from invid.likelihood.nuisance.gradual_reversals import fit_gradual_reversals
+from invid.likelihood.nuisance.hold_timing import free_hold_locations, gains_beyond_range, locate_holds
+from invid.likelihood.nuisance.reversals import fit_sharp_reversals
 from invid.likelihood.nuisance.torque_lags import (
     COULOMB,
     COULOMB_SIGMA,
     TORQUE_LAG,
-    with_coulomb,
-    with_reversal_lags,
-    with_torque_lags,
+    add_coulomb_columns,
+    fit_reversal_lags,
+    fit_torque_lags,
 )
-from invid.likelihood.records import carried, problem_from_spectra, with_columns
+from invid.likelihood.records import add_columns, problem_from_spectra, transfer_parameters
 from invid.likelihood.residual import MissingTorqueProblem
 from invid.model.chains import CoupledChains
 from invid.model.parameters import ChainStructure
@@ -89,7 +89,7 @@ def fit_structure(
 
     ``thorough=False`` stops after the first pass (for comparing structures).
     """
-    problem = with_coulomb(problem_from_spectra(structure, spectra), spectra)
+    problem = add_coulomb_columns(problem_from_spectra(structure, spectra), spectra)
     if problem.dof <= 0:
         rows = sum(2 * b.position.size for b in problem.blocks)
         raise NotIdentifiableError(
@@ -97,18 +97,18 @@ def fit_structure(
             f"{rows - problem.dof} unknowns: lengthen the period, widen the band, or use fewer masses"
         )
     # A large plant's further starts take longer than a search on from the first.
-    patience = 1 if large(structure.sizes) else 5 if thorough else 2
+    patience = 1 if is_costly_to_start(structure.sizes) else 5 if thorough else 2
     problem, solution = _best(problem, starts, spectra, 80 if thorough else 30, patience)
     holds: dict[str, str] = {}
     budget.tell("identifying", 0.6 if thorough else 0.3)
     if thorough and not budget.is_left_out("transients, holds, inner friction and lags of the model"):
         problem, solution = _boundary(problem, solution, spectra)
-        problem, solution = with_sharp_reversals(problem, solution, spectra)
-    problem, solution = with_gradual_reversals(problem, solution, spectra)
+        problem, solution = fit_sharp_reversals(problem, solution, spectra)
+    problem, solution = fit_gradual_reversals(problem, solution, spectra)
     if thorough:
-        problem, solution, holds = placed_holds(problem, solution, spectra)
+        problem, solution, holds = locate_holds(problem, solution, spectra)
         problem, solution = _inner_friction(problem, solution)
-        problem, solution = with_torque_lags(problem, solution)
+        problem, solution = fit_torque_lags(problem, solution)
     base = [b.noise for b in problem.blocks]
     noise_chi2, noise_cost = solution.reduced, solution.chi2
     excess: list[Float64] = []
@@ -116,17 +116,17 @@ def fit_structure(
     if thorough:
         problem, solution, excess = _weighted(problem, solution, base)
         plain = problem.with_noise(base)
-        again = solution if budget.spent() else gauss_newton(plain, solution.p)
+        again = solution if budget.is_spent() else gauss_newton(plain, solution.p)
         if again.chi2 < 0.9 * noise_cost:
             # The weights led out of a wrong minimum: what is left beyond the noise is to be judged anew.
             noise_chi2, noise_cost = again.reduced, again.chi2
             problem, solution, excess = _weighted(plain, again, base)
         problem, solution, excess = _drop_coulomb(problem, solution, base, excess)
-        problem, solution = with_reversal_lags(problem, solution)
-    problem, solution, open_holds, early = with_open_holds(problem, solution, spectra, holds)
+        problem, solution = fit_reversal_lags(problem, solution)
+    problem, solution, open_holds, early = free_hold_locations(problem, solution, spectra, holds)
     budget.tell("identifying", 0.95 if thorough else 0.3)
     free = physical_covariance(problem, solution)
-    bent = bool(beyond(problem, solution))
+    bent = bool(gains_beyond_range(problem, solution))
     problem, solution = _physical(problem, solution)
     # A hold that is kept in its range is known no better for that.
     covariance = free if bent else physical_covariance(problem, solution)
@@ -152,7 +152,7 @@ def fit_structure(
     )
 
 
-def large(sizes: Sequence[int]) -> bool:
+def is_costly_to_start(sizes: Sequence[int]) -> bool:
     """Whether each start for a plant takes longer than a fit from it."""
     return (sum(sizes) - len(sizes)) * len(sizes) ** 2 > MODERATE
 
@@ -177,7 +177,7 @@ def _best(
         budget.tell(f"identifying, start {number + 1}", 0.5 * (1.0 - 0.5**number))
         for share in TEMPER[1:]:
             p = gauss_newton(_tempered(problem, share), p, iterations=15, tolerance=0.1).p
-        turned, found = with_gradual_reversals(
+        turned, found = fit_gradual_reversals(
             problem, gauss_newton(problem, p, iterations=iterations), spectra
         )
         again = best is not None and abs(found.chi2 - best.chi2) < 1e-3 * best.chi2
@@ -205,7 +205,7 @@ def _promising(
     aside: list[Solution] = []
     waited = False
     for start in starts:
-        if aside and budget.spent():
+        if aside and budget.is_spent():
             break
         p = problem.start(problem.structure.vector(start))
         found = gauss_newton(wide, p, iterations=15, tolerance=0.1)
@@ -248,8 +248,8 @@ def _boundary(
         flags[number] = bool(gain > chi2_isf(NEEDED, count))
     if flags == [b.transient for b in problem.blocks]:
         return problem, solution
-    freed = with_coulomb(problem_from_spectra(problem.structure, spectra, boundary=flags), spectra)
-    return freed, gauss_newton(freed, carried(problem, solution.p, freed))
+    freed = add_coulomb_columns(problem_from_spectra(problem.structure, spectra, boundary=flags), spectra)
+    return freed, gauss_newton(freed, transfer_parameters(problem, solution.p, freed))
 
 
 def _inner_friction(
@@ -263,11 +263,11 @@ def _inner_friction(
     if structure.inner_viscous or not structure.inner_dofs:
         return problem, solution
     larger = replace(problem, structure=replace(structure, inner_viscous=True))
-    found = gauss_newton(larger, carried(problem, solution.p, larger))
+    found = gauss_newton(larger, transfer_parameters(problem, solution.p, larger))
     extra = len(structure.inner_dofs)
     scale = max(found.reduced, 1.0)
     part = slice(structure.slices["viscous"].stop, structure.slices["viscous"].stop + extra)
-    positive = found.p[part] > -3.0 * spread_of(found)[part]
+    positive = found.p[part] > -3.0 * parameter_std(found)[part]
     if (solution.chi2 - found.chi2) / scale > chi2_isf(NEEDED, extra) and positive.all():
         return larger, found
     return problem, solution
@@ -286,10 +286,10 @@ def _weighted(
         before = solution.p
         solution = gauss_newton(problem, solution.p)
         excess = new
-        if budget.spent():
+        if budget.is_spent():
             break
         moved = np.abs(solution.p - before)[solution.free]
-        if np.all(moved < 0.1 * spread_of(solution)[solution.free]):
+        if np.all(moved < 0.1 * parameter_std(solution)[solution.free]):
             break
     return problem, solution, excess
 
@@ -301,13 +301,13 @@ def _drop_coulomb(
     part = problem.slices["column"]
     if part.start == part.stop:
         return problem, solution, excess
-    keep = solution.p[part] > COULOMB_SIGMA * spread_of(solution)[part]
+    keep = solution.p[part] > COULOMB_SIGMA * parameter_std(solution)[part]
     keep = keep | np.array([not n.endswith(COULOMB) for n in problem.column_names])
     if keep.all():
         return problem, solution, excess
     names = tuple(n for n, k in zip(problem.column_names, keep, strict=True) if k)
-    reduced = with_columns(problem, [b.columns[:, :, keep] for b in problem.blocks], names)
-    solution = gauss_newton(reduced, carried(problem, solution.p, reduced))
+    reduced = add_columns(problem, [b.columns[:, :, keep] for b in problem.blocks], names)
+    solution = gauss_newton(reduced, transfer_parameters(problem, solution.p, reduced))
     return _weighted(reduced, solution, base)
 
 
@@ -321,7 +321,7 @@ def _physical(problem: MissingTorqueProblem, solution: Solution) -> tuple[Missin
     structure = problem.structure
     dampers, viscous = structure.slices["damper"], structure.slices["viscous"]
     for _ in range(3):
-        spread = spread_of(solution)
+        spread = parameter_std(solution)
         pinned = [
             k
             for k in (*range(dampers.start, dampers.stop), *range(viscous.start, viscous.stop))
@@ -329,7 +329,7 @@ def _physical(problem: MissingTorqueProblem, solution: Solution) -> tuple[Missin
             and solution.p[k] < 0
             and (k < dampers.stop or solution.p[k] > -3.0 * spread[k])
         ]
-        ends = dict.fromkeys(pinned, 0.0) | beyond(problem, solution)
+        ends = dict.fromkeys(pinned, 0.0) | gains_beyond_range(problem, solution)
         if not ends:
             break
         problem = replace(problem, fixed=(*problem.fixed, *(problem.names[k] for k in ends)))
@@ -364,7 +364,7 @@ def _time_constants(delays: Mapping[str, Mapping[str, float]]) -> dict[str, dict
 
 
 def _facts(problem: MissingTorqueProblem, solution: Solution, excess: list[Float64]) -> dict[str, Any]:
-    spread = spread_of(solution)
+    spread = parameter_std(solution)
     s = problem.slices
 
     def listed(part: slice) -> dict[str, dict[str, float]]:

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from invid.likelihood.nuisance.hold_share import HeldInside
+from invid.likelihood.nuisance.hold_share import InsideHold
 from invid.model.parameters import ChainStructure
 from invid.numerics.arrays import Bool, Complex128, Float64
-from invid.signals.spectral_record import Record
+from invid.signals.spectral_record import SpectralRecord
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +26,7 @@ class Layout:
     origin: float
     delayed: tuple[int, ...] = ()
     """Axes whose delay is an effect's."""
-    holds: tuple[HeldInside, ...] = ()
+    holds: tuple[InsideHold, ...] = ()
     smoothed: tuple[int, ...] = ()
     """Axes whose recorded torque is low-passed, as the identification found."""
 
@@ -86,7 +86,7 @@ class Layout:
         """
         return tuple(i for i in self.delayed if i in self.free_stairs)
 
-    def lateness(self, p: Float64, record: Record) -> Float64:
+    def lateness(self, p: Float64, record: SpectralRecord) -> Float64:
         """(M,) how much later than recorded the torque acts [s], effects apart."""
         out = self.delays(p)
         if self.held_late and record.command is None:  # a demand beside a hold has its half sample of its own
@@ -117,7 +117,7 @@ class Layout:
 
 
 @dataclass(frozen=True, eq=False)
-class Acting:
+class ActingTorque:
     """Torque that acts in a record, and how it changes."""
 
     torque: Complex128
@@ -130,7 +130,7 @@ class Acting:
     """(F, holds) its derivative by each hold's share."""
 
 
-def acting_of(record: Record, layout: Layout, p: Float64) -> Acting:
+def acting_torque(record: SpectralRecord, layout: Layout, p: Float64) -> ActingTorque:
     """The torque that acts.
 
     Holding a sample takes amplitude away and acts half a sample late. The time offset takes up the
@@ -156,14 +156,14 @@ def acting_of(record: Record, layout: Layout, p: Float64) -> Acting:
             by_hold[:, k] = (factor[:, i] - z[:, i] * np.exp(0.5j * w * record.step)) * torque
             acting[:, i] += share * by_hold[:, k]
             by_stair[:, i] -= share * (z * smear)[:, i] * torque
-        return Acting(acting, factor, by_stair, by_hold)
+        return ActingTorque(acting, factor, by_stair, by_hold)
     rest = record.torque - record.command
     held = ((1.0 - smear) * np.exp(-0.5j * w * record.step)[:, None]).astype(complex)
     acting = z * (record.command * held + rest * (1.0 - stairs + stairs * held))
-    return Acting(acting, factor, z * (held - 1.0) * rest, by_hold)
+    return ActingTorque(acting, factor, z * (held - 1.0) * rest, by_hold)
 
 
-def folded_of(record: Record, layout: Layout, p: Float64, inertance: Float64) -> Complex128:
+def aliased_motion(record: SpectralRecord, layout: Layout, p: Float64, inertance: Float64) -> Complex128:
     """(F, M) displacement of the motors that the images of held torque fold onto the lines (``folding``).
 
     ``inertance`` (M, M) is the plant's at ``p``.
@@ -180,8 +180,8 @@ def folded_of(record: Record, layout: Layout, p: Float64, inertance: Float64) ->
     return result
 
 
-def priors_of(layout: Layout, p: Float64, effects: int) -> tuple[Float64, Float64]:
-    """Torque is held over the sample (1), continuous (0), or smoothed in between; so is that of a hold."""
+def prior_residuals(layout: Layout, p: Float64, effects: int) -> tuple[Float64, Float64]:
+    """Prior: torque is held over the sample (1), continuous (0) or in between; so is that of a hold."""
     first, last = layout.stairs_at.start, layout.holds_at.stop
     expected = np.array([0.5] * len(layout.free_stairs) + [h.expected for h in layout.holds])
     rows = np.zeros((last - first, layout.count + effects))

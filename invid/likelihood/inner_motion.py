@@ -35,7 +35,7 @@ Forces = Callable[[], tuple[Complex128, Complex128]]
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a step too far is told by its size, and taken back
-def settled(view: View, forces: Forces, passes: int, *, early: bool = True) -> Complex128:
+def solve_inner_motion(view: View, forces: Forces, passes: int, *, early: bool = True) -> Complex128:
     """(F, M) contributions at the inner motion that ``forces`` and the plant agree on.
 
     The ends of a record that does not close follow from the forces as well and move what they depend on. The
@@ -101,7 +101,7 @@ def _by_newton(view: View, forces: Forces, best: _State) -> _State:
     return best
 
 
-def learned(view: View, forces: Forces, changed: Forces) -> None:
+def learn_inner_directions(view: View, forces: Forces, changed: Forces) -> None:
     """Leaves the view the directions in which its inner motion answers where ``forces`` become ``changed``.
 
     Agreement that was there from the start has taught none, and differences need them.

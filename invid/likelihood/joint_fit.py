@@ -8,13 +8,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from invid.likelihood.covariance import inverse_normal
-from invid.likelihood.evaluation import Evaluation, evaluate, with_jacobian
+from invid.likelihood.evaluation import Evaluation, add_jacobian, evaluate
 from invid.likelihood.hypothesis import Layout
 from invid.likelihood.nuisance.hold_share import SHARES
 from invid.likelihood.placed_effect import Candidate
 from invid.numerics.arrays import Bool, Float64
 from invid.numerics.levenberg_marquardt import Parabola, minimise
-from invid.signals.spectral_record import Record
+from invid.signals.spectral_record import SpectralRecord
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +46,7 @@ class JointFit:
     @property
     def stuck(self) -> Bool:
         """(n,) parameters at a bound that the cost would drive them past."""
-        low, high = limits_of(self.layout, self.candidate, self.evaluation, strict=True)
+        low, high = parameter_bounds(self.layout, self.candidate, self.evaluation, strict=True)
         return _stuck(pack(self.p, self.candidate), low, high, self.evaluation)
 
     def covariance_of(self, number: int) -> Float64:
@@ -56,7 +56,7 @@ class JointFit:
         return self.covariance[part, part]
 
 
-def limits_of(
+def parameter_bounds(
     layout: Layout, candidate: Candidate, evaluation: Evaluation, strict: bool
 ) -> tuple[Float64, Float64]:
     """Bounds of all parameters; ``strict``: time offsets within a sample."""
@@ -93,7 +93,7 @@ def unpack(layout: Layout, candidate: Candidate, v: Float64) -> tuple[Float64, C
 
 def fit(
     layout: Layout,
-    records: Sequence[Record],
+    records: Sequence[SpectralRecord],
     p: Float64,
     candidate: Candidate,
     *,
@@ -111,7 +111,7 @@ def fit(
     structure, thorough = layout.structure, not quick
     if known is None:
         known = evaluate(layout, records, p, candidate, jacobian=False)
-    low, high = limits_of(layout, candidate, known, strict)
+    low, high = parameter_bounds(layout, candidate, known, strict)
     v = np.clip(pack(p, candidate), low, high)
     if not np.array_equal(v, pack(p, candidate)):
         p, candidate = unpack(layout, candidate, v)
@@ -175,14 +175,12 @@ class _Point:
     def derive(self, layout: Layout, *, thorough: bool) -> Evaluation:
         """The evaluation with its Jacobian."""
         if not self.derived:
-            self.evaluation = with_jacobian(
-                self.evaluation, layout, self.p, self.candidate, thorough=thorough
-            )
+            self.evaluation = add_jacobian(self.evaluation, layout, self.p, self.candidate, thorough=thorough)
             self.derived = True
         return self.evaluation
 
 
-def reordered(found: JointFit, order: Sequence[int]) -> JointFit:
+def reorder_effects(found: JointFit, order: Sequence[int]) -> JointFit:
     """The same fit with its effects in another order."""
     candidate, count = found.candidate, found.layout.count
     ends = count + np.cumsum([t.size for t in candidate.terms])
@@ -197,7 +195,7 @@ def reordered(found: JointFit, order: Sequence[int]) -> JointFit:
     )
 
 
-def without_last(found: JointFit, records: Sequence[Record]) -> JointFit:
+def drop_last_effect(found: JointFit, records: Sequence[SpectralRecord]) -> JointFit:
     """The fit without its last effect; a delay's axis has its time offset back."""
     layout, p, term = found.layout, found.p, found.candidate.terms[-1]
     if term.effect.cause == "torque_delay":
@@ -242,7 +240,9 @@ def _line_scores(here: Evaluation) -> Float64:
     return np.concatenate(out)
 
 
-def held_out(fit_: JointFit, records: Sequence[Record], candidate: Candidate | None = None) -> Evaluation:
+def evaluate_held_out(
+    fit_: JointFit, records: Sequence[SpectralRecord], candidate: Candidate | None = None
+) -> Evaluation:
     """The held-out records under a fit, nothing refitted."""
     return evaluate(
         fit_.layout, records, fit_.p, fit_.candidate if candidate is None else candidate, jacobian=False

@@ -14,8 +14,8 @@ import numpy as np
 
 from invid.effects.effect import ImpedanceEffect
 from invid.effects.motion import View, along
-from invid.likelihood.law_slopes import Change, Slope
-from invid.likelihood.placed_effect import Candidate, Term, law_part, law_parts, together
+from invid.likelihood.law_slopes import ForceChange, LawSlope
+from invid.likelihood.placed_effect import Candidate, PlacedEffect, law_part, law_parts, sum_contributions
 from invid.numerics.anderson import Secants
 from invid.numerics.arrays import Complex128, Float64
 
@@ -30,8 +30,8 @@ MOST = 1500
 """Real numbers of the laws' forces up to which the equations are solved at once: a third of a second."""
 
 
-def respond(
-    view: View, candidate: Candidate, slopes: Sequence[tuple[Term, Slope]], change: Change
+def effect_response(
+    view: View, candidate: Candidate, slopes: Sequence[tuple[PlacedEffect, LawSlope]], change: ForceChange
 ) -> Complex128:
     """(F, M, P) what the effects contribute once inner motion has followed the ``change``."""
     linear = _Linear(view, candidate, slopes)
@@ -39,7 +39,7 @@ def respond(
     return _substituted(view, linear, change) if solved is None else solved
 
 
-def _substituted(view: View, linear: _Linear, change: Change) -> Complex128:
+def _substituted(view: View, linear: _Linear, change: ForceChange) -> Complex128:
     """The same by substitutions.
 
     The view's secants start the substitutions; each pass teaches the next (Anderson's mixing over all columns
@@ -78,7 +78,9 @@ def _taught(secants: Secants, moves: Float64, changes: Float64) -> Secants:
 class _Linear:
     """The laws and the plant around the motion there is, as a linear map of inner motion and jumps."""
 
-    def __init__(self, view: View, candidate: Candidate, slopes: Sequence[tuple[Term, Slope]]) -> None:
+    def __init__(
+        self, view: View, candidate: Candidate, slopes: Sequence[tuple[PlacedEffect, LawSlope]]
+    ) -> None:
         self._view, self._slopes = view, slopes
         self._lines, self._coordinates = view.base.shape
         patterns = [t.place.pattern(view.structure) for t, _ in slopes]
@@ -112,7 +114,7 @@ class _Linear:
         count: int = 2 * self._lines * self._coordinates + self._unit.size
         return count
 
-    def gap(self, state: Float64, change: Change) -> tuple[Complex128, Float64]:
+    def gap(self, state: Float64, change: ForceChange) -> tuple[Complex128, Float64]:
         """(F, M, P) contributions at ``state`` (rows, P), and (rows, P) how far it is from what follows."""
         view = self._view
         columns = state.shape[1]
@@ -150,7 +152,7 @@ class _Linear:
             back -= self._corrected @ (self._gain @ rest)
         return own, back
 
-    def solved(self, change: Change) -> Complex128 | None:
+    def solved(self, change: ForceChange) -> Complex128 | None:
         """(F, M, P) contributions in agreement with inner motion, solved at once; ``None`` where a law is no
         product over time, or the equations are too many."""
         if self._view.closing is not None:
@@ -184,14 +186,14 @@ class _Linear:
         return out
 
 
-def direct_changes(
+def direct_effect_changes(
     view: View, candidate: Candidate, steps: Sequence[tuple[int, int, float]]
 ) -> tuple[Complex128, Complex128]:
     """(F, M, P) contributions and (F, ΣN, P) inner motion that follow from each parameter of effects at the
     motion there is, by differences; ``steps`` are effect, number of the parameter and difference."""
     view.forget_measured()  # both sides from the same inner motion
     parts = law_parts(view, candidate)
-    total, back = together(view, candidate, parts)
+    total, back = sum_contributions(view, candidate, parts)
     totals, backs = [], []
     for number, k, h in steps:
         moved = candidate.x[number].copy()
@@ -200,7 +202,7 @@ def direct_changes(
         # The other laws stand where they are: what they contribute is known.
         own = law_part(view, candidate.terms[number], moved)
         changed = (*parts[:number], own, *parts[number + 1 :])
-        there = together(view, Candidate(candidate.terms, x), changed)
+        there = sum_contributions(view, Candidate(candidate.terms, x), changed)
         totals.append((there[0] - total) / h)
         backs.append((there[1] - back) / h)
     return np.stack(totals, axis=-1), np.stack(backs, axis=-1)

@@ -15,10 +15,10 @@ import numpy as np
 from invid.effects.catalogue.backlash import Backlash, spring_index
 from invid.effects.effect import ForceEffect, ImpedanceEffect
 from invid.effects.laws.beyond_band import PASSES as BEYOND_PASSES
-from invid.effects.laws.beyond_band import answer, beyond_band
+from invid.effects.laws.beyond_band import beyond_band, solve_with_motion
 from invid.effects.laws.sign import DryLaw, clip_law
 from invid.effects.motion import View, along
-from invid.likelihood.placed_effect import Candidate, Term
+from invid.likelihood.placed_effect import Candidate, PlacedEffect
 from invid.model.place import Pattern
 from invid.numerics.arrays import Bool, Complex128, Float64
 
@@ -27,7 +27,7 @@ STEP = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Change:
+class ForceChange:
     """What P parameters change at the forces there are."""
 
     base: Complex128
@@ -42,9 +42,9 @@ class Change:
     back: Complex128
     """(F, ΣN, P) inner motion that follows from it."""
 
-    def only(self, columns: Bool) -> Change:
+    def only(self, columns: Bool) -> ForceChange:
         """Some of the parameters."""
-        return Change(*(getattr(self, f.name)[..., columns] for f in fields(self)))
+        return ForceChange(*(getattr(self, f.name)[..., columns] for f in fields(self)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,10 +60,10 @@ class Factors:
     """(r, P) what the springs and dampers themselves change."""
 
 
-class Slope(Protocol):
+class LawSlope(Protocol):
     """A law around the motion there is: the force that a change of motion makes."""
 
-    def force(self, view: View, change: Change, inner: Complex128, jumps: Float64) -> Complex128:
+    def force(self, view: View, change: ForceChange, inner: Complex128, jumps: Float64) -> Complex128:
         """(F, P) lines of the force along the place."""
         ...
 
@@ -72,15 +72,15 @@ class Slope(Protocol):
         """Where it reads motion."""
         ...
 
-    def factors(self, view: View, change: Change) -> Factors | None:
+    def factors(self, view: View, change: ForceChange) -> Factors | None:
         """The same where the record closes; ``None`` where that is no product over time."""
         ...
 
 
-def slopes_of(view: View, candidate: Candidate) -> list[tuple[Term, Slope]] | None:
+def slopes_of(view: View, candidate: Candidate) -> list[tuple[PlacedEffect, LawSlope]] | None:
     """The laws that feel inner motion, each around the motion there is; ``None`` where one of them has no
     slope by itself: it remembers, or is read from the torque."""
-    out: list[tuple[Term, Slope]] = []
+    out: list[tuple[PlacedEffect, LawSlope]] = []
     for term, x in zip(candidate.terms, candidate.x, strict=True):
         effect = term.effect
         if isinstance(effect, ImpedanceEffect):
@@ -94,7 +94,7 @@ def slopes_of(view: View, candidate: Candidate) -> list[tuple[Term, Slope]] | No
     return out
 
 
-def _slope(view: View, term: Term, x: Float64) -> Slope | None:
+def _slope(view: View, term: PlacedEffect, x: Float64) -> LawSlope | None:
     effect, place = term.effect, term.place
     if view.record.lines[-1] * 2 >= view.record.samples:
         return None
@@ -147,7 +147,7 @@ class _Holding:
             view.velocity(pattern)[rows] if rows.size else np.zeros(0),
         )
 
-    def force(self, view: View, change: Change, inner: Complex128, jumps: Float64) -> Complex128:
+    def force(self, view: View, change: ForceChange, inner: Complex128, jumps: Float64) -> Complex128:
         record, omega = view.record, view.omega
         if not self.share.size:
             return np.zeros((omega.size, inner.shape[-1]), dtype=complex)
@@ -165,7 +165,7 @@ class _Holding:
         out[0] *= 0.5
         return out / view.smear[:, None]
 
-    def factors(self, view: View, change: Change) -> Factors | None:
+    def factors(self, view: View, change: ForceChange) -> Factors | None:
         record, omega = view.record, view.omega
         if not self.share.size:
             none = np.zeros((0, omega.size), dtype=complex)
@@ -191,7 +191,7 @@ class _Local:
     velocity: tuple[Float64, Float64, Float64]
 
     @classmethod
-    def of(cls, view: View, effect: ForceEffect, term: Term, x: Float64) -> _Local:
+    def of(cls, view: View, effect: ForceEffect, term: PlacedEffect, x: Float64) -> _Local:
         count, pattern = len(effect.coefficients), term.place.pattern(view.structure)
 
         def law() -> Float64:
@@ -201,13 +201,13 @@ class _Local:
         compliance = beyond_band(view, term.place) if effect.answered else None
         try:
             if compliance is not None:
-                view.hide(pattern, answer(view, pattern, compliance, law)[1])
+                view.hide(pattern, solve_with_motion(view, pattern, compliance, law)[1])
             found = [_slopes_over_time(view, pattern, rate, law) for rate in (False, True)]
         finally:
             view.hide(pattern, None)
         return cls(pattern, effect.smeared, compliance, found[0], found[1])
 
-    def factors(self, view: View, change: Change) -> Factors | None:
+    def factors(self, view: View, change: ForceChange) -> Factors | None:
         if self.compliance is not None or view.record.transient:
             return None
         own = 1j * view.omega
@@ -219,7 +219,7 @@ class _Local:
         nothing = np.zeros((own.size, change.springs.shape[1]), dtype=complex)
         return _of_lines(same / smear[:, None], mirrored / smear[:, None], nothing)
 
-    def force(self, view: View, change: Change, inner: Complex128, jumps: Float64) -> Complex128:
+    def force(self, view: View, change: ForceChange, inner: Complex128, jumps: Float64) -> Complex128:
         record, own = view.record, 1j * view.omega[:, None]
         lines, wander = motion_along(view, self.pattern, inner, jumps)
         shape = (record.samples, lines.shape[1])
@@ -254,7 +254,7 @@ class _Gap:
     position: tuple[Float64, Float64, Float64]
 
     @classmethod
-    def of(cls, view: View, term: Term, gap: float) -> _Gap:
+    def of(cls, view: View, term: PlacedEffect, gap: float) -> _Gap:
         pattern = term.place.pattern(view.structure)
 
         def law() -> Float64:
@@ -271,7 +271,7 @@ class _Gap:
             _slopes_over_time(view, pattern, False, law),
         )  # fmt: skip
 
-    def factors(self, view: View, change: Change) -> Factors | None:
+    def factors(self, view: View, change: ForceChange) -> Factors | None:
         if view.record.transient:
             return None
         k, d, own = float(view.springs[self.spring]), float(view.dampers[self.spring]), 1j * view.omega
@@ -280,7 +280,7 @@ class _Gap:
         moved = own[:, None] * change.dampers[self.spring] + change.springs[self.spring]
         return _of_lines(stiff * same, stiff * mirrored, -self.inside[:, None] * moved)
 
-    def force(self, view: View, change: Change, inner: Complex128, jumps: Float64) -> Complex128:
+    def force(self, view: View, change: ForceChange, inner: Complex128, jumps: Float64) -> Complex128:
         record, omega = view.record, view.omega[:, None]
         lines, wander = motion_along(view, self.pattern, inner, jumps)
         wave = record.to_waves(lines) + record.wave_time[:, None] * wander

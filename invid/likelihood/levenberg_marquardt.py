@@ -98,7 +98,7 @@ def gauss_newton(
     )
 
 
-def spectrum_of(jacobian: Float64) -> tuple[Float64, Float64, Float64, Bool]:
+def jacobian_spectrum(jacobian: Float64) -> tuple[Float64, Float64, Float64, Bool]:
     """Column norms, singular values and right vectors of the scaled Jacobian, and columns that are zero."""
     scale = np.linalg.norm(jacobian, axis=0)
     blind: Bool = scale == 0

@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from invid.effects.motion import View
-from invid.likelihood.evaluation import Evaluation, noise_of, views_of
+from invid.likelihood.evaluation import Evaluation, record_views, residual_covariance
 from invid.likelihood.hypothesis import Layout
-from invid.likelihood.nuisance.transients import without_boundary
+from invid.likelihood.nuisance.transients import project_out_ends
 from invid.numerics.arrays import Bool, Complex128, Float64
 from invid.numerics.distributions import f_sf
 from invid.signals.spectra import LineSpectra
-from invid.signals.spectral_record import Record
+from invid.signals.spectral_record import SpectralRecord
 
 FALSE_ALARM = 0.01
 """Share of null recordings that may be called anything but consistent."""
@@ -46,16 +46,16 @@ FEW = 3
 """Periods too few for Von Neumann's ratio: a step within the middle one has the ratio of scatter."""
 
 
-def null_test(cost: float, dof: int, records: Sequence[Record]) -> NullTest:
+def null_test(cost: float, dof: int, records: Sequence[SpectralRecord]) -> NullTest:
     """Sensors' noise enters through few numbers estimated from many quiet lines: χ²/ν is F(ν, ν_noise)."""
     noise_dof = float(sum(r.noise_dof for r in records))
     p = f_sf(cost / max(dof, 1), max(dof, 1), max(noise_dof, 2.0))
     return NullTest(cost, dof, noise_dof, p)
 
 
-def with_scatter(
-    records: Sequence[Record], spectra: Sequence[LineSpectra], layout: Layout, p: Float64
-) -> list[Record]:
+def add_scatter(
+    records: Sequence[SpectralRecord], spectra: Sequence[LineSpectra], layout: Layout, p: Float64
+) -> list[SpectralRecord]:
     """Records with the scatter between periods in their noise, where it exceeds the sensors' floor.
 
     The scatter of Z Θ − T over periods, in units of what the floor predicts; pooled over neighbouring
@@ -63,7 +63,7 @@ def with_scatter(
     not repeat. Motion that does not repeat cancels in Z Θ − T and raises nothing.
     """
     known = {s.key: s for s in spectra}
-    out: list[Record] = []
+    out: list[SpectralRecord] = []
     scattering: list[tuple[int, int, bool]] = []
     for record in records:
         s = known[record.key]
@@ -72,14 +72,14 @@ def with_scatter(
             out.append(record)
             continue
         motors, lines = record.torque.shape[1], record.omega.size - 1
-        plain = views_of(layout, [replace(record, scatter=np.zeros_like(record.scatter))], p)[0]
-        e, covariance, used = between_periods(plain, s)
+        plain = record_views(layout, [replace(record, scatter=np.zeros_like(record.scatter))], p)[0]
+        e, covariance, used = period_deviations(plain, s)
         expected = np.einsum("fii->fi", covariance).real
         single = expected * used
         left = 1.0
         # What settles goes one way from period to period; what comes and goes is noise, wherever it points.
         if record.transient and (periods <= 3 or _trending(e, single)):
-            e, left = without_boundary(plain, layout, p, e, covariance)
+            e, left = project_out_ends(plain, layout, p, e, covariance)
         ratio = (np.abs(e) ** 2).sum(axis=0) / (periods - 1) / single / left
         trend = _trending(e, single)
         differs = float(ratio.mean()) > DIFFERS and _wander(record, s) > WANDERS
@@ -116,7 +116,7 @@ def with_scatter(
     return out
 
 
-def between_periods(view: View, s: LineSpectra) -> tuple[Complex128, Complex128, int]:
+def period_deviations(view: View, s: LineSpectra) -> tuple[Complex128, Complex128, int]:
     """(P, F, M) how Z Θ − A T of each period differs from their mean, on lines 1…F.
 
     Also the covariance (F, M, M) that the sensors' noise gives that mean, and of how many periods it is one.
@@ -128,10 +128,10 @@ def between_periods(view: View, s: LineSpectra) -> tuple[Complex128, Complex128,
     e = np.einsum("fij,pfj->pfi", view.stiffness[1:], own[..., :motors]) - factor[1:] * own[..., motors:]
     # ``noise`` is of the mean over the periods used in this record.
     share = 2.0 * float(record.noise[0, 0] / max(s.floor[0], 1e-300))
-    return e, noise_of(view, factor)[1:], max(round(s.deviations.shape[0] / share), 1)
+    return e, residual_covariance(view, factor)[1:], max(round(s.deviations.shape[0] / share), 1)
 
 
-def _wander(record: Record, s: LineSpectra) -> float:
+def _wander(record: SpectralRecord, s: LineSpectra) -> float:
     """How much the motion of a single period differs from the mean of all, over that mean; of the driven axes
     the largest, for those that are held hardly move."""
     lines, motors = record.omega.size - 1, record.position.shape[1]
@@ -188,7 +188,7 @@ def _mean_scatter(ratio: Float64) -> Float64:
     return out
 
 
-def informative(covariance: Complex128, record: Record) -> Bool:
+def informative_lines(covariance: Complex128, record: SpectralRecord) -> Bool:
     """(F, M) lines that say something: not those where a clamped resonance multiplies position noise."""
     level = np.einsum("fii->fi", covariance).real
     good: Bool = level <= 10.0 * np.median(level, axis=0)
@@ -207,9 +207,9 @@ def rms_torque(evaluation: Evaluation, axis: int, bands: Sequence[Bool] | None =
             continue
         r = evaluation.missing[number][:, axis]
         c = np.einsum("fii->fi", evaluation.covariance[number]).real[:, axis]
-        good = (informative(evaluation.covariance[number], view.record) if bands is None else bands[number])[
-            :, axis
-        ]
+        good = (
+            informative_lines(evaluation.covariance[number], view.record) if bands is None else bands[number]
+        )[:, axis]
         weight = np.full(r.size, 0.5)
         weight[0] = 1.0
         powers.append(float((np.abs(r) ** 2 * weight)[good].sum()))
@@ -219,4 +219,4 @@ def rms_torque(evaluation: Evaluation, axis: int, bands: Sequence[Bool] | None =
     return float(np.sqrt(np.mean(powers))), float(np.sqrt(np.mean(floors)))
 
 
-__all__ = ["NullTest", "informative", "null_test", "rms_torque", "with_scatter"]
+__all__ = ["NullTest", "add_scatter", "informative_lines", "null_test", "rms_torque"]

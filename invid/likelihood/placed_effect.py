@@ -9,7 +9,7 @@ import numpy as np
 
 from invid.effects.effect import Effect, ImpedanceEffect
 from invid.effects.motion import View, along
-from invid.likelihood.inner_motion import Forces, settled
+from invid.likelihood.inner_motion import Forces, solve_inner_motion
 from invid.model.place import Pattern, Place
 from invid.numerics.arrays import Complex128, Float64
 
@@ -18,7 +18,7 @@ PASSES = 12
 
 
 @dataclass(frozen=True)
-class Term:
+class PlacedEffect:
     """An effect at a place."""
 
     effect: Effect
@@ -43,7 +43,7 @@ class Term:
 class Candidate:
     """Effects with their parameter vectors."""
 
-    terms: tuple[Term, ...] = ()
+    terms: tuple[PlacedEffect, ...] = ()
     x: tuple[Float64, ...] = ()
 
     def only(self, numbers: Iterable[int]) -> Candidate:
@@ -55,7 +55,7 @@ class Candidate:
         """All effects but one."""
         return self.only(k for k in range(len(self.terms)) if k != number)
 
-    def plus(self, term: Term, x: Float64) -> Candidate:
+    def plus(self, term: PlacedEffect, x: Float64) -> Candidate:
         """One effect more."""
         return Candidate((*self.terms, term), (*self.x, np.asarray(x, dtype=float)))
 
@@ -70,7 +70,7 @@ def contributions(
     if not candidate.terms:
         return np.zeros_like(view.acting)
     forces = forces_of(view, candidate)
-    if at_once(candidate):
+    if is_linear_in_motion(candidate):
         total, back = forces()
         view.respond(back, view.closed(total))
         return total
@@ -78,14 +78,14 @@ def contributions(
         total, back = forces()
         view.respond(back)
         return total
-    total = settled(view, forces, passes, early=early)
+    total = solve_inner_motion(view, forces, passes, early=early)
     if not early or not any(t.effect.stands(view, t.place) for t in candidate.terms):
         return total
     view.forget_measured()  # what resists beside a motor that stands, now that it is known what acts on it
-    return settled(view, forces, passes)
+    return solve_inner_motion(view, forces, passes)
 
 
-def at_once(candidate: Candidate) -> bool:
+def is_linear_in_motion(candidate: Candidate) -> bool:
     """Whether all forces follow from the motors' spectra, exactly: nothing has to come into agreement."""
     return all(isinstance(t.effect, ImpedanceEffect) and t.effect.steady for t in candidate.terms)
 
@@ -149,7 +149,7 @@ def law_parts(view: View, candidate: Candidate) -> list[Part | None]:
     return [law_part(view, t, x) for t, x in zip(candidate.terms, candidate.x, strict=True)]
 
 
-def law_part(view: View, term: Term, x: Float64) -> Part | None:
+def law_part(view: View, term: PlacedEffect, x: Float64) -> Part | None:
     """The same of one effect."""
     if isinstance(term.effect, ImpedanceEffect):
         return None
@@ -158,10 +158,12 @@ def law_part(view: View, term: Term, x: Float64) -> Part | None:
 
 def forces_of(view: View, candidate: Candidate) -> Forces:
     """What the effects contribute at the view's present inner motion, and the inner motion that follows."""
-    return lambda: together(view, candidate, law_parts(view, candidate))
+    return lambda: sum_contributions(view, candidate, law_parts(view, candidate))
 
 
-def together(view: View, candidate: Candidate, parts: Sequence[Part | None]) -> tuple[Complex128, Complex128]:
+def sum_contributions(
+    view: View, candidate: Candidate, parts: Sequence[Part | None]
+) -> tuple[Complex128, Complex128]:
     """(F, M) contributions and (F, ΣN) inner motion that follows, from what each law contributes."""
     inner = any(t.feels(view) for t in candidate.terms)
     patterns = tuple(

@@ -12,12 +12,12 @@ from scipy.fft import next_fast_len
 from invid.model.document import Model
 from invid.numerics.arrays import Complex128, Float64
 from invid.recording.model import Experiment, Recording
-from invid.signals.drive_torque import covers, mean_demand
-from invid.signals.periods import fold, without_drift
+from invid.signals.drive_torque import covers_demand, mean_demand
+from invid.signals.periods import fold, remove_drift
 from invid.signals.spectra import LineSpectra, spectra_of
-from invid.signals.spectral_record import Record
-from invid.signals.standstill import slow_of
-from invid.signals.timebase import uniform
+from invid.signals.spectral_record import SpectralRecord
+from invid.signals.standstill import standstill_velocity
+from invid.signals.timebase import resample_uniformly
 
 BAND = 1.2
 """Lines up to this times the highest excited one: distortion falls off above, noise does not."""
@@ -27,18 +27,18 @@ GRID = 16
 its grid's rate does not fold back onto the lines (jumps are averaged over their sample)."""
 
 
-def record_of(
+def spectral_record(
     s: LineSpectra,
     experiment: Experiment,
     rows: slice | None = None,
     *,
     alone: bool = False,
     demand: bool = False,
-) -> Record:
+) -> SpectralRecord:
     """One record; ``rows`` picks periods (for keeping some out) where there are several.
 
     ``alone``: a single period of a machine that changes; it stands at its own time and does not close.
-    ``demand``: the torque is the logged demand and something beside it (``demand_used``).
+    ``demand``: the torque is the logged demand and something beside it (``uses_demand``).
     """
     motors = s.axis_count
     count = s.position_wave.shape[0]
@@ -108,7 +108,7 @@ def record_of(
     if command is not None:
         torque = torque - command[1]
     quiet = max((0.45 / step - 1.5 * top) * s.span_s / max(s.periods, 1), 1.0) * max(s.periods - 1, 1)
-    return Record(
+    return SpectralRecord(
         key=s.key,
         omega=np.concatenate(([0.0], s.omega[used])),
         lines=np.concatenate(([0], index)),
@@ -146,9 +146,9 @@ def _own_waves(s: LineSpectra, experiment: Experiment, rows: slice, alone: bool)
 
     What all of them drift has no place in a mean; a period ``alone`` is where the motor was.
     """
-    data, count = uniform(experiment), s.position_wave.shape[0]
+    data, count = resample_uniformly(experiment), s.position_wave.shape[0]
     position = fold(data.position, count)[-s.periods :]
-    position = position if alone else without_drift(position)
+    position = position if alone else remove_drift(position)
     return position[rows].mean(axis=0), fold(data.torque, count)[-s.periods :][rows].mean(axis=0)
 
 
@@ -176,10 +176,10 @@ def _command(s: LineSpectra, experiment: Experiment, index: np.ndarray) -> tuple
 def _whole_demand(s: LineSpectra, experiment: Experiment) -> bool:
     """Whether the demand is logged over all that the spectra come from; not where that was resampled."""
     demand = experiment.torque_demand
-    return demand is not None and demand.shape[0] == experiment.samples and covers(s, demand)
+    return demand is not None and demand.shape[0] == experiment.samples and covers_demand(s, demand)
 
 
-def demand_used(recording: Recording, spectra: Sequence[LineSpectra]) -> bool:
+def uses_demand(recording: Recording, spectra: Sequence[LineSpectra]) -> bool:
     """Whether the torque is taken for the logged demand and something beside it: where a record does not say
     for every axis that all of it is held over the sample.
 
@@ -192,10 +192,12 @@ def demand_used(recording: Recording, spectra: Sequence[LineSpectra]) -> bool:
     )
 
 
-def by_period(recording: Recording, records: Sequence[Record], changing: Sequence[str]) -> list[Record]:
+def split_into_periods(
+    recording: Recording, records: Sequence[SpectralRecord], changing: Sequence[str]
+) -> list[SpectralRecord]:
     """Records of the experiments ``changing`` taken apart into their periods, each at its own time."""
     experiments = {e.key: e for e in recording.experiments}
-    out: list[Record] = []
+    out: list[SpectralRecord] = []
     done: set[str] = set()
     for record in records:
         if record.key not in changing or record.weight.size:
@@ -209,7 +211,7 @@ def by_period(recording: Recording, records: Sequence[Record], changing: Sequenc
             out.append(record)
             continue
         experiment = experiments[record.key]
-        prepared = partial(record_of, alone=True, demand=record.command is not None)
+        prepared = partial(spectral_record, alone=True, demand=record.command is not None)
         out += [prepared(s, experiment, slice(k, k + 1)) for k in range(s.periods)]
     return out
 
@@ -219,9 +221,9 @@ STICKING = 3.0
 a sinusoid of that size is below the friction for a fifth of each period, and then barely moves."""
 
 
-def with_sticking(
-    records: Sequence[Record], spectra: Sequence[LineSpectra], model: Model, recording: Recording
-) -> tuple[list[Record], list[str]]:
+def leave_out_sticking_axes(
+    records: Sequence[SpectralRecord], spectra: Sequence[LineSpectra], model: Model, recording: Recording
+) -> tuple[list[SpectralRecord], list[str]]:
     """Records in which axes that stand on their own friction have no say, and what to warn about.
 
     Static friction takes any value up to its limit, so no law of the motion gives it. Held axes stand where
@@ -229,7 +231,7 @@ def with_sticking(
     """
     friction = model.fit.get("friction", {})
     driven = {s.key: s.driven for s in spectra}
-    out: list[Record] = []
+    out: list[SpectralRecord] = []
     axes: set[str] = set()
     hardly: set[str] = set()
     for record in records:
@@ -259,21 +261,21 @@ def with_sticking(
     return out, warnings
 
 
-def _stays_below(record: Record, axis: int, level: float) -> bool:
+def _stays_below(record: SpectralRecord, axis: int, level: float) -> bool:
     """Whether the torque of a held axis never gets near where its friction of a ``level`` gives way."""
     wave = record.torque_wave[:, axis]
     return bool(np.abs(wave - wave.mean()).max() < STICKING * level)
 
 
-def _hardly_moves(record: Record, axis: int, _: float) -> bool:
+def _hardly_moves(record: SpectralRecord, axis: int, _: float) -> bool:
     """Whether the sign of a motor's velocity is lost in its noise for more than half of a record: so is that
     of its friction."""
     v = record.motor_velocity[:, axis]
-    slow = slow_of(v, float(record.velocity_noise[axis]))
+    slow = standstill_velocity(v, float(record.velocity_noise[axis]))
     return record.standing[axis] is None and float(np.mean(np.abs(v) < slow)) > 0.5
 
 
-def of_lines(record: Record, chosen: np.ndarray) -> Record:
+def line_weights(record: SpectralRecord, chosen: np.ndarray) -> SpectralRecord:
     """Weights that switch lines off: waves need all lines of the record."""
     weight: Float64 = chosen.astype(float)
     return replace(record, weight=weight)

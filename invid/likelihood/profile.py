@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from invid.likelihood.covariance import spread_of
+from invid.likelihood.covariance import parameter_std
 from invid.likelihood.fit import Fit
 from invid.likelihood.levenberg_marquardt import gauss_newton
 from invid.numerics import budget
@@ -37,7 +37,7 @@ def profiles(fit: Fit, names: Sequence[str] | None = None) -> dict[str, Interval
         for n in structure.names
         if any(kind in n for kind in (".mass.", ".spring.", ".coupling", ".ground_spring"))
     ]
-    spread = spread_of(solution)
+    spread = parameter_std(solution)
     place = {n: k for k, n in enumerate(fit.problem.names)}
     out: dict[str, Interval] = {}
     for name in wanted if names is None else names:

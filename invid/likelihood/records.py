@@ -136,7 +136,7 @@ def hold_laws(spectra: Sequence[LineSpectra], axes: Sequence[int]) -> dict[int, 
     return laws
 
 
-def with_columns(
+def add_columns(
     problem: MissingTorqueProblem, columns: Sequence[Complex128], names: Sequence[str]
 ) -> MissingTorqueProblem:
     """The problem with torque-side columns (F, M, L) per block, one shared coefficient each."""
@@ -144,7 +144,7 @@ def with_columns(
     return replace(problem, blocks=blocks, column_names=tuple(names))
 
 
-def carried(old: MissingTorqueProblem, p: Float64, new: MissingTorqueProblem) -> Float64:
+def transfer_parameters(old: MissingTorqueProblem, p: Float64, new: MissingTorqueProblem) -> Float64:
     """Parameters of ``new`` by name from those of ``old``; new names start at their neutral value."""
     start = new.start(np.zeros(new.structure.count))
     known = dict(zip(old.names, p, strict=True))

@@ -18,9 +18,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from invid.likelihood.nuisance.torque_channel import Block, acting
+from invid.likelihood.nuisance.torque_channel import Block, channel_torque
 from invid.model.parameters import ChainStructure
-from invid.model.transient_terms import end_columns, end_derivative, end_forces, end_places, end_points
+from invid.model.transient_terms import end_columns, end_derivative, end_forces, end_points, motor_end_indices
 from invid.numerics.arrays import Bool, Complex128, Float64
 from invid.numerics.whitening import factored, stack, whitener
 from invid.signals.spectral_record import SpectralLines
@@ -125,7 +125,7 @@ class MissingTorqueProblem:
         structure, s = self.structure, self.slices
         sp = p[s["structure"]]
         motors = structure.motors
-        channel = acting(block, p[s["delay"]], p[s["staircase"]])
+        channel = channel_torque(block, p[s["delay"]], p[s["staircase"]])
         factor = channel.factor
         effective = stiffness - _diagonal(channel.hold)
         residual = np.einsum("fij,fj->fi", effective, block.position) - factor * block.torque
@@ -147,7 +147,7 @@ class MissingTorqueProblem:
         position = block.position - sensed * np.einsum("fij,fi->fj", effective.conj(), gain)
         torque = block.torque + felt * factor.conj() * gain
         if block.transient:
-            position = position + points @ ends[end_places(structure)].reshape(2, motors)
+            position = position + points @ ends[motor_end_indices(structure)].reshape(2, motors)
         q = np.einsum("fqm,fm->fq", motion, position)
         if block.transient:
             q = q - np.einsum("fab,fb->fa", inner, forces @ ends)

@@ -10,16 +10,16 @@ import numpy as np
 from invid.likelihood.joint_fit import JointFit, fit
 from invid.likelihood.placed_effect import Candidate
 from invid.numerics.arrays import Float64
-from invid.signals.spectral_record import Record
+from invid.signals.spectral_record import SpectralRecord
 
 ROUGH = (0.1, 0.01, 0.001, 0.0)
 """Share of every amplitude that counts as noise, fit after fit. By the sensors' noise a resonance a line
 beside its place is as wrong as none, and the way there is uphill; by a tenth of the torque it is not."""
 
 
-def graduated(
+def fit_tempered(
     here: JointFit,
-    train: Sequence[Record],
+    train: Sequence[SpectralRecord],
     p: Float64,
     candidate: Candidate,
     shares: Sequence[float] = ROUGH,
@@ -33,7 +33,7 @@ def graduated(
     return found
 
 
-def _with_error(record: Record, share: float) -> Record:
+def _with_error(record: SpectralRecord, share: float) -> SpectralRecord:
     """The record with a share of its torque as noise."""
     if share == 0.0:
         return record
@@ -41,4 +41,4 @@ def _with_error(record: Record, share: float) -> Record:
     return replace(record, scatter=record.scatter + error)
 
 
-__all__ = ["ROUGH", "graduated"]
+__all__ = ["ROUGH", "fit_tempered"]

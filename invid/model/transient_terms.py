@@ -15,7 +15,7 @@ from invid.model.parameters import ChainStructure
 from invid.numerics.arrays import Complex128, Float64
 
 
-def end_places(structure: ChainStructure) -> npt.NDArray[np.intp]:
+def motor_end_indices(structure: ChainStructure) -> npt.NDArray[np.intp]:
     """(2M,) where the motors' Δx, then their Δv, stand among the 2ΣN boundary terms."""
     motors = np.array(structure.motor_dofs)
     return np.concatenate((motors, structure.dofs + motors))
@@ -52,7 +52,7 @@ def end_columns(
     """(F, M, 2ΣN) missing torque for a unit Δx or Δv of each coordinate: ``forces`` through the (F, ΣN, M)
     ``motion``, and Z times the motors' end ``points``."""
     columns: Complex128 = motion.transpose(0, 2, 1) @ forces
-    at_position, at_speed = end_places(structure).reshape(2, -1)
+    at_position, at_speed = motor_end_indices(structure).reshape(2, -1)
     columns[:, :, at_position] += stiffness * points[:, 0, None, None]
     columns[:, :, at_speed] += stiffness * points[:, 1, None, None]
     return columns
@@ -80,4 +80,4 @@ def end_derivative(
     return out
 
 
-__all__ = ["end_columns", "end_derivative", "end_forces", "end_places", "end_points"]
+__all__ = ["end_columns", "end_derivative", "end_forces", "end_points", "motor_end_indices"]

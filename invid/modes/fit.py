@@ -66,7 +66,7 @@ def fit_modes(
     for model_error, order in _attempts(data):
         weight = data.weight(model_error)
         for poles in pole_candidates(data, weight, order):
-            if best is not None and budget.spent():
+            if best is not None and budget.is_spent():
                 break
             fit = levenberg(data, weight, residue_start(data, weight, poles), 20)
             if data.modes and reduced_chi2(data, data.weight(0.0), fit) > _GOOD:
@@ -115,7 +115,7 @@ def _moved_to_the_misfit(data: FrfData, best: tuple[float, ModalFit]) -> tuple[f
     rows, columns = pairs(data.count)
     tried: list[float] = []
     for _ in range(4):
-        if budget.spent():
+        if budget.is_spent():
             break
         fit = best[1]
         excess = np.sum((weight * misfit(data, fit)) ** 2, axis=1)

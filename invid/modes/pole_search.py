@@ -22,15 +22,15 @@ from invid.modes.rational_fit import (
     Record,
     columns_of,
     fractions,
-    on_grid,
+    project_out_transients,
     record_of,
-    relocated,
+    relocate_once,
     residues_of,
-    without_transients,
+    sample_modes,
 )
 from invid.numerics import budget
 from invid.numerics.arrays import Complex128, Float64
-from invid.numerics.parallel import at_once
+from invid.numerics.parallel import parallel_map
 from invid.signals.frf import FrfMatrix
 from invid.signals.spectra import LineSpectra
 
@@ -44,7 +44,7 @@ MOST = 4e9
 """Operations a search may take (some seconds); larger plants go without."""
 
 
-def searched_modes(
+def search_modes(
     spectra: Sequence[LineSpectra], masses: Sequence[int], *, model_error: float = 0.0, most_lines: int = 300
 ) -> tuple[Modes, FrfMatrix, float] | None:
     """Modes and G as from ``rational_modes``, weak modes included, and how much later than recorded the
@@ -72,7 +72,7 @@ def searched_modes(
             best, late = found, delay / spectra[0].sample_rate_hz
     if best is None:
         return None
-    return (*on_grid(best[1], best[2], search.scale, tuple(masses), (low, high)), late)
+    return (*sample_modes(best[1], best[2], search.scale, tuple(masses), (low, high)), late)
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +138,7 @@ class _Search:
         self, spare: int, modes: int, band: tuple[float, float]
     ) -> list[tuple[float, tuple[float, Complex128, Float64] | None]]:
         """What the search comes to for every delay that is tried."""
-        return list(zip(DELAYS, at_once(lambda d: self.run(spare, modes, d, band), DELAYS), strict=True))
+        return list(zip(DELAYS, parallel_map(lambda d: self.run(spare, modes, d, band), DELAYS), strict=True))
 
     def run(
         self, spare: int, modes: int, delay: float, band: tuple[float, float]
@@ -150,7 +150,7 @@ class _Search:
         residues = residues_of(self.raw, first, self.motors, self.scale)
         model = (first, residues)
         poles = _even(*band, modes + spare, self.scale)
-        while not budget.spent():
+        while not budget.is_spent():
             for _ in range(ROUNDS):
                 data = self.weighted(delay, *model)
                 fresh = self._relocated(data, poles, 5)
@@ -169,10 +169,10 @@ class _Search:
 
     def _relocated(self, data: Sequence[Record], poles: Complex128, times: int) -> Complex128 | None:
         for _ in range(times):
-            if budget.spent():
+            if budget.is_spent():
                 return None
             with np.errstate(all="ignore"):
-                fresh = relocated(data, poles, self.motors, self.scale)
+                fresh = relocate_once(data, poles, self.motors, self.scale)
             if fresh is None or not np.isfinite(fresh).all():
                 return None
             settled = np.allclose(fresh, poles, rtol=1e-5, atol=0)
@@ -200,7 +200,9 @@ class _Search:
         columns = columns_of(data, poles, self.motors, self.scale)
         left_over, significance = 0.0, np.zeros(count)
         for i in range(self.motors):
-            left, goal = without_transients(data, columns, [a[:, i : i + 1] for _, a, *_ in data], i, shared)
+            left, goal = project_out_transients(
+                data, columns, [a[:, i : i + 1] for _, a, *_ in data], i, shared
+            )
             size = np.linalg.norm(left, axis=0)
             q, triangle = np.linalg.qr(left / np.where(size > 0, size, 1.0))
             along = q.T @ goal[:, 0]

@@ -50,9 +50,9 @@ def rational_modes(
     scale = float(np.sqrt(low * high))
     poles: Complex128 = np.linspace(low, high, modes + 2)[1:-1] / scale * np.complex128(-DAMPING + 1j)
     for number in range(iterations):
-        if number and budget.spent():
+        if number and budget.is_spent():
             break
-        fresh = relocated(data, poles, motors, scale)
+        fresh = relocate_once(data, poles, motors, scale)
         if fresh is None:
             return None
         settled = np.allclose(fresh, poles, rtol=1e-6, atol=0)
@@ -62,10 +62,10 @@ def rational_modes(
     residues = residues_of(data, poles, motors, scale)
     if not np.isfinite(residues).all():
         return None
-    return on_grid(poles, residues, scale, tuple(masses), (low, high))
+    return sample_modes(poles, residues, scale, tuple(masses), (low, high))
 
 
-def on_grid(
+def sample_modes(
     poles: Complex128, residues: Float64, scale: float, masses: tuple[int, ...], band: tuple[float, float]
 ) -> tuple[Modes, FrfMatrix]:
     """The modes and G between ``band`` [rad/s], on lines that resolve every mode."""
@@ -175,7 +175,7 @@ def columns_of(data: Sequence[Record], poles: Complex128, motors: int, scale: fl
     return out
 
 
-def without_transients(
+def project_out_transients(
     data: Sequence[Record],
     columns: Sequence[Complex128],
     right: Sequence[Complex128],
@@ -203,7 +203,7 @@ def _real(values: Complex128) -> Float64:
     return out
 
 
-def relocated(data: Sequence[Record], poles: Complex128, motors: int, scale: float) -> Complex128 | None:
+def relocate_once(data: Sequence[Record], poles: Complex128, motors: int, scale: float) -> Complex128 | None:
     """Zeros of σ: the poles of the next round; ``None`` where the data leave no finite ones."""
     count = poles.size
     shared = motors * (2 * count + 1)
@@ -211,7 +211,7 @@ def relocated(data: Sequence[Record], poles: Complex128, motors: int, scale: flo
     rows, emphasis = [], 0.0
     for i in range(motors):
         targets = [-(a[:, i : i + 1]) * fractions(w / scale, poles) for w, a, *_ in data]
-        left, goal = without_transients(data, columns, targets, i, shared)
+        left, goal = project_out_transients(data, columns, targets, i, shared)
         size = np.linalg.norm(left, axis=0)
         left = left / np.where(size > 0, size, 1.0)
         triangle = np.asarray(np.linalg.qr(np.concatenate((left, goal), axis=1), mode="r"))
@@ -263,7 +263,7 @@ def residues_of(data: Sequence[Record], poles: Complex128, motors: int, scale: f
     columns = columns_of(data, poles, motors, scale)
     out = np.zeros((2 * poles.size + 1, motors, motors))
     for i in range(motors):
-        left, goal = without_transients(data, columns, [a[:, i : i + 1] for _, a, *_ in data], i, shared)
+        left, goal = project_out_transients(data, columns, [a[:, i : i + 1] for _, a, *_ in data], i, shared)
         size = np.linalg.norm(left, axis=0)
         size[size == 0] = 1.0
         x = np.linalg.lstsq(left / size, goal[:, 0], rcond=None)[0] / size

@@ -72,7 +72,7 @@ _IN_FORCE: ContextVar[Budget | None] = ContextVar("invid_budget", default=None)
 
 
 @contextmanager
-def in_force(budget: Budget | None) -> Iterator[None]:
+def use_budget(budget: Budget | None) -> Iterator[None]:
     """Inside, ``budget`` is asked; with ``None`` the one already in force, if any."""
     if budget is None:
         yield
@@ -85,7 +85,7 @@ def in_force(budget: Budget | None) -> Iterator[None]:
 
 
 @contextmanager
-def part(share: float, low: float = 0.0, high: float = 1.0) -> Iterator[None]:
+def use_share(share: float, low: float = 0.0, high: float = 1.0) -> Iterator[None]:
     """Inside, a share of the time that is left; the work there is what lies between ``low`` and ``high`` of
     the present part's."""
     budget = _IN_FORCE.get()
@@ -104,7 +104,7 @@ def part(share: float, low: float = 0.0, high: float = 1.0) -> Iterator[None]:
         budget.end, budget.reach = end, reach
 
 
-def spent() -> bool:
+def is_spent() -> bool:
     """Whether the budget in force, or that of the present part, is used up."""
     budget = _IN_FORCE.get()
     return budget is not None and budget.seconds is not None and budget.clock() >= budget.end
@@ -112,7 +112,7 @@ def spent() -> bool:
 
 def check() -> None:
     """BudgetSpent where the budget is used up."""
-    if spent():
+    if is_spent():
         raise BudgetSpent
 
 
@@ -125,7 +125,7 @@ def leave_out(what: str) -> None:
 
 def is_left_out(what: str) -> bool:
     """Whether the budget is used up; takes down what is not looked at for that."""
-    if not spent():
+    if not is_spent():
         return False
     leave_out(what)
     return True
@@ -196,14 +196,14 @@ __all__ = [
     "BudgetSpent",
     "Progress",
     "check",
-    "in_force",
     "is_left_out",
+    "is_spent",
     "leave_out",
     "left_out",
     "or_else",
-    "part",
     "silence",
-    "spent",
     "tell",
+    "use_budget",
+    "use_share",
     "warning",
 ]

@@ -27,7 +27,7 @@ MOST_CALLS = 4096 // _NUMBER
 """As many as the smallest pipe takes at once, that of a user who has used up what the kernel allows."""
 
 
-def at_once(run: Callable[[A], B], items: Sequence[A], known: Sequence[object] = ()) -> list[B]:
+def parallel_map(run: Callable[[A], B], items: Sequence[A], known: Sequence[object] = ()) -> list[B]:
     """``[run(item) for item in items]``, on several cores where forking is safe.
 
     What ``run`` returns is pickled where a helper called it; of the objects ``known`` it may refer to, it
@@ -162,4 +162,4 @@ class _Unpickler(pickle.Unpickler):
         return self._known[number]
 
 
-__all__ = ["at_once"]
+__all__ = ["parallel_map"]

@@ -155,7 +155,7 @@ class BlockDesigner:
             wave = excitation.multisine(own, period, 1.0 / cycle, rng=rng, shape=amplitude).period()
             torque[:, i] = peaks[i] * np.append(wave, wave[0])
         ramp = round(RAMP_S / cycle)
-        torque = excitation.ramped(torque, ramp, ramp)
+        torque = excitation.apply_ramps(torque, ramp, ramp)
         return replace(shell, torque=frozen_float(torque), reference=self._creep(peaks, period + 1))
 
     def _creep(self, peaks: Float64, samples: int) -> Float64 | None:

@@ -199,7 +199,7 @@ def _multisine(
         total = period * (spec.settle_periods + spec.periods) + 2 * fade
         # rows are laid out so that the recorded part starts with the first sample of a period
         rows = (np.arange(total) - fade) % period
-        torque = excitation.ramped(one[rows], fade, fade)
+        torque = excitation.apply_ramps(one[rows], fade, fade)
         start = fade + spec.settle_periods * period
         reference = None
         if spec.creep_velocity > 0:
@@ -249,7 +249,7 @@ def _stepped_sine(
                     kind=Kind.STEPPED_SINE,
                     role=Role(spec.role),
                     excited=(axis,),
-                    torque=frozen_float(excitation.ramped(torque, fade, fade)),
+                    torque=frozen_float(excitation.apply_ramps(torque, fade, fade)),
                     reference=None,
                     record_from=fade + settle,
                     record_to=fade + settle + keep,
@@ -268,7 +268,7 @@ def _chirp(
     _below_nyquist(spec.band_Hz[1], rate)
     fade = round(fade_s(spec.band_Hz[0]) * rate)
     samples = round(spec.duration_s * rate)
-    wave = excitation.ramped(
+    wave = excitation.apply_ramps(
         excitation.chirp(spec.band_Hz, samples, rate), min(fade, samples // 4), round(FADE_S * rate)
     )
     after = round(

@@ -17,7 +17,7 @@ import numpy as np
 from invid.config import CellConfig
 from invid.likelihood.covariance import physical_covariance
 from invid.likelihood.levenberg_marquardt import Solution
-from invid.likelihood.nuisance.torque_lags import reversal_lags, with_coulomb
+from invid.likelihood.nuisance.torque_lags import add_coulomb_columns, reversal_lags
 from invid.likelihood.records import problem_from_spectra
 from invid.likelihood.residual import MissingTorqueProblem
 from invid.model.chains import CoupledChains
@@ -176,7 +176,7 @@ def expected(
 def information(belief: Belief, spectra: Sequence[LineSpectra], noise: str = "") -> Expected:
     """Expected covariance from spectra of noisy motion, at the believed parameters."""
     structure = structure_of(belief.chains)
-    problem = with_coulomb(problem_from_spectra(structure, spectra), spectra)
+    problem = add_coulomb_columns(problem_from_spectra(structure, spectra), spectra)
     problem = replace(problem, fixed=(*problem.fixed, *problem.staircase_names))
     problem = reversal_lags(problem, believed_vector(problem, belief))
     p = believed_vector(problem, belief)
@@ -193,7 +193,7 @@ def information(belief: Belief, spectra: Sequence[LineSpectra], noise: str = "")
         values=frozen_float(values),
         std=frozen_float(np.sqrt(np.maximum(np.diag(covariance), 0.0))),
         scale=frozen_float(parameter_scale(belief.chains)),
-        goal=in_goal(names),
+        goal=is_in_goal(names),
         covariance=frozen_float(covariance),
         belief=belief.source,
         noise=noise,
@@ -215,7 +215,7 @@ def believed_vector(problem: MissingTorqueProblem, belief: Belief) -> Float64:
     return p
 
 
-def in_goal(names: Sequence[str]) -> Bool:
+def is_in_goal(names: Sequence[str]) -> Bool:
     """(n,) masses, springs and couplings; dampers and friction are reported, not aimed at."""
     result: Bool = np.array([".damper." not in n and not n.endswith(".ground_spring") for n in names])
     return result
@@ -300,8 +300,8 @@ __all__ = [
     "Noise",
     "assumed_noise",
     "expected",
-    "in_goal",
     "information",
+    "is_in_goal",
     "parameter_scale",
     "recorded_noise",
     "synthetic_spectra",

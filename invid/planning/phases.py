@@ -216,7 +216,7 @@ def _quick_sweep(
         np.concatenate([np.full(first, low), np.linspace(low, high, max(samples - first, 1))])
     ) * (2 * np.pi / rate)
     torque = np.zeros((phase.size, len(config.axes)))
-    torque[:, largest.excited[0]] = peak * excitation.ramped(np.sin(phase), fade, round(FADE_S * rate))
+    torque[:, largest.excited[0]] = peak * excitation.apply_ramps(np.sin(phase), fade, round(FADE_S * rate))
     return PlannedExperiment(
         key="",
         kind=Kind.CHIRP,
@@ -253,7 +253,7 @@ def excerpt(config: CellConfig, trial: Trial, step: int) -> PlannedExperiment:
     seconds = max((FIRST_S, CLIMB_S)[step], CLIMB_CYCLES * step / lowest_frequency([e]))
     cycles = min(e.cycles, round(seconds / cycle))
     fade = min(round(FADE_S / cycle), cycles // 4)
-    torque: Float64 = excitation.ramped(e.torque[:cycles], 0, fade)
+    torque: Float64 = excitation.apply_ramps(e.torque[:cycles], 0, fade)
     reference = None if e.reference is None else frozen_float(e.reference[:cycles])
     return replace(e, torque=frozen_float(torque), reference=reference, record_from=0, record_to=cycles)
 

@@ -11,8 +11,8 @@ from collections.abc import Mapping, Sequence
 from html import escape
 
 from invid.comparison.sentences import differing_number
-from invid.diagnosis.headline import title_of
-from invid.diagnosis.sentences import number as size_of
+from invid.diagnosis.headline import cause_title
+from invid.diagnosis.sentences import format_estimate as size_of
 from invid.model.diagnosis_document import Finding, Unexplained
 from invid.model.document import EffectTerm, Model, units
 from invid.report.branch_marks import INK, PAPER, Mark, callout, marked, room_of, text_at
@@ -122,7 +122,7 @@ def _marks(
 
 
 def _named(term: EffectTerm, said: Mapping[str, str]) -> str:
-    return said.get(f"cause.{term.cause}") or title_of(term.cause)
+    return said.get(f"cause.{term.cause}") or cause_title(term.cause)
 
 
 def _size(term: EffectTerm, said: Mapping[str, str]) -> str:

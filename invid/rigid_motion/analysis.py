@@ -13,10 +13,19 @@ from invid.numerics.arrays import Float64
 from invid.recording.model import Recording
 from invid.rigid_motion.load_friction import load_terms
 from invid.rigid_motion.record_kind import grounded_axes
-from invid.rigid_motion.regression import Design, Fit, fit
-from invid.rigid_motion.regressors import Extent, Term, base_terms, candidate_terms, extent
-from invid.rigid_motion.selection import Selection, consistent, fit_fast, judged, needed, pruned, rms, select
-from invid.signals.motion_record import Band, Motion, find_band, prepare
+from invid.rigid_motion.regression import Design, Fit, fit_terms
+from invid.rigid_motion.regressors import Extent, Regressor, base_terms, candidate_terms, extent
+from invid.rigid_motion.selection import (
+    Selection,
+    fit_consistent_loads,
+    fit_fast,
+    is_needed,
+    judged_rows,
+    prune_terms,
+    root_mean_square,
+    select_terms,
+)
+from invid.signals.motion_record import Band, Motion, find_band, prepare_rows
 
 RESOLUTION = 0.005
 """Part of the torque below which nothing is said to be missing: resampling, differentiation and a torque held
@@ -33,11 +42,11 @@ class Analysis:
     design: Design
     reach: Extent
     springs: set[int]
-    candidates: list[Term]
+    candidates: list[Regressor]
     selection: Selection
     base: Fit
     final: Fit
-    shape_std: dict[Term, float]
+    shape_std: dict[Regressor, float]
 
 
 def analyse(recording: Recording) -> Analysis:
@@ -49,7 +58,7 @@ def analyse(recording: Recording) -> Analysis:
         Where nothing moves enough for any row, or an inertia comes out negative.
     """
     band = find_band(recording.experiments)
-    motions = [prepare(e, band) for e in recording.experiments]
+    motions = [prepare_rows(e, band) for e in recording.experiments]
     if sum(int(m.keep.sum()) for m in motions) < 12:
         raise NotIdentifiableError(
             f"{recording.source}: the axes move in too little of the record (fewer than 12 rows); record "
@@ -60,32 +69,32 @@ def analyse(recording: Recording) -> Analysis:
     reach = extent(motions, not recording.linear)
     springs = grounded_axes(recording)
     base = base_terms(recording.axis_count, reach.steady)
-    base += [Term("ground_spring", i, ("stiffness",), base=True) for i in sorted(springs)]
+    base += [Regressor("ground_spring", i, ("stiffness",), base=True) for i in sorted(springs)]
     candidates = candidate_terms(recording.axis_count, reach, springs)
     if not reach.steady:
         design.bend(_offsets(design, base, candidates))
-    with budget.part(0.8, 0.1, 0.9):
-        chosen = select(design, base, candidates)
-    terms, spread = list(chosen.final.terms), dict[Term, float]()
+    with budget.use_share(0.8, 0.1, 0.9):
+        chosen = select_terms(design, base, candidates)
+    terms, spread = list(chosen.final.terms), dict[Regressor, float]()
     if not budget.is_left_out("shapes of laws between those of the grid"):
         terms, spread = _refined(design, chosen.final)
     terms = _delays(design, terms, max(m.step for m in motions))
-    final, kept = consistent(design, terms)
+    final, kept = fit_consistent_loads(design, terms)
     if len(kept) < len(terms):
         # What stood only beside what went goes as well.
-        final, kept = pruned(design, kept)
+        final, kept = prune_terms(design, kept)
     terms = kept
     candidates += [t for t in load_terms(final, design) if not any(t.label == n.label for n in terms)]
-    rigid = fit(design, [t for t in final.terms if t.base])
+    rigid = fit_terms(design, [t for t in final.terms if t.base])
     return Analysis(
         recording, band, motions, design, reach, springs, candidates, chosen, rigid, final, spread
     )
 
 
-def _offsets(design: Design, base: list[Term], candidates: list[Term]) -> Float64:
+def _offsets(design: Design, base: list[Regressor], candidates: list[Regressor]) -> Float64:
     """(M,) time offset of each axis, every cause that is linear beside it; within a sample [s]."""
     plain = [t for t in candidates if t.shape is None and not t.replaces]
-    quick = fit(design, [*base, *plain])
+    quick = fit_terms(design, [*base, *plain])
     step = max(m.step for m in design.motions)
     late = np.zeros(design.axes)
     for term in base:
@@ -94,20 +103,20 @@ def _offsets(design: Design, base: list[Term], candidates: list[Term]) -> Float6
     return late
 
 
-def _delays(design: Design, terms: list[Term], step: float) -> list[Term]:
+def _delays(design: Design, terms: list[Regressor], step: float) -> list[Regressor]:
     """Time offsets beyond a sample are no convention: a cause where the data insist, else taken out."""
-    current = fit(design, terms)
+    current = fit_terms(design, terms)
     for term in [t for t in terms if t.cause == "time_offset"]:
         value, std = current.of(term)
         if abs(value[0]) <= step + 2 * std[0]:
             continue
-        without = fit(design, [t for t in terms if t is not term])
-        believed = needed(design, without, current) and _takes_all(design, without, current)
+        without = fit_terms(design, [t for t in terms if t is not term])
+        believed = is_needed(design, without, current) and _takes_all(design, without, current)
         if believed and _late_while_moving(design, terms, term, step):
             terms = [replace(t, cause="torque_delay", base=False) if t is term else t for t in terms]
         else:
             terms = without.terms
-        current = fit(design, terms)
+        current = fit_terms(design, terms)
     return terms
 
 
@@ -117,13 +126,13 @@ def _takes_all(design: Design, without: Fit, current: Fit) -> bool:
     In closed loop whatever else is missing shows in the torque as well, a little later. A delay that leaves
     more may be the disguise of it.
     """
-    rows = judged(design)
+    rows = judged_rows(design)
     noise = float(np.sum(design.noise[rows]))
     before, after = (float(np.sum(f.held_out[rows] ** 2)) for f in (without, current))
     return after - noise < 0.1 * (before - noise)
 
 
-def _late_while_moving(design: Design, terms: list[Term], term: Term, step: float) -> bool:
+def _late_while_moving(design: Design, terms: list[Regressor], term: Regressor, step: float) -> bool:
     """Whether the torque is late also where no axis stands or turns round near by.
 
     An axis that sticks before it turns, where the model's friction changes sign with the velocity, looks late
@@ -135,7 +144,7 @@ def _late_while_moving(design: Design, terms: list[Term], term: Term, step: floa
     weight = design.weight.copy()
     design.weight = np.where(design.far, weight, 0.0)
     try:
-        result = fit(design, terms)
+        result = fit_terms(design, terms)
     finally:
         design.weight = weight
     value, std = result.of(term)
@@ -143,16 +152,16 @@ def _late_while_moving(design: Design, terms: list[Term], term: Term, step: floa
     return bool(abs(value[0]) > step + 3 * std[0] / np.sqrt(share))
 
 
-def _refined(design: Design, result: Fit) -> tuple[list[Term], dict[Term, float]]:
+def _refined(design: Design, result: Fit) -> tuple[list[Regressor], dict[Regressor, float]]:
     """Shape parameters between the grid points, with standard deviations from the cost's curvature."""
     terms = list(result.terms)
-    spread: dict[Term, float] = {}
+    spread: dict[Regressor, float] = {}
     for i, term in enumerate(terms):
         if term.shape is None:
             continue
         index, start = i, term.shape
 
-        def cost(log_shape: float, index: int = index, term: Term = term) -> float:
+        def cost(log_shape: float, index: int = index, term: Regressor = term) -> float:
             trial = [*terms]
             trial[index] = replace(term, shape=float(np.exp(log_shape)))
             return fit_fast(design, trial, 1.0).cost
@@ -184,12 +193,12 @@ def row_floor(analysis: Analysis) -> Float64:
 
 def sampling_leaves(analysis: Analysis) -> Float64:
     """(M,) rms torque that sampling leaves of a sound machine at most, beside the noise of its sensors."""
-    design, rows, floor = analysis.design, judged(analysis.design), row_floor(analysis)
+    design, rows, floor = analysis.design, judged_rows(analysis.design), row_floor(analysis)
     out = np.zeros(design.axes)
     for i, steps in enumerate(counts_at_most(analysis)):
         mine = rows & (design.axis == i)
         noise = np.sqrt(np.mean(floor[mine]))
-        out[i] = max(RESOLUTION * rms(design.torque[mine]), float(np.hypot(noise, steps)))
+        out[i] = max(RESOLUTION * root_mean_square(design.torque[mine]), float(np.hypot(noise, steps)))
     return out
 
 

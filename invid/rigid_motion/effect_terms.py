@@ -11,10 +11,10 @@ from invid.model.document import EffectTerm, Estimate
 from invid.model.place import Place
 from invid.numerics.arrays import Float64
 from invid.rigid_motion.analysis import Analysis
-from invid.rigid_motion.regressors import Term
+from invid.rigid_motion.regressors import Regressor
 
 
-def term_of(analysis: Analysis, term: Term) -> EffectTerm:
+def term_of(analysis: Analysis, term: Regressor) -> EffectTerm:
     """The contract's cause and parameters, with one standard deviation each."""
     final, effect, linear = analysis.final, BY_CAUSE[term.cause], analysis.recording.linear
     value, std = final.of(term)
@@ -61,6 +61,6 @@ def _moved(effect: Effect, shape: float) -> float:
     return float(np.log(shape)) if effect.logarithmic[0] else shape
 
 
-def _shape(analysis: Analysis, term: Term, unit: str | None) -> Estimate:
+def _shape(analysis: Analysis, term: Regressor, unit: str | None) -> Estimate:
     spread = analysis.shape_std.get(term, np.inf)
     return Estimate(float(term.shape or 0.0), float(spread) if np.isfinite(spread) else None, unit)

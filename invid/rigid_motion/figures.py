@@ -13,15 +13,15 @@ from invid.numerics.arrays import Float64
 from invid.rigid_motion.analysis import Analysis
 from invid.rigid_motion.load_friction import load_terms
 from invid.rigid_motion.model import model_of
-from invid.rigid_motion.regression import Fit, fit
-from invid.rigid_motion.regressors import Term
-from invid.rigid_motion.selection import judged, rms
+from invid.rigid_motion.regression import Fit, fit_terms
+from invid.rigid_motion.regressors import Regressor
+from invid.rigid_motion.selection import judged_rows, root_mean_square
 from invid.simulation.rigid import errors_of
 
 
 def figures_of(a: Analysis, extended: Model) -> dict[str, Any]:
     """What stands in the ``details`` of a diagnosis."""
-    design, rows = a.design, judged(a.design)
+    design, rows = a.design, judged_rows(a.design)
     train = ~design.validate if design.has_validation else rows
     relative = {}
     for i, name in enumerate(a.recording.axes):
@@ -29,7 +29,7 @@ def figures_of(a: Analysis, extended: Model) -> dict[str, Any]:
         relative[name] = {
             "fit": _percent(a.final.residual, design.torque, train & mine),
             "held_out": _percent(a.final.held_out, design.torque, rows & mine),
-            "fit_rms": rms(a.final.residual[train & mine]),
+            "fit_rms": root_mean_square(a.final.residual[train & mine]),
         }
     return {
         "relative_torque_error_percent": relative,
@@ -46,13 +46,13 @@ def figures_of(a: Analysis, extended: Model) -> dict[str, Any]:
 
 
 def _percent(residual: Float64, torque: Float64, rows: np.typing.NDArray[np.bool_]) -> float:
-    size = rms(torque[rows])
-    return 100 * rms(residual[rows]) / size if size > 0 else 0.0
+    size = root_mean_square(torque[rows])
+    return 100 * root_mean_square(residual[rows]) / size if size > 0 else 0.0
 
 
 def _ladder(a: Analysis) -> list[dict[str, Any]]:
     """Friction models of rising size on every axis at once, whatever was selected: to compare with tables."""
-    design, rows = a.design, judged(a.design)
+    design, rows = a.design, judged_rows(a.design)
     train = ~design.validate if design.has_validation else rows
     friction = {
         "viscous_friction",
@@ -65,10 +65,10 @@ def _ladder(a: Analysis) -> list[dict[str, Any]]:
     others = [t for t in a.final.terms if t.cause not in friction and t.cause != "time_offset"]
     falls = {t.axis for t in others if t.cause == "gravity"}
     count = a.recording.axis_count
-    viscous = [Term("viscous_friction", i, ("coefficient",)) for i in range(count)]
-    coulomb = [Term("coulomb_friction", i, ("torque",)) for i in range(count)]
-    offset = [Term("torque_offset", i, ("torque",)) for i in range(count) if i not in falls]
-    rungs: list[tuple[str, list[Term]]] = [
+    viscous = [Regressor("viscous_friction", i, ("coefficient",)) for i in range(count)]
+    coulomb = [Regressor("coulomb_friction", i, ("torque",)) for i in range(count)]
+    offset = [Regressor("torque_offset", i, ("torque",)) for i in range(count) if i not in falls]
+    rungs: list[tuple[str, list[Regressor]]] = [
         ("no friction", []),
         ("viscous", viscous + offset),
         ("coulomb + viscous", coulomb + viscous),
@@ -77,7 +77,7 @@ def _ladder(a: Analysis) -> list[dict[str, Any]]:
     ]
     table = []
     for name, terms in rungs:
-        result: Fit = fit(design, others + terms)
+        result: Fit = fit_terms(design, others + terms)
         parameters = {}
         for term in result.terms:
             value, std = result.of(term)
@@ -91,8 +91,8 @@ def _ladder(a: Analysis) -> list[dict[str, Any]]:
                 "friction": name,
                 "relative_error_percent": _percent(result.residual, design.torque, train),
                 "held_out_percent": _percent(result.held_out, design.torque, rows),
-                "fit_rms": rms(result.residual[train]),
-                "held_out_rms": rms(result.held_out[rows]),
+                "fit_rms": root_mean_square(result.residual[train]),
+                "held_out_rms": root_mean_square(result.held_out[rows]),
                 "parameters": parameters,
             }
         )
@@ -126,9 +126,9 @@ def _simulated(a: Analysis, extended: Model) -> list[dict[str, Any]]:
         return []
     count = a.recording.axis_count
     linear = [t for t in a.final.terms if t.base or t.cause == "torque_delay"]
-    linear += [Term("viscous_friction", i, ("coefficient",)) for i in range(count)]
-    linear += [Term("torque_offset", i, ("torque",)) for i in range(count)]
-    plain = model_of(replace(a, final=fit(a.design, linear)))
+    linear += [Regressor("viscous_friction", i, ("coefficient",)) for i in range(count)]
+    linear += [Regressor("torque_offset", i, ("torque",)) for i in range(count)]
+    plain = model_of(replace(a, final=fit_terms(a.design, linear)))
     for entry, before in zip(found, errors_of(plain, a.recording), strict=True):
         entry["linear_model"] = {k: before[k] for k in ("position", "torque", "failed") if k in before}
     return found

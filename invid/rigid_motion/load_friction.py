@@ -13,8 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from invid.numerics.arrays import Float64
-from invid.rigid_motion.regression import Design, Fit, fit
-from invid.rigid_motion.regressors import Term, load_on
+from invid.rigid_motion.regression import Design, Fit, fit_terms
+from invid.rigid_motion.regressors import Regressor, load_on
 
 CAUSE = "load_dependent_friction"
 VARIES = 0.1
@@ -25,26 +25,26 @@ _WHOLE = ("gravity", "inertia", "coupling", "configuration", "torque_offset")
 _ROUNDS, _SETTLED = 8, 1e-4
 
 
-def load_terms(current: Fit, design: Design) -> list[Term]:
+def load_terms(current: Fit, design: Design) -> list[Regressor]:
     """The cause on every axis whose load varies: under the weight alone, and under weight and inertia."""
     found = []
     for axis in range(design.axes):
         for exponent, causes in ((0, _WEIGHT), (1, _WHOLE)):
             term = _of(current, axis, causes, exponent)
-            if term is not None and variation(design, term) > VARIES:
+            if term is not None and load_variation(design, term) > VARIES:
                 found.append(term)
     return found
 
 
-def _of(current: Fit, axis: int, causes: tuple[str, ...], exponent: int) -> Term | None:
+def _of(current: Fit, axis: int, causes: tuple[str, ...], exponent: int) -> Regressor | None:
     acting = [t for t in current.terms if t.cause in causes and axis in (t.axis, t.other)]
     if not acting:
         return None
     load = tuple((t, tuple(float(v) for v in current.of(t)[0])) for t in acting)
-    return Term(CAUSE, axis, ("coefficient",), ("coefficient",), exponent=exponent, load=load)
+    return Regressor(CAUSE, axis, ("coefficient",), ("coefficient",), exponent=exponent, load=load)
 
 
-def variation(design: Design, term: Term) -> float:
+def load_variation(design: Design, term: Regressor) -> float:
     """Spread of |load| over its mean, over the rows' motion; 0 where constant velocity shows one load."""
     sizes = np.concatenate([np.abs(load_on(term, m)) for m in design.motions])
     moving = np.concatenate([np.abs(m.velocity[:, term.axis]) > m.rest[term.axis] for m in design.motions])
@@ -54,13 +54,13 @@ def variation(design: Design, term: Term) -> float:
     return float(sizes[moving].std()) / mean if mean > 0 else 0.0
 
 
-def settled(design: Design, terms: list[Term]) -> list[Term]:
+def fix_loads(design: Design, terms: list[Regressor]) -> list[Regressor]:
     """The terms with every load as the fit beside it has it."""
     if not any(t.cause == CAUSE for t in terms):
         return terms
     before: Float64 | None = None
     for _ in range(_ROUNDS):
-        current = fit(design, terms)
+        current = fit_terms(design, terms)
         if before is not None and np.allclose(current.value, before, rtol=_SETTLED):
             break
         before = current.value
@@ -68,7 +68,7 @@ def settled(design: Design, terms: list[Term]) -> list[Term]:
     return terms
 
 
-def _renewed(term: Term, current: Fit) -> Term:
+def _renewed(term: Regressor, current: Fit) -> Regressor:
     if term.cause != CAUSE:
         return term
     fresh = _of(current, term.axis, _WHOLE if term.exponent else _WEIGHT, term.exponent)

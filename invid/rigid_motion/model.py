@@ -13,8 +13,8 @@ from invid.numerics.arrays import frozen_float
 from invid.recording.model import Recording
 from invid.rigid_motion.analysis import Analysis, analyse
 from invid.rigid_motion.effect_terms import term_of
-from invid.rigid_motion.regression import fit
-from invid.rigid_motion.regressors import Term
+from invid.rigid_motion.regression import fit_terms
+from invid.rigid_motion.regressors import Regressor
 
 TRAJECTORY = "trajectory"
 """The method that a model of rigid axes says it was made by."""
@@ -112,8 +112,8 @@ def model_of(a: Analysis, given: Model | None = None) -> Model:
 
 def _hidden_inertia(a: Analysis, axis: int) -> float:
     """Standard deviation of an inertia beside the rest of the model: what may be there and not be seen."""
-    own = Term("inertia", axis, ("mass",), base=True)
-    _, std = fit(a.design, [*a.final.terms, own]).of(own)
+    own = Regressor("inertia", axis, ("mass",), base=True)
+    _, std = fit_terms(a.design, [*a.final.terms, own]).of(own)
     if not std[0] > 0:
         raise NotIdentifiableError(
             f"{a.recording.source}: {a.recording.axes[axis]} does not accelerate; record faster moves"

@@ -8,11 +8,11 @@ from scipy.signal import csd, find_peaks, welch
 from invid.errors import InvidError
 from invid.numerics.arrays import Float64
 from invid.recording.model import Kind, Recording
-from invid.rigid_motion.regression import Design, fit
-from invid.rigid_motion.regressors import Term, base_terms
+from invid.rigid_motion.regression import Design, fit_terms
+from invid.rigid_motion.regressors import Regressor, base_terms
 from invid.rigid_motion.selection import held_out_cost
-from invid.signals.motion_record import find_band, prepare
-from invid.signals.timebase import uniform
+from invid.signals.motion_record import find_band, prepare_rows
+from invid.signals.timebase import resample_uniformly
 
 COHERENT = 0.8
 """Coherence above which a response is believed; of 15 averages, noise reaches 0.3 once in a hundred."""
@@ -51,23 +51,23 @@ def is_trajectory(recording: Recording) -> bool:
                 return True
             if grounded_axes(recording):
                 return True
-            if resonance_visible(recording):
+            if is_resonance_visible(recording):
                 return False
-            return reversals(recording) < SHAKEN or rigid_share(recording) > RIGID
+            return reversal_rate(recording) < SHAKEN or rigid_torque_share(recording) > RIGID
         return recording.axis_count == 1 and bool(grounded_axes(recording))
     except InvidError:
         # Too short or too uneven even to look at: the chain diagnosis says what is missing.
         return False
 
 
-def resonance_visible(recording: Recording) -> bool:
+def is_resonance_visible(recording: Recording) -> bool:
     """True where some axis's response from torque to acceleration has a peak that stands out.
 
     It must stand out in both halves of the record at the same place: the peaks that friction makes of single
     moves do not.
     """
     longest = max((e for e in recording.experiments if e.kind is Kind.OTHER), key=lambda e: e.samples)
-    even = uniform(longest)
+    even = resample_uniformly(longest)
     if even.samples < 512:
         return False
     acceleration = np.diff(even.position, 2, axis=0) / even.step**2
@@ -88,13 +88,13 @@ def resonance_visible(recording: Recording) -> bool:
     return False
 
 
-def reversals(recording: Recording) -> float:
+def reversal_rate(recording: Recording) -> float:
     """How often a second the velocity of the busiest axis changes sign, in the longest record.
 
     Beyond a tenth of its rms: an encoder at rest flickers.
     """
     longest = max(recording.experiments, key=lambda e: e.samples)
-    even = uniform(longest)
+    even = resample_uniformly(longest)
     most = 0.0
     for position in even.position.T:
         velocity = np.diff(position)
@@ -103,20 +103,23 @@ def reversals(recording: Recording) -> float:
     return most
 
 
-def rigid_share(recording: Recording) -> float:
+def rigid_torque_share(recording: Recording) -> float:
     """Share of the torque's power that rigid axes with friction and gravity account for, on rows kept out.
 
     Of the axis of which least is.
     """
-    design = Design([prepare(e, find_band(recording.experiments)) for e in recording.experiments])
+    design = Design([prepare_rows(e, find_band(recording.experiments)) for e in recording.experiments])
     count = recording.axis_count
     terms = base_terms(count, steady=False)
     for i in range(count):
-        terms += [Term("viscous_friction", i, ("coefficient",)), Term("coulomb_friction", i, ("torque",))]
-        terms.append(Term("torque_offset", i, ("torque",)))
+        terms += [
+            Regressor("viscous_friction", i, ("coefficient",)),
+            Regressor("coulomb_friction", i, ("torque",)),
+        ]
+        terms.append(Regressor("torque_offset", i, ("torque",)))
         if not recording.linear:
-            terms.append(Term("gravity", i, ("sine", "cosine")))
-    left = fit(design, terms).held_out
+            terms.append(Regressor("gravity", i, ("sine", "cosine")))
+    left = fit_terms(design, terms).held_out
     shares = []
     for i in range(count):
         rows = design.axis == i
@@ -150,19 +153,22 @@ def grounded_axes(recording: Recording) -> set[int]:
     if all(e.kind is Kind.CONSTANT_VELOCITY for e in recording.experiments):
         return set()
     band = find_band(recording.experiments)
-    motions = [prepare(e, band) for e in recording.experiments]
+    motions = [prepare_rows(e, band) for e in recording.experiments]
     design = Design(motions)
     count = recording.axis_count
     found: set[int] = set()
     for i in range(count):
-        plain = [Term("inertia", j, ("mass",), base=True) for j in range(count)]
-        plain += [Term("time_offset", j, ("delay",), base=True) for j in range(count)]
-        plain += [Term("viscous_friction", i, ("coefficient",)), Term("coulomb_friction", i, ("torque",))]
-        plain += [Term("torque_offset", i, ("torque",))]
+        plain = [Regressor("inertia", j, ("mass",), base=True) for j in range(count)]
+        plain += [Regressor("time_offset", j, ("delay",), base=True) for j in range(count)]
+        plain += [
+            Regressor("viscous_friction", i, ("coefficient",)),
+            Regressor("coulomb_friction", i, ("torque",)),
+        ]
+        plain += [Regressor("torque_offset", i, ("torque",))]
         if not recording.linear and np.ptp(np.concatenate([m.position[:, i] for m in motions])) > 1.0:
-            plain.append(Term("gravity", i, ("sine", "cosine")))
-        spring = Term("ground_spring", i, ("stiffness",), base=True)
-        before, after = fit(design, plain), fit(design, [*plain, spring])
+            plain.append(Regressor("gravity", i, ("sine", "cosine")))
+        spring = Regressor("ground_spring", i, ("stiffness",), base=True)
+        before, after = fit_terms(design, plain), fit_terms(design, [*plain, spring])
         stiffness, mass = after.of(spring)[0][0], after.of(plain[i])[0][0]
         if stiffness <= 0 or mass <= 0:
             continue

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from invid.numerics.arrays import Float64
-from invid.rigid_motion.regressors import Term, columns
+from invid.rigid_motion.regressors import Regressor, columns
 from invid.signals.motion_record import Motion
 
 BLOCKS = 20
@@ -24,7 +24,7 @@ class Design:
     def __init__(self, motions: list[Motion]) -> None:
         self.motions = motions
         self.axes = motions[0].position.shape[1]
-        self._cache: dict[Term, Float64] = {}
+        self._cache: dict[Regressor, Float64] = {}
         self.torque = self._stack([m.rows(m.torque) for m in motions])
         self.noise = self._stack([m.row_noise for m in motions])
         shape = [(m.keep.sum(), m) for m in motions]
@@ -62,7 +62,7 @@ class Design:
             start += int(pieces.max(initial=0)) + 1
         return np.concatenate(groups)
 
-    def columns(self, term: Term) -> Float64:
+    def columns(self, term: Regressor) -> Float64:
         """(rows, k) of a term."""
         if term not in self._cache:
             parts = []
@@ -72,7 +72,7 @@ class Design:
             self._cache[term] = np.concatenate(parts)
         return self._cache[term]
 
-    def matrix(self, terms: list[Term]) -> Float64:
+    def matrix(self, terms: list[Regressor]) -> Float64:
         """(rows, Σk)."""
         if not terms:
             return np.zeros((self.torque.size, 0))
@@ -89,10 +89,10 @@ class Design:
 class Fit:
     """A fit of one set of terms.
 
-    ``held_out`` is the residual of rows that the fit which predicts them has not seen.
+    ``evaluate_held_out`` is the residual of rows that the fit which predicts them has not seen.
     """
 
-    terms: list[Term]
+    terms: list[Regressor]
     value: Float64
     covariance: Float64
     residual: Float64
@@ -103,7 +103,7 @@ class Fit:
     """Independent rows behind the training rows, from the residual's serial correlation."""
     condition: float
 
-    def of(self, term: Term) -> tuple[Float64, Float64]:
+    def of(self, term: Regressor) -> tuple[Float64, Float64]:
         """Coefficients of one term and their standard deviations."""
         start = 0
         for t in self.terms:
@@ -146,7 +146,7 @@ def _solve(matrix: Float64, torque: Float64) -> Float64:
     return solution
 
 
-def fit(design: Design, terms: list[Term], *, correlation: float | None = None) -> Fit:
+def fit_terms(design: Design, terms: list[Regressor], *, correlation: float | None = None) -> Fit:
     """Least squares on the training rows, and on all but each piece where no validation rows are named."""
     matrix, torque, weight = design.matrix(terms), design.torque, design.weight
     train = ~design.validate if design.has_validation else np.ones(torque.size, dtype=bool)

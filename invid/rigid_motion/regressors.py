@@ -22,7 +22,7 @@ ASYMMETRIC = ("coulomb_positive", "coulomb_negative", "viscous_positive", "visco
 
 
 @dataclass(frozen=True)
-class Term:
+class Regressor:
     """One cause at its place.
 
     Attributes
@@ -55,7 +55,7 @@ class Term:
     other: int | None = None
     base: bool = False
     tag: str = ""
-    load: tuple[tuple[Term, tuple[float, ...]], ...] = ()
+    load: tuple[tuple[Regressor, tuple[float, ...]], ...] = ()
 
     @property
     def label(self) -> tuple[str, int, int | None, str]:
@@ -63,7 +63,7 @@ class Term:
         return (self.cause, self.axis, self.other, self.tag)
 
 
-def columns(term: Term, motion: Motion) -> Float64:
+def columns(term: Regressor, motion: Motion) -> Float64:
     """(n, M, k) torque per unit coefficient; of a cause as its effect says (``Effect.regressors``)."""
     n, axes = motion.position.shape
     i = term.axis
@@ -91,7 +91,7 @@ def columns(term: Term, motion: Motion) -> Float64:
     return out
 
 
-def _motion_of(term: Term, motion: Motion) -> PlaceMotion:
+def _motion_of(term: Regressor, motion: Motion) -> PlaceMotion:
     """What a law sees of the motion: of its axis, or of an axis that another carries."""
     i = term.axis
     position = motion.position[:, i]
@@ -107,14 +107,14 @@ def _motion_of(term: Term, motion: Motion) -> PlaceMotion:
     )
 
 
-def _shape_of(term: Term) -> tuple[float, ...]:
+def _shape_of(term: Regressor) -> tuple[float, ...]:
     """The shape parameters of a term, in their units."""
     if term.shape is None:
         return ()
     return (term.shape, float(term.exponent)) if term.exponent else (term.shape,)
 
 
-def load_on(term: Term, motion: Motion) -> Float64:
+def load_on(term: Regressor, motion: Motion) -> Float64:
     """(n,) torque that the terms of ``term.load`` ask of its axis."""
     total = np.zeros(motion.position.shape[0])
     for part, value in term.load:
@@ -122,7 +122,7 @@ def load_on(term: Term, motion: Motion) -> Float64:
     return total
 
 
-def _other(term: Term) -> int:
+def _other(term: Regressor) -> int:
     if term.other is None:
         raise ValueError(f"{term.cause}: needs a second axis")
     return term.other
@@ -180,7 +180,7 @@ def extent(motions: list[Motion], rotary: bool) -> Extent:
     )
 
 
-def base_terms(axes: int, steady: bool) -> list[Term]:
+def base_terms(axes: int, steady: bool) -> list[Regressor]:
     """Rigid inertia of every axis, its constant couplings, and the sampling instant of its torque.
 
     The torque that acts may lag the record by part of a sample (it is held over the sample, and read at
@@ -188,30 +188,30 @@ def base_terms(axes: int, steady: bool) -> list[Term]:
     """
     if steady:
         return []
-    terms = [Term("inertia", i, ("mass",), ("mass",), base=True) for i in range(axes)]
-    terms += [Term("time_offset", i, ("delay",), base=True) for i in range(axes)]
+    terms = [Regressor("inertia", i, ("mass",), ("mass",), base=True) for i in range(axes)]
+    terms += [Regressor("time_offset", i, ("delay",), base=True) for i in range(axes)]
     terms += [
-        Term("coupling", i, ("coupling",), base=True, other=j)
+        Regressor("coupling", i, ("coupling",), base=True, other=j)
         for i in range(axes)
         for j in range(i + 1, axes)
     ]
     return terms
 
 
-def candidate_terms(axes: int, reach: Extent, springs: set[int]) -> list[Term]:
+def candidate_terms(axes: int, reach: Extent, springs: set[int]) -> list[Regressor]:
     """Every cause that the record could show at all."""
-    found: list[Term] = []
+    found: list[Regressor] = []
     for i in range(axes):
-        found.append(Term("viscous_friction", i, ("coefficient",), ("coefficient",)))
-        found.append(Term("coulomb_friction", i, ("torque",), ("torque",)))
-        found.append(Term("torque_offset", i, ("torque",)))
+        found.append(Regressor("viscous_friction", i, ("coefficient",), ("coefficient",)))
+        found.append(Regressor("coulomb_friction", i, ("torque",), ("torque",)))
+        found.append(Regressor("torque_offset", i, ("torque",)))
         # Nearer to standstill than twice the blur of the direction nobody sees how friction bends.
         slowest = max(reach.slow[i], 1e-3 * reach.speed[i], 2.0 * reach.rest[i])
         speeds = [float(s) for s in np.geomspace(slowest, max(0.5 * reach.speed[i], 1.01 * slowest), 12)]
         for exponent in (1, 2):
             for speed in speeds:
                 found.append(
-                    Term(
+                    Regressor(
                         "stribeck_friction",
                         i,
                         ("coulomb", "excess"),
@@ -225,11 +225,11 @@ def candidate_terms(axes: int, reach: Extent, springs: set[int]) -> list[Term]:
         if reach.both_ways[i]:
             swallowed = ("coulomb_friction", "viscous_friction", "torque_offset", "stribeck_friction")
             dry = ("coulomb_friction", "stribeck_friction")
-            found.append(Term("asymmetric_friction", i, ASYMMETRIC, (), replaces=swallowed, needs=dry))
+            found.append(Regressor("asymmetric_friction", i, ASYMMETRIC, (), replaces=swallowed, needs=dry))
             for exponent in (1, 2):
                 for speed in speeds:
                     found.append(
-                        Term(
+                        Regressor(
                             "asymmetric_friction",
                             i,
                             (*ASYMMETRIC, "low_speed_positive", "low_speed_negative"),
@@ -247,20 +247,24 @@ def candidate_terms(axes: int, reach: Extent, springs: set[int]) -> list[Term]:
         if reach.rotary and swings and not reach.steady:
             # Over less than half a turn a weight and the constant within friction by direction may cancel.
             beside = ("asymmetric_friction",) if reach.travel[i] < np.pi else ()
-            found.append(Term("gravity", i, ("sine", "cosine"), replaces=("torque_offset",), excludes=beside))
+            found.append(
+                Regressor("gravity", i, ("sine", "cosine"), replaces=("torque_offset",), excludes=beside)
+            )
         if i in springs:
-            found.append(Term("quadratic_stiffness", i, ("coefficient",)))
-            found.append(Term("cubic_stiffness", i, ("coefficient",)))
+            found.append(Regressor("quadratic_stiffness", i, ("coefficient",)))
+            found.append(Regressor("cubic_stiffness", i, ("coefficient",)))
         found += _further_terms(i, reach)
     if axes == 2 and reach.rotary and not reach.steady and reach.travel.min() > 0.2:
         found.append(
-            Term("gravity", 1, ("sine", "cosine"), other=0, replaces=("torque_offset",), tag="second link")
+            Regressor(
+                "gravity", 1, ("sine", "cosine"), other=0, replaces=("torque_offset",), tag="second link"
+            )
         )
-        found.append(Term("configuration", 0, ("cosine", "sine"), other=1, base=True))
+        found.append(Regressor("configuration", 0, ("cosine", "sine"), other=1, base=True))
     return found
 
 
-def _further_terms(axis: int, reach: Extent) -> list[Term]:
+def _further_terms(axis: int, reach: Extent) -> list[Regressor]:
     """Effects beside the catalogue's on one axis: laws of motion of one mass, with one shape at most."""
     found = []
     place = ChainStructure((1,), ("axis",), viscous=False, grounded=())
@@ -275,5 +279,5 @@ def _further_terms(axis: int, reach: Extent) -> list[Term]:
         # Of a sine of this travel and speed the rms.
         sizes = float(reach.travel[axis]) / 2.8, float(reach.speed[axis]) / 1.4
         for shape in effect.starts(*(max(s, 1e-300) for s in sizes)):
-            found.append(Term(effect.cause, axis, names, positive, shape=shape[0] if shape else None))
+            found.append(Regressor(effect.cause, axis, names, positive, shape=shape[0] if shape else None))
     return found

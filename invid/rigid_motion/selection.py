@@ -14,9 +14,9 @@ from scipy import stats
 
 from invid.numerics import budget
 from invid.numerics.arrays import Float64
-from invid.rigid_motion.load_friction import load_terms, settled
-from invid.rigid_motion.regression import Design, Fit, fit
-from invid.rigid_motion.regressors import ASYMMETRIC, Term
+from invid.rigid_motion.load_friction import fix_loads, load_terms
+from invid.rigid_motion.regression import Design, Fit, fit_terms
+from invid.rigid_motion.regressors import ASYMMETRIC, Regressor
 
 ALARM = 0.01
 """False alarms allowed for each decision, shared among the candidates tried (Bonferroni)."""
@@ -35,18 +35,18 @@ class Selection:
     """Whether the budget ended the search before it ended by itself."""
 
 
-def rms(values: Float64) -> float:
+def root_mean_square(values: Float64) -> float:
     """Root mean square."""
     return float(np.sqrt(np.mean(values**2))) if values.size else 0.0
 
 
-def judged(design: Design) -> np.typing.NDArray[np.bool_]:
+def judged_rows(design: Design) -> np.typing.NDArray[np.bool_]:
     """Rows a gain is judged on: validation rows, or all of them (each predicted unseen)."""
     return design.validate if design.has_validation else np.ones(design.torque.size, dtype=bool)
 
 
 def _piece_costs(design: Design, residual: Float64) -> Float64:
-    rows = judged(design)
+    rows = judged_rows(design)
     weighted = (residual * design.weight)[rows] ** 2
     index = np.unique(design.group[rows], return_inverse=True)[1]
     sums: Float64 = np.bincount(index, weighted).astype(np.float64)
@@ -81,10 +81,10 @@ def training_p(before: Fit, after: Fit) -> float:
 
 def held_out_cost(design: Design, result: Fit) -> float:
     """Weighted mean square of what unseen rows miss."""
-    return float(np.mean((result.held_out * design.weight)[judged(design)] ** 2))
+    return float(np.mean((result.held_out * design.weight)[judged_rows(design)] ** 2))
 
 
-def needed(design: Design, without: Fit, current: Fit) -> bool:
+def is_needed(design: Design, without: Fit, current: Fit) -> bool:
     """True where ``current`` is better than ``without`` on both counts and by enough to matter."""
     return (
         training_p(without, current) < ALARM
@@ -93,13 +93,13 @@ def needed(design: Design, without: Fit, current: Fit) -> bool:
     )
 
 
-def physical(result: Fit, term: Term) -> bool:
+def is_physical(result: Fit, term: Regressor) -> bool:
     """Coefficients that must not be negative are not."""
     value, _ = result.of(term)
     return all(value[term.names.index(n)] >= 0 for n in term.positive)
 
 
-def joined(terms: list[Term], new: Term) -> list[Term]:
+def join_term(terms: list[Regressor], new: Regressor) -> list[Regressor]:
     """The terms with ``new`` instead of what it contains."""
     kept = [
         t
@@ -109,19 +109,21 @@ def joined(terms: list[Term], new: Term) -> list[Term]:
     return [*kept, new]
 
 
-def best_of_label(design: Design, terms: list[Term], options: list[Term], length: float = 1.0) -> Fit | None:
+def best_of_label(
+    design: Design, terms: list[Regressor], options: list[Regressor], length: float = 1.0
+) -> Fit | None:
     """The best shape of one cause beside ``terms``; ``None`` where physics forbids all of them."""
     best: Fit | None = None
     for term in options:
-        trial = fit_fast(design, joined(terms, term), length)
-        if not physical(trial, term):
+        trial = fit_fast(design, join_term(terms, term), length)
+        if not is_physical(trial, term):
             continue
         if best is None or trial.cost < best.cost:
             best = trial
-    return None if best is None else fit(design, best.terms)
+    return None if best is None else fit_terms(design, best.terms)
 
 
-def fit_fast(design: Design, terms: list[Term], length: float) -> Fit:
+def fit_fast(design: Design, terms: list[Regressor], length: float) -> Fit:
     """A fit without kept-out pieces, for the search over shapes."""
     matrix, weight = design.matrix(terms), design.weight
     train = ~design.validate if design.has_validation else np.ones(design.torque.size, dtype=bool)
@@ -136,10 +138,12 @@ def fit_fast(design: Design, terms: list[Term], length: float) -> Fit:
     )
 
 
-def select(design: Design, base: list[Term], candidates: list[Term], *, most: int = 12) -> Selection:
+def select_terms(
+    design: Design, base: list[Regressor], candidates: list[Regressor], *, most: int = 12
+) -> Selection:
     """Forward selection, then everything taken out again that is not missed."""
-    current, terms = fit(design, base), list(base)
-    labels: dict[tuple[str, int, int | None, str], list[Term]] = {}
+    current, terms = fit_terms(design, base), list(base)
+    labels: dict[tuple[str, int, int | None, str], list[Regressor]] = {}
     for c in candidates:
         labels.setdefault(c.label, []).append(c)
     cut = False
@@ -147,12 +151,12 @@ def select(design: Design, base: list[Term], candidates: list[Term], *, most: in
         length = design.torque.size / max(current.effective, 1.0)
         if design.has_validation:
             length = (~design.validate).sum() / max(current.effective, 1.0)
-        tried: list[tuple[Term, Fit]] = []
+        tried: list[tuple[Regressor, Fit]] = []
         for label, options in labels.items():
-            if budget.spent():
+            if budget.is_spent():
                 break
             budget.tell("weighing", 1.0 - 0.7**number, cause=options[0].cause)
-            if any(t.label == label for t in terms) or not may_join(terms, options[0]):
+            if any(t.label == label for t in terms) or not can_join(terms, options[0]):
                 continue
             trial = best_of_label(design, terms, options, length)
             if trial is not None:
@@ -176,17 +180,19 @@ def select(design: Design, base: list[Term], candidates: list[Term], *, most: in
             good, tried = [pair], [pair]
         # Information criterion on independent rows: more coefficients must earn their place.
         _, best = min(good, key=lambda p: _criterion(p[1], length))
-        terms = settled(design, list(best.terms))
-        current = fit(design, terms)
+        terms = fix_loads(design, list(best.terms))
+        current = fit_terms(design, terms)
         design.reweigh(current.residual)
-        current = fit(design, terms)
-    current, terms = pruned(design, terms)
+        current = fit_terms(design, terms)
+    current, terms = prune_terms(design, terms)
     return Selection(current, cut or budget.is_left_out("further causes"))
 
 
-def _under_load(design: Design, current: Fit, terms: list[Term], length: float) -> list[tuple[Term, Fit]]:
+def _under_load(
+    design: Design, current: Fit, terms: list[Regressor], length: float
+) -> list[tuple[Regressor, Fit]]:
     """Friction that grows with the load as the present fit has it, on every axis that has none yet."""
-    labels: dict[tuple[str, int, int | None, str], list[Term]] = {}
+    labels: dict[tuple[str, int, int | None, str], list[Regressor]] = {}
     for term in load_terms(current, design):
         if not any(t.label == term.label for t in terms):
             labels.setdefault(term.label, []).append(term)
@@ -195,19 +201,19 @@ def _under_load(design: Design, current: Fit, terms: list[Term], length: float) 
 
 
 def _pair(
-    design: Design, current: Fit, found: list[Term], terms: list[Term], length: float
-) -> tuple[Term, Fit] | None:
+    design: Design, current: Fit, found: list[Regressor], terms: list[Regressor], length: float
+) -> tuple[Regressor, Fit] | None:
     """The best two causes that only together are significant; the tests count the pairs tried."""
-    trials: list[tuple[Term, Fit]] = []
+    trials: list[tuple[Regressor, Fit]] = []
     for one, other in combinations(found, 2):
         if budget.is_left_out("pairs of causes"):
             break
-        if one.label == other.label or not may_join([*terms, one], other):
+        if one.label == other.label or not can_join([*terms, one], other):
             continue
         if one.cause in other.replaces or other.cause in one.replaces:
             continue
-        trial = fit(design, joined(joined(terms, one), other))
-        if physical(trial, one) and physical(trial, other):
+        trial = fit_terms(design, join_term(join_term(terms, one), other))
+        if is_physical(trial, one) and is_physical(trial, other):
             trials.append((other, trial))
     good = [
         (t, f)
@@ -219,7 +225,7 @@ def _pair(
     return min(good, key=lambda p: _criterion(p[1], length)) if good else None
 
 
-def may_join(terms: list[Term], new: Term) -> bool:
+def can_join(terms: list[Regressor], new: Regressor) -> bool:
     """True where ``new`` has what it builds on and is no part of what is there already."""
     here = {t.cause for t in terms if t.axis == new.axis}
     if (new.needs and not here & set(new.needs)) or here & set(new.excludes):
@@ -239,18 +245,18 @@ def _criterion(result: Fit, length: float) -> float:
     return rows * float(np.log(max(result.cost, 1e-300))) + (result.value.size + shapes) * float(np.log(rows))
 
 
-def _simpler(term: Term) -> list[list[Term]]:
+def _simpler(term: Regressor) -> list[list[Regressor]]:
     """What a compound term may be replaced by, fewest coefficients first."""
     i = term.axis
-    viscous = Term("viscous_friction", i, ("coefficient",), ("coefficient",))
-    coulomb = Term("coulomb_friction", i, ("torque",), ("torque",))
-    offset = Term("torque_offset", i, ("torque",))
+    viscous = Regressor("viscous_friction", i, ("coefficient",), ("coefficient",))
+    coulomb = Regressor("coulomb_friction", i, ("torque",), ("torque",))
+    offset = Regressor("torque_offset", i, ("torque",))
     dry = ("coulomb_friction", "viscous_friction", "torque_offset", "stribeck_friction")
-    plain = Term("asymmetric_friction", i, ASYMMETRIC, (), replaces=dry, needs=("coulomb_friction",))
+    plain = Regressor("asymmetric_friction", i, ASYMMETRIC, (), replaces=dry, needs=("coulomb_friction",))
     if term.cause == "asymmetric_friction":
         options = [[coulomb], [coulomb, viscous], [coulomb, offset], [coulomb, viscous, offset]]
         if len(term.names) == 6:
-            bend = Term(
+            bend = Regressor(
                 "stribeck_friction", i, ("coulomb", "excess"), ("coulomb", "excess"), shape=term.shape,
                 exponent=term.exponent, replaces=("coulomb_friction",), needs=("coulomb_friction",),
             )  # fmt: skip
@@ -261,7 +267,7 @@ def _simpler(term: Term) -> list[list[Term]]:
     return [[]]
 
 
-def _same_both_ways(design: Design, current: Fit, rest: list[Term], term: Term) -> Fit | None:
+def _same_both_ways(design: Design, current: Fit, rest: list[Regressor], term: Regressor) -> Fit | None:
     """Dry and viscous friction instead of friction that differs by direction, where the difference is none.
 
     What bends at low speed alike in both directions, towards less friction, has no name in the catalogue (a
@@ -270,33 +276,33 @@ def _same_both_ways(design: Design, current: Fit, rest: list[Term], term: Term) 
     if term.cause != "asymmetric_friction" or term.shape is None:
         return None
     i = term.axis
-    bend = Term("stribeck_friction", i, ("coulomb", "excess"), shape=term.shape, exponent=term.exponent)
-    viscous = Term("viscous_friction", i, ("coefficient",), ("coefficient",))
-    coulomb = Term("coulomb_friction", i, ("torque",), ("torque",))
-    offset = Term("torque_offset", i, ("torque",))
+    bend = Regressor("stribeck_friction", i, ("coulomb", "excess"), shape=term.shape, exponent=term.exponent)
+    viscous = Regressor("viscous_friction", i, ("coefficient",), ("coefficient",))
+    coulomb = Regressor("coulomb_friction", i, ("torque",), ("torque",))
+    offset = Regressor("torque_offset", i, ("torque",))
     for more in ([], [offset]):
         if more and any(t.cause == "gravity" and t.axis == i for t in rest):
             continue
-        bent = fit(design, [*rest, bend, viscous, *more])
+        bent = fit_terms(design, [*rest, bend, viscous, *more])
         # A bend towards more friction is Stribeck friction, and is tried as such.
-        if bent.of(bend)[0][1] >= 0 or needed(design, bent, current):
+        if bent.of(bend)[0][1] >= 0 or is_needed(design, bent, current):
             continue
-        simple = fit(design, [*rest, coulomb, viscous, *more])
-        if physical(simple, coulomb) and physical(simple, viscous):
+        simple = fit_terms(design, [*rest, coulomb, viscous, *more])
+        if is_physical(simple, coulomb) and is_physical(simple, viscous):
             return simple
     return None
 
 
-def consistent(design: Design, terms: list[Term]) -> tuple[Fit, list[Term]]:
+def fit_consistent_loads(design: Design, terms: list[Regressor]) -> tuple[Fit, list[Regressor]]:
     """Fit with every load as the rest has it, and nothing with a sign that it cannot have.
 
     Beside what was taken after it a cause may turn into what it cannot be; the latest of them goes first, and
     an inertia that the motion does not show last, with what it couples to.
     """
     while True:
-        terms = settled(design, terms)
-        current = fit(design, terms)
-        wrong = [t for t in terms if not physical(current, t)]
+        terms = fix_loads(design, terms)
+        current = fit_terms(design, terms)
+        wrong = [t for t in terms if not is_physical(current, t)]
         if not wrong:
             return current, terms
         last = next((t for t in reversed(wrong) if not t.base), wrong[-1])
@@ -305,20 +311,20 @@ def consistent(design: Design, terms: list[Term]) -> tuple[Fit, list[Term]]:
             terms += _simpler(last)[0]
 
 
-def _hangs_on(term: Term, inertia: Term) -> bool:
+def _hangs_on(term: Regressor, inertia: Regressor) -> bool:
     """Whether a term couples the motion of an axis to one whose inertia is ``inertia``."""
     coupled = term.cause in ("coupling", "configuration") and inertia.cause == "inertia"
     return coupled and inertia.axis in (term.axis, term.other)
 
 
-def pruned(design: Design, terms: list[Term]) -> tuple[Fit, list[Term]]:
+def prune_terms(design: Design, terms: list[Regressor]) -> tuple[Fit, list[Regressor]]:
     """Everything taken out, or made simpler, that is not missed."""
     changed = True
     while changed:
         changed = False
         if budget.is_left_out("causes that others make superfluous"):
-            return fit(design, terms), terms
-        current, terms = consistent(design, terms)
+            return fit_terms(design, terms), terms
+        current, terms = fit_consistent_loads(design, terms)
         for term in [t for t in terms if not t.base or t.cause == "configuration"]:
             rest = [t for t in terms if t is not term]
             same = _same_both_ways(design, current, rest, term)
@@ -330,10 +336,10 @@ def pruned(design: Design, terms: list[Term]) -> tuple[Fit, list[Term]]:
                 # A falling load holds the joint with a constant of its own: an offset beside it is no cause.
                 if falls and any(t.cause == "torque_offset" for t in replacement):
                     continue
-                simple = fit(design, rest + replacement)
-                if not all(physical(simple, t) for t in replacement):
+                simple = fit_terms(design, rest + replacement)
+                if not all(is_physical(simple, t) for t in replacement):
                     continue
-                if not needed(design, simple, current):
+                if not is_needed(design, simple, current):
                     current, terms, changed = simple, rest + replacement, True
                     break
             if changed:

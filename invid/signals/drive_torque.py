@@ -15,7 +15,7 @@ LATEST = 4
 """Samples by which a drive may report its torque after the demand."""
 
 
-def with_acting_torque(
+def replace_by_acting_torque(
     spectra: Sequence[LineSpectra], experiments: Sequence[Experiment]
 ) -> tuple[LineSpectra, ...]:
     """Spectra whose torque is the hold's, torque − demand, plus the demand held over the sample.
@@ -34,7 +34,7 @@ def _acting(s: LineSpectra, experiment: Experiment) -> LineSpectra:
     demand = np.asarray(demand)
     # A record that does not close keeps its last sample for the ends. Periods that still settle are averaged
     # as they are, and so is the demand: the equations are linear.
-    if not covers(s, demand):
+    if not covers_demand(s, demand):
         return s  # resampled, or cut
     # Without a hold there is nothing beside the demand: what differs is how the drive follows it.
     mixed = np.isnan(s.staircase) & np.any(demand != 0, axis=0) & (experiment.hold_gain != 0.0)
@@ -58,7 +58,7 @@ def _acting(s: LineSpectra, experiment: Experiment) -> LineSpectra:
     )
 
 
-def covers(s: LineSpectra, demand: Float64) -> bool:
+def covers_demand(s: LineSpectra, demand: Float64) -> bool:
     """Whether a demand (samples, M) holds all that the spectra come from; not where it was resampled."""
     samples = s.periods * s.position_wave.shape[0]
     if s.transient and s.periods == 1:

@@ -35,7 +35,7 @@ _REACH = 4
 _WEIGHTS = np.array([1.0, -8.0, 28.0, -56.0, 70.0, -56.0, 28.0, -8.0, 1.0]) / 70.0
 
 
-def without_glitches(recording: Recording) -> tuple[Recording, list[str]]:
+def remove_glitches(recording: Recording) -> tuple[Recording, list[str]]:
     """The recording with such samples interpolated and such jumps taken back, and a warning for each axis."""
     experiments, warnings = [], []
     for e in recording.experiments:
@@ -60,7 +60,7 @@ def _repaired(e: Experiment, recording: Recording) -> tuple[Float64 | None, list
         again = np.concatenate(([False], (jumps == 0) & (np.diff(e.torque[:, i]) == 0)))  # dropped, not off
         steady = np.concatenate(([True], even)) & np.concatenate((even, [True])) & ~again
         taken = np.zeros(own.size) if recording.linear else np.append(0.0, _whole_turns(jumps))
-        at, size = isolated(jumps - taken[1:], even, floor)
+        at, size = find_isolated(jumps - taken[1:], even, floor)
         taken[at + 1] = size
         count = int(np.count_nonzero(taken))
         if count:
@@ -70,7 +70,7 @@ def _repaired(e: Experiment, recording: Recording) -> tuple[Float64 | None, list
                 f"{np.abs(taken).max():.3g} {unit} at most, and goes on as before (a counter that wraps or "
                 "loses counts: check the encoder's cable and the import); the jumps were taken back"
             )
-        at, size = isolated(own, steady, floor)
+        at, size = find_isolated(own, steady, floor)
         if at.size:
             own[at] -= size
             samples = "1 sample stands" if at.size == 1 else f"{at.size} samples stand"
@@ -82,7 +82,7 @@ def _repaired(e: Experiment, recording: Recording) -> tuple[Float64 | None, list
     return (position, told) if told else (None, [])
 
 
-def isolated(values: Float64, sound: Bool, floor: float) -> tuple[Int64, Float64]:
+def find_isolated(values: Float64, sound: Bool, floor: float) -> tuple[Int64, Float64]:
     """Places of values that stand off their neighbours by themselves, and how far.
 
     Parameters
@@ -133,4 +133,4 @@ def _times(count: int) -> str:
     return "once" if count == 1 else f"{count} times"
 
 
-__all__ = ["isolated", "without_glitches"]
+__all__ = ["find_isolated", "remove_glitches"]

@@ -163,7 +163,7 @@ def raised_cosine(samples: int) -> Float64:
     return ramp
 
 
-def ramped(values: Float64, ramp_in: int, ramp_out: int = 0) -> Float64:
+def apply_ramps(values: Float64, ramp_in: int, ramp_out: int = 0) -> Float64:
     """``values`` (n, …) with a raised-cosine start and end."""
     result = np.array(values, dtype=float)
     tail = (slice(None),) + (None,) * (result.ndim - 1)

@@ -14,7 +14,7 @@ LOUD = 10.0
 """Power over that of the quiet lines beyond which one carries a signal: 1 in 20 000 of pure noise does."""
 
 
-def own_share(spectra: Complex128, hz: Float64, step: float) -> Float64:
+def sensor_noise_share(spectra: Complex128, hz: Float64, step: float) -> Float64:
     """(2M,) share of each channel on the quiet lines that is its sensor's noise: all of a reading, and of a
     torque what does not follow from the axis' own reading.
 
@@ -53,4 +53,4 @@ def _quiet(lines: Complex128) -> np.ndarray:
     return quiet
 
 
-__all__ = ["own_share"]
+__all__ = ["sensor_noise_share"]

@@ -18,7 +18,7 @@ from scipy.signal import periodogram, welch
 
 from invid.numerics.arrays import Bool, Float64
 from invid.recording.model import Experiment, Kind, Role
-from invid.signals.timebase import uniform
+from invid.signals.timebase import resample_uniformly
 
 NOISE_MARGIN = 10.0
 """Power of the motion over its noise at the cut-off: 10 dB, below which a derivative is mostly noise."""
@@ -56,7 +56,7 @@ class Band:
     def accelerating(self) -> Float64:
         """(M,) variance that it leaves in the rows' acceleration, what passes beyond the cut-off included."""
         power = 2 * (2 - int(self.velocity_only))
-        return self.noise(2, self.rows_hz) * passed(power)
+        return self.noise(2, self.rows_hz) * passed_noise(power)
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +93,7 @@ class Motion:
         if self.steady:
             mean: Float64 = columns.mean(axis=0, keepdims=True)
             return mean
-        return reduced(columns, self.step, self.band.rows_hz)[self.keep]
+        return reduce_rate(columns, self.step, self.band.rows_hz)[self.keep]
 
 
 def derivative(values: Float64, step: float, cutoff_hz: float, order: int) -> Float64:
@@ -122,7 +122,7 @@ def derivative(values: Float64, step: float, cutoff_hz: float, order: int) -> Fl
     return filtered
 
 
-def passed(power: int) -> float:
+def passed_noise(power: int) -> float:
     """Variance of noise ∝ f^power behind the roll-off of ``derivative``, over that behind a sharp cut-off.
 
     A quarter beyond the cut-off adds 9 % to white noise, and half to that of an acceleration.
@@ -133,7 +133,7 @@ def passed(power: int) -> float:
     return 1.0 + (power + 1) * ROLL_OFF * float(np.mean(gain**2 * beyond**power))
 
 
-def reduced(columns: Float64, step: float, cutoff_hz: Float64) -> Float64:
+def reduce_rate(columns: Float64, step: float, cutoff_hz: Float64) -> Float64:
     """(rows, M, …): axis by axis low-passed, taken at 2.5 times the widest band, ends cut."""
     flat = columns.reshape(columns.shape[0], columns.shape[1], -1)
     parts = [
@@ -149,10 +149,10 @@ def reduced(columns: Float64, step: float, cutoff_hz: Float64) -> Float64:
 
 def _taken(values: Any, step: float, cutoff_hz: Float64) -> Any:
     edge = min(int(np.ceil(2.0 / (float(cutoff_hz.min()) * step))), values.shape[0] // 8)
-    return values[edge : values.shape[0] - edge : spacing(step, cutoff_hz)]
+    return values[edge : values.shape[0] - edge : row_spacing(step, cutoff_hz)]
 
 
-def spacing(step: float, cutoff_hz: Float64) -> int:
+def row_spacing(step: float, cutoff_hz: Float64) -> int:
     """Samples from one row to the next."""
     widest = float(cutoff_hz.max())
     return 1 if widest >= 0.35 / step else max(1, int(1.0 / (2.5 * widest * step)))
@@ -196,7 +196,7 @@ def white_psd(values: Float64, step: float) -> tuple[Float64, Float64, Float64]:
 def find_band(experiments: tuple[Experiment, ...]) -> Band:
     """Cut-offs that all axes can carry, from the longest experiment's own spectra."""
     longest = max(experiments, key=lambda e: e.samples)
-    even = uniform(longest)
+    even = resample_uniformly(longest)
     velocity_only = _velocity_only(longest)
     motion_of = _forward(even.position, even.step) if velocity_only else even.position
     frequency, power, floor = white_psd(motion_of, even.step)
@@ -232,7 +232,7 @@ def _torque_edge(experiments: list[Experiment], floor: Float64) -> Float64:
     """(M,) frequency below which all but a thousandth of the torque's power above its noise lies [Hz]."""
     pieces = []
     for experiment in experiments:
-        even = uniform(experiment)
+        even = resample_uniformly(experiment)
         frequency, power = periodogram(even.torque, 1 / even.step, window="hann", detrend="linear", axis=0)
         clean = np.maximum(power - floor, 0.0) * frequency[1] * experiment.duration
         pieces.append((np.repeat(frequency[:, None], clean.shape[1], axis=1), clean))
@@ -248,11 +248,11 @@ def _torque_edge(experiments: list[Experiment], floor: Float64) -> Float64:
     return np.array(edges)
 
 
-def prepare(experiment: Experiment, band: Band) -> Motion:
+def prepare_rows(experiment: Experiment, band: Band) -> Motion:
     """The experiment as regression rows."""
     if experiment.kind is Kind.CONSTANT_VELOCITY:
         return _steady(experiment, band)
-    even = uniform(experiment)
+    even = resample_uniformly(experiment)
     step, cutoff = even.step, band.motion_hz
     position = derivative(even.position, step, cutoff, 0)
     velocity = derivative(even.position, step, cutoff, 1)
@@ -270,16 +270,16 @@ def prepare(experiment: Experiment, band: Band) -> Motion:
     inner = _without_jumps(acceleration, step, cutoff)
     position, velocity, acceleration = position[inner], velocity[inner], acceleration[inner]
     moving = (np.abs(velocity) > rest).astype(float)
-    share = reduced(moving, step, band.rows_hz)
+    share = reduce_rate(moving, step, band.rows_hz)
     keep: Bool = np.all(share > MOVING, axis=1)
     same = np.sign(velocity) == np.sign(np.roll(velocity, 1, axis=0))
     reach = 2 * max(1, round(0.5 / (float(band.rows_hz.min()) * step))) + 1
     steadily = minimum_filter1d(np.all(same & (moving > 0), axis=1).astype(np.int8), reach)
     far: Bool = (_taken(steadily, step, band.rows_hz) > 0)[keep]
     row_noise = np.broadcast_to(
-        band.torque_psd * band.rows_hz * passed(0), (int(keep.sum()), position.shape[1])
+        band.torque_psd * band.rows_hz * passed_noise(0), (int(keep.sum()), position.shape[1])
     )
-    every = spacing(step, band.rows_hz)
+    every = row_spacing(step, band.rows_hz)
     return Motion(
         key=experiment.key,
         role=experiment.role,

@@ -58,7 +58,7 @@ def quiet_power(spectrum: Complex128, quiet: np.ndarray) -> tuple[Float64, float
     return level, 2.0 * power.shape[0] * float(np.log(2.0) ** 2)
 
 
-def quantum(values: Float64) -> Float64:
+def quantisation_step(values: Float64) -> Float64:
     """(C,) step of channels whose (n, C) values lie on a lattice; zero for the others.
 
     The smallest change between samples that differ; a lattice only if all changes are multiples of

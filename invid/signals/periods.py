@@ -20,7 +20,7 @@ def fold(values: Float64, period: int) -> Float64:
     return values[values.shape[0] - periods * period :].reshape(periods, period, values.shape[1])
 
 
-def without_drift(folded: Float64) -> Float64:
+def remove_drift(folded: Float64) -> Float64:
     """(P, n, M) positions without the straight line through the period means.
 
     A free axis coasts; a straight line leaks onto every line alike in every period, so averaging
@@ -39,7 +39,7 @@ def without_drift(folded: Float64) -> Float64:
     return result
 
 
-def repeats(folded: Float64) -> Float64:
+def nonrepeating_share(folded: Float64) -> Float64:
     """(M,) share of the variance that does not repeat from one period to the next (0 … about 1)."""
     if folded.shape[0] < 2:
         return np.zeros(folded.shape[2])
@@ -90,7 +90,7 @@ class Settling:
     """False where even the last periods still differ by more than noise."""
 
 
-def settle(spectra: Complex128, floor: Float64, floor_dof: float) -> Settling:
+def find_settled_periods(spectra: Complex128, floor: Float64, floor_dof: float) -> Settling:
     """First period after which the spectra of the periods differ by noise only.
 
     Parameters

@@ -34,7 +34,7 @@ _Part = tuple[Complex128, Complex128, Complex128, Float64]
 """Position, velocity, torque and angular frequency of the lines of a record."""
 
 
-def seen_hold(spectra: Sequence[LineSpectra], axis: int) -> tuple[float, float] | None:
+def find_smooth_hold(spectra: Sequence[LineSpectra], axis: int) -> tuple[float, float] | None:
     """Gains (P, D) of a hold −(P + jωD)θ within the recorded torque of a driven axis; ``None``: none seen.
 
     The recorded torque T holds the command and the hold's part. Commands of shaking are designed: their

@@ -17,11 +17,11 @@ from invid.numerics.arrays import Bool, Complex128, Float64, frozen, frozen_floa
 from invid.recording.model import Experiment, Kind, Recording, Role
 from invid.signals.driven_axes import driven_axes
 from invid.signals.lines import band_of, excited_lines, held_torque, highest_excited
-from invid.signals.loop_noise import ENOUGH, own_share
-from invid.signals.noise import flat_covariance, pooled_covariance, quantum, quiet_power
-from invid.signals.periods import find_period, fold, repeats, settle, without_drift
+from invid.signals.loop_noise import ENOUGH, sensor_noise_share
+from invid.signals.noise import flat_covariance, pooled_covariance, quantisation_step, quiet_power
+from invid.signals.periods import find_period, find_settled_periods, fold, nonrepeating_share, remove_drift
 from invid.signals.quantisation import rounding_power
-from invid.signals.timebase import Uniform, uniform
+from invid.signals.timebase import UniformRecord, resample_uniformly
 
 NOT_PERIODIC = 0.3
 """Share of the variance that does not repeat above which a declared period is not believed: noise of
@@ -150,7 +150,7 @@ def spectra_of(
     RecordingError
         Too few samples, or time that does not increase.
     """
-    data = uniform(experiment)
+    data = resample_uniformly(experiment)
     warnings: list[str] = []
     if data.lost:
         warnings.append(
@@ -167,7 +167,7 @@ def spectra_of(
     return found
 
 
-def _period(experiment: Experiment, data: Uniform, warnings: list[str]) -> int | None:
+def _period(experiment: Experiment, data: UniformRecord, warnings: list[str]) -> int | None:
     """The period to use [samples]; the declared one is verified, never trusted."""
     declared = experiment.period_samples
     key = experiment.key
@@ -181,11 +181,14 @@ def _period(experiment: Experiment, data: Uniform, warnings: list[str]) -> int |
     if data.samples // declared < 2:
         return None
     loudest = int(np.argmax(_loudness(experiment, data.torque)))
-    share = float(repeats(fold(data.torque[:, [loudest]], declared))[0])
+    share = float(nonrepeating_share(fold(data.torque[:, [loudest]], declared))[0])
     if share <= NOT_PERIODIC:
         return declared
     found = find_period(data.torque[:, loudest], data.samples // 2)
-    if found is not None and float(repeats(fold(data.torque[:, [loudest]], found))[0]) < NOT_PERIODIC / 3:
+    if (
+        found is not None
+        and float(nonrepeating_share(fold(data.torque[:, [loudest]], found))[0]) < NOT_PERIODIC / 3
+    ):
         warnings.append(
             f"experiment {key}: the declared period of {declared} samples does not repeat; the torque "
             f"repeats every {found} samples, which is used instead"
@@ -228,14 +231,14 @@ def _columns(*parts: Float64) -> list[Float64]:
 
 def _periodic(
     experiment: Experiment,
-    data: Uniform,
+    data: UniformRecord,
     period: int,
     band_hz: tuple[float, float] | None,
     drop_transient: bool,
     warnings: list[str],
 ) -> LineSpectra:
     motors = data.position.shape[1]
-    position = without_drift(fold(data.position, period))
+    position = remove_drift(fold(data.position, period))
     torque = fold(data.torque, period)
     nyquist = (period - 1) // 2
     spectra = _amplitudes(_columns(position, torque), nyquist)
@@ -246,10 +249,10 @@ def _periodic(
         quiet = hz > 0.9 * hz[-1]
     floor, floor_dof, share = _floor(data, quiet, hz, period)
     band = band_of(hz, top, band_hz)
-    settling = settle(spectra[:, : top + 1], floor, floor_dof)
+    settling = find_settled_periods(spectra[:, : top + 1], floor, floor_dof)
     first = settling.first if drop_transient else 0
     if first:
-        position = without_drift(fold(data.position, period)[first:])
+        position = remove_drift(fold(data.position, period)[first:])
         del spectra
         spectra = _amplitudes(_columns(position, torque[first:]), nyquist)
     used = spectra.shape[0]
@@ -261,8 +264,8 @@ def _periodic(
     if settling.settled:
         parities = [quiet & odd, quiet & ~odd]
         repeating = np.max([quiet_power(mean, p)[0] for p in parities if p.any()], axis=0)
-        own = np.maximum(own, repeating * own_share(mean[None, quiet], hz[quiet], data.step))
-    step = np.concatenate((quantum(data.position), quantum(data.torque)))
+        own = np.maximum(own, repeating * sensor_noise_share(mean[None, quiet], hz[quiet], data.step))
+    step = np.concatenate((quantisation_step(data.position), quantisation_step(data.torque)))
     single = sum(np.abs(one) ** 2 for one in spectra) / used
     rounding = _rounding(single, np.abs(mean) ** 2, step, band)
     floor = np.maximum(floor, step**2 / 12 * 4 / period)
@@ -291,7 +294,7 @@ def _periodic(
 
 
 def _whole(
-    experiment: Experiment, data: Uniform, band_hz: tuple[float, float] | None, warnings: list[str]
+    experiment: Experiment, data: UniformRecord, band_hz: tuple[float, float] | None, warnings: list[str]
 ) -> LineSpectra:
     """The whole record, end points corrected: Σ x e^{−jωt} h + h (x_n − x_0)/2 is the integral to O(h²)."""
     motors = data.position.shape[1]
@@ -306,7 +309,7 @@ def _whole(
     held = np.concatenate((np.zeros(motors), np.nan_to_num(staircase, nan=0.0)))
     mean += ends * (1.0 - held)
     hz = np.arange(1, nyquist + 1) / (count * data.step)
-    if integrated(experiment):
+    if is_integrated_velocity(experiment):
         mean[:, :motors] = _of_velocity(data.position, data.step, hz)
     top = highest_excited(experiment, hz, mean[None])
     quiet = (hz > 1.5 * hz[top]) & (hz < 0.45 / data.step)
@@ -315,11 +318,11 @@ def _whole(
     single = np.empty((nyquist, 2 * motors))
     floor, _, share = _quiet([wave[:count]], hz, quiet, data.step, single)
     floor *= share
-    step = quantum(wave)
+    step = quantisation_step(wave)
     band = band_of(hz, top, band_hz)
     rounding = _rounding(single, single, step, band)
     floor = np.maximum(np.maximum(floor, step**2 / 12 * 4 / count), 1e-300)
-    if integrated(experiment):
+    if is_integrated_velocity(experiment):
         # White noise of a velocity is noise ∝ 1/ω of its integral; the quiet lines tell its level there.
         drift = (np.median(hz[quiet]) / hz[band])[:, None] ** 2
         rounding[:, :motors] = np.maximum(rounding[:, :motors], floor[:motors] * drift)
@@ -343,7 +346,7 @@ def _whole(
     )
 
 
-def integrated(experiment: Experiment) -> bool:
+def is_integrated_velocity(experiment: Experiment) -> bool:
     """Whether the record has no position but the running sum of a velocity."""
     return bool(experiment.attributes.get("position_source") == "integrated_velocity")
 
@@ -368,7 +371,7 @@ def _of_velocity(position: Float64, step: float, hz: Float64) -> Complex128:
     return out
 
 
-def _floor(data: Uniform, quiet: Bool, hz: Float64, period: int) -> tuple[Float64, float, Float64]:
+def _floor(data: UniformRecord, quiet: Bool, hz: Float64, period: int) -> tuple[Float64, float, Float64]:
     """(2M,) noise power of one line of one period, its dof, and the sensors' own share of it; from the quiet
     band of the whole record, windowed: what is left of a transient leaks there otherwise."""
     count = data.samples
@@ -406,7 +409,7 @@ def _quiet(
         if single is not None:
             single[:, c] = np.abs(windowed) ** 2
         kept.append(windowed[quiet][::every].copy())  # or a view keeps all of it
-    share = own_share(np.stack(kept, axis=1)[None], hz[quiet][::every], step)
+    share = sensor_noise_share(np.stack(kept, axis=1)[None], hz[quiet][::every], step)
     return power, dof, share
 
 
@@ -419,7 +422,7 @@ def _windowed(values: Float64, lines: int) -> Complex128:
 
 def _assemble(
     experiment: Experiment,
-    data: Uniform,
+    data: UniformRecord,
     hz: Float64,
     mean: Complex128,
     covariance: Complex128,
@@ -465,5 +468,5 @@ def _assemble(
         floor=frozen_float(floor),
         rounding=frozen_float(rounding),
         hold_gain=frozen_float(experiment.hold_gain),
-        integrated=integrated(experiment),
+        integrated=is_integrated_velocity(experiment),
     )

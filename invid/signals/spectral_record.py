@@ -9,7 +9,7 @@ import numpy as np
 
 from invid.numerics.arrays import Complex128, Float64
 from invid.signals.aliasing import Images
-from invid.signals.standstill import Standing, standing
+from invid.signals.standstill import Standstill, find_standstill
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -54,7 +54,7 @@ class SpectralLines:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Record(SpectralLines):
+class SpectralRecord(SpectralLines):
     """One record, prepared: lines (0 Hz first), noise, and what the motors did over time.
 
     Attributes
@@ -141,10 +141,10 @@ class Record(SpectralLines):
         return out
 
     @cached_property
-    def standing(self) -> tuple[Standing | None, ...]:
+    def standing(self) -> tuple[Standstill | None, ...]:
         """When each motor stands; none for those that never do, or whose noise hides it."""
         noise = self.velocity_noise
-        return tuple(standing(v, float(noise[i])) for i, v in enumerate(self.motor_velocity.T))
+        return tuple(find_standstill(v, float(noise[i])) for i, v in enumerate(self.motor_velocity.T))
 
     def unseen_speed(self, torque: Float64, axis: int) -> Float64:
         """(n,) velocity that a ``torque`` (n,) gives one unit of inertia on the lines that noise has hidden.

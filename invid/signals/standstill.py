@@ -23,7 +23,7 @@ LATER = 2
 
 
 @dataclass(frozen=True, eq=False)
-class Standing:
+class Standstill:
     """When a motor stands, sample by sample.
 
     Attributes
@@ -43,19 +43,19 @@ class Standing:
         return out
 
 
-def softness(velocity: Float64, noise: float) -> float:
+def sign_threshold(velocity: Float64, noise: float) -> float:
     """Velocity over which the sign of ``velocity`` (n,) is not told."""
     return max(1.5 * noise, 1e-3 * float(np.sqrt(np.mean(velocity**2))), 1e-300)
 
 
-def slow_of(velocity: Float64, noise: float) -> float:
+def standstill_velocity(velocity: Float64, noise: float) -> float:
     """Velocity within which a motor of ``velocity`` (n,) with ``noise`` may stand."""
-    return SLOW * softness(velocity, noise)
+    return SLOW * sign_threshold(velocity, noise)
 
 
-def standing(velocity: Float64, noise: float) -> Standing | None:
+def find_standstill(velocity: Float64, noise: float) -> Standstill | None:
     """When a motor of ``velocity`` (n,) with ``noise`` stands; none where it never does or noise hides it."""
-    slow = slow_of(velocity, noise)
+    slow = standstill_velocity(velocity, noise)
     if slow > SEEN * float(np.sqrt(np.mean(velocity**2))):
         return None
     inside = np.abs(velocity) < slow
@@ -72,4 +72,4 @@ def standing(velocity: Float64, noise: float) -> Standing | None:
         within = np.clip(np.arange(span.start, span.stop) + 0.5 - stop, 0.0, 1.0)
         share[span] = np.maximum(share[span], within)
         last[span] = first - 1
-    return Standing(share, last) if share.any() else None
+    return Standstill(share, last) if share.any() else None

@@ -27,7 +27,7 @@ the amplitude at a tenth of the sampling rate and by a fifth at a fifth, with fi
 
 
 @dataclass(frozen=True, eq=False)
-class Uniform:
+class UniformRecord:
     """An experiment on a uniform grid of step ``step`` [s].
 
     ``jitter`` is the rms timing error in samples, ``lost`` the number of samples that were missing.
@@ -47,7 +47,7 @@ class Uniform:
         return int(self.position.shape[0])
 
 
-def uniform(experiment: Experiment) -> Uniform:
+def resample_uniformly(experiment: Experiment) -> UniformRecord:
     """The experiment on an even grid; RecordingError where time is unusable."""
     time = np.asarray(experiment.time, dtype=float)
     count = time.size
@@ -72,7 +72,9 @@ def uniform(experiment: Experiment) -> Uniform:
     lost = int(index[-1]) + 1 - count
     jitter = float(np.sqrt(np.mean(error**2)))
     if lost == 0 and np.abs(error).max() < EVEN:
-        return Uniform(step, experiment.position, experiment.torque, experiment.torque_demand, jitter, 0, 1)
+        return UniformRecord(
+            step, experiment.position, experiment.torque, experiment.torque_demand, jitter, 0, 1
+        )
     grid = np.clip(origin + step * np.arange(int(index[-1]) + 1), time[0], time[-1])
 
     gaps = _gaps(index.astype(int))
@@ -84,7 +86,7 @@ def uniform(experiment: Experiment) -> Uniform:
         return result
 
     demand = experiment.torque_demand
-    return Uniform(
+    return UniformRecord(
         step,
         resample(experiment.position),
         resample(experiment.torque),

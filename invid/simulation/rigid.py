@@ -30,7 +30,7 @@ from invid.model.document import Model
 from invid.numerics.arrays import Float64, frozen_float
 from invid.recording.model import Experiment, Recording
 from invid.signals.motion_record import derivative
-from invid.signals.timebase import uniform
+from invid.signals.timebase import resample_uniformly
 from invid.simulation.laws import elements_of, static_table
 from invid.simulation.rigid_kernel import march
 
@@ -144,7 +144,7 @@ def errors_of(model: Model, recording: Recording) -> list[dict[str, Any]]:
 
 
 def _one(model: Model, experiment: Experiment) -> Experiment:
-    even = uniform(experiment)
+    even = resample_uniformly(experiment)
     axes, count = even.position.shape[1], even.samples
     laws = _laws(model)
     delay = _delays(model, laws.channels)

@@ -5,7 +5,7 @@ import pytest
 
 from hidden.aperiodic import draw
 from invid.identification.identify import identify
-from invid.identification.machine_kind import CLEARLY, chains_miss
+from invid.identification.machine_kind import CLEARLY, chains_missed_share
 from invid.model.chains import CoupledChains
 
 
@@ -34,7 +34,9 @@ def test_a_hold_that_nothing_shows_does_not_bend_the_motor_s_mass() -> None:
 def test_chains_are_judged_on_pieces_of_all_that_a_chirp_shook() -> None:
     recording, truth = draw(112)
     chains = CoupledChains.build([truth.masses], [truth.springs], [truth.dampers], axes=recording.axes)
-    assert chains_miss(recording, chains) < 0.2 * CLEARLY  # of its end alone they missed more than all
+    assert (
+        chains_missed_share(recording, chains) < 0.2 * CLEARLY
+    )  # of its end alone they missed more than all
 
 
 @pytest.mark.parametrize("seed", [2600000, 880005])

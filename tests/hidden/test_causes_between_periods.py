@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from invid.diagnosis.diagnose import diagnose
-from invid.diagnosis.search_pass import looked
+from invid.diagnosis.search_pass import run_search_pass
 from invid.model.document import Model
 from invid.model.parameter_names import std_by_name
 
@@ -24,7 +24,7 @@ def test_a_drift_of_two_periods_is_no_tone_between_two_lines() -> None:
     )  # fmt: skip
     chains = truth.chains
     # A start of the linear parameters, as an identification would give it.
-    found = looked(recording, Model("test", "refined", chains, std_by_name(chains, {})))
+    found = run_search_pass(recording, Model("test", "refined", chains, std_by_name(chains, {})))
     assert not found.tones
     assert all(record.alone for record in found.train)
     (step,) = found.selection.steps

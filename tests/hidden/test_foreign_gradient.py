@@ -11,29 +11,31 @@ import pytest
 
 from invid.diagnosis.linear_fit import layout_of
 from invid.diagnosis.score_test import Screen
-from invid.diagnosis.validation import split
+from invid.diagnosis.validation import split_records
 from invid.effects.catalogue.backlash import Backlash
 from invid.effects.catalogue.extra_mode import ExtraMode
 from invid.effects.catalogue.viscous_friction import ViscousFriction
 from invid.likelihood.evaluation import evaluate
 from invid.likelihood.hypothesis import Layout
 from invid.likelihood.joint_fit import fit
-from invid.likelihood.placed_effect import Candidate, Term
-from invid.likelihood.prepare_records import by_period, record_of
+from invid.likelihood.placed_effect import Candidate, PlacedEffect
+from invid.likelihood.prepare_records import spectral_record, split_into_periods
 from invid.model.chains import CoupledChains
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place
 from invid.numerics.arrays import Float64
 from invid.recording import Role
 from invid.signals.spectra import all_spectra, spectra_of
-from invid.signals.spectral_record import Record
+from invid.signals.spectral_record import SpectralRecord
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from hidden.foreign import make_foreign
 from hidden.generator import make
 
 
-def near_the_truth(train: Sequence[Record], chains: CoupledChains, spread: float) -> tuple[Layout, Float64]:
+def near_the_truth(
+    train: Sequence[SpectralRecord], chains: CoupledChains, spread: float
+) -> tuple[Layout, Float64]:
     """Layout, and its parameters off the true ones by a random share: at the minimum no gradient tells."""
     structure = ChainStructure(chains.masses_per_branch, chains.axes, viscous=False)
     layout = layout_of(structure, train, 0.0)
@@ -55,7 +57,7 @@ def central(cost: Callable[[Float64], float], at: Float64, k: int, h: float) -> 
 @pytest.mark.parametrize(("seed", "motors"), [(540031, 1), (540044, 2)])
 def test_the_gradient_of_an_aperiodic_record_is_that_of_its_cost(seed: int, motors: int) -> None:
     recording, truth = make_foreign(seed, cause="null", excitation="noise", motors=motors)
-    train, _, _ = split(recording, all_spectra(recording))
+    train, _, _ = split_records(recording, all_spectra(recording))
     layout, p = near_the_truth(train, truth.chains, 1e-3)
     here = evaluate(layout, train, p, Candidate())
     gradient = 2.0 * here.jacobian.T @ here.residual
@@ -84,11 +86,11 @@ def test_the_gradient_knows_what_masses_and_springs_do_to_a_gap_of_the_last_spri
         moves=False,
         periods=2,
     )
-    train, _, _ = split(recording, all_spectra(recording))
+    train, _, _ = split_records(recording, all_spectra(recording))
     layout, p = near_the_truth(train, truth.chains, 2e-3)
     structure = layout.structure
     gap = np.array([np.log(truth.effects[0].parameters["gap"])])
-    candidate = Candidate((Term(Backlash(), Place("spring", 0, masses - 1)),), (gap,))
+    candidate = Candidate((PlacedEffect(Backlash(), Place("spring", 0, masses - 1)),), (gap,))
     here = evaluate(layout, train, p, candidate, thorough=True)
     gradient = 2.0 * here.jacobian.T @ here.residual
     largest = np.abs(gradient[: structure.count]).max()
@@ -105,10 +107,10 @@ def test_the_gradient_knows_what_masses_and_springs_do_to_a_gap_of_the_last_spri
 def test_a_gap_is_seen_in_a_chirp_from_rest_whose_ends_move_the_load_within_it() -> None:
     """Seed 670007: a mode, a gear error and eccentricity were screened before the gap, which took a tenth."""
     recording, truth = make_foreign(670007)
-    train, _, _ = split(recording, all_spectra(recording))
+    train, _, _ = split_records(recording, all_spectra(recording))
     layout, p = near_the_truth(train, truth.chains, 1e-3)
     linear = fit(layout, train, p, Candidate(), iterations=25)
-    seen = Screen(linear).best(Term(Backlash(), Place("spring", 0, 1)), polish=True)
+    seen = Screen(linear).best(PlacedEffect(Backlash(), Place("spring", 0, 1)), polish=True)
     assert seen.gain > 0.8 * linear.cost
     assert np.exp(seen.x[0]) == pytest.approx(truth.effects[0].parameters["gap"], rel=0.1)
 
@@ -132,8 +134,8 @@ def test_the_gradient_knows_what_masses_and_springs_do_to_an_effect_linear_in_in
     )
     spectra = [spectra_of(e, drop_transient=False) for e in recording.experiments if e.role is Role.IDENTIFY]
     experiments = {e.key: e for e in recording.experiments}
-    whole = [record_of(s, experiments[s.key]) for s in spectra]
-    train = by_period(recording, whole, [s.key for s in spectra]) if from_rest else whole
+    whole = [spectral_record(s, experiments[s.key]) for s in spectra]
+    train = split_into_periods(recording, whole, [s.key for s in spectra]) if from_rest else whole
     layout, p = near_the_truth(train, truth.chains, 2e-3)
     size = truth.effects[0].parameters
     effect, x = {
@@ -143,7 +145,7 @@ def test_the_gradient_knows_what_masses_and_springs_do_to_an_effect_linear_in_in
         ),
         "viscous_friction": lambda: (ViscousFriction(), [size["coefficient"]]),
     }[cause]()
-    candidate = Candidate((Term(effect, Place("mass", 0, 2)),), (np.array(x),))
+    candidate = Candidate((PlacedEffect(effect, Place("mass", 0, 2)),), (np.array(x),))
     here = evaluate(layout, train, p, candidate)
     gradient = 2.0 * here.jacobian.T @ here.residual
     chosen = [*range(layout.structure.count), *range(layout.count, gradient.size)]

@@ -7,7 +7,7 @@ import pytest
 from hidden.generator import make, make_case
 from hidden.scoring import score
 from invid.diagnosis.diagnose import diagnose
-from invid.diagnosis.rules.dropped_rows import find_dropped
+from invid.diagnosis.rules.dropped_rows import find_dropped_rows
 from invid.model.diagnosis_document import Verdict
 
 
@@ -34,7 +34,7 @@ def test_what_is_explained_is_consistent_with_the_extended_model() -> None:
 def test_the_share_of_lost_rows_is_right_where_many_repeat_by_chance() -> None:
     """A rounded torque and a coarse encoder repeat together: 0.9 % were said of 1.4 %."""
     recording, truth = make_case(1010072)
-    (found,) = find_dropped(recording)
+    (found,) = find_dropped_rows(recording)
     true = truth.effects[0].parameters["fraction"]
     assert abs(found.fraction - true) < 3.0 * found.std
     assert found.fraction == pytest.approx(true, rel=0.1)

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from invid.identification.starts import fit_sizes, measured_frf
-from invid.identification.torque_timing import timely
+from invid.identification.torque_timing import refit_with_late_torque
 from invid.model.chains import CoupledChains
 from invid.recording import Role
 from invid.signals.spectra import LineSpectra, all_spectra
@@ -46,9 +46,9 @@ def test_a_fit_in_a_wrong_minimum_starts_again_with_the_lateness_that_it_found_t
             axes=truth.chains.axes,
         )
 
-    found = timely(spectra, wrong, starts_for)
+    found = refit_with_late_torque(spectra, wrong, starts_for)
     assert found is not wrong
     assert found.chains.springs[0] == pytest.approx(truth.chains.springs[0], rel=0.01)
     # Within a sample nothing is late, and nothing is tried.
     punctual = replace(wrong, facts={"time_offset_s": {}})
-    assert timely(spectra, punctual, starts_for) is punctual
+    assert refit_with_late_torque(spectra, punctual, starts_for) is punctual

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from invid.diagnosis.diagnose import diagnose
-from invid.likelihood.prepare_records import record_of
+from invid.likelihood.prepare_records import spectral_record
 from invid.model.diagnosis_document import Verdict
 from invid.recording import Role
 from invid.recording.model import Experiment, Kind, Recording
@@ -92,7 +92,7 @@ def test_a_period_that_stands_alone_is_where_the_motor_was() -> None:
     experiment = recording.experiments[0]
     spectra = spectra_of(experiment, drop_transient=False)
     for k in range(PERIODS):
-        record = record_of(spectra, experiment, slice(k, k + 1), alone=True)
+        record = spectral_record(spectra, experiment, slice(k, k + 1), alone=True)
         there = experiment.position[k * PERIOD : (k + 1) * PERIOD, 0]
         wave = record.motor_wave[:, 0]
         own = np.interp(np.arange(wave.size) * record.wave_step, np.arange(PERIOD) * STEP, there)

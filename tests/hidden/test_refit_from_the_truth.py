@@ -12,13 +12,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from invid.diagnosis.known_effects import place_of, vector_of
-from invid.diagnosis.linear_fit import layout_of, linear_fit
-from invid.diagnosis.validation import split
+from invid.diagnosis.known_effects import effect_place, effect_vector
+from invid.diagnosis.linear_fit import fit_linear_model, layout_of
+from invid.diagnosis.validation import split_records
 from invid.effects.registry import BY_CAUSE
 from invid.likelihood.joint_fit import fit
-from invid.likelihood.placed_effect import Candidate, Term
-from invid.likelihood.prepare_records import record_of
+from invid.likelihood.placed_effect import Candidate, PlacedEffect
+from invid.likelihood.prepare_records import spectral_record
 from invid.model.document import EffectTerm, Estimate, Model
 from invid.model.parameter_names import std_by_name
 from invid.model.parameters import ChainStructure
@@ -56,12 +56,12 @@ def test_a_cause_fitted_to_a_plant_that_has_it_keeps_its_true_size_and_leaves_th
     term = EffectTerm(cause, true.axis, parameters, true.element, true.other_axis)
     structure = ChainStructure(truth.chains.masses_per_branch, truth.chains.axes, viscous=False)
     experiments = {e.key: e for e in recording.experiments}
-    records = [record_of(s, experiments[s.key]) for s in all_spectra(recording, Role.IDENTIFY)]
+    records = [spectral_record(s, experiments[s.key]) for s in all_spectra(recording, Role.IDENTIFY)]
     layout = layout_of(structure, records, 0.0)  # a drift of the plant begins at time 0
     p = np.zeros(layout.count)
     p[: structure.count] = structure.vector(truth.chains)
-    place = place_of(term, structure)
-    candidate = Candidate().plus(Term(BY_CAUSE[cause], place), vector_of(term))
+    place = effect_place(term, structure)
+    candidate = Candidate().plus(PlacedEffect(BY_CAUSE[cause], place), effect_vector(term))
     without = fit(layout, records, p, Candidate(), iterations=8)
     found = fit(layout, records, p, candidate, iterations=8)
     assert without.cost > 50.0 * without.dof
@@ -84,8 +84,8 @@ def test_a_gap_beside_a_late_torque_leaves_the_noise() -> None:
     fitted = {"joint_with_effects": True}
     model = Model("test", "refined", truth.chains, known, effects=terms, fit=fitted)
     spectra = all_spectra(recording)
-    train, held, _ = split(recording, spectra)
-    found, *_ = linear_fit(model, recording, spectra, train, held)
+    train, held, _ = split_records(recording, spectra)
+    found, *_ = fit_linear_model(model, recording, spectra, train, held)
     assert found.cost < 1.3 * found.dof
 
 
@@ -97,12 +97,12 @@ def test_a_lag_gains_nothing_by_taking_the_torques_noise_away() -> None:
     )  # fmt: skip
     structure = ChainStructure(truth.chains.masses_per_branch, truth.chains.axes, viscous=False)
     experiments = {e.key: e for e in recording.experiments}
-    records = [record_of(s, experiments[s.key]) for s in all_spectra(recording, Role.IDENTIFY)]
+    records = [spectral_record(s, experiments[s.key]) for s in all_spectra(recording, Role.IDENTIFY)]
     layout = layout_of(structure, records, 0.0)
     p = np.zeros(layout.count)
     p[: structure.count] = structure.vector(truth.chains)
     without = fit(layout, records, p, Candidate(), iterations=25)
     lag = BY_CAUSE["torque_lag"]
-    start = Candidate((Term(lag, lag.places(structure)[0]),), (np.array([np.log(records[0].step)]),))
+    start = Candidate((PlacedEffect(lag, lag.places(structure)[0]),), (np.array([np.log(records[0].step)]),))
     beside = fit(layout, records, without.p, start, iterations=40)
     assert without.cost - beside.cost < 10.0

@@ -40,7 +40,7 @@ def test_the_better_of_both_wins_and_what_the_other_misses_is_said(
     monkeypatch: pytest.MonkeyPatch, missed: float, rigid: bool
 ) -> None:
     recording, _ = draw(8, 3, seconds=10.0)
-    monkeypatch.setattr("invid.identification.machine_kind.chains_miss", lambda *_: missed)
+    monkeypatch.setattr("invid.identification.machine_kind.chains_missed_share", lambda *_: missed)
     kind = machine_kind(recording, None, lambda: chains_of(recording, 2))
     assert kind.rigid is rigid
     assert f"chains {missed:.1%}" in kind.said

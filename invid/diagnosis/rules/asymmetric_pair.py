@@ -8,23 +8,25 @@ from functools import partial
 
 import numpy as np
 
-from invid.diagnosis.evidence import attempted
-from invid.diagnosis.rules.near_variants import of_its_own
+from invid.diagnosis.evidence import evidence_if_finite
+from invid.diagnosis.rules.near_variants import extended_schwarz_penalty
 from invid.diagnosis.selection import Selection
 from invid.diagnosis.thresholds import COMPETES
 from invid.effects.effect import Effect
 from invid.effects.laws.sign import DryLaw
 from invid.effects.registry import BY_CAUSE
 from invid.likelihood.joint_fit import fit
-from invid.likelihood.placed_effect import Term
+from invid.likelihood.placed_effect import PlacedEffect
 from invid.numerics.arrays import Float64
-from invid.signals.spectral_record import Record
+from invid.signals.spectral_record import SpectralRecord
 
 PARTS = ("torque_offset", "coulomb_friction", "viscous_friction")
 
 
-def with_asymmetry(found: Selection, train: Sequence[Record], held: Sequence[Record]) -> Selection:
-    """The selection, every part of such a pair doubted as much as the records leave the one cause possible.
+def doubt_asymmetric_pairs(
+    found: Selection, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord]
+) -> Selection:
+    """The selection; each part of such a pair is as doubtful as one asymmetric friction is likely.
 
     The pair is that cause with the same viscous friction both ways, or with none: of an asymmetric friction
     at 6 dB it left nothing but noise, and its parts were certain one by one.
@@ -41,15 +43,17 @@ def with_asymmetry(found: Selection, train: Sequence[Record], held: Sequence[Rec
         if "torque_offset" not in size:
             continue
         start = _start(size["coulomb_friction"], size["torque_offset"], size.get("viscous_friction"))
-        whole = Term(_as_sharp_as(dry.effect), dry.place)
+        whole = PlacedEffect(_as_sharp_as(dry.effect), dry.place)
         kept = final.fit.candidate.only(k for k in range(len(terms)) if k not in parts)
         candidate = kept.plus(whole, start)
-        trial = attempted(partial(fit, final.fit.layout, train, final.fit.p, candidate, iterations=20), held)
+        trial = evidence_if_finite(
+            partial(fit, final.fit.layout, train, final.fit.p, candidate, iterations=20), held
+        )
         if trial is None:
             continue
         rows = found.base.fit.dof
         behind = trial.score(final.dispersion, rows) - final.score(final.dispersion, rows)
-        behind -= of_its_own(final.fit.layout.structure)
+        behind -= extended_schwarz_penalty(final.fit.layout.structure)
         if behind >= COMPETES and trial.cost - final.cost >= final.beyond_noise:
             continue
         steps = list(found.steps)
@@ -61,14 +65,14 @@ def with_asymmetry(found: Selection, train: Sequence[Record], held: Sequence[Rec
     return found
 
 
-def _belongs(part: Term, dry: Term) -> bool:
+def _belongs(part: PlacedEffect, dry: PlacedEffect) -> bool:
     """Whether a cause may be a part of one friction with ``dry``; a constant torque is one along a chain."""
     return part.place == dry.place or (
         part.effect.cause == "torque_offset" and part.place.axis == dry.place.axis
     )
 
 
-def _is(one: Term, other: Term) -> bool:
+def _is(one: PlacedEffect, other: PlacedEffect) -> bool:
     return one.effect.cause == other.effect.cause and one.place == other.place
 
 
@@ -87,4 +91,4 @@ def _start(dry: Float64, constant: Float64, wet: Float64 | None) -> Float64:
     return np.concatenate((np.maximum(both, 0.0), [viscous, viscous]))
 
 
-__all__ = ["with_asymmetry"]
+__all__ = ["doubt_asymmetric_pairs"]

@@ -6,20 +6,25 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
-from invid.diagnosis.candidates import with_those_from
+from invid.diagnosis.candidates import add_trials_from_other_start
 from invid.diagnosis.context import Rule, Stage
-from invid.diagnosis.rules.asymmetric_pair import with_asymmetry
-from invid.diagnosis.rules.dropped_rows import find_dropped
-from invid.diagnosis.rules.gradual_sign import with_gradual_signs
-from invid.diagnosis.rules.known_friction import with_known_friction
-from invid.diagnosis.rules.load_change import searched_around
-from invid.diagnosis.rules.mode_in_chain import with_the_mode_in_the_chain
-from invid.diagnosis.rules.near_variants import delays, elsewhere, ladder, lags
-from invid.diagnosis.rules.nonrepeating_torque import said_of_scatter
-from invid.diagnosis.rules.own_evidence import on_own_evidence
-from invid.diagnosis.rules.slow_moves import judged_on_moves
-from invid.diagnosis.rules.tones import tones_of
-from invid.diagnosis.rules.widths import with_widths
+from invid.diagnosis.rules.asymmetric_pair import doubt_asymmetric_pairs
+from invid.diagnosis.rules.dropped_rows import find_dropped_rows
+from invid.diagnosis.rules.gradual_sign import fit_gradual_signs
+from invid.diagnosis.rules.known_friction import add_known_friction
+from invid.diagnosis.rules.load_change import search_around_change
+from invid.diagnosis.rules.mode_in_chain import fit_chain_with_mode
+from invid.diagnosis.rules.near_variants import (
+    delay_variants,
+    friction_ladder,
+    lag_variants,
+    try_other_places,
+)
+from invid.diagnosis.rules.nonrepeating_torque import describe_scatter
+from invid.diagnosis.rules.own_evidence import keep_independent_causes
+from invid.diagnosis.rules.slow_moves import rank_by_slow_moves
+from invid.diagnosis.rules.tones import find_common_tones
+from invid.diagnosis.rules.widths import fit_sign_widths
 
 GENERATORS = "hidden plants of this project (docs/explanations/hidden-tests.md)"
 """Where a rule is from that no book has: what the hidden tests showed."""
@@ -37,62 +42,62 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "dropped-rows", Stage.DATA,
         "A row that repeats the one before, bit by bit, while the axis moves was lost on the bus.",
-        GENERATORS, find_dropped, _nothing,
+        GENERATORS, find_dropped_rows, _nothing,
     ),
     Rule(
         "tones", Stage.DATA,
         "A sinusoid that repeats with no period turns by 2πfT from one to the next; noise does not.",
-        GENERATORS, tones_of, _nothing,
+        GENERATORS, find_common_tones, _nothing,
     ),
     Rule(
         "known-friction", Stage.SELECTION,
         "An identification that gets chains right beside friction has found it: the search starts with it.",
-        "saves a step of the search for each law (benchmarks/bench_speed.py)", with_known_friction, _none,
+        "saves a step of the search for each law (benchmarks/bench_speed.py)", add_known_friction, _none,
         applies=lambda start, friction, *_: len(friction.terms) > 1,
     ),
     Rule(
         "delay-beyond-bound", Stage.CANDIDATES,
         "A time offset at its bound of one sample is a delay; it starts from the fit without that bound.",
-        GENERATORS, delays, _nothing, applies=lambda here, train, held, late, free: bool(late),
+        GENERATORS, delay_variants, _nothing, applies=lambda here, train, held, late, free: bool(late),
     ),
     Rule(
         "lag-beside-delay", Stage.CANDIDATES,
         "Near low frequencies a lag is a delay; each delay is weighed against the lag that is as late.",
-        GENERATORS, lags, _nothing,
+        GENERATORS, lag_variants, _nothing,
     ),
     Rule(
         "start-from-model", Stage.CANDIDATES,
         "A strong cause bends the linear fit without it; the identification, which fits friction along, "
         "starts nearer.",
-        GENERATORS, with_those_from,
+        GENERATORS, add_trials_from_other_start,
     ),
     Rule(
         "gradual-sign", Stage.CANDIDATES,
         "No contact reverses at once: friction changes its sign over a range of velocity.",
         "tanh law of velocity, as in Andersson, Söderberg, Björklund, Tribology International 40 (2007) 580",
-        with_gradual_signs,
+        fit_gradual_signs,
     ),
     Rule(
         "reversal-widths", Stage.SELECTION,
         "How gradually friction turns over shows once what acts beside it is in the model.",
-        "whole cells (tests/hidden/cells.py)", with_widths,
+        "whole cells (tests/hidden/cells.py)", fit_sign_widths,
         applies=lambda found, *_: bool(found.steps),
     ),
     Rule(
         "next-mass", Stage.CANDIDATES,
         "The screen's order of places is that of linear parameters which the cause itself has bent.",
-        GENERATORS, elsewhere, _nothing,
+        GENERATORS, try_other_places, _nothing,
     ),
     Rule(
         "slow-moves", Stage.RANKING,
         "Over a long way a constant torque, gravity and a ripple differ, which are alike in small motion.",
         "regression on slow moves, as in Bittencourt and Gunnarsson, J. Dyn. Syst. Meas. Control 134 (2012)",
-        judged_on_moves, applies=lambda step, moves: bool(moves),
+        rank_by_slow_moves, applies=lambda step, moves: bool(moves),
     ),
     Rule(
         "friction-ladder", Stage.STEP,
         "Friction by direction contains the laws without it: it has to earn its parameters against each.",
-        GENERATORS, lambda step, train, held: ladder(step, train, held) or (step,),
+        GENERATORS, lambda step, train, held: friction_ladder(step, train, held) or (step,),
         lambda step, *_: (step,),
         applies=lambda step, *_: "dry" in step.chosen.term.effect.parts
         and "viscous" in step.chosen.term.effect.parts,
@@ -101,27 +106,27 @@ RULES: tuple[Rule, ...] = (
         "mode-in-chain", Stage.SELECTION,
         "A mode found beside a chain may be one of its own that the fit has lost: the inverse puts it back.",
         "inverse of a chain from its modes, equations 13 to 23 of the paper",
-        with_the_mode_in_the_chain, _none,
+        fit_chain_with_mode, _none,
     ),
     Rule(
         "asymmetric-pair", Stage.SELECTION,
         "A constant torque and dry friction on one axis are friction that differs by direction.",
-        "identity of the two laws", with_asymmetry, applies=lambda found, *_: len(found.steps) > 1,
+        "identity of the two laws", doubt_asymmetric_pairs, applies=lambda found, *_: len(found.steps) > 1,
     ),
     Rule(
         "load-change", Stage.SELECTION,
         "The period in which a load changes is half of one plant, half of another: it fits neither.",
-        GENERATORS, searched_around, _none, applies=lambda selection, *_: bool(selection.steps),
+        GENERATORS, search_around_change, _none, applies=lambda selection, *_: bool(selection.steps),
     ),
     Rule(
         "own-evidence", Stage.SELECTION,
         "Dry friction of a motor is read from measured motion, and stands where nothing else is explained.",
-        "whole cells (tests/hidden/cells.py)", on_own_evidence, _none,
+        "whole cells (tests/hidden/cells.py)", keep_independent_causes, _none,
     ),
     Rule(
         "nonrepeating-torque", Stage.VERDICT,
         "Torque that differs from period to period beyond the sensors' noise is noise to all that repeats.",
-        "expectation of the scatter between periods", said_of_scatter, _none,
+        "expectation of the scatter between periods", describe_scatter, _none,
     ),
 )  # fmt: skip
 """Every rule, by stage in the order in which the search meets them first."""

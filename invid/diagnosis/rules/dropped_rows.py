@@ -11,10 +11,10 @@ from scipy.ndimage import uniform_filter1d
 from scipy.special import erfinv
 
 from invid.diagnosis.outcome import explained_share, left_over, verdict_of
-from invid.diagnosis.validation import split
+from invid.diagnosis.validation import split_records
 from invid.effects.registry import BY_CAUSE
 from invid.effects.units import unit_of
-from invid.likelihood.joint_fit import JointFit, held_out
+from invid.likelihood.joint_fit import JointFit, evaluate_held_out
 from invid.likelihood.null_test import rms_torque
 from invid.model.diagnosis_document import Diagnosis, Finding, Verdict
 from invid.model.document import EffectTerm, Estimate
@@ -41,7 +41,7 @@ NODES = np.sqrt(2.0) * erfinv(np.linspace(-0.975, 0.975, 40))
 
 
 @dataclass(frozen=True)
-class Dropped:
+class DroppedRows:
     """Share of the rows of one axis that were dropped, with its standard deviation."""
 
     axis: int
@@ -117,7 +117,7 @@ def _slow(steps: Float64) -> Float64:
     return out
 
 
-def find_dropped(recording: Recording) -> list[Dropped]:
+def find_dropped_rows(recording: Recording) -> list[DroppedRows]:
     """Axes whose rows repeat more often than by chance."""
     out = []
     for axis in range(recording.axis_count):
@@ -140,7 +140,7 @@ def find_dropped(recording: Recording) -> list[Dropped]:
     return out
 
 
-def _share(axis: int, both: Bool, likely: Float64) -> Dropped:
+def _share(axis: int, both: Bool, likely: Float64) -> DroppedRows:
     """The share that was lost, by the rows that hardly repeat by chance where there are enough of them."""
 
     def of(rows: Bool) -> tuple[float, float]:
@@ -151,10 +151,10 @@ def _share(axis: int, both: Bool, likely: Float64) -> Dropped:
     rare = likely < RARE * of(every)[0]
     options = [of(rows) for rows in (every, rare) if both[rows].sum() >= 5]
     share, std = min(options, key=lambda o: o[1])
-    return Dropped(axis, float(share), float(std))
+    return DroppedRows(axis, float(share), float(std))
 
 
-def repaired(recording: Recording, dropped: Sequence[Dropped]) -> Recording:
+def interpolate_dropped_rows(recording: Recording, dropped: Sequence[DroppedRows]) -> Recording:
     """The recording with the repeated rows of those axes interpolated from their neighbours."""
     experiments = []
     for e in recording.experiments:
@@ -177,16 +177,16 @@ def _interpolated(time: Float64, values: Float64, kept: np.ndarray, at: np.ndarr
     return out
 
 
-def before_repair(recording: Recording, base: JointFit) -> dict[str, float]:
+def rms_before_repair(recording: Recording, base: JointFit) -> dict[str, float]:
     """Rms missing torque of every axis on the held-out records as they were recorded."""
     spectra = all_spectra(recording)
-    _, held, _ = split(recording, spectra)
-    evaluation = held_out(base, held)
+    _, held, _ = split_records(recording, spectra)
+    evaluation = evaluate_held_out(base, held)
     return {axis: rms_torque(evaluation, i)[0] for i, axis in enumerate(recording.axes)}
 
 
-def with_dropped(
-    result: Diagnosis, recording: Recording, dropped: Sequence[Dropped], before: dict[str, float]
+def add_dropped_rows_finding(
+    result: Diagnosis, recording: Recording, dropped: Sequence[DroppedRows], before: dict[str, float]
 ) -> Diagnosis:
     """The diagnosis of the repaired recording, with the dropped samples as a finding of their own."""
     if not dropped:

@@ -10,14 +10,14 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from invid.diagnosis.evidence import Trial, finite
+from invid.diagnosis.evidence import CandidateEvidence, fit_if_finite
 from invid.diagnosis.thresholds import CLOSE
 from invid.effects.laws.sign import DryLaw
 from invid.effects.motion import rms
-from invid.likelihood.candidate_pool import each
-from invid.likelihood.joint_fit import JointFit, fit, held_out
-from invid.likelihood.placed_effect import Candidate, Term
-from invid.signals.spectral_record import Record
+from invid.likelihood.candidate_pool import map_candidates
+from invid.likelihood.joint_fit import JointFit, evaluate_held_out, fit
+from invid.likelihood.placed_effect import Candidate, PlacedEffect
+from invid.signals.spectral_record import SpectralRecord
 
 SHARES = (0.02, 0.05, 0.12, 0.3)
 """Roundings tried, of the rms velocity. Below the first the jump is as good (1 % of the friction's power is
@@ -27,29 +27,36 @@ FINER = (1.6, 1.25)
 ITERATIONS = 6
 
 
-def with_gradual_signs(
-    trials: Sequence[Trial], current: Trial, train: Sequence[Record], held: Sequence[Record]
-) -> list[Trial]:
+def fit_gradual_signs(
+    trials: Sequence[CandidateEvidence],
+    current: CandidateEvidence,
+    train: Sequence[SpectralRecord],
+    held: Sequence[SpectralRecord],
+) -> list[CandidateEvidence]:
     """Friction whose sign changes gradually, where it takes half of the excess but ends above the noise."""
 
-    def one(trial: Trial) -> Trial:
-        found = rounded(
+    def one(trial: CandidateEvidence) -> CandidateEvidence:
+        found = fit_sign_rounding(
             trial.fit,
             train,
             lambda new, old: (old.cost - new.cost) / new.dispersion > np.log(max(new.dof, 2)),
         )
         if found is trial.fit:
             return trial
-        more = Trial(found, held_out(found, held))
+        more = CandidateEvidence(found, evaluate_held_out(found, held))
         return more if more.held.cost < trial.held.cost else trial
 
     asked = [t.cost <= 0.5 * current.cost and t.cost >= CLOSE * t.dof for t in trials]
-    some = iter(each(one, [t for t, a in zip(trials, asked, strict=True) if a], current.fit, [*train, *held]))
+    some = iter(
+        map_candidates(
+            one, [t for t, a in zip(trials, asked, strict=True) if a], current.fit, [*train, *held]
+        )
+    )
     return [next(some) if a else t for t, a in zip(trials, asked, strict=True)]
 
 
-def rounded(
-    found: JointFit, records: Sequence[Record], better: Callable[[JointFit, JointFit], bool]
+def fit_sign_rounding(
+    found: JointFit, records: Sequence[SpectralRecord], better: Callable[[JointFit, JointFit], bool]
 ) -> JointFit:
     """The fit with the rounding of its last effect that serves best; as it was where that is none.
 
@@ -87,6 +94,8 @@ def _rounding(found: JointFit) -> float:
     return law.rounding if isinstance(law, DryLaw) else 0.0
 
 
-def _with(found: JointFit, records: Sequence[Record], term: Term, law: DryLaw) -> JointFit | None:
-    candidate = Candidate((*found.candidate.terms[:-1], Term(law, term.place)), found.candidate.x)
-    return finite(lambda: fit(found.layout, records, found.p, candidate, iterations=ITERATIONS))
+def _with(
+    found: JointFit, records: Sequence[SpectralRecord], term: PlacedEffect, law: DryLaw
+) -> JointFit | None:
+    candidate = Candidate((*found.candidate.terms[:-1], PlacedEffect(law, term.place)), found.candidate.x)
+    return fit_if_finite(lambda: fit(found.layout, records, found.p, candidate, iterations=ITERATIONS))

@@ -11,13 +11,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 
-from invid.diagnosis.evidence import Step, Trial, attempted
+from invid.diagnosis.evidence import CandidateEvidence, Step, evidence_if_finite
 from invid.diagnosis.selection import Selection
-from invid.likelihood.joint_fit import fit, reordered
+from invid.likelihood.joint_fit import fit, reorder_effects
 from invid.likelihood.placed_effect import Candidate
 from invid.numerics.arrays import Float64
 from invid.numerics.distributions import chi2_isf
-from invid.signals.spectral_record import Record
+from invid.signals.spectral_record import SpectralRecord
 
 CHANCE = 0.01
 """Of a size that noise makes as large. What starts without being there goes again once it is asked for beside
@@ -26,12 +26,12 @@ LEAST = 2
 """Laws from which on starting with them saves anything: one alone is found by one step of the search."""
 
 
-def with_known_friction(
-    base: Trial,
+def add_known_friction(
+    base: CandidateEvidence,
     friction: Candidate,
     start: Float64 | None,
-    train: Sequence[Record],
-    held: Sequence[Record],
+    train: Sequence[SpectralRecord],
+    held: Sequence[SpectralRecord],
 ) -> Selection | None:
     """The laws of ``friction`` that the records ask for, beside those of ``base``; ``None`` where too few.
 
@@ -46,7 +46,7 @@ def with_known_friction(
     for k in fresh:
         chosen = chosen.plus(friction.terms[k], friction.x[k])
     starts = [base.fit.p] if start is None or start.size != base.fit.p.size else [start, base.fit.p]
-    tried = (attempted(partial(fit, layout, train, p, chosen, iterations=25), held) for p in starts)
+    tried = (evidence_if_finite(partial(fit, layout, train, p, chosen, iterations=25), held) for p in starts)
     found = next((t for t in tried if t is not None and t.cost < base.cost), None)
     while found is not None:
         count = len(found.fit.candidate.terms)
@@ -57,23 +57,23 @@ def with_known_friction(
             return _selection(base, found, sorted(sizes, key=lambda k: -sizes[k]))
         weakest = min(sizes, key=lambda k: sizes[k])
         rest = found.fit.candidate.without(weakest)
-        found = attempted(partial(fit, layout, train, found.fit.p, rest, iterations=25), held)
+        found = evidence_if_finite(partial(fit, layout, train, found.fit.p, rest, iterations=25), held)
     return None
 
 
-def _significance(found: Trial, number: int) -> float:
+def _significance(found: CandidateEvidence, number: int) -> float:
     """Size over its standard deviation, squared; none below zero."""
     size, variance = float(found.fit.candidate.x[number][0]), float(found.fit.covariance_of(number)[0, 0])
     return size**2 / variance if size > 0.0 and variance > 0.0 else 0.0
 
 
-def _selection(base: Trial, found: Trial, order: Sequence[int]) -> Selection:
+def _selection(base: CandidateEvidence, found: CandidateEvidence, order: Sequence[int]) -> Selection:
     """The laws as steps, the surest first."""
     before = range(len(base.fit.candidate.terms))
-    final = Trial(reordered(found.fit, [*before, *order]), found.held)
+    final = CandidateEvidence(reorder_effects(found.fit, [*before, *order]), found.held)
     steps = []
     for k in order:
         others = [other for other in order if other != k]
-        chosen = Trial(reordered(found.fit, [*before, *others, k]), found.held)
+        chosen = CandidateEvidence(reorder_effects(found.fit, [*before, *others, k]), found.held)
         steps.append(Step(base, chosen, ((chosen, chosen.cost),)))
     return Selection(base, final, tuple(steps))

@@ -5,25 +5,27 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from invid.diagnosis.evidence import Step, attempted
+from invid.diagnosis.evidence import Step, evidence_if_finite
 from invid.diagnosis.selection import Selection
 from invid.likelihood.joint_fit import JointFit, fit
-from invid.likelihood.prepare_records import by_period
+from invid.likelihood.prepare_records import split_into_periods
 from invid.recording.model import Recording
-from invid.signals.spectral_record import Record
+from invid.signals.spectral_record import SpectralRecord
 
 NEAR = 0.25
 """Share of a period beyond its ends within which a change found may be one of that period. A guess; where
 there is a choice the records that are left decide."""
 
 
-def around_change(selection: Selection, recording: Recording) -> tuple[list[Record], list[Record]] | None:
+def records_around_change(
+    selection: Selection, recording: Recording
+) -> tuple[list[SpectralRecord], list[SpectralRecord]] | None:
     """Training and held-out records without the period in which the load changes; none where none does.
 
     That period is half of one plant, half of the other, with what the change sets ringing: no model here.
     Where it was all that the training had of one of the two, the first held-out period of that one joins it.
     """
-    time = change_of(selection)
+    time = load_change_time(selection)
     if time is None:
         return None
     train, held = selection.final.fit.evaluation.records, selection.final.held.records
@@ -40,26 +42,28 @@ def around_change(selection: Selection, recording: Recording) -> tuple[list[Reco
     return min(options, key=lambda parts: _left(selection, *parts))
 
 
-def searched_around(
+def search_around_change(
     selection: Selection, recording: Recording, base: JointFit, search: Callable[..., Selection]
-) -> tuple[JointFit, Selection, list[Record], list[Record]] | None:
+) -> tuple[JointFit, Selection, list[SpectralRecord], list[SpectralRecord]] | None:
     """Fit, selection and records without the period in which the load changes; none where none does."""
-    parts = around_change(selection, recording)
+    parts = records_around_change(selection, recording)
     if parts is None:
         return None
     around = fit(base.layout, parts[0], base.p, base.candidate, iterations=25)
-    again = sooner(selection, search(around, *parts), *parts)
-    return None if change_of(again) is None else (around, again, *parts)
+    again = better_around_change(selection, search(around, *parts), *parts)
+    return None if load_change_time(again) is None else (around, again, *parts)
 
 
-def _left(selection: Selection, train: Sequence[Record], held: Sequence[Record]) -> float:
+def _left(selection: Selection, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord]) -> float:
     """χ²/ν of other records with the causes found."""
     final = selection.final.fit
-    trial = attempted(lambda: fit(final.layout, train, final.p, final.candidate, iterations=25), held)
+    trial = evidence_if_finite(
+        lambda: fit(final.layout, train, final.p, final.candidate, iterations=25), held
+    )
     return float("inf") if trial is None else trial.cost / trial.dof
 
 
-def _beside(record: Record, time: float) -> bool:
+def _beside(record: SpectralRecord, time: float) -> bool:
     """Whether ``time`` is so near the record's end that the load may as well have changed in it.
 
     Fitted with the period in it, a mixture of two plants, the time lies at its edge as often as inside.
@@ -69,28 +73,28 @@ def _beside(record: Record, time: float) -> bool:
 
 
 def _both_sides(
-    train: list[Record], held: list[Record], time: float, recording: Recording
-) -> tuple[list[Record], list[Record]]:
+    train: list[SpectralRecord], held: list[SpectralRecord], time: float, recording: Recording
+) -> tuple[list[SpectralRecord], list[SpectralRecord]]:
     """Records of which the training has some before and some after ``time``, where periods allow it."""
     for side in (_before, _after):
         if any(side(r, time) for r in train):
             continue
-        periods = by_period(recording, held, [r.key for r in held if side(r, time)])
+        periods = split_into_periods(recording, held, [r.key for r in held if side(r, time)])
         first = next((r for r in periods if side(r, time)), None)
         if first is not None and len(periods) > len(held):
             return [*train, first], [r for r in periods if r is not first]
     return train, held
 
 
-def _before(record: Record, time: float) -> bool:
+def _before(record: SpectralRecord, time: float) -> bool:
     return record.end_time <= time + record.step
 
 
-def _after(record: Record, time: float) -> bool:
+def _after(record: SpectralRecord, time: float) -> bool:
     return record.start_time >= time - record.step
 
 
-def change_of(selection: Selection) -> float | None:
+def load_change_time(selection: Selection) -> float | None:
     """When the load changes [s], by the selected causes."""
     candidate = selection.final.fit.candidate
     for term, x in zip(candidate.terms, candidate.x, strict=True):
@@ -99,14 +103,18 @@ def change_of(selection: Selection) -> float | None:
     return None
 
 
-def sooner(before: Selection, again: Selection, train: Sequence[Record], held: Sequence[Record]) -> Selection:
+def better_around_change(
+    before: Selection, again: Selection, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord]
+) -> Selection:
     """What the search without the period in which the load changes found, or the causes of the one with it.
 
     Without that period a change in it looks like one of twice the size in the middle of the next: the search
     may end there. The causes found with the period start at the right time.
     """
     final = before.final.fit
-    trial = attempted(lambda: fit(final.layout, train, final.p, final.candidate, iterations=40), held)
+    trial = evidence_if_finite(
+        lambda: fit(final.layout, train, final.p, final.candidate, iterations=40), held
+    )
     if trial is None or trial.cost >= again.final.cost or len(before.steps) != 1:
         return again
     others = [t for s in again.steps[:1] for t, _ in s.ranked if t.term != trial.term]
@@ -116,6 +124,6 @@ def sooner(before: Selection, again: Selection, train: Sequence[Record], held: S
     return replace(again, final=trial, steps=(step,))
 
 
-def _within(record: Record, time: float) -> bool:
+def _within(record: SpectralRecord, time: float) -> bool:
     """Whether ``time`` is inside the record by more than its sampling."""
     return record.start_time + record.step < time < record.end_time - record.step

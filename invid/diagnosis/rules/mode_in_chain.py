@@ -9,33 +9,36 @@ from functools import partial
 import numpy as np
 import scipy.linalg
 
-from invid.diagnosis.evidence import Trial, attempted
+from invid.diagnosis.evidence import CandidateEvidence, evidence_if_finite
 from invid.errors import InvidError
 from invid.inverse import chains_of, gains_of
 from invid.likelihood.joint_fit import JointFit, fit
 from invid.model.chains import CoupledChains
 from invid.modes.model import modes_of_matrices
 from invid.numerics.arrays import Float64
-from invid.signals.spectral_record import Record
+from invid.signals.spectral_record import SpectralRecord
 
 MODE_IN = 20
 """Iterations of a chain that has the mode in it, from where the modes put it: within ten of its minimum."""
 
 
-def with_the_mode_in_the_chain(
-    last: Trial, rest: Trial, train: Sequence[Record], held: Sequence[Record]
-) -> Trial | None:
+def fit_chain_with_mode(
+    last: CandidateEvidence,
+    rest: CandidateEvidence,
+    train: Sequence[SpectralRecord],
+    held: Sequence[SpectralRecord],
+) -> CandidateEvidence | None:
     """The fit of a chain that has the mode found beside it, where that may be one of its own; none where no
     such fit is better than ``rest``, that of the chain without."""
-    own = with_the_mode_in_it(last.fit, train)
+    own = chain_parameters_with_mode(last.fit, train)
     if own is None:
         return None
     candidate = replace(rest.fit.candidate, x=last.fit.candidate.x[:-1])
-    found = attempted(partial(fit, rest.fit.layout, train, own, candidate, iterations=MODE_IN), held)
+    found = evidence_if_finite(partial(fit, rest.fit.layout, train, own, candidate, iterations=MODE_IN), held)
     return None if found is None or found.cost > rest.cost else found
 
 
-def with_the_mode_in_it(fitted: JointFit, records: Sequence[Record]) -> Float64 | None:
+def chain_parameters_with_mode(fitted: JointFit, records: Sequence[SpectralRecord]) -> Float64 | None:
     """(n,) parameters of chains that have the mode which stands beside them as last effect, in place of the
     one that the records show least; none where no such chains are.
 
@@ -95,4 +98,4 @@ def _with_chains(fitted: JointFit, chains: CoupledChains) -> Float64:
     return p
 
 
-__all__ = ["with_the_mode_in_it", "with_the_mode_in_the_chain"]
+__all__ = ["chain_parameters_with_mode", "fit_chain_with_mode"]

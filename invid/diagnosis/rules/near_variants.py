@@ -7,26 +7,35 @@ from functools import partial
 
 import numpy as np
 
-from invid.diagnosis.evidence import Step, Trial, at_bound, attempted, finite, refit
-from invid.diagnosis.score_test import terms_for
+from invid.diagnosis.evidence import (
+    CandidateEvidence,
+    Step,
+    evidence_if_finite,
+    fit_if_finite,
+    is_at_bound,
+    refit_with_effect,
+)
+from invid.diagnosis.score_test import terms_to_test
 from invid.diagnosis.thresholds import COMPETES
 from invid.effects.laws.sign import DryLaw
 from invid.effects.registry import BY_CAUSE
-from invid.likelihood.candidate_pool import each
-from invid.likelihood.joint_fit import JointFit, fit, reordered
-from invid.likelihood.placed_effect import Candidate, Term
+from invid.likelihood.candidate_pool import map_candidates
+from invid.likelihood.joint_fit import JointFit, fit, reorder_effects
+from invid.likelihood.placed_effect import Candidate, PlacedEffect
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place
 from invid.numerics.arrays import Float64
-from invid.signals.spectral_record import Record
+from invid.signals.spectral_record import SpectralRecord
 
 FAR_BEHIND = 0.1
 """Share of the gain of friction that differs between the directions that a smaller model may lack after a
 first look, and be looked at closely. A guess that saves fits; such looks end within a few per cent."""
 
 
-def ladder(step: Step, train: Sequence[Record], held: Sequence[Record]) -> tuple[Step, ...]:
-    """Friction that differs between the directions against laws that do not, beside each other.
+def friction_ladder(
+    step: Step, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord]
+) -> tuple[Step, ...]:
+    """Asymmetric friction and the symmetric laws at its place, fitted beside each other.
 
     Four parameters against Coulomb and viscous friction (two), Stribeck or presliding and viscous (four),
     each as two causes; and against Coulomb friction and a constant torque, which together are dry friction
@@ -38,28 +47,30 @@ def ladder(step: Step, train: Sequence[Record], held: Sequence[Record]) -> tuple
     here = step.chosen.fit
     rows, dispersion = here.dof, step.chosen.dispersion
     asymmetric = limit = step.chosen.score(dispersion, rows)
-    best: Trial | None = None
-    beside: list[tuple[Trial, float]] = []
+    best: CandidateEvidence | None = None
+    beside: list[tuple[CandidateEvidence, float]] = []
     options = _without_asymmetry(step.chosen)
     # Never less than what the fewer parameters may cost, and what leaves a rival a doubt.
     fewer = (2.0 * float(np.log(max(rows, 2))) + COMPETES) * dispersion
     lost = here.cost + max(FAR_BEHIND * (step.before.fit.cost - here.cost), fewer)
 
-    def tried(option: tuple[tuple[Term, ...], tuple[Float64, ...]]) -> Trial | None:
+    def tried(option: tuple[tuple[PlacedEffect, ...], tuple[Float64, ...]]) -> CandidateEvidence | None:
         terms, x = option
         candidate = Candidate((*here.candidate.terms[:-1], *terms), (*here.candidate.x[:-1], *x))
-        near = finite(partial(fit, here.layout, train, here.p, candidate, iterations=10, quick=True))
+        near = fit_if_finite(partial(fit, here.layout, train, here.p, candidate, iterations=10, quick=True))
         if near is None or near.cost > lost:
             return None
-        return attempted(partial(fit, near.layout, train, near.p, near.candidate, iterations=20), held)
+        return evidence_if_finite(
+            partial(fit, near.layout, train, near.p, near.candidate, iterations=20), held
+        )
 
-    trials = each(tried, options, here, [*train, *held])
+    trials = map_candidates(tried, options, here, [*train, *held])
     for (terms, _), trial in zip(options, trials, strict=True):
         if trial is None:
             continue
         score = trial.score(dispersion, rows)
         if any(t.effect.cause == "torque_offset" for t in terms):
-            score += of_its_own(trial.fit.layout.structure)
+            score += extended_schwarz_penalty(trial.fit.layout.structure)
             beside.append(
                 (
                     _led_by(trial, len(here.candidate.terms)),
@@ -85,31 +96,33 @@ def ladder(step: Step, train: Sequence[Record], held: Sequence[Record]) -> tuple
     return tuple(steps)
 
 
-def _led_by(trial: Trial, at: int) -> Trial:
+def _led_by(trial: CandidateEvidence, at: int) -> CandidateEvidence:
     """The same fit with effect ``at`` as its last one, after which a rival is called."""
     count = len(trial.fit.candidate.terms)
     order = [*(k for k in range(count) if k != at), at]
-    return Trial(reordered(trial.fit, order), trial.held)
+    return CandidateEvidence(reorder_effects(trial.fit, order), trial.held)
 
 
-def of_its_own(structure: ChainStructure) -> float:
+def extended_schwarz_penalty(structure: ChainStructure) -> float:
     """What a cause costs for being one more of all that might be there (Chen and Chen 2008): −2 ln of the
     share of one among every cause at every place.
 
     A constant torque beside friction is a second cause; friction that differs between the directions is one.
     """
-    return 2.0 * float(np.log(len(terms_for(structure, linear_axes=False))))
+    return 2.0 * float(np.log(len(terms_to_test(structure, linear_axes=False))))
 
 
-def _without_asymmetry(chosen: Trial) -> list[tuple[tuple[Term, ...], tuple[Float64, ...]]]:
+def _without_asymmetry(
+    chosen: CandidateEvidence,
+) -> list[tuple[tuple[PlacedEffect, ...], tuple[Float64, ...]]]:
     """Causes, with where they start, that together may be the friction that was chosen."""
     place, x, rounded = chosen.term.place, chosen.x, chosen.term.effect
     dry, wet, constant = 0.5 * float(x[0] + x[1]), 0.5 * float(x[2] + x[3]), 0.5 * float(x[0] - x[1])
     if dry <= 0:
         return []
-    views, viscous = chosen.fit.evaluation.views, Term(BY_CAUSE["viscous_friction"], place)
-    offset = Term(BY_CAUSE["torque_offset"], Place("mass", place.axis, 1))
-    out: list[tuple[tuple[Term, ...], tuple[Float64, ...]]] = []
+    views, viscous = chosen.fit.evaluation.views, PlacedEffect(BY_CAUSE["viscous_friction"], place)
+    offset = PlacedEffect(BY_CAUSE["torque_offset"], Place("mass", place.axis, 1))
+    out: list[tuple[tuple[PlacedEffect, ...], tuple[Float64, ...]]] = []
     laws = [BY_CAUSE[c] for c in ("coulomb_friction", "stribeck_friction", "presliding_friction")]
     if isinstance(rounded, DryLaw) and rounded.rounding > 0:
         # The rounding is that of a wrong law: the constant torque in it needs none.
@@ -118,7 +131,7 @@ def _without_asymmetry(chosen: Trial) -> list[tuple[tuple[Term, ...], tuple[Floa
         cause = effect.cause
         shape = min((abs(g[0]), g) for g in effect.grid(views, place))[1] if effect.shapes else ()
         size = np.array([dry, 0.2 * dry, *shape] if cause == "stribeck_friction" else [dry, *shape])
-        law = Term(effect, place)
+        law = PlacedEffect(effect, place)
         if wet > 0:
             out.append(((law, viscous), (size, np.array([wet]))))
         if cause == "coulomb_friction" and offset not in chosen.fit.candidate.terms[:-1]:
@@ -130,22 +143,24 @@ def _without_asymmetry(chosen: Trial) -> list[tuple[tuple[Term, ...], tuple[Floa
     return out
 
 
-def _first_of(trial: Trial, count: int, train: Sequence[Record], held: Sequence[Record]) -> Trial | None:
+def _first_of(
+    trial: CandidateEvidence, count: int, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord]
+) -> CandidateEvidence | None:
     """The fit with the first effects alone."""
     whole = trial.fit
     candidate = whole.candidate.only(range(count))
-    return attempted(partial(fit, whole.layout, train, whole.p, candidate, iterations=12), held)
+    return evidence_if_finite(partial(fit, whole.layout, train, whole.p, candidate, iterations=12), held)
 
 
-def elsewhere(
-    best: Trial,
-    train: Sequence[Record],
-    held: Sequence[Record],
-    terms: Sequence[Term],
-    tried: Sequence[Term],
+def try_other_places(
+    best: CandidateEvidence,
+    train: Sequence[SpectralRecord],
+    held: Sequence[SpectralRecord],
+    terms: Sequence[PlacedEffect],
+    tried: Sequence[PlacedEffect],
     *,
     iterations: int = 20,
-) -> list[Trial]:
+) -> list[CandidateEvidence]:
     """The cause of ``best`` at the places of its axis that were not ``tried``, from its fit.
 
     The screen's order of places is that of linear parameters which the cause itself has bent; where the best
@@ -156,23 +171,25 @@ def elsewhere(
     out = []
     for term in terms:
         if term.effect.cause == cause and term.place.axis == place.axis and term.place not in known:
-            moved = Term(best.term.effect, term.place)
+            moved = PlacedEffect(best.term.effect, term.place)
             out.append(Candidate((*here.candidate.terms[:-1], moved), here.candidate.x))
 
-    def tried_there(candidate: Candidate) -> Trial | None:
-        return attempted(partial(fit, here.layout, train, here.p, candidate, iterations=iterations), held)
+    def tried_there(candidate: Candidate) -> CandidateEvidence | None:
+        return evidence_if_finite(
+            partial(fit, here.layout, train, here.p, candidate, iterations=iterations), held
+        )
 
-    trials = each(tried_there, out, here, [*train, *held])
-    return [t for t in trials if t is not None and not at_bound(t.fit)]
+    trials = map_candidates(tried_there, out, here, [*train, *held])
+    return [t for t in trials if t is not None and not is_at_bound(t.fit)]
 
 
-def delays(
+def delay_variants(
     here: JointFit,
-    train: Sequence[Record],
-    held: Sequence[Record],
-    terms: Sequence[Term],
+    train: Sequence[SpectralRecord],
+    held: Sequence[SpectralRecord],
+    terms: Sequence[PlacedEffect],
     free: Float64 | None,
-) -> list[Trial]:
+) -> list[CandidateEvidence]:
     """Delays of the axes whose time offset stands at its bound, from the fit without that bound."""
     out = []
     for term in terms:
@@ -184,7 +201,7 @@ def delays(
         layout, stay = here.layout.without_delay([term.place.axis])
         late -= float(layout.lateness(p[stay], train[0])[term.place.axis])
         candidate = here.candidate.plus(term, np.array([late]))
-        trial = attempted(partial(fit, layout, train, p[stay], candidate, iterations=20), held)
+        trial = evidence_if_finite(partial(fit, layout, train, p[stay], candidate, iterations=20), held)
         if trial is not None:
             out.append(trial)
     return out
@@ -195,14 +212,14 @@ MORE_THAN_HELD = 1.2
 guess."""
 
 
-def lags(
+def lag_variants(
     here: JointFit,
-    train: Sequence[Record],
-    held: Sequence[Record],
-    delays: Sequence[Trial],
-    terms: Sequence[Term],
-) -> list[Trial]:
-    """Lags that the screen may not see.
+    train: Sequence[SpectralRecord],
+    held: Sequence[SpectralRecord],
+    delays: Sequence[CandidateEvidence],
+    terms: Sequence[PlacedEffect],
+) -> list[CandidateEvidence]:
+    """Candidates of torque lags that the screen may miss.
 
     One beside every delay, as late: with another cause still missing the delay would stand without its
     nearest rival. And one where the torque loses more amplitude with frequency than holding it over the
@@ -214,9 +231,9 @@ def lags(
             starts.setdefault(i, here.layout.step * float(np.sqrt((share - 1.0) / 12.0)))
     late = [t for t in terms if t.effect.cause == "torque_lag" and starts.get(t.place.axis, 0.0)]
 
-    def tried(term: Term) -> Trial | None:
+    def tried(term: PlacedEffect) -> CandidateEvidence | None:
         size = np.array([np.log(starts[term.place.axis])])
-        return attempted(partial(refit, here, train, term, size, 20), held)
+        return evidence_if_finite(partial(refit_with_effect, here, train, term, size, 20), held)
 
-    trials = each(tried, late, here, [*train, *held])
-    return [t for t in trials if t is not None and not at_bound(t.fit)]
+    trials = map_candidates(tried, late, here, [*train, *held])
+    return [t for t in trials if t is not None and not is_at_bound(t.fit)]

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from invid.likelihood.evaluation import Evaluation
-from invid.likelihood.null_test import informative
+from invid.likelihood.null_test import informative_lines
 from invid.model.diagnosis_document import Unexplained
 from invid.recording.model import Recording
 
 
-def said_of_scatter(parts: Sequence[Evaluation], recording: Recording, unit: str) -> Unexplained | None:
+def describe_scatter(parts: Sequence[Evaluation], recording: Recording, unit: str) -> Unexplained | None:
     """Where the missing torque does not repeat; none where it does, or where what differs may be
     noise of a torque that the sensors do not show (``Record.differs``).
 
@@ -25,7 +25,7 @@ def said_of_scatter(parts: Sequence[Evaluation], recording: Recording, unit: str
             record, covariance = view.record, part.covariance[number]
             if not record.differs:
                 continue
-            good = informative(covariance, record)
+            good = informative_lines(covariance, record)
             good[0] = False
             for axis in range(recording.axis_count):
                 if record.set_aside.size and record.set_aside[axis]:
@@ -55,4 +55,4 @@ def said_of_scatter(parts: Sequence[Evaluation], recording: Recording, unit: str
     )
 
 
-__all__ = ["said_of_scatter"]
+__all__ = ["describe_scatter"]

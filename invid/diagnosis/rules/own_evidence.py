@@ -12,14 +12,22 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
-from invid.diagnosis.evidence import Step, Trial, attempted, excess_in, told
+from invid.diagnosis.evidence import (
+    CandidateEvidence,
+    Step,
+    evidence_if_finite,
+    excess_chi2,
+    is_significant_at_shapes,
+)
 from invid.diagnosis.selection import Selection
 from invid.diagnosis.thresholds import OWN_RIVAL, OWN_SHARE, WEAK
-from invid.likelihood.joint_fit import fit, reordered
-from invid.signals.spectral_record import Record
+from invid.likelihood.joint_fit import fit, reorder_effects
+from invid.signals.spectral_record import SpectralRecord
 
 
-def on_own_evidence(found: Selection, train: Sequence[Record], held: Sequence[Record]) -> Selection | None:
+def keep_independent_causes(
+    found: Selection, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord]
+) -> Selection | None:
     """The selection with those causes alone that need no other to be right; ``None`` where there are none.
 
     The linear model is fitted anew beside them, and each has to hold against the fit without it.
@@ -29,7 +37,7 @@ def on_own_evidence(found: Selection, train: Sequence[Record], held: Sequence[Re
     final, start = found.final.fit, found.base.fit.candidate
     if not steps or final.p.size != found.base.fit.p.size:
         return None
-    steps = [n for n in steps if told(final, known + n, WEAK) is not False]
+    steps = [n for n in steps if is_significant_at_shapes(final, known + n, WEAK) is not False]
     while steps:
         candidate = start
         for n in steps:
@@ -38,7 +46,7 @@ def on_own_evidence(found: Selection, train: Sequence[Record], held: Sequence[Re
             partial(fit, final.layout, train, p, candidate, iterations=25)
             for p in (final.p, found.base.fit.p)
         ]
-        trials = [t for t in (attempted(run, held) for run in starts) if t is not None]
+        trials = [t for t in (evidence_if_finite(run, held) for run in starts) if t is not None]
         if not trials:
             return None
         whole = min(trials, key=lambda t: t.fit.cost)
@@ -66,31 +74,39 @@ def _contested(step: Step) -> bool:
     )
 
 
-def _without(whole: Trial, number: int, train: Sequence[Record], held: Sequence[Record]) -> Trial | None:
+def _without(
+    whole: CandidateEvidence, number: int, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord]
+) -> CandidateEvidence | None:
     """The fit without one cause, all else fitted anew."""
     here = whole.fit
     rest = here.candidate.without(number)
-    return attempted(partial(fit, here.layout, train, here.p, rest, iterations=15), held)
+    return evidence_if_finite(partial(fit, here.layout, train, here.p, rest, iterations=15), held)
 
 
-def _is_its_own(rest: Trial, whole: Trial, number: int) -> bool:
+def _is_its_own(rest: CandidateEvidence, whole: CandidateEvidence, number: int) -> bool:
     """Whether a cause takes most of what its axis misses without it, on each part of the records."""
     axis = {whole.fit.candidate.terms[number].place.axis}
     parts = ((rest.fit.evaluation, whole.fit.evaluation), (rest.held, whole.held))
     return all(
-        excess_in(after, axis) < (1.0 - OWN_SHARE) * excess_in(before, axis) for before, after in parts
+        excess_chi2(after, axis) < (1.0 - OWN_SHARE) * excess_chi2(before, axis) for before, after in parts
     )
 
 
 def _selection(
-    found: Selection, steps: Sequence[int], whole: Trial, bare: Sequence[Trial], known: int
+    found: Selection,
+    steps: Sequence[int],
+    whole: CandidateEvidence,
+    bare: Sequence[CandidateEvidence],
+    known: int,
 ) -> Selection:
     """Steps with what each takes beside the others, and the rivals at its own place that were weighed."""
     out = []
     count = len(whole.fit.candidate.terms)
     for k, (n, rest) in enumerate(zip(steps, bare, strict=True)):
         at = known + k
-        chosen = Trial(reordered(whole.fit, [*(j for j in range(count) if j != at), at]), whole.held)
+        chosen = CandidateEvidence(
+            reorder_effects(whole.fit, [*(j for j in range(count) if j != at), at]), whole.held
+        )
         old = found.steps[n]
         offset = chosen.cost - old.chosen.cost
         rivals = tuple((t, s + offset) for t, s in old.ranked[1:] if t.term.place == chosen.term.place)

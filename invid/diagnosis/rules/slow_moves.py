@@ -12,9 +12,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from invid.diagnosis.evidence import Step, Trial, unearned
-from invid.diagnosis.slow_move import Move, means_over_stretches
-from invid.likelihood.joint_fit import fit, held_out, pack, unpack
+from invid.diagnosis.evidence import CandidateEvidence, Step, unearned_phase_penalty
+from invid.diagnosis.slow_move import SlowMove, stretch_means
+from invid.likelihood.joint_fit import evaluate_held_out, fit, pack, unpack
 from invid.numerics.arrays import Float64
 
 SLOW = 0.05
@@ -31,8 +31,8 @@ _LAWS: dict[str, Callable[[Float64, float], Float64]] = {
 """Columns (samples, L) of the torque that each law takes at the positions (samples,)."""
 
 
-def judged_on_moves(step: Step, moves: Sequence[Move]) -> Step:
-    """The step with the laws of position ranked by what the moves say as well.
+def rank_by_slow_moves(step: Step, moves: Sequence[SlowMove]) -> Step:
+    """The step with its laws of position ranked by the slow moves as well.
 
     Only laws on one axis are compared, and only where the first of the ranking is one. The evidence of n
     stretches is n·ln(residual) (the noise of a move is not known beforehand) with the same penalty a
@@ -53,14 +53,14 @@ def judged_on_moves(step: Step, moves: Sequence[Move]) -> Step:
     added = dict(zip(map(id, rivals), 0.5 * (evidence - evidence.min()), strict=True))
     rows = step.before.fit.dof
     ranked = [(t, s + added.get(id(t), 0.0)) for t, s in step.ranked]
-    ranked.sort(key=lambda one: one[1] - unearned(one[0], rows))
+    ranked.sort(key=lambda one: one[1] - unearned_phase_penalty(one[0], rows))
     if ranked[0][0] not in rivals:  # a cause that has no law here may not win by the moves
         return step
-    best = sharpened(ranked[0][0], moves, axis)
+    best = sharpen_gravity(ranked[0][0], moves, axis)
     return replace(step, chosen=best, ranked=((best, ranked[0][1]), *ranked[1:]))
 
 
-def sharpened(trial: Trial, moves: Sequence[Move], axis: int) -> Trial:
+def sharpen_gravity(trial: CandidateEvidence, moves: Sequence[SlowMove], axis: int) -> CandidateEvidence:
     """The trial with the size of gravity as the moves know it: the excitation sees one direction of the two.
 
     Both measurements weighted by their covariances, all other parameters moved along (a linear update). Left
@@ -92,10 +92,10 @@ def sharpened(trial: Trial, moves: Sequence[Move], axis: int) -> Trial:
         return trial
     moved = fit(fitted.layout, fitted.evaluation.records, p, candidate, iterations=0)
     moved = replace(moved, covariance=covariance, converged=fitted.converged)
-    return Trial(moved, held_out(moved, trial.held.records))
+    return CandidateEvidence(moved, evaluate_held_out(moved, trial.held.records))
 
 
-def _evidence(move: Move, rivals: Sequence[Trial], axis: int) -> Float64:
+def _evidence(move: SlowMove, rivals: Sequence[CandidateEvidence], axis: int) -> Float64:
     """(rivals,) −2 ln(likelihood) of the torque of one axis under each law as the excitation has it."""
     free = [_regression(move, trial, axis) for trial in rivals]
     if any(rest.size < columns.shape[1] + 3 or not rest.any() for columns, rest, _ in free):
@@ -104,7 +104,7 @@ def _evidence(move: Move, rivals: Sequence[Trial], axis: int) -> Float64:
     return np.array([_surprise(move, trial, axis, noise) for trial in rivals])
 
 
-def _surprise(move: Move, trial: Trial, axis: int, noise: float) -> float:
+def _surprise(move: SlowMove, trial: CandidateEvidence, axis: int, noise: float) -> float:
     """−2 ln(likelihood) of a move under a law whose numbers the excitation knows as well as it does.
 
     The move is no place to fit them anew: a constant torque known to a per cent was taken for weight whose
@@ -126,7 +126,7 @@ def _surprise(move: Move, trial: Trial, axis: int, noise: float) -> float:
     return best
 
 
-def _foretold(trial: Trial, cycles: float) -> tuple[Float64, Float64, float]:
+def _foretold(trial: CandidateEvidence, cycles: float) -> tuple[Float64, Float64, float]:
     """(L,) coefficients that the excitation foretells, their (L, L) covariance, and χ² of the ``cycles``."""
     count = len(trial.term.effect.coefficients)
     covariance = trial.fit.covariance_of(-1)
@@ -142,7 +142,7 @@ def _foretold(trial: Trial, cycles: float) -> tuple[Float64, Float64, float]:
     return expected + along * away, own, away**2 / float(covariance[count, count])
 
 
-def _known(move: Move, axis: int) -> tuple[Float64, Float64]:
+def _known(move: SlowMove, axis: int) -> tuple[Float64, Float64]:
     """(n, M + 2) columns of what takes torque in a move whatever the law, sizes free, and the torque (n,)."""
     v = move.velocity[:, axis]
     slow = max(SLOW * float(np.abs(v).max()), 1e-300)
@@ -150,12 +150,12 @@ def _known(move: Move, axis: int) -> tuple[Float64, Float64]:
     return columns, move.torque[:, axis]
 
 
-def _law(move: Move, trial: Trial, axis: int, cycles: float) -> Float64:
+def _law(move: SlowMove, trial: CandidateEvidence, axis: int, cycles: float) -> Float64:
     """(n, L) torque of the law for each coefficient at one."""
-    return means_over_stretches(_LAWS[trial.term.effect.cause](move.path[:, axis], cycles), move.rows)
+    return stretch_means(_LAWS[trial.term.effect.cause](move.path[:, axis], cycles), move.rows)
 
 
-def _regression(move: Move, trial: Trial, axis: int) -> tuple[Float64, Float64, Float64]:
+def _regression(move: SlowMove, trial: CandidateEvidence, axis: int) -> tuple[Float64, Float64, Float64]:
     """Columns (n, k), residual (n,) and coefficients (k,), the law's last, of one axis' torque."""
     known, torque = _known(move, axis)
     best: tuple[Float64, Float64, Float64] | None = None
@@ -170,7 +170,7 @@ def _regression(move: Move, trial: Trial, axis: int) -> tuple[Float64, Float64, 
     return best if best is not None else (np.zeros((0, 0)), np.zeros(0), np.zeros(0))
 
 
-def _cycles(trial: Trial) -> Float64:
+def _cycles(trial: CandidateEvidence) -> Float64:
     """Cycles a revolution of a ripple within three standard deviations of what the excitation says."""
     if trial.term.effect.cause != "cogging":
         return np.ones(1)
@@ -180,4 +180,4 @@ def _cycles(trial: Trial) -> Float64:
     return out
 
 
-__all__ = ["Move", "judged_on_moves", "sharpened"]
+__all__ = ["SlowMove", "rank_by_slow_moves", "sharpen_gravity"]

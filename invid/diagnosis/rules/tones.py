@@ -16,8 +16,8 @@ from invid.diagnosis.tone import Tone
 from invid.effects.motion import View
 from invid.likelihood.evaluation import Evaluation
 from invid.likelihood.hypothesis import Layout
-from invid.likelihood.nuisance.transients import without_boundary
-from invid.likelihood.null_test import between_periods
+from invid.likelihood.nuisance.transients import project_out_ends
+from invid.likelihood.null_test import period_deviations
 from invid.likelihood.residual import condense_dense
 from invid.numerics.arrays import Complex128, Float64
 from invid.signals.spectra import LineSpectra
@@ -31,7 +31,7 @@ SHARE = 0.8
 the lines beside those that are excited, of which those at a resonance stand out too. A guess."""
 
 
-def tones_of(
+def find_common_tones(
     evaluations: Sequence[Evaluation], layout: Layout, p: Float64, spectra: Sequence[LineSpectra]
 ) -> list[Tone]:
     """Tones that are in all periodic records of the evaluations: what comes and goes with them is none."""
@@ -68,9 +68,9 @@ def _of_record(view: View, s: LineSpectra, layout: Layout, p: Float64, axes: int
     limit = np.log(4.0 * periods * lines * axes / CHANCE)
 
     def white(of: LineSpectra) -> Complex128:
-        e, covariance, used = between_periods(view, of)
+        e, covariance, used = period_deviations(view, of)
         # Motion that does not repeat does not close over a period either.
-        e, _ = without_boundary(view, layout, p, e, covariance)
+        e, _ = project_out_ends(view, layout, p, e, covariance)
         single = np.einsum("fii->fi", covariance).real - record.scatter[1:]
         out: Complex128 = e / np.sqrt(single * used)
         return out

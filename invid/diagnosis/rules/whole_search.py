@@ -14,9 +14,17 @@ from functools import partial
 
 import numpy as np
 
-from invid.diagnosis.candidates import REACH, screened
-from invid.diagnosis.evidence import Step, Trial, at_bound, attempted, finite, penalty, refit
-from invid.diagnosis.score_test import Score, Screen, terms_for
+from invid.diagnosis.candidates import REACH, screen_candidates
+from invid.diagnosis.evidence import (
+    CandidateEvidence,
+    Step,
+    evidence_if_finite,
+    fit_if_finite,
+    is_at_bound,
+    refit_with_effect,
+    schwarz_penalty,
+)
+from invid.diagnosis.score_test import Score, Screen, terms_to_test
 from invid.diagnosis.selection import Selection
 from invid.diagnosis.thresholds import HELD_OUT, SHARE, SIGNIFICANCE
 from invid.effects.catalogue.asymmetric_friction import AsymmetricStribeck
@@ -24,14 +32,14 @@ from invid.effects.laws.joint import JointFriction
 from invid.effects.laws.sign import DryLaw
 from invid.effects.registry import BY_CAUSE
 from invid.likelihood.evaluation import evaluate
-from invid.likelihood.joint_fit import JointFit, fit, reordered
+from invid.likelihood.joint_fit import JointFit, fit, reorder_effects
 from invid.likelihood.null_test import null_test
-from invid.likelihood.placed_effect import Candidate, Term
+from invid.likelihood.placed_effect import Candidate, PlacedEffect
 from invid.model.place import Place
 from invid.numerics import budget
 from invid.numerics.arrays import Float64
 from invid.numerics.distributions import chi2_isf
-from invid.signals.spectral_record import Record
+from invid.signals.spectral_record import SpectralRecord
 
 LAW = JointFriction()
 TRIED = 3
@@ -44,11 +52,11 @@ TIMING = ("torque_delay", "torque_lag")
 
 
 def search_beside_friction(
-    base: Trial,
+    base: CandidateEvidence,
     known: Candidate,
     start: Float64,
-    train: Sequence[Record],
-    held: Sequence[Record],
+    train: Sequence[SpectralRecord],
+    held: Sequence[SpectralRecord],
     *,
     linear_axes: bool,
 ) -> Selection | None:
@@ -76,13 +84,17 @@ def search_beside_friction(
 class _Found:
     """Where the search stands, and its steps."""
 
-    trial: Trial
+    trial: CandidateEvidence
     steps: tuple[Step, ...]
 
 
 def _with_friction(
-    base: Trial, known: Candidate, start: Float64, train: Sequence[Record], held: Sequence[Record]
-) -> Trial | None:
+    base: CandidateEvidence,
+    known: Candidate,
+    start: Float64,
+    train: Sequence[SpectralRecord],
+    held: Sequence[SpectralRecord],
+) -> CandidateEvidence | None:
     """The fit with the friction of every motor, from the parameters that the identification found with some
     of it; those of the fit without were tried beside them and ended no lower."""
     structure = base.fit.layout.structure
@@ -94,13 +106,13 @@ def _with_friction(
             continue
         dry, wet = (sizes.get((c, place), 0.0) for c in ("coulomb_friction", "viscous_friction"))
         (shape,) = LAW.grid(base.fit.evaluation.views, place)
-        candidate = candidate.plus(Term(LAW, place), np.array([dry, wet, 0.0, 0.0, 0.0, 0.0, *shape]))
+        candidate = candidate.plus(PlacedEffect(LAW, place), np.array([dry, wet, 0.0, 0.0, 0.0, 0.0, *shape]))
     starts = [p for p in (start, base.fit.p) if p.size == base.fit.p.size]
-    return attempted(partial(fit, base.fit.layout, train, starts[0], candidate, iterations=60), held)
+    return evidence_if_finite(partial(fit, base.fit.layout, train, starts[0], candidate, iterations=60), held)
 
 
 def _further(
-    found: _Found, train: Sequence[Record], held: Sequence[Record], linear_axes: bool
+    found: _Found, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord], linear_axes: bool
 ) -> _Found | None:
     """With one cause more, the best of a screen and a few fits; ``None`` where none is there."""
     current = found.trial
@@ -108,10 +120,10 @@ def _further(
     chosen = here.candidate.terms
     terms = [
         t
-        for t in terms_for(here.layout.structure, linear_axes=linear_axes, chosen=chosen)
+        for t in terms_to_test(here.layout.structure, linear_axes=linear_axes, chosen=chosen)
         if t.effect.cause not in (*TIMING, *OTHER_FRICTION)
     ]
-    scores = screened(Screen(here), terms)
+    scores = screen_candidates(Screen(here), terms)
     enough = chi2_isf(SIGNIFICANCE / len(terms), 1) * min(here.dispersion, 1.0)
     scores = [s for s in scores if REACH * s.gain >= enough]
     trials = []
@@ -119,13 +131,13 @@ def _further(
         if score.gain < NEAR * scores[0].gain:
             continue
         trial = _fitted(here, score, train, held)
-        if trial is not None and not at_bound(trial.fit):
+        if trial is not None and not is_at_bound(trial.fit):
             trials.append(trial)
     if not trials:
         return None
     least = min(t.dispersion for t in trials)
     # By the training: how far records of another motion are off is asked below, uncertainty allowed for.
-    ranked = sorted(((t, t.fit.cost / least + penalty(t, rows)) for t in trials), key=lambda r: r[1])
+    ranked = sorted(((t, t.fit.cost / least + schwarz_penalty(t, rows)) for t in trials), key=lambda r: r[1])
     best = ranked[0][0]
     needed = chi2_isf(SIGNIFICANCE / len(terms), max(best.term.size, 1))
     needed = max(needed, np.log(max(rows, 2)) * best.term.size)
@@ -142,13 +154,13 @@ def _further(
             count = len(best.fit.candidate.terms)
             for n in range(len(beside)):
                 order = [*(k for k in range(count + len(beside)) if k != count + n), count + n]
-                one = Trial(reordered(more.fit, order), more.held)
+                one = CandidateEvidence(reorder_effects(more.fit, order), more.held)
                 steps = (*steps, Step(best, one, ((one, one.cost),)))
             best = more
     return _Found(best, steps)
 
 
-def _beside(best: Trial, scores: Sequence[Score], here: JointFit) -> list[Score]:
+def _beside(best: CandidateEvidence, scores: Sequence[Score], here: JointFit) -> list[Score]:
     """Ripples of other motors that the same screen shows: each is read from its own motor's motion alone, and
     takes nothing from the other."""
     needed = 2.0 * np.log(max(here.dof, 2)) * max(best.fit.dispersion, 1.0)
@@ -161,13 +173,16 @@ def _beside(best: Trial, scores: Sequence[Score], here: JointFit) -> list[Score]
 
 
 def _together(
-    best: Trial, beside: Sequence[Score], train: Sequence[Record], held: Sequence[Record]
-) -> Trial | None:
+    best: CandidateEvidence,
+    beside: Sequence[Score],
+    train: Sequence[SpectralRecord],
+    held: Sequence[SpectralRecord],
+) -> CandidateEvidence | None:
     """The fit with more causes at once; ``None`` where one of them then has no size."""
     candidate = best.fit.candidate
     for s in beside:
         candidate = candidate.plus(s.term, s.x)
-    found = attempted(
+    found = evidence_if_finite(
         partial(fit, best.fit.layout, train, best.fit.p, candidate, iterations=6, quick=True), held
     )
     if found is None:
@@ -177,13 +192,15 @@ def _together(
     return found if sure and found.fit.cost < best.fit.cost else None
 
 
-def _fitted(here: JointFit, score: Score, train: Sequence[Record], held: Sequence[Record]) -> Trial | None:
+def _fitted(
+    here: JointFit, score: Score, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord]
+) -> CandidateEvidence | None:
     """The joint fit from what the screen promises: near the answer at once, or left there."""
-    found = finite(partial(refit, here, train, score.term, score.x, 6, score.shift))
-    return None if found is None else attempted(lambda: found, held)
+    found = fit_if_finite(partial(refit_with_effect, here, train, score.term, score.x, 6, score.shift))
+    return None if found is None else evidence_if_finite(lambda: found, held)
 
 
-def _foreseen(trial: Trial, held: Sequence[Record]) -> float:
+def _foreseen(trial: CandidateEvidence, held: Sequence[SpectralRecord]) -> float:
     """χ² of the held-out records, the parameters as uncertain as the training left them.
 
     Records of another kind of motion ask for combinations of parameters that the training hardly tells; what
@@ -201,18 +218,18 @@ def _foreseen(trial: Trial, held: Sequence[Record]) -> float:
 
 
 def _named(
-    base: Trial,
-    null: Trial,
+    base: CandidateEvidence,
+    null: CandidateEvidence,
     found: _Found,
-    train: Sequence[Record],
-    held: Sequence[Record],
+    train: Sequence[SpectralRecord],
+    held: Sequence[SpectralRecord],
     linear_axes: bool,
 ) -> Selection:
     """The selection with friction named by its parts, and without what is not told from nothing."""
     known = len(base.fit.candidate.terms)
     final = found.trial
     steps = list(found.steps)
-    friction: list[tuple[Term, Float64]] = []
+    friction: list[tuple[PlacedEffect, Float64]] = []
     motors = [k for k, t in enumerate(final.fit.candidate.terms) if t.effect is LAW]
     for k in motors:
         friction += _parts(final.fit, k)
@@ -223,7 +240,7 @@ def _named(
     for k in rest:
         candidate = candidate.plus(final.fit.candidate.terms[k], final.fit.candidate.x[k])
     layout = final.fit.layout
-    whole = attempted(partial(fit, layout, train, final.fit.p, candidate, iterations=30), held)
+    whole = evidence_if_finite(partial(fit, layout, train, final.fit.p, candidate, iterations=30), held)
     if whole is None:
         return Selection(base, base)
     every = [*[Step(base, null, ((null, null.cost),)) for _ in friction], *steps]
@@ -233,7 +250,7 @@ def _named(
         if sizes[weakest] > 1.0:
             break
         fewer = whole.fit.candidate.without(known + weakest)
-        other = attempted(partial(fit, layout, train, whole.fit.p, fewer, iterations=20), held)
+        other = evidence_if_finite(partial(fit, layout, train, whole.fit.p, fewer, iterations=20), held)
         if other is None:
             break
         whole, every = other, [*every[:weakest], *every[weakest + 1 :]]
@@ -250,44 +267,54 @@ def _named(
     return Selection(base, whole, tuple(out))
 
 
-def _led_by(trial: Trial, at: int) -> Trial:
+def _led_by(trial: CandidateEvidence, at: int) -> CandidateEvidence:
     """The same fit with effect ``at`` as its last one."""
     count = len(trial.fit.candidate.terms)
-    return Trial(reordered(trial.fit, [*(k for k in range(count) if k != at), at]), trial.held)
+    return CandidateEvidence(
+        reorder_effects(trial.fit, [*(k for k in range(count) if k != at), at]), trial.held
+    )
 
 
 def _exchanged(
-    whole: Trial, at: int, step: Step, train: Sequence[Record], held: Sequence[Record], linear_axes: bool
-) -> tuple[Trial, Step]:
+    whole: CandidateEvidence,
+    at: int,
+    step: Step,
+    train: Sequence[SpectralRecord],
+    held: Sequence[SpectralRecord],
+    linear_axes: bool,
+) -> tuple[CandidateEvidence, Step]:
     """A cause against those that it is easily taken for, beside all others: it was chosen while some of them
     were missing."""
-    if budget.spent():
+    if budget.is_spent():
         return whole, step
     own, here = _led_by(whole, at), whole.fit
     run = partial(fit, here.layout, train, here.p, here.candidate.without(at), iterations=10, quick=True)
-    rest = attempted(run, held)
+    rest = evidence_if_finite(run, held)
     if rest is None:
         return whole, step
     lost, term = rest.fit.cost - here.cost, own.term
     terms = [
         t
-        for t in terms_for(here.layout.structure, linear_axes=linear_axes, chosen=rest.fit.candidate.terms)
+        for t in terms_to_test(
+            here.layout.structure, linear_axes=linear_axes, chosen=rest.fit.candidate.terms
+        )
         if t.effect.cause in (term.effect.cause, *term.effect.looks_like)
         and t.place.axis == term.place.axis
         and (t.effect.cause, t.place) != (term.effect.cause, term.place)
     ]
-    scores = [s for s in screened(Screen(rest.fit), terms) if s.gain > NEAR * lost]
+    scores = [s for s in screen_candidates(Screen(rest.fit), terms) if s.gain > NEAR * lost]
     trials = [_fitted(rest.fit, s, train, held) for s in scores[:TRIED]]
-    all_ = [own, *(t for t in trials if t is not None and not at_bound(t.fit))]
+    all_ = [own, *(t for t in trials if t is not None and not is_at_bound(t.fit))]
     least, rows = min(t.fit.dispersion for t in all_), here.dof
     ranked = sorted(
-        ((t, t.fit.cost / least + penalty(t, rows)) for t in all_), key=lambda r: (r[1], r[0] is not own)
+        ((t, t.fit.cost / least + schwarz_penalty(t, rows)) for t in all_),
+        key=lambda r: (r[1], r[0] is not own),
     )
     best = ranked[0][0]
     if best is not own:
         count = len(best.fit.candidate.terms)
         order = [*range(at), count - 1, *range(at, count - 1)]
-        whole = Trial(reordered(best.fit, order), best.held)
+        whole = CandidateEvidence(reorder_effects(best.fit, order), best.held)
     return whole, Step(rest, best, tuple(ranked))
 
 
@@ -308,7 +335,7 @@ def _wald(found: JointFit, number: int) -> float:
     return float(size @ information @ size) / chi2_isf(SIGNIFICANCE, count)
 
 
-def _parts(found: JointFit, number: int) -> list[tuple[Term, Float64]]:
+def _parts(found: JointFit, number: int) -> list[tuple[PlacedEffect, Float64]]:
     """The catalogue's laws that a motor's friction consists of, with their sizes."""
     x, covariance = found.candidate.x[number], found.covariance_of(number)
     place = found.candidate.terms[number].place
@@ -331,15 +358,15 @@ def _parts(found: JointFit, number: int) -> list[tuple[Term, Float64]]:
         if sticks:
             law = AsymmetricStribeck()
             size, shape = [*size, slow + uneven_slow, slow - uneven_slow], [velocity]
-        return [(Term(law.rounded(width), place), np.array([*np.maximum(size, 0.0), *shape]))]
+        return [(PlacedEffect(law.rounded(width), place), np.array([*np.maximum(size, 0.0), *shape]))]
     out = []
     if sticks:
         law = _dry("stribeck_friction")
-        out.append((Term(law.rounded(width), place), np.array([dry, slow, velocity])))
+        out.append((PlacedEffect(law.rounded(width), place), np.array([dry, slow, velocity])))
     elif there([0]):
-        out.append((Term(_dry("coulomb_friction").rounded(width), place), np.array([dry])))
+        out.append((PlacedEffect(_dry("coulomb_friction").rounded(width), place), np.array([dry])))
     if there([1]):
-        out.append((Term(BY_CAUSE["viscous_friction"], place), np.array([wet])))
+        out.append((PlacedEffect(BY_CAUSE["viscous_friction"], place), np.array([wet])))
     return out
 
 

@@ -13,14 +13,14 @@ from functools import partial
 
 import numpy as np
 
-from invid.diagnosis.evidence import Step, Trial, attempted
+from invid.diagnosis.evidence import CandidateEvidence, Step, evidence_if_finite
 from invid.diagnosis.score_test import Screen
 from invid.diagnosis.selection import Selection
 from invid.effects.laws.sign import DryLaw
 from invid.effects.motion import rms
 from invid.likelihood.joint_fit import JointFit, fit
-from invid.likelihood.placed_effect import Candidate, Term
-from invid.signals.spectral_record import Record
+from invid.likelihood.placed_effect import Candidate, PlacedEffect
+from invid.signals.spectral_record import SpectralRecord
 
 NARROWEST, WIDEST, WIDTHS = 2e-3, 0.3, 10
 """Roundings tried, as shares of the rms velocity: below the first the jump is as good, above the last the law
@@ -31,8 +31,10 @@ ROUNDS = 2
 ITERATIONS = 10
 
 
-def with_widths(found: Selection, train: Sequence[Record], held: Sequence[Record]) -> Selection:
-    """The selection with every motor's friction turning over as gradually as the records say.
+def fit_sign_widths(
+    found: Selection, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord]
+) -> Selection:
+    """The selection with the width of reversal of every motor's friction fitted.
 
     As it came where what is left is noise, or where no width earns Schwarz' penalty of one parameter.
     """
@@ -61,7 +63,9 @@ def _dry(found: JointFit) -> list[int]:
     ]
 
 
-def _retuned(trial: Trial, number: int, train: Sequence[Record], held: Sequence[Record]) -> Trial:
+def _retuned(
+    trial: CandidateEvidence, number: int, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord]
+) -> CandidateEvidence:
     """The trial with the width of one law that leaves least, where it earns its place."""
     here, price = trial.fit, float(np.log(max(trial.fit.dof, 2)))
     width, gain = _best_width(here, number)
@@ -69,9 +73,11 @@ def _retuned(trial: Trial, number: int, train: Sequence[Record], held: Sequence[
         return trial
     terms, law = here.candidate.terms, here.candidate.terms[number]
     assert isinstance(law.effect, DryLaw)  # noqa: S101 - by _dry
-    other = Term(law.effect.rounded(width), law.place)
+    other = PlacedEffect(law.effect.rounded(width), law.place)
     candidate = Candidate((*terms[:number], other, *terms[number + 1 :]), here.candidate.x)
-    found = attempted(partial(fit, here.layout, train, here.p, candidate, iterations=ITERATIONS), held)
+    found = evidence_if_finite(
+        partial(fit, here.layout, train, here.p, candidate, iterations=ITERATIONS), held
+    )
     if found is None or (here.cost - found.fit.cost) / found.fit.dispersion < price:
         return trial
     return found if found.held.cost < trial.held.cost else trial

@@ -9,7 +9,7 @@ import numpy as np
 
 from invid.effects.effect import Experiment, PlaceMotion
 from invid.effects.elements import Element, ForceLaw, Law, ModelPlace
-from invid.effects.laws.sign import DryLaw, bend, even_law, excess_law, sign_law
+from invid.effects.laws.sign import DryLaw, even_law, excess_law, sign_law, stribeck_decay
 from invid.effects.motion import View, rms
 from invid.effects.sizes import FRICTION, JOINT_SOURCE, Size, asymmetric_share
 from invid.model.parameters import ChainStructure
@@ -84,7 +84,7 @@ class AsymmetricFriction(DryLaw):
         forward, v = 0.5 * (1 + motion.direction), motion.velocity
         columns = [forward, -(1 - forward), v * forward, v * (1 - forward)]
         if shape:  # how it bends at low speed, by direction
-            near = bend(v, shape)
+            near = stribeck_decay(v, shape)
             columns += [forward * near, -(1 - forward) * near]
         return np.stack(columns, axis=1)
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from invid.effects.effect import Effect, Experiment, ForceEffect
 from invid.effects.elements import Element, ForceLaw, Law, ModelPlace
-from invid.effects.laws.ripple_cycles import cycle_grid, ripples, turned
+from invid.effects.laws.ripple_cycles import cycle_grid, ripples, rotate_phase
 from invid.effects.motion import View, rms
 from invid.effects.sizes import COGGING_SOURCE, RIPPLE, Size, share
 from invid.model.parameters import ChainStructure
@@ -67,7 +67,7 @@ class Cogging(ForceEffect):
         }
 
     def vector(self, p: Mapping[str, float]) -> list[float]:
-        return [*turned(p["torque"], p["phase"]), float(np.log(p["cycles_per_rev"]))]
+        return [*rotate_phase(p["torque"], p["phase"]), float(np.log(p["cycles_per_rev"]))]
 
     def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
         out: Float64 = p["torque"] * np.sin(p["cycles_per_rev"] * x + p["phase"])

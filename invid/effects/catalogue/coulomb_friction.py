@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from invid.effects.effect import Experiment, PlaceMotion
-from invid.effects.elements import Element, ForceLaw, Law, ModelPlace, dry
+from invid.effects.elements import Element, ForceLaw, Law, ModelPlace, dry_parameters
 from invid.effects.laws.sign import DryLaw, sign_law
 from invid.effects.sizes import AT_LOAD, FRICTION, JOINT_SOURCE, Size, sag, share
 from invid.model.parameters import ChainStructure
@@ -48,7 +48,7 @@ class CoulombFriction(DryLaw):
         return out
 
     def simulation(self, at: ModelPlace) -> Sequence[Element]:
-        return [ForceLaw(Law.DRY, at.mass(), -1, dry(abs(at.value("torque"))))]
+        return [ForceLaw(Law.DRY, at.mass(), -1, dry_parameters(abs(at.value("torque"))))]
 
     def regressors(self, motion: PlaceMotion, shape: Sequence[float]) -> Float64:
         return motion.direction[:, None]

@@ -9,7 +9,7 @@ import numpy as np
 
 from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import Element, ModelPlace, ReadingError
-from invid.effects.laws.ripple_cycles import turned
+from invid.effects.laws.ripple_cycles import rotate_phase
 from invid.effects.motion import View
 from invid.effects.sizes import ARCSEC, ENCODER_SOURCE, READING, Size, size
 from invid.model.parameters import ChainStructure
@@ -76,7 +76,7 @@ class EncoderEccentricity(Effect):
         return {"amplitude": float(np.hypot(x[0], x[1])), "phase": float(np.arctan2(x[1], x[0]))}
 
     def vector(self, p: Mapping[str, float]) -> list[float]:
-        return [*turned(p["amplitude"], p["phase"])]
+        return [*rotate_phase(p["amplitude"], p["phase"])]
 
     def simulation(self, at: ModelPlace) -> Sequence[Element]:
         return [ReadingError(at.axis, at.value("amplitude"), at.value("phase"))]

@@ -9,7 +9,7 @@ import numpy as np
 
 from invid.effects.effect import Experiment, ForceEffect, PlaceMotion
 from invid.effects.elements import CarriedWeight, Element, ForceLaw, Law, ModelPlace
-from invid.effects.laws.ripple_cycles import turned
+from invid.effects.laws.ripple_cycles import rotate_phase
 from invid.effects.motion import View
 from invid.effects.sizes import AT_LOAD, GRAVITY, RATED_SOURCE, Size, sag, share
 from invid.model.parameters import ChainStructure
@@ -58,7 +58,7 @@ class Gravity(ForceEffect):
         return {"torque": float(np.hypot(x[0], x[1])), "angle": float(np.arctan2(x[1], x[0]))}
 
     def vector(self, p: Mapping[str, float]) -> list[float]:
-        return [*turned(p["torque"], p["angle"])]
+        return [*rotate_phase(p["torque"], p["angle"])]
 
     def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
         out: Float64 = p["torque"] * np.sin(x + p["angle"])

@@ -8,8 +8,8 @@ from typing import ClassVar
 import numpy as np
 
 from invid.effects.effect import Experiment, PlaceMotion
-from invid.effects.elements import Element, ForceLaw, Law, ModelPlace, dry
-from invid.effects.laws.sign import DryLaw, bend, excess_law, sign_law
+from invid.effects.elements import Element, ForceLaw, Law, ModelPlace, dry_parameters
+from invid.effects.laws.sign import DryLaw, excess_law, sign_law, stribeck_decay
 from invid.effects.motion import View, rms
 from invid.effects.sizes import FRICTION, JOINT_SOURCE, Size, share
 from invid.errors import ModelError
@@ -75,9 +75,9 @@ class StribeckFriction(DryLaw):
         if velocity == 0:
             raise ModelError(f"effect stribeck_friction on {at.term.axis}: velocity is 0; it must be > 0")
         excess = at.value("static") - at.value("coulomb")
-        levels = dry(at.value("coulomb"), excess, velocity, at.optional("exponent", 2.0))
+        levels = dry_parameters(at.value("coulomb"), excess, velocity, at.optional("exponent", 2.0))
         return [ForceLaw(Law.DRY, at.mass(), -1, levels)]
 
     def regressors(self, motion: PlaceMotion, shape: Sequence[float]) -> Float64:
-        near = bend(motion.velocity, shape)
+        near = stribeck_decay(motion.velocity, shape)
         return np.stack([motion.direction, motion.direction * near], axis=1)

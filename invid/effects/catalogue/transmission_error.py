@@ -10,7 +10,7 @@ import numpy as np
 from invid.effects.catalogue.backlash import spring_index
 from invid.effects.effect import Effect, Experiment
 from invid.effects.elements import Element, ForceLaw, Law, ModelPlace
-from invid.effects.laws.ripple_cycles import cycle_grid, ripples, turned
+from invid.effects.laws.ripple_cycles import cycle_grid, ripples, rotate_phase
 from invid.effects.motion import View, rms
 from invid.effects.sizes import ACCURACY_SOURCE, ARCMIN, GEAR_ERROR, Size, size
 from invid.model.parameters import ChainStructure
@@ -113,7 +113,7 @@ class TransmissionError(Effect):
         }
 
     def vector(self, p: Mapping[str, float]) -> list[float]:
-        return [*turned(p["amplitude"], p["phase"]), float(np.log(p["cycles_per_rev"]))]
+        return [*rotate_phase(p["amplitude"], p["phase"]), float(np.log(p["cycles_per_rev"]))]
 
     def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
         out: Float64 = -stiffness * p["amplitude"] * np.sin(p["cycles_per_rev"] * x + p["phase"])

@@ -44,12 +44,14 @@ def beyond_band(view: View, place: Place) -> Float64 | None:
     return out
 
 
-def answered(view: View, pattern: Pattern, compliance: Float64, resisting: Callable[[], Float64]) -> Float64:
+def solve_beyond_band(
+    view: View, pattern: Pattern, compliance: Float64, resisting: Callable[[], Float64]
+) -> Float64:
     """(n,) resistance in agreement with the motion beyond the band that it makes."""
-    return answer(view, pattern, compliance, resisting)[0]
+    return solve_with_motion(view, pattern, compliance, resisting)[0]
 
 
-def answer(
+def solve_with_motion(
     view: View, pattern: Pattern, compliance: Float64, resisting: Callable[[], Float64]
 ) -> tuple[Float64, Complex128]:
     """The same, and the (n//2 + 1,) lines of the motion beyond the band that it was looked at with last."""

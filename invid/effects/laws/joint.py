@@ -18,7 +18,7 @@ from invid.effects.motion import View, rms
 from invid.model.place import Place
 from invid.numerics.arrays import Float64
 from invid.numerics.compiled import compiled
-from invid.signals.standstill import softness
+from invid.signals.standstill import sign_threshold
 
 SLOW, SLOWS = 0.2, (0.02, 1.5)
 """Stribeck velocity, and width of a reversal, over the rms velocity: where they start, and their bounds."""
@@ -49,7 +49,7 @@ class JointFriction(ForceEffect):
     def law(self, view: View, place: Place, shape: Sequence[float]) -> Float64:
         v = view.velocity(place.pattern(view.structure))
         slow, width = float(np.exp(shape[0])), float(np.exp(shape[1]))
-        soft = max(softness(v, float(view.record.velocity_noise[place.axis])), width)
+        soft = max(sign_threshold(v, float(view.record.velocity_noise[place.axis])), width)
         out: Float64 = view.measured(
             ("joint", place, soft, slow), lambda: _joint(np.ascontiguousarray(v), soft, slow)
         )

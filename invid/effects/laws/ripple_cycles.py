@@ -70,6 +70,6 @@ def _peaks(cycles: Float64, power: Float64, low: float, high: float, half_line: 
     return sorted({float(c) for c in around.ravel() if low < c < HIGHEST})
 
 
-def turned(amplitude: float, phase: float) -> tuple[float, float]:
+def rotate_phase(amplitude: float, phase: float) -> tuple[float, float]:
     """a·sin(x + φ) as (a·cos φ)·sin x + (a·sin φ)·cos x."""
     return float(amplitude * np.cos(phase)), float(amplitude * np.sin(phase))

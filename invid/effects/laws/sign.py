@@ -22,7 +22,7 @@ from invid.model.document import EffectTerm
 from invid.model.place import Place
 from invid.numerics.arrays import Complex128, Float64
 from invid.numerics.compiled import compiled
-from invid.signals.standstill import Standing, softness
+from invid.signals.standstill import Standstill, sign_threshold
 
 ROUNDING = "rounding"
 """Name of the further parameter that friction has in a model where its sign changes over gradually."""
@@ -64,7 +64,7 @@ class DryLaw(ForceEffect):
     def softness(self, view: View, place: Place) -> float:
         """Velocity over which the sign changes over: the rounding, or the velocity's noise if larger."""
         v = view.velocity(place.pattern(view.structure))
-        return max(softness(v, float(view.record.velocity_noise[place.axis])), self.rounding)
+        return max(sign_threshold(v, float(view.record.velocity_noise[place.axis])), self.rounding)
 
     def stands(self, view: View, place: Place) -> bool:
         return self._standing(view, place) is not None
@@ -126,7 +126,7 @@ class DryLaw(ForceEffect):
         out: Float64 = still.share * ((acting > low) & (acting < high))
         return out
 
-    def _standing(self, view: View, place: Place) -> Standing | None:
+    def _standing(self, view: View, place: Place) -> Standstill | None:
         """When the motor stands; none for inner masses, for contacts that creep, and for a motor that is a
         load as well, which feels the other loads."""
         sizes = view.structure.sizes
@@ -251,7 +251,7 @@ def even_law(v: Float64, soft: float) -> Float64:
     return out
 
 
-def bend(velocity: Float64, shape: Sequence[float]) -> Float64:
+def stribeck_decay(velocity: Float64, shape: Sequence[float]) -> Float64:
     """(n,) exp(−(|v|/v₀)^exponent), ``shape`` (v₀, exponent): the part of friction at low speed alone."""
     out: Float64 = np.exp(-((np.abs(velocity) / (shape[0] or 1.0)) ** max(int(shape[1]), 1)))
     return out

@@ -31,15 +31,15 @@ CLOSED = 0.01
 A guess: of one that settled for two periods a thousandth is left, one from rest may end anywhere."""
 
 
-def closes(x: Float64) -> bool:
+def is_closed_motion(x: Float64) -> bool:
     """Whether a motion (n,) ends where it began, so nearly that it is as good as periodic."""
     return abs(float(x[-1] - x[0])) < CLOSED * float(np.ptp(x))
 
 
-def remembers(x: Float64, most: float, *, periodic: bool) -> bool:
+def depends_on_start(x: Float64, most: float, *, periodic: bool) -> bool:
     """Whether where a slider stood before shows in a motion (n,): one that gives way in both directions again
     and again forgets it."""
-    return float(np.ptp(x)) < 2.0 * most or not (periodic or closes(x))
+    return float(np.ptp(x)) < 2.0 * most or not (periodic or is_closed_motion(x))
 
 
 def slide(x: Float64, most: float, *, periodic: bool, start: float = 0.0) -> Float64:
@@ -48,7 +48,7 @@ def slide(x: Float64, most: float, *, periodic: bool, start: float = 0.0) -> Flo
 
     A record that still settles a little has the state of its last period at its start, not that of rest.
     """
-    passes = 2 if periodic or closes(x) else 1
+    passes = 2 if periodic or is_closed_motion(x) else 1
     out: Float64 = _march(np.ascontiguousarray(x), most, passes, start * most)
     return out
 
@@ -66,7 +66,7 @@ class SliderEffect(ForceEffect):
 
     def remembers(self, view: View, place: Place, x: Sequence[float]) -> bool:
         wave = view.wave(place.pattern(view.structure))
-        return remembers(wave, float(np.exp(x[1])), periodic=not view.record.transient)
+        return depends_on_start(wave, float(np.exp(x[1])), periodic=not view.record.transient)
 
     def law(self, view: View, place: Place, shape: Sequence[float]) -> Float64:
         most, pattern = float(np.exp(shape[0])), place.pattern(view.structure)

@@ -14,7 +14,7 @@ import numpy as np
 from invid.likelihood.levenberg_marquardt import Solution, gauss_newton
 from invid.likelihood.nuisance.friction_columns import mean_sign, motor_velocity, sign_spectrum
 from invid.likelihood.nuisance.torque_lags import COULOMB, LAG_PAYS, NOISE_LIKE
-from invid.likelihood.records import used_lines, with_columns
+from invid.likelihood.records import add_columns, used_lines
 from invid.likelihood.residual import MissingTorqueProblem
 from invid.numerics import budget
 from invid.numerics.arrays import Complex128, Float64
@@ -26,7 +26,7 @@ NARROWEST, WIDEST, STEPS = 1e-3, 0.3, 11
 wider ones are viscous friction; two neighbours differ by less than a factor of two."""
 
 
-def with_gradual_reversals(
+def fit_gradual_reversals(
     problem: MissingTorqueProblem, solution: Solution, spectra: Sequence[LineSpectra]
 ) -> tuple[MissingTorqueProblem, Solution]:
     """The problem with friction that turns within a width of its own on each axis, and its solution.
@@ -47,7 +47,7 @@ def with_gradual_reversals(
             break
         best = _best_width(wider, found, spectra, k, axis)
         if best is not None:
-            wider = with_columns(wider, best, wider.column_names)
+            wider = add_columns(wider, best, wider.column_names)
             found = gauss_newton(wider, found.p)
     if wider is problem or solution.chi2 < LAG_PAYS * found.chi2:
         return problem, solution

@@ -17,7 +17,7 @@ from invid.likelihood.records import driven_and_held, hold_laws, hold_offset
 from invid.model.document import Model
 from invid.numerics.arrays import Complex128, Float64
 from invid.recording.model import Recording
-from invid.signals.smooth_command import seen_hold
+from invid.signals.smooth_command import find_smooth_hold
 from invid.signals.spectra import LineSpectra
 
 SHARES = (-0.1, 1.1)
@@ -25,7 +25,7 @@ SHARES = (-0.1, 1.1)
 
 
 @dataclass(frozen=True)
-class HeldInside:
+class InsideHold:
     """A hold of an axis, the share of which that works inside the drive is a parameter, known to ± ½."""
 
     axis: int
@@ -50,9 +50,9 @@ class HeldInside:
         return np.asarray(self.stiffness + 1j * omega * self.damping, dtype=np.complex128)
 
 
-def holds_inside(
+def find_inside_holds(
     spectra: Sequence[LineSpectra], model: Model, recording: Recording, *, with_command: bool
-) -> tuple[HeldInside, ...]:
+) -> tuple[InsideHold, ...]:
     """The holds of a recording; none where the demand is logged beside them (``with_command``).
 
     A hold that a record shows alone has the law read there. One that no record shows has gains between none
@@ -69,7 +69,7 @@ def holds_inside(
         share = 0.5 if late is None else -2.0 * float(late) / step
         # Without effects the identification may find a time that no hold has: an effect's doing.
         expected = share if SHARES[0] <= share <= SHARES[1] else 0.5
-        out.append(HeldInside(i, stiffness, damping, expected, _working(recording, spectra, i)))
+        out.append(InsideHold(i, stiffness, damping, expected, _working(recording, spectra, i)))
     return tuple(out) + unseen_holds(spectra, model, recording, {h.axis for h in out})
 
 
@@ -91,7 +91,7 @@ guess."""
 
 def unseen_holds(
     spectra: Sequence[LineSpectra], model: Model, recording: Recording, seen: Collection[int] = ()
-) -> tuple[HeldInside, ...]:
+) -> tuple[InsideHold, ...]:
     """Holds that no record shows alone: they work whenever their axis is recorded, or rest while others move.
 
     ``seen``: axes of which a record shows it. Of the others those count whose hold the identification left
@@ -112,7 +112,7 @@ def unseen_holds(
         total = float(model.chains.masses[i].sum())
         bound = total * (HOLD_BAND * _begins(spectra, i)) ** 2 if declared is None else declared
         law = (bound, 2.0 * float(np.sqrt(bound * total)))
-        read = seen_hold(spectra, i) if declared is None else None
+        read = find_smooth_hold(spectra, i) if declared is None else None
         if read is not None:
             # P is told by the lowest lines alone, where chirps ripple; holds are damped by half and more.
             law = max(read[0], read[1] ** 2 / total), read[1]
@@ -120,10 +120,10 @@ def unseen_holds(
         expected = 0.5 if declared is None else 0.0
         keys = _working(recording, spectra, i)
         if read and inside:
-            out.append(HeldInside(i, *read, 1.0, keys))
+            out.append(InsideHold(i, *read, 1.0, keys))
             continue
-        out.append(HeldInside(i, law[0], 0.0, expected, keys))
-        out.append(HeldInside(i, 0.0, law[1], expected, keys))
+        out.append(InsideHold(i, law[0], 0.0, expected, keys))
+        out.append(InsideHold(i, 0.0, law[1], expected, keys))
     return tuple(out)
 
 

@@ -8,19 +8,19 @@ from math import comb
 
 import numpy as np
 
-from invid.likelihood.covariance import spread_of
+from invid.likelihood.covariance import parameter_std
 from invid.likelihood.levenberg_marquardt import Solution, gauss_newton
 from invid.likelihood.records import (
-    carried,
+    add_columns,
     driven_and_held,
     hold_laws,
     hold_offset,
     problem_from_spectra,
-    with_columns,
+    transfer_parameters,
 )
 from invid.likelihood.residual import MissingTorqueProblem
 from invid.numerics.distributions import chi2_isf, chi2_sf, normal_sf
-from invid.signals.smooth_command import seen_hold
+from invid.signals.smooth_command import find_smooth_hold
 from invid.signals.spectra import LineSpectra
 
 INSIDE = "inside the drive"
@@ -29,7 +29,7 @@ OPEN = (".open_hold.stiffness", ".open_hold.damping")
 """Endings of the names of the gains of a hold of which nothing tells where it works."""
 
 
-def placed_holds(
+def locate_holds(
     problem: MissingTorqueProblem, solution: Solution, spectra: Sequence[LineSpectra]
 ) -> tuple[MissingTorqueProblem, Solution, dict[str, str]]:
     """What the holds do while their axis is driven, where no recorded demand tells.
@@ -45,7 +45,7 @@ def placed_holds(
     names = [hold_offset(structure.axes[i]) for i in driven_and_held(spectra)]
     laws = hold_laws(spectra, driven_and_held(spectra))
     step = 1.0 / spectra[0].sample_rate_hz
-    spread = spread_of(solution)
+    spread = parameter_std(solution)
     at = {name: k for k, name in enumerate(problem.names)}
     open_axes, decided = [], {}
     for i, name in zip(driven_and_held(spectra), names, strict=True):
@@ -106,7 +106,7 @@ def placed_holds(
     return freed, gauss_newton(freed, start), decided
 
 
-def with_open_holds(
+def free_hold_locations(
     problem: MissingTorqueProblem,
     solution: Solution,
     spectra: Sequence[LineSpectra],
@@ -117,14 +117,14 @@ def with_open_holds(
     A hold −(P + jωD)θ inside the drive acts half a sample before one that is held over the sample with
     the command. Recorded as one torque, the two differ by (z − 1)(P + jωD)θ with z what holding
     over the sample does: to first order P·h/2 of viscous friction and D·h/2 of motor inertia. Where no
-    record shows the hold alone (axes ``placed`` by ``placed_holds``) nothing tells them apart, unless the
+    record shows the hold alone (axes ``placed`` by ``locate_holds``) nothing tells them apart, unless the
     friction that comes out is too small to hold P·h/2. Both gains then enter as parameters known to lie
     somewhere between nothing (held over the sample) and the whole gain (inside the drive), so that every
     parameter's standard deviation contains what they may cost. All axes are asked together: the holds of a
     cell run in its drives or in its master, and friction too small on two axes speaks for the third
-    (``sampled_together``); an axis whose friction stands out of its error stays open. Where it is on several
+    (``are_holds_sampled``); an axis whose friction stands out of its error stays open. Where it is on several
     axes what their holds make of it by acting earlier, by one time alike, they run in the drives
-    (``early_together``), and their gains count whole.
+    (``common_early_share``), and their gains count whole.
 
     Both gains are read off the command where that is smooth over frequency (``smooth_command``), also
     where the recording says that the axis is free. Otherwise P is that of the recording, or bounded by
@@ -132,7 +132,7 @@ def with_open_holds(
     critically, D ≈ 2·√(P·S) with S the branch sum.
     """
     structure = problem.structure
-    values, spread = structure.physical(solution.p[: structure.count]), spread_of(solution)
+    values, spread = structure.physical(solution.p[: structure.count]), parameter_std(solution)
     first = structure.slices["viscous"].start
     step = 1.0 / spectra[0].sample_rate_hz
     at = {name: k for k, name in enumerate(problem.names)}
@@ -147,7 +147,7 @@ def with_open_holds(
         friction = float(values[first + i])
         error = float(spread[first + i]) if np.isfinite(spread[first + i]) else 0.0
         said = np.array([s.hold_gain[i] for s in spectra if s.hold_gain.size > i and s.driven[i]])
-        law = seen_hold(spectra, i)
+        law = find_smooth_hold(spectra, i)
         if law is None:
             if not np.any(np.isnan(said) | (said > 0)):
                 continue
@@ -160,10 +160,10 @@ def with_open_holds(
             seen.add(i)
         laws[i] = law
         rubs[i] = friction, error, law[0] * half
-    together = sampled_together(list(rubs.values()))
+    together = are_holds_sampled(list(rubs.values()))
     gains: dict[int, tuple[float, float]] = {}
     shares: dict[int, float] = {}
-    common = early_together([rubs[i] for i in rubs if i in seen])
+    common = common_early_share([rubs[i] for i in rubs if i in seen])
     for i, (friction, error, whole) in rubs.items():
         # Where it acts, the hold's P makes friction of at most what there is: it bounds the share of the
         # half sample. Below a half of it, friction that does not stand out of its error speaks for none.
@@ -196,9 +196,9 @@ def with_open_holds(
             part[:, i, 2 * number] = acting
             part[:, i, 2 * number + 1] = jw * acting
         columns.append(np.concatenate((block.columns, part), axis=2))
-    larger = with_columns(problem, columns, (*problem.column_names, *names))
+    larger = add_columns(problem, columns, (*problem.column_names, *names))
     larger = replace(larger, priors={**problem.priors, **priors})
-    found = gauss_newton(larger, carried(problem, solution.p, larger))
+    found = gauss_newton(larger, transfer_parameters(problem, solution.p, larger))
     inside = {i for i in gains if common and i in seen}
     text = f"{INSIDE}, {common[0] * step / 2:.3g} s before the command" if common else ""
     return (
@@ -209,7 +209,7 @@ def with_open_holds(
     )
 
 
-def beyond(problem: MissingTorqueProblem, solution: Solution) -> dict[int, float]:
+def gains_beyond_range(problem: MissingTorqueProblem, solution: Solution) -> dict[int, float]:
     """Parameters that are gains of an open hold and left their range, and the end of it that they crossed.
 
     A gain is none below zero, nor more than the whole gain, twice its mean. Where it goes there, something
@@ -226,10 +226,10 @@ def beyond(problem: MissingTorqueProblem, solution: Solution) -> dict[int, float
     return out
 
 
-def early_together(axes: Sequence[tuple[float, float, float]]) -> tuple[float, float] | None:
+def common_early_share(axes: Sequence[tuple[float, float, float]]) -> tuple[float, float] | None:
     """Share of half a sample by which holds act early on all axes alike, with its standard deviation.
 
-    ``axes`` as in ``sampled_together``. ``None`` of a single axis, where friction is not the same share of
+    ``axes`` as in ``are_holds_sampled``. ``None`` of a single axis, where friction is not the same share of
     P·h/2 on all of them (wrong once in 370), where it is no more than its error, or more than holds make.
     """
     if len(axes) < 2 or any(error <= 0 for _, error, _ in axes):
@@ -243,7 +243,7 @@ def early_together(axes: Sequence[tuple[float, float, float]]) -> tuple[float, f
     return share, std
 
 
-def sampled_together(axes: Sequence[tuple[float, float, float]]) -> bool:
+def are_holds_sampled(axes: Sequence[tuple[float, float, float]]) -> bool:
     """Whether viscous friction is too small on all axes together for holds that run inside the drives.
 
     ``axes`` gives each axis' viscous friction, its standard deviation, and P·h/2, which a hold inside the

@@ -23,7 +23,9 @@ Cost = Callable[[Complex128], float]
 """χ² of a record with contributions (F, M)."""
 
 
-def begun(view: View, candidate: Candidate, extra: Complex128, cost: Cost) -> tuple[Complex128, Complex128]:
+def solve_initial_states(
+    view: View, candidate: Candidate, extra: Complex128, cost: Cost
+) -> tuple[Complex128, Complex128]:
     """(F, M) contributions from the starts that leave least, and (F, M, k) what they change by with each.
 
     A slider in a weak motion may never give way in both directions: then all of a record feels where it
@@ -67,4 +69,4 @@ def _best(view: View, candidate: Candidate, pattern: Pattern, cost: Cost) -> tup
     return at(middle), column
 
 
-__all__ = ["begun"]
+__all__ = ["solve_initial_states"]

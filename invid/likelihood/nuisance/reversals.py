@@ -14,13 +14,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from invid.likelihood.covariance import spread_of
+from invid.likelihood.covariance import parameter_std
 from invid.likelihood.excess_variance import SIGNIFICANT, WINDOW
 from invid.likelihood.levenberg_marquardt import Solution, gauss_newton
 from invid.likelihood.nuisance.friction_columns import sign_spectrum, velocity_signs
-from invid.likelihood.nuisance.torque_channel import Block, acting
+from invid.likelihood.nuisance.torque_channel import Block, channel_torque
 from invid.likelihood.nuisance.torque_lags import COULOMB, COULOMB_SIGMA, LAG_PAYS, NOISE_LIKE
-from invid.likelihood.records import used_lines, with_columns
+from invid.likelihood.records import add_columns, used_lines
 from invid.likelihood.residual import MissingTorqueProblem, condense_dense
 from invid.model.transient_terms import end_columns, end_forces, end_points
 from invid.numerics import budget
@@ -38,7 +38,7 @@ SLOW = 4.0
 """Standard deviations of the velocity within which its sign is not believed (wrong once in 30 000)."""
 
 
-def with_sharp_reversals(
+def fit_sharp_reversals(
     problem: MissingTorqueProblem, solution: Solution, spectra: Sequence[LineSpectra]
 ) -> tuple[MissingTorqueProblem, Solution]:
     """The problem with friction that turns where position and torque together put it, and its solution.
@@ -54,10 +54,10 @@ def with_sharp_reversals(
     guesses = [velocity_signs(s) for s in spectra]
     signs = [sign for sign, _ in guesses]
     for _ in range(TURNS):
-        if budget.spent():
+        if budget.is_spent():
             break
         size = np.zeros(problem.structure.motors)
-        first, spread = problem.slices["column"].start, spread_of(solution)
+        first, spread = problem.slices["column"].start, parameter_std(solution)
         for k, i in places:
             # Friction that will leave the fit has no reversals to find.
             if solution.p[first + k] > COULOMB_SIGMA * spread[first + k]:
@@ -74,16 +74,16 @@ def with_sharp_reversals(
             key = whole.omega.tobytes()
             if key not in plants:
                 plants = {key: _condensed(problem, solution.p, whole.omega)}
-            found = fusion(problem, solution.p, whole, state.ends, *plants[key])
+            found = fuse_record(problem, solution.p, whole, state.ends, *plants[key])
             periodic = not s.transient or s.periods > 1
-            signs[number] = reversing(found, s, signs[number], size * moves, inertia, periodic=periodic)
+            signs[number] = reversal_signs(found, s, signs[number], size * moves, inertia, periodic=periodic)
             spectrum = sign_spectrum(s, signs[number])[used_lines(s, everything=state.block.transient)]
             part = state.block.columns.copy()
             for k, i in places:
                 if moves[i] and size[i] > 0:
                     part[:, i, k] = spectrum[:, i]
             columns.append(part)
-        sharper = with_columns(problem, columns, problem.column_names)
+        sharper = add_columns(problem, columns, problem.column_names)
         refitted = gauss_newton(sharper, solution.p)
         before = solution.chi2
         if refitted.chi2 < before:
@@ -97,7 +97,7 @@ def with_sharp_reversals(
 
 
 @dataclass(frozen=True, eq=False)
-class Fusion:
+class FusedRecord:
     """What a record says on all its lines but for Coulomb friction.
 
     ``missing`` (L, M) is the missing torque without it, ``stiffness`` (L, M, M) Z, ``noise`` (L, M) the noise
@@ -111,20 +111,20 @@ class Fusion:
     other: Float64
 
 
-def fusion(
+def fuse_record(
     problem: MissingTorqueProblem,
     p: Float64,
     whole: Block,
     ends: Float64,
     motion: Complex128,
     stiffness: Complex128,
-) -> Fusion:
+) -> FusedRecord:
     """A record, as the block ``whole`` of all its lines, under parameters ``p`` and boundary terms
     ``ends``; W and Z are ``motion`` (L, ΣN, M) and ``stiffness`` (L, M, M)."""
     structure = problem.structure
     motors, lines = structure.motors, whole.omega.size
     sp = p[problem.slices["structure"]]
-    channel = acting(whole, p[problem.slices["delay"]], p[problem.slices["staircase"]])
+    channel = channel_torque(whole, p[problem.slices["delay"]], p[problem.slices["staircase"]])
     effective = stiffness.copy()
     effective[:, np.arange(motors), np.arange(motors)] -= channel.hold
     missing = np.einsum("fij,fj->fi", effective, whole.position) - channel.factor * whole.torque
@@ -135,7 +135,7 @@ def fusion(
         points = end_points(whole.omega[part], whole.step, whole.span, ends_in=whole.ends_in)
         missing[part] += end_columns(structure, motion[part], effective[part], forces, points) @ ends
     other = whole.noise[:, motors:] * np.abs(channel.factor) ** 2
-    return Fusion(whole.omega, missing, effective, whole.noise[:, :motors], other)
+    return FusedRecord(whole.omega, missing, effective, whole.noise[:, :motors], other)
 
 
 def _condensed(problem: MissingTorqueProblem, p: Float64, omega: Float64) -> tuple[Complex128, Complex128]:
@@ -147,8 +147,8 @@ def _condensed(problem: MissingTorqueProblem, p: Float64, omega: Float64) -> tup
     return np.concatenate([w for w, _ in parts]), np.concatenate([z for _, z in parts])
 
 
-def reversing(
-    found: Fusion,
+def reversal_signs(
+    found: FusedRecord,
     s: LineSpectra,
     sign: Float64,
     friction: Float64,
@@ -193,14 +193,14 @@ def reversing(
         spread = np.sqrt(np.maximum((found.omega[:, None] ** 2 * left).sum(axis=0) / 2.0, 0.0))
         for i in np.flatnonzero(friction > 0):
             slow, slowed = SLOW * spread[i], friction[i] / inertia[i] * step
-            held[:, i] = followed(velocity[:, i], held[:, i], slow, slowed, periodic=periodic)
+            held[:, i] = interval_means(velocity[:, i], held[:, i], slow, slowed, periodic=periodic)
         # An interval's friction acts half a sample after the instant it begins.
         first = held[-1:] if periodic else held[:1]
         sign = 0.5 * (held + np.concatenate((first, held[:-1])))
     return sign
 
 
-def followed(
+def interval_means(
     velocity: Float64, before: Float64, slow: float, slowed: float, *, periodic: bool = False
 ) -> Float64:
     """(n,) mean friction over its size in the interval after each sample.

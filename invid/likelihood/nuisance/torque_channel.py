@@ -29,7 +29,7 @@ class Block(SpectralLines):
         (F, M, L) columns shared by all records (torque side, one coefficient each).
     lag_index
         (M,) which parameter among the delays is the lag of each axis' torque channel, as the square of its
-        time constant [s²] (``low_passed``); empty where no channel has one.
+        time constant [s²] (``lag_torque``); empty where no channel has one.
     stepped
         (F, M) part of the torque that is held over each sample and stands in ``torque`` as it acts.
     """
@@ -44,7 +44,7 @@ class Block(SpectralLines):
 
 
 @dataclass(frozen=True, eq=False)
-class Acting:
+class ChannelTorque:
     """How the recorded torque of a block acts.
 
     Where the hold H works beside a command, the acting torque is z₁T + (z₁ − z₂)·H·Θ: the command
@@ -65,7 +65,7 @@ class Acting:
     """(F, M) mass times displacement that the images of held torque fold onto the lines (``folding``)."""
 
 
-def acting(block: Block, delays: Float64, stairs: Float64) -> Acting:
+def channel_torque(block: Block, delays: Float64, stairs: Float64) -> ChannelTorque:
     """The torque channels of ``block`` under delays [s] (the axes' own first, squares of lags [s²] among
     the others) and staircase shares."""
     motors, lines = block.position.shape[1], block.omega.size
@@ -107,17 +107,17 @@ def acting(block: Block, delays: Float64, stairs: Float64) -> Acting:
             by_delay[:, i, further] = -jw * factor[:, i]
         if block.lag_index:
             lag = block.lag_index[i]
-            passed, slope = low_passed(block.omega, float(delays[lag]))
+            passed, slope = lag_torque(block.omega, float(delays[lag]))
             for values in (factor, hold_part, by_delay, by_hold, by_stair):
                 values[:, i] *= passed if values.ndim == 2 else passed[:, None]
             by_delay[:, i, lag] = slope * factor[:, i]
             if beside:
                 by_hold[:, i, lag] = slope * passed * (z1 - z2)
     images = block.folding.at(steps_at) * stepped
-    return Acting(factor, hold_part, by_delay, by_hold, by_stair, images)
+    return ChannelTorque(factor, hold_part, by_delay, by_hold, by_stair, images)
 
 
-def low_passed(omega: Float64, square: float) -> tuple[Complex128, Complex128]:
+def lag_torque(omega: Float64, square: float) -> tuple[Complex128, Complex128]:
     """(F,) acting torque over one recorded through a first-order lag of τ² = ``square``, its delay taken
     out, and (F,) the derivative of its logarithm by ``square``.
 
@@ -132,4 +132,4 @@ def low_passed(omega: Float64, square: float) -> tuple[Complex128, Complex128]:
     return passed, slope
 
 
-__all__ = ["Acting", "Block", "acting", "low_passed"]
+__all__ = ["Block", "ChannelTorque", "channel_torque", "lag_torque"]

@@ -9,7 +9,7 @@ import numpy as np
 
 from invid.likelihood.levenberg_marquardt import Solution, gauss_newton
 from invid.likelihood.nuisance.friction_columns import coulomb_columns
-from invid.likelihood.records import carried, used_lines, with_columns
+from invid.likelihood.records import add_columns, transfer_parameters, used_lines
 from invid.likelihood.residual import MissingTorqueProblem
 from invid.numerics.arrays import Float64
 from invid.numerics.distributions import chi2_isf
@@ -34,7 +34,9 @@ LAG_PAYS = 1.3
 that the model lacks bends towards any parameter a little)."""
 
 
-def with_coulomb(problem: MissingTorqueProblem, spectra: Sequence[LineSpectra]) -> MissingTorqueProblem:
+def add_coulomb_columns(
+    problem: MissingTorqueProblem, spectra: Sequence[LineSpectra]
+) -> MissingTorqueProblem:
     """One Coulomb coefficient for each axis that moves clearly in some record, and one lag for each hold
     that works beside a command inside the drive."""
     motors = problem.structure.motors
@@ -62,17 +64,17 @@ def with_coulomb(problem: MissingTorqueProblem, spectra: Sequence[LineSpectra]) 
     # A drive's own loop runs several times a sample; the torque it asks for acts within one such cycle.
     known = dict.fromkeys(lags, (0.0, step / 8.0))
     problem = replace(problem, priors={**problem.priors, **known})
-    return with_columns(problem, columns, [f"{names[i]}{COULOMB}" for i in axes] + lags)
+    return add_columns(problem, columns, [f"{names[i]}{COULOMB}" for i in axes] + lags)
 
 
-def with_reversal_lags(
+def fit_reversal_lags(
     problem: MissingTorqueProblem, solution: Solution
 ) -> tuple[MissingTorqueProblem, Solution]:
     """The problem with ``reversal_lags`` for the friction found, and its solution."""
     larger = reversal_lags(problem, solution.p)
     if larger is problem:
         return problem, solution
-    return larger, gauss_newton(larger, carried(problem, solution.p, larger))
+    return larger, gauss_newton(larger, transfer_parameters(problem, solution.p, larger))
 
 
 def reversal_lags(problem: MissingTorqueProblem, p: Float64) -> MissingTorqueProblem:
@@ -96,10 +98,10 @@ def reversal_lags(problem: MissingTorqueProblem, p: Float64) -> MissingTorquePro
     step = max(b.step for b in problem.blocks)
     # Even within half a sample either way: a standard deviation of h/√12.
     known = {n: (0.0, float(size[k]) * step / np.sqrt(12.0)) for n, k in zip(lags, rubbing, strict=True)}
-    return replace(with_columns(problem, columns, names + lags), priors={**problem.priors, **known})
+    return replace(add_columns(problem, columns, names + lags), priors={**problem.priors, **known})
 
 
-def with_torque_lags(
+def fit_torque_lags(
     problem: MissingTorqueProblem, solution: Solution
 ) -> tuple[MissingTorqueProblem, Solution]:
     """The problem with a first-order lag in each axis' torque channel, where the data ask for it.
@@ -113,7 +115,7 @@ def with_torque_lags(
     blocks = tuple(replace(b, lag_index=tuple(range(first, first + motors))) for b in problem.blocks)
     names = (*problem.delay_names, *(f"{a}{TORQUE_LAG}" for a in axes))
     larger = replace(problem, blocks=blocks, delay_names=names)
-    found = gauss_newton(larger, carried(problem, solution.p, larger))
+    found = gauss_newton(larger, transfer_parameters(problem, solution.p, larger))
     scale = max(found.reduced, 1.0)
     if solution.chi2 - found.chi2 < scale * chi2_isf(LAG_SEEN, motors):
         return problem, solution

@@ -11,7 +11,7 @@ from invid.effects.motion import Closing, View
 from invid.likelihood.hypothesis import Layout
 from invid.likelihood.placed_effect import Candidate
 from invid.model.parameters import ChainStructure
-from invid.model.transient_terms import end_columns, end_forces, end_places, end_points
+from invid.model.transient_terms import end_columns, end_forces, end_points, motor_end_indices
 from invid.numerics.arrays import Complex128, Float64
 from invid.numerics.whitening import orthonormal, stack, unstack, unwhitener, whitener
 
@@ -29,14 +29,14 @@ class Ends:
 
     def with_effects(self, view: View, candidate: Candidate) -> Ends:
         """With what effects linear in motion do at them."""
-        torque, motion = of_jumps(view, candidate, self.moved)
+        torque, motion = jump_response(view, candidate, self.moved)
         return replace(
             self, torque=self.torque + torque, moved=self.moved + motion, inner=self.inner + motion
         )
 
 
-def ends_of(view: View, layout: Layout, p: Float64) -> Ends:
-    """Those of a record without effects."""
+def record_ends(view: View, layout: Layout, p: Float64) -> Ends:
+    """The responses to jumps at the ends of a record without effects."""
     structure, record = layout.structure, view.record
     forces = end_forces(structure, p[: structure.count], view.omega, record.span)
     forces[0] *= 0.5
@@ -47,7 +47,7 @@ def ends_of(view: View, layout: Layout, p: Float64) -> Ends:
     return Ends(end_columns(structure, view.motion, view.stiffness, forces, points), moved, inner)
 
 
-def of_jumps(view: View, candidate: Candidate, moved: Complex128) -> tuple[Complex128, Complex128]:
+def jump_response(view: View, candidate: Candidate, moved: Complex128) -> tuple[Complex128, Complex128]:
     """(F, M, 2ΣN) missing torque and (F, ΣN, 2ΣN) motion for a unit jump of each coordinate.
 
     Those of effects that are linear in motion; ``moved`` is what the jumps alone stand for.
@@ -63,8 +63,8 @@ def of_jumps(view: View, candidate: Candidate, moved: Complex128) -> tuple[Compl
     return torque, motion
 
 
-def closing_of(view: View, ends: Ends, root: Complex128, linear: Complex128) -> Closing:
-    """What jumps leave least of the whitened missing torque and are no larger than the motion itself.
+def solve_record_ends(view: View, ends: Ends, root: Complex128, linear: Complex128) -> Closing:
+    """The jumps that leave least of the whitened missing torque and are no larger than the motion itself.
 
     Those that the motors hardly feel would else be noise many times the motion that laws are read from.
     ``linear`` (F, M) is the missing torque without effects.
@@ -79,7 +79,7 @@ def closing_of(view: View, ends: Ends, root: Complex128, linear: Complex128) -> 
     return Closing(ends.inner, gain.reshape(along.shape), ends.torque, linear)
 
 
-def without_boundary(
+def project_out_ends(
     view: View, layout: Layout, p: Float64, r: Complex128, covariance: Complex128
 ) -> tuple[Complex128, float]:
     """(P, F, M) ``r`` of lines 1…F of P periods without what the motion between their ends explains.
@@ -88,7 +88,7 @@ def without_boundary(
     Also the share of each period's numbers that is left as degrees of freedom.
     """
     root = whitener(covariance)
-    basis = orthonormal(stack(root @ ends_of(view, layout, p).torque[1:]))
+    basis = orthonormal(stack(root @ record_ends(view, layout, p).torque[1:]))
     back = unwhitener(root)
     out = r.copy()
     for period in out:
@@ -101,7 +101,7 @@ def _shifts(structure: ChainStructure, points: Complex128) -> Complex128:
     """(F, M, 2ΣN) what the motors' end ``points`` (F, 2) add to their sampled spectra, for a unit jump."""
     motors = structure.motors
     out = np.zeros((points.shape[0], motors, 2 * structure.dofs), dtype=complex)
-    at_position, at_speed = end_places(structure).reshape(2, -1)
+    at_position, at_speed = motor_end_indices(structure).reshape(2, -1)
     out[:, np.arange(motors), at_position] = points[:, :1]
     out[:, np.arange(motors), at_speed] = points[:, 1:]
     return out

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from invid.comparison.baseline import pooled
+from invid.comparison.baseline import pool_models
 from invid.comparison.compare import Comparison, Status, compare
 from invid.comparison.sentences import differing_number
 from invid.errors import InputError
@@ -215,7 +215,7 @@ def test_a_phase_that_went_past_half_a_turn_changed_by_the_short_way_round() -> 
     (phase,) = (c for c in result.effects if c.name.endswith(".phase"))
     assert phase.difference == pytest.approx(2 * np.pi - 6.26)
     assert phase.status is not Status.CHANGED
-    (mean,) = pooled([rippled(3.13), rippled(-3.13)]).effects
+    (mean,) = pool_models([rippled(3.13), rippled(-3.13)]).effects
     assert abs(mean.value("phase")) == pytest.approx(np.pi, abs=1e-3)
 
 

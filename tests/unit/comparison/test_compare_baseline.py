@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import norm
 from test_joint_test import NAMES, SIZE, VALUES, changed, covariance, drawn, model_of
 
-from invid.comparison.baseline import MOST, pooled, together
+from invid.comparison.baseline import MOST, pool_agreeing, pool_models
 from invid.comparison.compare import compare
 from invid.comparison.repeatability import repeatability
 from invid.model.document import EffectTerm, Estimate, Model
@@ -82,7 +82,7 @@ def test_a_run_from_before_a_change_is_not_averaged() -> None:
     heavier = moved_by(8 * STD[J])
     light = [drawn(rng, ALONE) for _ in range(4)]
     heavy = [drawn(rng, ALONE, heavier) for _ in range(3)]
-    assert together(heavy[-1], [*light, *heavy[:-1]], 1.0) == heavy
+    assert pool_agreeing(heavy[-1], [*light, *heavy[:-1]], 1.0) == heavy
     result = compare(heavy[-1], drawn(rng, ALONE, heavier), before=[*light, *heavy[:-1]])
     assert result.runs == (3, 1)
     assert "means: the old values of 3 runs" in result.sentences[-1]
@@ -93,21 +93,21 @@ def test_a_run_whose_friction_differs_is_not_averaged_and_one_without_it_neither
         value = {"torque": Estimate(torque, 0.01, "N·m")}
         return model_of(VALUES, ALONE).extended(EffectTerm("coulomb_friction", "A1", value, "mass 1"))
 
-    same = together(rubbing(1.0), [rubbing(1.01)], 1.0)
+    same = pool_agreeing(rubbing(1.0), [rubbing(1.01)], 1.0)
     assert len(same) == 2
-    mean = pooled(same).effects[0].parameters["torque"]
+    mean = pool_models(same).effects[0].parameters["torque"]
     assert mean.value == pytest.approx(1.005)
     assert mean.std == pytest.approx(0.01 / np.sqrt(2))
-    assert len(together(rubbing(1.0), [rubbing(1.2)], 1.0)) == 1
-    assert len(together(rubbing(1.0), [model_of(VALUES, ALONE)], 1.0)) == 1
+    assert len(pool_agreeing(rubbing(1.0), [rubbing(1.2)], 1.0)) == 1
+    assert len(pool_agreeing(rubbing(1.0), [model_of(VALUES, ALONE)], 1.0)) == 1
 
 
 def test_no_more_than_a_few_runs_are_averaged_and_the_sharper_one_weighs_more() -> None:
     rng = np.random.default_rng(35)
     many = [drawn(rng, ALONE) for _ in range(3 * MOST)]
-    assert len(together(many[-1], many[:-1], 10.0)) == MOST
+    assert len(pool_agreeing(many[-1], many[:-1], 10.0)) == MOST
     rough, sharp = model_of(VALUES * 1.01, 9 * ALONE), model_of(VALUES, ALONE)
-    mean = pooled([rough, sharp])
+    mean = pool_models([rough, sharp])
     # Weights 1 : 9, by the variances.
     assert mean.chains.masses[0][0] == pytest.approx(VALUES[0] * 1.001)
     assert mean.std.masses[0][0] == pytest.approx(STD[0] * np.sqrt((0.1 * 3) ** 2 + 0.9**2))
@@ -133,7 +133,7 @@ def test_runs_of_one_state_are_not_torn_apart_because_the_cell_repeats_better_th
     new = drawn(rng, ALONE, scale=0.6)
     factor = repeatability(quiet).factor
     assert factor < 0.75
-    assert len(together(quiet[-1], quiet[5:-1], factor)) == 1
+    assert len(pool_agreeing(quiet[-1], quiet[5:-1], factor)) == 1
     result = compare(quiet[-1], new, history=[*quiet, new], before=quiet[5:-1])
     assert result.runs == (6, 1)
     assert all(p.status != "changed" for p in result.parameters)

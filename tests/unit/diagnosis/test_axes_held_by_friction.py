@@ -13,9 +13,9 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from hidden.generator import make
 
-from invid.diagnosis.validation import split
+from invid.diagnosis.validation import split_records
 from invid.identification.identify import identify
-from invid.likelihood.prepare_records import with_sticking
+from invid.likelihood.prepare_records import leave_out_sticking_axes
 from invid.signals.spectra import all_spectra
 
 
@@ -23,13 +23,13 @@ from invid.signals.spectra import all_spectra
 def test_its_torque_is_left_out_where_the_sign_of_its_velocity_is_lost(noisier: float, said: bool) -> None:
     recording, _ = make("coulomb_friction", target_db=20, seed=11, motors=1)
     spectra = all_spectra(recording)
-    train, _, _ = split(recording, spectra)
+    train, _, _ = split_records(recording, spectra)
     model = identify(recording)
     entry = {"value": 2.0, "std": 0.1}
     model = replace(model, fit={**model.fit, "friction": {f"{recording.axes[0]}.coulomb": entry}})
     first = train[0]
     still = replace(first, velocity_noise=noisier * first.velocity_noise)
-    out, warnings = with_sticking([still, *train[1:]], spectra, model, recording)
+    out, warnings = leave_out_sticking_axes([still, *train[1:]], spectra, model, recording)
     assert bool(out[0].set_aside.any()) is said
     assert not any(r.set_aside.any() for r in out[1:])
     assert any("hardly moves for its friction" in w for w in warnings) is said
@@ -41,10 +41,10 @@ def test_its_torque_is_left_out_where_the_sign_of_its_velocity_is_lost(noisier: 
 def test_without_friction_every_record_counts() -> None:
     recording, _ = make(None, seed=11, motors=1)
     spectra = all_spectra(recording)
-    train, _, _ = split(recording, spectra)
+    train, _, _ = split_records(recording, spectra)
     model = identify(recording)
     model = replace(model, fit={**model.fit, "friction": {}})
-    out, warnings = with_sticking(
+    out, warnings = leave_out_sticking_axes(
         [replace(r, velocity_noise=1e4 * r.velocity_noise) for r in train], spectra, model, recording
     )
     assert not any(r.set_aside.any() for r in out)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from invid.config import parse_config
-from invid.diagnosis.consequence import with_consequences
+from invid.diagnosis.consequence import grade_consequences
 from invid.diagnosis.outcome import assembled
 from invid.effects.registry import CATALOGUE
 from invid.model.chains import CoupledChains
@@ -81,7 +81,7 @@ def diagnosis(
 
 
 def graded(*terms: EffectTerm, config: str | None = None, **options: bool) -> tuple[Grade, ...]:
-    result = with_consequences(diagnosis(*terms), recording(config=config, **options))
+    result = grade_consequences(diagnosis(*terms), recording(config=config, **options))
     return tuple(f.consequence.grade for f in result.findings if f.consequence is not None)
 
 
@@ -128,7 +128,7 @@ def test_sizes_are_graded_by_published_figures_and_watched_where_there_are_none(
 
 
 def test_without_a_rated_torque_friction_has_no_figure_and_says_so() -> None:
-    result = with_consequences(diagnosis(term("coulomb_friction", torque=0.4)), recording(rated=False))
+    result = grade_consequences(diagnosis(term("coulomb_friction", torque=0.4)), recording(rated=False))
     consequence = result.findings[0].consequence
     assert consequence is not None
     assert consequence.grade is Grade.WATCH
@@ -137,7 +137,9 @@ def test_without_a_rated_torque_friction_has_no_figure_and_says_so() -> None:
 
 
 def test_figures_for_rotary_gears_do_not_judge_a_linear_axis() -> None:
-    result = with_consequences(diagnosis(term("backlash", element="spring 1", gap=1e-5)), recording(unit="m"))
+    result = grade_consequences(
+        diagnosis(term("backlash", element="spring 1", gap=1e-5)), recording(unit="m")
+    )
     assert result.findings[0].consequence.grade is Grade.WATCH
     assert "0.01 mm" in result.findings[0].consequence.text
 
@@ -147,7 +149,7 @@ def test_figures_for_rotary_gears_do_not_judge_a_linear_axis() -> None:
 )
 def test_a_limit_in_the_config_counts_before_every_published_figure(own: str, grade: str) -> None:
     config = CONFIG.format(motion="", own=own)
-    result = with_consequences(
+    result = grade_consequences(
         diagnosis(term("backlash", element="spring 1", gap=5e-4)), recording(config=config)
     )
     consequence = result.findings[0].consequence
@@ -157,13 +159,13 @@ def test_a_limit_in_the_config_counts_before_every_published_figure(own: str, gr
 
 def test_a_config_that_cannot_be_read_is_a_warning_where_it_has_limits_and_silent_elsewhere() -> None:
     found = diagnosis(term("backlash", element="spring 1", gap=5e-4))
-    broken = with_consequences(found, recording(config="acceptable: [what"))
+    broken = grade_consequences(found, recording(config="acceptable: [what"))
     assert any("acceptable" in w for w in broken.warnings)
-    assert with_consequences(found, recording(config="foreign notes")).warnings == ()
+    assert grade_consequences(found, recording(config="foreign notes")).warnings == ()
 
 
 def test_findings_are_listed_by_consequence_and_their_sentences_with_them() -> None:
-    result = with_consequences(
+    result = grade_consequences(
         diagnosis(
             term("coulomb_friction", torque=0.4),
             term("backlash", "A2", "spring 1", gap=2e-3),
@@ -181,7 +183,7 @@ def test_findings_are_listed_by_consequence_and_their_sentences_with_them() -> N
 
 
 def test_alike_findings_are_one_clause_of_the_headline() -> None:
-    result = with_consequences(
+    result = grade_consequences(
         diagnosis(*(term("coulomb_friction", a, torque=0.2) for a in AXES)), recording()
     )
     assert result.headline == (
@@ -191,7 +193,7 @@ def test_alike_findings_are_one_clause_of_the_headline() -> None:
 
 def test_a_resonance_that_another_mass_moves_is_told_as_its_relative_change() -> None:
     extra = term("extra_mode", "A2", "mass 3", mass=0.5, stiffness=300.0)
-    measures = with_consequences(diagnosis(extra), recording()).findings[0].consequence.measures
+    measures = grade_consequences(diagnosis(extra), recording()).findings[0].consequence.measures
     # By hand: the three free axes with one mass more on the second.
     built = chains()
     longer = CoupledChains.build(
@@ -207,7 +209,7 @@ def test_a_resonance_that_another_mass_moves_is_told_as_its_relative_change() ->
 
 def test_play_between_loads_of_a_hysteretic_spring_is_twice_torque_over_stiffness() -> None:
     found = term("spring_hysteresis", element="spring 2", stiffness=100.0, torque=1.0)
-    consequence = with_consequences(diagnosis(found), recording()).findings[0].consequence
+    consequence = grade_consequences(diagnosis(found), recording()).findings[0].consequence
     assert consequence.measures["lost_motion"] == pytest.approx(2 * 1.0 / 2000.0)
     assert consequence.share_of_rated_torque == pytest.approx(0.01)
     assert consequence.grade is Grade.WATCH  # beyond 2 minutes of arc, below 4
@@ -215,7 +217,7 @@ def test_play_between_loads_of_a_hysteretic_spring_is_twice_torque_over_stiffnes
 
 def concluded(start: Diagnosis, recording: Recording) -> Diagnosis:
     """The document of figures whose words the start leaves open."""
-    return with_consequences(
+    return grade_consequences(
         assembled(
             recording,
             start.residual,
@@ -255,11 +257,11 @@ def test_a_model_that_misses_more_than_half_of_the_torque_is_not_trusted_and_say
 
 
 def test_nothing_found_is_nothing_to_do_and_nothing_named_is_not() -> None:
-    fine = with_consequences(diagnosis(verdict=Verdict.CONSISTENT, explained=None), recording())
+    fine = grade_consequences(diagnosis(verdict=Verdict.CONSISTENT, explained=None), recording())
     assert fine.headline == "Nothing beyond noise on all three axes: nothing to do."
     assert fine.grade is Grade.AS_EXPECTED
     lost = Unexplained("A2", (), (), "A2: something is left")
     odd = diagnosis(verdict=Verdict.UNEXPLAINED, explained=None, unexplained=lost)
-    odd = with_consequences(odd, recording())
+    odd = grade_consequences(odd, recording())
     assert odd.headline.startswith("Something on A2 is not in the model and no known cause explains it")
     assert odd.grade is None

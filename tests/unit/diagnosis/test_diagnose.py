@@ -16,7 +16,7 @@ from hidden.generator import make
 
 from invid.cli.app import run
 from invid.diagnosis.diagnose import diagnose
-from invid.diagnosis.rules.dropped_rows import find_dropped
+from invid.diagnosis.rules.dropped_rows import find_dropped_rows
 from invid.errors import InputError
 from invid.model.diagnosis_document import Verdict
 from invid.recording import Role, write_recording
@@ -76,10 +76,10 @@ def test_without_validation_experiments_something_is_kept_out_and_a_warning_says
 
 def test_dropped_samples_are_found_with_their_share_and_sound_ones_are_not() -> None:
     recording, truth = make("dropped_samples", **QUICK)
-    found = find_dropped(recording)
+    found = find_dropped_rows(recording)
     assert [recording.axes[f.axis] for f in found] == [truth.effects[0].axis]
     assert found[0].fraction == pytest.approx(truth.effects[0].parameters["fraction"], rel=0.3)
-    assert find_dropped(make(None, **QUICK)[0]) == []
+    assert find_dropped_rows(make(None, **QUICK)[0]) == []
 
 
 def test_a_held_axis_whose_torque_follows_from_its_coarse_position_has_lost_no_rows() -> None:
@@ -91,7 +91,7 @@ def test_a_held_axis_whose_torque_follows_from_its_coarse_position_has_lost_no_r
     position[:, 1] = count * np.round(3.0 * np.sin(0.2 * np.arange(position.shape[0])))
     torque[:, 1] = -50.0 * position[:, 1]
     held = replace(first, excited_axis=0, position=position, torque=torque)
-    assert find_dropped(replace(recording, experiments=(held, *others))) == []
+    assert find_dropped_rows(replace(recording, experiments=(held, *others))) == []
 
 
 def test_a_model_of_another_robot_is_refused_with_both_lists_of_axes() -> None:

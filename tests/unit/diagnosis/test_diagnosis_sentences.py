@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from invid.diagnosis.confidence import like_a_brake
-from invid.diagnosis.sentences import finding_sentence, number
+from invid.diagnosis.confidence import is_degenerate_stribeck
+from invid.diagnosis.sentences import finding_sentence, format_estimate
 from invid.model.diagnosis_document import Alternative
 from invid.model.document import EffectTerm, Estimate
 
@@ -48,8 +48,10 @@ def test_stribeck_friction_without_one_of_its_levels_may_be_a_brake(
     }
     if rounding is not None:
         parameters["rounding"] = Estimate(rounding, None, "rad/s")
-    assert like_a_brake(EffectTerm("stribeck_friction", "A1", parameters, "mass 1")) == brake
-    assert not like_a_brake(EffectTerm("coulomb_friction", "A1", {"torque": Estimate(1.0, 0.1, "N·m")}))
+    assert is_degenerate_stribeck(EffectTerm("stribeck_friction", "A1", parameters, "mass 1")) == brake
+    assert not is_degenerate_stribeck(
+        EffectTerm("coulomb_friction", "A1", {"torque": Estimate(1.0, 0.1, "N·m")})
+    )
 
 
 @pytest.mark.parametrize(
@@ -63,4 +65,4 @@ def test_stribeck_friction_without_one_of_its_levels_may_be_a_brake(
     ],
 )
 def test_a_number_has_the_digits_that_its_deviation_leaves(value: float, std: float, said: str) -> None:
-    assert number(Estimate(value, std, "1")) == said
+    assert format_estimate(Estimate(value, std, "1")) == said

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from invid.diagnosis.rules.mode_in_chain import with_the_mode_in_it
+from invid.diagnosis.rules.mode_in_chain import chain_parameters_with_mode
 from invid.effects.catalogue.extra_mode import _peaks
 from invid.effects.registry import BY_CAUSE
-from invid.likelihood.placed_effect import Candidate, Term
+from invid.likelihood.placed_effect import Candidate, PlacedEffect
 from invid.model.chains import CoupledChains
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place
@@ -20,7 +20,7 @@ LINES = 2 * np.pi * np.arange(0.5, 12.0, 0.25)
 MASSES, SPRINGS = np.array([1.0, 1.6, 0.7]), np.array([300.0, 500.0])
 
 
-def _fitted(mode: Term, masses: list[float], springs: list[float], x: list[float]) -> Any:
+def _fitted(mode: PlacedEffect, masses: list[float], springs: list[float], x: list[float]) -> Any:
     """A fit of a chain of three masses with a mode beside it."""
     chains = CoupledChains.build([masses], [springs], [[0.5, 0.0]])
     structure = ChainStructure((3,), chains.axes, viscous=False)
@@ -31,11 +31,11 @@ def _fitted(mode: Term, masses: list[float], springs: list[float], x: list[float
 
 def test_a_light_mass_gives_way_to_the_mode_that_was_found_beside_the_chain() -> None:
     # The third mass stands, as a mode, beside a chain whose own third mass is next to nothing.
-    term = Term(BY_CAUSE["extra_mode"], Place("mass", 0, 2))
+    term = PlacedEffect(BY_CAUSE["extra_mode"], Place("mass", 0, 2))
     x = [float(MASSES[2]), 0.5 * float(np.log(SPRINGS[1] / MASSES[2])), float(np.log(0.01))]
     fitted = _fitted(term, [1.0, 1.6, 1e-4], [300.0, 2.0], x)
     record: Any = SimpleNamespace(omega=LINES, excited=np.ones(LINES.size, dtype=bool))
-    p = with_the_mode_in_it(fitted, [record])
+    p = chain_parameters_with_mode(fitted, [record])
     assert p is not None
     chains = fitted.layout.structure.chains(p)
     assert chains.masses[0] == pytest.approx(MASSES, rel=2e-3)
@@ -44,9 +44,9 @@ def test_a_light_mass_gives_way_to_the_mode_that_was_found_beside_the_chain() ->
 
 
 def test_another_cause_is_no_mode_of_the_chain() -> None:
-    term = Term(BY_CAUSE["coulomb_friction"], Place("mass", 0, 2))
+    term = PlacedEffect(BY_CAUSE["coulomb_friction"], Place("mass", 0, 2))
     fitted = _fitted(term, [1.0, 1.6, 0.7], [300.0, 500.0], [0.1])
-    assert with_the_mode_in_it(fitted, []) is None
+    assert chain_parameters_with_mode(fitted, []) is None
 
 
 def test_a_mode_is_looked_for_where_causes_found_before_leave_most() -> None:

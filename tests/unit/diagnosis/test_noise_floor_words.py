@@ -25,4 +25,4 @@ def test_every_axis_is_within_a_fifth_of_its_floor(
         fit=SimpleNamespace(layout=SimpleNamespace(structure=structure)), held=None, cost=130.0, dof=100
     )
     monkeypatch.setattr(confidence, "rms_torque", lambda _, axis: (left[axis], floors[axis]))
-    assert confidence.at_floor(final) == at_it  # type: ignore[arg-type]
+    assert confidence.is_at_floor(final) == at_it  # type: ignore[arg-type]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from invid.diagnosis.rules.nonrepeating_torque import said_of_scatter
+from invid.diagnosis.rules.nonrepeating_torque import describe_scatter
 from invid.likelihood.null_test import _wander
 
 
@@ -28,7 +28,7 @@ def _part(scatter: float) -> Any:
 @pytest.mark.parametrize(("scatter", "said"), [(0.0, False), (4.0, False), (99.0, True)])
 def test_what_differs_between_periods_by_far_more_than_noise_is_said(scatter: float, said: bool) -> None:
     recording: Any = SimpleNamespace(axes=("A1",), axis_count=1)
-    found = said_of_scatter((_part(scatter),), recording, "N·m")
+    found = describe_scatter((_part(scatter),), recording, "N·m")
     assert (found is not None) is said
     if found is not None:
         assert "10 times what its sensors' noise makes" in found.sentence

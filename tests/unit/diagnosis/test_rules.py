@@ -14,7 +14,7 @@ from hidden.generator import make
 
 from invid.cli.app import run
 from invid.diagnosis import context as rules_asked
-from invid.diagnosis.context import Rule, Stage, apply_rule, running, without_rules
+from invid.diagnosis.context import Rule, Stage, apply_rule, context_without, use_context
 from invid.diagnosis.diagnose import diagnose
 from invid.diagnosis.rules.catalogue import BY_NAME, RULES
 from invid.errors import InputError
@@ -71,19 +71,19 @@ def test_a_rule_that_is_off_hands_back_what_there_is_without_it(
     monkeypatch.setattr("invid.diagnosis.context.rules_by_name", lambda: {"add": rule})
     ticks = count()
     start = [1]
-    with running(without_rules([], clock=lambda: float(next(ticks)))) as context:
+    with use_context(context_without([], clock=lambda: float(next(ticks)))) as context:
         assert apply_rule("add", start, 2) == [1, 2]
         assert apply_rule("add", start, 0) is start
     assert calls == [2]
     assert [a.to_json() for a in context.asked] == [
         {"rule": "add", "stage": "step", "pass": 1, "changed": True, "chi2": None, "cpu_s": 1.0}
     ]
-    with running(without_rules(["add"])) as context:
+    with use_context(context_without(["add"])) as context:
         assert apply_rule("add", start, 2) is start
     assert calls == [2]
     assert context.asked == []
     with pytest.raises(InputError, match="--without-rule sub: no rule of that name; there are add"):
-        without_rules(["sub"])
+        context_without(["sub"])
 
 
 def test_the_diagnosis_lists_the_rules_that_changed_something_and_takes_them_out(
@@ -95,7 +95,7 @@ def test_the_diagnosis_lists_the_rules_that_changed_something_and_takes_them_out
     assert fired
     assert set(fired) <= set(BY_NAME)
     assert all("cpu_s" not in entry for entry in full.details["rules"])  # two runs are alike
-    with running(without_rules(fired)):
+    with use_context(context_without(fired)):
         bare = diagnose(recording)
     assert not {entry["rule"] for entry in bare.details["rules"]} & set(fired)
     write_recording(recording, tmp_path / "rec.h5")

@@ -13,7 +13,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from hidden.generator import make
 
 from invid.diagnosis.diagnose import diagnose
-from invid.diagnosis.slow_move import moves_of
+from invid.diagnosis.slow_move import find_slow_moves
 from invid.recording.model import Experiment, Kind, Recording, Role
 
 
@@ -57,8 +57,8 @@ def test_acceleration_and_torque_of_a_move_are_means_over_the_same_stretches() -
     recording = Recording(
         robot="r", axes=("A",), position_unit="rad", torque_unit="N·m", created="", experiments=(one,)
     )
-    (move,) = moves_of(recording)
+    (move,) = find_slow_moves(recording)
     assert move.torque.shape[0] >= 20
     assert np.abs(move.torque - 2.0 * move.acceleration).max() < 0.01 * np.abs(move.torque).max()
     short = replace(one, time=time[:20], position=one.position[:20], torque=one.torque[:20])
-    assert moves_of(replace(recording, experiments=(short,))) == ()
+    assert find_slow_moves(replace(recording, experiments=(short,))) == ()

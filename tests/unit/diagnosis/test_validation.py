@@ -11,7 +11,14 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[2]))
 from hidden.generator import make
 
-from invid.diagnosis.validation import PLAIN, VALIDATION, Asked, Offer, row_of, split
+from invid.diagnosis.validation import (
+    PLAIN,
+    VALIDATION,
+    ValidationRecords,
+    ValidationRequest,
+    split_records,
+    validation_row,
+)
 from invid.recording.model import Recording, Role
 from invid.signals.spectra import all_spectra
 
@@ -40,18 +47,18 @@ def in_pieces(recording: Recording) -> Recording:
     return replace(recording, experiments=tuple(cut))
 
 
-def row(recording: Recording, asked: Asked = PLAIN) -> str:
-    return row_of(Offer(recording, all_spectra(recording), asked)).name
+def row(recording: Recording, asked: ValidationRequest = PLAIN) -> str:
+    return validation_row(ValidationRecords(recording, all_spectra(recording), asked)).name
 
 
 def test_the_first_row_that_holds_counts(recording: Recording) -> None:
     assert [r.name for r in VALIDATION] == ["role", "spare record", "last period", "fifth line"]
     assert row(recording) == "role"
-    assert row(recording, Asked(within=True)) == "last period"
+    assert row(recording, ValidationRequest(within=True)) == "last period"
     several = without_validation(recording)
     more = replace(several, experiments=(*several.experiments, replace(several.experiments[0], key="900")))
     assert row(more) == "spare record"
-    assert row(more, Asked(spare=False)) == "last period"
+    assert row(more, ValidationRequest(spare=False)) == "last period"
     assert row(first_only(recording)) == "last period"
     assert row(in_pieces(recording)) == "fifth line"
 
@@ -59,11 +66,15 @@ def test_the_first_row_that_holds_counts(recording: Recording) -> None:
 def test_every_row_but_the_records_own_roles_says_what_it_did(recording: Recording) -> None:
     for given, asked, said in (
         (recording, PLAIN, ""),
-        (recording, Asked(within=True), "validation does not show what the others do: the last period"),
+        (
+            recording,
+            ValidationRequest(within=True),
+            "validation does not show what the others do: the last period",
+        ),
         (first_only(recording), PLAIN, "no validation experiment (role 'validate'): the last period"),
         (in_pieces(recording), PLAIN, "every fifth line is kept out"),
     ):
-        train, held, warnings = split(given, all_spectra(given), asked)
+        train, held, warnings = split_records(given, all_spectra(given), asked)
         assert train
         assert held
         assert len(warnings) == bool(said)
@@ -72,7 +83,7 @@ def test_every_row_but_the_records_own_roles_says_what_it_did(recording: Recordi
 
 def test_training_and_held_out_lines_share_nothing_but_the_mean(recording: Recording) -> None:
     one = in_pieces(recording)
-    (train,), (held,), _ = split(one, all_spectra(one))
+    (train,), (held,), _ = split_records(one, all_spectra(one))
     both = (train.weight > 0) & (held.weight > 0)
     assert not both[1:].any()
     assert ((train.weight > 0) | (held.weight > 0)).all()

@@ -19,7 +19,7 @@ from large_motion import simulate as integrate
 
 import invid
 from invid.cli.app import run
-from invid.effects.registry import effect_of, using
+from invid.effects.registry import effect_of, registered_effects
 from invid.model.document import EffectTerm, Estimate
 from invid.recording import Recording, Role, write_recording
 from invid.report import figure_data, render_report
@@ -64,7 +64,7 @@ def test_drag_that_was_hidden_is_found_named_and_measured(
 
 def test_without_its_file_the_same_drag_is_not_explained_by_that_name() -> None:
     assert effect_of("quadratic_drag") is None
-    with using([DRAG]):
+    with registered_effects([DRAG]):
         assert effect_of("quadratic_drag") is not None
     assert effect_of("quadratic_drag") is None
 
@@ -110,7 +110,7 @@ def test_it_is_saved_reloaded_simulated_and_known_to_the_next_diagnosis(
 def test_it_is_drawn_as_the_parabola_that_it_is(drag: tuple[Recording, Truth, invid.Diagnosis]) -> None:
     recording, _, diagnosis = drag
     linear = linear_model_of(diagnosis)
-    with using([DRAG]):
+    with registered_effects([DRAG]):
         (picture,) = figure_data(recording, linear, diagnosis)["causes"]
         assert "square of the speed" in render_report(recording, linear, diagnosis)
     x, y = (np.array(picture["fit"][k]) for k in "xy")

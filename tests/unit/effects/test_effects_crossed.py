@@ -17,19 +17,19 @@ from test_extended_model import SIZES
 
 from invid.config import load_config
 from invid.diagnosis.consequence import consequence_of
-from invid.diagnosis.headline import title_of
-from invid.diagnosis.known_effects import place_of, vector_of
+from invid.diagnosis.headline import cause_title
+from invid.diagnosis.known_effects import effect_place, effect_vector
 from invid.diagnosis.linear_fit import layout_of
-from invid.diagnosis.score_test import terms_for
+from invid.diagnosis.score_test import terms_to_test
 from invid.diagnosis.sentences import finding_sentence
-from invid.diagnosis.validation import split
+from invid.diagnosis.validation import split_records
 from invid.effects.curve import curve
 from invid.effects.effect import PlaceMotion
-from invid.effects.registry import BY_CAUSE, CATALOGUE, LARGE_MOTION, load_effects, using
+from invid.effects.registry import BY_CAUSE, CATALOGUE, LARGE_MOTION, load_effects, registered_effects
 from invid.effects.sizes import Machine
 from invid.effects.units import unit_of
 from invid.likelihood.evaluation import evaluate
-from invid.likelihood.placed_effect import Candidate, Term
+from invid.likelihood.placed_effect import Candidate, PlacedEffect
 from invid.model.chains import CoupledChains
 from invid.model.document import ChainStd, EffectTerm, Estimate, Model, load_model
 from invid.model.parameters import ChainStructure
@@ -66,7 +66,7 @@ NO_CURVE = {"encoder_eccentricity", "dropped_samples", "extra_mode", "payload_ch
 
 @pytest.fixture(autouse=True)
 def known():
-    with using(FURTHER):
+    with registered_effects(FURTHER):
         yield
 
 
@@ -103,21 +103,21 @@ def test_its_derivatives_are_those_of_its_contribution(effect, excited) -> None:
     if effect.cause in NOT_FITTED:
         return
     recording, chains = excited
-    train, _, _ = split(recording, all_spectra(recording))
+    train, _, _ = split_records(recording, all_spectra(recording))
     structure = ChainStructure(chains.masses_per_branch, chains.axes, viscous=False)
     layout = layout_of(structure, train, 0.0)
     p = np.full(layout.count, 0.5)
     p[: structure.count] = structure.vector(chains)
     p[structure.count : structure.count + structure.motors] = 0.5 * layout.step
     one = term_of(effect, chains.axes)
-    place, x = place_of(one, structure), vector_of(one)
+    place, x = effect_place(one, structure), effect_vector(one)
     assert place in effect.places(structure)
-    here = evaluate(layout, train, p, Candidate((Term(effect, place),), (x,)), thorough=True)
+    here = evaluate(layout, train, p, Candidate((PlacedEffect(effect, place),), (x,)), thorough=True)
     gradient = 2.0 * here.jacobian.T @ here.residual
     size = np.linalg.norm(here.jacobian, axis=0)
 
     def cost(at: np.ndarray) -> float:
-        candidate = Candidate((Term(effect, place),), (at,))
+        candidate = Candidate((PlacedEffect(effect, place),), (at,))
         return evaluate(layout, train, p, candidate, jacobian=False, near=here.views).cost
 
     for k in range(x.size):
@@ -138,7 +138,7 @@ def test_its_derivatives_are_those_of_its_contribution(effect, excited) -> None:
 def test_it_is_searched_at_its_places_unless_it_sits_elsewhere(effect, excited) -> None:
     _, chains = excited
     structure = ChainStructure(chains.masses_per_branch, chains.axes)
-    searched = [t.place for t in terms_for(structure, linear_axes=False) if t.effect is effect]
+    searched = [t.place for t in terms_to_test(structure, linear_axes=False) if t.effect is effect]
     assert searched == effect.places(structure)
     assert bool(searched) is (effect.cause not in NOT_FITTED)
 
@@ -178,7 +178,7 @@ def test_it_is_said_in_a_sentence_with_size_place_and_check(effect, excited) -> 
     assert text.startswith(f"Axis {chains.axes[0]}: {effect.title}")
     assert text.endswith(effect.check)
     assert "±" in text
-    assert title_of(effect.cause) in effect.title
+    assert cause_title(effect.cause) in effect.title
     doubtful = finding_sentence(one, 0.9, 0.5, (), sizes, chains.axes)
     assert effect.separating.text in doubtful
 

@@ -15,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from hidden.generator import make
 
 from invid.diagnosis.diagnose import OF_GIVEN, diagnose
-from invid.diagnosis.known_effects import given_effects, place_of, vector_of
+from invid.diagnosis.known_effects import effect_place, effect_vector, known_effects_candidate
 from invid.effects.registry import CATALOGUE
 from invid.errors import InputError, ModelError
 from invid.model.chains import CoupledChains
@@ -138,8 +138,8 @@ def test_parameters_become_the_fitted_vector_and_back(effect) -> None:
         return
     one = term(effect.cause)
     structure = ChainStructure(CHAINS.masses_per_branch, CHAINS.axes)
-    place = place_of(one, structure)
-    x = vector_of(one)
+    place = effect_place(one, structure)
+    x = effect_vector(one)
     assert x.size == len(effect.coefficients) + len(effect.shapes)
     back = effect.values(x.tolist(), place)
     for name, value in SIZES[effect.cause][1].items():
@@ -198,7 +198,7 @@ def test_friction_that_has_gone_since_comes_out_as_nothing_and_nothing_takes_its
 def test_given_effects_that_are_no_cause_are_refused_by_name() -> None:
     structure = ChainStructure(CHAINS.masses_per_branch, CHAINS.axes)
     with pytest.raises(ModelError, match="moonlight"):
-        given_effects(extended(EffectTerm("moonlight", "A1", {})), structure)
+        known_effects_candidate(extended(EffectTerm("moonlight", "A1", {})), structure)
 
 
 def test_motion_that_runs_away_beyond_all_numbers_is_said_and_no_traceback(excited: Recording) -> None:

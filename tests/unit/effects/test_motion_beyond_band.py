@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from invid.effects.laws.beyond_band import CLEAR, answered, beyond_band
+from invid.effects.laws.beyond_band import CLEAR, beyond_band, solve_beyond_band
 from invid.model.parameters import ChainStructure
 from invid.model.place import mass_places, spring_places
 
@@ -96,6 +96,6 @@ def test_force_and_motion_agree_within_an_eighth_and_the_view_is_left_as_it_was(
         return float(np.linalg.norm(own - wave))
 
     before = off(resisting())
-    wave = answered(view, pattern, compliance, resisting)
+    wave = solve_beyond_band(view, pattern, compliance, resisting)
     assert off(wave) < before / 6.0
     assert view.hidden is None

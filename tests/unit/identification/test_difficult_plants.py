@@ -15,7 +15,7 @@ import plant_oracle as oracle
 from invid.cli.app import run
 from invid.identification.identify import identify
 from invid.model.document import Model
-from invid.modes.pole_search import searched_modes
+from invid.modes.pole_search import search_modes
 from invid.recording import write_recording
 from invid.recording.model import Experiment, Kind, Recording, Role
 from invid.signals.spectra import all_spectra
@@ -72,7 +72,7 @@ def test_a_chain_of_four_with_a_barely_visible_mode_is_found_without_help() -> N
 
 def test_the_search_for_poles_finds_the_modes_of_the_plant() -> None:
     recording = record(FAINT, band=(0.3, 14.0))
-    found = searched_modes(all_spectra(recording), (4,))
+    found = search_modes(all_spectra(recording), (4,))
     assert found is not None
     mass, _, stiffness, _ = FAINT.matrices
     squares = np.linalg.eigvals(np.linalg.solve(mass, stiffness)).real

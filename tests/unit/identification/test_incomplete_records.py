@@ -11,13 +11,13 @@ from linear_cell import LinearCell, deviations, record
 from invid.diagnosis.diagnose import diagnose
 from invid.identification.identify import identify
 from invid.likelihood.levenberg_marquardt import gauss_newton
-from invid.likelihood.nuisance.hold_timing import INSIDE, early_together
-from invid.likelihood.nuisance.reversals import with_sharp_reversals
-from invid.likelihood.nuisance.torque_lags import with_coulomb, with_torque_lags
-from invid.likelihood.records import carried, problem_from_spectra
+from invid.likelihood.nuisance.hold_timing import INSIDE, common_early_share
+from invid.likelihood.nuisance.reversals import fit_sharp_reversals
+from invid.likelihood.nuisance.torque_lags import add_coulomb_columns, fit_torque_lags
+from invid.likelihood.records import problem_from_spectra, transfer_parameters
 from invid.model.parameters import ChainStructure
 from invid.recording.model import Experiment, Kind, Role
-from invid.signals.smooth_command import seen_hold
+from invid.signals.smooth_command import find_smooth_hold
 from invid.signals.spectra import LineSpectra, all_spectra, spectra_of
 
 ONE = LinearCell([[1.0, 2.0]], [[1500.0]], [[0.8]])
@@ -69,7 +69,7 @@ def test_the_gains_of_a_hold_are_read_off_a_smooth_command() -> None:
     gain, damping = hold(2.0, 0.7, SUMS)
     spectra = all_spectra(record(TWO, seed=8, rate=1000.0, gain=gain, damping=damping, said=np.zeros(2)))
     for i in range(2):
-        found = seen_hold(spectra, i)
+        found = find_smooth_hold(spectra, i)
         assert found is not None
         assert found[0] == pytest.approx(gain[i], rel=0.05)
         assert found[1] == pytest.approx(damping[i], rel=0.05)
@@ -82,7 +82,7 @@ def test_a_command_that_falls_with_frequency_is_smooth_where_its_lines_are_far_a
         record(TWO, seed=8, rate=1000.0, gain=gain, damping=damping, said=np.zeros(2), period=1500)
     )
     for i in range(2):
-        found = seen_hold(spectra, i)
+        found = find_smooth_hold(spectra, i)
         assert found is not None
         assert found[0] == pytest.approx(gain[i], rel=0.1)
         assert found[1] == pytest.approx(damping[i], rel=0.02)
@@ -114,7 +114,7 @@ def test_holds_that_no_record_shows_cost_the_motors_of_uncoupled_axes_nothing_un
 
 
 def test_holds_are_early_together_where_friction_is_one_share_of_what_they_make() -> None:
-    share, std = early_together(
+    share, std = common_early_share(
         [(0.0170, 0.0012, 0.0186), (0.0409, 0.0028, 0.0400), (0.0295, 0.0021, 0.0314)]
     ) or (0, 0)
     assert share == pytest.approx(0.96, abs=0.02)
@@ -126,7 +126,7 @@ def test_holds_are_early_together_where_friction_is_one_share_of_what_they_make(
         [(0.037, 0.0012, 0.0186), (0.080, 0.0028, 0.040)],  # more than holds make
         [(0.017, 0.0, 0.0186), (0.041, 0.0028, 0.040)],
     ):
-        assert early_together(others) is None
+        assert common_early_share(others) is None
 
 
 def test_the_gains_of_a_hold_are_read_off_the_lines_of_the_other_axes() -> None:
@@ -136,7 +136,7 @@ def test_the_gains_of_a_hold_are_read_off_the_lines_of_the_other_axes() -> None:
     )
     spectra = all_spectra(recording)
     for i in range(2):
-        found = seen_hold(spectra, i)
+        found = find_smooth_hold(spectra, i)
         assert found is not None
         assert found[0] == pytest.approx(gain[i], rel=0.05)
         assert found[1] == pytest.approx(damping[i], rel=0.05)
@@ -147,7 +147,7 @@ def test_no_hold_is_seen_on_a_free_axis() -> None:
     spectra = all_spectra(
         record(TWO, seed=9, rate=1000.0, gain=np.zeros(2), damping=np.zeros(2), said=np.zeros(2))
     )
-    assert [seen_hold(spectra, i) for i in range(2)] == [None, None]
+    assert [find_smooth_hold(spectra, i) for i in range(2)] == [None, None]
 
 
 def test_a_hold_damped_far_more_than_usual_is_known_from_the_command() -> None:
@@ -205,9 +205,9 @@ def test_a_lag_that_the_data_do_not_ask_for_stays_out() -> None:
     problem = problem_from_spectra(structure, all_spectra(recording))
     start = problem.start(np.concatenate((np.log([1.0, 2.0, 1500.0]), [0.8, 0.0])))
     solution = gauss_newton(problem, start)
-    same, again = with_torque_lags(problem, solution)
+    same, again = fit_torque_lags(problem, solution)
     assert same is problem
-    assert np.array_equal(carried(problem, solution.p, same), again.p)
+    assert np.array_equal(transfer_parameters(problem, solution.p, same), again.p)
 
 
 def rubbing_mass(friction: float) -> tuple[LineSpectra, np.ndarray]:
@@ -241,9 +241,9 @@ def sharpened(friction: float) -> tuple[float, float, float]:
     """Error of the friction's column and χ², both over what they were before, and its size over the true."""
     s, true = rubbing_mass(friction)
     lines = [replace(s, excited=np.ones(s.frequency_hz.size, dtype=bool))]
-    problem = with_coulomb(problem_from_spectra(ChainStructure((1,), ("A1",)), lines), lines)
+    problem = add_coulomb_columns(problem_from_spectra(ChainStructure((1,), ("A1",)), lines), lines)
     solution = gauss_newton(problem, problem.start(np.zeros(problem.structure.count)))
-    sharp, found = with_sharp_reversals(problem, solution, lines)
+    sharp, found = fit_sharp_reversals(problem, solution, lines)
     before, after = (np.linalg.norm(p.blocks[0].columns[:, 0, 0] - true) for p in (problem, sharp))
     size = dict(zip(sharp.names, found.p, strict=True))["A1.coulomb"]
     return float(after / before), found.chi2 / solution.chi2, size / friction

@@ -14,13 +14,13 @@ sys.path.insert(0, str(Path(__file__).parents[3] / "benchmarks"))
 import plant_oracle as oracle
 from bench_identify import estimate, measure, truth
 
-from invid.identification.identify import from_second_route, identify
-from invid.identification.separate_branches import start_apart
+from invid.identification.identify import identify, restart_from_second_route
+from invid.identification.separate_branches import start_separate_branches
 from invid.inverse import PaperResult
 from invid.likelihood.fit import fit_structure
 from invid.model.chains import CoupledChains
 from invid.model.parameters import ChainStructure
-from invid.modes.pole_search import searched_modes
+from invid.modes.pole_search import search_modes
 from invid.recording.model import Recording
 from invid.signals.spectra import all_spectra
 
@@ -40,9 +40,9 @@ def test_three_branches_alike_share_poles_and_are_found_without_a_search_under_t
 
     def noted(*args: Any, **settings: Any) -> Any:
         searched.append(args)
-        return searched_modes(*args, **settings)
+        return search_modes(*args, **settings)
 
-    monkeypatch.setattr("invid.identification.starts.searched_modes", noted)
+    monkeypatch.setattr("invid.identification.starts.search_modes", noted)
     branch = ([0.8, 1.1, 1.5], [1800.0, 4000.0], [1.0, 1.0])
     plant = oracle.OraclePlant([branch[0]] * 3, [branch[1]] * 3, [branch[2]] * 3)
     plant = replace(plant, couplings={(0, 1): 0.3, (0, 2): 0.3, (1, 2): 0.3})
@@ -82,7 +82,7 @@ def test_a_fit_in_a_wrong_minimum_is_led_out_by_the_papers_inverse_that_contradi
         noise_chi2=2.5,
         noise_cost=2.5 * right.noise_cost,
     )
-    found, paper = from_second_route(spectra, fit)
+    found, paper = restart_from_second_route(spectra, fit)
     assert found.noise_chi2 < 1.2
     assert found.chains.masses[0] == pytest.approx(plant.masses[0], rel=0.01)
     assert isinstance(paper, PaperResult)
@@ -94,7 +94,7 @@ def test_two_branches_alike_that_do_not_move_one_another_are_each_found_on_their
     branch = ([1.15, 1.47, 1.35, 1.78, 1.65], [1512.0, 4744.0, 5863.0, 4451.0], [0.6, 1.1, 1.3, 1.2])
     plant = oracle.OraclePlant([branch[0]] * 2, [branch[1]] * 2, [branch[2]] * 2)
     spectra = all_spectra(recorded(plant, 21.0))
-    start = start_apart(spectra, (5, 5), ("A1", "A2"))
+    start = start_separate_branches(spectra, (5, 5), ("A1", "A2"))
     assert start is not None
     assert not start.couplings.any()
     for masses, springs in zip(start.masses, start.springs, strict=True):

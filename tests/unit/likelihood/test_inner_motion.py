@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from invid.effects.laws.sign import clip_law
-from invid.likelihood.inner_motion import settled
+from invid.likelihood.inner_motion import solve_inner_motion
 from invid.numerics.anderson import Secants
 
 
@@ -46,7 +46,7 @@ def test_a_few_directions_that_substitution_blows_up_are_settled() -> None:
         back = (driven + gain * motion)[:, None]
         return 2.0 * back, back
 
-    total = settled(view, forces, 12)
+    total = solve_inner_motion(view, forces, 12)
     assert np.abs(view.feedback[:, 0] - exact).max() < 1e-3 * np.abs(exact).max()
     assert np.abs(total[:, 0] - 2.0 * exact).max() < 2e-2 * np.abs(exact).max()
 
@@ -60,7 +60,7 @@ def test_what_cannot_be_settled_ends_at_the_least_disagreement_and_stays_finite(
 
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # NumPy's words about overflow reached the technician's terminal
-        total = settled(view, forces, 12)
+        total = solve_inner_motion(view, forces, 12)
     assert np.isfinite(total).all()
     assert np.isfinite(view.feedback).all()
 
@@ -88,6 +88,6 @@ def test_more_directions_than_are_remembered_are_settled_by_newtons_steps() -> N
         back = (driven + gain * motion + 0.02 * np.abs(motion) * motion)[:, None]
         return back, back
 
-    settled(view, forces, 12)
+    solve_inner_motion(view, forces, 12)
     rest = forces()[1] - view.feedback
     assert np.abs(rest).max() < 1e-3 * np.abs(view.feedback).max()

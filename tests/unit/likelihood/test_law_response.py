@@ -12,10 +12,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from hidden.generator import make
 
 from invid.diagnosis.linear_fit import layout_of
-from invid.diagnosis.validation import split, unfolded
+from invid.diagnosis.validation import split_records, unfolded
 from invid.effects.registry import BY_CAUSE
 from invid.likelihood import evaluation
-from invid.likelihood.placed_effect import Candidate, Term
+from invid.likelihood.placed_effect import Candidate, PlacedEffect
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place
 from invid.signals.spectra import all_spectra
@@ -44,7 +44,7 @@ def _both(monkeypatch, *, whole: bool) -> tuple[np.ndarray, np.ndarray]:
     recording, truth = make(None, seed=21, masses=(2, 3), noise=0.003, drive="smooth", moves=False, periods=2)
     recording = unfolded(recording) if whole else recording
     chains = truth.chains
-    train, _, _ = split(recording, all_spectra(recording))
+    train, _, _ = split_records(recording, all_spectra(recording))
     assert train[0].transient == whole
     structure = ChainStructure(chains.masses_per_branch, chains.axes, viscous=False)
     layout = layout_of(structure, train, 0.0)
@@ -52,14 +52,14 @@ def _both(monkeypatch, *, whole: bool) -> tuple[np.ndarray, np.ndarray]:
     p[: structure.count] = structure.vector(chains)
     p[structure.count : structure.count + structure.motors] = 0.5 * layout.step
     terms = (
-        Term(BY_CAUSE["coulomb_friction"], Place("mass", 0, 1)),
-        Term(BY_CAUSE["cogging"], Place("mass", 1, 1)),
-        Term(BY_CAUSE["backlash"], Place("spring", 1, 1)),
+        PlacedEffect(BY_CAUSE["coulomb_friction"], Place("mass", 0, 1)),
+        PlacedEffect(BY_CAUSE["cogging"], Place("mass", 1, 1)),
+        PlacedEffect(BY_CAUSE["backlash"], Place("spring", 1, 1)),
     )
     x = (np.array([0.05]), np.array([0.02, 0.01, 6.0]), np.array([np.log(1e-4)]))
     candidate = Candidate(terms, x)
     here = evaluation.evaluate(layout, train, p, candidate, jacobian=False)
-    solved = evaluation.with_jacobian(here, layout, p, candidate, thorough=True).jacobian
+    solved = evaluation.add_jacobian(here, layout, p, candidate, thorough=True).jacobian
     monkeypatch.setattr(evaluation, "response_columns", lambda *_, **__: False)
-    differences = evaluation.with_jacobian(here, layout, p, candidate, thorough=True).jacobian
+    differences = evaluation.add_jacobian(here, layout, p, candidate, thorough=True).jacobian
     return solved, differences

@@ -12,28 +12,32 @@ from invid.effects.catalogue.parameter_drift import ParameterDrift
 from invid.effects.catalogue.payload_change import PayloadChange
 from invid.effects.catalogue.viscous_friction import ViscousFriction
 from invid.likelihood.evaluation import evaluate
-from invid.likelihood.placed_effect import Candidate, Term
-from invid.likelihood.prepare_records import by_period, record_of
+from invid.likelihood.placed_effect import Candidate, PlacedEffect
+from invid.likelihood.prepare_records import spectral_record, split_into_periods
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place
 from invid.recording import Role
 from invid.signals.spectra import spectra_of
-from invid.signals.spectral_record import Record
+from invid.signals.spectral_record import SpectralRecord
 
 LONG_AGO = -1e7
 """Where the recording's time begins for a drift: then a stiffness stands still within a record."""
 
 
-def periods() -> tuple[list[Record], Record]:
+def periods() -> tuple[list[SpectralRecord], SpectralRecord]:
     """Two periods from rest of the axis, each for itself, and their mean."""
     experiment = from_rest(3, Role.IDENTIFY, "000")
     recording = recording_of(experiment)
-    whole = record_of(spectra_of(experiment, drop_transient=False), experiment)
-    return by_period(recording, [whole], ["000"]), whole
+    whole = spectral_record(spectra_of(experiment, drop_transient=False), experiment)
+    return split_into_periods(recording, [whole], ["000"]), whole
 
 
 def excess(
-    record: Record, candidate: Candidate, mass: float = 2.0, spring: float = 1000.0, rubbing: float = 0.0
+    record: SpectralRecord,
+    candidate: Candidate,
+    mass: float = 2.0,
+    spring: float = 1000.0,
+    rubbing: float = 0.0,
 ) -> float:
     """χ² of one period beyond what noise leaves, in standard deviations.
 
@@ -71,9 +75,13 @@ def test_an_effect_that_is_linear_in_motion_makes_up_for_the_same_error_of_the_p
     record = periods()[0][number]
     middle = 0.5 * (record.start_time + record.end_time) - LONG_AGO
     term, x, wrong = {
-        "stiffness": (Term(ParameterDrift(), Place("spring", 0, 1)), [100.0 / middle], {"spring": 900.0}),
-        "mass": (Term(PayloadChange(), Place("mass", 0, 2)), [0.3, LONG_AGO], {"mass": 1.7}),
-        "friction": (Term(ViscousFriction(), Place("mass", 0, 1)), [0.8], {"rubbing": -0.8}),
+        "stiffness": (
+            PlacedEffect(ParameterDrift(), Place("spring", 0, 1)),
+            [100.0 / middle],
+            {"spring": 900.0},
+        ),
+        "mass": (PlacedEffect(PayloadChange(), Place("mass", 0, 2)), [0.3, LONG_AGO], {"mass": 1.7}),
+        "friction": (PlacedEffect(ViscousFriction(), Place("mass", 0, 1)), [0.8], {"rubbing": -0.8}),
     }[cause]
     assert excess(record, Candidate(), **wrong) > 30.0
     assert abs(excess(record, Candidate((term,), (np.array(x),)), **wrong)) < 5.0

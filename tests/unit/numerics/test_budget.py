@@ -19,7 +19,7 @@ from invid.cli.display import shown_progress
 from invid.diagnosis.diagnose import diagnose
 from invid.identification.identify import identify
 from invid.numerics import budget
-from invid.numerics.budget import Budget, Progress, in_force
+from invid.numerics.budget import Budget, Progress, use_budget
 
 
 class Ticks:
@@ -44,7 +44,7 @@ def whole(recording: invid.Recording) -> tuple[invid.Model, invid.Diagnosis, flo
     """Model, diagnosis and how often the diagnosis looked at its clock."""
     model = identify(recording)
     clock = Ticks()
-    with in_force(Budget(1e9, clock)):
+    with use_budget(Budget(1e9, clock)):
         found = diagnose(recording, model=model)
     return model, found, clock.now
 
@@ -57,27 +57,27 @@ def _one_process(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_part_ends_before_the_whole_and_what_is_left_out_is_told_once() -> None:
     now = [0.0]
-    with in_force(Budget(10.0, lambda: now[0])):
+    with use_budget(Budget(10.0, lambda: now[0])):
         now[0] = 4.0
-        with budget.part(0.5):
+        with budget.use_share(0.5):
             now[0] = 6.9
-            assert not budget.spent()
+            assert not budget.is_spent()
             now[0] = 7.0
-            assert budget.spent()
+            assert budget.is_spent()
             assert budget.or_else("the rest", lambda: 1, 2) == 2
             assert budget.or_else("the rest", lambda: 1, 2) == 2
-        assert not budget.spent()
+        assert not budget.is_spent()
         assert budget.left_out() == ("the rest",)
         assert "10 s" in str(budget.warning())
-    assert not budget.spent()
+    assert not budget.is_spent()
     assert budget.warning() is None
 
 
 def test_progress_never_goes_back_and_says_how_long_at_most() -> None:
     now, seen = [0.0], list[Progress]()
-    with in_force(Budget(100.0, lambda: now[0], seen.append)):
+    with use_budget(Budget(100.0, lambda: now[0], seen.append)):
         now[0] = 10.0
-        with budget.part(1.0, 0.2, 0.6):
+        with budget.use_share(1.0, 0.2, 0.6):
             budget.tell("weighing", 0.5, axis="A2", cause="cubic_stiffness", element="spring 1")
             budget.tell("weighing", 0.1)
     assert [round(p.fraction, 3) for p in seen] == [0.4, 0.4]
@@ -89,10 +89,10 @@ def test_an_identification_that_is_cut_anywhere_gives_a_model_that_says_so(
     recording: invid.Recording,
 ) -> None:
     clock = Ticks()
-    with in_force(Budget(1e9, clock)):
+    with use_budget(Budget(1e9, clock)):
         assert identify(recording).fit["trustworthy"]
     for share in (0.001, 0.05, 0.2, 0.4, 0.6, 0.8):
-        with in_force(Budget(share * clock.now, Ticks())):
+        with use_budget(Budget(share * clock.now, Ticks())):
             model = identify(recording)
         assert [w for w in model.warnings if w.startswith("the budget of") and "not looked at" in w], share
 
@@ -102,7 +102,7 @@ def test_a_search_that_is_cut_calls_nothing_consistent_and_no_finding_sure(
     recording: invid.Recording, whole: tuple[invid.Model, invid.Diagnosis, float], share: float
 ) -> None:
     model, complete, ticks = whole
-    with in_force(Budget(share * ticks, Ticks())):
+    with use_budget(Budget(share * ticks, Ticks())):
         found = diagnose(recording, model=model)
     assert any(w.startswith("the budget of") for w in found.warnings)
     if found.findings:
@@ -117,7 +117,7 @@ def test_nothing_is_called_consistent_before_a_cause_was_looked_for() -> None:
     recording = make(None, (0, 1), seed=5, motors=1, masses=(2,), moves=False)[0]
     model = identify(recording)
     assert diagnose(recording, model=model).verdict == "consistent"
-    with in_force(Budget(5.0, Ticks())):
+    with use_budget(Budget(5.0, Ticks())):
         found = diagnose(recording, model=model)
     assert found.verdict == "unexplained"
     assert found.unexplained is not None
@@ -181,8 +181,8 @@ def test_the_first_run_after_an_installation_says_that_it_compiles(tmp_path: Pat
     script = (
         "import numpy as np, time\n"
         "from invid.effects.laws.sign import clip_law\n"
-        "from invid.numerics.budget import Budget, in_force\n"
-        "with in_force(Budget(None, time.monotonic, lambda p: print(p))):\n"
+        "from invid.numerics.budget import Budget, use_budget\n"
+        "with use_budget(Budget(None, time.monotonic, lambda p: print(p))):\n"
         "    clip_law(np.linspace(-1.0, 1.0, 100), 0.5)\n"
     )
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}

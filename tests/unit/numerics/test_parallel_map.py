@@ -16,7 +16,7 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="helpers are for
 BEGIN = """
 import multiprocessing, os, threading, time
 from invid.numerics import parallel as processes
-from invid.numerics.parallel import at_once
+from invid.numerics.parallel import parallel_map
 me = os.getpid()
 """
 
@@ -39,7 +39,7 @@ def test_two_processes_share_the_calls_and_the_answers_stand_in_order():
         def run(k):
             time.sleep(0.02)
             return k * k, os.getpid()
-        answers = at_once(run, range(20))
+        answers = parallel_map(run, range(20))
         assert [a for a, _ in answers] == [k * k for k in range(20)]
         assert len({pid for _, pid in answers}) == 2 and me in {pid for _, pid in answers}
         assert not multiprocessing.active_children()
@@ -55,7 +55,7 @@ def test_answers_refer_to_the_callers_own_objects():
         def run(_):
             time.sleep(0.02)
             return Answer()
-        answers = at_once(run, range(8), known=[large])
+        answers = parallel_map(run, range(8), known=[large])
         assert any(a.pid != me for a in answers)
         assert all(a.of is large for a in answers)
         print("same")
@@ -72,7 +72,7 @@ def test_a_helper_that_dies_or_cannot_answer_loses_nothing(end: str):
             if os.getpid() != me:
                 {end}
             return k
-        assert at_once(run, range(6)) == list(range(6))
+        assert parallel_map(run, range(6)) == list(range(6))
         assert not multiprocessing.active_children()
         print("all")
     """)
@@ -87,7 +87,7 @@ def test_what_raises_is_raised_here_and_no_helper_outlives_it():
             return k
         began = time.monotonic()
         try:
-            at_once(run, [0, 3, 3, 3])
+            parallel_map(run, [0, 3, 3, 3])
         except ValueError as error:
             assert str(error) == "call 3"
             print("raised")
@@ -102,14 +102,14 @@ def test_helpers_end_with_a_caller_that_was_killed():
         text = '''
         import os, time
         os.sched_getaffinity = lambda _: set(range(3))
-        from invid.numerics.parallel import at_once
+        from invid.numerics.parallel import parallel_map
         me = os.getpid()
         def run(k):
             if os.getpid() == me:
                 time.sleep(60)
             os.write(1, b"%d%c" % (os.getpid(), 10))  # a line at once, whoever else writes
             return bytes(1_000_000)
-        at_once(run, range(6))
+        parallel_map(run, range(6))
         '''
         import textwrap
         caller = subprocess.Popen([sys.executable, "-c", textwrap.dedent(text)], stdout=subprocess.PIPE)
@@ -130,7 +130,7 @@ def test_where_no_more_processes_are_to_be_had_the_caller_does_it_all():
         def refused():
             raise BlockingIOError(11, "Resource temporarily unavailable")
         os.fork = refused
-        assert at_once(lambda k: k, range(6)) == list(range(6))
+        assert parallel_map(lambda k: k, range(6)) == list(range(6))
         print("all")
     """)
 
@@ -161,7 +161,7 @@ def test_laws_that_round_alike_are_one_wherever_they_were_made():
 def test_no_helper_where_forking_is_not_safe_or_not_worth_it(begin: str):
     assert "alone" in ran(f"""
         {begin}
-        assert set(at_once(lambda _: os.getpid(), range(50))) == {{me}}
+        assert set(parallel_map(lambda _: os.getpid(), range(50))) == {{me}}
         print("alone")
     """)
 

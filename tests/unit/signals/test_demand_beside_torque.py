@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 from two_masses import from_rest
 
 from invid.recording import Role
-from invid.signals.drive_torque import with_acting_torque
+from invid.signals.drive_torque import replace_by_acting_torque
 from invid.signals.spectra import spectra_of
 
 
@@ -22,7 +22,7 @@ def test_what_a_free_axis_does_beside_its_demand_is_no_hold() -> None:
             experiment, torque=lagging, torque_demand=experiment.torque, hold_gain=np.array([gain])
         )
         s = spectra_of(late, drop_transient=False)
-        (acting,) = with_acting_torque([s], [late])
+        (acting,) = replace_by_acting_torque([s], [late])
         moved[gain == 0.0] = float(np.abs(acting.torque - s.torque).max())
     assert moved[True] == 0.0
     assert moved[False] > 0.0  # of unknown gain there may be a hold

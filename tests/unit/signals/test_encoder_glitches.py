@@ -15,7 +15,7 @@ from hidden.generator import make
 from invid.diagnosis.diagnose import diagnose
 from invid.identification.identify import identify
 from invid.recording.model import Experiment, Kind, Recording, Role
-from invid.signals.encoder_glitches import without_glitches
+from invid.signals.encoder_glitches import remove_glitches
 
 RATE, COUNT = 1000.0, 4000
 TIME = np.arange(COUNT) / RATE
@@ -60,7 +60,7 @@ def test_samples_that_stand_off_are_interpolated_and_said() -> None:
     at = rng.choice(COUNT, 20, replace=False)
     read = motion.copy()
     read[at] += rng.choice([-1, 1], 20) * 10 ** rng.uniform(-2.5, 0.5, 20)
-    sound, said = without_glitches(recording(read))
+    sound, said = remove_glitches(recording(read))
     assert len(said) == 1
     assert "20 samples stand off in the position of axis A1" in said[0]
     assert np.abs(sound.experiments[0].position[:, 0] - motion).max() < 5 * RESOLUTION
@@ -72,7 +72,7 @@ def test_counts_that_are_lost_are_given_back(size: float) -> None:
     read = motion.copy()
     read[1234:] += size
     read[2345:] += 0.7 * size
-    sound, said = without_glitches(recording(read))
+    sound, said = remove_glitches(recording(read))
     assert len(said) == 1
     assert "jumps 2 times" in said[0]
     assert np.abs(sound.experiments[0].position[:, 0] - motion).max() < 8 * RESOLUTION
@@ -83,7 +83,7 @@ def test_an_angle_that_wraps_is_unwrapped_even_where_it_dithers_about_the_seam()
     about = 0.001 * np.sin(40 * TIME)
     for motion in (turning, about):
         wrapped = np.mod(RESOLUTION * np.round(motion / RESOLUTION), 2 * np.pi)
-        sound, said = without_glitches(recording(wrapped))
+        sound, said = remove_glitches(recording(wrapped))
         assert len(said) == 1
         off = sound.experiments[0].position[:, 0] - motion
         assert np.ptp(off) < 2 * RESOLUTION
@@ -116,29 +116,29 @@ MOTIONS = {
 @pytest.mark.parametrize("name", MOTIONS)
 def test_motion_is_left_alone(name: str) -> None:
     given = recording(MOTIONS[name])
-    assert without_glitches(given) == (given, [])
+    assert remove_glitches(given) == (given, [])
 
 
 def test_noise_is_left_alone_and_so_is_what_is_no_exception() -> None:
     rng = np.random.default_rng(4)
     given = recording(1e-3 * rng.standard_t(3, COUNT))
-    assert without_glitches(given) == (given, [])
+    assert remove_glitches(given) == (given, [])
     read = shaken()
     read[10:-10:20] += 1.0  # every twentieth sample: no exception
     given = recording(read)
-    assert without_glitches(given) == (given, [])
+    assert remove_glitches(given) == (given, [])
 
 
 def test_rows_that_are_missing_or_repeated_are_no_glitches() -> None:
     motion = shaken() + 3.0 * TIME
     kept = np.delete(np.arange(COUNT), [500, 501, 900, 2000])
     given = recording(motion[kept], time=TIME[kept])
-    assert without_glitches(given) == (given, [])
+    assert remove_glitches(given) == (given, [])
     before = np.arange(COUNT)
     before[[300, 700, 1500]] -= 1
     torque = np.random.default_rng(5).normal(size=COUNT)
     given = recording(motion[before], torque=torque[before])
-    assert without_glitches(given) == (given, [])
+    assert remove_glitches(given) == (given, [])
 
 
 def test_a_model_and_a_diagnosis_do_not_feel_them() -> None:

@@ -87,7 +87,7 @@ def test_a_band_without_a_line_is_refused() -> None:
 
 
 def test_ramps_start_and_end_at_rest() -> None:
-    wave = excitation.ramped(np.ones(1000), 100, 200)
+    wave = excitation.apply_ramps(np.ones(1000), 100, 200)
     assert wave[0] < 1e-3
     assert wave[-1] < 1e-3
     assert wave[100:800].min() == 1.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from invid.signals.loop_noise import own_share
+from invid.signals.loop_noise import sensor_noise_share
 
 STEP, PERIOD, PERIODS = 1e-3, 2000, 4
 HZ = np.arange(1, PERIOD // 2) / (PERIOD * STEP)
@@ -27,7 +27,7 @@ def _share(late: int, sensor: float, *, signal: float = 0.0) -> float:
     wave = np.concatenate((reading[8:], torque), axis=1)
     # A harmonic that the machine answers, among the quiet lines.
     wave += signal * np.sin(2 * np.pi * 150.0 * STEP * np.arange(n))[:, None] * np.array([1e-4, 5.0])
-    position, own = own_share(_lines(wave), HZ[QUIET], STEP)
+    position, own = sensor_noise_share(_lines(wave), HZ[QUIET], STEP)
     assert position == 1.0
     return float(own)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from invid.numerics.arrays import Complex128
-from invid.signals.periods import Settling, settle
+from invid.signals.periods import Settling, find_settled_periods
 
 LINES, FLOOR = 60, np.array([1e-4])
 
@@ -20,16 +20,16 @@ def _periods(*shapes: float) -> Complex128:
 
 
 def test_periods_that_come_nearer_are_a_transient_and_left_out() -> None:
-    assert settle(_periods(1.0, 0.3, 0.09, 0.0, 0.0, 0.0), FLOOR, 1e4) == Settling(3, True)
+    assert find_settled_periods(_periods(1.0, 0.3, 0.09, 0.0, 0.0, 0.0), FLOOR, 1e4) == Settling(3, True)
 
 
 def test_periods_alike_before_others_are_a_machine_that_changed() -> None:
-    assert settle(_periods(1.0, 1.0, 0.4, 0.0, 0.0, 0.0), FLOOR, 1e4) == Settling(0, True)
+    assert find_settled_periods(_periods(1.0, 1.0, 0.4, 0.0, 0.0, 0.0), FLOOR, 1e4) == Settling(0, True)
 
 
 def test_one_period_off_may_be_either_and_is_left_out() -> None:
-    assert settle(_periods(1.0, 0.0, 0.0, 0.0), FLOOR, 1e4) == Settling(1, True)
+    assert find_settled_periods(_periods(1.0, 0.0, 0.0, 0.0), FLOOR, 1e4) == Settling(1, True)
 
 
 def test_a_change_after_a_remainder_of_settling_is_one() -> None:
-    assert settle(_periods(1.04, 1.0, 1.0, 0.3, 0.0, 0.0), FLOOR, 1e4) == Settling(1, True)
+    assert find_settled_periods(_periods(1.04, 1.0, 1.0, 0.3, 0.0, 0.0), FLOOR, 1e4) == Settling(1, True)

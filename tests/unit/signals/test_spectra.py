@@ -12,7 +12,7 @@ import pytest
 from invid.errors import RecordingError
 from invid.recording.model import Experiment, Kind, Recording, Role
 from invid.signals.frf import frf_matrix
-from invid.signals.noise import quantum
+from invid.signals.noise import quantisation_step
 from invid.signals.periods import find_period
 from invid.signals.spectra import all_spectra, spectra_of
 
@@ -159,7 +159,7 @@ def test_the_step_of_a_quantised_channel_is_found_and_a_continuous_one_has_none(
     rng = np.random.default_rng(8)
     values = rng.standard_normal((5000, 2))
     values[:, 0] = np.round(values[:, 0] / 0.013) * 0.013
-    assert quantum(values) == pytest.approx([0.013, 0.0], rel=1e-6)
+    assert quantisation_step(values) == pytest.approx([0.013, 0.0], rel=1e-6)
 
 
 def test_the_period_of_a_periodic_wave_is_found() -> None:

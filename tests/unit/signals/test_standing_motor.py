@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from invid.signals.standstill import standing
+from invid.signals.standstill import find_standstill
 
 STEP = 1e-3
 MASS, DRY = 0.1, 2.0
@@ -29,7 +29,7 @@ def _driven(peak: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def test_what_acts_is_the_resistance_while_it_stands() -> None:
     velocity, torque, resistance = _driven(1.3 * DRY)
-    still = standing(velocity, 1e-3 * float(np.abs(velocity).max()))
+    still = find_standstill(velocity, 1e-3 * float(np.abs(velocity).max()))
     assert still is not None
     true = np.abs(resistance) < 0.999 * DRY  # it stands
     assert 0.3 < true.mean() < 0.8
@@ -42,9 +42,9 @@ def test_what_acts_is_the_resistance_while_it_stands() -> None:
 
 def test_a_motor_that_only_reverses_does_not_stand() -> None:
     velocity, _, _ = _driven(6.0 * DRY)
-    assert standing(velocity, 1e-3 * float(np.abs(velocity).max())) is None
+    assert find_standstill(velocity, 1e-3 * float(np.abs(velocity).max())) is None
 
 
 def test_noise_hides_whether_it_stands() -> None:
     velocity, _, _ = _driven(1.3 * DRY)
-    assert standing(velocity, 0.1 * float(np.std(velocity))) is None
+    assert find_standstill(velocity, 0.1 * float(np.std(velocity))) is None

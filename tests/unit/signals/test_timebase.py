@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from invid.recording.model import Experiment, Kind, Role
-from invid.signals.timebase import uniform
+from invid.signals.timebase import resample_uniformly
 
 RATE, PERIOD = 1000.0, 500
 
@@ -40,7 +40,7 @@ def _without(e: Experiment, first: int, last: int) -> Experiment:
 
 def test_a_long_gap_in_a_record_that_repeats_is_filled_from_its_other_periods() -> None:
     whole = _record(np.random.default_rng(4))
-    found = uniform(_without(whole, 700, 760))
+    found = resample_uniformly(_without(whole, 700, 760))
     assert found.lost == 60
     assert np.abs(found.torque - whole.torque).max() < 1e-6
     assert np.abs(found.position - whole.position).max() < 1e-9
@@ -48,7 +48,7 @@ def test_a_long_gap_in_a_record_that_repeats_is_filled_from_its_other_periods() 
 
 def test_a_long_gap_that_nothing_fills_is_bridged_by_a_straight_line() -> None:
     whole = replace(_record(np.random.default_rng(4)), period_samples=0)
-    found = uniform(_without(whole, 700, 760))
+    found = resample_uniformly(_without(whole, 700, 760))
     ends = whole.torque[[699, 760], 0]
     inside = found.torque[700:760, 0]
     assert ends.min() <= inside.min()
