@@ -24,8 +24,6 @@ class Stage(StrEnum):
 
     DATA = "data"
     """Recording or records before the search."""
-    NUISANCE = "nuisance"
-    """The fit of the linear model."""
     CANDIDATES = "candidates"
     """Trials of one step."""
     RANKING = "ranking"

@@ -10,7 +10,6 @@ from invid.diagnosis.context import apply_rule, current_context
 from invid.diagnosis.evidence import CandidateEvidence
 from invid.diagnosis.known_effects import fitted_friction
 from invid.diagnosis.linear_fit import find_tones, fit_linear_model, refit_without_effects, start_vector
-from invid.diagnosis.rules.whole_search import search_beside_friction
 from invid.diagnosis.search import select_causes
 from invid.diagnosis.selection import Selection
 from invid.diagnosis.slow_move import find_slow_moves
@@ -111,7 +110,8 @@ def _of_whole(recording: Recording, model: Model) -> SearchPass | None:
     current_context().searches += 1
     whole = unfolded(recording)
     spectra, warnings, (base, _, train, held) = _begun(whole, model, ValidationRequest(whole=True))
-    selection = search_beside_friction(
+    selection = apply_rule(
+        "whole-records",
         CandidateEvidence(base, evaluate_held_out(base, held)),
         fitted_friction(model, base.layout.structure),
         start_vector(model, base.layout),

@@ -24,6 +24,7 @@ from invid.diagnosis.rules.nonrepeating_torque import describe_scatter
 from invid.diagnosis.rules.own_evidence import keep_independent_causes
 from invid.diagnosis.rules.slow_moves import rank_by_slow_moves
 from invid.diagnosis.rules.tones import find_common_tones
+from invid.diagnosis.rules.whole_search import search_beside_friction
 from invid.diagnosis.rules.widths import fit_sign_widths
 
 GENERATORS = "hidden plants of this project (docs/explanations/hidden-tests.md)"
@@ -117,6 +118,12 @@ RULES: tuple[Rule, ...] = (
         "load-change", Stage.SELECTION,
         "The period in which a load changes is half of one plant, half of another: it fits neither.",
         GENERATORS, search_around_change, _none, applies=lambda selection, *_: bool(selection.steps),
+    ),
+    Rule(
+        "whole-records", Stage.RESTART,
+        "Where periods differ in motion, the law of their mean is not the mean of the law: records are taken "
+        "whole, against the friction that every joint has.",
+        "whole cells (tests/hidden/cells.py)", search_beside_friction, _none,
     ),
     Rule(
         "own-evidence", Stage.SELECTION,

@@ -43,8 +43,9 @@ from invid.signals.spectral_record import SpectralRecord
 
 LAW = JointFriction()
 TRIED = 3
-"""Candidates of a screen that are fitted, those that it gives half of the best one's gain."""
+"""Candidates of a screen that are fitted at most. A guess."""
 NEAR = 0.5
+"""Share of the best one's gain from which a candidate is fitted. A guess."""
 OTHER_FRICTION = ("presliding_friction",)
 """Friction of a motor that the joint's law stands for."""
 TIMING = ("torque_delay", "torque_lag")
