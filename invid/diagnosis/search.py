@@ -305,6 +305,8 @@ def _step(
     ]
     count, rows = max(len(terms), 1), here.dof
     trials, scores = _candidates(here, train, held, asked, terms, first=first, rejects=rejects, known=known)
+    least_left = min((t.fit.cost for t in trials), default=np.inf)
+    trials = [apply_rule("change-retimed", t, train, held) if t.fit.cost <= least_left else t for t in trials]
     trials = apply_rule("gradual-sign", trials, current, train, held)
     trials = [t for t in trials if not is_smaller_model(t)]  # some were larger only for want of rounding
     trials = merge_trials(trials, known)

@@ -18,6 +18,7 @@ from invid.diagnosis.rules.near_variants import (
     delay_variants,
     friction_ladder,
     lag_variants,
+    retime_load_change,
     try_other_places,
 )
 from invid.diagnosis.rules.nonrepeating_torque import describe_scatter
@@ -71,6 +72,11 @@ RULES: tuple[Rule, ...] = (
         "A strong cause bends the linear fit without it; the identification, which fits friction along, "
         "starts nearer.",
         GENERATORS, add_trials_from_other_start,
+    ),
+    Rule(
+        "change-retimed", Stage.CANDIDATES,
+        "In a period half of one load, half of another, a small change early and a large one late are alike.",
+        GENERATORS, retime_load_change, applies=lambda trial, *_: trial.term.effect.family == "time",
     ),
     Rule(
         "gradual-sign", Stage.CANDIDATES,

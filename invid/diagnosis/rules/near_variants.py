@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -16,7 +17,7 @@ from invid.diagnosis.evidence import (
     refit_with_effect,
 )
 from invid.diagnosis.score_test import terms_to_test
-from invid.diagnosis.thresholds import COMPETES
+from invid.diagnosis.thresholds import CLOSE, COMPETES
 from invid.effects.laws.sign import DryLaw
 from invid.effects.registry import BY_CAUSE
 from invid.likelihood.candidate_pool import map_candidates
@@ -181,6 +182,26 @@ def try_other_places(
 
     trials = map_candidates(tried_there, out, here, [*train, *held])
     return [t for t in trials if t is not None and not is_at_bound(t.fit)]
+
+
+def retime_load_change(
+    trial: CandidateEvidence, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord]
+) -> CandidateEvidence:
+    """A load's change from the time that all records together ask for.
+
+    In a period of the training that is half of one load, half of the other, a small change early and a large
+    one late are alike: the fit ends at either, and a record kept out tells. Other causes come back unchanged.
+    """
+    here, term = trial.fit, trial.term
+    if term.effect.cause != "payload_change" or trial.held.cost < CLOSE * trial.held.dof:
+        return trial
+    best = trial
+    for (time,) in term.effect.grid([*here.evaluation.views, *trial.held.views], term.place):
+        start = replace(here.candidate, x=(*here.candidate.x[:-1], np.array([trial.x[0], time])))
+        other = evidence_if_finite(partial(fit, here.layout, train, here.p, start, iterations=20), held)
+        if other is not None and other.cost < best.cost:
+            best = other
+    return best
 
 
 def delay_variants(
