@@ -17,7 +17,7 @@ from hidden.generator import make
 import invid
 from invid.effects.effect import Effect
 from invid.effects.registry import BY_CAUSE
-from invid.model.diagnosis_document import Diagnosis, Finding
+from invid.model.diagnosis_document import Finding
 from invid.report.figures import figures
 
 SHOWN = {
@@ -28,9 +28,9 @@ SHOWN = {
 """Cause and the seed of its draw: one of which it is named. Examples, no statistics."""
 HEAD = """# Gallery: from picture to cause to repair
 
-Each picture is what the report shows of the torque that the linear model misses (dots, measured) and of the
-cause that was named for it (line, fitted). All data are simulated: one axis, one hidden cause of 25 dB over
-the noise. Written by `python docs/gallery.py`. All causes, with their laws: [causes](reference/causes.md).
+Each picture of the report shows the torque that the linear model misses (dots) and the named cause (line).
+Simulated: one axis, one hidden cause of 25 dB over the noise. Written by `python docs/gallery.py`. Laws and
+look-alikes: [causes](reference/causes.md).
 """
 
 
@@ -50,29 +50,22 @@ def main() -> None:
         if name not in drawn:  # no law over one quantity: what is missing over frequency
             name = "missing-torque"
         (folder / f"{cause}.svg").write_text(drawn[name], encoding="utf-8")
-        parts.append(entry(BY_CAUSE[cause], found[0], diagnosis))
+        parts.append(entry(BY_CAUSE[cause], found[0]))
         print(f"{cause}: {found[0].confidence:.2f}")
     (DOCS / "gallery.md").write_text("\n".join(parts), encoding="utf-8")
 
 
-def entry(effect: Effect, finding: Finding, diagnosis: Diagnosis) -> str:
-    """One cause: its picture, what was found, what to do, how to be sure."""
-    sizes = ", ".join(
-        f"{n} {p.value:.3g}{'' if p.unit == '1' else f' {p.unit}'}" for n, p in finding.parameters.items()
-    )
+def entry(effect: Effect, finding: Finding) -> str:
+    """One cause: its picture, what was found, what to do."""
     lines = [
         f"## {effect.title[0].upper()}{effect.title[1:]}",
         "",
-        f"![Missing torque, measured and fitted](images/gallery/{effect.cause}.svg)",
+        f"![Missing torque and fitted cause](images/gallery/{effect.cause}.svg)",
         "",
-        f"- **Named**: `{effect.cause}` at {finding.element or finding.axis}, {sizes}; "
-        f"verdict `{diagnosis.verdict}`.",
-        f"- **Repair**: {effect.check}",
-        f"- **To be sure**: {effect.separating.text}.",
+        f"`{effect.cause}`, {finding.element or finding.axis}. {effect.check}",
+        "",
     ]
-    if effect.looks_like:
-        lines.append(f"- **Looks like it**: {', '.join(f'`{c}`' for c in effect.looks_like)}.")
-    return "\n".join([*lines, ""])
+    return "\n".join(lines)
 
 
 if __name__ == "__main__":
