@@ -76,7 +76,7 @@ class MeasurementResult:
         }
 
 
-def measure_to_file(
+def measure_to_file(  # noqa: PLR0913 - what a person may wish of a run
     config: CellConfig,
     out: Path,
     *,
@@ -204,7 +204,7 @@ def _require_file(out: Path) -> None:
         ) from None
 
 
-def run_measurement(
+def run_measurement(  # noqa: PLR0913 - a run, and who is told, asked and may stop it
     config: CellConfig,
     plan: Plan,
     cell: Cia402Cell,

@@ -239,7 +239,7 @@ def child_main(fd: int) -> None:
     sender.join()
 
 
-def measure_in_process(
+def measure_in_process(  # noqa: PLR0913 - as measure_to_file
     config: CellConfig,
     out: Path,
     *,

@@ -56,7 +56,7 @@ class CoupledChains:
     axes: tuple[str, ...] = ()
 
     @classmethod
-    def build(
+    def build(  # noqa: PLR0913 - the parameters of the model
         cls,
         masses: Sequence[npt.ArrayLike],
         springs: Sequence[npt.ArrayLike],

@@ -63,7 +63,8 @@ async def start_identification(
         record = replace(record, facts={"amplitude": body.amplitude, "separates": body.separate})
         in_force = await asyncio.to_thread(service.results.in_force, cell.id)
         before = await asyncio.to_thread(_analysis_before, service, cell.id, body)
-        job = _job(service, cell, record, body, in_force, separation, before)
+        job = _job(service, cell, record, body, in_force, separation)
+        job.expected_analysis_s = before
         live = service.jobs.reserve(record)
         try:
             facts = {"cell": cell.id, "identification": record.id, **body.model_dump()}
@@ -164,7 +165,6 @@ def _job(
     body: StartBody,
     in_force: StoredModel | None,
     separation: Separation | None,
-    analysis_before_s: float | None,
 ) -> Job:
     model = None if in_force is None else load(in_force)
     config = cell.job_config(int(record.id[-8:], 16) % 1_000_000)
@@ -197,7 +197,6 @@ def _job(
         amplitude_scale=full * (GENTLER if body.amplitude == "gentler" else 1.0),
         amplitude=body.amplitude,
         purpose=None if separation is None else " ".join(separation.sentences),
-        expected_analysis_s=analysis_before_s,
         arm=body.arm,
         acceptable=cell.simulated or body.mode != "simulate",
         model=document,
