@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import InitVar, dataclass, replace
 
 import numpy as np
 
@@ -46,16 +46,15 @@ class BlockDesigner:
     names: Sequence[str] | None = None
     """Parameters that the goal is about; ``None``: all."""
     seed: int = 0
-    band: tuple[float, float] = (0.0, 0.0)
-    """Frequencies to excite [Hz]; none: those of the config's multisines."""
+    wanted_band: InitVar[tuple[float, float] | None] = None
+    """Frequencies to excite [Hz]; ``None``: those of the config's multisines."""
 
-    def __post_init__(self) -> None:
+    def __post_init__(self, wanted_band: tuple[float, float] | None) -> None:
         config = self.config
         specs = [s for s in config.experiments if isinstance(s, MultisineSpec) and s.role == "identify"]
-        if not any(self.band):
-            self.band = (0.5, 12.0)
-            if specs:
-                self.band = (min(s.band_Hz[0] for s in specs), max(s.band_Hz[1] for s in specs))
+        self.band = wanted_band or (
+            (min(s.band_Hz[0] for s in specs), max(s.band_Hz[1] for s in specs)) if specs else (0.5, 12.0)
+        )
         self.share = self.amplitude_scale * max((s.amplitude for s in specs), default=0.7)
         self.creep = max((s.creep_velocity for s in specs), default=0.0)
         self.limits = np.array([a.limits.torque for a in config.axes])

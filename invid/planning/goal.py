@@ -129,7 +129,7 @@ def plan_for_goal(  # noqa: PLR0913 - what is known of the cell, and what a pers
     if unknown:
         raise ConfigError(f"axes: no axis {unknown[0]!r} in the config; it has {', '.join(known)}")
     excited = tuple(i for i, n in enumerate(known) if axes is None or n in axes)
-    designer = BlockDesigner(config, belief, noise, excited, amplitude_scale, names, seed, band or (0.0, 0.0))
+    designer = BlockDesigner(config, belief, noise, excited, amplitude_scale, names, seed, band)
     budget = require_budget(config)
 
     def plan_of(blocks: Sequence[PlannedExperiment]) -> Plan:

@@ -12,6 +12,7 @@ from typing import Any
 from sqlalchemy.exc import SQLAlchemyError
 
 from invid.errors import InputError
+from invid.model.document import model_to_json
 from invid.planning.separating_experiments import Separation, to_separate
 from invid_service.cells.registry import Cell
 from invid_service.jobs.protocol import Job
@@ -174,8 +175,6 @@ def _job(
     full = cell.config.safety.test_amplitude if body.mode == "test" else 1.0
     document = None
     if in_force is not None and model is not None:
-        from invid.model.document import model_to_json
-
         document = model_to_json(model)
         if body.mode == "simulate" and not cell.simulated:
             config["bus"] = {
