@@ -28,8 +28,8 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from frozen_cases import ROOT, Case, cases, make
-from frozen_compare import compare
+from benchmarks.frozen.cases import ROOT, Case, cases, make
+from benchmarks.frozen.compare import compare
 
 CACHE = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "invid-frozen"
 
@@ -56,7 +56,7 @@ class Worker:
         path = os.pathsep.join(str(self.tree / p) for p in (".", "drivers", "service"))
         threads = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
         self.process = subprocess.Popen(
-            [sys.executable, str(Path(__file__).with_name("frozen_worker.py")), str(self.tree)],
+            [sys.executable, str(Path(__file__).parent / "frozen" / "worker.py"), str(self.tree)],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=self.tree,
             env={**os.environ, **threads, "PYTHONPATH": path},
         )  # fmt: skip

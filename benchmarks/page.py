@@ -25,6 +25,7 @@ class Section:
     title: str
     words: str
     script: str
+    """Path below ``benchmarks/``."""
     full: tuple[str, ...]
     quick: tuple[str, ...]
     most_lines: int = 60
@@ -36,7 +37,7 @@ SECTIONS = (
         "The bound is the smallest standard deviation that any unbiased estimator can have on these records. "
         "`white` is the case study of the paper with three axes; the plants are simulated by code that the "
         "identification does not use. z is error over stated deviation.",
-        "bench_identify.py",
+        "identification/bench_identify.py",
         ("--case", "white", "--draws", "100"),
         ("--case", "white", "--draws", "10"),
     ),
@@ -45,7 +46,7 @@ SECTIONS = (
         "To 1 % on every mass, spring and coupling of the case study, through the simulated cell with "
         "friction, quantisation and noise, no model given; beside it stepped sine at the same peak torque, "
         "fitted by the same estimator.",
-        "bench_plan.py",
+        "planning/bench_plan.py",
         ("--case", "time", "--seeds", "2"),
         ("--case", "time", "--seeds", "1"),
     ),
@@ -64,7 +65,7 @@ SECTIONS = (
         "Beside other ways of fitting, on the same records",
         "Case study without friction, everybody gets the same spectra, the torque when it acts, and the "
         "number of masses. Errors are medians over the seeds; processor time is of one core.",
-        "bench_peer_models.py",
+        "identification/bench_peer_models.py",
         ("--seeds", "5", "--seed0", "300"),
         ("--seeds", "2", "--seed0", "300", "--peers",
          "refined", "paper", "vector", "EMA", "subspace", "OE rough", "raw"),
@@ -72,7 +73,7 @@ SECTIONS = (
     Section(
         "Forward model and simulation beside other simulators",
         "Processor seconds of the same task, as ratios within one run.",
-        "bench_forward.py",
+        "simulation/bench_forward.py",
         (),
         (),
     ),
@@ -80,7 +81,7 @@ SECTIONS = (
         "Processor time of a diagnosis",
         "One core, each command in a process of its own, counted after its imports; beside each figure its "
         "bar, and its ratio to a fixed workload, which says the same on a faster machine.",
-        "bench_speed.py",
+        "diagnosis/bench_speed.py",
         (),
         ("plain", "dry", "demo", "rubbing", "cell", "aperiodic", "bench", "six", "eight", "help"),
     ),

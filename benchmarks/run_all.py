@@ -3,7 +3,7 @@
     python benchmarks/run_all.py                                                   # all, whole campaigns
     python benchmarks/run_all.py --page docs/reference/benchmarks.md [--quick]     # the page of figures
 
-A benchmark is any `benchmarks/bench_*.py`; with no arguments it runs its whole campaign.
+A benchmark is any `bench_*.py` below `benchmarks/`; with no arguments it runs its whole campaign.
 """
 
 from __future__ import annotations
@@ -13,8 +13,9 @@ import subprocess
 import sys
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parent))
-from page import page
+from benchmarks.page import page
+
+HERE = Path(__file__).parent
 
 
 def main() -> int:
@@ -30,8 +31,8 @@ def main() -> int:
         options.page.write_text(text, encoding="utf-8")
         return missed
     failed = 0
-    for script in sorted(Path(__file__).parent.glob("bench_*.py")):
-        print(f"\n=== {script.name}", flush=True)
+    for script in sorted(HERE.rglob("bench_*.py")):
+        print(f"\n=== {script.relative_to(HERE)}", flush=True)
         failed += subprocess.run([sys.executable, str(script), *rest], check=False).returncode != 0
     return failed
 

@@ -100,7 +100,7 @@ def import_recording(
     return immutable(result.recording)
 
 
-def identify(
+def identify(  # noqa: PLR0913 - the contract: each is one option of the command
     recording: Recording | Sequence[Recording],
     *,
     masses: Masses = None,

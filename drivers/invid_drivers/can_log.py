@@ -16,6 +16,7 @@ from typing import Any
 
 import can
 import numpy as np
+from canopen.objectdictionary import import_od
 
 from invid.errors import InputError
 from invid.numerics.arrays import Float64
@@ -256,8 +257,6 @@ def _layout(pdo: Pdo) -> list[tuple[str, str, int]]:
 
 def _pdos_of_eds(path: Path, nodes: list[int]) -> list[Pdo]:
     """Default PDO mappings of an EDS, for each node; columns ``n<node>_<object in hex>``."""
-    from canopen.objectdictionary import import_od
-
     if not nodes:
         raise InputError("map: 'eds' needs 'nodes': the node numbers of the drives in the log")
     if not path.is_file():

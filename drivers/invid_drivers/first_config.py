@@ -64,10 +64,17 @@ class FirstConfig:
     asked: dict[str, str]
 
 
+@dataclass(frozen=True)
+class Adapter:
+    """The CAN adapter and its bus, as python-can names them."""
+
+    interface: str
+    channel: str
+    bitrate: int
+
+
 def first_config(
-    interface: str,
-    channel: str,
-    bitrate: int,
+    adapter: Adapter,
     nodes: Sequence[Found],
     round_trip_s: float = 0.0,
     matches: Sequence[Match] = (),
@@ -85,7 +92,7 @@ def first_config(
         Folder of the config: files below it are named from there.
     """
     asked = {"robot": "what it is called in reports", "motion": "rotary or linear"}
-    cycle = _cycle(len(nodes), bitrate, round_trip_s)
+    cycle = _cycle(len(nodes), adapter.bitrate, round_trip_s)
     why = "of bus load" + (
         f" and the adapter's round trip, {round_trip_s * 1e3:.2g} ms (99 %)" * (round_trip_s > 0)
     )
@@ -96,9 +103,9 @@ def first_config(
         "robot: unnamed          # ASK: its name in reports",
         "motion: rotary          # ASK: rotary, or linear (m and N instead of rad and N·m)",
         "bus:",
-        f"  interface: {interface}",
-        f"  channel: {channel}",
-        f"  bitrate_bit_per_s: {bitrate}  # as given; a wrong one stops all traffic",
+        f"  interface: {adapter.interface}",
+        f"  channel: {adapter.channel}",
+        f"  bitrate_bit_per_s: {adapter.bitrate}  # as given; a wrong one stops all traffic",
         f"  cycle_s: {cycle:g}  # the shortest carried, because {why}",
         "axes:                   # in the order of node ids",
     ]

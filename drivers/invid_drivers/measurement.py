@@ -26,6 +26,7 @@ from invid.sweep.recorder import Recorder
 from invid_drivers.cia402.bus import Cia402Cell
 from invid_drivers.collecting import Judged
 from invid_drivers.connect import connect, is_virtual
+from invid_drivers.relay import measure_in_process
 from invid_drivers.round_trip import probe, require
 from invid_drivers.stopping_budgets import measured_budgets, plan_within
 
@@ -76,7 +77,7 @@ class MeasurementResult:
         }
 
 
-def measure_to_file(
+def measure_to_file(  # noqa: PLR0913 - what a person may wish of a run
     config: CellConfig,
     out: Path,
     *,
@@ -110,8 +111,6 @@ def measure_to_file(
         # refused here, before a process is started for it
         make_plan(config, axes=axes, amplitude_scale=amplitude_scale, model=model)
     _require_file(out)
-    from invid_drivers.realtime import measure_in_process
-
     result: MeasurementResult = measure_in_process(
         config,
         out,
@@ -204,7 +203,7 @@ def _require_file(out: Path) -> None:
         ) from None
 
 
-def run_measurement(
+def run_measurement(  # noqa: PLR0913 - a run, and who is told, asked and may stop it
     config: CellConfig,
     plan: Plan,
     cell: Cia402Cell,

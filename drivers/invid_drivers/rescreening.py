@@ -65,7 +65,7 @@ def screening_plan(config: CellConfig, belief: Belief, noise: Noise) -> GoalPlan
     return replace(design, plan=plan, amplitudes=design.amplitudes[: design.needed])
 
 
-def screen_cell(
+def screen_cell(  # noqa: PLR0913 - what a person may wish of a run
     config: CellConfig,
     model: Model,
     out: Path,

@@ -54,7 +54,6 @@ def compare_causes(
     *,
     alpha: float,
     tolerance: float,
-    repeatability: float = 0.0,
     scatter: Repeatability | None = None,
 ) -> tuple[CauseChange, ...]:
     """What became of every cause that one of two models has on their common axes.
@@ -65,8 +64,6 @@ def compare_causes(
         Probability of calling any cause changed where none did.
     tolerance
         ±x as a fraction: a cause that could have changed by more unseen is not called unchanged.
-    repeatability
-        Relative standard deviation between measurements of an unchanged robot.
     scatter
         How much more the cell varies from run to run than the fits say.
     """
@@ -82,7 +79,7 @@ def compare_causes(
                 continue  # told of the law that describes it now
         elif was is None and now is not None:
             twin = _same_place(now, before.values(), after)
-        found.append(_paired(name, was, now, twin, (old, new), repeatability, scatter))
+        found.append(_paired(name, was, now, twin, (old, new), scatter))
     return _judged(found, alpha, tolerance)
 
 
@@ -92,7 +89,6 @@ def _paired(
     now: EffectTerm | None,
     twin: EffectTerm | None,
     models: tuple[Model, Model],
-    repeatability: float,
     scatter: Repeatability,
 ) -> CauseChange:
     """One cause with its difference and p value, not judged yet."""
@@ -122,12 +118,12 @@ def _paired(
     ):
         return replace(change, reason="a model gives no uncertainty for it")
     if a is not None and b is not None:
-        spread = [math.hypot(e.std or 0.0, repeatability * e.value) for e in (a, b)]
+        spread = [math.hypot(e.std or 0.0, scatter.relative * e.value) for e in (a, b)]
         std = scatter.factor * math.hypot(*spread)
         p = two_sided((b.value - a.value) / std, scatter.dof)
         size = abs(b.value - _nothing(parameter)) - abs(a.value - _nothing(parameter))
         return replace(change, difference=size, std=std, p_value=p)
-    return _one_sided(change, models, repeatability, scatter)
+    return _one_sided(change, models, scatter)
 
 
 def _nothing(parameter: str) -> float:
@@ -135,9 +131,7 @@ def _nothing(parameter: str) -> float:
     return 1.0 if parameter == "gain" else 0.0
 
 
-def _one_sided(
-    change: CauseChange, models: tuple[Model, Model], repeatability: float, scatter: Repeatability
-) -> CauseChange:
+def _one_sided(change: CauseChange, models: tuple[Model, Model], scatter: Repeatability) -> CauseChange:
     """A cause that one run alone found, against what the other could have seen."""
     mine, other = (1, 0) if change.old is None else (0, 1)
     found = change.new if change.old is None else change.old
@@ -148,7 +142,7 @@ def _one_sided(
     ratio = None if doubt else noise_ratio(models[mine], models[other], change.axis)
     if ratio is None:
         return replace(change, reason=doubt or f"what the {which} run could have seen is not known")
-    own = scatter.factor * math.hypot(found.std, repeatability * found.value)
+    own = scatter.factor * math.hypot(found.std, scatter.relative * found.value)
     theirs = max(ratio, 1e-9) * scatter.factor * found.std
     size = abs(found.value - _nothing(change.parameter))
     x = np.linspace(0.0, size + 6 * own, 400)

@@ -81,11 +81,14 @@ class Repeatability:
     ``factor`` multiplies every standard deviation (below 1 where the runs agree better than their fits say,
     and there are enough of them to say so); ``pairs`` of runs are behind it,
     with ``dof`` effective degrees of freedom (infinite where the factor is assumed, not measured).
+    ``relative`` is the relative standard deviation between measurements of an unchanged robot (temperature,
+    pose) beside it, as the user states it.
     """
 
     factor: float = 1.0
     pairs: int = 0
     dof: float = float("inf")
+    relative: float = 0.0
 
 
 class CauseStatus(StrEnum):

@@ -52,7 +52,7 @@ __all__ = [
 ]
 
 
-def compare(
+def compare(  # noqa: PLR0913 - the contract: each is one option of the command
     old: Model,
     new: Model,
     *,
@@ -114,6 +114,7 @@ def compare(
                 f"repeatability of this cell is not known yet ({scatter.pairs} earlier repetition(s), "
                 f"{MINIMUM_RUNS} needed): the test rests on the covariance of the two fits alone"
             )
+    scatter = replace(scatter, relative=repeatability)
     # A factor below 1 sharpens the comparison; runs of one state are not torn apart on it, as a run that is
     # off by chance would then stand alone for its side.
     apart = max(1.0, scatter.factor)
@@ -121,9 +122,7 @@ def compare(
     old, new = pool_models(sides[0]), pool_models(sides[1])
     parameters = linear_parameters(old, new, common, repeatability)
     effects = paired_effects(old, new, common, repeatability)
-    causes = compare_causes(
-        old, new, common, alpha=alpha, tolerance=tolerance, repeatability=repeatability, scatter=scatter
-    )
+    causes = compare_causes(old, new, common, alpha=alpha, tolerance=tolerance, scatter=scatter)
     sizes = {f"{c.name}.{c.parameter}" for c in causes}
     both = [*parameters, *effects]
     judged = list(both)

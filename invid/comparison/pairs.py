@@ -70,8 +70,7 @@ def linear_parameters(old: Model, new: Model, common: Sequence[str], repeatabili
                     f"{axis}: {label}",
                     axis,
                     kind,
-                    _estimate(va[q], sa[q], of),
-                    _estimate(vb[q], sb[q], of),
+                    (_estimate(va[q], sa[q], of), _estimate(vb[q], sb[q], of)),
                     repeatability,
                 )
                 out.append(replace(change, final=kind == "mass" and q == va.size - 1))
@@ -82,8 +81,10 @@ def linear_parameters(old: Model, new: Model, common: Sequence[str], repeatabili
                     f"{axis}: spring to ground",
                     axis,
                     "ground_spring",
-                    _estimate(a.ground_springs[i], old.std.ground_springs[i], unit["stiffness"]),
-                    _estimate(b.ground_springs[j], new.std.ground_springs[j], unit["stiffness"]),
+                    (
+                        _estimate(a.ground_springs[i], old.std.ground_springs[i], unit["stiffness"]),
+                        _estimate(b.ground_springs[j], new.std.ground_springs[j], unit["stiffness"]),
+                    ),
                     repeatability,
                 )
             )
@@ -92,18 +93,18 @@ def linear_parameters(old: Model, new: Model, common: Sequence[str], repeatabili
             i, j = old.axes.index(first), old.axes.index(second)
             k, m = new.axes.index(first), new.axes.index(second)
             scale = math.sqrt(float(old.chains.masses[i][-1] * old.chains.masses[j][-1]))
-            out.append(
-                _pair(
-                    f"{first}-{second}.coupling",
-                    f"{first}-{second}: coupling",
-                    first,
-                    "coupling",
+            change = _pair(
+                f"{first}-{second}.coupling",
+                f"{first}-{second}: coupling",
+                first,
+                "coupling",
+                (
                     _estimate(old.chains.couplings[i, j], old.std.couplings[i, j], unit["mass"]),
                     _estimate(new.chains.couplings[k, m], new.std.couplings[k, m], unit["mass"]),
-                    repeatability,
-                    scale=scale,
-                )
+                ),
+                repeatability,
             )
+            out.append(replace(change, scale=scale))
     return out
 
 
@@ -119,7 +120,7 @@ def _whole_inertia(old: Model, new: Model, axis: str, unit: str, repeatability: 
         return _estimate(float(model.chains.masses[i].sum()), std, unit)
 
     return _pair(
-        f"{axis}.inertia", f"{axis}: whole inertia", axis, "inertia", total(old), total(new), repeatability
+        f"{axis}.inertia", f"{axis}: whole inertia", axis, "inertia", (total(old), total(new)), repeatability
     )
 
 
@@ -128,13 +129,11 @@ def _pair(
     label: str,
     axis: str,
     kind: str,
-    old: Estimate,
-    new: Estimate,
+    values: tuple[Estimate, Estimate],
     repeatability: float,
-    *,
-    scale: float | None = None,
 ) -> Change:
-    """Difference and its standard deviation; the status is decided later, over all."""
+    """Difference of new and old and its standard deviation; the status is decided later, over all."""
+    old, new = values
     difference = new.value - old.value
     if name.endswith((".phase", ".angle")):
         difference = math.remainder(difference, 2 * math.pi)
@@ -148,7 +147,7 @@ def _pair(
         new,
         Status.CANNOT_TELL,
         difference=difference,
-        scale=abs(old.value) if scale is None else scale,
+        scale=abs(old.value),
     )
     missing = [w for w, e in (("old", old), ("new", new)) if e.std is None or e.std < 0]
     if missing:
@@ -188,8 +187,7 @@ def effects(old: Model, new: Model, common: Sequence[str], repeatability: float)
                 f"{term.axis}: {describe(term)}, {parameter}",
                 term.axis,
                 "effect",
-                value,
-                now.parameters[parameter],
+                (value, now.parameters[parameter]),
                 repeatability,
             )
             for parameter, value in term.parameters.items()

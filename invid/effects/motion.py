@@ -58,7 +58,7 @@ class Closing:
 class View:
     """One record seen through one linear plant; time-domain waves are made once."""
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - what a law may ask of a record
         self,
         record: SpectralRecord,
         structure: ChainStructure,

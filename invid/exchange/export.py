@@ -57,10 +57,11 @@ def export_model(model: Model, to: str, path: str | Path) -> Export:
     if not model.fit.get("trustworthy", True):
         warnings.append("the model is not to be trusted, its own warnings say why")
     beside = target.with_name(target.name + BESIDE)
-    document = _beside(model, plant, spread, to, target.name, lost, warnings)
+    export = Export(to, str(target), str(beside), tuple(lost), tuple(warnings))
+    document = _beside(export, model, plant, spread)
     _write(target, content)
     save_text(beside, dump_json(document))
-    return Export(to, str(target), str(beside), tuple(lost), tuple(warnings))
+    return export
 
 
 def _module(to: str) -> Any:
@@ -80,25 +81,17 @@ def _no_covariance(spread: ParameterSpread) -> str:
     return text + (f"; not known, NaN: {', '.join(unknown)}" if unknown else "")
 
 
-def _beside(
-    model: Model,
-    plant: LinearPlant,
-    spread: ParameterSpread,
-    to: str,
-    name: str,
-    lost: list[str],
-    warnings: list[str],
-) -> dict[str, Any]:
+def _beside(export: Export, model: Model, plant: LinearPlant, spread: ParameterSpread) -> dict[str, Any]:
     def known(row: Float64) -> list[float | None]:
         return [None if math.isnan(v) else float(v) for v in row]
 
     return {
         "format": "invid-export",
         "format_version": 1,
-        "to": to,
-        "file": name,
-        "losses": lost,
-        "warnings": warnings,
+        "to": export.to,
+        "file": Path(export.path).name,
+        "losses": list(export.losses),
+        "warnings": list(export.warnings),
         "coordinates": list(plant.coordinates),
         "modes_hz": [float(w) / (2 * math.pi) for w in plant.modes],
         "parameters": {

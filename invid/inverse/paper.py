@@ -27,7 +27,7 @@ from invid.numerics.arrays import Float64
 Route = Literal["lanczos", "peel_one", "peel_two"]
 
 
-def chain_from_spectrum(
+def chain_from_spectrum(  # noqa: PLR0913 - what the paper's equations need
     lambda_: npt.ArrayLike,
     lambda0: npt.ArrayLike,
     m1: float,
@@ -111,7 +111,7 @@ def _by_peeling(
     return np.array(m), np.array(k), check
 
 
-def paper_inverse(
+def paper_inverse(  # noqa: PLR0913 - what the paper measures
     spectra: Sequence[tuple[npt.ArrayLike, npt.ArrayLike]],
     high_gains: npt.ArrayLike,
     low_gains: npt.ArrayLike,

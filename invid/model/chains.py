@@ -56,7 +56,7 @@ class CoupledChains:
     axes: tuple[str, ...] = ()
 
     @classmethod
-    def build(
+    def build(  # noqa: PLR0913 - the parameters of the model
         cls,
         masses: Sequence[npt.ArrayLike],
         springs: Sequence[npt.ArrayLike],
@@ -106,6 +106,22 @@ class CoupledChains:
                 f"model: {count} branches of masses but {len(self.springs)} of springs and "
                 f"{len(self.dampers)} of dampers; give one list per branch (empty for a single mass)"
             )
+        self._check_branches()
+        self._check_couplings()
+        for name in ("ground_springs", "ground_dampers"):
+            values = getattr(self, name)
+            if values.shape != (count,) or not np.isfinite(values).all():
+                raise ModelError(f"model: {name} must be {count} finite numbers")
+        smallest = float(np.linalg.eigvalsh(self.end_mass_matrix)[0])
+        if smallest <= 0:
+            i, j = self._worst_coupling()
+            raise ModelError(
+                f"model: the mass matrix is not positive definite: the coupling {self.couplings[i, j]:.6g} "
+                f"between {self.axes[i]} and {self.axes[j]} is too large for the final masses "
+                f"{self.masses[i][-1]:.6g} and {self.masses[j][-1]:.6g}"
+            )
+
+    def _check_branches(self) -> None:
         for axis, m, k, d in zip(self.axes, self.masses, self.springs, self.dampers, strict=True):
             if m.ndim != 1 or m.size == 0:
                 raise ModelError(f"branch {axis}: masses must be a list of at least one value")
@@ -127,6 +143,9 @@ class CoupledChains:
                         f"branch {axis}: {what} {q + 1} is {float(values[q])!r}; it must be a finite number "
                         f"{'≥' if floor_ok else '>'} 0"
                     )
+
+    def _check_couplings(self) -> None:
+        count = self.branches
         if self.couplings.shape != (count, count):
             raise ModelError(f"model: couplings have shape {self.couplings.shape}, need ({count}, {count})")
         if not np.isfinite(self.couplings).all():
@@ -135,18 +154,6 @@ class CoupledChains:
             np.diag(self.couplings) != 0
         ):
             raise ModelError("model: couplings must be symmetric with a zero diagonal")
-        for name in ("ground_springs", "ground_dampers"):
-            values = getattr(self, name)
-            if values.shape != (count,) or not np.isfinite(values).all():
-                raise ModelError(f"model: {name} must be {count} finite numbers")
-        smallest = float(np.linalg.eigvalsh(self.end_mass_matrix)[0])
-        if smallest <= 0:
-            i, j = self._worst_coupling()
-            raise ModelError(
-                f"model: the mass matrix is not positive definite: the coupling {self.couplings[i, j]:.6g} "
-                f"between {self.axes[i]} and {self.axes[j]} is too large for the final masses "
-                f"{self.masses[i][-1]:.6g} and {self.masses[j][-1]:.6g}"
-            )
 
     def _worst_coupling(self) -> tuple[int, int]:
         ends = np.array([m[-1] for m in self.masses])

@@ -43,6 +43,13 @@ def compiled(function: _Function) -> _Function:
     return cast("_Function", fast)
 
 
+def inlined(function: _Function) -> _Function:
+    """A piece of compiled functions, put where it is called: a call costs as much as such a piece does."""
+    if _MISSING is not None:
+        return function
+    return cast("_Function", numba.njit(inline="always")(function))
+
+
 def _tell_of_compiling() -> None:
     """Numba says when it compiles and not when it reads its cache."""
 
@@ -61,4 +68,4 @@ def _tell_of_compiling() -> None:
 if _MISSING is None:
     _tell_of_compiling()
 
-__all__ = ["COMPILING", "compiled"]
+__all__ = ["COMPILING", "compiled", "inlined"]

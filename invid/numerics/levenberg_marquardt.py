@@ -130,7 +130,7 @@ class Minimum(Generic[Point]):
     predicted: float
 
 
-def minimise(
+def minimise(  # noqa: PLR0913 - a cost, and when to end
     start: Point,
     parabola: Callable[[Point], Parabola],
     moved: Callable[[Point, Float64], Point | None],

@@ -108,7 +108,7 @@ def _taken(
     return done
 
 
-def _help(
+def _help(  # noqa: PLR0913 - all that a forked helper knows
     run: Callable[[A], B],
     items: Sequence[A],
     numbers: int,

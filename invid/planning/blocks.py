@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import InitVar, dataclass, replace
 
 import numpy as np
 
@@ -34,27 +34,28 @@ PRICINGS = 3
 """Times the price of travel and speed is raised before amplitudes are cut."""
 
 
+@dataclass(eq=False)
 class BlockDesigner:
     """Makes blocks of any length and amplitude for one cell, and knows which limits they touch."""
 
-    def __init__(
-        self,
-        config: CellConfig,
-        belief: Belief,
-        noise: Noise,
-        excited: tuple[int, ...],
-        amplitude_scale: float,
-        names: Sequence[str] | None,
-        seed: int,
-        band: tuple[float, float] | None = None,
-    ) -> None:
-        self.config, self.belief, self.noise, self.excited = config, belief, noise, excited
-        self.names, self.seed = names, seed
+    config: CellConfig
+    belief: Belief
+    noise: Noise
+    excited: tuple[int, ...]
+    amplitude_scale: float = 1.0
+    names: Sequence[str] | None = None
+    """Parameters that the goal is about; ``None``: all."""
+    seed: int = 0
+    wanted_band: InitVar[tuple[float, float] | None] = None
+    """Frequencies to excite [Hz]; ``None``: those of the config's multisines."""
+
+    def __post_init__(self, wanted_band: tuple[float, float] | None) -> None:
+        config = self.config
         specs = [s for s in config.experiments if isinstance(s, MultisineSpec) and s.role == "identify"]
-        self.band = band or (
+        self.band = wanted_band or (
             (min(s.band_Hz[0] for s in specs), max(s.band_Hz[1] for s in specs)) if specs else (0.5, 12.0)
         )
-        self.share = amplitude_scale * max((s.amplitude for s in specs), default=0.7)
+        self.share = self.amplitude_scale * max((s.amplitude for s in specs), default=0.7)
         self.creep = max((s.creep_velocity for s in specs), default=0.0)
         self.limits = np.array([a.limits.torque for a in config.axes])
         self.prices = (np.zeros(len(config.axes)), np.zeros(len(config.axes)))

@@ -57,7 +57,7 @@ def interleaved(lines: Int64, excited: Sequence[int], turn: int = 0) -> Int64:
     return result
 
 
-def line_design(
+def line_design(  # noqa: PLR0913 - the terms of the optimum
     belief: Belief,
     lines: Int64,
     spacing_hz: float,
@@ -105,9 +105,8 @@ def line_design(
         power = _normalised(robust / cost, axis)
         return LineDesign(lines, axis, np.sqrt(power), travel, speed)
     torque: Complex128 = np.asarray(push - law * theta, dtype=np.complex128)
-    matrices = _information(
-        structure, belief, omega, motion, plant, theta, torque, torque_noise, position_noise
-    )
+    response = _Response(omega, motion, plant, theta, torque)
+    matrices = _information(structure, belief, response, torque_noise, position_noise)
     weight = _normalised(np.full(lines.size, 1.0) / cost, axis)
     importance = np.where(np.isfinite(goal_scale), 1.0 / goal_scale, 0.0)
     importance = np.concatenate((importance, np.zeros(matrices.shape[1] - importance.size)))
@@ -142,18 +141,31 @@ def _vector(structure: ChainStructure, belief: Belief) -> Float64:
     return p
 
 
+@dataclass(frozen=True, eq=False)
+class _Response:
+    """The held cell under unit torque on each line.
+
+    ``omega`` (L,) [rad/s], ``motion`` (L, ΣN, M) of all coordinates per motor motion, ``plant`` (L, M, M)
+    dynamic stiffness at the motors, ``theta`` and ``torque`` (L, M) of the motors, loops included.
+    """
+
+    omega: Float64
+    motion: Complex128
+    plant: Complex128
+    theta: Complex128
+    torque: Complex128
+
+
 def _information(
     structure: ChainStructure,
     belief: Belief,
-    omega: Float64,
-    motion: Complex128,
-    plant: Complex128,
-    theta: Complex128,
-    torque: Complex128,
+    response: _Response,
     torque_noise: Float64,
     position_noise: Float64,
 ) -> Float64:
     """(L, n + M, n + M) Fisher information of unit torque on each line; time offsets are the last M."""
+    omega, motion, plant = response.omega, response.motion, response.plant
+    theta, torque = response.theta, response.torque
     q = np.einsum("fqm,fm->fq", motion, theta)
     jacobian = structure.torque_derivative(_vector(structure, belief), omega, motion, q[None])[0]
     offset = np.zeros((omega.size, structure.motors, structure.motors), dtype=complex)

@@ -8,7 +8,7 @@ up to the limits, and blocks of reserve follow the expected ones.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -93,7 +93,7 @@ class GoalPlan:
         }
 
 
-def plan_for_goal(
+def plan_for_goal(  # noqa: PLR0913 - what is known of the cell, and what a person may wish of the plan
     config: CellConfig,
     belief: Belief,
     noise: Noise,
@@ -149,7 +149,7 @@ def plan_for_goal(
         best = (blocks, reached)
         first = first or reached.worst[1]
         if reached.worst[1] <= MARGIN * goal:
-            return _finish(designer, blocks, reached, length, goal, plan_of, max_duration_s)
+            return _finish(designer, _Layout(blocks, reached, length), goal, plan_of, max_duration_s)
     blocks, reached = best if best is not None else ([], designer.expected([]))
     length = lengths[-1]
     while MARGIN * goal < reached.worst[1] < np.inf:
@@ -160,7 +160,7 @@ def plan_for_goal(
             break
         blocks += [designer.block(length, len(blocks) + k, 1.0) for k in range(min(more, room))]
         reached = designer.expected(blocks)
-    return _finish(designer, blocks, reached, length, goal, plan_of, max_duration_s)
+    return _finish(designer, _Layout(blocks, reached, length), goal, plan_of, max_duration_s)
 
 
 def informative_band(
@@ -168,19 +168,27 @@ def informative_band(
 ) -> tuple[float, float]:
     """The frequencies [Hz] that tell about the named parameters when ``axes`` are excited."""
     excited = tuple(i for i, a in enumerate(config.axes) if a.name in axes)
-    return BlockDesigner(config, belief, noise, excited, 1.0, names, 0).informative(BLOCKS_S[-1])
+    return BlockDesigner(config, belief, noise, excited, names=names).informative(BLOCKS_S[-1])
+
+
+@dataclass(frozen=True, eq=False)
+class _Layout:
+    """Blocks of one length [s] at full amplitude, and what is expected of them."""
+
+    blocks: list[PlannedExperiment]
+    expected: Expected
+    length: float
 
 
 def _finish(
     designer: BlockDesigner,
-    blocks: list[PlannedExperiment],
-    reached: Expected,
-    length: float,
+    layout: _Layout,
     goal: float,
-    plan_of: Any,
+    plan_of: Callable[[Sequence[PlannedExperiment]], Plan],
     max_duration_s: float,
 ) -> GoalPlan:
     """Lowest amplitude that does, then rising ones, then reserve."""
+    blocks, reached, length = layout.blocks, layout.expected, layout.length
     reachable = reached.worst[1] <= goal
     rungs = [1.0] * len(blocks)
     if reachable and len(blocks) == 1:

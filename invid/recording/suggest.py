@@ -70,6 +70,15 @@ class Suggestion:
         return "\n".join(lines) + "\n" + _yaml(self.document, 0)
 
 
+@dataclass(frozen=True)
+class _Notes:
+    """What a suggestion says of itself, as it grows: see ``Suggestion``."""
+
+    reasons: list[str]
+    unsure: list[str]
+    asked: dict[str, str]
+
+
 def _yaml(value: Any, depth: int) -> str:
     pad = "  " * depth
     text = ""
@@ -88,9 +97,8 @@ def _yaml(value: Any, depth: int) -> str:
 
 def suggest(table: Table, path: Path) -> Suggestion:
     """A first map for the columns of ``table``."""
-    reasons: list[str] = list(table.reasons)
-    unsure: list[str] = []
-    asked: dict[str, str] = {}
+    notes = _Notes(list(table.reasons), [], {})
+    reasons, unsure, asked = notes.reasons, notes.unsure, notes.asked
     tool = tool_of(table.columns)
     if tool:
         reasons.append(f"the names are those of {tool}")
@@ -113,7 +121,7 @@ def suggest(table: Table, path: Path) -> Suggestion:
             document["source"]["names"] = list(table.columns)
     document["time"], time_column = _time(table, reasons, unsure, asked)
     axes = _axes(table, time_column, tool, reasons, unsure)
-    document["axes"] = [_axis(name, a, table, tool, reasons, unsure, asked) for name, a in axes.items()]
+    document["axes"] = [_axis(name, a, table, tool, notes) for name, a in axes.items()]
     document["axes"] = [a for a in document["axes"] if a] or _input_output(table, unsure)
     experiment: dict[str, Any] = {"rows": [0, None], "role": "identify", "kind": "other"}
     if document["axes"]:
@@ -312,10 +320,9 @@ def _axis(
     axis: _Axis,
     table: Table,
     tool: str | None,
-    reasons: list[str],
-    unsure: list[str],
-    asked: dict[str, str],
+    notes: _Notes,
 ) -> dict[str, Any]:
+    reasons, unsure, asked = notes.reasons, notes.unsure, notes.asked
     torque = axis.torque or axis.torque_demand
     motion = axis.position or axis.velocity
     if torque is None or motion is None:

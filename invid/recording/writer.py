@@ -60,7 +60,7 @@ class RecordingWriter:
         except OSError as error:
             raise RecordingError(f"{self.path}: cannot be written: {error.strerror or error}") from None
 
-    def begin(
+    def begin(  # noqa: PLR0913 - the contract: the attributes of an experiment
         self,
         *,
         kind: Kind,

@@ -54,7 +54,7 @@ WORDS: Mapping[str, str] = {
 _QUIET, _CHANGED = "var(--quiet, var(--ink, #1b1c1d))", "var(--before, #c85200)"
 
 
-def branch_drawing(
+def branch_drawing(  # noqa: PLR0913 - all but the model may be left out of the picture
     model: Model,
     findings: Sequence[Finding] = (),
     unexplained: Unexplained | None = None,

@@ -58,6 +58,10 @@ class Multisine:
         return samples
 
 
+DRAWS, ITERATIONS = 24, 60
+"""Random phase sets of a multisine, and clippings of the best; the crest factor hardly falls beyond."""
+
+
 def line_numbers(
     period_s: float,
     band: tuple[float, float],
@@ -101,12 +105,10 @@ def multisine(
     rng: np.random.Generator,
     rotations: npt.ArrayLike = (0.0,),
     shape: npt.ArrayLike | None = None,
-    draws: int = 24,
-    iterations: int = 60,
 ) -> Multisine:
     """Random-phase multisine with amplitudes ∝ f^−½ and a low crest factor.
 
-    The best of ``draws`` random phase sets is improved by clipping in time and keeping the phases in
+    The best of ``DRAWS`` random phase sets is improved by clipping in time and keeping the phases in
     frequency (van der Ouderaa's swapping); the objective is the largest peak over all ``rotations``,
     because every one of them is played on some axis in some experiment. Amplitudes are scaled so that
     this peak is 1.
@@ -128,15 +130,15 @@ def multisine(
         waves: Float64 = np.fft.irfft(spectrum, n=grid, axis=1)
         return float(np.abs(waves).max()), waves
 
-    starts = rng.uniform(0, 2 * np.pi, size=(draws, numbers.size))
+    starts = rng.uniform(0, 2 * np.pi, size=(DRAWS, numbers.size))
     best = min((peaks(p)[0], i) for i, p in enumerate(starts))[1]
     phases, smallest = starts[best], np.inf
     trial = phases
-    for step in range(iterations):
+    for step in range(ITERATIONS):
         peak, waves = peaks(trial)
         if peak < smallest:
             phases, smallest = trial, peak
-        level = peak * (0.8 + 0.15 * step / iterations)
+        level = peak * (0.8 + 0.15 * step / ITERATIONS)
         clipped = np.fft.rfft(np.clip(waves, -level, level), axis=1)[:, numbers]
         # every rotation votes for the phases it would like, turned back to the common ones
         trial = np.angle(np.sum(clipped * np.exp(-1j * turns[:, None]), axis=0))

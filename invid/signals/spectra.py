@@ -420,7 +420,7 @@ def _windowed(values: Float64, lines: int) -> Complex128:
     return _amplitudes([values * window], lines)[:, 0]
 
 
-def _assemble(
+def _assemble(  # noqa: PLR0913 - the fields of LineSpectra
     experiment: Experiment,
     data: UniformRecord,
     hz: Float64,

@@ -11,7 +11,132 @@ from typing import Any
 
 import numpy as np
 
-from invid.numerics.compiled import compiled
+from invid.numerics.compiled import compiled, inlined
+
+
+@inlined
+def _law(
+    e: int,
+    law: int,
+    qa: float,
+    va: float,
+    qb: float,
+    vb: float,
+    parameters: Any,
+    tables: Any,
+    memory: Any,
+) -> float:
+    """Force of law ``e`` on its end a; q, v: position and velocity of its ends a and b (0: ground)."""
+    f = 0.0
+    if law == 1:
+        f = -(parameters[e, 0] if va > 0 else parameters[e, 1]) * va
+    elif law == 2 or law == 7:
+        place = qa - qb if law == 7 else qa
+        most = parameters[e, 1] / parameters[e, 0]
+        z = memory[e, 0] + place - memory[e, 1]
+        z = min(max(z, -most), most)
+        memory[e, 0] = z
+        memory[e, 1] = place
+        f = -parameters[e, 0] * z
+    elif law == 3:
+        f = -parameters[e, 0] * np.sin(parameters[e, 1] * qa + parameters[e, 2])
+    elif law == 4:
+        f = -parameters[e, 0]
+    elif law == 5:
+        d = qa - qb
+        f = -parameters[e, 0] * d * d * d
+    elif law == 6:
+        # the linear spring and damper are in the matrices: give back what the gap takes
+        d, half = qa - qb, parameters[e, 0]
+        if d > half:
+            f = parameters[e, 1] * half
+        elif d < -half:
+            f = -parameters[e, 1] * half
+        else:
+            f = parameters[e, 1] * d + parameters[e, 2] * (va - vb)
+    elif law == 9:
+        of = qa - qb
+        if parameters[e, 0] != 0.0:
+            # The velocity half a sub-step on, as the positions are.
+            of = 1.5 * (va - vb) - 0.5 * memory[e, 1]
+            memory[e, 1] = va - vb
+        memory[e, 0] = max(memory[e, 0], abs(of))
+        row, last = int(parameters[e, 2]), tables.shape[1] - 1
+        at = (of / parameters[e, 1] + 1.0) * 0.5 * last
+        # Straight on beyond the ends.
+        cell = min(max(int(np.floor(at)), 0), last - 1)
+        f = -(tables[row, cell] + (at - cell) * (tables[row, cell + 1] - tables[row, cell]))
+    return f
+
+
+@inlined
+def _forces(
+    force: Any, state: Any, kinds: Any, parameters: Any, tables: Any, memory: Any, step: float
+) -> None:
+    """Into ``force`` (n,) what all laws but dry friction give in the middle of a sub-step."""
+    dofs = force.size
+    for d in range(dofs):
+        force[d] = 0.0
+    for e in range(kinds.shape[0]):
+        law, a, b = int(kinds[e, 0]), int(kinds[e, 1]), int(kinds[e, 2])
+        if law == 0:
+            continue
+        va = state[dofs + a]
+        qa = state[a] + 0.5 * step * va
+        vb = 0.0
+        qb = 0.0
+        if b >= 0:
+            vb = state[dofs + b]
+            qb = state[b] + 0.5 * step * vb
+        if law == 8:
+            angle = parameters[e, 1] * qa + parameters[e, 2]
+            error = parameters[e, 0] * np.sin(angle)
+            slope = parameters[e, 0] * parameters[e, 1] * np.cos(angle)
+            stretch = qa - qb
+            force[a] += parameters[e, 3] * (stretch - (stretch - error) * (1.0 - slope))
+            force[b] -= parameters[e, 3] * error
+            continue
+        f = _law(e, law, qa, va, qb, vb, parameters, tables, memory)
+        force[a] += f
+        if b >= 0:
+            force[b] -= f
+
+
+@inlined
+def _add_dry_friction(
+    fresh: Any, impulse: Any, state: Any, kinds: Any, parameters: Any, force_input: Any, sweeps: int
+) -> None:
+    """Dry friction that stops its masses at the end of the sub-step, as far as its levels reach."""
+    dofs, laws = state.size // 2, kinds.shape[0]
+    for e in range(laws):
+        impulse[e] = 0.0
+    for _ in range(sweeps):
+        for e in range(laws):
+            if kinds[e, 0] != 0:
+                continue
+            a = int(kinds[e, 1])
+            near = 0.0
+            if parameters[e, 2] != 0.0 or parameters[e, 4] != 0.0:
+                ratio = abs(state[dofs + a]) / parameters[e, 3]
+                near = np.exp(-(ratio ** parameters[e, 5]))
+            up = max(parameters[e, 0] + near * parameters[e, 2], 0.0)
+            down = max(parameters[e, 1] + near * parameters[e, 4], 0.0)
+            stop = impulse[e] - fresh[dofs + a] / force_input[dofs + a, a]
+            wanted = min(max(stop, -up), down)
+            change = wanted - impulse[e]
+            impulse[e] = wanted
+            if change != 0.0:
+                for r in range(state.size):
+                    fresh[r] += force_input[r, a] * change
+
+
+@inlined
+def _keep(place: Any, state: Any, motors: Any) -> None:
+    """Position and velocity of every motor into ``place`` (M, 2)."""
+    dofs = state.size // 2
+    for i in range(motors.size):
+        place[i, 0] = state[motors[i]]
+        place[i, 1] = state[dofs + motors[i]]
 
 
 @compiled
@@ -48,9 +173,7 @@ def march(
             dry += 1
     for k in range(steps):
         if k % every == 0:
-            for i in range(count):
-                positions[k // every, i, 0] = state[motors[i]]
-                positions[k // every, i, 1] = state[dofs + motors[i]]
+            _keep(positions[k // every], state, motors)
         for r in range(size):
             total = 0.0
             for c in range(size):
@@ -59,96 +182,16 @@ def march(
                 total += input_now[r, c] * torque[k, c] + input_next[r, c] * torque[k + 1, c]
             fresh[r] = total
         if laws > 0:
-            for d in range(dofs):
-                force[d] = 0.0
-            for e in range(laws):
-                law, a, b = int(kinds[e, 0]), int(kinds[e, 1]), int(kinds[e, 2])
-                if law == 0:
-                    continue
-                va = state[dofs + a]
-                qa = state[a] + 0.5 * step * va
-                vb = 0.0
-                qb = 0.0
-                if b >= 0:
-                    vb = state[dofs + b]
-                    qb = state[b] + 0.5 * step * vb
-                f = 0.0
-                if law == 1:
-                    f = -(parameters[e, 0] if va > 0 else parameters[e, 1]) * va
-                elif law == 2 or law == 7:
-                    place = qa - qb if law == 7 else qa
-                    most = parameters[e, 1] / parameters[e, 0]
-                    z = memory[e, 0] + place - memory[e, 1]
-                    z = min(max(z, -most), most)
-                    memory[e, 0] = z
-                    memory[e, 1] = place
-                    f = -parameters[e, 0] * z
-                elif law == 3:
-                    f = -parameters[e, 0] * np.sin(parameters[e, 1] * qa + parameters[e, 2])
-                elif law == 4:
-                    f = -parameters[e, 0]
-                elif law == 5:
-                    d = qa - qb
-                    f = -parameters[e, 0] * d * d * d
-                elif law == 6:
-                    # the linear spring and damper are in the matrices: give back what the gap takes
-                    d, half = qa - qb, parameters[e, 0]
-                    if d > half:
-                        f = parameters[e, 1] * half
-                    elif d < -half:
-                        f = -parameters[e, 1] * half
-                    else:
-                        f = parameters[e, 1] * d + parameters[e, 2] * (va - vb)
-                elif law == 9:
-                    x = qa - qb
-                    if parameters[e, 0] != 0.0:
-                        # The velocity half a sub-step on, as the positions are.
-                        x = 1.5 * (va - vb) - 0.5 * memory[e, 1]
-                        memory[e, 1] = va - vb
-                    memory[e, 0] = max(memory[e, 0], abs(x))
-                    row, last = int(parameters[e, 2]), tables.shape[1] - 1
-                    at = (x / parameters[e, 1] + 1.0) * 0.5 * last
-                    # Straight on beyond the ends.
-                    cell = min(max(int(np.floor(at)), 0), last - 1)
-                    f = -(tables[row, cell] + (at - cell) * (tables[row, cell + 1] - tables[row, cell]))
-                elif law == 8:
-                    angle = parameters[e, 1] * qa + parameters[e, 2]
-                    error = parameters[e, 0] * np.sin(angle)
-                    slope = parameters[e, 0] * parameters[e, 1] * np.cos(angle)
-                    d = qa - qb
-                    force[a] += parameters[e, 3] * (d - (d - error) * (1.0 - slope))
-                    force[b] -= parameters[e, 3] * error
-                force[a] += f
-                if b >= 0 and law != 8:
-                    force[b] -= f
+            _forces(force, state, kinds, parameters, tables, memory, step)
             for d in range(dofs):
                 if force[d] != 0.0:
                     for r in range(size):
                         fresh[r] += force_input[r, d] * force[d]
             if dry > 0:
-                for e in range(laws):
-                    impulse[e] = 0.0
-                for _ in range(1 if dry == 1 else 10):
-                    for e in range(laws):
-                        if kinds[e, 0] != 0:
-                            continue
-                        a = int(kinds[e, 1])
-                        near = 0.0
-                        if parameters[e, 2] != 0.0 or parameters[e, 4] != 0.0:
-                            ratio = abs(state[dofs + a]) / parameters[e, 3]
-                            near = np.exp(-(ratio ** parameters[e, 5]))
-                        up = max(parameters[e, 0] + near * parameters[e, 2], 0.0)
-                        down = max(parameters[e, 1] + near * parameters[e, 4], 0.0)
-                        stop = impulse[e] - fresh[dofs + a] / force_input[dofs + a, a]
-                        wanted = min(max(stop, -up), down)
-                        change = wanted - impulse[e]
-                        impulse[e] = wanted
-                        if change != 0.0:
-                            for r in range(size):
-                                fresh[r] += force_input[r, a] * change
+                _add_dry_friction(
+                    fresh, impulse, state, kinds, parameters, force_input, 1 if dry == 1 else 10
+                )
         for r in range(size):
             state[r] = fresh[r]
     if steps % every == 0:
-        for i in range(count):
-            positions[steps // every, i, 0] = state[motors[i]]
-            positions[steps // every, i, 1] = state[dofs + motors[i]]
+        _keep(positions[steps // every], state, motors)

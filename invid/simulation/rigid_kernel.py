@@ -11,7 +11,107 @@ from typing import Any
 
 import numpy as np
 
-from invid.numerics.compiled import compiled
+from invid.numerics.compiled import compiled, inlined
+
+
+@inlined
+def _table(tables: Any, row: int, largest: float, x: float) -> float:
+    """Resistance at ``x`` by row ``row`` of the tables, straight on beyond its ends."""
+    last = tables.shape[1] - 1
+    at = (x / largest + 1.0) * 0.5 * last
+    cell = min(max(int(np.floor(at)), 0), last - 1)
+    found: float = tables[row, cell] + (at - cell) * (tables[row, cell + 1] - tables[row, cell])
+    return found
+
+
+@inlined
+def _add_axis_forces(
+    force: Any,
+    load: Any,
+    effective: Any,
+    q: Any,
+    v: Any,
+    smooth: Any,
+    dry: Any,
+    static: Any,
+    tables: Any,
+    step: float,
+) -> None:
+    """Springs, weight, viscous friction and tables of every axis by itself; ``load`` is set anew."""
+    for i in range(q.size):
+        viscous = dry[i, 2] if v[i] > 0 else dry[i, 3]
+        spring = q[i] * (smooth[i, 0] + q[i] * (smooth[i, 1] + q[i] * smooth[i, 2]))
+        weight = smooth[i, 4] * np.sin(q[i]) + smooth[i, 5] * np.cos(q[i])
+        force[i] = force[i] - spring - smooth[i, 3] - weight - viscous * v[i]
+        load[i] = weight + dry[i, 9] * smooth[i, 3]
+        for r in range(static.shape[0]):
+            if int(static[r, 0]) == i:
+                force[i] -= _table(tables, r, static[r, 2], q[i] if static[r, 1] == 0.0 else v[i])
+        # Half of the step's viscous force at its end: second order, and stable for any coefficient.
+        effective[i, i] += 0.5 * step * viscous
+
+
+@inlined
+def _add_second_link(q: Any, v: Any, carried: Any, dry: Any, effective: Any, force: Any, load: Any) -> None:
+    """What the second of two links in series adds to inertia, force and load of both."""
+    c, n = np.cos(q[1]), np.sin(q[1])
+    b = carried[0] * c - carried[1] * n
+    slope = -carried[0] * n - carried[1] * c
+    effective[0, 0] += 2 * b
+    effective[0, 1] += b
+    effective[1, 0] += b
+    force[0] -= slope * (2 * v[0] * v[1] + v[1] * v[1])
+    force[1] += slope * v[0] * v[0]
+    weight = carried[2] * np.sin(q[0] + q[1]) + carried[3] * np.cos(q[0] + q[1])
+    force[0] -= weight
+    force[1] -= weight
+    load[0] += weight + dry[0, 9] * slope * (2 * v[0] * v[1] + v[1] * v[1])
+    load[1] += weight - dry[1, 9] * slope * v[0] * v[0]
+
+
+@inlined
+def _invert(effective: Any, inverse: Any) -> None:
+    """Inverse of the inertia matrix, which is left as the unit matrix."""
+    axes = effective.shape[0]
+    if axes == 1:
+        inverse[0, 0] = 1.0 / effective[0, 0]
+    else:
+        # Gauss–Jordan without pivoting: an inertia matrix is positive definite.
+        for i in range(axes):
+            for j in range(axes):
+                inverse[i, j] = 1.0 if i == j else 0.0
+        for p in range(axes):
+            pivot = effective[p, p]
+            for j in range(axes):
+                effective[p, j] /= pivot
+                inverse[p, j] /= pivot
+            for i in range(axes):
+                if i != p:
+                    factor = effective[i, p]
+                    for j in range(axes):
+                        effective[i, j] -= factor * effective[p, j]
+                        inverse[i, j] -= factor * inverse[p, j]
+
+
+@inlined
+def _stop_by_dry_friction(
+    change: Any, impulse: Any, v: Any, load: Any, dry: Any, inverse: Any, step: float
+) -> None:
+    """Velocities ``change`` at the end of the step with what dry friction takes from them."""
+    axes = change.size
+    for _ in range(1 if axes == 1 else 10):
+        for i in range(axes):
+            excess = 0.0
+            if dry[i, 6] > 0:
+                excess = np.exp(-((abs(v[i]) / dry[i, 6]) ** dry[i, 7]))
+            heavy = dry[i, 8] * abs(load[i])
+            up = step * max(dry[i, 0] + excess * dry[i, 4] + heavy, 0.0)
+            down = step * max(dry[i, 1] + excess * dry[i, 5] + heavy, 0.0)
+            stop = impulse[i] + change[i] / inverse[i, i]
+            wanted = min(max(stop, -down), up)
+            for j in range(axes):
+                change[j] -= inverse[j, i] * (wanted - impulse[i])
+            impulse[i] = wanted
 
 
 @compiled
@@ -68,6 +168,7 @@ def march(
         for i in range(axes):
             out[k, i] = q[i]
             earlier[i], command[i] = command[i], 0.0
+            acted[k, i] = torque[k * substeps, i]
             if law[i, 0] > 0:
                 # A digital controller knows the velocity as a difference of its own samples.
                 span = int(law[i, 4])
@@ -76,87 +177,30 @@ def march(
                 command[i] = law[i, 1] * (reference[k, i] - q[i]) - law[i, 2] * rate
                 command[i] += torque[k * substeps, i]
                 command[i] = min(max(command[i], -law[i, 3]), law[i, 3])
+                acted[k, i] = command[i]
             if k == 0:
                 earlier[i] = command[i]
-            acted[k, i] = command[i] if law[i, 0] > 0 else torque[k * substeps, i]
         if k == count - 1:
             break
         for s in range(substeps):
             for i in range(axes):
-                for j in range(axes):
-                    effective[i, j] = mass[i, j]
-            for i in range(axes):
-                acting = torque[k * substeps + s, i]
+                force[i] = torque[k * substeps + s, i]
                 if law[i, 0] > 0:
-                    acting = earlier[i] if s < law[i, 5] else command[i]
-                viscous = dry[i, 2] if v[i] > 0 else dry[i, 3]
-                angle = q[i]
-                spring = q[i] * (smooth[i, 0] + q[i] * (smooth[i, 1] + q[i] * smooth[i, 2]))
-                weight = smooth[i, 4] * np.sin(angle) + smooth[i, 5] * np.cos(angle)
-                force[i] = acting - spring - smooth[i, 3] - weight - viscous * v[i]
-                load[i] = weight + dry[i, 9] * smooth[i, 3]
-                for r in range(static.shape[0]):
-                    if int(static[r, 0]) == i:
-                        x = q[i] if static[r, 1] == 0.0 else v[i]
-                        last = tables.shape[1] - 1
-                        at = (x / static[r, 2] + 1.0) * 0.5 * last
-                        cell = min(max(int(np.floor(at)), 0), last - 1)
-                        force[i] -= tables[r, cell] + (at - cell) * (tables[r, cell + 1] - tables[r, cell])
-                # Half of the step's viscous force at its end: second order, and stable for any coefficient.
-                effective[i, i] += 0.5 * step * viscous
+                    force[i] = earlier[i] if s < law[i, 5] else command[i]
+            effective[:] = mass
+            _add_axis_forces(force, load, effective, q, v, smooth, dry, static, tables, step)
             if carried[4] > 0:
-                c, n = np.cos(q[1]), np.sin(q[1])
-                b = carried[0] * c - carried[1] * n
-                slope = -carried[0] * n - carried[1] * c
-                effective[0, 0] += 2 * b
-                effective[0, 1] += b
-                effective[1, 0] += b
-                force[0] -= slope * (2 * v[0] * v[1] + v[1] * v[1])
-                force[1] += slope * v[0] * v[0]
-                weight = carried[2] * np.sin(q[0] + q[1]) + carried[3] * np.cos(q[0] + q[1])
-                force[0] -= weight
-                force[1] -= weight
-                load[0] += weight + dry[0, 9] * slope * (2 * v[0] * v[1] + v[1] * v[1])
-                load[1] += weight - dry[1, 9] * slope * v[0] * v[0]
+                _add_second_link(q, v, carried, dry, effective, force, load)
             for i in range(axes):
                 for j in range(axes):
                     load[i] += dry[i, 9] * effective[i, j] * acceleration[j]
-            if axes == 1:
-                inverse[0, 0] = 1.0 / effective[0, 0]
-            else:
-                # Gauss–Jordan without pivoting: an inertia matrix is positive definite.
-                for i in range(axes):
-                    for j in range(axes):
-                        inverse[i, j] = 1.0 if i == j else 0.0
-                for p in range(axes):
-                    pivot = effective[p, p]
-                    for j in range(axes):
-                        effective[p, j] /= pivot
-                        inverse[p, j] /= pivot
-                    for i in range(axes):
-                        if i != p:
-                            factor = effective[i, p]
-                            for j in range(axes):
-                                effective[i, j] -= factor * effective[p, j]
-                                inverse[i, j] -= factor * inverse[p, j]
+            _invert(effective, inverse)
             for i in range(axes):
                 change[i] = v[i]
                 for j in range(axes):
                     change[i] += step * inverse[i, j] * force[j]
                 impulse[i] = 0.0
-            for _ in range(1 if axes == 1 else 10):
-                for i in range(axes):
-                    excess = 0.0
-                    if dry[i, 6] > 0:
-                        excess = np.exp(-((abs(v[i]) / dry[i, 6]) ** dry[i, 7]))
-                    heavy = dry[i, 8] * abs(load[i])
-                    up = step * max(dry[i, 0] + excess * dry[i, 4] + heavy, 0.0)
-                    down = step * max(dry[i, 1] + excess * dry[i, 5] + heavy, 0.0)
-                    stop = impulse[i] + change[i] / inverse[i, i]
-                    wanted = min(max(stop, -down), up)
-                    for j in range(axes):
-                        change[j] -= inverse[j, i] * (wanted - impulse[i])
-                    impulse[i] = wanted
+            _stop_by_dry_friction(change, impulse, v, load, dry, inverse, step)
             for i in range(axes):
                 acceleration[i] = (change[i] - v[i]) / step
                 v[i] = change[i]

@@ -144,7 +144,7 @@ def _simulate_one(
     def answer(start: Float64, added: Float64 | None = None) -> Float64:
         drive_ = given if added is None else replace(given, applied=given.applied + given.refined(added))
         for _ in range(_TABLE_ROUNDS):
-            motion, memory = _march(start, pieces, drive_, *tabled.made, motors, every=given.substeps)
+            motion, memory = _march(start, pieces, drive_, tabled.made, motors)
             if tabled.reaches(memory):
                 break
         return motion
@@ -214,13 +214,11 @@ def _march(
     start: Float64,
     pieces: list[_Piece],
     given: Drive,
-    kinds: Float64,
-    parameters: Float64,
-    tables: Float64,
+    laws: tuple[Float64, Float64, Float64],
     motors: np.ndarray,
-    every: int,
 ) -> tuple[Float64, Float64]:
-    """(n, M, 2) motion of the motors and what the laws remember (E, 2)."""
+    """(n, M, 2) motion of the motors and what the laws remember (E, 2); ``laws``: see ``_Tables.made``."""
+    (kinds, parameters, tables), every = laws, given.substeps
     states = start.size - motors.size
     state, applied = start[:states].copy(), given.applied + start[states:]
     memory = np.zeros((kinds.shape[0], 2))

@@ -209,16 +209,16 @@ class Motion:
         held = [mode is Mode.HOLD for mode in self._modes]
         rated = self.cell.rated_torque
         self.watching.resting = {i for i in range(self.count) if first and held[i]}
-        rows = self.play(None, round(SETTLE_S / self.plan.cycle_s), log=True)
+        rows = self.play(None, round(SETTLE_S / self.plan.cycle_s))
         self.watching.words.learn_rest()
         half = len(rows.torque) // 2
         self.loads = judge_loads(self.config, rows.torque[half:], rows.fresh[half:], held, rated)
         if any(load.loaded for load in self.loads):  # one must be sure of it, and of its torque
             done = self.done_s
-            rows = self.play(None, round(CONFIRM_S / self.plan.cycle_s), log=True)
+            rows = self.play(None, round(CONFIRM_S / self.plan.cycle_s))
             self.loads = judge_loads(self.config, rows.torque, rows.fresh, held, rated)
             if any(load.said for load in self.loads):  # a person who leans on it is no load
-                rows = self.play(None, round(CONFIRM_S / self.plan.cycle_s), log=True)
+                rows = self.play(None, round(CONFIRM_S / self.plan.cycle_s))
                 self.loads = judge_loads(self.config, rows.torque, rows.fresh, held, rated)
             self.done_s = done  # no part of the plan
         self.watching.resting = set()
@@ -239,9 +239,8 @@ class Motion:
         scale: float = 1.0,
         sink: Sink | None = None,
         rows: tuple[int, int] = (0, 0),
-        log: bool = False,
     ) -> Log:
-        """Run ``cycles`` cycles around the feedback; the log has rows only where ``log`` is set.
+        """Run ``cycles`` cycles around the feedback; the log has rows only where no ``sink`` takes them.
 
         ``torque`` and ``reference`` are (n, M); their last row stands for every later one. Rows become
         lists one at a time: half an hour at once would stall the cycle and take gigabytes.
@@ -291,7 +290,7 @@ class Motion:
             if sink is not None and first <= k < last:
                 self._recorded = True
                 sink.row(sample, demand)
-            if log:
+            if sink is None:
                 kept[0].append(list(demand))
                 kept[1].append(list(sample.torque))
                 kept[2].append(list(sample.position))
@@ -401,7 +400,7 @@ class Motion:
             while f.gains.stiffness * away + f.gains.damping * speed > most and lowest > CATCH_LEAST_HZ:
                 lowest /= 2
                 f.gains = centring(self.inertia.get(i) or self.plan.inertia[i] or 0.0, lowest, cycle)
-        return self.play(None, round(self.plan.rest_s / cycle), log=True)
+        return self.play(None, round(self.plan.rest_s / cycle))
 
     def _hold_gains(self, axis: int) -> Gains | None:
         """Gains of a held axis; ``None``: inside the drive."""

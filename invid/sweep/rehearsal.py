@@ -210,7 +210,7 @@ class Rehearsal:
 
         def play(first: int, last: int) -> Log:
             part = None if path is None else path[first:last]
-            return motion.play(rows[first:last], last - first, reference=part, log=True)
+            return motion.play(rows[first:last], last - first, reference=part)
 
         opening = play(0, fade)
         motion.watching.excited = excited if moves else set()

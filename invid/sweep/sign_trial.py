@@ -126,7 +126,7 @@ class SignTrial:
         rows = np.zeros((wave.size + 2 * quiet, motion.count))
         rows[quiet:-quiet, axis] = wave
         motion.watching.words.begin()
-        kept = motion.play(rows, len(rows), log=True)
+        kept = motion.play(rows, len(rows))
         motion.watching.words.require_no_limit([axis], f"{amplitude:.3g} {self._torque_unit}")
         if self._calm is None:
             self._calm = _swing(kept.torque[:quiet], kept.fresh[:quiet])

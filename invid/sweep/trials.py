@@ -72,7 +72,7 @@ def sign_score(found: Sequence[Response]) -> float:
     return float(score)
 
 
-def response(
+def response(  # noqa: PLR0913 - the columns of one record, and the steps of its sensors
     time: Float64,
     demand: Float64,
     torque: Float64,

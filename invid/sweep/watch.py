@@ -157,19 +157,7 @@ class Watch:
         if sample.events:
             self._events(sample)
         self.statistics.cycles += 1
-        if self._last_slot is not None:
-            skipped = sample.slot - self._last_slot - 1
-            if skipped:
-                self.statistics.skipped_slots += skipped
-                if skipped > self._most_skipped:
-                    raise SafetyStop(
-                        f"the computer was late for {skipped} SYNC slots in a row "
-                        f"({skipped * self._cycle * 1e3:.0f} ms)",
-                        way_out="stop other programs on it or lengthen bus.cycle_s",
-                        code="computer_late",
-                    )
-        self._last_slot = sample.slot
-        positions = sample.position
+        self._check_slot(sample.slot)
         origin = self._origin
         if origin is None:
             return
@@ -187,63 +175,86 @@ class Watch:
                     code="drive_left",
                     axis=limit.name,
                 )
-            travel = abs(positions[i] - origin[i])
-            if travel > self._travel[i]:
-                self._travel[i] = travel
-                if travel > limit.position:
-                    raise SafetyStop(
-                        f"axis {limit.name}: position left its window: {travel:.4g} {limit.unit} from "
-                        f"the start, limit {limit.position:g}",
-                        way_out="lower the amplitude or widen the window",
-                        code="position_window",
-                        axis=limit.name,
-                    )
-                if i in self.resting and travel > REST_SHARE * limit.position:
-                    raise SafetyStop(
-                        f"axis {limit.name}: moved by {travel:.3g} {limit.unit} though its drive is to "
-                        "hold it at rest",
-                        way_out="somebody moves it, its load is beyond the drive's torque limit, or a sign "
-                        "is wrong in the drive",
-                        code="not_held",
-                        axis=limit.name,
-                    )
-            # Samples that came, each with its own instant: a stale one would pass for a leap.
-            history = self._history[i]
-            history.append((sample.time, positions[i]))
-            then, before = history[0]
-            dt = sample.time - then
-            if dt > 0:
-                moved = abs(positions[i] - before)
-                speed = (moved - limit.resolution) / dt
-                if speed > self._speed[i]:
-                    self._speed[i] = speed
-                    if speed * dt > limit.velocity * (dt + STAMP_CYCLES * self._cycle):
-                        raise SafetyStop(
-                            f"axis {limit.name}: velocity {speed:.4g} {limit.unit}/s, limit "
-                            f"{limit.velocity:g}",
-                            way_out="lower the amplitude, or look at the encoder if the axis did not move "
-                            "so fast",
-                            code="velocity",
-                            axis=limit.name,
-                        )
-                if i in self.held:
-                    energy += (speed / limit.velocity) ** 2 if speed > 0 else 0.0
-            torque = abs(sample.torque[i])
-            if torque > self._torque[i]:
-                self._torque[i] = torque
-                if torque > TORQUE_MARGIN * limit.torque + TORQUE_NOISE * limit.rated_torque:
-                    raise SafetyStop(
-                        f"axis {limit.name}: torque {torque:.4g} {limit.torque_unit}, limit "
-                        f"{limit.torque:g}: the drive gives more than it was asked for",
-                        way_out="check rated_torque and the drive's tuning",
-                        code="torque",
-                        axis=limit.name,
-                    )
+            self._check_travel(i, limit, abs(sample.position[i] - origin[i]))
+            speed = self._check_speed(i, limit, sample.time, sample.position[i])
+            if speed > 0 and i in self.held:
+                energy += (speed / limit.velocity) ** 2
+            self._check_torque(i, limit, abs(sample.torque[i]))
         self._yielding.check(sample, self.led)
         self._watch_energy(energy)
         self.words.check(sample)
         self._halting.check(sample)
         self.standing.check(sample)
+
+    def _check_slot(self, slot: int) -> None:
+        if self._last_slot is not None:
+            skipped = slot - self._last_slot - 1
+            if skipped:
+                self.statistics.skipped_slots += skipped
+                if skipped > self._most_skipped:
+                    raise SafetyStop(
+                        f"the computer was late for {skipped} SYNC slots in a row "
+                        f"({skipped * self._cycle * 1e3:.0f} ms)",
+                        way_out="stop other programs on it or lengthen bus.cycle_s",
+                        code="computer_late",
+                    )
+        self._last_slot = slot
+
+    def _check_travel(self, i: int, limit: AxisLimits, travel: float) -> None:
+        if travel <= self._travel[i]:
+            return
+        self._travel[i] = travel
+        if travel > limit.position:
+            raise SafetyStop(
+                f"axis {limit.name}: position left its window: {travel:.4g} {limit.unit} from "
+                f"the start, limit {limit.position:g}",
+                way_out="lower the amplitude or widen the window",
+                code="position_window",
+                axis=limit.name,
+            )
+        if i in self.resting and travel > REST_SHARE * limit.position:
+            raise SafetyStop(
+                f"axis {limit.name}: moved by {travel:.3g} {limit.unit} though its drive is to "
+                "hold it at rest",
+                way_out="somebody moves it, its load is beyond the drive's torque limit, or a sign "
+                "is wrong in the drive",
+                code="not_held",
+                axis=limit.name,
+            )
+
+    def _check_speed(self, i: int, limit: AxisLimits, time: float, position: float) -> float:
+        """Speed over the last cycles less one count of the encoder; 0 where there is only one sample."""
+        # Samples that came, each with its own instant: a stale one would pass for a leap.
+        history = self._history[i]
+        history.append((time, position))
+        then, before = history[0]
+        dt = time - then
+        if dt <= 0:
+            return 0.0
+        speed = (abs(position - before) - limit.resolution) / dt
+        if speed > self._speed[i]:
+            self._speed[i] = speed
+            if speed * dt > limit.velocity * (dt + STAMP_CYCLES * self._cycle):
+                raise SafetyStop(
+                    f"axis {limit.name}: velocity {speed:.4g} {limit.unit}/s, limit {limit.velocity:g}",
+                    way_out="lower the amplitude, or look at the encoder if the axis did not move so fast",
+                    code="velocity",
+                    axis=limit.name,
+                )
+        return speed
+
+    def _check_torque(self, i: int, limit: AxisLimits, torque: float) -> None:
+        if torque <= self._torque[i]:
+            return
+        self._torque[i] = torque
+        if torque > TORQUE_MARGIN * limit.torque + TORQUE_NOISE * limit.rated_torque:
+            raise SafetyStop(
+                f"axis {limit.name}: torque {torque:.4g} {limit.torque_unit}, limit "
+                f"{limit.torque:g}: the drive gives more than it was asked for",
+                way_out="check rated_torque and the drive's tuning",
+                code="torque",
+                axis=limit.name,
+            )
 
     def _missing(self, i: int) -> None:
         self._lost[i] += 1

@@ -1,28 +1,14 @@
-"""One run of every kind of fault of the campaign (`benchmarks/bench_faults.py` runs hundreds)."""
+"""One run of every kind of fault of the campaign (`benchmarks/drivers/bench_faults.py` runs hundreds)."""
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
 
+from benchmarks.drivers import bench_faults as campaign
 
-def _campaign() -> ModuleType:
-    path = Path(__file__).parents[2] / "benchmarks" / "bench_faults.py"
-    spec = importlib.util.spec_from_file_location("bench_faults", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["bench_faults"] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-campaign = _campaign()
 # One worker: what numba compiles for the plant is compiled once.
 pytestmark = pytest.mark.xdist_group("faults")
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +10,9 @@ import numpy as np
 import pytest
 from node_master import Master
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
-import bench_real_drives
-from bench_real_drives import Case, cell_config, make_case, run_one
-from plant_judge import Judge, writes
-
+from benchmarks.drivers import bench_real_drives
+from benchmarks.drivers.bench_real_drives import Case, cell_config, make_case, run_one
+from benchmarks.drivers.plant_judge import Judge, writes
 from invid_drivers.cia402.bus import Cia402Cell
 
 # One worker: what numba compiles for the plant is compiled once.

@@ -1,16 +1,13 @@
-"""A few power cuts of the bench (`benchmarks/bench_power_cut.py` makes sixty), and that it can convict."""
+"""A few power cuts of `benchmarks/drivers/bench_power_cut.py`, which makes sixty, and that it can convict."""
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
-import bench_power_cut
-
+from benchmarks.drivers import bench_power_cut
 from invid_drivers.cia402.axis import Drive
 
 # One worker: what numba compiles for the plant is compiled once.

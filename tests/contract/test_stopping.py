@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
 
+from benchmarks.drivers.bench_stopping import TIMER, Run, cell_config, draw
 from invid.config import CellConfig, parse_config
 from invid.errors import ConfigError, DriveError
 from invid.planning.stopping_distance import FEEDBACK, planned_torque
@@ -21,9 +20,6 @@ from invid_drivers.cia402.vendors import VENDORS
 from invid_drivers.connect import connect
 from invid_drivers.measurement import ask_drives
 from invid_drivers.stopping_budgets import plan_within
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
-from bench_stopping import TIMER, Run, cell_config, draw
 
 TIMED = VENDORS.pop(TIMER)
 """The benchmark's own drive: in the table only while a test of this file runs."""

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import re
-import sys
 from collections.abc import Sequence
 
 import pytest
 from pages import ROOT
 
-sys.path.insert(0, str(ROOT / "benchmarks"))
-import page as benchmarks_page
+from benchmarks import page as benchmarks_page
 
 PAGE = (ROOT / "docs" / "reference" / "benchmarks.md").read_text(encoding="utf-8")
 

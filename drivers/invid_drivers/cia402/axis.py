@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from invid.config import AxisConfig
+from invid.config import AxisConfig, CellConfig
 from invid.errors import BusError, DriveError
 from invid.planning.stopping_distance import StoppingFacts
 from invid_drivers.cia402 import objects as od
@@ -85,22 +85,13 @@ class DriveReport:
 class Drive(Access):
     """One drive of the cell."""
 
-    def __init__(
-        self,
-        link: Link,
-        config: AxisConfig,
-        journal: Journal,
-        *,
-        linear: bool,
-        heartbeat_s: float = 0.1,
-        cycle_s: float = 0.001,
-        most_skipped: int = 20,
-    ) -> None:
-        super().__init__(link, config, journal, linear=linear)
-        self.protection = Protection(self, heartbeat_s)
+    def __init__(self, link: Link, config: AxisConfig, journal: Journal, cell: CellConfig) -> None:
+        super().__init__(link, config, journal, linear=cell.linear)
+        self.protection = Protection(self, cell.safety.heartbeat_s)
         self.left_alone = False
         """What it shows may not be believed: nothing is written, not even what stands there."""
-        self._cycle_s, self._most_skipped = cycle_s, most_skipped
+        self._cycle_s = cell.bus.cycle_s
+        self._most_skipped = max(cell.safety.missed_tpdos, cell.safety.overrun_cycles)
         self.by_offset = False
         """Whether it is shaken by its torque offset (0x60B2); known from ``check`` on."""
         self._timer: int | None = None

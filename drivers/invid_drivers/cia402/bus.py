@@ -29,6 +29,7 @@ from invid_drivers.cia402.jitter import Jitter
 from invid_drivers.cia402.journal import Journal
 from invid_drivers.cia402.link import NMT_PRE_OPERATIONAL, NMT_START, Link
 from invid_drivers.cia402.mode_change import CHANGE_S
+from invid_drivers.cia402.moving_cell import MovingCell
 from invid_drivers.cia402.relief import TorqueRelief
 from invid_drivers.cia402.states import DriveState, OperationMode, is_energised, state_of
 from invid_drivers.cia402.stop_test import StopTest
@@ -46,18 +47,7 @@ class Cia402Cell:
         self._config = config
         self._link = Link(bus, heartbeat_s=config.safety.heartbeat_s)
         self.journal = journal if journal is not None else Journal(None)
-        self._drives = [
-            Drive(
-                self._link,
-                a,
-                self.journal,
-                linear=config.linear,
-                heartbeat_s=config.safety.heartbeat_s,
-                cycle_s=config.bus.cycle_s,
-                most_skipped=max(config.safety.missed_tpdos, config.safety.overrun_cycles),
-            )
-            for a in config.axes
-        ]
+        self._drives = [Drive(self._link, a, self.journal, config) for a in config.axes]
         self.held = HeldAxes(self._drives, self.journal)
         """How each axis is held when nobody commands it."""
         self._reports: list[DriveReport] = []
@@ -302,20 +292,12 @@ class Cia402Cell:
         self.held.settle(loaded)
         self.held.refuse_dead_displays(self._cycle.sample, self._torque_off, self._reports)
         self.held.set_options(self._cycle, self.clock, self.exchange)
-        test = StopTest(
-            self._config,
-            self._link,
-            self._drives,
-            self._cycle,
-            self.holdings,
-            self.held.memory,
-            exchange=self.exchange,
-            resolution=self.resolution,
-            cancelled=self.cancelled,
-        )
-        tested = test.run()
+        tested = StopTest(self._moving(), self.holdings, self.held.memory, self.cancelled).run()
         self._relief = None  # from here on torque at the limit is no weight
         return tested
+
+    def _moving(self) -> MovingCell:
+        return MovingCell(self._config, self._link, self._drives, self._cycle, self.exchange, self.resolution)
 
     def set_modes(self, modes: Sequence[Mode]) -> None:
         """Ask for other modes while energised; the change goes on in the cycles to come (``changing``).
@@ -356,18 +338,8 @@ class Cia402Cell:
             if self.held.weigh_at_once(self._cycle.sample, self.rated_torque, self._cycle.modes):
                 self.held.set_options(self._cycle, self.clock, self.exchange)
         stays = [h.stays for h in self.holdings]
-        way = WayOut(
-            self._config,
-            self._link,
-            self._drives,
-            self._cycle,
-            self.exchange,
-            stays,
-            self._ramp_s,
-            self.resolution,
-            self.held.doubted,
-            partial(self.held.weigh_in_quick_stop, self._config, self.rated_torque),
-        )
+        weigh = partial(self.held.weigh_in_quick_stop, self._config, self.rated_torque)
+        way = WayOut(self._moving(), stays, self._ramp_s, self.held.doubted, weigh)
         self.not_off = way.take()
         self.held_at_end = tuple(
             h.config.name

@@ -9,15 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from invid.config import CellConfig
 from invid.errors import BusError, DriveError, SafetyStop
 from invid.sweep.ports import Mode, Sample, Severity
 from invid_drivers.cia402 import states
-from invid_drivers.cia402.axis import Drive
-from invid_drivers.cia402.cycle import Cycle
 from invid_drivers.cia402.hold_memory import HoldMemory
 from invid_drivers.cia402.holding import AxisHolding
-from invid_drivers.cia402.link import NMT_START, Link
+from invid_drivers.cia402.link import NMT_START
+from invid_drivers.cia402.moving_cell import MovingCell
 from invid_drivers.cia402.standstill import Standstill, tolerances
 from invid_drivers.cia402.states import DriveState, OperationMode, state_of
 
@@ -45,22 +43,16 @@ class StopTest:
 
     def __init__(
         self,
-        config: CellConfig,
-        link: Link,
-        drives: Sequence[Drive],
-        cycle: Cycle,
+        cell: MovingCell,
         holdings: Sequence[AxisHolding],
         memory: HoldMemory,
-        *,
-        exchange: Callable[[Sequence[float]], Sample],
-        resolution: Sequence[float],
         cancelled: Callable[[], bool],
     ) -> None:
-        self._config, self._link, self._drives, self._cycle = config, link, drives, cycle
+        self._config, self._link, self._drives, self._cycle = cell.config, cell.link, cell.drives, cell.cycle
         self._holdings, self._memory = holdings, memory
-        self._cell_exchange, self._cancelled = exchange, cancelled
-        self._zero = [0.0] * len(drives)
-        self._still = tolerances(config, resolution, STILL_SHARE)
+        self._cell_exchange, self._cancelled = cell.exchange, cancelled
+        self._zero = [0.0] * len(cell.drives)
+        self._still = tolerances(cell.config, cell.resolution, STILL_SHARE)
 
     def run(self) -> bool:
         """Test what was not seen yet; whether anything was tested. All axes are held again by their drives.

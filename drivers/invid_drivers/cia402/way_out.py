@@ -10,16 +10,14 @@ from collections.abc import Callable, Collection, Sequence
 
 import numpy as np
 
-from invid.config import CellConfig
 from invid.errors import BusError
 from invid.numerics.arrays import Bool, Float64
 from invid.sweep.loads import CONFIRM_S
 from invid.sweep.ports import Sample
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402 import states
-from invid_drivers.cia402.axis import Drive
-from invid_drivers.cia402.cycle import Cycle
-from invid_drivers.cia402.link import NMT_PRE_OPERATIONAL, NMT_STOP, Link
+from invid_drivers.cia402.link import NMT_PRE_OPERATIONAL, NMT_STOP
+from invid_drivers.cia402.moving_cell import MovingCell
 from invid_drivers.cia402.runaway import RunawayGuard
 from invid_drivers.cia402.standstill import Standstill, tolerances
 from invid_drivers.cia402.states import DriveState, state_of
@@ -47,31 +45,26 @@ class WayOut:
 
     def __init__(
         self,
-        config: CellConfig,
-        link: Link,
-        drives: Sequence[Drive],
-        cycle: Cycle,
-        exchange: Callable[[Sequence[float]], Sample],
+        cell: MovingCell,
         stays: Sequence[bool],
         ramp_s: float = 0.0,
-        resolution: Sequence[float] = (),
         doubted: Collection[int] = (),
         weigh: Callable[[Collection[int], Float64, Bool], Collection[int]] | None = None,
     ) -> None:
         """``stays``: axes that their drives go on holding in quick stop active.
 
-        ``ramp_s``: longest that a drive's quick stop takes, where that is known; ``resolution``: position of
-        a count [rad or m]; ``doubted``: axes that stay only because nobody knows whether they are loaded, and
-        ``weigh``: which of these carry nothing, by torque and freshness (n, M) while their drives hold them.
+        ``ramp_s``: longest that a drive's quick stop takes, where that is known; ``doubted``: axes that stay
+        only because nobody knows whether they are loaded, and ``weigh``: which of these carry nothing, by
+        torque and freshness (n, M) while their drives hold them.
         """
-        self._config = config
-        self._link = link
-        self._drives = drives
-        self._cycle = cycle
-        self._exchange = exchange
+        self._config = cell.config
+        self._link = cell.link
+        self._drives = cell.drives
+        self._cycle = cell.cycle
+        self._exchange = cell.exchange
         self._stays = list(stays)
         self._doubted, self._weigh = tuple(doubted), weigh
-        self._standstill = Standstill(tolerances(config, resolution or [0.0] * len(drives), STILL_SHARE))
+        self._standstill = Standstill(tolerances(cell.config, cell.resolution, STILL_SHARE))
         self._given_up: set[int] = set()
         self._deaf: set[int] = set()
         self._began: float | None = None

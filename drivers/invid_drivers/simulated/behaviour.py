@@ -9,6 +9,14 @@ from dataclasses import dataclass
 class Behaviour:
     """What one drive does its own way; the defaults are the kindest."""
 
+    gains: tuple[float, float]
+    """Stiffness and damping of its position loop [N·m/rad, N·m·s/rad, or N/m, N·s/m]."""
+    cycle_s: float
+    """Of the bus: it interpolates targets over so long [s]."""
+    delay_cycles: int = 0
+    """From a command to its torque."""
+    lag_cycles: int = 0
+    """From a torque to 0x6077 showing it."""
     limits_in_torque_mode: bool = True
     """Whether 0x6072, 0x607D and 0x607F count in the torque modes too; in position mode and on ramps they
     always do."""

@@ -96,42 +96,23 @@ class VirtualWire:
 
     def run(self, limit_ns: int, inbox: deque[tuple[int, int, bytes]] | None) -> None:
         """Let time pass to ``limit_ns``, or until ``inbox`` has a frame."""
-        cell, host, nodes, late, frame_ns = self.cell, self._host, self._nodes, self._late, self._frame_ns
+        cell, late, frame_ns = self.cell, self._late, self._frame_ns
         busy, busy_until = self._busy, self._busy_until
         while True:
             if busy is None:
-                if nodes and not (host and host[0][0] <= nodes[0][0]):
-                    busy = heappop(nodes)
-                elif host:
-                    busy = host.popleft()
-                    if cell.master_off:  # a controller that goes bus-off sends nothing any more
-                        host.clear()
-                        busy = None
+                busy = self._next_frame()
                 if busy is not None:
-                    length = frame_ns[len(busy[2])]
-                    busy_until = self.now_ns + length
+                    busy_until = self.now_ns + frame_ns[len(busy[2])]
             due = cell.due_ns
             if late and late[0][0] < due:
                 due = late[0][0]
             if busy is not None and busy_until <= due:
                 if busy_until > limit_ns:
                     break
-                self.now_ns = due = busy_until
-                can_id, sender, data = busy
+                self.now_ns = busy_until
+                self._busy = None  # the handlers may come back to this wire
+                self._deliver(busy)
                 busy = None
-                self.frames += 1
-                if sender >= 0:
-                    self._busy = None  # the handlers may come back to this wire
-                    cell.receive(can_id, data, due)
-                    if self.sole_inbox is None:
-                        self._spread(due, can_id, data, sender)
-                elif not cell.master_off:
-                    sole = self.sole_inbox
-                    if sole is not None:
-                        sole.append((due, can_id, data))
-                    else:
-                        self._spread(due, can_id, data, -1)
-                    cell.deliver(can_id, data, due)
                 if inbox:
                     self._busy = None
                     return
@@ -144,10 +125,38 @@ class VirtualWire:
                     cell.run_timers(self.now_ns)
                 else:
                     _, count, can_id, data = heappop(late)
-                    heappush(nodes, (can_id, count - NEVER, data))
+                    heappush(self._nodes, (can_id, count - NEVER, data))
         self._busy, self._busy_until = busy, busy_until
         if limit_ns > self.now_ns:
             self.now_ns = limit_ns
+
+    def _next_frame(self) -> tuple[int, int, bytes] | None:
+        """Who wins the wire: the lowest identifier."""
+        host, nodes = self._host, self._nodes
+        if nodes and not (host and host[0][0] <= nodes[0][0]):
+            return heappop(nodes)
+        if not host:
+            return None
+        if self.cell.master_off:  # a controller that goes bus-off sends nothing any more
+            host.clear()
+            return None
+        return host.popleft()
+
+    def _deliver(self, frame: tuple[int, int, bytes]) -> None:
+        """The frame has been on the wire: to the cell and to every port but its own."""
+        now, (can_id, sender, data) = self.now_ns, frame
+        self.frames += 1
+        if sender >= 0:
+            self.cell.receive(can_id, data, now)
+            if self.sole_inbox is None:
+                self._spread(now, can_id, data, sender)
+        elif not self.cell.master_off:
+            sole = self.sole_inbox
+            if sole is not None:
+                sole.append((now, can_id, data))
+            else:
+                self._spread(now, can_id, data, -1)
+            self.cell.deliver(can_id, data, now)
 
     def _spread(self, now_ns: int, can_id: int, data: bytes, sender: int) -> None:
         for number, box in enumerate(self.inboxes):

@@ -20,13 +20,13 @@ from invid_drivers.simulated import kernel
 from invid_drivers.simulated.behaviour import Behaviour
 from invid_drivers.simulated.brake import Brake
 from invid_drivers.simulated.config import AxisSimulation, simulation_of, truth
-from invid_drivers.simulated.drive import Drive
+from invid_drivers.simulated.drive import Drive, Scales
 from invid_drivers.simulated.eds import apply_eds
 from invid_drivers.simulated.faults import FaultConfig, disturb
 from invid_drivers.simulated.foreign import foreign_node
 from invid_drivers.simulated.injection import FaultInjector
 from invid_drivers.simulated.node import Handler, Node
-from invid_drivers.simulated.object_dictionary import drive_dictionary
+from invid_drivers.simulated.object_dictionary import Nameplate, drive_dictionary
 from invid_drivers.simulated.plant import Plant
 from invid_drivers.simulated.structure import build_structure
 from invid_drivers.simulated.vendors import PROFILES, Profile
@@ -126,16 +126,8 @@ class SimulatedCell:
         ramps = [
             max(1, round(a * counts_per_unit / ramp_counts)) for a in (2.0, settings.quick_stop_deceleration)
         ]
-        od = drive_dictionary(
-            axis.node_id,
-            name="invid drive",
-            rated_torque=rated,
-            encoder_counts=settings.encoder_counts,
-            linear=linear,
-            serial=axis.node_id,
-            profile=profile,
-            ramps=(ramps[0], ramps[1]),
-        )
+        plate = Nameplate("invid drive", axis.node_id, rated, settings.encoder_counts, linear)
+        od = drive_dictionary(axis.node_id, plate, profile, (ramps[0], ramps[1]))
         if objects.eds is not None:
             apply_eds(od, Path(objects.eds), axis.node_id)
         for name in objects.not_mappable:
@@ -166,13 +158,14 @@ class SimulatedCell:
             row,
             node,
             self.plant,
-            rated_torque=rated,
-            counts_per_unit=counts_per_unit,
-            direction=axis.direction,
-            # 0.7 of critical damping on the motor mass alone; passive, so stable on any structure
-            gains=(motor * bandwidth**2, 1.4 * motor * bandwidth),
-            brake=brake,
-            behaviour=Behaviour(
+            brake,
+            Scales(rated, counts_per_unit, axis.direction, linear, known.velocity_in_rpm),
+            Behaviour(
+                # 0.7 of critical damping on the motor mass alone; passive, so stable on any structure
+                gains=(motor * bandwidth**2, 1.4 * motor * bandwidth),
+                cycle_s=self.config.bus.cycle_s,
+                delay_cycles=settings.command_delay_cycles,
+                lag_cycles=settings.actual_torque_lag_cycles,
                 limits_in_torque_mode=settings.limits_in_torque_mode,
                 enable_ns=round(settings.enable_s * _NS),
                 mode_change_ns=round(settings.mode_change_s * _NS),
@@ -181,11 +174,6 @@ class SimulatedCell:
                 ramp_counts=ramp_counts,
                 own_ramp=ramps[1],
             ),
-            delay_cycles=settings.command_delay_cycles,
-            lag_cycles=settings.actual_torque_lag_cycles,
-            cycle_s=self.config.bus.cycle_s,
-            linear=linear,
-            velocity_in_rpm=known.velocity_in_rpm,
         )
         node.application = drive
         command = self.plant.command[row]

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from dataclasses import dataclass
 
 from invid.errors import ConfigError
 from invid_drivers.simulated import kernel
@@ -30,6 +31,20 @@ FOLLOWING_ERROR, REFERENCE_LIMIT, OVERSPEED, HEARTBEAT = 0x8611, 0x8612, 0x8480,
 SYNC_LOST = 0x8700
 
 
+@dataclass(frozen=True)
+class Scales:
+    """In which units a drive counts, and which way."""
+
+    rated_torque: float
+    """[N·m or N]; torque is in thousandths of it."""
+    counts_per_unit: float
+    """Encoder counts per rad or m."""
+    direction: int
+    """1, or −1 where it counts against the plant."""
+    linear: bool
+    velocity_in_rpm: bool = False
+
+
 class Drive:
     """One axis: follows its object dictionary, commands the plant."""
 
@@ -38,28 +53,19 @@ class Drive:
         row: int,
         node: Node,
         plant: Plant,
-        *,
-        rated_torque: float,
-        counts_per_unit: float,
-        direction: int,
-        gains: tuple[float, float],
         brake: Brake,
+        scales: Scales,
         behaviour: Behaviour,
-        delay_cycles: int,
-        lag_cycles: int,
-        cycle_s: float,
-        linear: bool,
-        velocity_in_rpm: bool = False,
     ) -> None:
-        if rated_torque <= 0 or counts_per_unit <= 0:
+        if scales.rated_torque <= 0 or scales.counts_per_unit <= 0:
             raise ConfigError("simulation: rated torque and encoder counts must be positive")
         self.node, self._plant, self.row = node, plant, row
-        self.rated_torque, self.counts_per_unit, self.direction = rated_torque, counts_per_unit, direction
-        self._gains, self.brake, self._cycle_s = gains, brake, cycle_s
+        self.rated_torque, self.counts_per_unit = scales.rated_torque, scales.counts_per_unit
+        self.direction, self.brake = scales.direction, brake
         self._behaviour = behaviour
-        self._counts_per_rev = 0.0 if linear else 2.0 * math.pi * counts_per_unit
-        self._delay: deque[float] = deque([0.0] * delay_cycles)
-        self._lag: deque[int] = deque([0] * lag_cycles)
+        self._counts_per_rev = 0.0 if scales.linear else 2.0 * math.pi * scales.counts_per_unit
+        self._delay: deque[float] = deque([0.0] * behaviour.delay_cycles)
+        self._lag: deque[int] = deque([0] * behaviour.lag_cycles)
         self._command = plant.command[row]
         self.state = State.SWITCH_ON_DISABLED
         self.measured = [0, 0, 0, 0]
@@ -84,9 +90,9 @@ class Drive:
         self._e_following = entry(od, 0x60F4, "i")
         self._e_max_torque = entry(od, 0x6072, "H", 3000)
         od.guard(0x6060, 0, self._check_mode)
-        self._velocity_in_rpm = velocity_in_rpm
+        self._velocity_in_rpm = scales.velocity_in_rpm
         self.configured()
-        self._torque_unit = direction * rated_torque / 1000.0
+        self._torque_unit = scales.direction * scales.rated_torque / 1000.0
         self._limit = -1
         self._forget()
 
@@ -306,7 +312,7 @@ class Drive:
     def _hold_here(self, speed: float = 0.0, deceleration: float = 0.0) -> None:
         command = self._command
         self._limit_torque(by_loop=True)
-        command[kernel.GAIN_P], command[kernel.GAIN_D] = self._gains
+        command[kernel.GAIN_P], command[kernel.GAIN_D] = self._behaviour.gains
         command[kernel.POSITION] = self._here()
         command[kernel.VELOCITY] = speed
         command[kernel.DECELERATION] = deceleration
@@ -330,7 +336,7 @@ class Drive:
         if target != self._target_counts:
             self._target_counts = target
             goal = self.direction * target / self.counts_per_unit
-            steps = max(1.0, round(self._cycle_s / self._plant.h))
+            steps = max(1.0, round(self._behaviour.cycle_s / self._plant.h))
             command[kernel.VELOCITY] = (goal - command[kernel.POSITION]) / (steps * self._plant.h)
             command[kernel.INTERPOLATE] = steps
         self._e_demand_position.value = target

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from invid.errors import ConfigError
 from invid_drivers.eds import parse_eds
-from invid_drivers.simulated.object_dictionary import Entry, ObjectDictionary, drive_dictionary
+from invid_drivers.simulated.object_dictionary import Entry, Nameplate, ObjectDictionary, drive_dictionary
 from invid_drivers.simulated.vendors import PROFILES, Profile
 
 TYPES = {"b": 0x2, "h": 0x3, "i": 0x4, "B": 0x5, "H": 0x6, "I": 0x7, "s": 0x9}
@@ -24,15 +24,8 @@ _DUMMIES = range(0x1, 0x8)
 
 def profile_dictionary(profile: Profile, node_id: int) -> ObjectDictionary:
     """The object dictionary of a vendor's row with a motor of 100 N·m and 2¹⁹ counts."""
-    return drive_dictionary(
-        node_id,
-        name="invid drive",
-        rated_torque=_RATED,
-        encoder_counts=_COUNTS,
-        linear=False,
-        serial=0,
-        profile=profile,
-    )
+    plate = Nameplate("invid drive", serial=0, rated_torque=_RATED, encoder_counts=_COUNTS)
+    return drive_dictionary(node_id, plate, profile)
 
 
 def eds_text(name: str) -> str:

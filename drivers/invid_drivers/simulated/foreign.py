@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from invid_drivers.simulated.node import Host, Nmt, Node
-from invid_drivers.simulated.object_dictionary import drive_dictionary
+from invid_drivers.simulated.object_dictionary import Nameplate, drive_dictionary
 from invid_drivers.simulated.vendors import PROFILES
 
 _MS = 1000.0
@@ -43,10 +43,8 @@ class _Device:
 
 def foreign_node(node_id: int, host: Host, *, heartbeat_s: float) -> ForeignNode:
     """A drive of another cell, as its own master left it: operational, with or without a heartbeat."""
-    od = drive_dictionary(
-        node_id, name="another cell's drive", rated_torque=1.0, encoder_counts=4096, linear=False,
-        serial=1000 + node_id, profile=PROFILES["generic"],
-    )  # fmt: skip
+    plate = Nameplate("another cell's drive", serial=1000 + node_id, rated_torque=1.0, encoder_counts=4096)
+    od = drive_dictionary(node_id, plate, PROFILES["generic"])
     node = ForeignNode(node_id, od, host, sdo_ns=200_000, boot_ns=2_000_000)
     node.nmt_changes = []
     node.application = _Device()

@@ -17,7 +17,7 @@ import math
 import numpy as np
 
 from invid.numerics.arrays import Float64, Int64
-from invid.numerics.compiled import compiled
+from invid.numerics.compiled import compiled, inlined
 
 # columns of the command table, one row per motor
 MODE, TORQUE, POSITION, VELOCITY, DECELERATION, INTERPOLATE, GAIN_P, GAIN_D, LIMIT, BRAKE = range(10)
@@ -47,6 +47,23 @@ FRICTION_COLUMNS = 6
 _SWEEPS = 60  # of projected Gauss-Seidel; two or three are used, the cap only bounds the time
 
 
+@inlined
+def _slider(
+    x: float, stiffness: float, level: float, memory: Float64, e: int, update: bool
+) -> float:  # pragma: no cover - compiled
+    """Force of a spring whose far end slides at ``level``; ``memory`` is where that end stands."""
+    f: float = stiffness * (x - memory[e])
+    if f > level:
+        f = level
+        if update:
+            memory[e] = x - level / stiffness
+    elif f < -level:
+        f = -level
+        if update:
+            memory[e] = x + level / stiffness
+    return f
+
+
 @compiled
 def _nonlinear(
     q: Float64, n: int, elements: Float64, memory: Float64, force: Float64, update: bool
@@ -74,15 +91,7 @@ def _nonlinear(
             elif x < -half:
                 f += min(p0 * (x + half) + p1 * v, 0.0)
         elif kind == JENKINS:  # stiffness, torque: a spring in series with a dry slider
-            f = p0 * (x - memory[e])
-            if f > p1:
-                f = p1
-                if update:
-                    memory[e] = x - p1 / p0
-            elif f < -p1:
-                f = -p1
-                if update:
-                    memory[e] = x + p1 / p0
+            f = _slider(x, p0, p1, memory, e, update)
         elif kind == TRANSMISSION:  # stiffness, amplitude, cycles, phase of the angle at a
             # the spring stretches x − error; what the motor side feels makes no energy
             error = p1 * math.sin(p2 * q[a] + elements[e, P3])
@@ -201,6 +210,25 @@ def _friction(
                 free[k] += gamma[a, k] * level[i]
 
 
+@inlined
+def _propagate(
+    free: Float64, q: Float64, force: Float64, phi: Float64, gamma: Float64
+) -> None:  # pragma: no cover - compiled
+    """Into ``free`` what the linear part makes of ``q`` under the forces held over the sub-step."""
+    # column by column: the inner loops are then vectorised without reordering any sum
+    for k in range(q.size):
+        free[k] = 0.0
+    for c in range(q.size):
+        value = q[c]
+        for k in range(q.size):
+            free[k] += phi[c, k] * value
+    for c in range(q.size // 2):
+        value = force[c]
+        if value != 0.0:
+            for k in range(q.size):
+                free[k] += gamma[c, k] * value
+
+
 @compiled
 def advance(
     q: Float64,
@@ -242,18 +270,7 @@ def advance(
             later[k] = force[k]
         if elements.shape[0]:
             _nonlinear(q, n, elements, memory, force, False)
-        # column by column: the inner loops are then vectorised without reordering any sum
-        for k in range(2 * n):
-            free[k] = 0.0
-        for c in range(2 * n):
-            value = q[c]
-            for k in range(2 * n):
-                free[k] += phi[c, k] * value
-        for c in range(n):
-            value = force[c]
-            if value != 0.0:
-                for k in range(2 * n):
-                    free[k] += gamma[c, k] * value
+        _propagate(free, q, force, phi, gamma)
         if elements.shape[0]:
             _nonlinear(free, n, elements, memory, later, True)
             for c in range(n):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
 from invid_drivers.simulated.vendors import Profile
 
@@ -164,22 +165,26 @@ class ObjectDictionary:
             yield from subs.values()
 
 
+@dataclass(frozen=True)
+class Nameplate:
+    """Drive and motor of an axis: name, serial number and what they are made for."""
+
+    name: str
+    serial: int
+    rated_torque: float
+    """[N·m or N]; goes into 0x6076 in thousandths."""
+    encoder_counts: float
+    """Per revolution or metre; goes into 0x608F."""
+    linear: bool = False
+
+
 def drive_dictionary(
-    node_id: int,
-    *,
-    name: str,
-    rated_torque: float,
-    encoder_counts: float,
-    linear: bool,
-    serial: int,
-    profile: Profile,
-    ramps: tuple[int, int] | None = None,
+    node_id: int, plate: Nameplate, profile: Profile, ramps: tuple[int, int] | None = None
 ) -> ObjectDictionary:
     """The generic drive with one vendor's departures applied.
 
-    ``rated_torque`` [N·m or N] goes into 0x6076 in thousandths; ``encoder_counts`` per revolution
-    or metre into 0x608F. Velocities are in counts per second. ``ramps``: 0x6084 and 0x6085 as the drive
-    counts them; default 2 and 10 rad/s² (m/s²) in counts.
+    Velocities are in counts per second. ``ramps``: 0x6084 and 0x6085 as the drive counts them; default 2 and
+    10 rad/s² (m/s²) in counts.
     """
     od = ObjectDictionary()
     add = od.add
@@ -191,7 +196,7 @@ def drive_dictionary(
     add(0x1005, 0, "I", "rw", 0x80)
     add(0x1006, 0, "I", "rw", 0)
     add(0x1007, 0, "I", "rw", 0)
-    add(0x1008, 0, "s", "const", name)
+    add(0x1008, 0, "s", "const", plate.name)
     add(0x1009, 0, "s", "const", "1.0")
     add(0x100A, 0, "s", "const", "invid simulated drive")
     for index in (0x1010, 0x1011):
@@ -200,14 +205,14 @@ def drive_dictionary(
     add(0x1015, 0, "H", "rw", 0)
     od.add_record(0x1016, *[("I", "rw", 0)] * 3)
     add(0x1017, 0, "H", "rw", 0)
-    od.add_record(0x1018, *[("I", "ro", v) for v in (0x00000000, 0x402, 1, serial)])
+    od.add_record(0x1018, *[("I", "ro", v) for v in (0x00000000, 0x402, 1, plate.serial)])
     od.add_record(0x1029, ("B", "rw", 0))
     od.add_record(0x1200, ("I", "ro", 0x600 + node_id), ("I", "ro", 0x580 + node_id))
     for code, index in (("b", 2), ("h", 3), ("i", 4), ("B", 5), ("H", 6), ("I", 7)):
         if profile.dummy_mapping:  # CiA 301: dummies to fill a receive PDO
             add(index, 0, code, "wo", 0, "w")
     _add_pdos(od, node_id, profile)
-    _add_drive_profile(od, rated_torque, encoder_counts, linear)
+    _add_drive_profile(od, plate.rated_torque, plate.encoder_counts, plate.linear)
     for index, ramp in zip((0x6084, 0x6085), ramps or (), strict=False):
         od.entry(index).value = od.entry(index).default = ramp
     for index in profile.lacks:

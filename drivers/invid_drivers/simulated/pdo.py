@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from invid_drivers.simulated.object_dictionary import Entry, ObjectDictionary, SdoAbort
 
@@ -91,59 +92,69 @@ def guard_configuration(
     """
     if od.find(communication, 1) is None or od.find(mapping) is None:
         return
-    cob, kind = od.entry(communication, 1), od.entry(communication, 2)
+    guard = _ConfigurationGuard(od, communication, mapping, way, changed)
+    od.guard(communication, 1, guard.write_cob)
+    od.guard(communication, 2, guard.write_kind)
+    od.guard(communication, 3, guard.write_inhibit)
+    od.guard(communication, 5, guard.write_timer)
+    od.guard(mapping, 0, guard.write_count)
+    for sub in range(1, 9):
+        od.guard(mapping, sub, guard.write_mapped)
 
-    def valid() -> bool:
-        return not int(cob.value) & INVALID
 
-    def write_cob(value: int) -> None:
-        if valid() and not value & INVALID and (value ^ int(cob.value)) & 0x3FFFFFFF:
-            raise SdoAbort(SdoAbort.RANGE)
+@dataclass(frozen=True)
+class _ConfigurationGuard:
+    """What may be written to the communication and mapping objects of one PDO, and when."""
+
+    od: ObjectDictionary
+    communication: int
+    mapping: int
+    way: str
+    changed: Callable[[], None]
+
+    def _is_valid(self) -> bool:
+        return not int(self.od.entry(self.communication, 1).value) & INVALID
+
+    def write_cob(self, value: int) -> None:
+        cob = self.od.entry(self.communication, 1)
         if not value & INVALID:
+            if self._is_valid() and (value ^ int(cob.value)) & 0x3FFFFFFF:
+                raise SdoAbort(SdoAbort.RANGE)
             if value & 0x20000000 or not 0x80 < value & 0x7FF < 0x700:
                 raise SdoAbort(SdoAbort.RANGE)
-            mapped_entries(od, mapping, way)
+            mapped_entries(self.od, self.mapping, self.way)
         cob.value = value
-        changed()
+        self.changed()
 
-    def write_kind(value: int) -> None:
-        if 241 <= value <= 251 or (value in (252, 253) and way == "w"):
+    def write_kind(self, value: int) -> None:
+        if 241 <= value <= 253:  # reserved; 252 and 253: remote requests, which are not answered
             raise SdoAbort(SdoAbort.RANGE)
-        if value in (252, 253):  # remote requests are not answered
-            raise SdoAbort(SdoAbort.RANGE)
-        kind.value = value
-        changed()
+        self.od.entry(self.communication, 2).value = value
+        self.changed()
 
-    def write_time(entry: Entry) -> Callable[[int], None]:
-        def write(value: int) -> None:
-            if entry.sub == 3 and valid():
-                raise SdoAbort(SdoAbort.STATE)
-            entry.value = value
-            changed()
+    def write_inhibit(self, value: int) -> None:
+        if self._is_valid():
+            raise SdoAbort(SdoAbort.STATE)
+        self.od.entry(self.communication, 3).value = value
+        self.changed()
 
-        return write
+    def write_timer(self, value: int) -> None:
+        self.od.entry(self.communication, 5).value = value
+        self.changed()
 
-    count = od.entry(mapping, 0)
-
-    def write_count(value: int) -> None:
-        if valid():
+    def write_count(self, value: int) -> None:
+        if self._is_valid():
             raise SdoAbort(SdoAbort.UNSUPPORTED)
         if value > 8:
             raise SdoAbort(SdoAbort.PDO_LENGTH)
-        entries = [_mapped(od, od.number(mapping, sub), way) for sub in range(1, value + 1)]
+        entries = [
+            _mapped(self.od, self.od.number(self.mapping, sub), self.way) for sub in range(1, value + 1)
+        ]
         if sum(e.size for e in entries) > 8:
             raise SdoAbort(SdoAbort.PDO_LENGTH)
 
-    def write_entry(value: int) -> None:
-        if valid() or int(count.value) != 0:
+    def write_mapped(self, value: int) -> None:
+        if self._is_valid() or int(self.od.entry(self.mapping, 0).value) != 0:
             raise SdoAbort(SdoAbort.UNSUPPORTED)
         if value:
-            _mapped(od, value, way)
-
-    cob.on_write, kind.on_write, count.on_write = write_cob, write_kind, write_count
-    for sub in (3, 5):
-        entry = od.find(communication, sub)
-        if entry is not None:
-            entry.on_write = write_time(entry)
-    for sub in range(1, 9):
-        od.guard(mapping, sub, write_entry)
+            _mapped(self.od, value, self.way)

@@ -54,7 +54,7 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "known-friction", Stage.SELECTION,
         "An identification that gets chains right beside friction has found it: the search starts with it.",
-        "saves a step of the search for each law (benchmarks/bench_speed.py)", add_known_friction, _none,
+        "saves a step of the search for each law (bench_speed.py)", add_known_friction, _none,
         applies=lambda start, friction, *_: len(friction.terms) > 1,
     ),
     Rule(

@@ -13,6 +13,7 @@ from typing import Any
 from invid.config import CellConfig, load_config
 from invid.errors import ConfigError, InputError
 from invid.model.document import dump_json, load_json, save_text
+from invid_drivers.simulated import CASE_STUDY, truth
 
 log = logging.getLogger(__name__)
 
@@ -53,8 +54,6 @@ class Cell:
         return copy.deepcopy(self._simulation or {})
 
     def _checked(self, simulation: Any) -> None:
-        from invid_drivers.simulated import truth
-
         truth(self._config.model_copy(update={"simulation": simulation}))
 
     def set_simulation(self, simulation: dict[str, Any] | None) -> None:
@@ -69,8 +68,6 @@ class Cell:
 
     def with_payload(self, axis: str, mass: float) -> dict[str, Any]:
         """The simulation with ``mass`` more on the final mass of one axis: another tool."""
-        from invid_drivers.simulated import truth
-
         chains = truth(self.config)
         if axis not in self.axes:
             raise ConfigError(f"payload.axis: no axis {axis!r}; the cell has {list(self.axes)}")
@@ -108,8 +105,6 @@ def load_cells(configs: Sequence[Path], folder: Path) -> dict[str, Cell]:
     """Cells by id, the file's stem; ConfigError says what is wrong with a config."""
     paths = list(configs)
     if not paths:
-        from invid_drivers.simulated import CASE_STUDY
-
         paths = [CASE_STUDY]
     cells: dict[str, Cell] = {}
     for path in paths:

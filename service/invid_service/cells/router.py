@@ -10,6 +10,7 @@ from fastapi import APIRouter, Query, Request
 from fastapi.responses import JSONResponse
 
 from invid.errors import InputError
+from invid_drivers.simulated import truth
 from invid_service.auth import Accepter, Anyone, Reader, Require
 from invid_service.cells.changes import changes_view
 from invid_service.cells.overview import overview
@@ -283,8 +284,6 @@ def _simulated(service: Service, cell: str) -> Cell:
 
 
 def _simulation(cell: Cell) -> SimulationView:
-    from invid_drivers.simulated import truth
-
     return SimulationView(cell=cell.id, simulation=cell.simulation, truth=truth(cell.config).as_dict())
 
 

@@ -65,7 +65,7 @@ async def start(
 
 
 @router.get("/identifications", response_model=IdentificationList)
-async def list_identifications(
+async def list_identifications(  # noqa: PLR0913 - the query's parameters
     service: Context,
     _caller: Reader,
     cell: Annotated[str | None, Query(max_length=64, pattern=r"^[A-Za-z0-9_-]+$")] = None,

@@ -12,6 +12,7 @@ from typing import Any
 from sqlalchemy.exc import SQLAlchemyError
 
 from invid.errors import InputError
+from invid.model.document import model_to_json
 from invid.planning.separating_experiments import Separation, to_separate
 from invid_service.cells.registry import Cell
 from invid_service.jobs.protocol import Job
@@ -63,7 +64,8 @@ async def start_identification(
         record = replace(record, facts={"amplitude": body.amplitude, "separates": body.separate})
         in_force = await asyncio.to_thread(service.results.in_force, cell.id)
         before = await asyncio.to_thread(_analysis_before, service, cell.id, body)
-        job = _job(service, cell, record, body, in_force, separation, before)
+        job = _job(service, cell, record, body, in_force, separation)
+        job.expected_analysis_s = before
         live = service.jobs.reserve(record)
         try:
             facts = {"cell": cell.id, "identification": record.id, **body.model_dump()}
@@ -164,7 +166,6 @@ def _job(
     body: StartBody,
     in_force: StoredModel | None,
     separation: Separation | None,
-    analysis_before_s: float | None,
 ) -> Job:
     model = None if in_force is None else load(in_force)
     config = cell.job_config(int(record.id[-8:], 16) % 1_000_000)
@@ -174,8 +175,6 @@ def _job(
     full = cell.config.safety.test_amplitude if body.mode == "test" else 1.0
     document = None
     if in_force is not None and model is not None:
-        from invid.model.document import model_to_json
-
         document = model_to_json(model)
         if body.mode == "simulate" and not cell.simulated:
             config["bus"] = {
@@ -197,7 +196,6 @@ def _job(
         amplitude_scale=full * (GENTLER if body.amplitude == "gentler" else 1.0),
         amplitude=body.amplitude,
         purpose=None if separation is None else " ".join(separation.sentences),
-        expected_analysis_s=analysis_before_s,
         arm=body.arm,
         acceptable=cell.simulated or body.mode != "simulate",
         model=document,

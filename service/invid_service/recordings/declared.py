@@ -28,7 +28,7 @@ _ELSEWHERE = {
 
 def look(path: Path) -> dict[str, Any]:
     """``unpacked`` bytes that the file claims, or the ``problem`` it has; nothing in it is unpacked."""
-    import h5py
+    import h5py  # noqa: PLC0415 - precedence and memory of this process are limited first
 
     damaged = {"problem": "the HDF5 file is damaged or truncated; copy it again from where it was written"}
     try:
@@ -59,7 +59,7 @@ def look(path: Path) -> dict[str, Any]:
 
 def _members(group: Any) -> Iterator[Any]:
     """What a group holds; ``None`` for what lies in another file, which is not opened."""
-    import h5py
+    import h5py  # noqa: PLC0415 - as in ``look``
 
     if not isinstance(group, h5py.Group):
         return

@@ -216,7 +216,7 @@ class Store:
             row = session.get(RunRow, run_id)
             return None if row is None else _run(row)
 
-    def runs(
+    def runs(  # noqa: PLR0913 - the query's filters
         self,
         *,
         cell: str | None = None,

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+from benchmarks.comparison.bench_fleet import SETTLED, false_alarms, found_within, simulate
 from invid.comparison.fleet import FleetHistory, departures, fleet_history
 from invid.errors import InputError
 from invid.model.chains import case_study
 from invid.model.document import ChainStd, EffectTerm, Estimate, Model
-
-sys.path.insert(0, str(Path(__file__).parents[3] / "benchmarks"))
-from bench_fleet import SETTLED, false_alarms, found_within, simulate
 
 
 def test_a_calm_fleet_raises_one_false_alarm_in_a_thousand_cell_weeks_at_most() -> None:

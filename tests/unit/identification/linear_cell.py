@@ -1,6 +1,6 @@
 """A linear cell by one matrix exponential: holds in the drive or the master, a slow torque channel.
 
-Shares no code with the estimator (nor with ``benchmarks/plant_oracle.py``).
+Shares no code with the estimator (nor with ``benchmarks/shared/plant_oracle.py``).
 """
 
 from __future__ import annotations

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parents[3] / "benchmarks"))
-import plant_oracle as oracle
-
+from benchmarks.shared import plant_oracle as oracle
 from invid.cli.app import run
 from invid.identification.identify import identify
 from invid.model.document import Model

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,9 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-sys.path.insert(0, str(Path(__file__).parents[3] / "benchmarks"))
-import plant_oracle as oracle
-
+from benchmarks.shared import plant_oracle as oracle
 from invid.cli.app import create_app
 from invid.cli.identify import model_text, parse_masses
 from invid.errors import InputError, NotIdentifiableError

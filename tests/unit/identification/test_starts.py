@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parents[3] / "benchmarks"))
-import plant_oracle as oracle
-from bench_identify import estimate, measure, truth
-
+from benchmarks.identification.bench_identify import estimate, measure, truth
+from benchmarks.shared import plant_oracle as oracle
 from invid.identification.identify import identify, restart_from_second_route
 from invid.identification.separate_branches import start_separate_branches
 from invid.inverse import PaperResult

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from invid_service.jobs.analysis_progress import BEGINS, ENDS, STAGES, AnalysisProgress
-from invid_service.jobs.worker import Line
+from invid_service.jobs.line import Line
 
 
 @dataclass

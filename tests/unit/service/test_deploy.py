@@ -127,7 +127,7 @@ def test_the_compose_file_fits_the_dockerfile() -> None:
     assert "psycopg" in (ROOT / "requirements-runtime.lock").read_text(encoding="utf-8")
     grace = int(service["stop_grace_period"].removesuffix("s"))
     unit = (DEPLOY / "systemd" / "invid.service").read_text(encoding="utf-8")
-    from invid_drivers.realtime import STOP_S
+    from invid_drivers.relay import STOP_S
 
     # Whoever stops the service leaves the runner time to stop its drives.
     assert grace > STOP_S

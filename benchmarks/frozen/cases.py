@@ -1,0 +1,133 @@
+"""The frozen cases: which there are, and how each one's recording is made (once, into the cache)."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import shutil
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import count, islice
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT / "tests"))
+
+START = 870_000
+"""First seed of the drawn cases; no campaign of the docs used those from here on."""
+SHARES = (("hidden", 10), ("foreign", 4), ("machine", 3))
+"""Of seventeen drawn cases so many from each generator."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One recording: its name, its kind with seed or title, and further arguments of the commands."""
+
+    name: str
+    kind: str
+    seed: int = 0
+    motors: int | None = None
+    title: str = ""
+
+    @property
+    def arguments(self) -> list[str]:
+        """What `identify` and `diagnose` are told besides the recording."""
+        return ["--masses", "2"] if self.kind == "machine" and self.title == "flexible" else []
+
+
+def cases(number: int, motors: int | None) -> list[Case]:
+    """The first ``number`` cases; drawn ones with at most ``motors`` motors where that is given.
+
+    The demo and the real records come first, where at least a hundred are asked for; then the generators
+    in turn, so that a short list is a sample of the long one.
+    """
+    fixed = [Case("demo", "demo"), *_real_records()] if number >= 100 and motors is None else []
+    return [*fixed, *islice(_drawn(motors), max(0, number - len(fixed)))]
+
+
+def _drawn(motors: int | None) -> Iterator[Case]:
+    seeds = {kind: count(START) for kind, _ in SHARES}
+    due = dict.fromkeys(seeds, 0.0)
+    total = sum(share for _, share in SHARES)
+    while True:
+        for kind, share in SHARES:
+            due[kind] += share / total
+        kind = max(due, key=lambda k: due[k])
+        due[kind] -= 1.0
+        seed = next(seeds[kind])
+        drawn = None if motors is None or kind == "machine" else 1 + seed % motors
+        suffix = "" if drawn is None else f"-{drawn}m"
+        family = _family(seed) if kind == "machine" else ""
+        yield Case(f"{kind}{suffix}-{seed}", kind, seed, drawn, family)
+
+
+def _family(seed: int) -> str:
+    from machines.draw import draw
+
+    return draw(seed).family
+
+
+def _real_records() -> list[Case]:
+    from benchmarks.diagnosis.bench_real_data import DATA, RECORDS
+
+    found = [(title, source) for title, source, _, _ in RECORDS if (DATA / source).exists()]
+    return [Case("real-" + "".join(c if c.isalnum() else "_" for c in t), "real", title=t) for t, _ in found]
+
+
+def make(case: Case, place: Path) -> None:
+    """Write the recording of a case to ``place``; there is none where that fails."""
+    makers: dict[str, Callable[[Case, Path], None]] = {
+        "hidden": _drawn_recording, "foreign": _drawn_recording, "machine": _machine, "real": _real,
+        "demo": _demo,
+    }  # fmt: skip
+    with tempfile.TemporaryDirectory(dir=place.parent) as name:
+        written = Path(name) / "recording.h5"
+        makers[case.kind](case, written)
+        os.replace(written, place)
+
+
+def _drawn_recording(case: Case, place: Path) -> None:
+    from hidden.foreign import make_foreign
+    from hidden.generator import make_case
+
+    from invid.recording import write_recording
+
+    maker = make_foreign if case.kind == "foreign" else make_case
+    recording, _ = maker(case.seed, motors=case.motors)
+    write_recording(recording, place)
+
+
+def _machine(case: Case, place: Path) -> None:
+    from machines.draw import draw
+    from machines.write import write
+
+    _import(*write(draw(case.seed), place.parent, case.seed), place)
+
+
+def _real(case: Case, place: Path) -> None:
+    from benchmarks.diagnosis.bench_real_data import DATA, RECORDS
+
+    (source, chart), *_ = [(s, c) for t, s, c, _ in RECORDS if t == case.title]
+    _import(DATA / source, ROOT / "configs" / "import" / f"{chart}.yaml", place)
+
+
+def _demo(case: Case, place: Path) -> None:
+    _command("demo", "--out", str(place.parent / "demo"))
+    shutil.copy(place.parent / "demo" / "recording.h5", place)
+
+
+def _import(source: Path, chart: Path, place: Path) -> None:
+    _command("import", str(source), "--map", str(chart), "-o", str(place))
+
+
+def _command(*arguments: str) -> None:
+    from invid.cli.app import run
+
+    said = io.StringIO()
+    with contextlib.redirect_stderr(said), contextlib.redirect_stdout(io.StringIO()):
+        status = run(list(arguments))
+    if status:
+        raise RuntimeError(f"invid {' '.join(arguments)} ended with {status}: {said.getvalue().strip()}")

@@ -1,0 +1,123 @@
+"""A job's analysis: model, diagnosis, report and the numbers of the page's pictures from its recording."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from invid.api import diagnose, identify
+from invid.config import CellConfig
+from invid.errors import InputError, RecordingError
+from invid.model.diagnosis_document import Diagnosis, Finding, diagnosis_to_json
+from invid.model.document import dump_json, model_to_json, save_text
+from invid.planning.separating_experiments import to_separate
+from invid.recording import read_recording
+from invid.report import render_report
+from invid_service.jobs.analysis_progress import AnalysisProgress
+from invid_service.jobs.line import Line
+from invid_service.jobs.plots import plot_data
+from invid_service.jobs.protocol import Job
+from invid_service.precedence import behind_parent
+
+
+def analyse(job: Job, line: Line, seen: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Identify, diagnose, report, and the numbers of the page's pictures; the summary.
+
+    ``seen`` is what the measurement saw, ``None`` where the recording comes from elsewhere.
+    """
+    behind_parent()
+    tell = AnalysisProgress(line.progress, job.expected_analysis_s)
+    with tell.told():
+        tell.begin("reading the recording")
+        # Model and report name the run, not a working folder that is gone when somebody reads them.
+        path = job.folder / "recording.h5"
+        recording = replace(read_recording(path), source=f"{job.folder.name}/{path.name}")
+        _require_axes(recording.axes, job)
+        # An uploaded recording may come from a simulated cell too; the drives then wrote it down.
+        simulated = job.simulated or bool(recording.attributes.get("simulated", False))
+        flag = {"simulated": simulated}
+        line.tell("recording", robot=recording.robot, axes=list(recording.axes), simulated=simulated)
+        tell.begin("identifying")
+        budget = 0.3 * job.budget_s
+        model = identify(recording, budget=budget, progress=tell.weigh)
+        save_text(job.folder / "model.json", dump_json({**model_to_json(model), **flag}))
+        tell.begin("diagnosing")
+        budget = job.budget_s - budget
+        diagnosis = diagnose(recording, model=model, budget=budget, progress=tell.weigh)
+        tell.begin("writing the report")
+        best = diagnosis.model
+        if not diagnosis.findings:
+            # The identification's own numbers, with what the search for causes said of them.
+            judged = {
+                k: v for k, v in best.fit.items() if k in ("verdict", "trustworthy", "doubts", "unseen")
+            }
+            best = replace(model, fit={**model.fit, **judged})
+        save_text(job.folder / "model.json", dump_json({**model_to_json(best), **flag}))
+        save_text(job.folder / "diagnosis.json", dump_json({**diagnosis_to_json(diagnosis), **flag}))
+        started = {"run": job.id, "started by": job.requested_by}
+        report = render_report(recording, model, diagnosis, run=started)
+        # A recording that says so is marked by the report itself.
+        told = bool(recording.attributes.get("simulated", False))
+        save_text(job.folder / "report.html", _marked(report, simulated and not told))
+        save_text(job.folder / "plots.json", dump_json({**plot_data(recording, model, diagnosis), **flag}))
+    said = [] if seen is None else seen["warnings"]
+    return {
+        "verdict": str(diagnosis.verdict),
+        "headline": diagnosis.headline,
+        "grade": None if diagnosis.grade is None else str(diagnosis.grade),
+        "findings": [summary_of(f) for f in diagnosis.findings],
+        "sentences": list(diagnosis.sentences),
+        "explained_fraction": diagnosis.explained_fraction,
+        "trustworthy": bool(best.fit.get("trustworthy", True)),
+        "warnings": list(dict.fromkeys([*said, *model.warnings, *diagnosis.warnings])),
+        "separating": separating(diagnosis, job),
+        "analysis_s": round(tell.elapsed_s, 1),
+    }
+
+
+def separating(diagnosis: Diagnosis, job: Job) -> dict[str, Any] | None:
+    """What would tell the alternatives apart on this cell; ``None`` where nothing is to be, or can be."""
+    if job.config is None or not diagnosis.findings:
+        return None
+    try:
+        found = to_separate(diagnosis_to_json(diagnosis), CellConfig.model_validate(job.config))
+    except InputError:
+        return None
+    return {"finding": found.finding, "text": " ".join(found.sentences)}
+
+
+def _require_axes(axes: tuple[str, ...], job: Job) -> None:
+    """RecordingError where an uploaded recording is not of the cell whose history it is to join."""
+    if job.kind != "analyse" or job.config is None:
+        return
+    names = [a["name"] for a in job.config["axes"]]
+    if list(axes) != names:
+        raise RecordingError(
+            f"recording.h5: it has the axes {', '.join(axes)}, the cell has {', '.join(names)}",
+            way_out="upload it without a cell, or name the cell that it is of",
+        )
+
+
+def summary_of(finding: Finding) -> dict[str, Any]:
+    """One finding as a list shows it: what, where, how serious."""
+    means = finding.consequence
+    return {
+        "cause": finding.effect.cause,
+        "axis": finding.effect.axis,
+        "element": finding.effect.element,
+        "other_axis": finding.effect.other_axis,
+        "sentence": finding.sentence,
+        "consequence": None if means is None else means.to_json(),
+    }
+
+
+def _marked(report: str, simulated: bool) -> str:
+    """A report of a simulated cell says so on its first line."""
+    if not simulated or "<body" not in report:
+        return report
+    head, _, rest = report.partition("<body")
+    tag, _, body = rest.partition(">")
+    style = "border:2px solid;padding:.5em;font-weight:bold"
+    banner = f'<p role="note" style="{style}">Simulated cell: no hardware</p>'
+    return f"{head}<body{tag}>{banner}{body}"

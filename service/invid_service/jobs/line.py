@@ -1,0 +1,87 @@
+"""The pipe between the service and the runner of a job; what goes over it is in ``jobs.protocol``."""
+
+from __future__ import annotations
+
+import json
+import queue
+import threading
+import time
+from collections.abc import Mapping
+from typing import IO, Any
+
+from invid_service.jobs.protocol import Job
+
+_PROGRESS_PERIOD_S = 0.2
+_QUEUE = 200
+
+
+class Stopped(Exception):
+    """Somebody asked for the end."""
+
+
+class Line:
+    """Both directions of the pipe. Telling never blocks: progress that nobody reads is dropped."""
+
+    def __init__(self, source: IO[bytes], sink: IO[bytes]) -> None:
+        self._source, self._sink = source, sink
+        self.stop = threading.Event()
+        self.armed = threading.Event()
+        self.orphaned = threading.Event()
+        self._outbox: queue.Queue[dict[str, Any] | None] = queue.Queue()
+        self._last_progress = 0.0
+        self._writer = threading.Thread(target=self._write, name="writer", daemon=True)
+        self._writer.start()
+
+    def read_job(self) -> Job:
+        """The first line."""
+        return Job.model_validate_json(self._source.readline())
+
+    def listen(self) -> None:
+        """Hear wishes from now on."""
+        threading.Thread(target=self._listen, name="listener", daemon=True).start()
+
+    def _listen(self) -> None:
+        for line in self._source:
+            kind = json.loads(line).get("type")
+            if kind == "arm":
+                self.armed.set()
+            elif kind == "stop":
+                self.stop.set()
+        self.orphaned.set()
+        self.stop.set()
+
+    def _write(self) -> None:
+        while (message := self._outbox.get()) is not None:
+            try:
+                self._sink.write(json.dumps(message, allow_nan=False).encode() + b"\n")
+                self._sink.flush()
+            except OSError:
+                return
+
+    def tell(self, kind: str, **members: Any) -> None:
+        """Queue a message."""
+        self._outbox.put({"type": kind, **members})
+
+    def progress(self, fraction: float, phase: str, *, always: bool = False, **members: Any) -> None:
+        """Queue progress, at most five times a second and only while it is read; ``always``: at any rate."""
+        now = time.monotonic()
+        often = now - self._last_progress < _PROGRESS_PERIOD_S or self._outbox.qsize() > _QUEUE
+        if often and not always:
+            return
+        self._last_progress = now
+        self.tell("progress", fraction=fraction, phase=phase, **members)
+
+    def close(self) -> None:
+        """Send what is queued."""
+        self._outbox.put(None)
+        self._writer.join(5.0)
+
+    def check_stop(self) -> None:
+        """Raise where the end was asked for."""
+        if self.stop.is_set():
+            raise Stopped
+
+
+def plain(document: Mapping[str, Any]) -> Any:
+    """The document as JSON has it."""
+    return json.loads(json.dumps(document, default=float))

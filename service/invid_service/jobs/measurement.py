@@ -1,0 +1,79 @@
+"""A job's measurement: check, wait to be armed, move, record."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from invid.config import CellConfig
+from invid.errors import ConfigError
+from invid.model.document import model_from_json
+from invid.planning import Plan
+from invid.planning.belief import from_model
+from invid_drivers.measurement import ask_drives, measure_to_file
+from invid_drivers.readiness import loads_to_support, support_sentence
+from invid_service.jobs.line import Line, plain
+from invid_service.jobs.protocol import Job
+from invid_service.jobs.response import ResponseWatch
+
+
+def measure(job: Job, line: Line) -> dict[str, Any]:
+    """Check, wait for arm, move, write ``recording.h5``; what was seen meanwhile."""
+    if job.config is None:
+        raise ConfigError("the job has no configuration")
+    config = CellConfig.model_validate(job.config)
+    accepted = None if job.model is None else model_from_json(job.model, source="accepted model")
+    if accepted is not None and accepted.axes != tuple(a.name for a in config.axes):
+        accepted = None
+    model = None if accepted is None else from_model(accepted, config, source="the accepted model")
+    plan, _, budgets, warned = ask_drives(
+        config, axes=job.axes, amplitude_scale=job.amplitude_scale, model=model
+    )
+    document = {**told_plan(plan, job), "budgets": [b.to_json() for b in budgets]}
+    support = loads_to_support(config)
+    document["support"] = {"axes": list(support), "text": support_sentence(support)} if support else None
+    document["warnings"] = [*document["warnings"], *warned]
+    line.tell("planned", plan=plain(document), arm=job.arm)
+    del plan
+    while not (job.arm or line.armed.is_set()):
+        line.stop.wait(0.05)
+        line.check_stop()
+    line.check_stop()
+    line.tell("running")
+    target = job.folder / "recording.h5"
+
+    def progress(p: Any) -> None:
+        line.progress(
+            float(p.fraction) * 0.8, str(p.phase), axis=p.axis, frequency=p.frequency, eta_s=float(p.eta_s)
+        )
+
+    with ResponseWatch(target, lambda response: line.tell("response", response=response)):
+        result = measure_to_file(
+            config,
+            target,
+            axes=job.axes,
+            amplitude_scale=job.amplitude_scale,
+            progress=progress,
+            stop=line.stop,
+            model=model,
+        )
+    line.check_stop()
+    seen: dict[str, Any] = plain(result.to_json())
+    del seen["recording"]
+    line.tell("measured", measurement=seen)
+    return seen
+
+
+def told_plan(plan: Plan, job: Job) -> dict[str, Any]:
+    """The plan as a person sees it before arming, with what was chosen for this run."""
+    document: dict[str, Any] = plain(plan.to_json())
+    said = []
+    if job.amplitude == "gentler":
+        said.append("gentler: every torque is half of what would be planned")
+    if job.purpose is not None:
+        said.append(job.purpose)
+    return {
+        **document,
+        "amplitude": job.amplitude,
+        "purpose": job.purpose,
+        "warnings": [*said, *document["warnings"]],
+    }
