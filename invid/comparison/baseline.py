@@ -15,8 +15,8 @@ from dataclasses import replace
 import numpy as np
 
 from invid.comparison.joint_test import Whitened, difference, joint_p, select, two_sided
-from invid.model.chains import CoupledChains
-from invid.model.document import ChainStd, EffectTerm, Estimate, Model, parameter_vector
+from invid.model.document import EffectTerm, Estimate, Model, parameter_vector, stds_by_name
+from invid.model.parameter_names import chains_by_name, std_by_name
 from invid.numerics.arrays import Float64, frozen_float
 from invid.numerics.distributions import f_sf
 
@@ -59,29 +59,15 @@ def pool_models(models: Sequence[Model]) -> Model:
         return last
     weights = _weights(models)
 
-    def mean(values: Sequence[Float64]) -> Float64:
-        return frozen_float(sum(w * v for w, v in zip(weights, values, strict=True)))
-
-    def spread(values: Sequence[Float64]) -> Float64:
-        return frozen_float(np.sqrt(sum((w * v) ** 2 for w, v in zip(weights, values, strict=True))))
-
-    branches = range(last.chains.branches)
-    chains = CoupledChains(
-        masses=tuple(mean([m.chains.masses[i] for m in models]) for i in branches),
-        springs=tuple(mean([m.chains.springs[i] for m in models]) for i in branches),
-        dampers=tuple(mean([m.chains.dampers[i] for m in models]) for i in branches),
-        couplings=mean([m.chains.couplings for m in models]),
-        ground_springs=mean([m.chains.ground_springs for m in models]),
-        ground_dampers=mean([m.chains.ground_dampers for m in models]),
-        axes=last.chains.axes,
-    )
-    std = ChainStd(
-        masses=tuple(spread([m.std.masses[i] for m in models]) for i in branches),
-        springs=tuple(spread([m.std.springs[i] for m in models]) for i in branches),
-        dampers=tuple(spread([m.std.dampers[i] for m in models]) for i in branches),
-        couplings=spread([m.std.couplings for m in models]),
-        ground_springs=spread([m.std.ground_springs for m in models]),
-    )
+    names, _ = parameter_vector(last.chains)
+    values = [parameter_vector(m.chains)[1] for m in models]
+    stds = [[stds_by_name(m)[n] for n in names] for m in models]
+    mean: Float64 = np.asarray(sum(w * v for w, v in zip(weights, values, strict=True)))
+    spread = np.sqrt(sum((w * np.array(s)) ** 2 for w, s in zip(weights, stds, strict=True)))
+    ground = sum(w * m.chains.ground_dampers for w, m in zip(weights, models, strict=True))
+    last_chains = replace(last.chains, ground_dampers=frozen_float(ground))
+    chains = chains_by_name(last_chains, dict(zip(names, mean, strict=True)))
+    std = std_by_name(chains, dict(zip(names, spread, strict=True)))
     joint: Float64 | None = None
     matrices = [m.covariance for m in models if m.parameter_names == last.parameter_names]
     known = [c for c in matrices if c is not None]

@@ -21,7 +21,7 @@ from invid.comparison.causes import cause_sentences, compare_causes, with_cause_
 from invid.comparison.changes import CauseChange, CauseStatus, Change, Comparison, Repeatability, Status
 from invid.comparison.joint_test import Selection, Whitened, covariance_of, detectable, joint_p, select
 from invid.comparison.pairs import effects as paired_effects
-from invid.comparison.pairs import linear_parameters
+from invid.comparison.pairs import parameter_changes
 from invid.comparison.pairs import structure as structure_of
 from invid.comparison.repeatability import MINIMUM_RUNS
 from invid.comparison.repeatability import repeatability as measured_repeatability
@@ -119,7 +119,7 @@ def compare(
     apart = max(1.0, scatter.factor)
     sides = pool_agreeing(old, before, apart), pool_agreeing(new, after, apart)
     old, new = pool_models(sides[0]), pool_models(sides[1])
-    parameters = linear_parameters(old, new, common, repeatability)
+    parameters = parameter_changes(old, new, common, repeatability)
     effects = paired_effects(old, new, common, repeatability)
     causes = compare_causes(
         old, new, common, alpha=alpha, tolerance=tolerance, repeatability=repeatability, scatter=scatter

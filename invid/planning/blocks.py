@@ -19,7 +19,7 @@ from invid.planning.expected_covariance import Expected, Noise, expected, parame
 from invid.planning.forecast import QUANTITIES, usable, with_margin
 from invid.planning.model import PlannedExperiment
 from invid.planning.response import foretold_motion, hold_gains
-from invid.recording.model import Kind, Role
+from invid.recording.model import Kind
 from invid.signals import excitation
 
 LIMITS = ("position window", "velocity limit", "torque limit")
@@ -126,15 +126,10 @@ class BlockDesigner:
         peaks = self.peaks(rung)
         torque = np.zeros((period + 1, len(config.axes)))
         shell = PlannedExperiment(
-            key="",
             kind=Kind.MULTISINE,
-            role=Role.IDENTIFY,
             excited=self.excited,
             torque=torque,
-            reference=None,
-            record_from=0,
             record_to=period + 1,
-            period_samples=0,
             frequencies_hz=frozen_float(lines * spacing),
             attributes={
                 "seed": self.seed + number,
@@ -175,15 +170,9 @@ class BlockDesigner:
         low, high = self.band
         lines = np.arange(max(1, int(np.ceil(low / spacing))), int(high / spacing) + 1)
         shell = PlannedExperiment(
-            key="",
             kind=Kind.MULTISINE,
-            role=Role.IDENTIFY,
             excited=self.excited,
             torque=np.zeros((0, len(self.config.axes))),
-            reference=None,
-            record_from=0,
-            record_to=0,
-            period_samples=0,
             frequencies_hz=frozen_float(lines * spacing),
         )
         axis = interleaved(lines, self.excited)

@@ -35,15 +35,11 @@ class LineDesign:
         (L,) line numbers, and the axis each is given to.
     amplitude
         (L,) relative within an axis; the sum of squares is 1 on each.
-    travel, speed
-        (L, M) motor position [rad or m] and velocity amplitude for 1 N·m (N) on each line.
     """
 
     lines: Int64
     axis: Int64
     amplitude: Float64
-    travel: Float64
-    speed: Float64
 
     def of(self, axis: int) -> tuple[Int64, Float64]:
         """Lines and amplitudes of one axis."""
@@ -87,8 +83,10 @@ def line_design(
         Share of the power kept on f^−½.
     """
     structure = structure_of(belief.chains)
+    p = structure.vector(belief.chains)
+    p[structure.slices["viscous"]][: structure.motors] = belief.viscous
     omega: Float64 = np.asarray(2 * np.pi * spacing_hz * lines, dtype=np.float64)
-    motion, plant = _condensed(structure, belief, omega)
+    motion, plant, _ = condense_dense(structure, p, omega)
     motors = structure.motors
     law = hold[0] + 1j * omega[:, None] * hold[1]
     index = np.arange(motors)
@@ -103,11 +101,9 @@ def line_design(
     cost = 1.0 + travel**2 @ prices[0] + speed**2 @ prices[1]
     if goal_scale is None:
         power = _normalised(robust / cost, axis)
-        return LineDesign(lines, axis, np.sqrt(power), travel, speed)
+        return LineDesign(lines, axis, np.sqrt(power))
     torque: Complex128 = np.asarray(push - law * theta, dtype=np.complex128)
-    matrices = _information(
-        structure, belief, omega, motion, plant, theta, torque, torque_noise, position_noise
-    )
+    matrices = _information(structure, p, omega, motion, plant, theta, torque, torque_noise, position_noise)
     weight = _normalised(np.full(lines.size, 1.0) / cost, axis)
     importance = np.where(np.isfinite(goal_scale), 1.0 / goal_scale, 0.0)
     importance = np.concatenate((importance, np.zeros(matrices.shape[1] - importance.size)))
@@ -121,7 +117,7 @@ def line_design(
         gain = np.einsum("ab,lbc,ca->l", root.T, scaled, root).real
         weight = _normalised(weight * np.sqrt(np.maximum(gain, 0.0) / cost), axis, cost)
     power = (1 - robust_share) * weight + robust_share * _normalised(robust, axis, cost)
-    return LineDesign(lines, axis, np.sqrt(_normalised(power, axis)), travel, speed)
+    return LineDesign(lines, axis, np.sqrt(_normalised(power, axis)))
 
 
 def _normalised(power: Float64, axis: Int64, cost: Float64 | None = None) -> Float64:
@@ -131,20 +127,9 @@ def _normalised(power: Float64, axis: Int64, cost: Float64 | None = None) -> Flo
     return result
 
 
-def _condensed(structure: ChainStructure, belief: Belief, omega: Float64) -> tuple[Complex128, Complex128]:
-    motion, plant, _ = condense_dense(structure, _vector(structure, belief), omega)
-    return motion, plant
-
-
-def _vector(structure: ChainStructure, belief: Belief) -> Float64:
-    p = structure.vector(belief.chains)
-    p[structure.slices["viscous"]][: structure.motors] = belief.viscous
-    return p
-
-
 def _information(
     structure: ChainStructure,
-    belief: Belief,
+    p: Float64,
     omega: Float64,
     motion: Complex128,
     plant: Complex128,
@@ -155,7 +140,7 @@ def _information(
 ) -> Float64:
     """(L, n + M, n + M) Fisher information of unit torque on each line; time offsets are the last M."""
     q = np.einsum("fqm,fm->fq", motion, theta)
-    jacobian = structure.torque_derivative(_vector(structure, belief), omega, motion, q[None])[0]
+    jacobian = structure.torque_derivative(p, omega, motion, q[None])[0]
     offset = np.zeros((omega.size, structure.motors, structure.motors), dtype=complex)
     index = np.arange(structure.motors)
     offset[:, index, index] = 1j * omega[:, None] * torque

@@ -7,12 +7,12 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any
 
-from invid.numerics.arrays import Float64
+from invid.numerics.arrays import Float64, frozen_float
 from invid.planning.budget import BusBudget
 from invid.recording.model import Kind, Role
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class PlannedExperiment:
     """One experiment, cycle by cycle.
 
@@ -26,16 +26,17 @@ class PlannedExperiment:
         Rows that go into the recording; what lies before settles, what lies after fades out.
     """
 
-    key: str
+    key: str = ""
+    """Its number in the plan, as text."""
     kind: Kind
-    role: Role
+    role: Role = Role.IDENTIFY
     excited: tuple[int, ...]
     torque: Float64
-    reference: Float64 | None
-    record_from: int
-    record_to: int
-    period_samples: int
-    frequencies_hz: Float64
+    reference: Float64 | None = None
+    record_from: int = 0
+    record_to: int = 0
+    period_samples: int = 0
+    frequencies_hz: Float64 = field(default_factory=lambda: frozen_float([]))
     attributes: Mapping[str, Any] = field(default_factory=dict)
 
     @property

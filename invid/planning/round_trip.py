@@ -47,8 +47,6 @@ class RoundTrip:
         The shortest usual cycle that adapter, bus load and number of drives carry.
     cycle_s, carries
         The config's cycle, and whether it is carried.
-    stated_s
-        The config's ``bus.round_trip_s``, which then decides instead of the probe.
     """
 
     count: int
@@ -59,7 +57,6 @@ class RoundTrip:
     shortest_cycle_s: float
     cycle_s: float
     carries: bool
-    stated_s: float | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
@@ -95,9 +92,9 @@ class RoundTrip:
         )
 
 
-def rank(count: int, share: float, confidence: float = CONFIDENCE) -> int | None:
+def rank(count: int, share: float) -> int | None:
     """Rank (from 1) of the sample that bounds a share from above; ``None`` where the count is too small."""
-    found = int(binom.ppf(confidence, count, share)) + 1
+    found = int(binom.ppf(CONFIDENCE, count, share)) + 1
     return found if found <= count else None
 
 
@@ -148,5 +145,4 @@ def judge(samples: Sequence[float], config: CellConfig, *, cycles: int, loaded_s
         shortest_cycle_s=shortest_cycle(max(usual, must), drives, bus.bitrate_bit_per_s, loaded_s),
         cycle_s=bus.cycle_s,
         carries=needed(must, drives, bus.bitrate_bit_per_s) <= bus.cycle_s,
-        stated_s=bus.round_trip_s,
     )

@@ -15,7 +15,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from invid.comparison.sentences import differing_number
 from invid.model.diagnosis_document import Diagnosis, Verdict
-from invid.model.document import EffectTerm, Model, units
+from invid.model.document import EffectTerm, Model, linear_parameters
 from invid.recording.model import Recording
 from invid.report.branch_drawing import branch_drawing
 from invid.report.captions import captions_of, replay_caption
@@ -106,6 +106,9 @@ def _sentences(diagnosis: Diagnosis | None) -> list[str]:
     return said
 
 
+_ONE_OF_A_KIND = {"ground_spring": "spring to ground", "coupling": "coupling"}
+
+
 # --- tables -----------------------------------------------------------------------------------------
 def _number(value: float, std: float | None) -> tuple[str, str, str]:
     """Value, std and relative std as text; a dash where the data cannot tell."""
@@ -116,30 +119,20 @@ def _number(value: float, std: float | None) -> tuple[str, str, str]:
 
 
 def _parameters(model: Model) -> list[dict[str, str]]:
-    unit = units(model.linear)
-    chains, std = model.chains, model.std
-    rows: list[dict[str, str]] = []
-
-    def row(axis: str, name: str, value: float, spread: float, of: str) -> None:
-        shown = _number(float(value), float(spread) if math.isfinite(spread) else None)
+    rows = []
+    for p in linear_parameters(model):
+        value, std, relative = _number(p.value, p.std)
+        name = f"{p.kind} {p.number}" if p.number else _ONE_OF_A_KIND[p.kind]
         rows.append(
-            {"axis": axis, "name": name, "value": shown[0], "std": shown[1], "relative": shown[2], "unit": of}
+            {
+                "axis": "–".join(p.axes),
+                "name": name,
+                "value": value,
+                "std": std,
+                "relative": relative,
+                "unit": p.unit,
+            }
         )
-
-    for i, axis in enumerate(chains.axes):
-        for name, of, values, spreads in (
-            ("mass", unit["mass"], chains.masses[i], std.masses[i]),
-            ("spring", unit["stiffness"], chains.springs[i], std.springs[i]),
-            ("damper", unit["damping"], chains.dampers[i], std.dampers[i]),
-        ):
-            for q in range(values.size):
-                row(axis, f"{name} {q + 1}", values[q], spreads[q], of)
-        if chains.ground_springs[i] != 0:
-            row(axis, "spring to ground", chains.ground_springs[i], std.ground_springs[i], unit["stiffness"])
-    for i in range(chains.branches):
-        for j in range(i + 1, chains.branches):
-            pair = f"{chains.axes[i]}–{chains.axes[j]}"
-            row(pair, "coupling", chains.couplings[i, j], std.couplings[i, j], unit["mass"])
     return rows
 
 
