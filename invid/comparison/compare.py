@@ -18,7 +18,7 @@ import numpy as np
 
 from invid.comparison.baseline import pool_agreeing, pool_models
 from invid.comparison.causes import cause_sentences, compare_causes, with_cause_verdicts
-from invid.comparison.changes import CauseChange, CauseStatus, Change, Comparison, Repeatability, Status
+from invid.comparison.changes import Change, Comparison, Repeatability, Status
 from invid.comparison.joint_test import Selection, Whitened, covariance_of, detectable, joint_p, select
 from invid.comparison.pairs import effects as paired_effects
 from invid.comparison.pairs import parameter_changes
@@ -38,18 +38,6 @@ TOLERANCE = 0.2
 """Default of ±x: where more than a fifth could change unseen, "unchanged" says little (a convention)."""
 _JOINT_SHARE = 0.2
 """Share of ``alpha`` for "something changed, but no parameter stands out"; the rest is for parameters."""
-
-__all__ = [
-    "ALPHA",
-    "TOLERANCE",
-    "CauseChange",
-    "CauseStatus",
-    "Change",
-    "Comparison",
-    "Repeatability",
-    "Status",
-    "compare",
-]
 
 
 def compare(

@@ -68,6 +68,5 @@ def _entries(matrix: Float64) -> list[tuple[int, int, float]]:
     return [(int(r), int(c), float(matrix[r, c])) for r, c in zip(*matrix.nonzero(), strict=True)]
 
 
-def losses(plant: LinearPlant) -> list[str]:
-    """What the FMU does not hold: every effect that is not linear."""
-    return effect_losses(plant)
+losses = effect_losses
+"""What is not linear is not held."""

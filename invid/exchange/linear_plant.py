@@ -174,42 +174,11 @@ def derivatives(plant: LinearPlant, names: tuple[str, ...]) -> tuple[Float64, Fl
     """(p, n, n) each: ∂M, ∂D, ∂K by every parameter. All three are linear in the parameters, so that
     M(p) = M + Σ (p_k − values_k)·∂M_k holds for any step."""
     structure = structure_of(plant.chains, viscous=False)
-    n = plant.mass.shape[0]
-    mass, damping, stiffness = (np.zeros((len(names), n, n)) for _ in range(3))
-    links = iter(structure.spring_pairs)
-    pairs = {
-        f"{axis}.{s + 1}": next(links)
-        for axis, size in zip(structure.axes, structure.sizes, strict=True)
-        for s in range(size - 1)
-    }
+    inner = slice(0, structure.dofs)
+    made = [np.zeros((len(names), *plant.mass.shape)) for _ in range(3)]
     for k, name in enumerate(names):
-        where, kind, number = _parts(name)
-        if kind == "coupling":
-            i, j = next(
-                (i, j)
-                for i, j in structure.coupling_pairs
-                if f"{structure.axes[i]}-{structure.axes[j]}" == where
-            )
-            a, b = structure.end_dofs[i], structure.end_dofs[j]
-            mass[k, a, b] = mass[k, b, a] = 1.0
-            continue
-        start = structure.motor_dofs[structure.axes.index(where)]
-        if kind == "mass":
-            mass[k, start + number - 1, start + number - 1] = 1.0
-        elif kind == "ground_spring":
-            stiffness[k, start, start] = 1.0
-        else:
-            a, b = pairs[f"{where}.{number}"]
-            matrix = stiffness if kind == "spring" else damping
-            matrix[k, [a, b], [a, b]] = 1.0
-            matrix[k, [a, b], [b, a]] = -1.0
-    return mass, damping, stiffness
-
-
-def _parts(name: str) -> tuple[str, str, int]:
-    """ "A1.mass.2" → ("A1", "mass", 2); "A1-A2.coupling" → ("A1-A2", "coupling", 0)."""
-    head, _, last = name.rpartition(".")
-    if not last.isdigit():
-        return head, last, 0
-    where, _, kind = head.rpartition(".")
-    return where, kind, int(last)
+        unit = np.zeros(structure.count)
+        unit[structure.names.index(name)] = 1.0
+        for whole, matrix in zip(made, structure.assembled(unit), strict=True):
+            whole[k, inner, inner] = matrix
+    return made[0], made[1], made[2]

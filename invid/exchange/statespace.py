@@ -95,6 +95,5 @@ def _cells(texts: list[str] | tuple[str, ...]) -> np.ndarray[Any, np.dtype[np.ob
     return out
 
 
-def losses(plant: LinearPlant) -> list[str]:
-    """What state space does not hold: every effect that is not linear."""
-    return effect_losses(plant)
+losses = effect_losses
+"""What is not linear is not held."""

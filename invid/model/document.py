@@ -476,14 +476,19 @@ def load_model(path: str | Path) -> Model:
 
 
 def save_text(path: Path, text: str) -> None:
+    """``save_bytes`` of a text, UTF-8."""
+    save_bytes(path, text.encode())
+
+
+def save_bytes(path: Path, content: bytes) -> None:
     """Write to a temporary name beside ``path``, then rename: a crash leaves the old file whole."""
     temporary = path.with_name(path.name + ".part")
     try:
         if path.exists() and not path.is_file():  # /dev/stdout stays what it is
-            path.write_text(text, encoding="utf-8")
+            path.write_bytes(content)
             return
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_text(text, encoding="utf-8")
+        temporary.write_bytes(content)
         temporary.replace(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror or error}") from None

@@ -60,6 +60,3 @@ def _shaped(
         frozen_float(couplings),
         frozen_float([named.get(f"{a}.ground_spring", np.nan) for a in chains.axes]),
     )
-
-
-__all__ = ["chains_by_name", "std_by_name"]

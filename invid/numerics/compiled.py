@@ -60,5 +60,3 @@ def _tell_of_compiling() -> None:
 
 if _MISSING is None:
     _tell_of_compiling()
-
-__all__ = ["COMPILING", "compiled"]

@@ -206,6 +206,3 @@ def _lower(
         if shorter is not None and shorter.cost < full.cost:
             best = shorter
     return best if best.cost < now.cost else None
-
-
-__all__ = ["LARGEST_STEP", "Minimum", "Parabola", "minimise"]

@@ -320,6 +320,3 @@ def _where(m: Mark, model: Model, said: Mapping[str, str]) -> str:
     if kind == "spring":
         return f"{axes[i]} {said['spring'].format(n=at)}"
     return f"{axes[i]} {mass_name(at, int(model.chains.masses[i].size), said)}"
-
-
-__all__ = ["WORDS", "Mark", "branch_drawing", "mass_name"]

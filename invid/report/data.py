@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -53,18 +53,7 @@ def figure_data(recording: Recording, model: Model, diagnosis: Diagnosis | None 
         "frf": _receptances(recording, shown, model, extended, notes),
         "missing_torque": _over_frequency(recording, missing, unit),
         "causes": _causes(recording, shown, model, diagnosis),
-        "residual": []
-        if diagnosis is None
-        else [
-            {
-                "axis": r.axis,
-                "unit": r.unit,
-                "before": r.before,
-                "after": r.after,
-                "noise_floor": r.noise_floor,
-            }
-            for r in diagnosis.residual
-        ],
+        "residual": [] if diagnosis is None else [asdict(r) for r in diagnosis.residual],
         "notes": notes,
     }
 

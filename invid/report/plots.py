@@ -182,6 +182,3 @@ def replay_picture(row: dict[str, Any], name: str) -> str:
         figure.legend(loc="upper right", ncols=3)
 
     return svg(name, fill, size=(7.2, 3.9), title=f"Motion of {row['axis']}, measured and simulated")
-
-
-__all__ = ["dependence_picture", "plot_files", "replay_picture"]

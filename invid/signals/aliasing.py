@@ -48,6 +48,3 @@ class Images:
         turned = np.exp(-1j * (2 * np.pi / self.step) * _ORDERS[:, None] * late)
         result: Complex128 = np.exp(-1j * self.omega[:, None] * late) * (self.each @ turned)
         return result
-
-
-__all__ = ["Images"]

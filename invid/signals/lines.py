@@ -73,6 +73,3 @@ def held_torque(experiment: Experiment) -> Float64:
                 result[i] = 1.0
                 break
     return result
-
-
-__all__ = ["band_of", "excited_lines", "held_torque", "highest_excited"]

@@ -51,6 +51,3 @@ def _quiet(lines: Complex128) -> np.ndarray:
     power = np.abs(lines) ** 2
     quiet: np.ndarray = power <= LOUD * np.median(power) / np.log(2.0)
     return quiet
-
-
-__all__ = ["sensor_noise_share"]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 
-from invid.model.chains import CoupledChains
+from invid.model.chains import CoupledChains, add_link
 from invid.numerics.arrays import Float64
 from invid.simulation.laws import Laws
 
@@ -56,15 +56,6 @@ def matrices(chains: CoupledChains, laws: Laws) -> Matrices:
         add_link(stiffness, extra_mass.at, new, k)
         add_link(damping, extra_mass.at, new, 2 * extra_mass.damping_ratio * float(np.sqrt(k * m)))
     return Matrices(mass, damping, stiffness)
-
-
-def add_link(matrix: Float64, a: int, b: int, value: float) -> None:
-    """A spring or damper between a and b (b = −1: ground), in place."""
-    matrix[a, a] += value
-    if b >= 0:
-        matrix[b, b] += value
-        matrix[a, b] -= value
-        matrix[b, a] -= value
 
 
 def discretise(plant: Matrices, inputs: Float64, step: float) -> Step:

@@ -11,13 +11,14 @@ from scipy.interpolate import CubicHermiteSpline
 
 from invid.effects.elements import Law
 from invid.errors import InputError
+from invid.model.chains import add_link
 from invid.model.document import Model
 from invid.numerics.arrays import Float64
 from invid.recording.model import Experiment, Recording
 from invid.signals.plausibility import check_units
 from invid.simulation.kernel import march
 from invid.simulation.laws import Laws, law_table, laws_of, static_table
-from invid.simulation.plant import Matrices, Step, add_link, discretise, matrices
+from invid.simulation.plant import Matrices, Step, discretise, matrices
 from invid.simulation.replay import Drive, drift_torque, drive
 from invid.simulation.rigid import simulate_motion
 

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from invid.comparison.compare import Status, compare
+from invid.comparison.changes import Status
+from invid.comparison.compare import compare
 from invid.comparison.joint_test import Whitened, shares
 from invid.comparison.repeatability import repeatability
 from invid.comparison.sentences import HELD
