@@ -10,6 +10,7 @@ from invid.modes.least_squares import ModalFit
 from invid.modes.model import high_gain_pairs, mode_shape_functions, pairs
 from invid.modes.vector_fit import relocate_poles
 from invid.numerics.arrays import Complex128, Float64
+from invid.numerics.linear_algebra import least_squares, real_rows
 
 _MOST_VALUES = 12_000  # for the pole search alone; beyond that lines add time, not poles
 STARTING_DAMPING = 0.01
@@ -79,13 +80,8 @@ def residue_start(data: FrfData, weight: Float64, poles: Complex128) -> ModalFit
         if allowed[p]:
             columns_p.append((-1.0 / data.w**2 + 0j)[:, None])
         left = weight[:, p : p + 1] * np.concatenate(columns_p, axis=1)
-        stacked = np.concatenate((left.real, left.imag))
         target = weight[:, p] * data.g[:, p]
-        norm = np.linalg.norm(stacked, axis=0)
-        norm[norm == 0] = 1.0
-        solution = (
-            np.linalg.lstsq(stacked / norm, np.concatenate((target.real, target.imag)), rcond=1e-10)[0] / norm
-        )
+        solution = least_squares(real_rows(left), real_rows(target), rcond=1e-10)
         residue[:, rows[p], columns[p]] = residue[:, columns[p], rows[p]] = solution[:n]
         friction[p] = solution[n]
         if allowed[p]:

@@ -7,11 +7,10 @@ per entry (Deschrijver et al., 2008). Only the poles are used: they start the mo
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 import scipy.linalg
 
 from invid.numerics.arrays import Complex128, Float64
-from invid.numerics.eigenvalues import eigenvalues
+from invid.numerics.linear_algebra import eigenvalues, least_squares, real_rows
 
 
 def relocate_poles(
@@ -44,11 +43,6 @@ def _basis(w: Float64, poles: Complex128) -> Complex128:
     return basis
 
 
-def _stacked(matrix: npt.NDArray[np.complexfloating]) -> Float64:
-    stacked: Float64 = np.concatenate((matrix.real, matrix.imag))
-    return stacked
-
-
 def _relocate(w: Float64, response: Complex128, weight: Float64, poles: Complex128) -> Complex128 | None:
     """The zeros of σ as poles; ``None`` where the data leave no finite ones."""
     basis = _basis(w, poles)
@@ -59,10 +53,10 @@ def _relocate(w: Float64, response: Complex128, weight: Float64, poles: Complex1
     for p in range(entries):
         if not np.any(weight[:, p] > 0):
             continue
-        left = _stacked((weight[:, p : p + 1] * common).astype(np.complex128))
+        left = real_rows(weight[:, p : p + 1] * common)
         scale = np.linalg.norm(left, axis=0)
         left /= np.where(scale > 0, scale, 1.0)
-        denominator = _stacked(-(weight[:, p] * response[:, p])[:, None] * sigma)
+        denominator = real_rows(-(weight[:, p] * response[:, p])[:, None] * sigma)
         if not (np.isfinite(left).all() and np.isfinite(denominator).all()):
             return None
         factor = scipy.linalg.qr(np.column_stack((left, denominator)), mode="r")[0]
@@ -73,11 +67,9 @@ def _relocate(w: Float64, response: Complex128, weight: Float64, poles: Complex1
     rows.append(emphasis * np.sum(sigma.real, axis=0, keepdims=True))
     right.append(np.array([emphasis * w.size]))
     matrix, target = np.concatenate(rows), np.concatenate(right)
-    norms = np.linalg.norm(matrix, axis=0)
-    if not np.isfinite(norms).all():
+    if not np.isfinite(np.linalg.norm(matrix, axis=0)).all():
         return None
-    norms[norms == 0] = 1.0
-    solution = np.linalg.lstsq(matrix / norms, target, rcond=None)[0] / norms
+    solution = least_squares(matrix, target)
     residues, direct = solution[:order], solution[order]
     if abs(direct) < 1e-8:
         direct = np.copysign(1e-8, direct)

@@ -10,6 +10,7 @@ import numpy as np
 from invid.model.chains import CoupledChains
 from invid.model.forward import condense
 from invid.numerics.arrays import Complex128, Float64
+from invid.numerics.linear_algebra import least_squares, real_rows
 from invid.signals.spectra import LineSpectra
 
 BINS = 160
@@ -86,12 +87,9 @@ def _without_nuisance(
 
 def _least_squares(columns: Complex128, right: Complex128) -> Float64:
     """Real coefficients of complex columns (F, M, n) that bring them closest to ``right`` (F, M)."""
-    a, b = columns.reshape(-1, columns.shape[2]), right.ravel()
-    a, b = np.concatenate((a.real, a.imag)), np.concatenate((b.real, b.imag))
-    scale = np.linalg.norm(a, axis=0)
-    scale[scale == 0] = 1.0
-    result: Float64 = np.linalg.lstsq(a / scale, b, rcond=1e-12)[0] / scale
-    return result
+    return least_squares(
+        real_rows(columns.reshape(-1, columns.shape[2])), real_rows(right.ravel()), rcond=1e-12
+    )
 
 
 def binned(hz: Sequence[Float64], power: Sequence[Float64], bins: int = BINS) -> tuple[Float64, Float64]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from invid.numerics.arrays import Bool, Complex128, Float64
+from invid.numerics.linear_algebra import real_rows
 
 HELD = 0.01
 """Share of an axis' torque power that a hold law may leave: a driven axis' torque is the plant's, with
@@ -49,8 +50,7 @@ def _only_held(omega: Float64, position: Complex128, torque: Complex128, floor: 
     if power < 5.0 * torque.size * float(floor[1]):
         return False
     rows = np.stack((-position, -1j * omega * position), axis=1)
-    both = np.concatenate((rows.real, rows.imag))
-    goal = np.concatenate((torque.real, torque.imag))
+    both, goal = real_rows(rows), real_rows(torque)
     law = np.linalg.lstsq(both, goal, rcond=None)[0]
     left = float(np.sum((goal - both @ law) ** 2))
     stiffness = float(law[0] ** 2 + np.mean(omega**2) * law[1] ** 2)

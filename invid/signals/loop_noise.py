@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from invid.numerics.arrays import Complex128, Float64
+from invid.numerics.linear_algebra import least_squares, real_rows
 
 TAPS = 6
 """Samples of the reading that a command may follow: a position and a speed, up to four cycles late."""
@@ -36,12 +37,9 @@ def sensor_noise_share(spectra: Complex128, hz: Float64, step: float) -> Float64
             continue
         taps = reading[..., None] * turn
         rows, target = taps[quiet], torque[quiet]
-        stacked = np.concatenate((rows.real, rows.imag))
-        scale = np.linalg.norm(stacked, axis=0)
-        if not (scale > 0).all():
+        if not np.any(rows, axis=0).all():
             continue
-        found = np.linalg.lstsq(stacked / scale, np.concatenate((target.real, target.imag)), rcond=1e-10)[0]
-        rest = torque - taps @ (found / scale)
+        rest = torque - taps @ least_squares(real_rows(rows), real_rows(target), rcond=1e-10)
         freedom = 1.0 - TAPS / (2.0 * quiet.sum())
         out[motors + i] = min(float(np.median(np.abs(rest[quiet]) ** 2)) / freedom / level, 1.0)
     return out

@@ -125,20 +125,14 @@ class SpectralRecord(SpectralLines):
         return out
 
     def to_wave(self, lines: Complex128) -> Float64:
-        """(n,) wave of (F,) amplitudes, the mean first."""
-        half = np.zeros(self.samples // 2 + 1, dtype=complex)
-        half[self.lines] = lines * (self.samples / 2)
-        half[0] *= 2.0
-        out: Float64 = np.fft.irfft(half, self.samples)
-        return out
-
-    def to_waves(self, lines: Complex128) -> Float64:
-        """(n, P) waves of (F, P) amplitudes, the mean first."""
-        half = np.zeros((self.samples // 2 + 1, lines.shape[1]), dtype=complex)
+        """(n, …) waves of (F, …) amplitudes, the mean first."""
+        half = np.zeros((self.samples // 2 + 1, *lines.shape[1:]), dtype=complex)
         half[self.lines] = lines * (self.samples / 2)
         half[0] *= 2.0
         out: Float64 = np.fft.irfft(half, self.samples, axis=0)
         return out
+
+    to_waves = to_wave
 
     @cached_property
     def standing(self) -> tuple[Standstill | None, ...]:

@@ -213,11 +213,11 @@ class Rehearsal:
             return motion.play(rows[first:last], last - first, reference=part, log=True)
 
         opening = play(0, fade)
-        motion.watching.excited = excited if moves else set()
+        motion.watching.standing.excited = excited if moves else set()
         body = play(fade, cycles - fade)
-        motion.watching.excited = set()
+        motion.watching.standing.excited = set()
         if moves:
-            motion.watching.learn_standing(excited)
+            motion.watching.standing.learn(excited)
         words = f"{share:.0%} of the planned amplitude"
         motion.watching.words.require_no_limit(range(motion.count), words)
         ending = play(cycles - fade, cycles)
