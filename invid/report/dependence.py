@@ -15,7 +15,13 @@ from invid.model.document import Model, model_from_json
 from invid.numerics.arrays import Bool, Float64
 from invid.recording.model import Experiment, Recording, Role
 from invid.report import data as shared
-from invid.report.spectra_data import MissingTorque, binned, missing_torque
+from invid.report.spectra_data import (
+    MissingTorque,
+    binned_floor,
+    binned_torque,
+    line_numbers,
+    missing_torque,
+)
 from invid.signals.spectra import LineSpectra, all_spectra
 from invid.simulation.run import simulate
 
@@ -67,14 +73,14 @@ def _axis(
     for q in range(chains.springs[i].size):
         moved = np.einsum("fm,fm->f", m.motion[:, first + q] - m.motion[:, first + q + 1], liveliest.position)
         waves[f"deflection_{q + 1}"] = shared._wave(liveliest, moved)
-    hz, floor = binned([x.spectra.frequency_hz for x in missing], [x.std[:, i] ** 2 for x in missing])
+    hz, floor = binned_floor(missing, i)
     return {
         "axis": recording.axes[i],
         "experiment": liveliest.key,
         "torque_unit": recording.torque_unit,
         "position_unit": recording.position_unit,
         "lines": {
-            "floor": {"frequency_hz": hz.tolist(), "torque": floor.tolist()},
+            "floor": {"frequency_hz": hz, "torque": floor},
             **{kind: _lines(missing, i, kind) for kind in ("excited", "odd", "even")},
         },
         "waves": {name: np.asarray(wave)[thin].tolist() for name, wave in waves.items()},
@@ -101,18 +107,13 @@ def _kind(s: LineSpectra, kind: str) -> Bool:
     """Lines of a kind; odd and even are those that the excitation leaves alone."""
     if kind == "excited":
         return np.asarray(s.excited)
-    number = np.round(s.frequency_hz * s.time.size / s.sample_rate_hz).astype(int)
-    found: Bool = ~np.asarray(s.excited) & (number % 2 == (1 if kind == "odd" else 0))
+    found: Bool = ~np.asarray(s.excited) & (line_numbers(s) % 2 == (kind == "odd"))
     return found
 
 
 def _lines(missing: Sequence[MissingTorque], i: int, kind: str) -> dict[str, list[float]]:
-    used = [_kind(m.spectra, kind) for m in missing]
-    hz, rms = binned(
-        [m.spectra.frequency_hz[u] for m, u in zip(missing, used, strict=True)],
-        [np.abs(m.torque[u, i]) ** 2 for m, u in zip(missing, used, strict=True)],
-    )
-    return {"frequency_hz": hz.tolist(), "torque": rms.tolist()}
+    hz, rms = binned_torque(missing, i, [_kind(m.spectra, kind) for m in missing])
+    return {"frequency_hz": hz, "torque": rms}
 
 
 def linear_model_of(diagnosis: Diagnosis) -> Model:

@@ -32,7 +32,7 @@ from invid.report.data import (
     force_at,
     lines_of,
 )
-from invid.report.spectra_data import MissingTorque, binned
+from invid.report.spectra_data import MissingTorque, binned, line_numbers
 from invid.signals.spectra import LineSpectra, all_spectra
 
 SIDES = (laws.VELOCITY, laws.POSITION, laws.DEFLECTION)
@@ -111,10 +111,9 @@ def _side(
 ) -> Float64 | None:
     """(n,) the quantity at the cause's place; the deflection is that of the spring next to it."""
     if what != laws.DEFLECTION or np.count_nonzero(pattern) == 2:
-        at = pattern
         if what in (laws.VELOCITY, laws.POSITION) and np.count_nonzero(pattern) == 2:
-            at = np.maximum(pattern, 0.0)  # of a spring: its motor's side
-        return _abscissa(m, at, axis, what, term)
+            pattern = np.maximum(pattern, 0.0)  # of a spring: its motor's side
+        return _abscissa(m, pattern, axis, what, term)
     springs = chains.springs[axis].size
     if springs == 0:
         return None
@@ -127,9 +126,7 @@ def _side(
 
 def _spectrum(s: LineSpectra, force: Complex128, std: Float64, fit: Float64 | None) -> dict[str, Any]:
     """Rms over frequency of the torque at the cause's place, before and with the cause taken out."""
-    count = s.time.size
-    at = np.round(s.frequency_hz * count / s.sample_rate_hz).astype(int)
-    inside = at <= count // 2
+    inside = line_numbers(s) <= s.time.size // 2
     hz = s.frequency_hz[inside]
     centre, before = binned([hz], [np.abs(force[inside]) ** 2])
     _, noise = binned([hz], [std[inside] ** 2])
