@@ -66,10 +66,7 @@ def make_plan(
     ConfigError
         An axis that is not there, an experiment that cannot be made, a bus over its budget.
     """
-    names = tuple(a.name for a in config.axes)
-    unknown = [n for n in axes or () if n not in names]
-    if unknown:
-        raise ConfigError(f"axes: no axis {unknown[0]!r} in the config; it has {', '.join(names)}")
+    names = require_known_axes(config, axes)
     if axes is not None and not axes:
         raise ConfigError(f"axes: none named; the config has {', '.join(names)}")
     if not 0 < amplitude_scale <= 1:
@@ -107,6 +104,15 @@ def make_plan(
         warnings.append("no experiment has role 'validate': a diagnosis will have to hold data out by itself")
     belief = model if isinstance(model, Belief) or model is None else _frictionless(model)
     return assemble(config, experiments, belief, budget, share=amplitude_scale, warnings=warnings)
+
+
+def require_known_axes(config: CellConfig, axes: Sequence[str] | None) -> tuple[str, ...]:
+    """Names of the config's axes; ConfigError where ``axes`` holds another."""
+    names = tuple(a.name for a in config.axes)
+    unknown = [n for n in axes or () if n not in names]
+    if unknown:
+        raise ConfigError(f"axes: no axis {unknown[0]!r} in the config; it has {', '.join(names)}")
+    return names
 
 
 def assemble(
