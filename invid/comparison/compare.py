@@ -16,15 +16,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from invid.comparison.baseline import pool_agreeing, pool_models
+from invid.comparison.baseline import MINIMUM_RUNS, pool_agreeing, pool_models
+from invid.comparison.baseline import repeatability as measured_repeatability
 from invid.comparison.causes import cause_sentences, compare_causes, with_cause_verdicts
 from invid.comparison.changes import Change, Comparison, Repeatability, Status
 from invid.comparison.joint_test import Selection, Whitened, covariance_of, detectable, joint_p, select
 from invid.comparison.pairs import effects as paired_effects
 from invid.comparison.pairs import parameter_changes
 from invid.comparison.pairs import structure as structure_of
-from invid.comparison.repeatability import MINIMUM_RUNS
-from invid.comparison.repeatability import repeatability as measured_repeatability
 from invid.comparison.sentences import percent, sentences
 from invid.errors import InputError
 from invid.model.document import Model, units

@@ -14,8 +14,7 @@ from typing import Any
 
 from pythonfmu3.builder import FmuBuilder
 
-from invid.exchange.linear_plant import LinearPlant, ParameterSpread, derivatives
-from invid.exchange.losses import effect_losses
+from invid.exchange.linear_plant import LinearPlant, ParameterSpread, derivatives, effect_losses
 from invid.numerics.arrays import Float64
 
 SLAVE = "fmu_slave"

@@ -1,14 +1,17 @@
-"""The part of a model that is linear, as matrices, and what of the model is not in them.
+"""The linear part of a model as matrices, and what of the model a format does not hold, in sentences.
 
-q [rad or m] are the coordinates in the order of axes and masses, those of extra modes at the end; u [N·m
-or N] the motor torques that the drives report; t the torques that act:
+q [rad or m] are the coordinates in the order of axes and masses, those of extra modes at the end; u [N·m or
+N] the motor torques that the drives report; t the torques that act:
 
     M q̈ + D q̇ + K q = Σ_i e_i t_i,    τ_i ṫ_i + t_i = g_i u_i    (τ_i = 0: t_i = g_i u_i).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
+from xml.etree.ElementTree import Comment
 
 import numpy as np
 import scipy.linalg
@@ -182,3 +185,41 @@ def derivatives(plant: LinearPlant, names: tuple[str, ...]) -> tuple[Float64, Fl
         for whole, matrix in zip(made, structure.assembled(unit), strict=True):
             whole[k, inner, inner] = matrix
     return made[0], made[1], made[2]
+
+
+def effect_losses(
+    plant: LinearPlant, own: Callable[[EffectTerm], str | None] = lambda _term: None
+) -> list[str]:
+    """A sentence for each effect that the matrices do not hold.
+
+    ``own`` says how the format holds such an effect in its own way ("stands as …"); ``None``: it does not.
+    """
+    lost = []
+    for left in plant.nonlinear:
+        way = None if left.reason else own(left.term)
+        name = effect_name(left.term)
+        lost.append(
+            f"{name} {way}" if way else f"{name} is left out" + (f": {left.reason}" * bool(left.reason))
+        )
+    return lost
+
+
+def effect_name(term: EffectTerm) -> str:
+    """ "coulomb_friction on A1 mass 1 (torque 0.1 N·m)"."""
+    place = " ".join(x for x in (term.axis, term.element, term.other_axis) if x)
+    sizes = ", ".join(f"{k} {p.value:.4g} {p.unit or ''}".strip() for k, p in term.parameters.items())
+    return f"{term.cause} on {place} ({sizes})"
+
+
+def moved_modes(plant: LinearPlant, mass: Float64, stiffness: Float64) -> float:
+    """Largest relative shift of a natural frequency with these matrices instead of the plant's."""
+    there = np.sqrt(np.maximum(scipy.linalg.eigh(stiffness, mass, eigvals_only=True), 0.0))
+    here = plant.modes
+    elastic = here > 1e-6 * here[-1]
+    shift = np.abs(there[elastic] / here[elastic] - 1.0)
+    return float(shift.max(initial=0.0))
+
+
+def loss_comment(losses: list[str]) -> Any:
+    """The losses as an XML comment, which must not hold two hyphens in a row."""
+    return Comment(" not in here as it is: " + "; ".join(losses).replace("--", "- -") + " ")

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.io import savemat
 
-from invid.exchange.linear_plant import LinearPlant, ParameterSpread, derivatives
-from invid.exchange.losses import effect_losses
+from invid.exchange.linear_plant import LinearPlant, ParameterSpread, derivatives, effect_losses
 from invid.numerics.arrays import Float64
 
 

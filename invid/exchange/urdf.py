@@ -14,8 +14,14 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from invid.exchange.linear_plant import LinearPlant, ParameterSpread
-from invid.exchange.losses import effect_losses, effect_name, loss_comment, moved_modes
+from invid.exchange.linear_plant import (
+    LinearPlant,
+    ParameterSpread,
+    effect_losses,
+    effect_name,
+    loss_comment,
+    moved_modes,
+)
 from invid.model.chains import add_link
 from invid.model.document import EffectTerm
 from invid.numerics.arrays import Float64

@@ -30,7 +30,6 @@ class HasCost(Protocol):
     @property
     def cost(self) -> float:
         """χ², or another sum of squares."""
-        ...
 
 
 Point = TypeVar("Point", bound=HasCost)

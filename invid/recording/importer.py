@@ -17,13 +17,11 @@ from invid.errors import InputError
 from invid.numerics.arrays import Bool, Float64, frozen, frozen_float
 from invid.recording.binary_table import read_hdf5_table, read_mat_table, read_parquet_table
 from invid.recording.check import check_recording
-from invid.recording.clocks import on_clock
 from invid.recording.import_map import AxisMap, Channel, ExperimentMap, ImportMap, Source
 from invid.recording.mcap_table import read_mcap_table
 from invid.recording.mdf_table import read_mdf_table
 from invid.recording.model import Experiment, Recording, nominal_sample_rate
-from invid.recording.rows import good_rows
-from invid.recording.tables import BrokenRow, Table
+from invid.recording.tables import BrokenRow, Table, good_rows, on_clock
 from invid.recording.text_table import read_text_table
 from invid.recording.units import BY_MACHINE, LINEAR, MachineConstants, Quantity, factor, normal_unit
 

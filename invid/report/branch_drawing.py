@@ -15,18 +15,24 @@ from invid.diagnosis.headline import cause_title
 from invid.diagnosis.sentences import format_estimate as size_of
 from invid.model.diagnosis_document import Finding, Unexplained
 from invid.model.document import EffectTerm, Model, units
-from invid.report.branch_marks import INK, PAPER, Mark, callout, marked, room_of, text_at
-from invid.report.branch_places import (
+from invid.report.branch_marks import (
     BELOW,
+    INK,
     LEFT,
     LINE,
     MASS,
+    PAPER,
     SPRING,
+    Mark,
     Places,
+    callout,
     changed_places,
     lines_below,
+    marked,
     place_of,
     places,
+    room_of,
+    text_at,
 )
 from invid.report.labels import label, printable
 

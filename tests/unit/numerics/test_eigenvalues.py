@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from invid.modes.vector_fit import relocate_poles
+from invid.modes.poles import relocate_poles
 from invid.numerics.linear_algebra import eigenvalues
 
 
