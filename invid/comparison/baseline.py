@@ -1,5 +1,4 @@
-"""Measurements of one unchanged robot: their mean, a baseline, and λ, by how much they scatter beyond their
-fits.
+"""Measurements of one unchanged robot: their mean, and λ, by how much they scatter beyond their fits.
 
 The difference of two single runs has √2 times the deviation of one; against the mean of K runs it has √(1 +
 1/K). Only runs that agree with each other are averaged, newest first, up to the first that does not: behind
@@ -27,8 +26,15 @@ from scipy.special import chdtr
 
 from invid.comparison.changes import Repeatability
 from invid.comparison.joint_test import Whitened, difference, joint_p, select, two_sided
-from invid.model.document import EffectTerm, Estimate, Model, parameter_vector, stds_by_name
-from invid.model.parameter_names import chains_by_name, std_by_name
+from invid.model.document import (
+    EffectTerm,
+    Estimate,
+    Model,
+    chains_by_name,
+    parameter_vector,
+    std_by_name,
+    stds_by_name,
+)
 from invid.numerics.arrays import Float64, frozen_float
 from invid.numerics.distributions import chi2_isf, chi2_sf, f_sf
 

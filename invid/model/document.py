@@ -81,13 +81,7 @@ class ChainStd:
     @classmethod
     def unknown(cls, chains: CoupledChains) -> ChainStd:
         """All NaN."""
-        return cls(
-            masses=tuple(frozen_float(np.full(m.shape, np.nan)) for m in chains.masses),
-            springs=tuple(frozen_float(np.full(k.shape, np.nan)) for k in chains.springs),
-            dampers=tuple(frozen_float(np.full(d.shape, np.nan)) for d in chains.dampers),
-            couplings=frozen_float(np.full(chains.couplings.shape, np.nan)),
-            ground_springs=frozen_float(np.full(chains.ground_springs.shape, np.nan)),
-        )
+        return std_by_name(chains, {})
 
 
 @dataclass(frozen=True, eq=False)
@@ -497,3 +491,53 @@ def save_bytes(path: Path, content: bytes) -> None:
 def save_model(model: Model, path: Path) -> None:
     """Write the ``invid-model`` file."""
     save_text(path, dump_json(model_to_json(model)))
+
+
+def std_by_name(chains: CoupledChains, std: Mapping[str, float]) -> ChainStd:
+    """Standard deviations in the shapes of ``chains``; NaN for names that ``std`` does not have."""
+    masses, springs, dampers, couplings, ground = _shaped(chains, std)
+    return ChainStd(
+        masses=masses, springs=springs, dampers=dampers, couplings=couplings, ground_springs=ground
+    )
+
+
+def chains_by_name(chains: CoupledChains, values: Mapping[str, float]) -> CoupledChains:
+    """``chains`` with the parameters named in ``values``; the others stay as they are."""
+    masses, springs, dampers, couplings, ground = _shaped(chains, values)
+
+    def filled(new: Float64, old: Float64) -> Float64:
+        return frozen_float(np.where(np.isnan(new), old, new))
+
+    return replace(
+        chains,
+        masses=tuple(filled(n, o) for n, o in zip(masses, chains.masses, strict=True)),
+        springs=tuple(filled(n, o) for n, o in zip(springs, chains.springs, strict=True)),
+        dampers=tuple(filled(n, o) for n, o in zip(dampers, chains.dampers, strict=True)),
+        couplings=filled(couplings, chains.couplings),
+        ground_springs=filled(ground, chains.ground_springs),
+    )
+
+
+def _shaped(
+    chains: CoupledChains, named: Mapping[str, float]
+) -> tuple[tuple[Float64, ...], tuple[Float64, ...], tuple[Float64, ...], Float64, Float64]:
+    """Masses, springs, dampers, couplings, springs to ground; NaN where not named."""
+
+    def column(kind: str, parts: tuple[Float64, ...]) -> tuple[Float64, ...]:
+        return tuple(
+            frozen_float([named.get(f"{axis}.{kind}.{q + 1}", np.nan) for q in range(part.size)])
+            for axis, part in zip(chains.axes, parts, strict=True)
+        )
+
+    couplings = np.full((chains.branches, chains.branches), np.nan)
+    for i, a in enumerate(chains.axes):
+        for j in range(i + 1, chains.branches):
+            value = named.get(f"{a}-{chains.axes[j]}.coupling", np.nan)
+            couplings[i, j] = couplings[j, i] = value
+    return (
+        column("mass", chains.masses),
+        column("spring", chains.springs),
+        column("damper", chains.dampers),
+        frozen_float(couplings),
+        frozen_float([named.get(f"{a}.ground_spring", np.nan) for a in chains.axes]),
+    )

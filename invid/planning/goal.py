@@ -1,7 +1,7 @@
 """The shortest experiment that is expected to reach a stated uncertainty, in blocks.
 
 One block is one record from rest: all axes at once on interleaved lines, crest factor low, amplitude by
-frequency from ``invid.planning.design`` where a model is known. After each block whoever runs the plan
+frequency from ``invid.planning.blocks`` where a model is known. After each block whoever runs the plan
 looks at the measured covariance and stops as soon as it is there; amplitude rises from block to block
 up to the limits, and blocks of reserve follow the expected ones.
 """

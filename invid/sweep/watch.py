@@ -11,10 +11,8 @@ import numpy as np
 from invid.errors import BusError, DriveError, SafetyStop
 from invid.numerics.arrays import Float64
 from invid.sweep.drive_word import DriveWords
-from invid.sweep.halting import Halting
 from invid.sweep.ports import Sample, Severity
-from invid.sweep.stuck_encoder import Standing
-from invid.sweep.yielding import Yielding
+from invid.sweep.stuck_encoder import Halting, Standing, Yielding
 
 STATE_MASK, OPERATION_ENABLED = 0x6F, 0x27
 """State bits of 0x6041 (CiA 402)."""
