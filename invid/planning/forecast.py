@@ -254,15 +254,13 @@ def _scaled(e: PlannedExperiment, factor: Float64) -> PlannedExperiment:
     if path is not None and e.torque.any():
         # a creep turns round earlier at the same speed
         most = factor * np.abs(path).max(axis=0)
-        span = np.where(most > 0, 4 * most, np.inf)
-        path = np.where(most > 0, _folded(path, most, span), path)
+        path = np.where(most > 0, _folded(path, most), path)
     return replace(e, torque=frozen_float(e.torque * factor), reference=path)
 
 
-def _folded(path: Float64, most: Float64, span: Float64) -> Float64:
-    safe = np.where(np.isfinite(span), span, 1.0)
+def _folded(path: Float64, most: Float64) -> Float64:
     way = np.cumsum(np.abs(np.diff(path, axis=0, prepend=path[:1])), axis=0)
-    result: Float64 = most * (1.0 - np.abs(np.mod(way / safe * 4 + 1.0, 4.0) - 2.0))
+    result: Float64 = most * (1.0 - np.abs(np.mod(way / np.where(most > 0, most, 1.0) + 1.0, 4.0) - 2.0))
     return result
 
 
@@ -292,9 +290,7 @@ def fit_to_limits(plan: Plan, planned: CellConfig, tighter: CellConfig) -> Plan:
     """
     old = np.array([a.limits.torque for a in planned.axes])
     new = np.array([a.limits.torque for a in tighter.axes])
-    peak = np.zeros(len(old))
-    for e in plan.experiments:
-        peak = np.maximum(peak, np.abs(e.torque).max(axis=0, initial=0.0))
+    peak = plan.peak_torque
     share = np.where(peak > new, np.minimum(new / old, new / np.maximum(peak, 1e-300)), 1.0)
     if np.all(share == 1.0):
         return plan

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any
 
+import numpy as np
+
 from invid.numerics.arrays import Float64, frozen_float
 from invid.planning.budget import BusBudget
 from invid.recording.model import Kind, Role
@@ -151,6 +153,13 @@ class Plan:
     def excited(self) -> tuple[int, ...]:
         """Axes that any experiment excites."""
         return tuple(sorted({i for e in self.experiments for i in e.excited}))
+
+    @property
+    def peak_torque(self) -> Float64:
+        """(M,) largest excitation of each axis [N·m or N]."""
+        peaks = [np.abs(e.torque).max(axis=0, initial=0.0) for e in self.experiments]
+        largest: Float64 = np.max([np.zeros(len(self.axes)), *peaks], axis=0)
+        return largest
 
     @property
     def duration_s(self) -> float:
