@@ -87,7 +87,7 @@ def read_archive(path: Path, trust: Path | None = None) -> Archive:
             raise InputError(f"{path}: {needed}: is missing; this is no bundle of invid, or it was altered")
     given = _json(found[SIGNATURE], path, SIGNATURE)
     try:
-        signer = key_in(given["public_key"], f"{path}: {SIGNATURE}")
+        signer = _public(given["public_key"].encode(), f"{path}: {SIGNATURE}")
         signature = base64.b64decode(given["signature"], validate=True)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         if isinstance(error, InputError):
@@ -198,11 +198,6 @@ def is_signed(content: bytes, signature: bytes, key: Ed25519PublicKey) -> bool:
     except InvalidSignature:
         return False
     return True
-
-
-def key_in(text: str, where: str) -> Ed25519PublicKey:
-    """A public key from PEM text."""
-    return _public(text.encode(), where)
 
 
 def _public(content: bytes, where: str) -> Ed25519PublicKey:

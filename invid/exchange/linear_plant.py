@@ -14,11 +14,11 @@ from typing import Any
 from xml.etree.ElementTree import Comment
 
 import numpy as np
-import scipy.linalg
 
 from invid.errors import ModelError
 from invid.model.chains import CoupledChains
 from invid.model.document import EffectTerm, Model, parameter_vector, stds_by_name
+from invid.model.forward import natural_frequencies
 from invid.model.parameters import structure_of
 from invid.numerics.arrays import Complex128, Float64, frozen_float
 from invid.simulation.laws import Laws, laws_of
@@ -88,9 +88,7 @@ class LinearPlant:
     @property
     def modes(self) -> Float64:
         """(n,) undamped natural frequencies [rad/s], ascending; 0 for rigid modes."""
-        values = scipy.linalg.eigh(self.stiffness, self.mass, eigvals_only=True)
-        result: Float64 = np.sqrt(np.maximum(values, 0.0))
-        return result
+        return natural_frequencies(self.mass, self.stiffness)
 
     def response(self, omega: Float64) -> Complex128:
         """(F, M, M) positions of the motors per torque reported, at ω > 0 [rad/s]."""
@@ -213,8 +211,7 @@ def effect_name(term: EffectTerm) -> str:
 
 def moved_modes(plant: LinearPlant, mass: Float64, stiffness: Float64) -> float:
     """Largest relative shift of a natural frequency with these matrices instead of the plant's."""
-    there = np.sqrt(np.maximum(scipy.linalg.eigh(stiffness, mass, eigvals_only=True), 0.0))
-    here = plant.modes
+    there, here = natural_frequencies(mass, stiffness), plant.modes
     elastic = here > 1e-6 * here[-1]
     shift = np.abs(there[elastic] / here[elastic] - 1.0)
     return float(shift.max(initial=0.0))

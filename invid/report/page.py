@@ -7,7 +7,7 @@ import json
 import math
 import platform
 from collections.abc import Mapping, Sequence
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from typing import Any
 
 import numpy as np
@@ -177,17 +177,10 @@ def _facts(recording: Recording, model: Model) -> list[tuple[str, str]]:
         ("outcome", str(recording.outcome) if recording.outcome else "not stated"),
         ("invid", version("invid")),
         ("Python", platform.python_version()),
-        *((name, _version(name)) for name in ("numpy", "scipy", "numba")),
+        *((name, version(name)) for name in ("numpy", "scipy", "numba")),
         ("SHA-256 of the samples", _checksum(recording)),
     ]
     return [(name, str(value)) for name, value in facts]
-
-
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "not installed"
 
 
 def _checksum(recording: Recording) -> str:

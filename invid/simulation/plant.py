@@ -8,6 +8,7 @@ import numpy as np
 import scipy.linalg
 
 from invid.model.chains import CoupledChains, add_link
+from invid.model.forward import natural_frequencies
 from invid.numerics.arrays import Float64
 from invid.simulation.laws import Laws
 
@@ -23,8 +24,7 @@ class Matrices:
     @property
     def fastest(self) -> float:
         """Largest natural frequency [rad/s]."""
-        values = scipy.linalg.eigh(self.stiffness, self.mass, eigvals_only=True)
-        return float(np.sqrt(max(values[-1], 0.0)))
+        return float(natural_frequencies(self.mass, self.stiffness)[-1])
 
 
 @dataclass(frozen=True, eq=False)
