@@ -55,22 +55,9 @@ def compare_causes(
     alpha: float,
     tolerance: float,
     repeatability: float = 0.0,
-    scatter: Repeatability | None = None,
+    scatter: Repeatability = Repeatability(),
 ) -> tuple[CauseChange, ...]:
-    """What became of every cause that one of two models has on their common axes.
-
-    Parameters
-    ----------
-    alpha
-        Probability of calling any cause changed where none did.
-    tolerance
-        ±x as a fraction: a cause that could have changed by more unseen is not called unchanged.
-    repeatability
-        Relative standard deviation between measurements of an unchanged robot.
-    scatter
-        How much more the cell varies from run to run than the fits say.
-    """
-    scatter = Repeatability() if scatter is None else scatter
+    """What became of every cause that one of two models has on their common axes (see ``compare``)."""
     before = {name_of(t): t for t in old.effects if t.axis in common}
     after = {name_of(t): t for t in new.effects if t.axis in common}
     found: list[CauseChange] = []

@@ -50,17 +50,10 @@ def compare(
     before: Sequence[Model] = (),
     after: Sequence[Model] = (),
 ) -> Comparison:
-    """Compare two models of one robot.
+    """Compare two models of one robot (``invid.compare``), as members of the history of a cell.
 
     Parameters
     ----------
-    tolerance
-        ±x as a fraction: a parameter that could have changed by more unseen is not called unchanged.
-    alpha
-        Family-wise probability of a false "changed".
-    repeatability
-        Relative standard deviation between measurements of an unchanged robot (temperature, pose),
-        added to the uncertainty of every parameter; 0 trusts the models' own.
     history
         Models of this cell, oldest first (the two among them or not), whose scatter from run to run says
         by how much the fits' covariances are too small; ``None`` where there is no history to ask.

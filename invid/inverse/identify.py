@@ -59,14 +59,7 @@ def identify_paper(
 ) -> PaperResult:
     """The paper's method on a measured receptance matrix: modes, gains, eqs. 13–22, couplings.
 
-    Parameters
-    ----------
-    frequency_hz, frf, frf_variance
-        (F,) [Hz], (F, M, M) receptance [rad/(N·m) or m/N], (F, M, M) or (F, M·M) E|n|² of its entries.
-    masses
-        (M,) masses per branch.
-    start
-        Modes at which the modal fit starts; without, it searches for them.
+    Parameters are those of ``invid.modes.fit_modes``.
 
     Raises
     ------

@@ -88,17 +88,7 @@ def _further_reader(kind: str, path: Path) -> Any:
 def import_files(
     sources: Sequence[Path], chart: ImportMap, *, created: str, beside: Path | None = None
 ) -> Import:
-    """All files through one map.
-
-    Parameters
-    ----------
-    sources
-        Files, or one folder that the map's ``file`` patterns pick from.
-    created
-        ISO 8601 time for the recording; time is data here.
-    beside
-        Folder of the map, where an EDS it names is looked for.
-    """
+    """All files through one map; parameters as of ``import_source``. Time is data here."""
     linear = _is_linear(chart)
     experiments: list[Experiment] = []
     broken: list[BrokenRow] = []

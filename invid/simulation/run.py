@@ -47,25 +47,8 @@ def simulate(
     so that records from rest and in steady state both start without a transient of the simulation's own.
     ``model.fit["time_offset_s"]``, the sampling offset of the torque found by identification, is applied.
 
-    Parameters
-    ----------
-    model, recording
-        Axes must have the same names; order may differ.
-    rng
-        Draws the rows that ``dropped_samples`` repeats; default: a fixed seed.
-    only
-        Keys of the experiments to simulate, and to return; default: all. The clock of effects that change
-        with time is the whole recording's.
-
-    Returns
-    -------
-    Recording
-        The same experiments and attributes; ``position`` from the model, ``torque`` what it was given.
-
-    Raises
-    ------
-    InputError, ModelError
-        Axes that do not match; an effect that cannot be simulated; motion that diverges.
+    Parameters, result and errors are those of ``invid.simulate``. The order of the axes may differ; the clock
+    of effects that change with time is the whole recording's, also with ``only`` some of its experiments.
     """
     order = _axis_order(model, recording)
     if model.method == "trajectory":
