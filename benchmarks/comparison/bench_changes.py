@@ -27,8 +27,8 @@ import numpy as np
 import yaml
 
 from invid.comparison.causes import CHANGED
-from invid.comparison.changes import CauseStatus
-from invid.comparison.compare import Comparison, compare
+from invid.comparison.changes import CauseStatus, Comparison
+from invid.comparison.compare import compare
 from invid.config import parse_config
 from invid.diagnosis.consequence import consequence_of, machine_of
 from invid.diagnosis.diagnose import diagnose

@@ -28,7 +28,7 @@ from invid.planning.expected_covariance import Noise, expected
 from invid.planning.goal import plan_for_goal
 from invid.planning.model import PlannedExperiment
 from invid.planning.response import foretold_motion
-from invid.recording.model import Kind, Role
+from invid.recording.model import Kind
 from invid_drivers.foretelling import sensor_noise
 
 LOW, HIGH = 0.5, 12.0
@@ -42,7 +42,7 @@ def played(torque: np.ndarray, excited: tuple[int, ...], kind: Kind) -> PlannedE
     ramp = np.minimum(1.0, np.arange(count) / (1000.0 * FADE_S))
     torque = torque * (ramp * ramp[::-1])[:, None]
     lines = np.array([LOW, HIGH])
-    return PlannedExperiment("000", kind, Role.IDENTIFY, excited, torque, None, 0, count, 0, lines)
+    return PlannedExperiment(kind=kind, excited=excited, torque=torque, record_to=count, frequencies_hz=lines)
 
 
 def within(config: CellConfig, e: PlannedExperiment, belief: Belief) -> PlannedExperiment:

@@ -36,7 +36,8 @@ from service_process import SMALL_CELL, serving
 
 from benchmarks.service.polled_realtime import realtime
 from benchmarks.service.polling import hammer
-from invid.comparison.compare import Comparison, Status, compare
+from invid.comparison.changes import Comparison, Status
+from invid.comparison.compare import compare
 from invid.model.document import Model, model_from_json, model_to_json, parameter_vector
 
 ROOT = Path(__file__).parents[2]

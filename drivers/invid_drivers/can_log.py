@@ -129,7 +129,6 @@ def _rows(
         line_word="line" if path.suffix.lower() in _TEXT else "frame",
         notes={"sync_id": clock},
         broken=tuple(short),
-        rows_seen=last - first,
         units={"time": "s"},
     )
 

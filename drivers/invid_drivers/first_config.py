@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from invid.planning import bus_load
-from invid.planning.round_trip import shortest_cycle
+from invid.planning.budget import shortest_cycle
 from invid_drivers.cia402.vendors import VENDORS
 from invid_drivers.eds_match import Identity, Match
 

@@ -18,7 +18,7 @@ from invid.model.chains import CoupledChains
 from invid.numerics.arrays import frozen_float
 from invid.planning import AxisForecast, Plan, make_plan
 from invid.planning.belief import Belief
-from invid.planning.fit import fit_to_limits
+from invid.planning.forecast import fit_to_limits
 from invid.planning.stopping_distance import StoppingBudget
 from invid.recording import Outcome, Recording, RecordingWriter
 from invid.sweep import Progress, Sink, Sweep, SweepResult

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from invid.config import CellConfig
 from invid.errors import BusError, ConfigError
 from invid.planning import Plan
-from invid.planning.round_trip import SHARE, RoundTrip, bound, judge
+from invid.planning.budget import SHARE, RoundTrip, bound, judge
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.link import Link
 from invid_drivers.timing import priority

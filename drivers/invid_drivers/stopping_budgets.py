@@ -10,7 +10,7 @@ from invid.errors import ConfigError, SafetyStop
 from invid.model.chains import CoupledChains
 from invid.planning import Plan, make_plan
 from invid.planning.belief import Belief
-from invid.planning.stopping_distance import StoppingBudget, budgets_of, permitted, planned_torque
+from invid.planning.stopping_distance import StoppingBudget, budgets_of, permitted
 from invid_drivers.cia402.axis import DriveReport
 from invid_drivers.cia402.limits import tighten, tightened_limits
 
@@ -70,7 +70,7 @@ def plan_within(
 
     def budgeted(found: Plan) -> Budgets:
         facts = [r.stopping for r in reports]
-        return budgets_of(tighter, facts, planned_torque(found), _inertia(config, found))
+        return budgets_of(tighter, facts, found.peak_torque.tolist(), _inertia(config, found))
 
     first = made(tighter)
     budgets = budgeted(first)
@@ -143,7 +143,9 @@ def measured_budgets(config: CellConfig, reports: Sequence[DriveReport], plan: P
     def permit(inertia: Sequence[float | None], loads: Sequence[float | None]) -> CellConfig:
         known = [m or stated for m, stated in zip(inertia, _inertia(config, plan), strict=True)]
         try:
-            budgets = budgets_of(config, [r.stopping for r in reports], planned_torque(plan), known, loads)
+            budgets = budgets_of(
+                config, [r.stopping for r in reports], plan.peak_torque.tolist(), known, loads
+            )
         except ConfigError as error:
             raise SafetyStop(f"by what the trials measured: {error}") from None
         return permitted(config, budgets)

@@ -63,10 +63,9 @@ class Outcome:
 def analyse_recording(path: Path, name: str, options: Options) -> Outcome:
     """Identify and diagnose the recording in ``path``, called ``name`` in all that is said of it."""
     began = time.monotonic()
-    masses = list(options.masses) if isinstance(options.masses, tuple) else options.masses
     try:
         recording = replace(read_recording(path), source=name)
-        model = identify(recording, masses=masses, budget=options.budget)  # type: ignore[arg-type]
+        model = identify(recording, masses=options.masses, budget=options.budget)  # type: ignore[arg-type]
         left = None if options.budget is None else max(options.budget - (time.monotonic() - began), 0.1)
         diagnosis = diagnose(recording, model=model, budget=left)
     except InvidError as error:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import time
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import closing
 from dataclasses import dataclass
 from importlib import import_module
@@ -11,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from invid.batch.analysis import Options, Outcome
-from invid.batch.pool import analyse_here, cores
+from invid.batch.helper import Helper, own_helper
 from invid.batch.results import INDEX, Results, checksum_of, find_recordings, row
 from invid.errors import InputError
 
@@ -119,3 +121,29 @@ def _analyse(
             "--scheduler needs Dask, which is not installed: pip install 'invid[fleet]'"
         ) from None
     yield from cluster.analyse_on_cluster(scheduler, recordings, options, workers)
+
+
+def cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def analyse_here(recordings: Mapping[str, Path], options: Options, workers: int) -> Iterator[Outcome]:
+    """Outcomes as they come. Whoever stops asking ends all processes."""
+    helpers: list[Helper] = []
+
+    def one(name: str, path: Path) -> Outcome:
+        helper = own_helper()
+        if helper not in helpers:
+            helpers.append(helper)
+        return helper.ask(path, name, options)
+
+    with ThreadPoolExecutor(max_workers=min(workers, len(recordings))) as pool:
+        futures = [pool.submit(one, name, path) for name, path in recordings.items()]
+        try:
+            for future in as_completed(futures):
+                yield future.result()
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+            for helper in helpers:
+                helper.close()

@@ -12,7 +12,6 @@ import hashlib
 import io
 import json
 from collections.abc import Iterable
-from dataclasses import fields
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any
@@ -104,7 +103,7 @@ class Results:
         document = {
             "format": "invid-batch-outcome",
             "format_version": 1,
-            **{c: getattr(outcome, c) for c in COLUMNS},
+            **row(outcome),
             "checksums": _checksums(outcome),
             "made": self._made(checksum),
         }
@@ -134,7 +133,7 @@ def checksum_of(path: Path) -> str:
 
 def row(outcome: Outcome) -> dict[str, Any]:
     """The row of the index, for JSON."""
-    return {f.name: getattr(outcome, f.name) for f in fields(Outcome) if f.name in COLUMNS}
+    return {c: getattr(outcome, c) for c in COLUMNS}
 
 
 def _checksums(outcome: Outcome) -> dict[str, str]:

@@ -1,7 +1,8 @@
-"""The file: a ZIP of parts, ``manifest.json`` with each one's size and SHA-256, ``signature.json`` over the
-manifest.
+"""The file: a ZIP of parts, ``manifest.json`` with each one's size and SHA-256, ``signature.json`` (Ed25519)
+over the manifest.
 
-Reading refuses a file that is cut, and parts that are altered, missing, added or there twice, by their names.
+Reading refuses a file that is cut, and parts that are altered, missing, added or there twice, by their
+names.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
+import os
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -16,9 +18,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from cryptography.exceptions import InvalidSignature
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
+from cryptography.hazmat.primitives.serialization import (
+    Encoding,
+    NoEncryption,
+    PrivateFormat,
+    PublicFormat,
+    load_pem_private_key,
+    load_pem_public_key,
+)
 
-from invid.bundle.signature import fingerprint, is_signed, key_in, public_key, public_text
 from invid.errors import InputError
 
 MANIFEST, SIGNATURE = "manifest.json", "signature.json"
@@ -77,7 +87,7 @@ def read_archive(path: Path, trust: Path | None = None) -> Archive:
             raise InputError(f"{path}: {needed}: is missing; this is no bundle of invid, or it was altered")
     given = _json(found[SIGNATURE], path, SIGNATURE)
     try:
-        signer = key_in(given["public_key"], f"{path}: {SIGNATURE}")
+        signer = _public(given["public_key"].encode(), f"{path}: {SIGNATURE}")
         signature = base64.b64decode(given["signature"], validate=True)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         if isinstance(error, InputError):
@@ -138,3 +148,63 @@ def _json(content: bytes, path: Path, name: str) -> dict[str, Any]:
 
 def _entry(content: bytes) -> dict[str, Any]:
     return {"size": len(content), "sha256": hashlib.sha256(content).hexdigest()}
+
+
+def private_key(path: Path) -> tuple[Ed25519PrivateKey, bool]:
+    """The key in a PEM file, made there for its owner alone where there is none; True where it was made."""
+    if not path.exists():
+        made = Ed25519PrivateKey.generate()
+        text = made.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
+                file.write(text)
+            Path(f"{path}.pub").write_text(public_text(made.public_key()), encoding="ascii")
+        except OSError as error:
+            raise InputError(f"{path}: the key cannot be written: {error.strerror}") from None
+        return made, True
+    try:
+        key = load_pem_private_key(path.read_bytes(), password=None)
+    except (OSError, ValueError, TypeError) as error:
+        raise InputError(f"{path}: no private key without a password can be read from it: {error}") from None
+    if not isinstance(key, Ed25519PrivateKey):
+        raise InputError(f"{path}: is no Ed25519 key; openssl genpkey -algorithm ed25519 makes one")
+    return key, False
+
+
+def public_key(path: Path) -> Ed25519PublicKey:
+    """The key in a PEM file."""
+    try:
+        return _public(path.read_bytes(), str(path))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+
+
+def public_text(key: Ed25519PublicKey) -> str:
+    """PEM of a public key."""
+    pem: bytes = key.public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)
+    return pem.decode("ascii")
+
+
+def fingerprint(key: Ed25519PublicKey) -> str:
+    """SHA-256 of the raw key, in hexadecimal: what two people compare."""
+    return hashlib.sha256(key.public_bytes(Encoding.Raw, PublicFormat.Raw)).hexdigest()
+
+
+def is_signed(content: bytes, signature: bytes, key: Ed25519PublicKey) -> bool:
+    """Whether this key signed this content."""
+    try:
+        key.verify(signature, content)
+    except InvalidSignature:
+        return False
+    return True
+
+
+def _public(content: bytes, where: str) -> Ed25519PublicKey:
+    try:
+        key = load_pem_public_key(content)
+    except (ValueError, TypeError) as error:
+        raise InputError(f"{where}: no public key can be read from it: {error}") from None
+    if not isinstance(key, Ed25519PublicKey):
+        raise InputError(f"{where}: is a key of another kind; an Ed25519 key is needed")
+    return key

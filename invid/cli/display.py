@@ -71,6 +71,3 @@ def _plain(title: str) -> Callable[[Progress], None]:
 def _left(progress: Progress) -> str:
     left = progress.seconds_left
     return "" if left is None else f"(at most {left:.0f} s left)"
-
-
-__all__ = ["BUDGET", "shown_progress"]

@@ -135,31 +135,19 @@ def parse_masses(text: str | None) -> Masses:
 
 def model_text(model: Model) -> str:
     """The model as a table for a person."""
-    chains, std = model.chains, model.std
-    mass, stiff, damp = ("kg", "N/m", "N·s/m") if model.linear else ("kg·m²", "N·m/rad", "N·m·s/rad")
-    lines = [f"{model.robot}: {chains.branches} axes, method {model.method}"]
-    for i, axis in enumerate(chains.axes):
-        for kind, values, errors, unit in (
-            ("mass", chains.masses[i], std.masses[i], mass),
-            ("spring", chains.springs[i], std.springs[i], stiff),
-            ("damper", chains.dampers[i], std.dampers[i], damp),
-        ):
-            for q, (value, error) in enumerate(zip(values, errors, strict=True)):
-                lines.append(_row(f"{axis} {kind} {q + 1}", float(value), float(error), unit))
-        if chains.ground_springs[i] != 0:
-            lines.append(
-                _row(f"{axis} ground", float(chains.ground_springs[i]), float(std.ground_springs[i]), stiff)
-            )
-    for i in range(chains.branches):
-        for j in range(i + 1, chains.branches):
-            name = f"{chains.axes[i]}-{chains.axes[j]} coupling"
-            lines.append(_row(name, float(chains.couplings[i, j]), float(std.couplings[i, j]), mass))
+    from invid.model.document import linear_parameters
+
+    lines = [f"{model.robot}: {model.chains.branches} axes, method {model.method}"]
+    for p in linear_parameters(model):
+        name = f"{'-'.join(p.axes)} {'ground' if p.kind == 'ground_spring' else p.kind}"
+        lines.append(_row(f"{name} {p.number}" if p.number else name, p.value, p.std, p.unit))
     for effect in model.effects:
-        for p in effect.parameters.values():
+        for estimate in effect.parameters.values():
             label = (
                 f"{effect.axis} {effect.cause.split('_')[0]} {(effect.element or '').removeprefix('mass ')}"
             )
-            lines.append(_row(label, p.value, float("nan") if p.std is None else p.std, p.unit or ""))
+            std = float("nan") if estimate.std is None else estimate.std
+            lines.append(_row(label, estimate.value, std, estimate.unit or ""))
     if "chi2" in model.fit:
         lines.append(
             f"χ²/ν {model.fit['chi2'] / max(model.fit['dof'], 1):.2f} "

@@ -1,9 +1,17 @@
-"""Several measurements of one unchanged robot, averaged: the baseline that a new one is compared with.
+"""Measurements of one unchanged robot: their mean, and λ, by how much they scatter beyond their fits.
 
-The difference of two single runs has √2 times the deviation of one; against the mean of K runs it has
-√(1 + 1/K). Only runs that agree with each other are averaged, newest first, up to the first that does not:
-behind it lies another state of the robot. Nobody says that a cell repeats as its fits expect, so
-``foretold`` measures by how much the mean of earlier runs misses the next one.
+The difference of two single runs has √2 times the deviation of one; against the mean of K runs it has √(1 +
+1/K). Only runs that agree with each other are averaged, newest first, up to the first that does not: behind
+it lies another state of the robot.
+
+λ: each run is compared with the mean of the runs before it that agree with it (``forecast_errors``): with
+equal covariances these are independent, each χ² with as many degrees of freedom as parameters, times λ². So
+all of the history counts, and a slow drift, which the mean lags behind, counts as bad repeatability. A
+change of tool must not: each χ² is cut at the value that one in ten exceeds by chance, and λ² is the scale
+at which the cut values have the mean that chance gives them (an M-estimate of scale: 93 % as efficient as
+the mean for four parameters). A tool also changes few parameters, bad repeatability all: what a few of them
+explain alone is taken out (``steady``). What is then still far beyond the calmer half is another robot, not
+a bad day.
 """
 
 from __future__ import annotations
@@ -11,14 +19,24 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
+from scipy.special import chdtr
 
+from invid.comparison.changes import Repeatability
 from invid.comparison.joint_test import Whitened, difference, joint_p, select, two_sided
-from invid.model.chains import CoupledChains
-from invid.model.document import ChainStd, EffectTerm, Estimate, Model, parameter_vector
+from invid.model.document import (
+    EffectTerm,
+    Estimate,
+    Model,
+    chains_by_name,
+    parameter_vector,
+    std_by_name,
+    stds_by_name,
+)
 from invid.numerics.arrays import Float64, frozen_float
-from invid.numerics.distributions import f_sf
+from invid.numerics.distributions import chi2_isf, chi2_sf, f_sf
 
 MOST = 8
 """Runs averaged at most: with eight the deviation of a difference is within 6 % of what any number could
@@ -59,29 +77,15 @@ def pool_models(models: Sequence[Model]) -> Model:
         return last
     weights = _weights(models)
 
-    def mean(values: Sequence[Float64]) -> Float64:
-        return frozen_float(sum(w * v for w, v in zip(weights, values, strict=True)))
-
-    def spread(values: Sequence[Float64]) -> Float64:
-        return frozen_float(np.sqrt(sum((w * v) ** 2 for w, v in zip(weights, values, strict=True))))
-
-    branches = range(last.chains.branches)
-    chains = CoupledChains(
-        masses=tuple(mean([m.chains.masses[i] for m in models]) for i in branches),
-        springs=tuple(mean([m.chains.springs[i] for m in models]) for i in branches),
-        dampers=tuple(mean([m.chains.dampers[i] for m in models]) for i in branches),
-        couplings=mean([m.chains.couplings for m in models]),
-        ground_springs=mean([m.chains.ground_springs for m in models]),
-        ground_dampers=mean([m.chains.ground_dampers for m in models]),
-        axes=last.chains.axes,
-    )
-    std = ChainStd(
-        masses=tuple(spread([m.std.masses[i] for m in models]) for i in branches),
-        springs=tuple(spread([m.std.springs[i] for m in models]) for i in branches),
-        dampers=tuple(spread([m.std.dampers[i] for m in models]) for i in branches),
-        couplings=spread([m.std.couplings for m in models]),
-        ground_springs=spread([m.std.ground_springs for m in models]),
-    )
+    names, _ = parameter_vector(last.chains)
+    values = [parameter_vector(m.chains)[1] for m in models]
+    stds = [[stds_by_name(m)[n] for n in names] for m in models]
+    mean: Float64 = np.asarray(sum(w * v for w, v in zip(weights, values, strict=True)))
+    spread = np.sqrt(sum((w * np.array(s)) ** 2 for w, s in zip(weights, stds, strict=True)))
+    ground = sum(w * m.chains.ground_dampers for w, m in zip(weights, models, strict=True))
+    last_chains = replace(last.chains, ground_dampers=frozen_float(ground))
+    chains = chains_by_name(last_chains, dict(zip(names, mean, strict=True)))
+    std = std_by_name(chains, dict(zip(names, spread, strict=True)))
     joint: Float64 | None = None
     matrices = [m.covariance for m in models if m.parameter_names == last.parameter_names]
     known = [c for c in matrices if c is not None]
@@ -194,3 +198,83 @@ def forecast_errors(history: Sequence[Model], factor: float) -> list[tuple[float
         goes_on = mean is not None and agrees_with(mean, model, factor)
         group = [*group, model][-MOST:] if goes_on else [model]
     return found
+
+
+MINIMUM_RUNS = 2
+"""Runs after a first one from which a factor is stated."""
+_CUT = 0.1
+"""Chance with which a χ² is cut."""
+_EFFICIENCY = 0.9
+"""Of the degrees of freedom, those that the cut leaves (simulated: 0.93 for 4 parameters, 0.96 for 24)."""
+_BELIEVED = 30.0
+"""Degrees of freedom from which a factor below 1 is used. From there on Student's t asks for at most a tenth
+more than the normal distribution; deciding by the number of runs and not by what comes out keeps the false
+alarms what they are stated to be."""
+_ANOTHER = 1e-3
+"""A step that the calmer ones would exceed with less than this chance is taken for another robot."""
+_LEAST_FACTOR = 0.5
+"""A guess: fits that claim more than twice the scatter are not believed to be that wrong."""
+
+
+def repeatability(history: Sequence[Model], *, spanning: tuple[Model, Model] | None = None) -> Repeatability:
+    """λ of a history, oldest first; the step between the two models of ``spanning`` may hold the very change
+    that is asked for, so no run after it is compared with one before it."""
+    found: list[tuple[float, int]] = []
+    for piece in _pieces(history, spanning):
+        # Agreement with a mean is judged at λ; the steps from run to run give a first one without it.
+        steps = [_misfit(a, b) for a, b in pairwise(piece)]
+        rough = _scale(_calm([s for s in steps if s is not None]))
+        found += forecast_errors(piece, max(1.0, rough))
+    found = _calm(found)
+    if len(found) < MINIMUM_RUNS:
+        return Repeatability(pairs=len(found))
+    factor, dof = _scale(found), _EFFICIENCY * sum(count for _, count in found)
+    if factor <= 1.0 and dof < _BELIEVED:
+        return Repeatability(1.0, len(found))
+    return Repeatability(max(factor, _LEAST_FACTOR), len(found), dof)
+
+
+def _pieces(history: Sequence[Model], spanning: tuple[Model, Model] | None) -> list[Sequence[Model]]:
+    """The history cut behind the earlier of the two models, or before the later where it is the only one."""
+    if spanning is None:
+        return [history]
+    at = sorted(k for k, m in enumerate(history) if any(m is s for s in spanning))
+    if not at:
+        return [history]
+    cut = at[0] + 1 if len(at) > 1 or history[at[0]] is spanning[0] else at[0]
+    return [history[:cut], history[cut:]]
+
+
+def _misfit(old: Model, new: Model) -> tuple[float, int] | None:
+    """χ² of two models being the same robot but for a few parameters, and its degrees of freedom."""
+    white = difference(old, new)
+    return None if white is None else steady(white)
+
+
+def _calm(misfits: Sequence[tuple[float, int]]) -> list[tuple[float, int]]:
+    """Without those that the calmer ones rule out: half of them first, then one by one upwards."""
+    rising = sorted(misfits, key=lambda m: m[0] / m[1])
+    kept = rising[: -(-len(rising) // 2)]
+    for chi2, count in rising[len(kept) :]:
+        dof = sum(n for _, n in kept)
+        mean = sum(x for x, _ in kept) / dof
+        if mean > 0 and f_sf(chi2 / count / mean, count, dof) < _ANOTHER:
+            break
+        kept.append((chi2, count))
+    return kept
+
+
+def _scale(misfits: Sequence[tuple[float, int]]) -> float:
+    """λ at which the cut χ²/λ² have the sum that chance gives them; 1 where there are none."""
+    cut = [chi2_isf(_CUT, count) for _, count in misfits]
+    expected = sum(
+        n * float(chdtr(n + 2, c)) + c * chi2_sf(c, n) for c, (_, n) in zip(cut, misfits, strict=True)
+    )
+    low, high = -12.0, 12.0  # of ln λ²
+    if not misfits:
+        return 1.0
+    for _ in range(60):
+        middle = (low + high) / 2
+        found = sum(min(x * math.exp(-middle), c) for c, (x, _) in zip(cut, misfits, strict=True))
+        low, high = (middle, high) if found > expected else (low, middle)
+    return math.exp((low + high) / 4)

@@ -56,17 +56,7 @@ def compare_causes(
     tolerance: float,
     scatter: Repeatability | None = None,
 ) -> tuple[CauseChange, ...]:
-    """What became of every cause that one of two models has on their common axes.
-
-    Parameters
-    ----------
-    alpha
-        Probability of calling any cause changed where none did.
-    tolerance
-        ±x as a fraction: a cause that could have changed by more unseen is not called unchanged.
-    scatter
-        How much more the cell varies from run to run than the fits say.
-    """
+    """What became of every cause that one of two models has on their common axes (see ``compare``)."""
     scatter = Repeatability() if scatter is None else scatter
     before = {name_of(t): t for t in old.effects if t.axis in common}
     after = {name_of(t): t for t in new.effects if t.axis in common}

@@ -17,12 +17,54 @@ class Status(StrEnum):
     CANNOT_TELL = "cannot_tell"
 
 
+class CauseStatus(StrEnum):
+    """What became of a cause."""
+
+    APPEARED = "appeared"
+    GREW = "grew"
+    SHRANK = "shrank"
+    UNCHANGED = "unchanged"
+    GONE = "gone"
+    CANNOT_TELL = "cannot_tell"
+
+
 def _estimate_to_json(e: Estimate | None) -> dict[str, Any] | None:
     return None if e is None else {"value": e.value, "std": e.std}
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Judged:
+    """What the test of one difference came to.
+
+    ``difference`` ± ``std`` is new − old; ``bound`` the largest relative change that the data still allow.
+    """
+
+    reason: str = ""
+    difference: float | None = None
+    std: float | None = None
+    p_value: float | None = None
+    p_adjusted: float | None = None
+    bound: float | None = None
+    detectable: float | None = None
+
+    def _judged_to_json(
+        self, old: Estimate | None, new: Estimate | None, status: Status | CauseStatus
+    ) -> dict[str, Any]:
+        return {
+            "old": _estimate_to_json(old),
+            "new": _estimate_to_json(new),
+            "status": str(status),
+            "reason": self.reason,
+            "difference": self.difference,
+            "std": self.std,
+            "p": self.p_value,
+            "p_adjusted": self.p_adjusted,
+            "within_percent": None if self.bound is None else 100.0 * self.bound,
+        }
+
+
 @dataclass(frozen=True)
-class Change:
+class Change(_Judged):
     """One parameter, before and after.
 
     ``difference`` ± ``std`` is new − old with the uncertainty of both and the repeatability of the cell;
@@ -42,14 +84,7 @@ class Change:
     old: Estimate | None
     new: Estimate | None
     status: Status
-    reason: str = ""
-    difference: float | None = None
-    std: float | None = None
-    p_value: float | None = None
-    p_adjusted: float | None = None
     scale: float = 0.0
-    bound: float | None = None
-    detectable: float | None = None
     final: bool = False
     rivals: tuple[str, ...] = ()
 
@@ -61,15 +96,7 @@ class Change:
             "axis": self.axis,
             "kind": self.kind,
             "unit": self.unit,
-            "old": _estimate_to_json(self.old),
-            "new": _estimate_to_json(self.new),
-            "status": str(self.status),
-            "reason": self.reason,
-            "difference": self.difference,
-            "std": self.std,
-            "p": self.p_value,
-            "p_adjusted": self.p_adjusted,
-            "within_percent": None if self.bound is None else 100.0 * self.bound,
+            **self._judged_to_json(self.old, self.new, self.status),
             "detectable_percent": None if self.detectable is None else 100.0 * self.detectable,
         }
 
@@ -91,19 +118,8 @@ class Repeatability:
     relative: float = 0.0
 
 
-class CauseStatus(StrEnum):
-    """What became of a cause."""
-
-    APPEARED = "appeared"
-    GREW = "grew"
-    SHRANK = "shrank"
-    UNCHANGED = "unchanged"
-    GONE = "gone"
-    CANNOT_TELL = "cannot_tell"
-
-
 @dataclass(frozen=True)
-class CauseChange:
+class CauseChange(_Judged):
     """One cause, before and after, by its main ``parameter``; ``None`` where a run did not find it.
 
     ``difference`` ± ``std`` is that of its size (its amount, of a gain its distance from 1); ``bound`` the
@@ -122,13 +138,6 @@ class CauseChange:
     old: Estimate | None
     new: Estimate | None
     status: CauseStatus
-    reason: str = ""
-    difference: float | None = None
-    std: float | None = None
-    p_value: float | None = None
-    p_adjusted: float | None = None
-    bound: float | None = None
-    detectable: float | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
@@ -141,15 +150,7 @@ class CauseChange:
             "parameter": self.parameter,
             "unit": self.unit,
             "label": self.label,
-            "old": _estimate_to_json(self.old),
-            "new": _estimate_to_json(self.new),
-            "status": str(self.status),
-            "reason": self.reason,
-            "difference": self.difference,
-            "std": self.std,
-            "p": self.p_value,
-            "p_adjusted": self.p_adjusted,
-            "within_percent": None if self.bound is None else 100.0 * self.bound,
+            **self._judged_to_json(self.old, self.new, self.status),
             "detectable": self.detectable,
         }
 

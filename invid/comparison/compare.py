@@ -16,15 +16,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from invid.comparison.baseline import pool_agreeing, pool_models
+from invid.comparison.baseline import MINIMUM_RUNS, pool_agreeing, pool_models
+from invid.comparison.baseline import repeatability as measured_repeatability
 from invid.comparison.causes import cause_sentences, compare_causes, with_cause_verdicts
-from invid.comparison.changes import CauseChange, CauseStatus, Change, Comparison, Repeatability, Status
+from invid.comparison.changes import Change, Comparison, Repeatability, Status
 from invid.comparison.joint_test import Selection, Whitened, covariance_of, detectable, joint_p, select
 from invid.comparison.pairs import effects as paired_effects
-from invid.comparison.pairs import linear_parameters
+from invid.comparison.pairs import parameter_changes
 from invid.comparison.pairs import structure as structure_of
-from invid.comparison.repeatability import MINIMUM_RUNS
-from invid.comparison.repeatability import repeatability as measured_repeatability
 from invid.comparison.sentences import percent, sentences
 from invid.errors import InputError
 from invid.model.document import Model, units
@@ -39,18 +38,6 @@ TOLERANCE = 0.2
 _JOINT_SHARE = 0.2
 """Share of ``alpha`` for "something changed, but no parameter stands out"; the rest is for parameters."""
 
-__all__ = [
-    "ALPHA",
-    "TOLERANCE",
-    "CauseChange",
-    "CauseStatus",
-    "Change",
-    "Comparison",
-    "Repeatability",
-    "Status",
-    "compare",
-]
-
 
 def compare(  # noqa: PLR0913 - the contract: each is one option of the command
     old: Model,
@@ -63,17 +50,10 @@ def compare(  # noqa: PLR0913 - the contract: each is one option of the command
     before: Sequence[Model] = (),
     after: Sequence[Model] = (),
 ) -> Comparison:
-    """Compare two models of one robot.
+    """Compare two models of one robot (``invid.compare``), as members of the history of a cell.
 
     Parameters
     ----------
-    tolerance
-        ±x as a fraction: a parameter that could have changed by more unseen is not called unchanged.
-    alpha
-        Family-wise probability of a false "changed".
-    repeatability
-        Relative standard deviation between measurements of an unchanged robot (temperature, pose),
-        added to the uncertainty of every parameter; 0 trusts the models' own.
     history
         Models of this cell, oldest first (the two among them or not), whose scatter from run to run says
         by how much the fits' covariances are too small; ``None`` where there is no history to ask.
@@ -120,7 +100,7 @@ def compare(  # noqa: PLR0913 - the contract: each is one option of the command
     apart = max(1.0, scatter.factor)
     sides = pool_agreeing(old, before, apart), pool_agreeing(new, after, apart)
     old, new = pool_models(sides[0]), pool_models(sides[1])
-    parameters = linear_parameters(old, new, common, repeatability)
+    parameters = parameter_changes(old, new, common, repeatability)
     effects = paired_effects(old, new, common, repeatability)
     causes = compare_causes(old, new, common, alpha=alpha, tolerance=tolerance, scatter=scatter)
     sizes = {f"{c.name}.{c.parameter}" for c in causes}

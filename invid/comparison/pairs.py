@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import combinations
 
 from invid.comparison.changes import Change, Status
 from invid.comparison.joint_test import covariance_of
-from invid.model.document import EffectTerm, Estimate, Model, units
+from invid.model.document import EffectTerm, Estimate, Model, numbers_by_name, stds_by_name, units
 
 
 def _estimate(value: float, std: float, unit: str) -> Estimate:
@@ -46,65 +47,35 @@ def _names(count: int) -> list[str]:
     return ["motor mass", *(f"mass {q + 1}" for q in range(1, count - 1)), "final mass"]
 
 
-def linear_parameters(old: Model, new: Model, common: Sequence[str], repeatability: float) -> list[Change]:
+def parameter_changes(old: Model, new: Model, common: Sequence[str], repeatability: float) -> list[Change]:
     """Masses, springs, dampers and couplings of the common axes."""
     unit = units(old.linear)
+    sides = [(numbers_by_name(m.axes, m.chains), stds_by_name(m)) for m in (old, new)]
     out: list[Change] = []
+
+    def add(axis: str, name: str, label: str, kind: str, of: str, scale: float | None = None) -> None:
+        was, now = (_estimate(values[name], stds[name], unit[of]) for values, stds in sides)
+        change = _pair(name, label, axis, kind, (was, now), repeatability)
+        out.append(change if scale is None else replace(change, scale=scale))
+
     for axis in common:
-        i, j = old.axes.index(axis), new.axes.index(axis)
-        a, b = old.chains, new.chains
-        if a.masses[i].size != b.masses[j].size:
+        count, after = (m.chains.masses[m.axes.index(axis)].size for m in (old, new))
+        if count != after:
             out.append(_whole_inertia(old, new, axis, unit["mass"], repeatability))
             continue
-        columns = (
-            ("mass", unit["mass"], a.masses[i], old.std.masses[i], b.masses[j], new.std.masses[j]),
-            ("spring", unit["stiffness"], a.springs[i], old.std.springs[i], b.springs[j], new.std.springs[j]),
-            ("damper", unit["damping"], a.dampers[i], old.std.dampers[i], b.dampers[j], new.std.dampers[j]),
-        )
-        labels = _names(a.masses[i].size)
-        for kind, of, va, sa, vb, sb in columns:
-            for q in range(va.size):
-                label = labels[q] if kind == "mass" else f"{kind} {q + 1}"
-                change = _pair(
-                    f"{axis}.{kind}.{q + 1}",
-                    f"{axis}: {label}",
-                    axis,
-                    kind,
-                    (_estimate(va[q], sa[q], of), _estimate(vb[q], sb[q], of)),
-                    repeatability,
-                )
-                out.append(replace(change, final=kind == "mass" and q == va.size - 1))
-        if a.ground_springs[i] != 0 or b.ground_springs[j] != 0:
-            out.append(
-                _pair(
-                    f"{axis}.ground_spring",
-                    f"{axis}: spring to ground",
-                    axis,
-                    "ground_spring",
-                    (
-                        _estimate(a.ground_springs[i], old.std.ground_springs[i], unit["stiffness"]),
-                        _estimate(b.ground_springs[j], new.std.ground_springs[j], unit["stiffness"]),
-                    ),
-                    repeatability,
-                )
-            )
-    for x, first in enumerate(common):
-        for second in common[x + 1 :]:
-            i, j = old.axes.index(first), old.axes.index(second)
-            k, m = new.axes.index(first), new.axes.index(second)
-            scale = math.sqrt(float(old.chains.masses[i][-1] * old.chains.masses[j][-1]))
-            change = _pair(
-                f"{first}-{second}.coupling",
-                f"{first}-{second}: coupling",
-                first,
-                "coupling",
-                (
-                    _estimate(old.chains.couplings[i, j], old.std.couplings[i, j], unit["mass"]),
-                    _estimate(new.chains.couplings[k, m], new.std.couplings[k, m], unit["mass"]),
-                ),
-                repeatability,
-            )
-            out.append(replace(change, scale=scale))
+        for q, label in enumerate(_names(count), 1):
+            add(axis, f"{axis}.mass.{q}", f"{axis}: {label}", "mass", "mass")
+        out[-1] = replace(out[-1], final=True)
+        for kind, of in (("spring", "stiffness"), ("damper", "damping")):
+            for q in range(1, count):
+                add(axis, f"{axis}.{kind}.{q}", f"{axis}: {kind} {q}", kind, of)
+        ground = f"{axis}.ground_spring"
+        if any(values[ground] != 0 for values, _ in sides):
+            add(axis, ground, f"{axis}: spring to ground", "ground_spring", "stiffness")
+    for first, second in combinations(common, 2):
+        ends = [float(old.chains.masses[old.axes.index(a)][-1]) for a in (first, second)]
+        pair, scale = f"{first}-{second}", math.sqrt(ends[0] * ends[1])
+        add(first, f"{pair}.coupling", f"{pair}: coupling", "coupling", "mass", scale)
     return out
 
 

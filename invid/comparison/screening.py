@@ -17,8 +17,7 @@ import numpy as np
 from invid.errors import ModelError, NotIdentifiableError
 from invid.likelihood.fit import Fit, fit_structure
 from invid.model.chains import CoupledChains
-from invid.model.document import Model, parameter_vector
-from invid.model.parameter_names import chains_by_name, std_by_name
+from invid.model.document import Model, chains_by_name, parameter_vector, std_by_name
 from invid.model.parameters import structure_of
 from invid.numerics.arrays import Bool, Float64, frozen_float
 from invid.numerics.distributions import chi2_sf

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import AliasChoices, BaseModel, ConfigDict, Field, model_validator
 
@@ -11,6 +11,11 @@ class Strict(BaseModel):
     """Unknown keys are errors: a misspelt limit must not be ignored."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, frozen=True, populate_by_name=True)
+
+
+def with_units(name: str, *keys: str, **bounds: Any) -> Any:
+    """A field that a config names with its unit, by one of ``keys``."""
+    return Field(validation_alias=AliasChoices(name, *keys), **bounds)
 
 
 class _Spec(Strict):
@@ -35,10 +40,8 @@ class MultisineSpec(_Spec):
     detection_fraction: float = Field(default=0.2, ge=0, le=0.9)
     """Share of the odd lines left out at random: there odd distortion shows without excitation."""
     seed: int = Field(default=0, ge=0)
-    creep_velocity: float = Field(
-        default=0.0,
-        ge=0,
-        validation_alias=AliasChoices("creep_velocity", "creep_velocity_rad_per_s", "creep_velocity_m_per_s"),
+    creep_velocity: float = with_units(
+        "creep_velocity", "creep_velocity_rad_per_s", "creep_velocity_m_per_s", default=0.0, ge=0
     )
     """Slow motion under the excitation that keeps friction from changing sign."""
 
@@ -82,15 +85,10 @@ class ConstantVelocitySpec(_Spec):
     """Slow moves forth and back at each speed, under a master PD that follows the path."""
 
     kind: Literal["constant_velocity"]
-    velocities: tuple[Annotated[float, Field(gt=0)], ...] = Field(
-        min_length=1,
-        max_length=100,
-        validation_alias=AliasChoices("velocities", "velocities_rad_per_s", "velocities_m_per_s"),
+    velocities: tuple[Annotated[float, Field(gt=0)], ...] = with_units(
+        "velocities", "velocities_rad_per_s", "velocities_m_per_s", min_length=1, max_length=100
     )
-    travel: float = Field(
-        gt=0,
-        validation_alias=AliasChoices("travel", "travel_rad", "travel_m"),
-    )
+    travel: float = with_units("travel", "travel_rad", "travel_m", gt=0)
     """Distance of one move; must fit into the position window."""
 
 

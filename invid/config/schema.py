@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import AliasChoices, BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
-from invid.config.experiments import ExperimentSpec, Strict
+from invid.config.experiments import ExperimentSpec, Strict, with_units
 
 
 class BusConfig(Strict):
@@ -33,31 +33,21 @@ class HoldConfig(Strict):
     """How an axis is held while others are shaken; see docs on the stability of holds."""
 
     mode: Literal["drive", "master_pd", "master_p"] = "drive"
-    gain: float = Field(
-        default=0.0, ge=0, validation_alias=AliasChoices("gain", "gain_Nm_per_rad", "gain_N_per_m")
-    )
-    damping: float | None = Field(
-        default=None,
-        ge=0,
-        validation_alias=AliasChoices("damping", "damping_Nms_per_rad", "damping_Ns_per_m"),
+    gain: float = with_units("gain", "gain_Nm_per_rad", "gain_N_per_m", default=0.0, ge=0)
+    damping: float | None = with_units(
+        "damping", "damping_Nms_per_rad", "damping_Ns_per_m", default=None, ge=0
     )
 
 
 class LimitsConfig(Strict):
     """Checked before and during motion, on swept and on held axes."""
 
-    torque: float = Field(gt=0, validation_alias=AliasChoices("torque", "torque_Nm", "force_N"))
-    position: float = Field(
-        gt=0, validation_alias=AliasChoices("position", "position_window_rad", "position_window_m")
-    )
+    torque: float = with_units("torque", "torque_Nm", "force_N", gt=0)
+    position: float = with_units("position", "position_window_rad", "position_window_m", gt=0)
     """Largest distance from where the axis stood at the start."""
-    velocity: float = Field(
-        gt=0, validation_alias=AliasChoices("velocity", "velocity_rad_per_s", "velocity_m_per_s")
-    )
-    stopping_room: float | None = Field(
-        default=None,
-        gt=0,
-        validation_alias=AliasChoices("stopping_room", "stopping_room_rad", "stopping_room_m"),
+    velocity: float = with_units("velocity", "velocity_rad_per_s", "velocity_m_per_s", gt=0)
+    stopping_room: float | None = with_units(
+        "stopping_room", "stopping_room_rad", "stopping_room_m", default=None, gt=0
     )
     """How far beyond its window an axis may come to rest after a stop, or after this computer has died.
     Default: as far as the window. Where it could go further, less speed is permitted."""
@@ -65,7 +55,7 @@ class LimitsConfig(Strict):
 
 def _angle(name: str) -> Any:
     """A positive angle, or a length on a linear axis."""
-    return Field(default=None, gt=0, validation_alias=AliasChoices(name, f"{name}_rad", f"{name}_m"))
+    return with_units(name, f"{name}_rad", f"{name}_m", default=None, gt=0)
 
 
 class AcceptableConfig(Strict):
@@ -80,9 +70,7 @@ class AcceptableConfig(Strict):
     torque_offset_fraction_of_rated: float | None = Field(default=None, gt=0)
     gravity_fraction_of_rated: float | None = Field(default=None, gt=0)
     torque_gain_error_fraction: float | None = Field(default=None, gt=0)
-    torque_delay: float | None = Field(
-        default=None, gt=0, validation_alias=AliasChoices("torque_delay", "torque_delay_s")
-    )
+    torque_delay: float | None = with_units("torque_delay", "torque_delay_s", default=None, gt=0)
     backlash: float | None = _angle("backlash")
     """Full free play."""
     lost_motion: float | None = _angle("lost_motion")
@@ -128,22 +116,16 @@ class AxisConfig(Strict):
     """The drive's EDS or DCF file, beside the config: what it lacks is known before the drive is asked."""
     vendor: str = "generic"
     """Row of the table of vendors' differences."""
-    rated_torque: float | None = Field(
-        default=None,
-        gt=0,
-        validation_alias=AliasChoices("rated_torque", "rated_torque_Nm", "rated_force_N"),
+    rated_torque: float | None = with_units(
+        "rated_torque", "rated_torque_Nm", "rated_force_N", default=None, gt=0
     )
     """From the plate; must agree with the drive's 0x6076, and is used where that is missing or zero."""
-    position_per_count: float | None = Field(
-        default=None,
-        gt=0,
-        validation_alias=AliasChoices("position_per_count", "position_rad_per_count", "position_m_per_count"),
+    position_per_count: float | None = with_units(
+        "position_per_count", "position_rad_per_count", "position_m_per_count", default=None, gt=0
     )
     """Motor position per count of 0x6064; must agree with 0x608F, 0x6091 and 0x6092, its default."""
     direction: Literal[1, -1] = 1
-    inertia: float | None = Field(
-        default=None, gt=0, validation_alias=AliasChoices("inertia", "inertia_kgm2", "mass_kg")
-    )
+    inertia: float | None = with_units("inertia", "inertia_kgm2", "mass_kg", default=None, gt=0)
     """Rigid inertia seen by the motor, roughly: predicts travel before anything moves. The trial of the signs
     compares it with what it measures, which is then used."""
     gravity_loaded: Annotated[bool | None, BeforeValidator(_known)] = None
@@ -158,14 +140,12 @@ class AxisConfig(Strict):
     "0x6091" and "0x6092" give way to the config's rated torque and position per count, "0x6075" to the vendor
     table's nominal current; "0x6072" may be raised where it is 0 as shipped; "0x1000" may say another kind of
     drive."""
-    quick_stop_deceleration: float | None = Field(
+    quick_stop_deceleration: float | None = with_units(
+        "quick_stop_deceleration",
+        "quick_stop_deceleration_rad_per_s2",
+        "quick_stop_deceleration_m_per_s2",
         default=None,
         gt=0,
-        validation_alias=AliasChoices(
-            "quick_stop_deceleration",
-            "quick_stop_deceleration_rad_per_s2",
-            "quick_stop_deceleration_m_per_s2",
-        ),
     )
     """Of the drive's quick stop, by its manual or its tool: used where 0x6085 is missing, and where it is not
     known in what unit it counts."""

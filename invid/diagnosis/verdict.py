@@ -28,8 +28,7 @@ from invid.effects.units import unit_of
 from invid.likelihood.joint_fit import JointFit, evaluate_held_out
 from invid.likelihood.null_test import NullTest, null_test, rms_torque
 from invid.model.diagnosis_document import AxisResidual, Diagnosis
-from invid.model.document import EffectTerm, Model, parameter_vector
-from invid.model.parameter_names import std_by_name
+from invid.model.document import EffectTerm, Model, parameter_vector, std_by_name
 from invid.numerics.arrays import frozen_float
 from invid.recording.model import Recording
 from invid.signals.spectral_record import SpectralRecord

@@ -79,7 +79,7 @@ class View:
         self.springs, self.dampers, self.masses = springs, dampers, masses
         self.origin = origin
         self.images = images
-        """(F, M) torque that images of held torque look like on the lines (``invid.signals.aliasing``)."""
+        """(F, M) torque that images of held torque look like on the lines (``signals.spectral_record``)."""
         self.inertance = inertance
         """(M, M) acceleration of the motors over their torque, far above all modes."""
         self.base = np.einsum("fqm,fm->fq", motion, record.filtered)

@@ -10,7 +10,7 @@ from typing import Any
 
 from invid.errors import InputError
 from invid.exchange.linear_plant import LinearPlant, ParameterSpread, linear_plant, parameter_spread
-from invid.model.document import Model, dump_json, model_to_json, save_text
+from invid.model.document import Model, dump_json, model_to_json, save_bytes, save_text
 from invid.numerics.arrays import Float64
 
 BESIDE = ".json"
@@ -59,7 +59,7 @@ def export_model(model: Model, to: str, path: str | Path) -> Export:
     beside = target.with_name(target.name + BESIDE)
     export = Export(to, str(target), str(beside), tuple(lost), tuple(warnings))
     document = _beside(export, model, plant, spread)
-    _write(target, content)
+    save_bytes(target, content)
     save_text(beside, dump_json(document))
     return export
 
@@ -101,17 +101,3 @@ def _beside(export: Export, model: Model, plant: LinearPlant, spread: ParameterS
         },
         "model": model_to_json(model),
     }
-
-
-def _write(target: Path, content: bytes) -> None:
-    """To a temporary name beside the target, then renamed: a crash leaves the old file whole."""
-    temporary = target.with_name(target.name + ".part")
-    try:
-        if target.exists() and not target.is_file():  # /dev/stdout stays what it is
-            target.write_bytes(content)
-            return
-        target.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_bytes(content)
-        temporary.replace(target)
-    except OSError as error:
-        raise InputError(f"{target}: cannot be written: {error.strerror or error}") from None

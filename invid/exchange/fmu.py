@@ -14,8 +14,7 @@ from typing import Any
 
 from pythonfmu3.builder import FmuBuilder
 
-from invid.exchange.linear_plant import LinearPlant, ParameterSpread, derivatives
-from invid.exchange.losses import effect_losses
+from invid.exchange.linear_plant import LinearPlant, ParameterSpread, derivatives, effect_losses
 from invid.numerics.arrays import Float64
 
 SLAVE = "fmu_slave"
@@ -68,6 +67,5 @@ def _entries(matrix: Float64) -> list[tuple[int, int, float]]:
     return [(int(r), int(c), float(matrix[r, c])) for r, c in zip(*matrix.nonzero(), strict=True)]
 
 
-def losses(plant: LinearPlant) -> list[str]:
-    """What the FMU does not hold: every effect that is not linear."""
-    return effect_losses(plant)
+losses = effect_losses
+"""What is not linear is not held."""

@@ -1,21 +1,24 @@
-"""The part of a model that is linear, as matrices, and what of the model is not in them.
+"""The linear part of a model as matrices, and what of the model a format does not hold, in sentences.
 
-q [rad or m] are the coordinates in the order of axes and masses, those of extra modes at the end; u [N·m
-or N] the motor torques that the drives report; t the torques that act:
+q [rad or m] are the coordinates in the order of axes and masses, those of extra modes at the end; u [N·m or
+N] the motor torques that the drives report; t the torques that act:
 
     M q̈ + D q̇ + K q = Σ_i e_i t_i,    τ_i ṫ_i + t_i = g_i u_i    (τ_i = 0: t_i = g_i u_i).
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
+from xml.etree.ElementTree import Comment
 
 import numpy as np
-import scipy.linalg
 
 from invid.errors import ModelError
 from invid.model.chains import CoupledChains
 from invid.model.document import EffectTerm, Model, parameter_vector, stds_by_name
+from invid.model.forward import natural_frequencies
 from invid.model.parameters import structure_of
 from invid.numerics.arrays import Complex128, Float64, frozen_float
 from invid.simulation.laws import Laws, laws_of
@@ -85,9 +88,7 @@ class LinearPlant:
     @property
     def modes(self) -> Float64:
         """(n,) undamped natural frequencies [rad/s], ascending; 0 for rigid modes."""
-        values = scipy.linalg.eigh(self.stiffness, self.mass, eigvals_only=True)
-        result: Float64 = np.sqrt(np.maximum(values, 0.0))
-        return result
+        return natural_frequencies(self.mass, self.stiffness)
 
     def response(self, omega: Float64) -> Complex128:
         """(F, M, M) positions of the motors per torque reported, at ω > 0 [rad/s]."""
@@ -174,42 +175,48 @@ def derivatives(plant: LinearPlant, names: tuple[str, ...]) -> tuple[Float64, Fl
     """(p, n, n) each: ∂M, ∂D, ∂K by every parameter. All three are linear in the parameters, so that
     M(p) = M + Σ (p_k − values_k)·∂M_k holds for any step."""
     structure = structure_of(plant.chains, viscous=False)
-    n = plant.mass.shape[0]
-    mass, damping, stiffness = (np.zeros((len(names), n, n)) for _ in range(3))
-    links = iter(structure.spring_pairs)
-    pairs = {
-        f"{axis}.{s + 1}": next(links)
-        for axis, size in zip(structure.axes, structure.sizes, strict=True)
-        for s in range(size - 1)
-    }
+    inner = slice(0, structure.dofs)
+    made = [np.zeros((len(names), *plant.mass.shape)) for _ in range(3)]
     for k, name in enumerate(names):
-        where, kind, number = _parts(name)
-        if kind == "coupling":
-            i, j = next(
-                (i, j)
-                for i, j in structure.coupling_pairs
-                if f"{structure.axes[i]}-{structure.axes[j]}" == where
-            )
-            a, b = structure.end_dofs[i], structure.end_dofs[j]
-            mass[k, a, b] = mass[k, b, a] = 1.0
-            continue
-        start = structure.motor_dofs[structure.axes.index(where)]
-        if kind == "mass":
-            mass[k, start + number - 1, start + number - 1] = 1.0
-        elif kind == "ground_spring":
-            stiffness[k, start, start] = 1.0
-        else:
-            a, b = pairs[f"{where}.{number}"]
-            matrix = stiffness if kind == "spring" else damping
-            matrix[k, [a, b], [a, b]] = 1.0
-            matrix[k, [a, b], [b, a]] = -1.0
-    return mass, damping, stiffness
+        unit = np.zeros(structure.count)
+        unit[structure.names.index(name)] = 1.0
+        for whole, matrix in zip(made, structure.assembled(unit), strict=True):
+            whole[k, inner, inner] = matrix
+    return made[0], made[1], made[2]
 
 
-def _parts(name: str) -> tuple[str, str, int]:
-    """ "A1.mass.2" → ("A1", "mass", 2); "A1-A2.coupling" → ("A1-A2", "coupling", 0)."""
-    head, _, last = name.rpartition(".")
-    if not last.isdigit():
-        return head, last, 0
-    where, _, kind = head.rpartition(".")
-    return where, kind, int(last)
+def effect_losses(
+    plant: LinearPlant, own: Callable[[EffectTerm], str | None] = lambda _term: None
+) -> list[str]:
+    """A sentence for each effect that the matrices do not hold.
+
+    ``own`` says how the format holds such an effect in its own way ("stands as …"); ``None``: it does not.
+    """
+    lost = []
+    for left in plant.nonlinear:
+        way = None if left.reason else own(left.term)
+        name = effect_name(left.term)
+        lost.append(
+            f"{name} {way}" if way else f"{name} is left out" + (f": {left.reason}" * bool(left.reason))
+        )
+    return lost
+
+
+def effect_name(term: EffectTerm) -> str:
+    """ "coulomb_friction on A1 mass 1 (torque 0.1 N·m)"."""
+    place = " ".join(x for x in (term.axis, term.element, term.other_axis) if x)
+    sizes = ", ".join(f"{k} {p.value:.4g} {p.unit or ''}".strip() for k, p in term.parameters.items())
+    return f"{term.cause} on {place} ({sizes})"
+
+
+def moved_modes(plant: LinearPlant, mass: Float64, stiffness: Float64) -> float:
+    """Largest relative shift of a natural frequency with these matrices instead of the plant's."""
+    there, here = natural_frequencies(mass, stiffness), plant.modes
+    elastic = here > 1e-6 * here[-1]
+    shift = np.abs(there[elastic] / here[elastic] - 1.0)
+    return float(shift.max(initial=0.0))
+
+
+def loss_comment(losses: list[str]) -> Any:
+    """The losses as an XML comment, which must not hold two hyphens in a row."""
+    return Comment(" not in here as it is: " + "; ".join(losses).replace("--", "- -") + " ")

@@ -18,8 +18,7 @@ from xml.etree import ElementTree
 import mujoco
 import numpy as np
 
-from invid.exchange.linear_plant import LinearPlant, ParameterSpread
-from invid.exchange.losses import effect_losses, loss_comment
+from invid.exchange.linear_plant import LinearPlant, ParameterSpread, effect_losses, loss_comment
 from invid.model.document import EffectTerm
 from invid.numerics.arrays import Float64
 

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.io import savemat
 
-from invid.exchange.linear_plant import LinearPlant, ParameterSpread, derivatives
-from invid.exchange.losses import effect_losses
+from invid.exchange.linear_plant import LinearPlant, ParameterSpread, derivatives, effect_losses
 from invid.numerics.arrays import Float64
 
 
@@ -95,6 +94,5 @@ def _cells(texts: list[str] | tuple[str, ...]) -> np.ndarray[Any, np.dtype[np.ob
     return out
 
 
-def losses(plant: LinearPlant) -> list[str]:
-    """What state space does not hold: every effect that is not linear."""
-    return effect_losses(plant)
+losses = effect_losses
+"""What is not linear is not held."""

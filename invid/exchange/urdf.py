@@ -14,8 +14,15 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from invid.exchange.linear_plant import LinearPlant, ParameterSpread
-from invid.exchange.losses import effect_losses, effect_name, loss_comment, moved_modes
+from invid.exchange.linear_plant import (
+    LinearPlant,
+    ParameterSpread,
+    effect_losses,
+    effect_name,
+    loss_comment,
+    moved_modes,
+)
+from invid.model.chains import add_link
 from invid.model.document import EffectTerm
 from invid.numerics.arrays import Float64
 
@@ -106,19 +113,11 @@ def _own_way(term: EffectTerm) -> str | None:
 
 def held_matrices(plant: LinearPlant) -> tuple[Float64, Float64, Float64]:
     """(n, n) each: the mass, damping and stiffness matrices that the tree holds, in absolute coordinates."""
-    mass = np.diag(np.diag(plant.mass))
-    held = []
-    for matrix in (plant.damping, plant.stiffness):
-        kept = np.zeros_like(matrix)
+    damping, stiffness = np.zeros_like(plant.damping), np.zeros_like(plant.stiffness)
+    for kept, matrix in ((damping, plant.damping), (stiffness, plant.stiffness)):
         for a, b in _joints(plant):
-            value = _between(matrix, a, b)
-            kept[a, a] += value
-            if b is not None:
-                kept[b, b] += value
-                kept[a, b] -= value
-                kept[b, a] -= value
-        held.append(kept)
-    return mass, held[0], held[1]
+            add_link(kept, a, -1 if b is None else b, _between(matrix, a, b))
+    return np.diag(np.diag(plant.mass)), damping, stiffness
 
 
 def _joints(plant: LinearPlant) -> list[tuple[int, int | None]]:

@@ -13,8 +13,7 @@ from invid.identification.crosscheck import compare_routes, missed_by_structure
 from invid.identification.identifiability import Unidentifiable, blind_directions
 from invid.inverse import PaperResult
 from invid.likelihood.fit import Fit
-from invid.model.document import EffectTerm, Estimate, Model, parameter_vector, units
-from invid.model.parameter_names import std_by_name
+from invid.model.document import EffectTerm, Estimate, Model, parameter_vector, std_by_name, units
 from invid.numerics.arrays import Float64, frozen_float
 from invid.recording.model import Recording, Role
 from invid.signals.frf import FrfMatrix

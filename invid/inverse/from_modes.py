@@ -13,6 +13,7 @@ from invid.errors import ModelError, NotIdentifiableError
 from invid.inverse.lanczos import lanczos
 from invid.inverse.springs import check_positive, inverse_end_mass, last_mass, springs_and_masses
 from invid.model.chains import CoupledChains
+from invid.model.document import parameter_vector
 from invid.modes.model import Modes, high_gain_pairs, pairs
 from invid.numerics.arrays import Float64
 
@@ -138,9 +139,8 @@ def _with_dampers(chains: CoupledChains, modes: Modes) -> CoupledChains:
 
 def _vector(chains: CoupledChains) -> Float64:
     """Masses, springs, couplings in the order of ``model.document.parameter_vector`` without dampers."""
-    parts = [np.concatenate((m, k)) for m, k in zip(chains.masses, chains.springs, strict=True)]
-    upper = np.triu_indices(chains.branches, 1)
-    vector: Float64 = np.concatenate((*parts, chains.couplings[upper]))
+    names, values = parameter_vector(chains)
+    vector: Float64 = values[[".damper." not in n for n in names]]
     return vector
 
 

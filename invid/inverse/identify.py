@@ -12,6 +12,7 @@ import numpy.typing as npt
 from invid.errors import InvidError, NotIdentifiableError
 from invid.inverse.from_modes import Gains, chains_of, covariance_of, gains_of, low_frequency_mass
 from invid.model.chains import CoupledChains
+from invid.model.document import parameter_vector
 from invid.modes import Modes, fit_modes
 from invid.numerics.arrays import Float64
 
@@ -41,15 +42,10 @@ class PaperResult:
     @property
     def named(self) -> dict[str, tuple[float, float]]:
         """Value and variance of every parameter of ``covariance``, in its order."""
-        c = self.chains
-        values: dict[str, float] = {}
-        for axis, masses, springs in zip(c.axes, c.masses, c.springs, strict=True):
-            values |= {f"{axis}.mass.{q + 1}": float(m) for q, m in enumerate(masses)}
-            values |= {f"{axis}.spring.{q + 1}": float(k) for q, k in enumerate(springs)}
-        for i, j in zip(*np.triu_indices(c.branches, 1), strict=True):
-            values[f"{c.axes[i]}-{c.axes[j]}.coupling"] = float(c.couplings[i, j])
+        names, values = parameter_vector(self.chains)
+        known = [(n, float(v)) for n, v in zip(names, values, strict=True) if ".damper." not in n]
         variance = np.diag(self.covariance)
-        return {n: (v, float(s)) for (n, v), s in zip(values.items(), variance, strict=True)}
+        return {n: (v, float(s)) for (n, v), s in zip(known, variance, strict=True)}
 
 
 def identify_paper(
@@ -63,14 +59,7 @@ def identify_paper(
 ) -> PaperResult:
     """The paper's method on a measured receptance matrix: modes, gains, eqs. 13–22, couplings.
 
-    Parameters
-    ----------
-    frequency_hz, frf, frf_variance
-        (F,) [Hz], (F, M, M) receptance [rad/(N·m) or m/N], (F, M, M) or (F, M·M) E|n|² of its entries.
-    masses
-        (M,) masses per branch.
-    start
-        Modes at which the modal fit starts; without, it searches for them.
+    Parameters are those of ``invid.modes.fit_modes``.
 
     Raises
     ------

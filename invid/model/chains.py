@@ -222,11 +222,7 @@ class CoupledChains:
         matrix = np.zeros((self.dofs, self.dofs))
         for start, values in zip(self.motor_dofs, links, strict=True):
             for q, value in enumerate(values):
-                a, b = start + q, start + q + 1
-                matrix[a, a] += value
-                matrix[b, b] += value
-                matrix[a, b] -= value
-                matrix[b, a] -= value
+                add_link(matrix, start + q, start + q + 1, value)
         matrix[self.motor_dofs, self.motor_dofs] += ground
         return matrix
 
@@ -250,6 +246,15 @@ class CoupledChains:
             "ground_springs": self.ground_springs.tolist(),
             "ground_dampers": self.ground_dampers.tolist(),
         }
+
+
+def add_link(matrix: Float64, a: int, b: int, value: float) -> None:
+    """A spring or damper between a and b (b = −1: ground), in place."""
+    matrix[a, a] += value
+    if b >= 0:
+        matrix[b, b] += value
+        matrix[a, b] -= value
+        matrix[b, a] -= value
 
 
 def case_study(*, damping_ratio: float = 0.0) -> CoupledChains:

@@ -6,7 +6,7 @@ Data only. How a verdict is reached is in ``invid.diagnosis``.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import MISSING, Field, dataclass, field, fields
+from dataclasses import MISSING, Field, asdict, dataclass, field, fields
 from enum import StrEnum
 from pathlib import Path
 from typing import Any, get_type_hints
@@ -213,33 +213,16 @@ def diagnosis_to_json(diagnosis: Diagnosis) -> dict[str, Any]:
             "consequence": None if f.consequence is None else f.consequence.to_json(),
         }
 
-    unexplained = diagnosis.unexplained
     return {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
         "verdict": str(diagnosis.verdict),
         "headline": diagnosis.headline,
         "grade": None if diagnosis.grade is None else str(diagnosis.grade),
-        "residual": [
-            {
-                "axis": r.axis,
-                "unit": r.unit,
-                "before": r.before,
-                "after": r.after,
-                "noise_floor": r.noise_floor,
-            }
-            for r in diagnosis.residual
-        ],
+        "residual": [asdict(r) for r in diagnosis.residual],
         "explained_fraction": diagnosis.explained_fraction,
         "findings": [finding(f) for f in diagnosis.findings],
-        "unexplained": None
-        if unexplained is None
-        else {
-            "axis": unexplained.axis,
-            "frequencies_hz": list(unexplained.frequencies_hz),
-            "character": list(unexplained.character),
-            "sentence": unexplained.sentence,
-        },
+        "unexplained": None if diagnosis.unexplained is None else asdict(diagnosis.unexplained),
         "model": model_to_json(diagnosis.model),
         "warnings": list(diagnosis.warnings),
         "sentences": list(diagnosis.sentences),
@@ -294,20 +277,3 @@ def _finding(document: Mapping[str, Any]) -> dict[str, Any]:
 def load_diagnosis(path: str | Path) -> Diagnosis:
     """Diagnosis from an ``invid-diagnosis`` file."""
     return diagnosis_from_json(load_json(Path(path)), source=str(path))
-
-
-__all__ = [
-    "Alternative",
-    "AxisResidual",
-    "Consequence",
-    "Diagnosis",
-    "EffectTerm",
-    "Estimate",
-    "Finding",
-    "Grade",
-    "Unexplained",
-    "Verdict",
-    "diagnosis_from_json",
-    "diagnosis_to_json",
-    "load_diagnosis",
-]

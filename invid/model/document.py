@@ -10,10 +10,11 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -80,13 +81,7 @@ class ChainStd:
     @classmethod
     def unknown(cls, chains: CoupledChains) -> ChainStd:
         """All NaN."""
-        return cls(
-            masses=tuple(frozen_float(np.full(m.shape, np.nan)) for m in chains.masses),
-            springs=tuple(frozen_float(np.full(k.shape, np.nan)) for k in chains.springs),
-            dampers=tuple(frozen_float(np.full(d.shape, np.nan)) for d in chains.dampers),
-            couplings=frozen_float(np.full(chains.couplings.shape, np.nan)),
-            ground_springs=frozen_float(np.full(chains.ground_springs.shape, np.nan)),
-        )
+        return std_by_name(chains, {})
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,49 +129,77 @@ class Model:
         save_model(self, Path(path))
 
 
+class LinearParameter(NamedTuple):
+    """A mass, spring, damper, spring to ground or coupling of a model; ``std`` NaN where it is not known."""
+
+    axes: tuple[str, ...]
+    """Its axis, or the two that a coupling joins."""
+    kind: str
+    """"mass", "spring", "damper", "ground_spring" or "coupling"."""
+    number: int
+    """From the motor, from 1; 0 for kinds of which an axis has one."""
+    value: float
+    std: float
+    unit: str
+
+
+_UNIT_OF = {"spring": "stiffness", "ground_spring": "stiffness", "damper": "damping"}
+
+
+def linear_parameters(model: Model) -> list[LinearParameter]:
+    """All linear parameters in the order of ``parameter_vector``."""
+    unit = units(model.linear)
+    return [
+        LinearParameter(axes, kind, number, value, std, unit[_UNIT_OF.get(kind, "mass")])
+        for (axes, kind, number, value), (*_, std) in zip(
+            _walk(model.axes, model.chains), _walk(model.axes, model.std), strict=True
+        )
+        if value != 0 or kind != "ground_spring"
+    ]
+
+
 def parameter_vector(chains: CoupledChains) -> tuple[tuple[str, ...], Float64]:
     """Names and values of all linear parameters, in one fixed order.
 
     Names read ``A1.mass.1``, ``A1.spring.1``, ``A1.damper.1``, ``A1.ground_spring`` (only where not
     zero), ``A1-A2.coupling``.
     """
-    names: list[str] = []
-    values: list[float] = []
-    for i, axis in enumerate(chains.axes):
-        for kind, array in (
-            ("mass", chains.masses[i]),
-            ("spring", chains.springs[i]),
-            ("damper", chains.dampers[i]),
-        ):
-            for q, value in enumerate(array):
-                names.append(f"{axis}.{kind}.{q + 1}")
-                values.append(float(value))
-        if chains.ground_springs[i] != 0:
-            names.append(f"{axis}.ground_spring")
-            values.append(float(chains.ground_springs[i]))
-    for i in range(chains.branches):
-        for j in range(i + 1, chains.branches):
-            names.append(f"{chains.axes[i]}-{chains.axes[j]}.coupling")
-            values.append(float(chains.couplings[i, j]))
-    return tuple(names), np.array(values)
+    found = [p for p in _walk(chains.axes, chains) if p[3] != 0 or p[1] != "ground_spring"]
+    return tuple(_name(*p[:3]) for p in found), np.array([p[3] for p in found])
+
+
+def numbers_by_name(axes: Sequence[str], numbers: CoupledChains | ChainStd) -> dict[str, float]:
+    """Numbers by the names of ``parameter_vector``; a coupling under both orders of its axes."""
+    out: dict[str, float] = {}
+    for names, kind, number, value in _walk(axes, numbers):
+        out[_name(names, kind, number)] = out[_name(names[::-1], kind, number)] = value
+    return out
 
 
 def stds_by_name(model: Model) -> dict[str, float]:
-    """Standard deviation by the names of ``parameter_vector``; a coupling under both orders of its axes."""
-    out: dict[str, float] = {}
-    for i, axis in enumerate(model.axes):
+    """Standard deviations by name (``numbers_by_name``)."""
+    return numbers_by_name(model.axes, model.std)
+
+
+def _name(axes: tuple[str, ...], kind: str, number: int) -> str:
+    return f"{'-'.join(axes)}.{kind}" + (f".{number}" if number else "")
+
+
+def _walk(
+    axes: Sequence[str], numbers: CoupledChains | ChainStd
+) -> Iterator[tuple[tuple[str, ...], str, int, float]]:
+    """Axes, kind, number and value of every linear parameter, springs to ground of all axes among them."""
+    for i, axis in enumerate(axes):
         for kind, column in (
-            ("mass", model.std.masses[i]),
-            ("spring", model.std.springs[i]),
-            ("damper", model.std.dampers[i]),
+            ("mass", numbers.masses),
+            ("spring", numbers.springs),
+            ("damper", numbers.dampers),
         ):
-            out.update({f"{axis}.{kind}.{q + 1}": float(s) for q, s in enumerate(column)})
-        out[f"{axis}.ground_spring"] = float(model.std.ground_springs[i])
-    for i, first in enumerate(model.axes):
-        for j in range(i + 1, len(model.axes)):
-            second, value = model.axes[j], float(model.std.couplings[i, j])
-            out[f"{first}-{second}.coupling"] = out[f"{second}-{first}.coupling"] = value
-    return out
+            for q, value in enumerate(column[i], 1):
+                yield (axis,), kind, q, float(value)
+        yield (axis,), "ground_spring", 0, float(numbers.ground_springs[i])
+    for i, j in combinations(range(len(axes)), 2):
+        yield (axes[i], axes[j]), "coupling", 0, float(numbers.couplings[i, j])
 
 
 def units(linear: bool) -> dict[str, str]:
@@ -381,8 +404,8 @@ def model_from_json(document: Any, *, source: str = "model") -> Model:
         couplings[i, j] = couplings[j, i] = c.value
         coupling_std[i, j] = coupling_std[j, i] = np.nan if c.std is None else c.std
 
-    def column(items: list[_EstimateJson]) -> tuple[list[float], Float64]:
-        return [e.value for e in items], frozen_float([np.nan if e.std is None else e.std for e in items])
+    def stds(items: Sequence[_EstimateJson | None]) -> Float64:
+        return frozen_float([np.nan if e is None or e.std is None else e.std for e in items])
 
     try:
         chains = CoupledChains.build(
@@ -396,19 +419,11 @@ def model_from_json(document: Any, *, source: str = "model") -> Model:
     except ModelError as error:
         raise ModelError(f"{source}: {error}") from None
     std = ChainStd(
-        masses=tuple(column(b.masses)[1] for b in parsed.branches),
-        springs=tuple(column(b.springs)[1] for b in parsed.branches),
-        dampers=tuple(
-            column(b.dampers)[1] if b.dampers else frozen_float(np.full(len(b.springs), np.nan))
-            for b in parsed.branches
-        ),
+        masses=tuple(stds(b.masses) for b in parsed.branches),
+        springs=tuple(stds(b.springs) for b in parsed.branches),
+        dampers=tuple(stds(b.dampers or [None] * len(b.springs)) for b in parsed.branches),
         couplings=frozen_float(coupling_std),
-        ground_springs=frozen_float(
-            [
-                np.nan if b.ground_spring is None or b.ground_spring.std is None else b.ground_spring.std
-                for b in parsed.branches
-            ]
-        ),
+        ground_springs=stds([b.ground_spring for b in parsed.branches]),
     )
     effects = tuple(_effect_term(e, source) for e in parsed.effects)
     for e in effects:
@@ -455,14 +470,19 @@ def load_model(path: str | Path) -> Model:
 
 
 def save_text(path: Path, text: str) -> None:
+    """``save_bytes`` of a text, UTF-8."""
+    save_bytes(path, text.encode())
+
+
+def save_bytes(path: Path, content: bytes) -> None:
     """Write to a temporary name beside ``path``, then rename: a crash leaves the old file whole."""
     temporary = path.with_name(path.name + ".part")
     try:
         if path.exists() and not path.is_file():  # /dev/stdout stays what it is
-            path.write_text(text, encoding="utf-8")
+            path.write_bytes(content)
             return
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_text(text, encoding="utf-8")
+        temporary.write_bytes(content)
         temporary.replace(path)
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror or error}") from None
@@ -471,3 +491,53 @@ def save_text(path: Path, text: str) -> None:
 def save_model(model: Model, path: Path) -> None:
     """Write the ``invid-model`` file."""
     save_text(path, dump_json(model_to_json(model)))
+
+
+def std_by_name(chains: CoupledChains, std: Mapping[str, float]) -> ChainStd:
+    """Standard deviations in the shapes of ``chains``; NaN for names that ``std`` does not have."""
+    masses, springs, dampers, couplings, ground = _shaped(chains, std)
+    return ChainStd(
+        masses=masses, springs=springs, dampers=dampers, couplings=couplings, ground_springs=ground
+    )
+
+
+def chains_by_name(chains: CoupledChains, values: Mapping[str, float]) -> CoupledChains:
+    """``chains`` with the parameters named in ``values``; the others stay as they are."""
+    masses, springs, dampers, couplings, ground = _shaped(chains, values)
+
+    def filled(new: Float64, old: Float64) -> Float64:
+        return frozen_float(np.where(np.isnan(new), old, new))
+
+    return replace(
+        chains,
+        masses=tuple(filled(n, o) for n, o in zip(masses, chains.masses, strict=True)),
+        springs=tuple(filled(n, o) for n, o in zip(springs, chains.springs, strict=True)),
+        dampers=tuple(filled(n, o) for n, o in zip(dampers, chains.dampers, strict=True)),
+        couplings=filled(couplings, chains.couplings),
+        ground_springs=filled(ground, chains.ground_springs),
+    )
+
+
+def _shaped(
+    chains: CoupledChains, named: Mapping[str, float]
+) -> tuple[tuple[Float64, ...], tuple[Float64, ...], tuple[Float64, ...], Float64, Float64]:
+    """Masses, springs, dampers, couplings, springs to ground; NaN where not named."""
+
+    def column(kind: str, parts: tuple[Float64, ...]) -> tuple[Float64, ...]:
+        return tuple(
+            frozen_float([named.get(f"{axis}.{kind}.{q + 1}", np.nan) for q in range(part.size)])
+            for axis, part in zip(chains.axes, parts, strict=True)
+        )
+
+    couplings = np.full((chains.branches, chains.branches), np.nan)
+    for i, a in enumerate(chains.axes):
+        for j in range(i + 1, chains.branches):
+            value = named.get(f"{a}-{chains.axes[j]}.coupling", np.nan)
+            couplings[i, j] = couplings[j, i] = value
+    return (
+        column("mass", chains.masses),
+        column("spring", chains.springs),
+        column("damper", chains.dampers),
+        frozen_float(couplings),
+        frozen_float([named.get(f"{a}.ground_spring", np.nan) for a in chains.axes]),
+    )

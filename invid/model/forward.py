@@ -242,8 +242,14 @@ def _natural(chains: CoupledChains, kept: npt.NDArray[np.intp], zeros: int) -> F
     if kept.size == 0:
         return np.zeros(0)
     at = np.ix_(kept, kept)
-    values = scipy.linalg.eigh(chains.stiffness_matrix[at], chains.mass_matrix[at], eigvals_only=True)
-    values[:zeros] = 0.0
+    natural = natural_frequencies(chains.mass_matrix[at], chains.stiffness_matrix[at])
+    natural[:zeros] = 0.0
+    return natural
+
+
+def natural_frequencies(mass: Float64, stiffness: Float64) -> Float64:
+    """(n,) undamped natural frequencies of (n, n) matrices [rad/s], ascending; 0 for rigid modes."""
+    values = scipy.linalg.eigh(stiffness, mass, eigvals_only=True)
     natural: Float64 = np.sqrt(np.maximum(values, 0.0))
     return natural
 

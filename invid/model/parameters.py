@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from invid.model.chains import CoupledChains
+from invid.model.chains import CoupledChains, add_link
 from invid.numerics.arrays import Bool, Complex128, Float64
 
 
@@ -162,7 +162,11 @@ class ChainStructure:
 
     def matrices(self, p: Float64) -> tuple[Float64, Float64, Float64]:
         """Mass, damping and stiffness matrix, (ΣN, ΣN) each."""
-        values, s = self.physical(p), self.slices
+        return self.assembled(self.physical(p))
+
+    def assembled(self, values: Float64) -> tuple[Float64, Float64, Float64]:
+        """The same from physical values (n,), in which all three are linear."""
+        s = self.slices
         mass = np.diag(values[s["mass"]])
         for (i, j), value in zip(self.coupling_pairs, values[s["coupling"]], strict=True):
             a, b = self.end_dofs[i], self.end_dofs[j]
@@ -171,10 +175,7 @@ class ChainStructure:
         stiffness, damping = np.zeros_like(mass), np.zeros_like(mass)
         for matrix, kind in ((stiffness, "spring"), (damping, "damper")):
             for (a, b), value in zip(self.spring_pairs, values[s[kind]], strict=True):
-                matrix[a, a] += value
-                matrix[b, b] += value
-                matrix[a, b] -= value
-                matrix[b, a] -= value
+                add_link(matrix, a, b, value)
         rubbing = list(self.viscous_dofs)
         damping[rubbing, rubbing] += values[s["viscous"]]
         for i, value in zip(self.grounded, values[s["ground_spring"]], strict=True):

@@ -78,6 +78,3 @@ def end_derivative(
         for kind in kinds:
             out[..., structure.slices[kind]] = full[..., structure.slices[kind]]
     return out
-
-
-__all__ = ["end_columns", "end_derivative", "end_forces", "end_points", "motor_end_indices"]

@@ -14,6 +14,7 @@ from invid.modes.least_squares import (
     ModalFit,
     levenberg,
     misfit,
+    noise_chi2,
     normal_equations,
     reduced_chi2,
     robust_cost,
@@ -69,15 +70,15 @@ def fit_modes(
             if best is not None and budget.is_spent():
                 break
             fit = levenberg(data, weight, residue_start(data, weight, poles), 20)
-            if data.modes and reduced_chi2(data, data.weight(0.0), fit) > _GOOD:
+            if data.modes and noise_chi2(data, fit) > _GOOD:
                 fit = levenberg(data, weight, replace(fit, lag=np.zeros(fit.shapes.shape)), 20)
             # candidates are compared under one weight that no candidate was favoured by
             cost = robust_cost(data, fit)
             if best is None or cost < best[0]:
                 best = (cost, fit)
-        if best is not None and reduced_chi2(data, data.weight(0.0), best[1]) < _GOOD:
+        if best is not None and noise_chi2(data, best[1]) < _GOOD:
             break
-    if best is not None and data.modes and reduced_chi2(data, data.weight(0.0), best[1]) > _GOOD:
+    if best is not None and data.modes and noise_chi2(data, best[1]) > _GOOD:
         best = _moved_to_the_misfit(data, best)
     if best is None:
         raise NotIdentifiableError("modal fit: no start converged; measure longer or raise the amplitude")
@@ -136,7 +137,7 @@ def _moved_to_the_misfit(data: FrfData, best: tuple[float, ModalFit]) -> tuple[f
             cost = robust_cost(data, fresh)
             if cost < best[0]:
                 best = (cost, fresh)
-        if reduced_chi2(data, data.weight(0.0), best[1]) < _GOOD:
+        if noise_chi2(data, best[1]) < _GOOD:
             break
     return best
 
@@ -163,9 +164,9 @@ def _with_complex_modes(data: FrfData, fit: ModalFit) -> ModalFit:
 def _finish(data: FrfData, fit: ModalFit) -> Modes:
     """Last iterations under the noise, or under the model error that makes χ²/dof = 1."""
     model_error = 0.0
-    fit = levenberg(data, data.weight(0.0), fit) if reduced_chi2(data, data.weight(0.0), fit) < 4.0 else fit
+    fit = levenberg(data, data.weight(0.0), fit) if noise_chi2(data, fit) < 4.0 else fit
     fit = _with_complex_modes(data, fit)
-    if reduced_chi2(data, data.weight(0.0), fit) > 1.5:
+    if noise_chi2(data, fit) > 1.5:
         for _ in range(3):
             low, high = 1e-6, 1.0
             for _ in range(40):

@@ -172,3 +172,8 @@ def reduced_chi2(data: FrfData, weight: Float64, fit: ModalFit) -> float:
     """χ² per degree of freedom under ``weight`` (a complex variance puts half into each part)."""
     dof = max(2 * data.g.size - _pack(fit).size, 1)
     return float(2 * np.sum((weight * misfit(data, fit)) ** 2) / dof)
+
+
+def noise_chi2(data: FrfData, fit: ModalFit) -> float:
+    """The same under the FRF's noise alone."""
+    return reduced_chi2(data, data.weight(0.0), fit)

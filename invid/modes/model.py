@@ -67,10 +67,10 @@ class Modes:
     high_gain: Float64
     friction: Float64
     masses: tuple[int, ...]
-    covariance: Float64
-    chi2: float
-    dof: int
-    model_error: float
+    covariance: Float64 = field(default_factory=lambda: np.zeros((0, 0)))
+    chi2: float = 0.0
+    dof: int = 1
+    model_error: float = 0.0
     lag: Float64 = field(default_factory=lambda: np.zeros((0, 0)))
 
     @property
@@ -169,8 +169,4 @@ def modes_of_matrices(
         high_gain=high,
         friction=np.zeros((count, count)),
         masses=masses,
-        covariance=np.zeros((0, 0)),
-        chi2=0.0,
-        dof=1,
-        model_error=0.0,
     )

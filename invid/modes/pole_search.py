@@ -17,10 +17,10 @@ import numpy as np
 
 from invid.modes import Modes
 from invid.modes.rational_fit import (
-    DAMPING,
     TRUSTED,
     Record,
     columns_of,
+    even_poles,
     fractions,
     project_out_transients,
     record_of,
@@ -45,34 +45,26 @@ MOST = 4e9
 
 
 def search_modes(
-    spectra: Sequence[LineSpectra], masses: Sequence[int], *, model_error: float = 0.0, most_lines: int = 300
+    spectra: Sequence[LineSpectra], masses: Sequence[int], *, model_error: float = 0.0
 ) -> tuple[Modes, FrfMatrix, float] | None:
     """Modes and G as from ``rational_modes``, weak modes included, and how much later than recorded the
     torque acts [s]; ``None`` where it fails or is too long.
 
     ``model_error``: relative error of the spectra beyond their noise (friction).
     """
-    motors, modes = spectra[0].axis_count, sum(masses) - len(masses)
+    modes = sum(masses) - len(masses)
     if modes == 0:
         return None
-    raw = [record_of(s, most_lines, TRUSTED) for s in spectra]
-    rows = 2 * sum(w.size for w, *_ in raw)
-    width = (motors + 1) * (2 * (modes + SPARE) + 1)
-    spare = SPARE if 2.0 * motors * rows * width**2 * 5 * ROUNDS * (SPARE + 1) < MOST else 1
-    width = (motors + 1) * (2 * (modes + spare) + 1)
-    if 2.0 * motors * rows * width**2 * 5 * ROUNDS * (spare + 1) > 3 * MOST:
+    search = _Search(spectra, model_error)
+    spare = SPARE if search.operations(modes + SPARE) * (SPARE + 1) < MOST else 1
+    if search.operations(modes + spare) * (spare + 1) > 3 * MOST:
         return None
-    low = min(float(w[0]) for w, *_ in raw)
-    high = max(float(w[-1]) for w, *_ in raw)
-    search = _Search(spectra, raw, motors, float(np.sqrt(low * high)), model_error)
-    best: tuple[float, Complex128, Float64] | None = None
-    late = 0.0
-    for delay, found in search.each_delay(spare, modes, (low, high)):
-        if found is not None and (best is None or found[0] < best[0]):
-            best, late = found, delay / spectra[0].sample_rate_hz
-    if best is None:
+    found = search.best(spare, modes)
+    if found is None:
         return None
-    return (*sample_modes(best[1], best[2], search.scale, tuple(masses), (low, high)), late)
+    delay, _, poles, residues = found
+    sampled = sample_modes(poles, residues, search.scale, tuple(masses), search.band)
+    return (*sampled, delay / spectra[0].sample_rate_hz)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,69 +79,51 @@ class Unstructured:
 
 
 def unstructured(
-    spectra: Sequence[LineSpectra],
-    masses: Sequence[int],
-    *,
-    further: int,
-    model_error: float,
-    most_lines: int = 300,
+    spectra: Sequence[LineSpectra], masses: Sequence[int], *, further: int, model_error: float
 ) -> Unstructured | None:
     """The best rational FRF with ``further`` more modes than the masses have, for comparison."""
-    motors, modes = spectra[0].axis_count, sum(masses) - len(masses) + further
-    raw = [record_of(s, most_lines, TRUSTED) for s in spectra]
-    rows = 2 * sum(w.size for w, *_ in raw)
-    width = (motors + 1) * (2 * modes + 1)
-    if 2.0 * motors * rows * width**2 * 5 * ROUNDS > MOST:
+    modes = sum(masses) - len(masses) + further
+    search = _Search(spectra, model_error)
+    if search.operations(modes) > MOST:
         return None
-    low = min(float(w[0]) for w, *_ in raw)
-    high = max(float(w[-1]) for w, *_ in raw)
-    search = _Search(spectra, raw, motors, float(np.sqrt(low * high)), model_error)
-    best: Unstructured | None = None
-    for delay, found in search.each_delay(0, modes, (low, high)):
-        if found is None:
-            continue
-        free = rows * motors - motors * (motors * (2 * modes + 1))
-        mean = found[0] / max(free, 1)
-        if best is None or mean < best.mean_square:
-            best = Unstructured(tuple(search.weighted(delay, found[1], found[2])), mean)
-    return best
-
-
-def _even(low: float, high: float, count: int, scale: float) -> Complex128:
-    poles: Complex128 = np.linspace(low, high, count + 2)[1:-1] / scale * np.complex128(-DAMPING + 1j)
-    return poles
+    found = search.best(0, modes)
+    if found is None:
+        return None
+    delay, cost, poles, residues = found
+    free = search.motors * (search.rows - search.motors * (2 * modes + 1))
+    return Unstructured(tuple(search.weighted(delay, poles, residues)), cost / max(free, 1))
 
 
 class _Search:
     """The records of one search and what a set of poles costs on them."""
 
-    def __init__(
-        self,
-        spectra: Sequence[LineSpectra],
-        raw: Sequence[Record],
-        motors: int,
-        scale: float,
-        model_error: float,
-    ) -> None:
-        self.spectra, self.raw = spectra, raw
-        self.motors, self.scale, self.model_error = motors, scale, model_error
+    def __init__(self, spectra: Sequence[LineSpectra], model_error: float) -> None:
+        self.spectra, self.model_error = spectra, model_error
+        self.motors = spectra[0].axis_count
+        self.raw = [record_of(s, TRUSTED) for s in spectra]
+        self.rows = 2 * sum(w.size for w, *_ in self.raw)
+        low, high = min(float(w[0]) for w, *_ in self.raw), max(float(w[-1]) for w, *_ in self.raw)
+        self.band, self.scale = (low, high), float(np.sqrt(low * high))
 
-    def each_delay(
-        self, spare: int, modes: int, band: tuple[float, float]
-    ) -> list[tuple[float, tuple[float, Complex128, Float64] | None]]:
-        """What the search comes to for every delay that is tried."""
-        return list(zip(DELAYS, parallel_map(lambda d: self.run(spare, modes, d, band), DELAYS), strict=True))
+    def operations(self, poles: int) -> float:
+        """Of a search with so many poles, for each number of them that it goes through."""
+        width = (self.motors + 1) * (2 * poles + 1)
+        return 2.0 * self.motors * self.rows * width**2 * 5 * ROUNDS
 
-    def run(
-        self, spare: int, modes: int, delay: float, band: tuple[float, float]
-    ) -> tuple[float, Complex128, Float64] | None:
+    def best(self, spare: int, modes: int) -> tuple[float, float, Complex128, Float64] | None:
+        """Delay [samples], cost, poles and residues of the delay that leaves least."""
+        runs = zip(DELAYS, parallel_map(lambda d: self.run(spare, modes, d), DELAYS), strict=True)
+        found = [(delay, *run) for delay, run in runs if run is not None]
+        return min(found, key=lambda f: f[1], default=None)
+
+    def run(self, spare: int, modes: int, delay: float) -> tuple[float, Complex128, Float64] | None:
         """Cost, poles and residues after the spare poles are gone."""
-        first = self._relocated(self.raw, _even(*band, modes, self.scale), 15)
+        first = self._relocated(self.raw, even_poles(*self.band, modes, self.scale), 15)
         if first is None:
             return None
         residues = residues_of(self.raw, first, self.motors, self.scale)
         model = (first, residues)
-        poles = _even(*band, modes + spare, self.scale)
+        poles = even_poles(*self.band, modes + spare, self.scale)
         while not budget.is_spent():
             for _ in range(ROUNDS):
                 data = self.weighted(delay, *model)

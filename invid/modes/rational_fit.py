@@ -17,7 +17,7 @@ from invid.modes import Modes
 from invid.modes.model import high_gain_pairs, pairs
 from invid.numerics import budget
 from invid.numerics.arrays import Bool, Complex128, Float64
-from invid.numerics.eigenvalues import eigenvalues
+from invid.numerics.linear_algebra import eigenvalues, least_squares, real_rows
 from invid.signals.frf import FrfMatrix
 from invid.signals.spectra import FEW_LINES, LineSpectra
 
@@ -28,6 +28,7 @@ FINE = 0.002
 LEAST_DAMPING = 1e-9
 """Of a pole between rounds; finer than any band of lines can tell from none."""
 DAMPING = 0.01
+MOST_LINES, ITERATIONS = 300, 15
 
 
 def rational_modes(
@@ -35,21 +36,19 @@ def rational_modes(
     masses: Sequence[int],
     *,
     trusted: float = TRUSTED,
-    iterations: int = 15,
-    most_lines: int = 300,
 ) -> tuple[Modes, FrfMatrix] | None:
     """Modes and G on a grid that resolves them, for the given masses per branch; ``None`` where it fails.
 
-    A start for the fit: the modes carry no covariance. Uses about ``most_lines`` lines of each record.
+    A start for the fit: the modes carry no covariance. Uses about ``MOST_LINES`` lines of each record.
     """
     motors = spectra[0].axis_count
     modes = sum(masses) - motors
-    data = [record_of(s, most_lines, trusted) for s in spectra]
+    data = [record_of(s, trusted) for s in spectra]
     low = min(float(w[0]) for w, *_ in data)
     high = max(float(w[-1]) for w, *_ in data)
     scale = float(np.sqrt(low * high))
-    poles: Complex128 = np.linspace(low, high, modes + 2)[1:-1] / scale * np.complex128(-DAMPING + 1j)
-    for number in range(iterations):
+    poles = even_poles(low, high, modes, scale)
+    for number in range(ITERATIONS):
         if number and budget.is_spent():
             break
         fresh = relocate_once(data, poles, motors, scale)
@@ -63,6 +62,12 @@ def rational_modes(
     if not np.isfinite(residues).all():
         return None
     return sample_modes(poles, residues, scale, tuple(masses), (low, high))
+
+
+def even_poles(low: float, high: float, count: int, scale: float) -> Complex128:
+    """(count,) lightly damped poles evenly between two frequencies [rad/s], over ``scale``."""
+    poles: Complex128 = np.linspace(low, high, count + 2)[1:-1] / scale * np.complex128(-DAMPING + 1j)
+    return poles
 
 
 def sample_modes(
@@ -112,17 +117,14 @@ def modes_of(poles: Complex128, residues: Float64, scale: float, masses: tuple[i
         friction=np.zeros((motors, motors)),
         masses=masses,
         covariance=np.zeros((unknowns, unknowns)),
-        chi2=0.0,
-        dof=1,
         model_error=TRUSTED,
-        lag=np.zeros((count, motors)),
     )
 
 
 Record = tuple[Float64, Complex128, Complex128, Float64, bool]
 
 
-def record_of(s: LineSpectra, most: int, trusted: float) -> Record:
+def record_of(s: LineSpectra, trusted: float) -> Record:
     """ω, acceleration, torque, weight of one record on the lines that carry something."""
     lines: Bool = np.array(s.excited)
     transient = s.transient
@@ -134,7 +136,7 @@ def record_of(s: LineSpectra, most: int, trusted: float) -> Record:
             lines, transient = power > 0.1 * power.max(), False
         else:
             lines = upto
-    index = np.flatnonzero(lines)
+    index, most = np.flatnonzero(lines), MOST_LINES
     if index.size > most:
         # Excited lines first, then an even choice of the others.
         rest = index[~s.excited[index]]
@@ -186,8 +188,8 @@ def project_out_transients(
     lefts, rights = [], []
     for (_, _, _, weight, _), matrix, target in zip(data, columns, right, strict=True):
         own = weight[:, motor : motor + 1]
-        left = _real(own * matrix)
-        goal = _real(own * target)
+        left = real_rows(own * matrix)
+        goal = real_rows(own * target)
         if left.shape[1] > shared:
             size = np.linalg.norm(left[:, shared:], axis=0)
             q, _ = np.linalg.qr(left[:, shared:] / np.where(size > 0, size, 1.0))
@@ -196,11 +198,6 @@ def project_out_transients(
         lefts.append(left[:, :shared])
         rights.append(goal)
     return np.concatenate(lefts), np.concatenate(rights)
-
-
-def _real(values: Complex128) -> Float64:
-    out: Float64 = np.concatenate((values.real, values.imag))
-    return out
 
 
 def relocate_once(data: Sequence[Record], poles: Complex128, motors: int, scale: float) -> Complex128 | None:
@@ -223,11 +220,9 @@ def relocate_once(data: Sequence[Record], poles: Complex128, motors: int, scale:
     matrix = np.concatenate((matrix, np.sqrt(emphasis) * mean[None]))
     right = np.zeros(matrix.shape[0])
     right[-1] = np.sqrt(emphasis)
-    norms = np.linalg.norm(matrix, axis=0)
-    if not np.isfinite(norms).all():
+    if not np.isfinite(np.linalg.norm(matrix, axis=0)).all():
         return None
-    norms[norms == 0] = 1.0
-    x = np.linalg.lstsq(matrix / norms, right, rcond=None)[0] / norms
+    x = least_squares(matrix, right)
     direct = x[-1] if abs(x[-1]) > 1e-8 else 1e-8
     state = np.zeros((2 * count, 2 * count))
     first, second = np.arange(count), np.arange(count, 2 * count)
@@ -264,8 +259,6 @@ def residues_of(data: Sequence[Record], poles: Complex128, motors: int, scale: f
     out = np.zeros((2 * poles.size + 1, motors, motors))
     for i in range(motors):
         left, goal = project_out_transients(data, columns, [a[:, i : i + 1] for _, a, *_ in data], i, shared)
-        size = np.linalg.norm(left, axis=0)
-        size[size == 0] = 1.0
-        x = np.linalg.lstsq(left / size, goal[:, 0], rcond=None)[0] / size
+        x = least_squares(left, goal[:, 0])
         out[:, i, :] = x.reshape(motors, -1).T
     return 0.5 * (out + out.transpose(0, 2, 1))

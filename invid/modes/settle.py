@@ -18,6 +18,7 @@ from invid.errors import InvidError
 from invid.modes.fit import fit_modes
 from invid.modes.model import Modes
 from invid.numerics.arrays import Complex128
+from invid.numerics.linear_algebra import least_squares, real_rows
 from invid.signals.frf import FrfMatrix, frf_matrix, local_frf_matrix
 from invid.signals.spectra import LineSpectra
 
@@ -69,11 +70,7 @@ def settled_spectra(spectra: LineSpectra, modes: Modes) -> LineSpectra:
     weight = 1.0 / (_MODEL_ERROR * size + 1e-3 * np.median(size, axis=0) + np.finfo(float).tiny)
     matrix = (weight[:, :, None] * basis).reshape(-1, basis.shape[2])
     target = (weight * missing).ravel()
-    stacked = np.concatenate((matrix.real, matrix.imag))
-    norm = np.linalg.norm(stacked, axis=0)
-    norm[norm == 0] = 1.0
-    both = np.concatenate((target.real, target.imag))
-    amplitudes = np.linalg.lstsq(stacked / norm, both, rcond=1e-10)[0] / norm
+    amplitudes = least_squares(real_rows(matrix), real_rows(target), rcond=1e-10)
     return replace(spectra, position=spectra.position - basis @ amplitudes, transient=False)
 
 

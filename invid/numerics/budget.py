@@ -189,21 +189,3 @@ def silence() -> None:
     budget = _IN_FORCE.get()
     if budget is not None:
         budget.report = None
-
-
-__all__ = [
-    "Budget",
-    "BudgetSpent",
-    "Progress",
-    "check",
-    "is_left_out",
-    "is_spent",
-    "leave_out",
-    "left_out",
-    "or_else",
-    "silence",
-    "tell",
-    "use_budget",
-    "use_share",
-    "warning",
-]

@@ -30,7 +30,6 @@ class HasCost(Protocol):
     @property
     def cost(self) -> float:
         """χ², or another sum of squares."""
-        ...
 
 
 Point = TypeVar("Point", bound=HasCost)
@@ -206,6 +205,3 @@ def _lower(
         if shorter is not None and shorter.cost < full.cost:
             best = shorter
     return best if best.cost < now.cost else None
-
-
-__all__ = ["LARGEST_STEP", "Minimum", "Parabola", "minimise"]

@@ -160,6 +160,3 @@ class _Unpickler(pickle.Unpickler):
 
     def persistent_load(self, number: Any) -> object:
         return self._known[number]
-
-
-__all__ = ["parallel_map"]

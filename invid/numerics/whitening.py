@@ -66,6 +66,3 @@ def factored(columns: Float64) -> tuple[Float64, Float64]:
 def orthonormal(columns: Float64) -> Float64:
     """(rows, rank) basis of what the columns span."""
     return factored(columns)[0]
-
-
-__all__ = ["factored", "orthonormal", "stack", "unstack", "unwhitener", "whitener"]

@@ -119,13 +119,8 @@ def rigid(config: CellConfig) -> Belief | None:
     inertia = [a.inertia for a in config.axes]
     if any(i is None for i in inertia):
         return None
-    count = len(inertia)
-    zero = frozen_float(np.zeros(count))
+    zero = frozen_float(np.zeros(len(inertia)))
     chains = CoupledChains.build(
-        [np.array([float(i or 0.0)]) for i in inertia],
-        [np.zeros(0)] * count,
-        [np.zeros(0)] * count,
-        np.zeros((count, count)),
-        axes=[a.name for a in config.axes],
+        [[float(i or 0.0)] for i in inertia], [[]] * len(inertia), axes=[a.name for a in config.axes]
     )
     return Belief(chains, zero, zero, "the inertia in the config", True)

@@ -66,10 +66,7 @@ def make_plan(
     ConfigError
         An axis that is not there, an experiment that cannot be made, a bus over its budget.
     """
-    names = tuple(a.name for a in config.axes)
-    unknown = [n for n in axes or () if n not in names]
-    if unknown:
-        raise ConfigError(f"axes: no axis {unknown[0]!r} in the config; it has {', '.join(names)}")
+    names = require_known_axes(config, axes)
     if axes is not None and not axes:
         raise ConfigError(f"axes: none named; the config has {', '.join(names)}")
     if not 0 < amplitude_scale <= 1:
@@ -107,6 +104,15 @@ def make_plan(
         warnings.append("no experiment has role 'validate': a diagnosis will have to hold data out by itself")
     belief = model if isinstance(model, Belief) or model is None else _frictionless(model)
     return assemble(config, experiments, belief, budget, share=amplitude_scale, warnings=warnings)
+
+
+def require_known_axes(config: CellConfig, axes: Sequence[str] | None) -> tuple[str, ...]:
+    """Names of the config's axes; ConfigError where ``axes`` holds another."""
+    names = tuple(a.name for a in config.axes)
+    unknown = [n for n in axes or () if n not in names]
+    if unknown:
+        raise ConfigError(f"axes: no axis {unknown[0]!r} in the config; it has {', '.join(names)}")
+    return names
 
 
 def assemble(
@@ -209,7 +215,6 @@ def _multisine(
                 reference[:, axis] = excitation.triangle_path(spec.creep_velocity, total, rate, window)
         result.append(
             PlannedExperiment(
-                key="",
                 kind=Kind.MULTISINE,
                 role=Role(spec.role),
                 excited=excited,
@@ -245,12 +250,10 @@ def _stepped_sine(
             torque[:, axis] = peaks[axis] * np.cos(phase)
             result.append(
                 PlannedExperiment(
-                    key="",
                     kind=Kind.STEPPED_SINE,
                     role=Role(spec.role),
                     excited=(axis,),
                     torque=frozen_float(excitation.apply_ramps(torque, fade, fade)),
-                    reference=None,
                     record_from=fade + settle,
                     record_to=fade + settle + keep,
                     period_samples=period,
@@ -280,16 +283,11 @@ def _chirp(
         torque[:samples, axis] = peaks[axis] * wave
         result.append(
             PlannedExperiment(
-                key="",
                 kind=Kind.CHIRP,
                 role=Role(spec.role),
                 excited=(axis,),
                 torque=frozen_float(torque),
-                reference=None,
-                record_from=0,
                 record_to=samples + after,
-                period_samples=0,
-                frequencies_hz=frozen_float([]),
                 attributes={"amplitude": spec.amplitude, "band_hz": list(spec.band_Hz)},
             )
         )
@@ -319,16 +317,12 @@ def _constant_velocity(
             reference[:, axis] = path
             result.append(
                 PlannedExperiment(
-                    key="",
                     kind=Kind.CONSTANT_VELOCITY,
                     role=Role(spec.role),
                     excited=(axis,),
                     torque=frozen_float(np.zeros_like(reference)),
                     reference=frozen_float(reference),
-                    record_from=0,
                     record_to=path.size,
-                    period_samples=0,
-                    frequencies_hz=frozen_float([]),
                     attributes={"velocity": velocity, "travel": spec.travel},
                 )
             )
@@ -343,3 +337,36 @@ def _below_nyquist(frequency: float, rate: float) -> None:
             f"experiments: {frequency:g} Hz is above a tenth of the cycle rate ({rate / 10:g} Hz), the "
             "highest frequency to trust; shorten cycle_s or lower the band"
         )
+
+
+WAY_OUT = (
+    "shake all axes; where the cell has an accepted model, `invid measure --model MODEL.json --screen` tells "
+    "in seconds what changed and shakes only that again"
+)
+
+
+def axes_left_out(config: CellConfig, axes: Sequence[str] | None) -> tuple[str, ...]:
+    """Axes that an identification needs and a selection leaves out."""
+    if axes is None:
+        return ()
+    return tuple(a.name for a in config.axes if a.name not in axes)
+
+
+def subset_sentence(left_out: Sequence[str]) -> str:
+    """Why a selection without these axes cannot yield a model."""
+    some = ", ".join(left_out)
+    one = len(left_out) == 1
+    return (
+        f"axis {some} would be held and not shaken: with one side of each coupling standing still neither "
+        f"{'its' if one else 'their'} masses and springs nor the couplings can be identified"
+    )
+
+
+def require_all_axes(config: CellConfig, axes: Sequence[str] | None) -> None:
+    """ConfigError, before anything moves, where a selection of axes cannot yield a model."""
+    names = {a.name for a in config.axes}
+    if axes is None or not set(axes) <= names:
+        return  # an unknown axis is the plan's to refuse
+    left_out = axes_left_out(config, axes)
+    if left_out:
+        raise ConfigError(f"axes: {subset_sentence(left_out)}; {WAY_OUT}")

@@ -22,13 +22,13 @@ from invid.likelihood.records import problem_from_spectra
 from invid.likelihood.residual import MissingTorqueProblem
 from invid.model.chains import CoupledChains
 from invid.model.document import parameter_vector
-from invid.model.parameters import ChainStructure, structure_of
+from invid.model.parameters import structure_of
 from invid.numerics.arrays import Bool, Float64, frozen_float
 from invid.planning.belief import Belief
 from invid.planning.model import Plan, PlannedExperiment
-from invid.planning.response import Motion, foretold_motion, hold_gains
+from invid.planning.response import foretold_motion, hold_gains
 from invid.recording.model import Experiment, Kind, Recording, Role
-from invid.signals.spectra import LineSpectra, spectra_of
+from invid.signals.spectra import spectra_of
 
 COUPLING_SHARE = 0.1
 """A coupling's uncertainty is taken relative to its value, or to this share of √(m_i·m_j) of the masses it
@@ -155,38 +155,31 @@ def recorded_noise(recording: Recording) -> Noise:
 
 
 def expected(
-    config: CellConfig,
-    plan: Plan | Sequence[PlannedExperiment],
-    belief: Belief,
-    noise: Noise,
-    *,
-    scale: float = 1.0,
-    seed: int = 0,
+    config: CellConfig, plan: Plan | Sequence[PlannedExperiment], belief: Belief, noise: Noise
 ) -> Expected:
-    """Expected covariance of a plan's identification.
+    """Expected covariance of a plan's identification: the spectra of noisy motion at the believed parameters.
 
-    ``scale`` multiplies every torque. The sensors' noise is drawn once from ``seed``: it stands for the
-    noise floor and the lattice that the spectra find in a real record, not for an outcome.
+    The sensors' noise is drawn once: it stands for the noise floor and the lattice that the spectra find in a
+    real record, not for an outcome.
     """
     experiments = plan.experiments if isinstance(plan, Plan) else tuple(plan)
-    spectra = synthetic_spectra(config, experiments, belief, noise, scale=scale, seed=seed)
-    return information(belief, spectra, noise.source)
-
-
-def information(belief: Belief, spectra: Sequence[LineSpectra], noise: str = "") -> Expected:
-    """Expected covariance from spectra of noisy motion, at the believed parameters."""
+    rng = np.random.default_rng(0)
+    spectra = tuple(
+        spectra_of(_synthetic_experiment(config, e, belief, noise, rng))
+        for e in experiments
+        if e.role is Role.IDENTIFY and e.kind is not Kind.CONSTANT_VELOCITY
+    )
     structure = structure_of(belief.chains)
     problem = add_coulomb_columns(problem_from_spectra(structure, spectra), spectra)
     problem = replace(problem, fixed=(*problem.fixed, *problem.staircase_names))
-    problem = reversal_lags(problem, believed_vector(problem, belief))
-    p = believed_vector(problem, belief)
+    problem = reversal_lags(problem, _believed_vector(problem, belief))
+    p = _believed_vector(problem, belief)
     residual, jacobian = problem.evaluate(p)
     # χ² of zero: the covariance is not inflated by what this one draw of the noise happens to leave
     at = Solution(p, "expected", 0, 0.0, problem.dof, jacobian, residual, problem.free)
     covariance = physical_covariance(problem, at)
     names, values = parameter_vector(belief.chains)
-    place = {n: k for k, n in enumerate(structure.names)}
-    index = np.array([place[n] for n in names])
+    index = np.array([structure.names.index(n) for n in names])
     covariance = covariance[np.ix_(index, index)]
     return Expected(
         names=names,
@@ -196,12 +189,12 @@ def information(belief: Belief, spectra: Sequence[LineSpectra], noise: str = "")
         goal=is_in_goal(names),
         covariance=frozen_float(covariance),
         belief=belief.source,
-        noise=noise,
+        noise=noise.source,
         guessed=belief.guessed,
     )
 
 
-def believed_vector(problem: MissingTorqueProblem, belief: Belief) -> Float64:
+def _believed_vector(problem: MissingTorqueProblem, belief: Belief) -> Float64:
     """The problem's parameter vector at the belief, torques held over the sample as the sweep holds them."""
     structure = problem.structure
     start = structure.vector(belief.chains)
@@ -233,35 +226,11 @@ def parameter_scale(chains: CoupledChains) -> Float64:
     return np.array([max(v, pairs.get(n, 0.0)) for n, v in zip(names, scale, strict=True)])
 
 
-def synthetic_spectra(
-    config: CellConfig,
-    experiments: Sequence[PlannedExperiment],
-    belief: Belief,
-    noise: Noise,
-    *,
-    scale: float = 1.0,
-    seed: int = 0,
-) -> tuple[LineSpectra, ...]:
-    """Spectra of the planned records that an identification would use."""
-    rng = np.random.default_rng(seed)
-    found = []
-    for e in experiments:
-        if e.role is not Role.IDENTIFY or e.kind is Kind.CONSTANT_VELOCITY:
-            continue
-        motion = foretold_motion(config, e, belief, scale=scale)
-        found.append(spectra_of(synthetic_experiment(config, e, belief, motion, noise, rng)))
-    return tuple(found)
-
-
-def synthetic_experiment(
-    config: CellConfig,
-    planned: PlannedExperiment,
-    belief: Belief,
-    motion: Motion,
-    noise: Noise,
-    rng: np.random.Generator,
+def _synthetic_experiment(
+    config: CellConfig, planned: PlannedExperiment, belief: Belief, noise: Noise, rng: np.random.Generator
 ) -> Experiment:
     """The record of a planned experiment as its sensors would show it."""
+    motion = foretold_motion(config, planned, belief)
     rows = slice(planned.record_from, planned.record_to)
     position, torque = motion.position[rows], motion.torque[rows]
     seen = position + noise.position * rng.standard_normal(position.shape)
@@ -292,17 +261,3 @@ def _on_lattice(values: Float64, step: Float64) -> Float64:
     safe = np.where(step > 0, step, 1.0)
     result: Float64 = np.where(step > 0, np.round(values / safe) * safe, values)
     return result
-
-
-__all__ = [
-    "ChainStructure",
-    "Expected",
-    "Noise",
-    "assumed_noise",
-    "expected",
-    "information",
-    "is_in_goal",
-    "parameter_scale",
-    "recorded_noise",
-    "synthetic_spectra",
-]

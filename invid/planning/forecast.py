@@ -10,7 +10,7 @@ import numpy as np
 from invid.config import CellConfig
 from invid.numerics.arrays import Float64, frozen_float
 from invid.planning.belief import Belief
-from invid.planning.model import AxisForecast, PlannedExperiment, Trial
+from invid.planning.model import AxisForecast, Plan, PlannedExperiment, Trial
 from invid.planning.phases import (
     REST_S,
     SIGN_TRAVEL,
@@ -254,15 +254,13 @@ def _scaled(e: PlannedExperiment, factor: Float64) -> PlannedExperiment:
     if path is not None and e.torque.any():
         # a creep turns round earlier at the same speed
         most = factor * np.abs(path).max(axis=0)
-        span = np.where(most > 0, 4 * most, np.inf)
-        path = np.where(most > 0, _folded(path, most, span), path)
+        path = np.where(most > 0, _folded(path, most), path)
     return replace(e, torque=frozen_float(e.torque * factor), reference=path)
 
 
-def _folded(path: Float64, most: Float64, span: Float64) -> Float64:
-    safe = np.where(np.isfinite(span), span, 1.0)
+def _folded(path: Float64, most: Float64) -> Float64:
     way = np.cumsum(np.abs(np.diff(path, axis=0, prepend=path[:1])), axis=0)
-    result: Float64 = most * (1.0 - np.abs(np.mod(way / safe * 4 + 1.0, 4.0) - 2.0))
+    result: Float64 = most * (1.0 - np.abs(np.mod(way / np.where(most > 0, most, 1.0) + 1.0, 4.0) - 2.0))
     return result
 
 
@@ -281,3 +279,27 @@ def turning_back(config: CellConfig, experiment: PlannedExperiment, belief: Beli
         for i, axis in enumerate(config.axes)
         if 0 < creep[i] < NEVER_BACK * swing[i]
     ]
+
+
+def fit_to_limits(plan: Plan, planned: CellConfig, tighter: CellConfig) -> Plan:
+    """The plan with the torque of an axis scaled down where it exceeds the tighter limit.
+
+    ``planned`` is the config that the plan was made with, ``tighter`` the one with the limits that hold: the
+    share of the limit stays the same. Travel and velocity are not touched: the trial at low amplitude scales
+    every torque down where they would come near their limits, and the watch knows the tighter ones.
+    """
+    old = np.array([a.limits.torque for a in planned.axes])
+    new = np.array([a.limits.torque for a in tighter.axes])
+    peak = plan.peak_torque
+    share = np.where(peak > new, np.minimum(new / old, new / np.maximum(peak, 1e-300)), 1.0)
+    if np.all(share == 1.0):
+        return plan
+    experiments = tuple(replace(e, torque=e.torque * share) for e in plan.experiments)
+    forecast = tuple(
+        replace(f, peak_torque=f.peak_torque * float(s), travel_limit=a.limits.position)
+        for f, s, a in zip(plan.forecast, share, tighter.axes, strict=True)
+    )
+    trials = tuple(
+        replace(t, experiment=replace(t.experiment, torque=t.experiment.torque * share)) for t in plan.trials
+    )
+    return replace(plan, experiments=experiments, trials=trials, forecast=forecast)

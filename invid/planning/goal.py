@@ -1,7 +1,7 @@
 """The shortest experiment that is expected to reach a stated uncertainty, in blocks.
 
 One block is one record from rest: all axes at once on interleaved lines, crest factor low, amplitude by
-frequency from ``invid.planning.design`` where a model is known. After each block whoever runs the plan
+frequency from ``invid.planning.blocks`` where a model is known. After each block whoever runs the plan
 looks at the measured covariance and stops as soon as it is there; amplitude rises from block to block
 up to the limits, and blocks of reserve follow the expected ones.
 """
@@ -19,7 +19,7 @@ from invid.errors import ConfigError
 from invid.planning.belief import Belief
 from invid.planning.blocks import FRICTION_FACTOR, BlockDesigner
 from invid.planning.budget import require_budget
-from invid.planning.build import assemble
+from invid.planning.build import assemble, require_known_axes
 from invid.planning.expected_covariance import Expected, Noise
 from invid.planning.forecast import turning_back
 from invid.planning.model import Plan, PlannedExperiment
@@ -124,10 +124,7 @@ def plan_for_goal(  # noqa: PLR0913 - what is known of the cell, and what a pers
     """
     if not 0 < goal < 1:
         raise ConfigError(f"goal is {goal:g}; give a relative uncertainty such as 1% or 0.01")
-    known = tuple(a.name for a in config.axes)
-    unknown = [n for n in axes or () if n not in known]
-    if unknown:
-        raise ConfigError(f"axes: no axis {unknown[0]!r} in the config; it has {', '.join(known)}")
+    known = require_known_axes(config, axes)
     excited = tuple(i for i, n in enumerate(known) if axes is None or n in axes)
     designer = BlockDesigner(config, belief, noise, excited, amplitude_scale, names, seed, band)
     budget = require_budget(config)

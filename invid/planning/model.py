@@ -7,12 +7,14 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any
 
-from invid.numerics.arrays import Float64
+import numpy as np
+
+from invid.numerics.arrays import Float64, frozen_float
 from invid.planning.budget import BusBudget
 from invid.recording.model import Kind, Role
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class PlannedExperiment:
     """One experiment, cycle by cycle.
 
@@ -26,16 +28,17 @@ class PlannedExperiment:
         Rows that go into the recording; what lies before settles, what lies after fades out.
     """
 
-    key: str
+    key: str = ""
+    """Its number in the plan, as text."""
     kind: Kind
-    role: Role
+    role: Role = Role.IDENTIFY
     excited: tuple[int, ...]
     torque: Float64
-    reference: Float64 | None
-    record_from: int
-    record_to: int
-    period_samples: int
-    frequencies_hz: Float64
+    reference: Float64 | None = None
+    record_from: int = 0
+    record_to: int = 0
+    period_samples: int = 0
+    frequencies_hz: Float64 = field(default_factory=lambda: frozen_float([]))
     attributes: Mapping[str, Any] = field(default_factory=dict)
 
     @property
@@ -150,6 +153,13 @@ class Plan:
     def excited(self) -> tuple[int, ...]:
         """Axes that any experiment excites."""
         return tuple(sorted({i for e in self.experiments for i in e.excited}))
+
+    @property
+    def peak_torque(self) -> Float64:
+        """(M,) largest excitation of each axis [N·m or N]."""
+        peaks = [np.abs(e.torque).max(axis=0, initial=0.0) for e in self.experiments]
+        largest: Float64 = np.max([np.zeros(len(self.axes)), *peaks], axis=0)
+        return largest
 
     @property
     def duration_s(self) -> float:

@@ -11,7 +11,7 @@ from invid.config import CellConfig
 from invid.config.schema import LimitsConfig
 from invid.numerics.arrays import Float64, frozen_float
 from invid.planning.model import PhasePlan, PlannedExperiment, Step, Trial
-from invid.recording.model import Kind, Role
+from invid.recording.model import Kind
 from invid.signals import excitation
 
 SETTLE_S = 0.3
@@ -79,16 +79,17 @@ def fade_s(lowest_hz: float) -> float:
 
 def lowest_frequency(experiments: Sequence[PlannedExperiment]) -> float:
     """The slowest line of experiments [Hz]."""
-    lines = [float(e.frequencies_hz.min()) for e in experiments if e.frequencies_hz.size]
-    lines += [float(e.attributes["band_hz"][0]) for e in experiments if "band_hz" in e.attributes]
-    return min(lines, default=1.0)
+    return min(_lines_of(experiments), default=1.0)
 
 
 def highest_frequency(experiments: Sequence[PlannedExperiment]) -> float:
     """The fastest line of experiments [Hz]; that of a slow move is none, 1 Hz stands for it."""
-    lines = [float(e.frequencies_hz.max()) for e in experiments if e.frequencies_hz.size]
-    lines += [float(e.attributes["band_hz"][1]) for e in experiments if "band_hz" in e.attributes]
-    return max(lines, default=1.0)
+    return max(_lines_of(experiments), default=1.0)
+
+
+def _lines_of(experiments: Sequence[PlannedExperiment]) -> list[float]:
+    """All lines, and the ends of the bands that are swept [Hz]."""
+    return [float(f) for e in experiments for f in (*e.frequencies_hz, *e.attributes.get("band_hz", ()))]
 
 
 def sign_amplitude(
@@ -156,15 +157,9 @@ def _push(config: CellConfig, axis: int, wave: Float64, hold_hz: float) -> Plann
     edge = np.hanning(max(round(SIGN_EDGE_S / config.bus.cycle_s), 1) + 2)
     torque[:, axis] = np.convolve(wave, edge / edge.sum())[: len(torque)]
     return PlannedExperiment(
-        key="",
         kind=Kind.OTHER,
-        role=Role.IDENTIFY,
         excited=(axis,),
         torque=frozen_float(torque),
-        reference=None,
-        record_from=0,
-        record_to=0,
-        period_samples=0,
         frequencies_hz=frozen_float([hold_hz]),
     )
 
@@ -203,11 +198,7 @@ def _quick_sweep(
 ) -> PlannedExperiment:
     rate = 1.0 / config.bus.cycle_s
     low = lowest_frequency(covered)
-    high = max(
-        max(float(e.frequencies_hz.max(initial=0.0)) for e in covered),
-        max(float(e.attributes.get("band_hz", (0.0, 0.0))[1]) for e in covered),
-        1.2 * low,
-    )
+    high = max(highest_frequency(covered), 1.2 * low)
     fade = round(fade_s(low) * rate)
     samples = round((SWEEP_S + fade_s(low)) * rate) + fade
     # the slow start stays at the lowest frequency, which moves an axis furthest
@@ -218,16 +209,9 @@ def _quick_sweep(
     torque = np.zeros((phase.size, len(config.axes)))
     torque[:, largest.excited[0]] = peak * excitation.apply_ramps(np.sin(phase), fade, round(FADE_S * rate))
     return PlannedExperiment(
-        key="",
         kind=Kind.CHIRP,
-        role=Role.IDENTIFY,
         excited=largest.excited,
         torque=frozen_float(torque),
-        reference=None,
-        record_from=0,
-        record_to=0,
-        period_samples=0,
-        frequencies_hz=frozen_float([]),
         attributes={"band_hz": [low, high]},
     )
 

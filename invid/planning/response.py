@@ -83,7 +83,6 @@ def foretold_motion(
     experiment: PlannedExperiment,
     belief: Belief,
     *,
-    scale: float = 1.0,
     drive_hold_hz: float = DRIVE_HOLD_HZ,
 ) -> Motion:
     """Motion of all motors over the whole experiment, from rest.
@@ -92,7 +91,7 @@ def foretold_motion(
     """
     cycle, count = config.bus.cycle_s, experiment.cycles
     stiffness, damping = hold_gains(config, experiment, belief, drive_hold_hz)
-    drive = scale * experiment.torque
+    drive = experiment.torque
     if experiment.reference is not None:
         path = experiment.reference
         speed = np.diff(path, axis=0, prepend=path[:1]) / cycle

@@ -20,7 +20,6 @@ from typing import Any
 
 from invid.config import AxisConfig, CellConfig
 from invid.errors import ConfigError
-from invid.planning.model import Plan
 
 STAMPS = 1.05
 """The watch lets a speed pass that is 5 % over its limit: SYNC is known to a fifth of a cycle, over four."""
@@ -282,14 +281,6 @@ def budget_of(case: StoppingCase) -> StoppingBudget:
     if case.facts.watch_s is not None:
         fastest = min(fastest, case.fastest(case.facts.watch_s + case.sight_s))
     return StoppingBudget(case, min(case.velocity, fastest))
-
-
-def planned_torque(plan: Plan) -> list[float]:
-    """(M,) largest excitation of each axis [N·m or N]."""
-    return [
-        max(float(abs(e.torque[:, i]).max(initial=0.0)) for e in plan.experiments)
-        for i in range(len(plan.axes))
-    ]
 
 
 def budgets_of(

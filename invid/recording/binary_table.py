@@ -83,8 +83,7 @@ def _finish(
 ) -> Table:
     if not columns:
         raise InputError(f"{path}: holds no array of real numbers with at least two samples")
-    rows = max(c.size for c in columns.values())
-    return Table(name=str(path), columns=columns, rows_seen=rows, units=units, stamped=stamped)
+    return Table(name=str(path), columns=columns, units=units, stamped=stamped)
 
 
 def _channels(name: str, array: Any) -> dict[str, Float64]:

@@ -69,14 +69,14 @@ class _Budget:
     left: int
 
 
-def read_recording(path: str | Path, *, max_values: int = MAX_VALUES) -> Recording:
+def read_recording(path: str | Path) -> Recording:
     """The recording in an HDF5 file, or in the rows that a cut-off measurement left (``.rows``).
 
     Raises
     ------
     RecordingError
         Where the file is not there, not HDF5, damaged, or breaks the contract; one sentence says what,
-        where and the value found. ``max_values`` bounds the numbers read.
+        where and the value found.
     """
     path = Path(path)
     source = str(path)
@@ -91,7 +91,7 @@ def read_recording(path: str | Path, *, max_values: int = MAX_VALUES) -> Recordi
         raise RecordingError(f"{source}: the file is empty; it is not a recording")
     try:
         with as_hdf5(path) if is_spool(path) else h5py.File(path, "r") as file:
-            recording = _read_root(file, source, _Budget(max_values))
+            recording = _read_root(file, source, _Budget(MAX_VALUES))
     except RecordingError:
         raise
     except _DAMAGED as error:

@@ -14,16 +14,14 @@ from typing import Any
 import numpy as np
 
 from invid.errors import InputError
-from invid.numerics.arrays import Bool, Float64, UInt16, frozen, frozen_float
+from invid.numerics.arrays import Bool, Float64, frozen, frozen_float
 from invid.recording.binary_table import read_hdf5_table, read_mat_table, read_parquet_table
 from invid.recording.check import check_recording
-from invid.recording.clocks import on_clock
 from invid.recording.import_map import AxisMap, Channel, ExperimentMap, ImportMap, Source
 from invid.recording.mcap_table import read_mcap_table
 from invid.recording.mdf_table import read_mdf_table
 from invid.recording.model import Experiment, Recording, nominal_sample_rate
-from invid.recording.rows import good_rows
-from invid.recording.tables import BrokenRow, Table
+from invid.recording.tables import BrokenRow, Table, good_rows, on_clock
 from invid.recording.text_table import read_text_table
 from invid.recording.units import BY_MACHINE, LINEAR, MachineConstants, Quantity, factor, normal_unit
 
@@ -90,17 +88,7 @@ def _further_reader(kind: str, path: Path) -> Any:
 def import_files(
     sources: Sequence[Path], chart: ImportMap, *, created: str, beside: Path | None = None
 ) -> Import:
-    """All files through one map.
-
-    Parameters
-    ----------
-    sources
-        Files, or one folder that the map's ``file`` patterns pick from.
-    created
-        ISO 8601 time for the recording; time is data here.
-    beside
-        Folder of the map, where an EDS it names is looked for.
-    """
+    """All files through one map; parameters as of ``import_source``. Time is data here."""
     linear = _is_linear(chart)
     experiments: list[Experiment] = []
     broken: list[BrokenRow] = []
@@ -260,29 +248,27 @@ def _experiment(
             f"periodic; choose rows without them"
         )
     time, offset = _time(table, use, chart, where)
-    position, torque = np.empty((use.size, len(chart.axes))), np.empty((use.size, len(chart.axes)))
-    demand, status = np.zeros_like(torque), np.zeros(torque.shape, dtype=np.uint16)
-    reference, feedforward = np.zeros_like(torque), np.zeros_like(torque)
-    velocity_only = []
-    for i, axis in enumerate(chart.axes):
-        if axis.position is not None:
-            position[:, i] = _values(table, axis.position, axis, "position", where)[use]
-        elif axis.velocity is not None:
-            velocity_only.append(axis.name)
-            position[:, i] = integrated(time, _values(table, axis.velocity, axis, "velocity", where)[use])
-        torque[:, i] = _values(table, axis.torque, axis, "torque", where)[use]
-        command = axis.torque_demand or (axis.torque if axis.torque.meaning == "demanded" else None)
-        if command is not None:
-            demand[:, i] = _values(table, command, axis, "torque", where)[use]
-        if axis.position_reference is not None:
-            reference[:, i] = _values(table, axis.position_reference, axis, "position", where)[use]
-        if axis.torque_feedforward is not None and _has(table, axis.torque_feedforward.column):
-            feedforward[:, i] = _values(table, axis.torque_feedforward, axis, "torque", where)[use]
-        if axis.status is not None:
-            word = table.column(axis.status)[use]
-            status[:, i] = np.mod(np.round(word), 65536).astype(np.uint16)
-    has_demand = all(a.torque_demand is not None or a.torque.meaning == "demanded" for a in chart.axes)
-    has_status = all(a.status is not None for a in chart.axes)
+
+    def columns(pick: Callable[[AxisMap], Channel | None], quantity: Quantity) -> list[Float64 | None]:
+        """One channel of every axis, in SI units; ``None`` where an axis has none."""
+        picked = [(axis, pick(axis)) for axis in chart.axes]
+        return [None if c is None else _values(table, c, a, quantity, where)[use] for a, c in picked]
+
+    velocity = columns(lambda a: a.velocity, "velocity")
+    position = [
+        p if v is None else integrated(time, v)
+        for p, v in zip(columns(lambda a: a.position, "position"), velocity, strict=True)
+    ]
+    demand = columns(
+        lambda a: a.torque_demand or (a.torque if a.torque.meaning == "demanded" else None), "torque"
+    )
+    # A feedforward may be logged in some of the files only: zero in the others.
+    added = columns(lambda a: a.torque_feedforward if _has(table, a.torque_feedforward) else None, "torque")
+    feedforward = [np.zeros(use.size) if f is None else f for f in added]
+    status = [
+        None if a.status is None else np.mod(np.round(table.column(a.status)[use]), 65536) for a in chart.axes
+    ]
+    words = _every(status)
     meanings = sorted({a.torque.meaning for a in chart.axes})
     attributes: dict[str, Any] = {
         "source_file": path.name,
@@ -291,6 +277,7 @@ def _experiment(
     }
     if offset:
         attributes["time_offset_s"] = offset
+    velocity_only = [a.name for a in chart.axes if a.velocity is not None]
     if velocity_only:
         if len(velocity_only) != len(chart.axes):
             raise InputError(
@@ -300,8 +287,6 @@ def _experiment(
     if any(a.controller is not None for a in chart.axes):
         laws = [None if a.controller is None else a.controller.model_dump() for a in chart.axes]
         attributes["controller"] = json.dumps(laws)
-    has_reference = all(a.position_reference is not None for a in chart.axes)
-    status_words: UInt16 = frozen(status, np.uint16)  # type: ignore[assignment]
     experiment = Experiment(
         key=key,
         kind=entry.kind,
@@ -312,20 +297,25 @@ def _experiment(
         frequencies_hz=frozen_float(np.asarray(entry.frequencies_hz, dtype=float)),
         sample_rate_hz=chart.time.sample_rate_hz or _rate(time),
         time=time,
-        position=frozen_float(position),
-        torque=frozen_float(torque),
-        torque_demand=frozen_float(demand) if has_demand else None,
-        status=status_words if has_status else None,
+        position=_matrix(position),  # type: ignore[arg-type]
+        torque=_matrix(columns(lambda a: a.torque, "torque")),  # type: ignore[arg-type]
+        torque_demand=_matrix(demand),
+        status=None if words is None else frozen(np.stack(words, axis=1), np.uint16),  # type: ignore[arg-type]
         attributes=attributes,
-        position_reference=frozen_float(reference) if has_reference else None,
-        torque_feedforward=frozen_float(feedforward) if feedforward.any() else None,
+        position_reference=_matrix(columns(lambda a: a.position_reference, "position")),
+        torque_feedforward=_matrix(feedforward) if any(f.any() for f in feedforward) else None,
     )
     return experiment, remarks
 
 
-def _has(table: Table, key: str | int) -> bool:
-    # A feedforward may be logged in some of the files only: zero in the others.
-    return key in table.columns or isinstance(key, int)
+def _matrix(columns: Sequence[Float64 | None]) -> Float64 | None:
+    """(n, M); ``None`` where an axis has none."""
+    every = _every(columns)
+    return None if every is None else frozen_float(np.stack(every, axis=1))
+
+
+def _has(table: Table, channel: Channel | None) -> bool:
+    return channel is not None and (isinstance(channel.column, int) or channel.column in table.columns)
 
 
 def _rate(time: Float64) -> float:

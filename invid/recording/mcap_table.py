@@ -77,9 +77,8 @@ def read_mcap_table(path: Path) -> Table:
     reasons += [f"joints of {t.name} in order: {', '.join(t.joints)}" for t in topics.values() if t.joints]
     reasons += [f"messages in {e} are not read" for e in sorted(passed)]
     units = dict.fromkeys((t.clock for t in topics.values()), "s")
-    rows = max(c.size for c in columns.values())
     return Table(
-        str(path), columns, line_word="message", rows_seen=rows, units=units, clocks=clocks,
+        str(path), columns, line_word="message", units=units, clocks=clocks,
         reasons=tuple(reasons),
     )  # fmt: skip
 

@@ -44,6 +44,6 @@ def read_mdf_table(path: Path) -> Table:
     if not about["clocks"]:
         raise InputError(f"{path}: holds no channel of real numbers with at least two samples")
     return Table(
-        str(path), columns, rows_seen=max(c.size for c in columns.values()), units=about["units"],
+        str(path), columns, units=about["units"],
         clocks=about["clocks"], reasons=("the file is ASAM MDF",),
     )  # fmt: skip

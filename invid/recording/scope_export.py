@@ -87,7 +87,7 @@ def read_scope_export(name: str, lines: Sequence[str], split: Split, number: Num
             f"on 'Scale values before export': compare one with the scope"
         )
     return Table(
-        name, columns, line_word="row", rows_seen=len(rows), units=stated, clocks=clocks,
+        name, columns, line_word="row", units=stated, clocks=clocks,
         reasons=tuple(reasons),
     )  # fmt: skip
 

@@ -11,11 +11,10 @@ from typing import Any
 import numpy as np
 
 from invid.numerics.arrays import Float64
-from invid.recording.clocks import on_clock
 from invid.recording.drive_tools import named_by, tool_of
 from invid.recording.import_map import FORMAT, ImportMap
 from invid.recording.record_names import further_experiments, only_first, records_by_name
-from invid.recording.tables import Table
+from invid.recording.tables import Table, on_clock
 from invid.recording.units import (
     BY_MACHINE,
     BY_RATED_TORQUE,

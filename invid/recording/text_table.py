@@ -6,6 +6,7 @@ import csv
 import math
 import re
 from collections import Counter
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,6 @@ from invid.numerics.arrays import Float64
 from invid.recording.import_map import Source
 from invid.recording.scope_export import is_scope_export, read_scope_export
 from invid.recording.tables import BrokenRow, Table
-from invid.recording.timestamps import DAY, past_midnight, seconds_of
 from invid.recording.units import BY_MACHINE, FACTORS, normal_unit
 
 MAX_BYTES = 2_000_000_000
@@ -57,7 +57,6 @@ def read_text_table(path: Path, source: Source) -> Table:
         line_word="line",
         notes={"delimiter": delimiter, "decimal": decimal, "header_lines": rows[start][0] - 1},
         broken=broken,
-        rows_seen=len(rows) - start,
         units=units,
         stamped=frozenset(names[i] for i in stamped),
     )
@@ -250,3 +249,59 @@ def _parse(
         numbers.append(number)
     data = np.array(kept, dtype=np.float64).reshape(len(kept), width)
     return data, np.array(numbers, dtype=np.int64), tuple(broken)
+
+
+_CLOCK = r"(?P<h>\d{1,2}):(?P<m>\d{2})(:(?P<s>\d{2})([.,](?P<f>\d{1,9}))?)?"
+_DATE = (
+    r"((?P<Y>\d{4})[-/.](?P<M>\d{1,2})[-/.](?P<D>\d{1,2})"
+    r"|(?P<d1>\d{1,2})(?P<sep>[./])(?P<d2>\d{1,2})[./](?P<Y2>\d{4}))"
+)
+_ZONE = r"\s*(?P<z>Z|UTC|[+-]\d{2}:?\d{2})?"
+_INSTANT = re.compile(rf"({_DATE}[T ]\s*)?{_CLOCK}{_ZONE}$|{_DATE.replace('?P<', '?P<o')}$")
+DAY = 86400.0
+
+
+def seconds_of(cell: str) -> float:
+    """Seconds since 1970 of a date with time (or a date alone), since midnight of a time of day; NaN else.
+
+    An instant without zone counts as UTC: only differences matter. 1.2.2026 is the first of February,
+    1/2/2026 the second of January.
+    """
+    if ":" not in cell and cell.count(".") + cell.count("/") + cell.count("-") < 2:
+        return math.nan
+    found = _INSTANT.match(cell)
+    if found is None:
+        return math.nan
+    part = found.groupdict()
+    prefix = "o" if part["oY"] or part["oY2"] else ""
+    clock = int(part["h"] or 0) * 3600.0 + int(part["m"] or 0) * 60.0 + int(part["s"] or 0)
+    clock += float(f"0.{part['f']}") if part["f"] else 0.0
+    if not (part[prefix + "Y"] or part[prefix + "Y2"]):
+        return clock
+    if part[prefix + "Y"]:
+        year, month, day = (int(part[prefix + k]) for k in "YMD")
+    else:
+        first, second = int(part[prefix + "d1"]), int(part[prefix + "d2"])
+        year = int(part[prefix + "Y2"])
+        month, day = (first, second) if part[prefix + "sep"] == "/" and first <= 12 else (second, first)
+    try:
+        midnight = datetime(year, month, day, tzinfo=UTC).timestamp()
+    except ValueError:
+        return math.nan
+    return midnight + clock - _zone(part["z"])
+
+
+def _zone(text: str | None) -> float:
+    if text is None or text in ("Z", "UTC"):
+        return 0.0
+    digits = text[1:].replace(":", "")
+    return (-1.0 if text[0] == "-" else 1.0) * (int(digits[:2]) * 3600.0 + int(digits[2:]) * 60.0)
+
+
+def past_midnight(seconds: Float64) -> Float64:
+    """Times of day that go on after midnight instead of starting over."""
+    known = np.isfinite(seconds)
+    turned = np.diff(seconds[known], prepend=seconds[known][:1]) < -0.5 * DAY
+    out = seconds.copy()
+    out[known] += DAY * np.cumsum(turned)
+    return out

@@ -10,7 +10,6 @@ such a cut-off one.
 from __future__ import annotations
 
 import contextlib
-import os
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -219,7 +218,7 @@ class RecordingWriter:
                 file.attrs["outcome"] = str(Outcome(outcome))
                 file.flush()
                 image = file.id.get_file_image()
-            _write_whole(part, image)
+            part.write_bytes(image)
             part.replace(self.path)
         except OSError as error:
             with contextlib.suppress(OSError):
@@ -247,14 +246,3 @@ class RecordingWriter:
             self.close(Outcome.ABORTED)
         else:
             self.close(Outcome.FAILED)
-
-
-def _write_whole(path: Path, data: bytes) -> None:
-    """By plain ``write``: a disk that takes no more is an error here and no end of the process."""
-    file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o666)
-    try:
-        rest = memoryview(data)
-        while rest:
-            rest = rest[os.write(file, rest) :]
-    finally:
-        os.close(file)

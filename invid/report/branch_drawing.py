@@ -15,18 +15,24 @@ from invid.diagnosis.headline import cause_title
 from invid.diagnosis.sentences import format_estimate as size_of
 from invid.model.diagnosis_document import Finding, Unexplained
 from invid.model.document import EffectTerm, Model, units
-from invid.report.branch_marks import INK, PAPER, Mark, callout, marked, room_of, text_at
-from invid.report.branch_places import (
+from invid.report.branch_marks import (
     BELOW,
+    INK,
     LEFT,
     LINE,
     MASS,
+    PAPER,
     SPRING,
+    Mark,
     Places,
+    callout,
     changed_places,
     lines_below,
+    marked,
     place_of,
     places,
+    room_of,
+    text_at,
 )
 from invid.report.labels import label, printable
 
@@ -54,7 +60,7 @@ WORDS: Mapping[str, str] = {
 _QUIET, _CHANGED = "var(--quiet, var(--ink, #1b1c1d))", "var(--before, #c85200)"
 
 
-def branch_drawing(  # noqa: PLR0913 - all but the model may be left out of the picture
+def branch_drawing(
     model: Model,
     findings: Sequence[Finding] = (),
     unexplained: Unexplained | None = None,
@@ -62,7 +68,6 @@ def branch_drawing(  # noqa: PLR0913 - all but the model may be left out of the 
     changed: Mapping[str, str] | None = None,
     news: Mapping[int, str] | None = None,
     words: Mapping[str, str] | None = None,
-    name: str = "branches",
 ) -> str:
     """SVG of the branches, with a text alternative inside.
 
@@ -74,8 +79,6 @@ def branch_drawing(  # noqa: PLR0913 - all but the model may be left out of the 
         A word for some of the findings, by their number from 1 ("new").
     words
         Another language's ``WORDS``; what is missing there is English.
-    name
-        Goes before every id, so that several pictures fit into one page.
     """
     said = {**WORDS, **(words or {})}
     marks = _marks(model, findings, unexplained, news or {}, said)
@@ -95,9 +98,9 @@ def branch_drawing(  # noqa: PLR0913 - all but the model may be left out of the 
     told = " ".join(description(model, marks, changes, said))
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {where.width:g} {height:g}" role="img" '
-        f'aria-labelledby="{name}-title {name}-desc" font-family="system-ui, sans-serif" font-size="13" '
-        f'fill="{INK}"><title id="{name}-title">{escape(said["title"])}</title>'
-        f'<desc id="{name}-desc">{escape(told)}</desc>{"".join(parts)}</svg>'
+        f'aria-labelledby="branches-title branches-desc" font-family="system-ui, sans-serif" font-size="13" '
+        f'fill="{INK}"><title id="branches-title">{escape(said["title"])}</title>'
+        f'<desc id="branches-desc">{escape(told)}</desc>{"".join(parts)}</svg>'
     )
 
 
@@ -181,51 +184,49 @@ def mass_name(number: int, count: int, said: Mapping[str, str] = WORDS) -> str:
 
 
 def _mass(x: float, y: float, name: str, value: str, change: str | None, motor: bool) -> str:
-    edge = f'stroke="{_CHANGED}" stroke-width="4"' if change else f'stroke="{INK}" stroke-width="1.6"'
     box = (
         f'<rect x="{x:g}" y="{y - 25:g}" width="{MASS:g}" height="50" rx="{22 if motor else 3}" '
-        f'fill="{PAPER}" {edge}/>'
+        f'fill="{PAPER}" {_ink(change, 1.6, 4)}/>'
     )
     middle, size = x + MASS / 2, "13" if len(name) < 12 else "12"
-    parts = [
-        box,
-        text_at(middle, y - 3, name, text_anchor="middle", font_weight="600", font_size=size),
-        text_at(middle, y + 15, value, text_anchor="middle", font_size="12"),
-    ]
-    if change:
-        parts.append(
-            text_at(middle, y + 40, f"Δ {change}", text_anchor="middle", font_weight="700", fill=_CHANGED)
-        )
-    return "".join(parts)
+    return (
+        box
+        + text_at(middle, y - 3, name, text_anchor="middle", font_weight="600", font_size=size)
+        + text_at(middle, y + 15, value, text_anchor="middle", font_size="12")
+        + _delta(middle, y + 40, change)
+    )
+
+
+def _ink(change: str | None, thin: float, thick: float) -> str:
+    """Stroke of an element, thick and coloured where it changed."""
+    return f'stroke="{_CHANGED if change else INK}" stroke-width="{thick if change else thin:g}"'
+
+
+def _delta(x: float, y: float, change: str | None) -> str:
+    if not change:
+        return ""
+    return text_at(x, y, f"Δ {change}", text_anchor="middle", font_weight="700", fill=_CHANGED)
 
 
 def _spring(x: float, y: float, value: str, change: str | None) -> str:
     line, step = y - 8, (SPRING - 28) / 8
     turns = "".join(f"L{x + 14 + step * (k + 0.5):g} {line + (-7 if k % 2 else 7):g}" for k in range(8))
-    ink = f'stroke="{_CHANGED}" stroke-width="3.5"' if change else f'stroke="{INK}" stroke-width="1.6"'
     path = f"M{x:g} {line:g}h14{turns}L{x + SPRING - 14:g} {line:g}h14"
-    parts = [
-        f'<path d="{path}" fill="none" {ink}/>',
-        text_at(x + SPRING / 2, y - 21, value, text_anchor="middle", font_size="12"),
-    ]
-    if change:
-        parts.append(
-            text_at(
-                x + SPRING / 2, y - 36, f"Δ {change}", text_anchor="middle", font_weight="700", fill=_CHANGED
-            )
-        )
-    return "".join(parts)
+    return (
+        f'<path d="{path}" fill="none" {_ink(change, 1.6, 3.5)}/>'
+        + text_at(x + SPRING / 2, y - 21, value, text_anchor="middle", font_size="12")
+        + _delta(x + SPRING / 2, y - 36, change)
+    )
 
 
 def _damper(x: float, y: float, value: str, change: str | None) -> str:
     line, middle = y + 13, x + SPRING / 2
-    ink = f'stroke="{_CHANGED}" stroke-width="3"' if change else f'stroke="{INK}" stroke-width="1.4"'
     piston = f"M{x:g} {line:g}H{middle - 2:g}M{middle - 2:g} {line - 5:g}v10"
     pot = f"M{middle - 10:g} {line - 7:g}H{middle + 8:g}v14H{middle - 10:g}"
     path = f"{piston}{pot}M{middle + 8:g} {line:g}H{x + SPRING:g}"
     shown = f"{value}  Δ {change}" if change else value
     more = {"font_weight": "700", "fill": _CHANGED} if change else {}
-    return f'<path d="{path}" fill="none" {ink}/>' + text_at(
+    return f'<path d="{path}" fill="none" {_ink(change, 1.4, 3)}/>' + text_at(
         middle, y + 35, shown, text_anchor="middle", font_size="12", **more
     )
 
@@ -250,17 +251,8 @@ def _couplings(
         value = _number(model.chains.couplings[i, j], model.std.couplings[i, j], said).split(" ± ")[0]
         x, y = lane.x + 14, where.rows[i] + (where.rows[i + 1] - where.rows[i]) / 2
         shown = f"{value} Δ {change}" if change else value
-        parts.append(
-            text_at(
-                x,
-                y,
-                shown,
-                text_anchor="middle",
-                font_size="12",
-                transform=f"rotate(-90 {x:g} {y:g})",
-                fill=colour,
-            )
-        )
+        turn = f"rotate(-90 {x:g} {y:g})"
+        parts.append(text_at(x, y, shown, text_anchor="middle", font_size="12", transform=turn, fill=colour))
     return f"<g>{''.join(parts)}</g>"
 
 
@@ -320,6 +312,3 @@ def _where(m: Mark, model: Model, said: Mapping[str, str]) -> str:
     if kind == "spring":
         return f"{axes[i]} {said['spring'].format(n=at)}"
     return f"{axes[i]} {mass_name(at, int(model.chains.masses[i].size), said)}"
-
-
-__all__ = ["WORDS", "Mark", "branch_drawing", "mass_name"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,13 @@ from invid.model.document import EffectTerm, Model
 from invid.model.forward import frf, resonances
 from invid.numerics.arrays import Complex128, Float64
 from invid.recording.model import Recording, Role
-from invid.report.spectra_data import MissingTorque, binned, missing_torque
+from invid.report.spectra_data import (
+    MissingTorque,
+    binned_floor,
+    binned_torque,
+    line_numbers,
+    missing_torque,
+)
 from invid.signals.frf import frf_matrix
 from invid.signals.spectra import LineSpectra, all_spectra
 
@@ -53,18 +59,7 @@ def figure_data(recording: Recording, model: Model, diagnosis: Diagnosis | None 
         "frf": _receptances(recording, shown, model, extended, notes),
         "missing_torque": _over_frequency(recording, missing, unit),
         "causes": _causes(recording, shown, model, diagnosis),
-        "residual": []
-        if diagnosis is None
-        else [
-            {
-                "axis": r.axis,
-                "unit": r.unit,
-                "before": r.before,
-                "after": r.after,
-                "noise_floor": r.noise_floor,
-            }
-            for r in diagnosis.residual
-        ],
+        "residual": [] if diagnosis is None else [asdict(r) for r in diagnosis.residual],
         "notes": notes,
     }
 
@@ -138,33 +133,19 @@ def _peaks(hz: Float64, magnitude: Float64) -> list[float]:
 
 # --- missing torque over frequency ------------------------------------------------------------------
 def _over_frequency(recording: Recording, before: Sequence[MissingTorque], unit: str) -> list[dict[str, Any]]:
+    """Rms missing torque on the lines that the excitation drives, and on the others (distortion)."""
+    if not before:
+        return []
+    excited = [np.asarray(m.spectra.excited) for m in before]
     out = []
     for i, axis in enumerate(recording.axes):
-        if not before:
-            continue
-        centre, floor = binned([m.spectra.frequency_hz for m in before], [m.std[:, i] ** 2 for m in before])
-        out.append(
-            {
-                "axis": axis,
-                "unit": unit,
-                "frequency_hz": centre.tolist(),
-                "noise_floor": floor.tolist(),
-                "excited": _lines(before, i, excited=True),
-                "silent": _lines(before, i, excited=False),
-                "held_out": before[0].spectra.role is Role.VALIDATE,
-            }
-        )
+        centre, floor = binned_floor(before, i)
+        entry: dict[str, Any] = {"axis": axis, "unit": unit, "frequency_hz": centre, "noise_floor": floor}
+        for name, used in (("excited", excited), ("silent", [~e for e in excited])):
+            hz, rms = binned_torque(before, i, used)
+            entry[name] = {"frequency_hz": hz, "before": rms}
+        out.append({**entry, "held_out": before[0].spectra.role is Role.VALIDATE})
     return out
-
-
-def _lines(before: Sequence[MissingTorque], axis: int, *, excited: bool) -> dict[str, list[float]]:
-    """Rms missing torque on the lines that the excitation drives, or on the others (distortion)."""
-    used = [m.spectra.excited == excited for m in before]
-    hz, rms = binned(
-        [m.spectra.frequency_hz[u] for m, u in zip(before, used, strict=True)],
-        [np.abs(m.torque[u, axis]) ** 2 for m, u in zip(before, used, strict=True)],
-    )
-    return {"frequency_hz": hz.tolist(), "before": rms.tolist()}
 
 
 # --- missing torque over what it depends on ---------------------------------------------------------
@@ -222,7 +203,7 @@ def _cause(
     i, pattern, stiffness = _place(chains, term)
     s = _liveliest(spectra, i)
     m, note = alone(s, chains, term, extended.effects)
-    force = _force_at(m, pattern)
+    force = _denoised(*force_at(m, pattern))
     what = laws.abscissa(term) or ""
     x = _abscissa(m, pattern, i, what, term)
     y = -_wave(s, force)
@@ -230,22 +211,12 @@ def _cause(
     fitted = laws.curve(term, x, stiffness)
     picture = _points(x[keep], y[keep])
     if fitted is not None:
-        fy = fitted.y
+        fx, fy = fitted.x, fitted.y
         if fitted.path:  # a path in time: as points, in the record's interior
-            fx, fy = fitted.x[keep], fitted.y[keep] - fitted.y[keep].mean()
-            thin = slice(None, None, max(1, fx.size // 1500))
-            picture["fit"] = {"x": fx[thin].tolist(), "y": fy[thin].tolist()}
-        else:
-            picture["fit"] = {"x": fitted.x.tolist(), "y": fy.tolist()}
-    return {
-        **picture,
-        "cause": term.cause,
-        "axis": term.axis,
-        "element": term.element,
-        "x_label": f"{what} [{_unit(recording, what)}]",
-        "y_label": f"missing torque [{recording.torque_unit}]",
-        "note": note,
-    }
+            thin = slice(None, None, max(1, fx[keep].size // 1500))
+            fx, fy = fx[keep][thin], (fy[keep] - fy[keep].mean())[thin]
+        picture["fit"] = {"x": fx.tolist(), "y": fy.tolist()}
+    return {**picture, **_labels(recording, what, term.axis, term.cause, term.element, note)}
 
 
 def missing_beside(s: LineSpectra, chains: CoupledChains, terms: Sequence[EffectTerm]) -> MissingTorque:
@@ -298,8 +269,7 @@ def fitted_wave(
 
 def lines_of(s: LineSpectra, wave: Float64) -> Complex128:
     """(F,) amplitudes of a time signal over the averaged period on the record's lines: undoes ``_wave``."""
-    count = s.time.size
-    at = np.round(s.frequency_hz * count / s.sample_rate_hz).astype(int)
+    count, at = s.time.size, line_numbers(s)
     found = np.fft.rfft(wave)[np.minimum(at, count // 2)] * 2 / count
     result: Complex128 = np.where(at <= count // 2, found, 0.0)
     return result
@@ -315,25 +285,30 @@ def _plain(
     m = missing_torque(s, chains)
     x, y = _abscissa(m, pattern, i, what, None), -_wave(s, _denoised(m.torque[:, i], m.std[:, i]))
     keep = _interior(s, x.size)
+    return {**_points(x[keep], y[keep]), **_labels(recording, what, axis)}
+
+
+def _labels(
+    recording: Recording,
+    what: str,
+    axis: str,
+    cause: str | None = None,
+    element: str | None = None,
+    note: str = "",
+) -> dict[str, Any]:
     return {
-        **_points(x[keep], y[keep]),
-        "cause": None,
+        "cause": cause,
         "axis": axis,
-        "element": None,
+        "element": element,
         "x_label": f"{what} [{_unit(recording, what)}]",
         "y_label": f"missing torque [{recording.torque_unit}]",
-        "note": "",
+        "note": note,
     }
 
 
 def _liveliest(spectra: Sequence[LineSpectra], axis: int) -> LineSpectra:
     """The record in which this axis moves most, steady ones first."""
     return max(spectra, key=lambda s: (not s.transient, float(np.abs(s.position[:, axis]).max())))
-
-
-def _force_at(m: MissingTorque, pattern: Float64) -> Complex128:
-    """(F,) force at a place, lines of mere noise shrunk."""
-    return _denoised(*force_at(m, pattern))
 
 
 def force_at(m: MissingTorque, pattern: Float64) -> tuple[Complex128, Float64]:
@@ -358,9 +333,8 @@ def _denoised(values: Complex128, std: Float64) -> Complex128:
 
 def _wave(s: LineSpectra, amplitudes: Complex128) -> Float64:
     """(n,) time signal of line amplitudes over the averaged period."""
-    count = s.time.size
+    count, at = s.time.size, line_numbers(s)
     spectrum = np.zeros(count // 2 + 1, dtype=complex)
-    at = np.round(s.frequency_hz * count / s.sample_rate_hz).astype(int)
     inside = at < spectrum.size
     spectrum[at[inside]] = amplitudes[inside] * count / 2
     result: Float64 = np.fft.irfft(spectrum, count)

@@ -14,7 +14,7 @@ from invid.model.document import Model
 from invid.recording.model import Recording
 from invid.report.data import figure_data
 from invid.report.labels import label
-from invid.report.style import AFTER, BEFORE, INK, MEASURED, NOISE, powers_of_ten, svg
+from invid.report.style import AFTER, BEFORE, INK, MEASURED, NOISE, over_frequency, powers_of_ten, svg
 
 
 def figures(recording: Recording, model: Model, diagnosis: Diagnosis | None = None) -> dict[str, str]:
@@ -102,36 +102,19 @@ def missing(rows: list[dict[str, Any]]) -> str:
 
     def fill(figure: Figure) -> None:
         plots = figure.subplots(len(rows), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
+        values = [
+            v for r in rows for v in (*r["excited"]["before"], *r["silent"]["before"], *r["noise_floor"])
+        ]
         for ax, row in zip(plots, rows, strict=True):
-            hz = np.array(row["frequency_hz"])
-            ax.fill_between(
-                hz, _positive(row["noise_floor"]), 1e-300, color=NOISE, alpha=0.45, lw=0, label="noise floor"
-            )
+            over_frequency(ax, row["frequency_hz"], _positive(row["noise_floor"]), values)
             for key, marker, size, words in (
                 ("excited", "o", 3.0, "missing, excited lines"),
                 ("silent", "x", 2.6, "missing, lines not excited"),
             ):
-                lines = row[key]
-                ax.plot(
-                    lines["frequency_hz"],
-                    _positive(lines["before"]),
-                    marker,
-                    ms=size,
-                    color=BEFORE,
-                    mew=0.7,
-                    label=words,
-                )
-            ax.set_xscale("log")
-            ax.set_yscale("log")
-            powers_of_ten(ax.yaxis)
+                hz, rms = row[key]["frequency_hz"], _positive(row[key]["before"])
+                ax.plot(hz, rms, marker, ms=size, color=BEFORE, mew=0.7, label=words)
             ax.set_title(label(row["axis"]), loc="left")
             ax.set_ylabel(f"[{label(row['unit'])}]")
-        values = np.concatenate(
-            [[*row["excited"]["before"], *row["silent"]["before"], *row["noise_floor"]] for row in rows]
-        )
-        values = values[np.isfinite(values) & (values > 0)]
-        if values.size:
-            plots[0].set_ylim(np.quantile(values, 0.02) * 0.5, values.max() * 2)
         plain_hz(plots[-1])
         handles, words = plots[0].get_legend_handles_labels()
         figure.legend(handles, words, loc="upper right", ncols=3)

@@ -7,7 +7,7 @@ import json
 import math
 import platform
 from collections.abc import Mapping, Sequence
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from typing import Any
 
 import numpy as np
@@ -15,10 +15,9 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from invid.comparison.sentences import differing_number
 from invid.model.diagnosis_document import Diagnosis, Verdict
-from invid.model.document import EffectTerm, Model, units
+from invid.model.document import EffectTerm, Model, linear_parameters
 from invid.recording.model import Recording
 from invid.report.branch_drawing import branch_drawing
-from invid.report.captions import captions_of, replay_caption
 from invid.report.data import figure_data
 from invid.report.dependence import replay_data
 from invid.report.figures import draw
@@ -106,6 +105,9 @@ def _sentences(diagnosis: Diagnosis | None) -> list[str]:
     return said
 
 
+_ONE_OF_A_KIND = {"ground_spring": "spring to ground", "coupling": "coupling"}
+
+
 # --- tables -----------------------------------------------------------------------------------------
 def _number(value: float, std: float | None) -> tuple[str, str, str]:
     """Value, std and relative std as text; a dash where the data cannot tell."""
@@ -116,30 +118,20 @@ def _number(value: float, std: float | None) -> tuple[str, str, str]:
 
 
 def _parameters(model: Model) -> list[dict[str, str]]:
-    unit = units(model.linear)
-    chains, std = model.chains, model.std
-    rows: list[dict[str, str]] = []
-
-    def row(axis: str, name: str, value: float, spread: float, of: str) -> None:
-        shown = _number(float(value), float(spread) if math.isfinite(spread) else None)
+    rows = []
+    for p in linear_parameters(model):
+        value, std, relative = _number(p.value, p.std)
+        name = f"{p.kind} {p.number}" if p.number else _ONE_OF_A_KIND[p.kind]
         rows.append(
-            {"axis": axis, "name": name, "value": shown[0], "std": shown[1], "relative": shown[2], "unit": of}
+            {
+                "axis": "–".join(p.axes),
+                "name": name,
+                "value": value,
+                "std": std,
+                "relative": relative,
+                "unit": p.unit,
+            }
         )
-
-    for i, axis in enumerate(chains.axes):
-        for name, of, values, spreads in (
-            ("mass", unit["mass"], chains.masses[i], std.masses[i]),
-            ("spring", unit["stiffness"], chains.springs[i], std.springs[i]),
-            ("damper", unit["damping"], chains.dampers[i], std.dampers[i]),
-        ):
-            for q in range(values.size):
-                row(axis, f"{name} {q + 1}", values[q], spreads[q], of)
-        if chains.ground_springs[i] != 0:
-            row(axis, "spring to ground", chains.ground_springs[i], std.ground_springs[i], unit["stiffness"])
-    for i in range(chains.branches):
-        for j in range(i + 1, chains.branches):
-            pair = f"{chains.axes[i]}–{chains.axes[j]}"
-            row(pair, "coupling", chains.couplings[i, j], std.couplings[i, j], unit["mass"])
     return rows
 
 
@@ -185,17 +177,10 @@ def _facts(recording: Recording, model: Model) -> list[tuple[str, str]]:
         ("outcome", str(recording.outcome) if recording.outcome else "not stated"),
         ("invid", version("invid")),
         ("Python", platform.python_version()),
-        *((name, _version(name)) for name in ("numpy", "scipy", "numba")),
+        *((name, version(name)) for name in ("numpy", "scipy", "numba")),
         ("SHA-256 of the samples", _checksum(recording)),
     ]
     return [(name, str(value)) for name, value in facts]
-
-
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "not installed"
 
 
 def _checksum(recording: Recording) -> str:
@@ -215,3 +200,86 @@ def _flat(document: Mapping[str, Any] | Sequence[Any], most: int = 40) -> list[t
         shown = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False, default=str)
         rows.append((str(name), shown if len(shown) <= 400 else shown[:399] + "…"))
     return rows[:most]
+
+
+BRANCHES = (
+    "The drives as the model sees them, with their numbers. The findings are marked where they act: a "
+    "triangle asks to act, a diamond to watch, a circle is as expected, a square is not judged."
+)
+
+
+def captions_of(data: Mapping[str, Any]) -> dict[str, str]:
+    """Text under each picture of ``figure_data``, by the picture's name; with that of ``branches``."""
+    captions = {
+        "branches": BRANCHES,
+        "residual": "Torque that each motor would still need for the measured motion, on data that no fit "
+        "has seen: with the linear model, with the causes named, and what noise alone would leave. "
+        + "; ".join(
+            f"{r['axis']} {r['before']:.2g}, {r['after']:.2g} and {r['noise_floor']:.2g} {r['unit']}"
+            for r in data["residual"]
+        )
+        + ".",
+        "missing-torque": "Torque that each motor would still need, over frequency, under the linear model. "
+        "Where the grey floor rises, the plant amplifies the sensors' noise (resonances with the motors "
+        "held): no fault there." + "".join(_most(row) for row in data["missing_torque"]),
+    }
+    for number, cause in enumerate(data["causes"], 1):
+        what = cause["x_label"].split(" [")[0]
+        drawn = f" The line is the fitted {cause['cause'].replace('_', ' ')}." if cause["cause"] else ""
+        note = f" ({cause['note']})" if cause["note"] else ""
+        spread = f" {len(cause['y'])} points from {_span(cause['y'], cause['y_label'])}."
+        captions[f"cause-{number}"] = f"What {cause['axis']} is missing, over {what}{note}.{drawn}{spread}"
+    for number, axis in enumerate(data["frf"], 1):
+        peaks = ", ".join(f"{peak:.4g}" for peak in axis["peaks_hz"])
+        captions[f"frf-{number}"] = (
+            f"{axis['axis']}: motion per torque, measured and simulated"
+            + (", before and after on one scale." if "after" in axis["simulated"] else ".")
+            + (f" Peaks at {peaks} Hz." if peaks else "")
+            + _agreement(axis)
+        )
+    return captions
+
+
+def _most(row: Mapping[str, Any]) -> str:
+    """ " A1: most at 6.1 Hz, 1.4 N·m." of the lines that were shaken."""
+    lines = row["excited"]
+    if not lines["before"]:
+        return ""
+    at = int(np.argmax(lines["before"]))
+    most = f"{lines['before'][at]:.2g} {row['unit']}"
+    return f" {row['axis']}: most at {lines['frequency_hz'][at]:.3g} Hz, {most}."
+
+
+def _span(values: list[float], label: str) -> str:
+    unit = label.rpartition("[")[2].rstrip("]")
+    return f"{min(values):.2g} to {max(values):.2g} {unit}" if values else "none"
+
+
+def _agreement(axis: Mapping[str, Any]) -> str:
+    """By how much measured and simulated magnitudes differ in the median."""
+    if axis["measured"] is None:
+        return ""
+    hz, measured = np.array(axis["measured"]["frequency_hz"]), np.array(axis["measured"]["magnitude"])
+    said = []
+    for name, words in (
+        ("before", "with the linear model"),
+        ("after", "with the linear part of the extended model"),
+    ):
+        if name in axis["simulated"] and measured.size:
+            curve = np.interp(hz, axis["frequency_hz"], axis["simulated"][name]["magnitude"])
+            off = float(np.median(np.abs(measured - curve) / np.maximum(np.abs(curve), 1e-300)))
+            said.append(f"{100 * off:.2g} % {words}")
+    return f" Measured and simulated differ by {' and '.join(said)}, in the median." if said else ""
+
+
+def replay_caption(row: Mapping[str, Any]) -> str:
+    """Of a recorded torque played through the model."""
+    rms = row["rms"]
+    seen = "which no fit has seen" if row["role"] == "validate" else "which the fit has seen"
+    text = (
+        f"{row['axis']}: the recorded torque through the model, against the measured motion, in experiment "
+        f"{row['experiment']}, {seen}. The simulation is off by {rms['error_before']:.2g} {row['unit']} rms"
+    )
+    if row["extended"]:
+        text += f" without and {rms['error_after']:.2g} {row['unit']} with the causes named"
+    return f"{text}, of {rms['motion']:.2g} {row['unit']} of motion."

@@ -18,7 +18,7 @@ from invid.report.branch_drawing import branch_drawing
 from invid.report.dependence import dependence_data, linear_model_of, replay_data
 from invid.report.figures import figures, plain_hz
 from invid.report.labels import label
-from invid.report.style import AFTER, BEFORE, INK, MEASURED, NOISE, powers_of_ten, svg
+from invid.report.style import AFTER, BEFORE, INK, MEASURED, over_frequency, svg
 
 POINTS = 600
 """Points of a scatter in a picture; its data have them all."""
@@ -111,32 +111,17 @@ def dependence_picture(row: dict[str, Any], name: str) -> str:
 def _over_frequency(ax: Axes, row: dict[str, Any]) -> None:
     lines = row["lines"]
     floor = lines["floor"]
-    ax.fill_between(
-        floor["frequency_hz"], floor["torque"], 1e-300, color=NOISE, alpha=0.45, lw=0, label="noise floor"
-    )
+    values = [v for k in lines for v in lines[k]["torque"]]
+    over_frequency(ax, floor["frequency_hz"], floor["torque"], values)
     marks = (
         ("excited", "o", MEASURED, "excited lines"),
         ("odd", "^", BEFORE, "odd lines, not excited"),
         ("even", "x", AFTER, "even lines, not excited"),
     )
     for key, marker, colour, words in marks:
-        if lines[key]["torque"]:
-            ax.plot(
-                lines[key]["frequency_hz"],
-                lines[key]["torque"],
-                marker,
-                ms=2.8,
-                mew=0.7,
-                color=colour,
-                label=words,
-            )
-    values = np.concatenate([lines[k]["torque"] for k in lines])
-    values = values[values > 0]
-    ax.set_xscale("log")
-    ax.set_yscale("log")
-    powers_of_ten(ax.yaxis)
-    if values.size:
-        ax.set_ylim(np.quantile(values, 0.02) * 0.5, values.max() * 2)
+        hz, rms = lines[key]["frequency_hz"], lines[key]["torque"]
+        if rms:
+            ax.plot(hz, rms, marker, ms=2.8, mew=0.7, color=colour, label=words)
     plain_hz(ax)
     ax.set_ylabel(f"[{label(row['torque_unit'])}]")
 
@@ -182,6 +167,3 @@ def replay_picture(row: dict[str, Any], name: str) -> str:
         figure.legend(loc="upper right", ncols=3)
 
     return svg(name, fill, size=(7.2, 3.9), title=f"Motion of {row['axis']}, measured and simulated")
-
-
-__all__ = ["dependence_picture", "plot_files", "replay_picture"]

@@ -9,7 +9,8 @@ import numpy as np
 
 from invid.model.chains import CoupledChains
 from invid.model.forward import condense
-from invid.numerics.arrays import Complex128, Float64
+from invid.numerics.arrays import Bool, Complex128, Float64, Int64
+from invid.numerics.linear_algebra import least_squares, real_rows
 from invid.signals.spectra import LineSpectra
 
 BINS = 160
@@ -86,25 +87,44 @@ def _without_nuisance(
 
 def _least_squares(columns: Complex128, right: Complex128) -> Float64:
     """Real coefficients of complex columns (F, M, n) that bring them closest to ``right`` (F, M)."""
-    a, b = columns.reshape(-1, columns.shape[2]), right.ravel()
-    a, b = np.concatenate((a.real, a.imag)), np.concatenate((b.real, b.imag))
-    scale = np.linalg.norm(a, axis=0)
-    scale[scale == 0] = 1.0
-    result: Float64 = np.linalg.lstsq(a / scale, b, rcond=1e-12)[0] / scale
-    return result
+    return least_squares(
+        real_rows(columns.reshape(-1, columns.shape[2])), real_rows(right.ravel()), rcond=1e-12
+    )
 
 
-def binned(hz: Sequence[Float64], power: Sequence[Float64], bins: int = BINS) -> tuple[Float64, Float64]:
+def line_numbers(s: LineSpectra) -> Int64:
+    """(F,) number of each line in the transform of the averaged period."""
+    return np.round(s.frequency_hz * s.time.size / s.sample_rate_hz).astype(np.int64)
+
+
+def binned_floor(missing: Sequence[MissingTorque], axis: int) -> tuple[list[float], list[float]]:
+    """Frequencies [Hz] and rms that noise alone would leave there."""
+    hz, rms = binned([m.spectra.frequency_hz for m in missing], [m.std[:, axis] ** 2 for m in missing])
+    return hz.tolist(), rms.tolist()
+
+
+def binned_torque(
+    missing: Sequence[MissingTorque], axis: int, used: Sequence[Bool]
+) -> tuple[list[float], list[float]]:
+    """Frequencies [Hz] and rms missing torque on the lines ``used`` (F,) of each record."""
+    hz, rms = binned(
+        [m.spectra.frequency_hz[u] for m, u in zip(missing, used, strict=True)],
+        [np.abs(m.torque[u, axis]) ** 2 for m, u in zip(missing, used, strict=True)],
+    )
+    return hz.tolist(), rms.tolist()
+
+
+def binned(hz: Sequence[Float64], power: Sequence[Float64]) -> tuple[Float64, Float64]:
     """Rms over logarithmic bins of several records' lines: centre [Hz] and √(mean power) of those filled."""
     f, p = np.concatenate(list(hz)), np.concatenate(list(power))
     good = np.isfinite(p) & (f > 0)
     f, p = f[good], p[good]
     if not f.size:
         return np.zeros(0), np.zeros(0)
-    edges = np.geomspace(f.min() * 0.999, f.max() * 1.001, bins + 1)
-    at = np.clip(np.digitize(f, edges) - 1, 0, bins - 1)
-    count = np.bincount(at, minlength=bins)
+    edges = np.geomspace(f.min() * 0.999, f.max() * 1.001, BINS + 1)
+    at = np.clip(np.digitize(f, edges) - 1, 0, BINS - 1)
+    count = np.bincount(at, minlength=BINS)
     used = count > 0
-    centre = np.bincount(at, weights=f, minlength=bins)[used] / count[used]
-    mean = np.bincount(at, weights=p, minlength=bins)[used] / count[used]
+    centre = np.bincount(at, weights=f, minlength=BINS)[used] / count[used]
+    mean = np.bincount(at, weights=p, minlength=BINS)[used] / count[used]
     return centre, np.sqrt(mean)

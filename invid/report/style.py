@@ -5,11 +5,13 @@ from __future__ import annotations
 import io
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from html import escape
 from typing import Any
 
 import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
@@ -30,16 +32,6 @@ _VARIABLES = {
 }
 
 
-def margins(
-    figure: Figure, *, left: float = 0.8, right: float = 0.12, bottom: float = 0.5, top: float = 0.42
-) -> None:
-    """Fixed margins in inches, room for one row of legend: a tenth of a layout engine's time."""
-    width, height = figure.get_size_inches()
-    figure.subplots_adjust(
-        left=left / width, right=1 - right / width, bottom=bottom / height, top=1 - top / height, hspace=0.28
-    )
-
-
 def powers_of_ten(axis: Axis) -> None:
     """Ticks 10⁻³ in plain characters: mathtext is off, because an axis may be called $x_1$."""
     raised = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -50,6 +42,18 @@ def powers_of_ten(axis: Axis) -> None:
     axis.set_major_locator(LogLocator(10, numticks=7))
     axis.set_minor_locator(NullLocator())
     axis.set_major_formatter(FuncFormatter(words))
+
+
+def over_frequency(ax: Axes, hz: Any, floor: Any, values: Sequence[float]) -> None:
+    """The noise floor over frequency on logarithmic axes, high enough for ``values``."""
+    ax.fill_between(hz, floor, 1e-300, color=NOISE, alpha=0.45, lw=0, label="noise floor")
+    ax.set_xscale("log")
+    ax.set_yscale("log")
+    powers_of_ten(ax.yaxis)
+    seen = np.array(values)
+    seen = seen[np.isfinite(seen) & (seen > 0)]
+    if seen.size:
+        ax.set_ylim(np.quantile(seen, 0.02) * 0.5, seen.max() * 2)
 
 
 def svg(name: str, draw: Callable[[Figure], None], *, size: tuple[float, float], title: str) -> str:
@@ -83,7 +87,9 @@ def svg(name: str, draw: Callable[[Figure], None], *, size: tuple[float, float],
     }
     with mpl.rc_context(settings):
         figure = Figure(figsize=size)
-        margins(figure)
+        # Fixed margins in inches, room for one row of legend: a tenth of a layout engine's time.
+        left, right, bottom, top = 0.8 / size[0], 1 - 0.12 / size[0], 0.5 / size[1], 1 - 0.42 / size[1]
+        figure.subplots_adjust(left=left, right=right, bottom=bottom, top=top, hspace=0.28)
         figure.patch.set_alpha(0.0)
         FigureCanvasSVG(figure)
         draw(figure)

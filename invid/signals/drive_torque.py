@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from invid.numerics.arrays import Bool, Complex128, Float64
+from invid.numerics.linear_algebra import real_rows
 from invid.recording.model import Experiment
 from invid.signals.spectra import LineSpectra
 
@@ -100,16 +101,11 @@ def _late(s: LineSpectra, command: Complex128, mixed: Bool) -> int:
     for i in np.flatnonzero(mixed):
         theta = s.position[lines, i]
         # The constant: what the ends of a record that does not close add to the spectrum of its velocity.
-        law = _real(np.stack((theta, 1j * s.omega[lines] * theta, np.ones(theta.size)), axis=1))
+        law = real_rows(np.stack((theta, 1j * s.omega[lines] * theta, np.ones(theta.size)), axis=1))
         for lag in range(LATEST + 1):
             turn = np.exp(1j * s.omega[lines] * lag / s.sample_rate_hz)
-            hold = _real((s.torque[lines, i] * turn - command[lines, i])[:, None])
+            hold = real_rows((s.torque[lines, i] * turn - command[lines, i])[:, None])
             rest = hold - law @ np.linalg.lstsq(law, hold, rcond=None)[0]
             left[lag] += float(np.sum(rest**2)) / max(float(np.sum(np.abs(command[lines, i]) ** 2)), 1e-300)
     best = int(np.argmin(left))
     return best if 4.0 * left[best] < left[0] else 0
-
-
-def _real(values: Complex128) -> Float64:
-    out: Float64 = np.concatenate((values.real, values.imag))
-    return out

@@ -131,6 +131,3 @@ def _whole_turns(jumps: Float64) -> Float64:
 
 def _times(count: int) -> str:
     return "once" if count == 1 else f"{count} times"
-
-
-__all__ = ["find_isolated", "remove_glitches"]

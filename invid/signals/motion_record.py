@@ -18,6 +18,7 @@ from scipy.signal import periodogram, welch
 
 from invid.numerics.arrays import Bool, Float64
 from invid.recording.model import Experiment, Kind, Role
+from invid.signals.spectra import is_integrated_velocity
 from invid.signals.timebase import resample_uniformly
 
 NOISE_MARGIN = 10.0
@@ -197,7 +198,7 @@ def find_band(experiments: tuple[Experiment, ...]) -> Band:
     """Cut-offs that all axes can carry, from the longest experiment's own spectra."""
     longest = max(experiments, key=lambda e: e.samples)
     even = resample_uniformly(longest)
-    velocity_only = _velocity_only(longest)
+    velocity_only = is_integrated_velocity(longest)
     motion_of = _forward(even.position, even.step) if velocity_only else even.position
     frequency, power, floor = white_psd(motion_of, even.step)
     _, _, torque_floor = white_psd(even.torque, even.step)
@@ -215,10 +216,6 @@ def find_band(experiments: tuple[Experiment, ...]) -> Band:
     driven = TORQUE_BAND * _torque_edge([e for e in experiments if e.kind is longest.kind], torque_floor)
     rows = np.clip(driven, 8.0 / longest.duration, carried)
     return Band(motion, rows, floor, torque_floor, velocity_only)
-
-
-def _velocity_only(experiment: Experiment) -> bool:
-    return experiment.attributes.get("position_source") == "integrated_velocity"
 
 
 def _forward(position: Float64, step: float) -> Float64:
@@ -258,7 +255,7 @@ def prepare_rows(experiment: Experiment, band: Band) -> Motion:
     velocity = derivative(even.position, step, cutoff, 1)
     acceleration = derivative(even.position, step, cutoff, 2)
     counts = count_size(even.position)
-    if _velocity_only(experiment):
+    if is_integrated_velocity(experiment):
         measured = _forward(even.position, step)
         velocity = derivative(measured, step, cutoff, 0)
         acceleration = derivative(measured, step, cutoff, 1)

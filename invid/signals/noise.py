@@ -1,10 +1,16 @@
-"""Noise covariance of averaged spectra: from the periods, or from lines that carry no signal."""
+"""Noise of spectra: from the periods, from lines that carry no signal, from loops, and from rounding.
+
+Rounding of a motion of many counts a sample is white: q²/12 over all frequencies. An axis that is held
+moves a few counts in many samples; the same q²/12 then lies mostly within the band of the motion, ten and
+more times the white density, repeats with the motion, and the quiet lines above do not show it.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
 from invid.numerics.arrays import Complex128, Float64
+from invid.numerics.linear_algebra import least_squares, real_rows
 
 
 def pooled_covariance(deviations: Complex128, floor: Float64) -> Complex128:
@@ -78,3 +84,86 @@ def quantisation_step(values: Float64) -> Float64:
         if small.size > 3 and np.abs(small - np.round(small)).max() < 0.01:
             result[channel] = step
     return result
+
+
+TAPS = 6
+"""Samples of the reading that a command may follow: a position and a speed, up to four cycles late."""
+ENOUGH = 20_000
+"""Lines that are looked at, of long records evenly among all: they tell the share to one per cent."""
+LOUD = 10.0
+"""Power over that of the quiet lines beyond which one carries a signal: 1 in 20 000 of pure noise does."""
+
+
+def sensor_noise_share(spectra: Complex128, hz: Float64, step: float) -> Float64:
+    """(2M,) share of each channel on the quiet lines that is its sensor's noise: all of a reading, and of a
+    torque what does not follow from the axis' own reading.
+
+    ``spectra`` (P, F, 2M) [rad or m, N·m or N] of the quiet lines alone, ``hz`` (F,), ``step`` [s]. What a
+    hold or a position loop commands of the noise on its reading is logged as it acts. The missing torque
+    r = Z(Θ + n) − T then holds Z n and nothing of T; taken for a sensor's noise it put the floor of empty
+    records two to five times too high. One where too few lines are left to tell.
+    """
+    every = max(spectra.shape[0] * spectra.shape[1] // ENOUGH, 1)
+    spectra, hz = spectra[:, ::every], hz[::every]
+    motors = spectra.shape[2] // 2
+    out = np.ones(2 * motors)
+    turn = np.exp(-2j * np.pi * hz * step)[:, None] ** np.arange(TAPS)
+    for i in range(motors):
+        reading, torque = spectra[:, :, i], spectra[:, :, motors + i]
+        quiet = _quiet(reading) & _quiet(torque)
+        level = float(np.median(np.abs(torque) ** 2)) if torque.size else 0.0
+        if quiet.sum() < 10 * TAPS or level <= 0.0:
+            continue
+        taps = reading[..., None] * turn
+        rows, target = taps[quiet], torque[quiet]
+        if not np.any(rows, axis=0).all():
+            continue
+        rest = torque - taps @ least_squares(real_rows(rows), real_rows(target), rcond=1e-10)
+        freedom = 1.0 - TAPS / (2.0 * quiet.sum())
+        out[motors + i] = min(float(np.median(np.abs(rest[quiet]) ** 2)) / freedom / level, 1.0)
+    return out
+
+
+def _quiet(lines: Complex128) -> np.ndarray:
+    power = np.abs(lines) ** 2
+    quiet: np.ndarray = power <= LOUD * np.median(power) / np.log(2.0)
+    return quiet
+
+
+def rounding_power(single: Float64, mean: Float64, step: Float64, top: int) -> Float64:
+    """Power of the rounding error on the lines within the band of the motion.
+
+    A motion without content above ``top`` leaves there nothing but its rounding (and noise). What of the
+    whole q²/12 is not seen there lies below, where it cannot be told from motion; it is spread evenly, and
+    over odd and even lines as it is above (a half-wave symmetric motion has its rounding on odd lines).
+
+    Parameters
+    ----------
+    single
+        (L, C) mean square amplitude of lines 1…L (to the Nyquist frequency) of one period [unit²].
+    mean
+        (L, C) square amplitude of the average over the periods: what does not repeat is less there.
+    step
+        (C,) lattice q of each channel, 0 for none [unit].
+    top
+        Lines 1…top are the band of the motion.
+
+    Returns
+    -------
+    (top, C) mean square amplitude of the averaged lines [unit²]; zero for channels without lattice, and for
+    those with so much noise above the band that it hides q²/12: their quiet lines tell all.
+    """
+    # Σ|X_k|²/2 over all lines is the variance.
+    above = single[top:].sum(axis=0)
+    within = np.maximum(2.0 * step**2 / 12.0 - above, 0.0)
+    averaged = mean[top:].sum(axis=0)
+    kept = np.where(above > 0, averaged / np.maximum(above, 1e-300), 1.0)
+    power = np.zeros((top, single.shape[1]))
+    # Line k has index k − 1.
+    for parity in (0, 1):
+        outside = mean[top + (parity - top) % 2 :: 2].sum(axis=0)
+        share = np.where(averaged > 0, outside / np.maximum(averaged, 1e-300), 0.5)
+        lines = power[parity::2].shape[0]
+        if lines:
+            power[parity::2] = kept * share * within / lines
+    return power

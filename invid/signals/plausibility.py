@@ -100,6 +100,3 @@ def _slopes(s: LineSpectra, axis: int) -> Float64:
         if abs(slope) > 4.0 * std:
             out.append(slope)
     return np.array(out)
-
-
-__all__ = ["check_plausible"]

@@ -10,6 +10,7 @@ import numpy as np
 from invid.numerics.arrays import Complex128, Float64
 from invid.numerics.distributions import f_isf
 from invid.numerics.levenberg_marquardt import Parabola, minimise
+from invid.numerics.linear_algebra import real_rows
 from invid.signals.spectra import LineSpectra
 
 CHANCE = 1e-6
@@ -93,9 +94,7 @@ def _without_command(spectra: Sequence[LineSpectra], axis: int) -> tuple[float, 
                 if lines.size < LINES or np.mean(np.abs(torque) ** 2) < LOUD * noise[1]:
                     continue
                 rows = -np.stack((theta, 1j * s.omega[lines] * theta + _ends(s, axis)), axis=1)
-                both = np.concatenate((rows.real, rows.imag))
-                goal = np.concatenate((torque.real, torque.imag))
-                law = np.linalg.lstsq(both, goal, rcond=None)[0]
+                law = np.linalg.lstsq(real_rows(rows), real_rows(torque), rcond=None)[0]
                 gain = law[0] ** 2 + (s.omega[lines] * law[1]) ** 2
                 left = np.abs(torque - rows @ law) ** 2 / (noise[1] + gain * noise[0])
                 if np.all(law >= 0) and law[0] > 0 and np.mean(left) < EXPLAINED:

@@ -15,12 +15,17 @@ import numpy as np
 
 from invid.numerics.arrays import Bool, Complex128, Float64, frozen, frozen_float
 from invid.recording.model import Experiment, Kind, Recording, Role
-from invid.signals.driven_axes import driven_axes
-from invid.signals.lines import band_of, excited_lines, held_torque, highest_excited
-from invid.signals.loop_noise import ENOUGH, sensor_noise_share
-from invid.signals.noise import flat_covariance, pooled_covariance, quantisation_step, quiet_power
+from invid.signals.lines import band_of, driven_axes, excited_lines, held_torque, highest_excited
+from invid.signals.noise import (
+    ENOUGH,
+    flat_covariance,
+    pooled_covariance,
+    quantisation_step,
+    quiet_power,
+    rounding_power,
+    sensor_noise_share,
+)
 from invid.signals.periods import find_period, find_settled_periods, fold, nonrepeating_share, remove_drift
-from invid.signals.quantisation import rounding_power
 from invid.signals.timebase import UniformRecord, resample_uniformly
 
 NOT_PERIODIC = 0.3
@@ -91,7 +96,7 @@ class LineSpectra:
     floor: Float64 = field(default_factory=lambda: np.zeros(0))
     """(2M,) noise power of the averaged spectra from lines above the band, white quantisation included."""
     rounding: Float64 | None = None
-    """(F, 2M) power of the rounding that lies within the band (``invid.signals.quantisation``)."""
+    """(F, 2M) power of the rounding that lies within the band (``invid.signals.noise``)."""
     hold_gain: Float64 = field(default_factory=lambda: np.zeros(0))
     hold_torque: Complex128 | None = None
     """(F, M) the part of the torque that a hold inside the drive gave, where the recording tells it apart."""

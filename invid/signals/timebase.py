@@ -28,16 +28,11 @@ the amplitude at a tenth of the sampling rate and by a fifth at a fifth, with fi
 
 @dataclass(frozen=True, eq=False)
 class UniformRecord:
-    """An experiment on a uniform grid of step ``step`` [s].
-
-    ``jitter`` is the rms timing error in samples, ``lost`` the number of samples that were missing.
-    """
+    """An experiment on a uniform grid of step ``step`` [s]; ``lost`` samples were missing."""
 
     step: float
     position: Float64
     torque: Float64
-    demand: Float64 | None
-    jitter: float
     lost: int
     longest_gap: int
 
@@ -70,11 +65,8 @@ def resample_uniformly(experiment: Experiment) -> UniformRecord:
     origin = float(time[0] + start - slope * index[-1] / 2)
     error = (time - origin) / step - index
     lost = int(index[-1]) + 1 - count
-    jitter = float(np.sqrt(np.mean(error**2)))
     if lost == 0 and np.abs(error).max() < EVEN:
-        return UniformRecord(
-            step, experiment.position, experiment.torque, experiment.torque_demand, jitter, 0, 1
-        )
+        return UniformRecord(step, experiment.position, experiment.torque, 0, 1)
     grid = np.clip(origin + step * np.arange(int(index[-1]) + 1), time[0], time[-1])
 
     gaps = _gaps(index.astype(int))
@@ -85,13 +77,10 @@ def resample_uniformly(experiment: Experiment) -> UniformRecord:
             _bridge(result, first, last, gaps, experiment.period_samples)
         return result
 
-    demand = experiment.torque_demand
     return UniformRecord(
         step,
         resample(experiment.position),
         resample(experiment.torque),
-        None if demand is None else resample(demand),
-        jitter,
         lost,
         int(advance.max()),
     )

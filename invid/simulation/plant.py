@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 
-from invid.model.chains import CoupledChains
+from invid.model.chains import CoupledChains, add_link
+from invid.model.forward import natural_frequencies
 from invid.numerics.arrays import Float64
 from invid.simulation.laws import Laws
 
@@ -23,8 +24,7 @@ class Matrices:
     @property
     def fastest(self) -> float:
         """Largest natural frequency [rad/s]."""
-        values = scipy.linalg.eigh(self.stiffness, self.mass, eigvals_only=True)
-        return float(np.sqrt(max(values[-1], 0.0)))
+        return float(natural_frequencies(self.mass, self.stiffness)[-1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,15 +56,6 @@ def matrices(chains: CoupledChains, laws: Laws) -> Matrices:
         add_link(stiffness, extra_mass.at, new, k)
         add_link(damping, extra_mass.at, new, 2 * extra_mass.damping_ratio * float(np.sqrt(k * m)))
     return Matrices(mass, damping, stiffness)
-
-
-def add_link(matrix: Float64, a: int, b: int, value: float) -> None:
-    """A spring or damper between a and b (b = −1: ground), in place."""
-    matrix[a, a] += value
-    if b >= 0:
-        matrix[b, b] += value
-        matrix[a, b] -= value
-        matrix[b, a] -= value
 
 
 def discretise(plant: Matrices, inputs: Float64, step: float) -> Step:

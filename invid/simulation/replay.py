@@ -51,8 +51,8 @@ class Drive:
         (M,) k and d of the tie to the measured motion.
     applied
         ((n − 1)·substeps + 1, M) torque on the motors without the part −k θ_sim − d θ̇_sim.
-    recorded, measured, rate
-        (n, M) recorded torque, measured motion and its derivative at the samples.
+    measured, rate
+        (n, M) measured motion and its derivative at the samples.
     """
 
     time: Float64
@@ -61,7 +61,6 @@ class Drive:
     stiffness: Float64
     damping: Float64
     applied: Float64
-    recorded: Float64
     measured: Float64
     rate: Float64
 
@@ -144,7 +143,7 @@ def drive(experiment: Experiment, chains: CoupledChains, laws: Laws, fastest: fl
     rate = CubicSpline(time, _derivative(motion(time), interval, high))
     applied = _actuator(torque, fine, laws, step)
     applied += stiffness * motion(fine) + damping * rate(fine)
-    return Drive(time, step, substeps, stiffness, damping, applied, torque(time), motion(time), rate(time))
+    return Drive(time, step, substeps, stiffness, damping, applied, motion(time), rate(time))
 
 
 def _without_eccentricity(reading: Float64, laws: Laws) -> Float64:

@@ -8,7 +8,7 @@ as reproduces the recorded torque best from the recorded positions.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -147,7 +147,11 @@ def _one(model: Model, experiment: Experiment) -> Experiment:
     even = resample_uniformly(experiment)
     axes, count = even.position.shape[1], even.samples
     laws = _laws(model)
-    delay = _delays(model, laws.channels)
+    # (M,) by which the torque acts later than recorded [s]
+    offsets = time_offsets(model)
+    delay = np.array(
+        [offsets.get(i, 0.0) + sum(c.delay for c in laws.channels if c.axis == i) for i in range(axes)]
+    )
     loop = closed_loop(experiment) if even.samples == experiment.samples else None
     fine = np.arange(count * SUBSTEPS) / SUBSTEPS * even.step
     instants = np.arange(count) * even.step
@@ -243,15 +247,17 @@ def _tied(model: Model, position: Float64, step: float, torque: Float64) -> tupl
     return law, np.repeat(applied, SUBSTEPS, axis=0)
 
 
-def _delays(model: Model, channels: Sequence[TorqueChannel]) -> Float64:
-    """(M,) time by which the torque acts later than recorded [s]."""
+def time_offsets(model: Model) -> dict[int, float]:
+    """Sampling offsets of the torque that the identification reports [s]: acts later where positive."""
     reported = model.fit.get("time_offset_s")
-    found = np.zeros(len(model.axes))
+    if not isinstance(reported, Mapping):
+        return {}
+    found = {}
     for i, axis in enumerate(model.axes):
-        entry = reported.get(f"{axis}.time_offset") if isinstance(reported, Mapping) else None
-        if isinstance(entry, Mapping) and isinstance(entry.get("value"), int | float):
-            found[i] = float(entry["value"])
-        found[i] += sum(c.delay for c in channels if c.axis == i)
+        entry = reported.get(f"{axis}.time_offset")
+        value = entry.get("value") if isinstance(entry, Mapping) else entry
+        if isinstance(value, int | float) and np.isfinite(value):
+            found[i] = float(value)
     return found
 
 

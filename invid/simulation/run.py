@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -11,15 +11,16 @@ from scipy.interpolate import CubicHermiteSpline
 
 from invid.effects.elements import Law
 from invid.errors import InputError
+from invid.model.chains import add_link
 from invid.model.document import Model
 from invid.numerics.arrays import Float64
 from invid.recording.model import Experiment, Recording
 from invid.signals.plausibility import check_units
 from invid.simulation.kernel import march
 from invid.simulation.laws import Laws, law_table, laws_of, static_table
-from invid.simulation.plant import Matrices, Step, add_link, discretise, matrices
+from invid.simulation.plant import Matrices, Step, discretise, matrices
 from invid.simulation.replay import Drive, drift_torque, drive
-from invid.simulation.rigid import simulate_motion
+from invid.simulation.rigid import simulate_motion, time_offsets
 
 _DRIFT_PIECES = 200  # a drifting parameter is constant within 1/200 of the record
 _START_ROUNDS = 3
@@ -46,31 +47,14 @@ def simulate(
     so that records from rest and in steady state both start without a transient of the simulation's own.
     ``model.fit["time_offset_s"]``, the sampling offset of the torque found by identification, is applied.
 
-    Parameters
-    ----------
-    model, recording
-        Axes must have the same names; order may differ.
-    rng
-        Draws the rows that ``dropped_samples`` repeats; default: a fixed seed.
-    only
-        Keys of the experiments to simulate, and to return; default: all. The clock of effects that change
-        with time is the whole recording's.
-
-    Returns
-    -------
-    Recording
-        The same experiments and attributes; ``position`` from the model, ``torque`` what it was given.
-
-    Raises
-    ------
-    InputError, ModelError
-        Axes that do not match; an effect that cannot be simulated; motion that diverges.
+    Parameters, result and errors are those of ``invid.simulate``. The order of the axes may differ; the clock
+    of effects that change with time is the whole recording's, also with ``only`` some of its experiments.
     """
     order = _axis_order(model, recording)
     if model.method == "trajectory":
         return simulate_motion(model, recording)
     laws = laws_of(model.chains, model.effects)
-    for i, offset in _time_offsets(model).items():
+    for i, offset in time_offsets(model).items():
         laws.delay[i] = laws.delay.get(i, 0.0) + offset
     plant = matrices(model.chains, laws)
     chance = np.random.default_rng(0) if rng is None else rng
@@ -84,20 +68,6 @@ def simulate(
         done.append(_reordered(answer, np.argsort(order)))
     attributes = {**recording.attributes, "simulated_by": "invid simulate", "model_robot": model.robot}
     return replace(recording, experiments=tuple(done), attributes=attributes)
-
-
-def _time_offsets(model: Model) -> dict[int, float]:
-    """Sampling offsets of the torque that the identification reports [s]: acts later where positive."""
-    reported = model.fit.get("time_offset_s")
-    if not isinstance(reported, Mapping):
-        return {}
-    found = {}
-    for i, axis in enumerate(model.axes):
-        entry = reported.get(f"{axis}.time_offset")
-        value = entry.get("value") if isinstance(entry, Mapping) else entry
-        if isinstance(value, int | float) and np.isfinite(value):
-            found[i] = float(value)
-    return found
 
 
 def _axis_order(model: Model, recording: Recording) -> np.ndarray:

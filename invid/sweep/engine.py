@@ -209,7 +209,7 @@ class Sweep:
             )
         finally:
             self._motion.must_move = set()
-            self._motion.watching.excited = set()
+            self._motion.watching.standing.excited = set()
             self._motion.expect_life(False)
             self.sink.end()
 

@@ -282,7 +282,9 @@ class Motion:
             k = sample.slot - start
             if sink is not None:
                 # an encoder that stands still is stuck, but not while the excitation fades in or out
-                watch.excited = self.must_move if shaken[0] <= k < shaken[1] and not fading else set()
+                watch.standing.excited = (
+                    self.must_move if shaken[0] <= k < shaken[1] and not fading else set()
+                )
                 self.expect_life(first <= k < last and not fading)
             recent.append((sample.time, tuple(sample.position), tuple(sample.torque)))
             watch.check(sample)
@@ -348,7 +350,7 @@ class Motion:
             while self.cell.changing:
                 self.play(None, 1)
             self.done_s = done  # no part of the plan
-            self.watching.hand_over()
+            self.watching.halting.pause()
             self.watching.words.resume()
         self.feedback, self._demand = feedback, demand
         self.watching.led = {f.axis for f in feedback}

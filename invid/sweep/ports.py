@@ -60,11 +60,9 @@ class Clock(Protocol):
 
     def now(self) -> float:
         """Seconds since some fixed instant."""
-        ...
 
     def sleep_until(self, instant: float) -> None:
         """Return not before ``instant``."""
-        ...
 
 
 class Cell(Protocol):
@@ -73,31 +71,25 @@ class Cell(Protocol):
     @property
     def axes(self) -> tuple[str, ...]:
         """Names, in the order of every list."""
-        ...
 
     @property
     def clock(self) -> Clock:
         """The clock that the SYNC instants are of."""
-        ...
 
     @property
     def can_hold(self) -> tuple[bool, ...]:
         """Whether each drive can hold its place by itself."""
-        ...
 
     @property
     def resolution(self) -> tuple[float, ...]:
         """Position of one encoder count of each axis [rad or m]."""
-        ...
 
     @property
     def rated_torque(self) -> tuple[float, ...]:
         """Rated torque of each axis [N·m or N]."""
-        ...
 
     def energise(self, modes: Sequence[Mode]) -> None:
         """Enable every axis in its mode, at rest where it stands."""
-        ...
 
     def secure(self, loaded: Sequence[bool]) -> bool:
         """At rest, every axis held: told which carry a load, sees that each of those stays held after a stop.
@@ -105,25 +97,20 @@ class Cell(Protocol):
         Whether axes were let go or stopped for it: they are held again, perhaps in another place. SafetyStop
         where an axis would fall; what holds it then is the cell's to say.
         """
-        ...
 
     def set_modes(self, modes: Sequence[Mode]) -> None:
         """Ask for other modes while energised; they may come about in later cycles (``changing``)."""
-        ...
 
     @property
     def changing(self) -> bool:
         """Whether an axis has not taken the mode that was asked for; ``exchange`` must go on, with torque for
         it, whichever mode it is in."""
-        ...
 
     def exchange(self, torque: Sequence[float]) -> Sample:
         """One cycle: targets out, SYNC at its slot, samples in. BusError where the bus fails."""
-        ...
 
     def stop(self) -> None:
         """Quick stop, disable voltage, NMT stop. From any state, any number of times; never raises."""
-        ...
 
 
 class Sink(Protocol):
@@ -131,12 +118,9 @@ class Sink(Protocol):
 
     def begin(self, experiment: PlannedExperiment, hold_gain: Sequence[float], scale: float) -> None:
         """A new experiment."""
-        ...
 
     def row(self, sample: Sample, demand: Sequence[float]) -> None:
         """One cycle of it. The sample's lists are only valid during the call."""
-        ...
 
     def end(self) -> None:
         """The experiment is over."""
-        ...

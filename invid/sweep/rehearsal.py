@@ -159,7 +159,7 @@ class Rehearsal:
     def _allowed(self, experiment: PlannedExperiment) -> Float64:
         """(3, M) what was announced, or the plan's share of 95 % of the limits where that is less."""
         plan, config = self._motion.plan, self._motion.config
-        told = np.array([[f.travel, f.velocity, f.peak_torque] for f in plan.forecast]).T
+        told = _announced(plan.forecast)
         most = FULL * limits_of(config)
         if experiment.reference is None:
             rest = np.zeros_like(most)
@@ -185,7 +185,7 @@ class Rehearsal:
     def forecast(self) -> tuple[AxisForecast, ...]:
         """What is announced after the trials: never more than before them."""
         plan, config = self._motion.plan, self._motion.config
-        told = np.array([[f.travel, f.velocity, f.peak_torque] for f in plan.forecast]).T
+        told = _announced(plan.forecast)
         if not self.bounds.any() or all(f.basis == "model" for f in plan.forecast):
             return plan.forecast
         bounds = self.bounds.copy()
@@ -213,11 +213,11 @@ class Rehearsal:
             return motion.play(rows[first:last], last - first, reference=part)
 
         opening = play(0, fade)
-        motion.watching.excited = excited if moves else set()
+        motion.watching.standing.excited = excited if moves else set()
         body = play(fade, cycles - fade)
-        motion.watching.excited = set()
+        motion.watching.standing.excited = set()
         if moves:
-            motion.watching.learn_standing(excited)
+            motion.watching.standing.learn(excited)
         words = f"{share:.0%} of the planned amplitude"
         motion.watching.words.require_no_limit(range(motion.count), words)
         ending = play(cycles - fade, cycles)
@@ -257,6 +257,11 @@ class Rehearsal:
         held = ~np.isin(np.arange(motion.count), led)
         largest: Float64 = np.where(held, np.sqrt(np.maximum(smooth**2 - noise**2, 0.0)), commanded)
         return largest
+
+
+def _announced(forecast: Sequence[AxisForecast]) -> Float64:
+    """(3, M) travel, velocity and torque."""
+    return np.array([[f.travel, f.velocity, f.peak_torque] for f in forecast]).T
 
 
 def _until(path: Float64, rows: int) -> Float64:

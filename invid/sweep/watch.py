@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -11,10 +11,8 @@ import numpy as np
 from invid.errors import BusError, DriveError, SafetyStop
 from invid.numerics.arrays import Float64
 from invid.sweep.drive_word import DriveWords
-from invid.sweep.halting import Halting
 from invid.sweep.ports import Sample, Severity
-from invid.sweep.stuck_encoder import Standing
-from invid.sweep.yielding import Yielding
+from invid.sweep.stuck_encoder import Halting, Standing, Yielding
 
 STATE_MASK, OPERATION_ENABLED = 0x6F, 0x27
 """State bits of 0x6041 (CiA 402)."""
@@ -63,10 +61,10 @@ class Statistics:
 
     cycles: int = 0
     skipped_slots: int = 0
-    missed_tpdos: list[int] | None = None
-    peak_travel: list[float] | None = None
-    peak_velocity: list[float] | None = None
-    peak_torque: list[float] | None = None
+    missed_tpdos: list[int] = field(default_factory=list)
+    peak_travel: list[float] = field(default_factory=list)
+    peak_velocity: list[float] = field(default_factory=list)
+    peak_torque: list[float] = field(default_factory=list)
 
 
 class Watch:
@@ -91,7 +89,7 @@ class Watch:
         names = [a.name for a in limits]
         self.standing = Standing(names, cycle_s)
         self.words = DriveWords(names, cycle_s)
-        self._halting = Halting(names, [a.resolution for a in limits], limits[0].unit, cycle_s)
+        self.halting = Halting(names, [a.resolution for a in limits], limits[0].unit, cycle_s)
         self._yielding = Yielding(
             names,
             [a.torque for a in limits],
@@ -104,24 +102,13 @@ class Watch:
         """Axes whose loops the master closes."""
         self.resting: set[int] = set()
         """Axes that their drives hold while nothing is shaken."""
-        self.statistics = Statistics(
-            missed_tpdos=[0] * count,
-            peak_travel=[0.0] * count,
-            peak_velocity=[0.0] * count,
-            peak_torque=[0.0] * count,
-        )
-        self._travel: list[float] = self.statistics.peak_travel or []
-        self._speed: list[float] = self.statistics.peak_velocity or []
-        self._torque: list[float] = self.statistics.peak_torque or []
-        self._lost: list[int] = self.statistics.missed_tpdos or []
+        self._travel, self._speed, self._torque = [0.0] * count, [0.0] * count, [0.0] * count
+        self._lost = [0] * count
+        self.statistics = Statistics(0, 0, self._lost, self._travel, self._speed, self._torque)
 
     def start(self, position: list[float]) -> None:
         """Windows are around these positions from now on."""
         self._origin = list(position)
-
-    def hand_over(self) -> None:
-        """Another controller takes an axis over: it may stop it at once, as no mass stops."""
-        self._halting.pause()
 
     def permit(self, axis: int, velocity: float) -> None:
         """A lower limit for the velocity of one axis, from here on."""
@@ -132,19 +119,6 @@ class Watch:
     def peaks(self) -> Float64:
         """(3, M) largest travel, velocity and torque so far."""
         return np.array([self._travel, self._speed, self._torque])
-
-    @property
-    def excited(self) -> set[int]:
-        """Axes that must move."""
-        return self.standing.excited
-
-    @excited.setter
-    def excited(self, axes: set[int]) -> None:
-        self.standing.excited = axes
-
-    def learn_standing(self, axes: set[int]) -> None:
-        """From here on, these axes may stand three times as long as they have stood so far."""
-        self.standing.learn(axes)
 
     def settle(self) -> None:
         """Excitation changed: growth of energy is judged afresh."""
@@ -183,7 +157,7 @@ class Watch:
         self._yielding.check(sample, self.led)
         self._watch_energy(energy)
         self.words.check(sample)
-        self._halting.check(sample)
+        self.halting.check(sample)
         self.standing.check(sample)
 
     def _check_slot(self, slot: int) -> None:

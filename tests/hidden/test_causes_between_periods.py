@@ -9,8 +9,7 @@ import pytest
 
 from invid.diagnosis.diagnose import diagnose
 from invid.diagnosis.search_pass import run_search_pass
-from invid.model.document import Model
-from invid.model.parameter_names import std_by_name
+from invid.model.document import Model, std_by_name
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from hidden.generator import make, make_case

@@ -19,8 +19,7 @@ from invid.effects.registry import BY_CAUSE
 from invid.likelihood.joint_fit import fit
 from invid.likelihood.placed_effect import Candidate, PlacedEffect
 from invid.likelihood.prepare_records import spectral_record
-from invid.model.document import EffectTerm, Estimate, Model
-from invid.model.parameter_names import std_by_name
+from invid.model.document import EffectTerm, Estimate, Model, std_by_name
 from invid.model.parameters import ChainStructure
 from invid.recording import Role
 from invid.signals.spectra import all_spectra

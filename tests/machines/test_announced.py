@@ -10,7 +10,7 @@ import pytest
 
 from invid.config import load_config
 from invid.errors import ConfigError
-from invid.planning.subset import axes_left_out, require_all_axes
+from invid.planning.build import axes_left_out, require_all_axes
 from machines.cells import Drawn, draw, run, try_signs
 
 CASE_STUDY = Path(__file__).parents[2] / "configs" / "case-study.yaml"

@@ -13,9 +13,8 @@ import pytest
 
 pytest.importorskip("cryptography")
 
-from invid.bundle.archive import read_archive, write_archive
+from invid.bundle.archive import private_key, read_archive, write_archive
 from invid.bundle.replay import pairs
-from invid.bundle.signature import private_key
 from invid.errors import InputError
 
 sys.path.insert(0, str(Path(__file__).parent))

@@ -10,7 +10,7 @@ import typer
 from invid.cli.output import EXIT_OK, emit, note
 from invid.config import parse_config
 from invid.errors import BusError, InputError
-from invid.planning.round_trip import SHARE, bound
+from invid.planning.budget import SHARE, bound
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.link import Link, SdoAbortedError, SdoError
 from invid_drivers.cia402.objects import Object

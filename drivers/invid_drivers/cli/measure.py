@@ -17,11 +17,11 @@ from invid.errors import InputError, SafetyStop
 from invid.model.document import Model, load_json, load_model, save_model
 from invid.planning import Plan
 from invid.planning.belief import Belief, from_model
+from invid.planning.build import require_all_axes
 from invid.planning.expected_covariance import Noise
 from invid.planning.goal import GoalPlan, plan_for_goal
 from invid.planning.separating_experiments import to_separate
 from invid.planning.stopping_distance import StoppingBudget
-from invid.planning.subset import require_all_axes
 from invid.sweep import Progress
 from invid_drivers.cli.confirmation import confirm
 from invid_drivers.cli.expectation import NOTHING, belief_of, expectation, expected_text, noise_of

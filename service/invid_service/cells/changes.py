@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from invid.comparison.compare import CauseChange, Change, Comparison
+from invid.comparison.changes import CauseChange, Change, Comparison
 
 
 def changes_view(c: Comparison, sides: tuple[list[str], list[str]]) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from typing import Literal
 from pydantic import BaseModel
 
 from invid.config import CellConfig
-from invid.planning.subset import axes_left_out, subset_sentence
+from invid.planning.build import axes_left_out, subset_sentence
 from invid_drivers.cia402.holding import Reason as CellReason
 from invid_service.jobs.live import LiveRun
 

@@ -9,7 +9,7 @@ from invid.model.diagnosis_document import Diagnosis
 from invid.model.document import Model
 from invid.recording import Recording
 from invid.report.data import figure_data
-from invid.report.views import cause_views
+from invid.report.dependence import cause_views
 
 _DIGITS = 5
 

@@ -11,7 +11,8 @@ from typing import Any
 from sqlalchemy.exc import SQLAlchemyError
 
 from invid.comparison.causes import new_since
-from invid.comparison.compare import Comparison, compare
+from invid.comparison.changes import Comparison
+from invid.comparison.compare import compare
 from invid.errors import InvidError
 from invid.model.document import Model, model_from_json
 from invid_service.cells.changes import changes_view

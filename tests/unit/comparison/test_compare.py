@@ -14,7 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from invid.comparison.baseline import pool_models
-from invid.comparison.compare import Comparison, Status, compare
+from invid.comparison.changes import Comparison, Status
+from invid.comparison.compare import compare
 from invid.comparison.sentences import differing_number
 from invid.errors import InputError
 from invid.model.chains import CoupledChains

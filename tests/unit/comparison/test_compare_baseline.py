@@ -7,9 +7,8 @@ import pytest
 from scipy.stats import norm
 from test_joint_test import NAMES, SIZE, VALUES, changed, covariance, drawn, model_of
 
-from invid.comparison.baseline import MOST, pool_agreeing, pool_models
+from invid.comparison.baseline import MOST, pool_agreeing, pool_models, repeatability
 from invid.comparison.compare import compare
-from invid.comparison.repeatability import repeatability
 from invid.model.document import EffectTerm, Estimate, Model
 
 STD = 2e-3 * np.abs(VALUES)

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from invid.comparison.causes import CHANGED, compare_causes, new_since
-from invid.comparison.compare import ALPHA, TOLERANCE, CauseChange, CauseStatus, Comparison, Status, compare
+from invid.comparison.changes import CauseChange, CauseStatus, Comparison, Status
+from invid.comparison.compare import ALPHA, TOLERANCE, compare
 from invid.model.chains import CoupledChains
 from invid.model.document import ChainStd, EffectTerm, Estimate, Model, model_from_json, model_to_json
 

@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from invid.comparison.compare import Status, compare
+from invid.comparison.baseline import repeatability
+from invid.comparison.changes import Status
+from invid.comparison.compare import compare
 from invid.comparison.joint_test import Whitened, shares
-from invid.comparison.repeatability import repeatability
 from invid.comparison.sentences import HELD
 from invid.model.chains import case_study
 from invid.model.document import ChainStd, Model, model_from_json, model_to_json, parameter_vector

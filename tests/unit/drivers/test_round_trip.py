@@ -19,7 +19,7 @@ from invid.cli.app import run
 from invid.config import CellConfig, parse_config
 from invid.errors import BusError, ConfigError
 from invid.planning import make_plan
-from invid.planning.round_trip import bound, judge, needed, rank, tolerable_share
+from invid.planning.budget import bound, judge, needed, rank, tolerable_share
 from invid_drivers.cia402.link import Link
 from invid_drivers.cli import check, init
 from invid_drivers.round_trip import probe, require, sample

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from invid.modes.vector_fit import relocate_poles
-from invid.numerics.eigenvalues import eigenvalues
+from invid.modes.poles import relocate_poles
+from invid.numerics.linear_algebra import eigenvalues
 
 
 def test_they_are_those_of_a_companion_matrix() -> None:

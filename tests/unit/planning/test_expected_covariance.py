@@ -105,7 +105,8 @@ def test_half_the_torque_doubles_the_expected_uncertainty(
 ) -> None:
     free, noise = without_friction(belief), sensor_noise(cell)
     full = expected(cell, one_block, free, noise)
-    half = expected(cell, one_block, free, noise, scale=0.5)
+    weak = [replace(e, torque=0.5 * e.torque) for e in one_block.experiments]
+    half = expected(cell, weak, free, noise)
     ratio = (half.std / full.std)[full.goal]
     assert np.median(ratio) == pytest.approx(2.0, rel=0.05)
 

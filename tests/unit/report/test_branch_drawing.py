@@ -12,7 +12,7 @@ from invid.model.chains import CoupledChains
 from invid.model.diagnosis_document import Consequence, Finding, Grade, Unexplained
 from invid.model.document import ChainStd, EffectTerm, Estimate, Model
 from invid.report.branch_drawing import branch_drawing
-from invid.report.branch_places import LEFT, MASS, SPRING, place_of, places
+from invid.report.branch_marks import LEFT, MASS, SPRING, place_of, places
 
 SVG = "{http://www.w3.org/2000/svg}"
 

@@ -18,7 +18,7 @@ from hidden.generator import Truth, make
 from invid.model.diagnosis_document import AxisResidual, Diagnosis, Finding, Unexplained, Verdict
 from invid.model.document import ChainStd, EffectTerm, Estimate, Model
 from invid.recording.model import Recording
-from invid.report.views import cause_views
+from invid.report.dependence import cause_views
 
 TORQUE = 2.0
 

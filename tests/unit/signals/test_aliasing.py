@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from invid.signals.aliasing import Images
+from invid.signals.spectral_record import Images
 
 STEP = 1e-3
 MASSES, SPRING, DAMPER = (0.02, 0.05), 300.0, 0.05

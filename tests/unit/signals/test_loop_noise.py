@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from invid.signals.loop_noise import sensor_noise_share
+from invid.signals.noise import sensor_noise_share
 
 STEP, PERIOD, PERIODS = 1e-3, 2000, 4
 HZ = np.arange(1, PERIOD // 2) / (PERIOD * STEP)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from invid.signals.quantisation import rounding_power
+from invid.signals.noise import rounding_power
 
 PERIOD = 8000
 

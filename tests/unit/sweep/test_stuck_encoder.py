@@ -9,8 +9,7 @@ from test_sweep import CYCLE, RigidCell, after, config, run
 from invid.errors import SafetyStop
 from invid.numerics.arrays import Float64
 from invid.sweep import Sample
-from invid.sweep.halting import HALT_CYCLES, Halting
-from invid.sweep.stuck_encoder import LIFE_CHANGES, STUCK_PERIODS, STUCK_S, Standing
+from invid.sweep.stuck_encoder import HALT_CYCLES, LIFE_CHANGES, STUCK_PERIODS, STUCK_S, Halting, Standing
 from invid.sweep.watch import AxisLimits, Watch
 
 

@@ -567,7 +567,7 @@ def test_in_a_skipped_slot_the_drive_went_on_with_the_demand_before_it() -> None
 def test_samples_that_do_not_come_are_not_a_still_encoder() -> None:
     limits = AxisLimits("A1", 10.0, 1.0, 1.0, 1e-6, 10.0, "rad", "N·m")
     watch = Watch([limits], cycle_s=0.01, missed_tpdos=1000, overrun_cycles=10)
-    watch.excited = {0}
+    watch.standing.excited = {0}
     watch.start([0.0])
     sample = Sample(0, 0.0, [0.0], [0.0], [0x27], [True], [])
 

@@ -5,7 +5,7 @@ import pytest
 
 from invid.errors import SafetyStop
 from invid.sweep.ports import Sample
-from invid.sweep.yielding import Yielding
+from invid.sweep.stuck_encoder import Yielding
 
 CYCLE = 0.004
 
