@@ -72,6 +72,8 @@ class View:
         origin: float,
         images: Complex128,
         inertance: Float64,
+        couplings: Float64,
+        late: Float64,
     ) -> None:
         self.record, self.structure = record, structure
         self.motion, self.stiffness, self.inner = motion, stiffness, inner
@@ -80,6 +82,10 @@ class View:
         self.origin = origin
         self.images = images
         """(F, M) torque that images of held torque look like on the lines (``invid.signals.aliasing``)."""
+        self.couplings = couplings
+        """(M, M) inertia couplings of the end masses, zero on the diagonal."""
+        self.late = late
+        """(M,) how much later than its samples the held torque of each axis steps [s]."""
         self.inertance = inertance
         """(M, M) acceleration of the motors over their torque, far above all modes."""
         self.base = np.einsum("fqm,fm->fq", motion, record.filtered)
@@ -244,6 +250,24 @@ class View:
         out[0] *= 0.5
         if smeared:
             out = out / self.smear[:, None]
+        return out
+
+    def drive_means(self, axis: int) -> Float64:
+        """(n, k) mean torque of a drive over the k parts of the interval after each sample of the waves.
+
+        Held over its samples, from ``late`` on.
+        """
+        return self.measured(("drive", axis), lambda: self._drive_means(axis))
+
+    def _drive_means(self, axis: int) -> Float64:
+        record, late = self.record, float(self.late[axis])
+        parts = max(round(record.wave_step / record.step), 2)
+        pad = int(abs(late) / record.step) + 2
+        torque = np.pad(record.torque_wave[:, axis], pad, "edge" if record.transient else "wrap")
+        reached = np.concatenate(([0.0], np.cumsum(torque) * record.step))
+        edges = np.arange(record.samples * parts + 1) * (record.wave_step / parts) - late
+        whole = np.interp(edges + pad * record.step, np.arange(reached.size) * record.step, reached)
+        out: Float64 = np.diff(whole).reshape(record.samples, parts) * (parts / record.wave_step)
         return out
 
     def push(self, pattern: Pattern) -> Complex128:
