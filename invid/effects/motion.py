@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
@@ -53,6 +53,19 @@ class Closing:
         """(2ΣN,) with ``extra`` (F, M) contributed by effects."""
         out: Float64 = np.einsum("jfm,fm->j", self.gain, self.linear + extra).real
         return out
+
+
+class MotorLaw(Protocol):
+    """A law of the motion of one motor, with its size."""
+
+    @property
+    def axis(self) -> int:
+        """Of the motor."""
+        ...
+
+    def over_time(self, view: View) -> Float64:
+        """(n,) resistance [N·m or N]."""
+        ...
 
 
 class View:
@@ -107,6 +120,8 @@ class View:
         """(F, M, M) inverse covariance of ``missing`` and of ``remaining``."""
         self.remaining: Complex128 | None = None
         """(F, M) missing torque that the causes chosen so far and the record's ends leave."""
+        self.beside: tuple[MotorLaw, ...] = ()
+        """Laws at motors other than dry friction, which feels what they take."""
         self._waves: dict[tuple[Pattern, bool], Float64] = {}
         self._gains: dict[tuple[Pattern, ...], Complex128] = {}
         self._hidden: dict[Pattern, Complex128] = {}

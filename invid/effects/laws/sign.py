@@ -31,8 +31,8 @@ FAR = 15.0
 
 FOLLOWED, SEEN = 20.0, 0.5
 """Speed below which a motor is followed, over the softness of a reversal, and over the rms velocity at most.
-Empirical, on simulated motors with 43 to 50 dB of friction: from 10 to 30 softnesses what is left changes by a
-tenth; at 4 and less the noise of the velocity decides when a motor stops."""
+Empirical, on simulated motors with 43 to 50 dB of friction: from 10 to 30 softnesses what is left changes by
+a tenth; at 4 and less the noise of the velocity decides when a motor stops."""
 STEPS = 33
 """Speeds from rest to there at which a law is tabulated."""
 
@@ -90,7 +90,8 @@ class DryLaw(ForceEffect):
         if self.stands(view, place):
             mean, _ = self._balance(view, place, x)
         else:  # when it turns round hardly changes with inner motion
-            mean, _ = view.measured((self, place, tuple(x)), lambda: self._balance(view, place, x))
+            key = (self, place, tuple(x), view.beside)
+            mean, _ = view.measured(key, lambda: self._balance(view, place, x))
         # A mean over the two intervals around each sample.
         spread = np.sinc(view.omega * view.record.wave_step / np.pi)
         total = view.to_lines(centred(mean, view)[:, None])[:, 0] / spread
@@ -104,6 +105,7 @@ class DryLaw(ForceEffect):
         speeds = np.linspace(1e-9, 1.0, STEPS) * slow
         forward, backward = self.resists(speeds, x), self.resists(-speeds, x)
         drive, rest = view.drive_means(axis), torque_of_chain(view, axis)
+        rest = rest - sum((b.over_time(view) for b in view.beside if b.axis == axis), np.zeros(rest.size))
         lightness = 1.0 / float(view.masses[view.structure.motor_dofs[axis]])
 
         def follow(velocity: Float64) -> tuple[Float64, Float64]:
