@@ -35,6 +35,7 @@ from invid.likelihood.hypothesis import Layout
 from invid.likelihood.joint_fit import JointFit, drop_last_effect, evaluate_held_out, fit, reorder_effects
 from invid.likelihood.null_test import null_test
 from invid.likelihood.placed_effect import Candidate, PlacedEffect
+from invid.likelihood.tempered_fit import fit_tempered
 from invid.model.place import Place
 from invid.numerics import budget
 from invid.numerics.arrays import Float64
@@ -334,6 +335,8 @@ def _step(
     gone_on = iter(map_candidates(polish, open_, here, [*train, *held]))
     # Where the fit went on it may have reached an edge, and then wants something else than this cause.
     polished = [next(gone_on) if t in open_ else t for t in best[:4]]
+    if first and not known and all(t.cost > FAR * t.dof for t in polished):
+        polished = _tempered(polished, here, train, held)
     polished = [t for t in polished if not is_at_bound(t.fit)]
     trials = polished + [t for t in trials if t not in best[:4]]
     if not trials:
@@ -360,6 +363,30 @@ def _step(
     chosen = ranked[0][0]
     sure = sure or current.cost - chosen.cost > MOST * current.excess
     return Step(current, chosen, tuple(ranked)), tuple(scores[:5]), not sure
+
+
+def _tempered(
+    trials: Sequence[CandidateEvidence],
+    here: JointFit,
+    train: Sequence[SpectralRecord],
+    held: Sequence[SpectralRecord],
+) -> list[CandidateEvidence]:
+    """The trials, each from where wide valleys lead it if that is lower.
+
+    A strong cause bends the linear fit so far that the way back is uphill under the sensors' noise, for the
+    right cause as for the others.
+    """
+
+    def temper(t: CandidateEvidence) -> CandidateEvidence:
+        if budget.is_spent():
+            return t
+        report_candidate("fitting", t.term, here, 0.75)
+        p = here.p if here.p.size == t.fit.p.size else t.fit.p
+        start = here.candidate.plus(t.term, t.x)
+        found = evidence_if_finite(partial(fit_tempered, t.fit, train, p, start), held)
+        return t if found is None or found.fit.cost > t.fit.cost else found
+
+    return list(map_candidates(temper, trials, here, [*train, *held]))
 
 
 def _candidates(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
@@ -55,6 +55,19 @@ class Closing:
         return out
 
 
+class MotorLaw(Protocol):
+    """A law of the motion of one motor, with its size."""
+
+    @property
+    def axis(self) -> int:
+        """Of the motor."""
+        ...
+
+    def over_time(self, view: View) -> Float64:
+        """(n,) resistance [N·m or N]."""
+        ...
+
+
 class View:
     """One record seen through one linear plant; time-domain waves are made once."""
 
@@ -72,6 +85,8 @@ class View:
         origin: float,
         images: Complex128,
         inertance: Float64,
+        couplings: Float64,
+        late: Float64,
     ) -> None:
         self.record, self.structure = record, structure
         self.motion, self.stiffness, self.inner = motion, stiffness, inner
@@ -80,6 +95,10 @@ class View:
         self.origin = origin
         self.images = images
         """(F, M) torque that images of held torque look like on the lines (``signals.spectral_record``)."""
+        self.couplings = couplings
+        """(M, M) inertia couplings of the end masses, zero on the diagonal."""
+        self.late = late
+        """(M,) how much later than its samples the held torque of each axis steps [s]."""
         self.inertance = inertance
         """(M, M) acceleration of the motors over their torque, far above all modes."""
         self.base = np.einsum("fqm,fm->fq", motion, record.filtered)
@@ -101,6 +120,8 @@ class View:
         """(F, M, M) inverse covariance of ``missing`` and of ``remaining``."""
         self.remaining: Complex128 | None = None
         """(F, M) missing torque that the causes chosen so far and the record's ends leave."""
+        self.beside: tuple[MotorLaw, ...] = ()
+        """Laws at motors other than dry friction, which feels what they take."""
         self._waves: dict[tuple[Pattern, bool], Float64] = {}
         self._gains: dict[tuple[Pattern, ...], Complex128] = {}
         self._hidden: dict[Pattern, Complex128] = {}
@@ -244,6 +265,24 @@ class View:
         out[0] *= 0.5
         if smeared:
             out = out / self.smear[:, None]
+        return out
+
+    def drive_means(self, axis: int) -> Float64:
+        """(n, k) mean torque of a drive over the k parts of the interval after each sample of the waves.
+
+        Held over its samples, from ``late`` on.
+        """
+        return self.measured(("drive", axis), lambda: self._drive_means(axis))
+
+    def _drive_means(self, axis: int) -> Float64:
+        record, late = self.record, float(self.late[axis])
+        parts = max(round(record.wave_step / record.step), 2)
+        pad = int(abs(late) / record.step) + 2
+        torque = np.pad(record.torque_wave[:, axis], pad, "edge" if record.transient else "wrap")
+        reached = np.concatenate(([0.0], np.cumsum(torque) * record.step))
+        edges = np.arange(record.samples * parts + 1) * (record.wave_step / parts) - late
+        whole = np.interp(edges + pad * record.step, np.arange(reached.size) * record.step, reached)
+        out: Float64 = np.diff(whole).reshape(record.samples, parts) * (parts / record.wave_step)
         return out
 
     def push(self, pattern: Pattern) -> Complex128:

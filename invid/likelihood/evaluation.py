@@ -25,7 +25,14 @@ from invid.likelihood.effect_derivatives import (
     moves_inner_masses,
     response_columns,
 )
-from invid.likelihood.hypothesis import ActingTorque, Layout, acting_torque, aliased_motion, prior_residuals
+from invid.likelihood.hypothesis import (
+    ActingTorque,
+    Layout,
+    acting_torque,
+    aliased_motion,
+    prior_residuals,
+    step_times,
+)
 from invid.likelihood.nuisance.initial_states import solve_initial_states
 from invid.likelihood.nuisance.transients import Ends, record_ends, solve_record_ends
 from invid.likelihood.placed_effect import Candidate, contributions, is_linear_in_motion
@@ -128,6 +135,8 @@ def record_views(
                 layout.origin,
                 np.einsum("fij,fj->fi", stiffness, aliased_motion(record, layout, p, inertance)),
                 inertance,
+                structure.couplings(values),
+                step_times(record, layout, p),
             )
         )
     return out

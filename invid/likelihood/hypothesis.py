@@ -163,6 +163,15 @@ def acting_torque(record: SpectralRecord, layout: Layout, p: Float64) -> ActingT
     return ActingTorque(acting, factor, z * (held - 1.0) * rest, by_hold)
 
 
+def step_times(record: SpectralRecord, layout: Layout, p: Float64) -> Float64:
+    """(M,) how much later than its samples the held torque of each axis steps [s]."""
+    late = layout.lateness(p, record)
+    if record.command is None:
+        late = late - 0.5 * record.step  # the time offset holds the half sample by which holding is late
+    late[list(layout.smoothed)] -= p[layout.smoothed_at]
+    return late
+
+
 def aliased_motion(record: SpectralRecord, layout: Layout, p: Float64, inertance: Float64) -> Complex128:
     """(F, M) displacement of the motors that the images of held torque fold onto the lines (``folding``).
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from invid.effects.effect import Effect, ImpedanceEffect
+from invid.effects.effect import Effect, ForceEffect, ImpedanceEffect
+from invid.effects.laws.sign import DryLaw
 from invid.effects.motion import View, along
 from invid.likelihood.inner_motion import Forces, solve_inner_motion
 from invid.model.place import Pattern, Place
@@ -144,8 +145,46 @@ Part = tuple[Complex128, Complex128 | None]
 """Contribution (F, M) of one law, and (F, ΣN) what it does to inner coordinates."""
 
 
+@dataclass(frozen=True)
+class SizedMotorLaw:
+    """What a law of motion, or a damper, takes at a motor beside its dry friction."""
+
+    effect: ForceEffect | ImpedanceEffect
+    place: Place
+    x: tuple[float, ...]
+
+    @property
+    def axis(self) -> int:
+        """Of the motor."""
+        return self.place.axis
+
+    def over_time(self, view: View) -> Float64:
+        """(n,) resistance [N·m or N]."""
+        if isinstance(self.effect, ImpedanceEffect):
+            _, damper = self.effect.carries(view, self.x)
+            return damper * view.velocity(self.place.pattern(view.structure))
+        count = len(self.effect.coefficients)
+        out: Float64 = self.effect.law(view, self.place, self.x[count:]) @ np.asarray(self.x[:count])
+        return out
+
+
+def _beside_dry_friction(candidate: Candidate) -> tuple[SizedMotorLaw, ...]:
+    """The laws at motors that dry friction of the candidate feels; none where it has none."""
+    if not any(isinstance(t.effect, DryLaw) for t in candidate.terms):
+        return ()
+    return tuple(
+        SizedMotorLaw(t.effect, t.place, tuple(x))
+        for t, x in zip(candidate.terms, candidate.x, strict=True)
+        if t.place.kind == "mass"
+        and t.place.number == 1
+        and not isinstance(t.effect, DryLaw)
+        and (isinstance(t.effect, ImpedanceEffect) or (isinstance(t.effect, ForceEffect) and t.effect.local))
+    )
+
+
 def law_parts(view: View, candidate: Candidate) -> list[Part | None]:
     """What each law contributes at the view's present inner motion; ``None`` for effects linear in motion."""
+    view.beside = _beside_dry_friction(candidate)
     return [law_part(view, t, x) for t, x in zip(candidate.terms, candidate.x, strict=True)]
 
 

@@ -272,7 +272,7 @@ def _hardly_moves(record: SpectralRecord, axis: int, _: float) -> bool:
     of its friction."""
     v = record.motor_velocity[:, axis]
     slow = standstill_velocity(v, float(record.velocity_noise[axis]))
-    return record.standing[axis] is None and float(np.mean(np.abs(v) < slow)) > 0.5
+    return not record.standing[axis] and float(np.mean(np.abs(v) < slow)) > 0.5
 
 
 def line_weights(record: SpectralRecord, chosen: np.ndarray) -> SpectralRecord:

@@ -146,9 +146,7 @@ class ChainStructure:
         values, s = self.physical(p), self.slices
         masses = _split(values[s["mass"]], self.sizes)
         links = [n - 1 for n in self.sizes]
-        couplings = np.zeros((self.motors, self.motors))
-        for (i, j), value in zip(self.coupling_pairs, values[s["coupling"]], strict=True):
-            couplings[i, j] = couplings[j, i] = value
+        couplings = self.couplings(values)
         ground = np.zeros(self.motors)
         ground[list(self.grounded)] = values[s["ground_spring"]]
         return CoupledChains.build(
@@ -159,6 +157,13 @@ class ChainStructure:
             ground_springs=ground,
             axes=self.axes,
         )
+
+    def couplings(self, values: Float64) -> Float64:
+        """(M, M) inertia couplings of the end masses, zero on the diagonal, from values in physical units."""
+        out = np.zeros((self.motors, self.motors))
+        for (i, j), value in zip(self.coupling_pairs, values[self.slices["coupling"]], strict=True):
+            out[i, j] = out[j, i] = value
+        return out
 
     def matrices(self, p: Float64) -> tuple[Float64, Float64, Float64]:
         """Mass, damping and stiffness matrix, (ΣN, ΣN) each."""
@@ -210,9 +215,7 @@ class ChainStructure:
             return False
         values, s = self.physical(p), self.slices
         masses = values[s["mass"]]
-        ends = np.diag(masses[list(self.end_dofs)])
-        for (i, j), value in zip(self.coupling_pairs, values[s["coupling"]], strict=True):
-            ends[i, j] = ends[j, i] = value
+        ends = np.diag(masses[list(self.end_dofs)]) + self.couplings(values)
         scale = 1.0 / np.sqrt(np.diag(ends))
         return bool(np.linalg.eigvalsh(ends * scale[:, None] * scale)[0] > 1e-9)
 

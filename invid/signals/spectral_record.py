@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from invid.numerics.arrays import Complex128, Float64
-from invid.signals.standstill import Standstill, find_standstill
+from invid.signals.standstill import is_seen_standing
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -134,10 +134,10 @@ class SpectralRecord(SpectralLines):
     to_waves = to_wave
 
     @cached_property
-    def standing(self) -> tuple[Standstill | None, ...]:
-        """When each motor stands; none for those that never do, or whose noise hides it."""
+    def standing(self) -> tuple[bool, ...]:
+        """Whether each motor stands at times; not where noise hides it."""
         noise = self.velocity_noise
-        return tuple(find_standstill(v, float(noise[i])) for i, v in enumerate(self.motor_velocity.T))
+        return tuple(is_seen_standing(v, float(noise[i])) for i, v in enumerate(self.motor_velocity.T))
 
     def unseen_speed(self, torque: Float64, axis: int) -> Float64:
         """(n,) velocity that a ``torque`` (n,) gives one unit of inertia on the lines that noise has hidden.

@@ -1,11 +1,6 @@
-"""What dry friction is while the motor stands: whatever holds it, up to the limit.
-
-A law of velocity has no value there. The torque that acts and what the first spring carries say it.
-"""
+"""Whether a motor stands on its friction, as far as its velocity shows it over its noise."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,29 +13,6 @@ SEEN = 0.1
 STOPS = 2.0
 """How many times as long as it takes to pass at the pace it came with a motor that stands stays below
 ``SLOW``. One that only reverses, against twice its friction, leaves at a third of that pace."""
-LATER = 2
-"""Samples after it moves again that count as standing: what acts is beyond the limit then, and is cut."""
-
-
-@dataclass(frozen=True, eq=False)
-class Standstill:
-    """When a motor stands, sample by sample.
-
-    Attributes
-    ----------
-    share
-        (n,) part of each sample's interval in which it stands.
-    last
-        (n,) sample at which it last moved, where it stands; itself elsewhere.
-    """
-
-    share: Float64
-    last: np.ndarray
-
-    def held(self, moving: Float64, acting: Float64, low: float, high: float) -> Float64:
-        """(n,) resistance: ``moving`` (n,) by a law; where it stands ``acting`` (n,) within limits."""
-        out: Float64 = self.share * np.clip(acting, low, high) + (1.0 - self.share) * moving[self.last]
-        return out
 
 
 def sign_threshold(velocity: Float64, noise: float) -> float:
@@ -53,23 +25,17 @@ def standstill_velocity(velocity: Float64, noise: float) -> float:
     return SLOW * sign_threshold(velocity, noise)
 
 
-def find_standstill(velocity: Float64, noise: float) -> Standstill | None:
-    """When a motor of ``velocity`` (n,) with ``noise`` stands; none where it never does or noise hides it."""
+def is_seen_standing(velocity: Float64, noise: float) -> bool:
+    """Whether a motor of ``velocity`` (n,) with ``noise`` stands at times; not where noise hides it."""
     slow = standstill_velocity(velocity, noise)
     if slow > SEEN * float(np.sqrt(np.mean(velocity**2))):
-        return None
+        return False
     inside = np.abs(velocity) < slow
     edges = np.flatnonzero(np.diff(np.concatenate(([0], inside.astype(np.int8), [0]))))
-    share, last = np.zeros(velocity.size), np.arange(velocity.size)
     for first, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
         if first < 2:
             continue
         pace = float(velocity[first - 2] - velocity[first - 1])
-        if pace * velocity[first - 1] <= 0.0 or end - first <= STOPS * 2.0 * slow / abs(pace):
-            continue
-        stop = min(first - 1 + float(velocity[first - 1]) / pace, float(end))
-        span = slice(first - 1, min(end + LATER, velocity.size))
-        within = np.clip(np.arange(span.start, span.stop) + 0.5 - stop, 0.0, 1.0)
-        share[span] = np.maximum(share[span], within)
-        last[span] = first - 1
-    return Standstill(share, last) if share.any() else None
+        if pace * velocity[first - 1] > 0.0 and end - first > STOPS * 2.0 * slow / abs(pace):
+            return True
+    return False

@@ -28,4 +28,6 @@ def test_the_share_of_rated_torque_and_its_grade_are_those_of_the_simulated_fric
     std = finding.effect.parameters["torque"].std
     assert finding.consequence.share_of_rated_torque == pytest.approx(share, abs=4 * std / true * share)
     assert finding.consequence.grade is grade
-    assert result.headline.startswith("Dry friction on A")
+    # At 20 dB a static part at the slowest speeds may be told from none or not.
+    assert result.headline.startswith("Dry friction")
+    assert f" on {finding.effect.axis}" in result.headline

@@ -49,15 +49,15 @@ class AsymmetricFriction(DryLaw):
     def places(self, structure: ChainStructure) -> list[Place]:
         return mass_places(structure)
 
-    def of(self, v: Float64, soft: float, shape: Sequence[float], turn: float) -> Float64:
-        sign = sign_law(v, soft, turn)
+    def of(self, v: Float64, soft: float, shape: Sequence[float]) -> Float64:
+        sign = sign_law(v, soft)
         # Of a joint that turns over gradually neither direction's friction acts at rest.
         whole = even_law(v, soft) if self.rounding > 0.0 else 1.0
         up, down = 0.5 * (whole + sign), -0.5 * (whole - sign)
         return np.stack([up, down, np.maximum(v, 0.0), np.minimum(v, 0.0)], axis=1)
 
-    def held(self, x: Sequence[float]) -> tuple[float, float]:
-        return -x[1], x[0]
+    def resists(self, v: Float64, x: Sequence[float]) -> Float64:
+        return np.where(v > 0, x[0] + x[2] * v, x[3] * v - x[1])
 
     def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
         speed = p.get("low_speed_velocity", 0.0)
@@ -106,12 +106,14 @@ class AsymmetricStribeck(AsymmetricFriction):
         size = max(rms([v.velocity(place.pattern(v.structure)) for v in views]), 1e-300)
         return [(float(np.log(0.02 * size)), float(np.log(1.5 * size)))]
 
-    def of(self, v: Float64, soft: float, shape: Sequence[float], turn: float) -> Float64:
+    def of(self, v: Float64, soft: float, shape: Sequence[float]) -> Float64:
         width = float(np.exp(shape[0]))
-        odd = excess_law(v, soft, width, turn)
+        odd = excess_law(v, soft, width)
         even = even_law(v, soft) * np.exp(-((v / width) ** 2))
         slow = np.stack([0.5 * (even + odd), -0.5 * (even - odd)], axis=1)
-        return np.concatenate((super().of(v, soft, (), turn), slow), axis=1)
+        return np.concatenate((super().of(v, soft, ()), slow), axis=1)
 
-    def held(self, x: Sequence[float]) -> tuple[float, float]:
-        return -x[1] - x[5], x[0] + x[4]
+    def resists(self, v: Float64, x: Sequence[float]) -> Float64:
+        near = np.exp(-((v / np.exp(x[6])) ** 2))
+        out: Float64 = super().resists(v, x) + near * np.where(v > 0, x[4], -x[5])
+        return out

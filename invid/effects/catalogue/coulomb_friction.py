@@ -37,11 +37,11 @@ class CoulombFriction(DryLaw):
     def places(self, structure: ChainStructure) -> list[Place]:
         return mass_places(structure)
 
-    def of(self, v: Float64, soft: float, shape: Sequence[float], turn: float) -> Float64:
-        return sign_law(v, soft, turn)[:, None]
+    def of(self, v: Float64, soft: float, shape: Sequence[float]) -> Float64:
+        return sign_law(v, soft)[:, None]
 
-    def held(self, x: Sequence[float]) -> tuple[float, float]:
-        return -x[0], x[0]
+    def resists(self, v: Float64, x: Sequence[float]) -> Float64:
+        return x[0] * np.sign(v)
 
     def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
         out: Float64 = p["torque"] * np.sign(x)

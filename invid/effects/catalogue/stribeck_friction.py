@@ -52,12 +52,13 @@ class StribeckFriction(DryLaw):
         size = max(rms([v.velocity(place.pattern(v.structure)) for v in views]), 1e-300)
         return [(float(np.log(0.02 * size)), float(np.log(1.5 * size)))]
 
-    def of(self, v: Float64, soft: float, shape: Sequence[float], turn: float) -> Float64:
+    def of(self, v: Float64, soft: float, shape: Sequence[float]) -> Float64:
         vs = float(np.exp(shape[0]))
-        return np.stack([sign_law(v, soft, turn), excess_law(v, soft, vs, turn)], axis=1)
+        return np.stack([sign_law(v, soft), excess_law(v, soft, vs)], axis=1)
 
-    def held(self, x: Sequence[float]) -> tuple[float, float]:
-        return -x[0] - x[1], x[0] + x[1]
+    def resists(self, v: Float64, x: Sequence[float]) -> Float64:
+        out: Float64 = (x[0] + x[1] * np.exp(-((v / np.exp(x[2])) ** 2))) * np.sign(v)
+        return out
 
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
         return {"static": float(x[0] + x[1]), "coulomb": float(x[0]), "velocity": float(np.exp(x[2]))}

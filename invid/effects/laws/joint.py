@@ -79,7 +79,7 @@ def _joint(v: np.ndarray, soft: float, slow: float) -> np.ndarray:
         phi[4, k], plain[4, k] = 0.5 * v[k] * abs(v[k]), abs(v[k])
         phi[5, k], plain[5, k] = reached - soft * sign, size * size * bend
     for part in range(6):
-        out[:, part] = mean_between(v, phi[part], plain[part], 0.0, 0.0)
+        out[:, part] = mean_between(v, phi[part], plain[part])
     return out
 
 
