@@ -16,7 +16,7 @@ from invid.numerics.compiled import compiled
 
 
 @compiled
-def follow_motor(
+def follow_motor(  # noqa: PLR0913 - a compiled kernel
     velocity: np.ndarray,
     moving: np.ndarray,
     drive: np.ndarray,
