@@ -28,7 +28,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests"))
 LIMITS: dict[str, tuple[float, float]] = {
     "diagnosis.linear_fit.FAR": (2.0, 6.0),
     "diagnosis.linear_fit.LOWER": (0.25, 0.8),
-    "diagnosis.search_pass.ALIKE": (2.5, 10.0),
+    "diagnosis.search_pass.SAME_MACHINE": (2.5, 10.0),
     "diagnosis.acceptance.REMAINDER": (0.12, 0.5),
     "diagnosis.acceptance.NAMED_SHARE": (0.8, 0.95),
     "diagnosis.acceptance.SHARE": (0.025, 0.1),
@@ -43,14 +43,14 @@ LIMITS: dict[str, tuple[float, float]] = {
     "diagnosis.confidence.MOST_OF_CHI2": (0.3, 0.7),
     "diagnosis.confidence.COMPETES": (4.0, 16.0),
     "diagnosis.confidence.AT_FLOOR": (1.2, 2.0),
-    "diagnosis.confidence.SLOW": (200.0, 800.0),
-    "diagnosis.confidence.STICKS": (0.2, 0.8),
+    "diagnosis.confidence.STRIBECK_EXCLUDED": (200.0, 800.0),
+    "diagnosis.confidence.LEAST_STATIC": (0.2, 0.8),
     "diagnosis.trust.REACHED": (1.5, 3.0),
     "diagnosis.trust.LEFT": (0.01, 0.04),
-    "diagnosis.trust.LEAST": (0.8, 0.95),
+    "diagnosis.trust.LEAST_EXPLAINED": (0.8, 0.95),
     "diagnosis.rules.tones.SHARE": (0.6, 0.9),
     "likelihood.nuisance.hold_share.HOLD_BAND": (2.0, 8.0),
-    "diagnosis.time_domain_check.AGREES": (1.5, 3.0),
+    "diagnosis.time_domain_check.AGREEMENT": (1.5, 3.0),
 }
 """Each limit with the two values tried instead. HELD_OUT: 5 % and 0.1 % of noise; LARGER: 5 % and 0.1 %."""
 ALWAYS = ("diagnosis.evidence.WEAK",)

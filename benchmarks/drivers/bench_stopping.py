@@ -23,7 +23,7 @@ import yaml
 
 from invid.config import CellConfig, parse_config
 from invid.errors import DriveError, SafetyStop
-from invid.planning.stopping_distance import FEEDBACK, STAMPS, StoppingBudget, budgets_of
+from invid.planning.stopping_distance import FEEDBACK_FACTOR, SPEED_TOLERANCE, StoppingBudget, budgets_of
 from invid.sweep.ports import Mode
 from invid.sweep.watch import AxisLimits, Watch
 from invid_drivers.cia402.bus import Cia402Cell
@@ -162,9 +162,9 @@ class Run:
         watch.start([self._motor[0]])
         since, late = None, False
         while True:
-            sample = master.exchange([FEEDBACK * d.planned - d.load + d.friction])
+            sample = master.exchange([FEEDBACK_FACTOR * d.planned - d.load + d.friction])
             position, velocity = self._motor
-            if since is None and velocity >= STAMPS * d.speed:
+            if since is None and velocity >= SPEED_TOLERANCE * d.speed:
                 since = position
             if since is not None and how == "dead master":
                 break

@@ -1,4 +1,4 @@
-"""Whether a cause is there: what its gain has to be, against chance and against what other causes leave."""
+"""Acceptance tests of a cause: its gain in χ² against chance and against what other causes leave."""
 
 from __future__ import annotations
 
@@ -34,21 +34,22 @@ from invid.signals.spectral_record import SpectralRecord
 
 
 def least_gain(here: JointFit, term: PlacedEffect, count: int, *, first: bool) -> float:
-    """Gain of training χ² below which a cause cannot be accepted."""
+    """Smallest gain of training χ² with which a cause can be accepted; ``count``: candidates tested."""
     significant = chi2_isf(SIGNIFICANCE / count, 1)
     if first:
         return significant
-    return max(significant, SMALL_REMAINDER * excess_chi2(here.evaluation, _axes(term.place)))
+    return max(significant, SMALL_REMAINDER * excess_chi2(here.evaluation, _axes_of_place(term.place)))
 
 
 def needed_gain(current: CandidateEvidence, trial: CandidateEvidence, count: int, *, rejects: bool) -> float:
-    """Gain of χ² that a cause needs of ``count`` to be there; ``rejects``: the records ask for one."""
+    """Gain of χ² that one of ``count`` candidates needs; ``rejects``: the null test rejects the model without
+    it."""
     unknowns = max(trial.term.size + trial.starts - current.starts, 1)
     return chi2_isf((SIGNIFICANCE if rejects else WEAK) / count, unknowns)
 
 
-def _axes(place: Place) -> set[int]:
-    """The axes that a cause is between, or sits on."""
+def _axes_of_place(place: Place) -> set[int]:
+    """Numbers of the axes that a place belongs to: one, or two for a place between axes."""
     return {place.axis} if place.other < 0 else {place.axis, place.other}
 
 
@@ -64,50 +65,51 @@ def is_accepted(
     quiet: bool,
     small: bool = False,
 ) -> bool:
-    """Whether a cause is there; ``rejects``: all records ask for one, ``quiet``: the training does not.
+    """Whether a cause is accepted beside those of ``current``.
 
-    ``small``: also where it is small beside the first, for as long as nobody names it (``provisional``).
-
-    ``dispersion``: χ²/ν of the best candidate on the training records and on those held out. Each part by its
-    own: what a record far finer than the rest misses says nothing of the gain on those.
+    ``dispersion``: χ²/ν of the best candidate on the training and on the held-out records; each gain is
+    divided by that of its own records, because one record with far less noise than the rest says nothing of
+    the gain on those. ``rejects``: the null test rejects ``current`` on all records; ``quiet``: it does not
+    on the training records alone. ``first``: no cause was found before. ``small``: accept a cause that is
+    small beside the first as well; the search keeps it only where it ends near the noise.
     """
     gain = (current.fit.cost - trial.fit.cost) / dispersion[0]
     held_gain = (current.held.cost - trial.held.cost) / dispersion[1]
     needed = needed_gain(current, trial, count, rejects=rejects)
-    # Where there is no excess to explain every record counts: noise that was fitted costs on the held-out
-    # ones what it gained, so the sum passes no more often than the gain of a fit to all of them.
+    # Without an excess to explain all records count together: a cause fitted to noise loses on the held-out
+    # records what it gained in training, so the sum passes no more often than a fit to all records would.
     if rejects and quiet and gain < needed:
-        # The held-out records show it, being of another amplitude: what little the training says of it takes
-        # nearly all that they miss, which a cause fitted to noise does not.
-        left = trial.held.cost - trial.held.dof
-        if left > (1.0 - NAMED_SHARE) * (current.held.cost - current.held.dof):
+        # Only the held-out records show it, at another amplitude. A cause fitted to noise in training does
+        # not explain nearly all of their excess.
+        held_excess = trial.held.cost - trial.held.dof
+        if held_excess > (1.0 - NAMED_SHARE) * (current.held.cost - current.held.dof):
             return False
         gain += held_gain
     if (gain if rejects else gain + held_gain) < needed or held_gain < HELD_OUT:
         return False
     if trial.term.effect.is_null(trial.x.tolist()):
         return False
-    # An encoder of few counts errs alike in every period, on a handful of lines, which χ² takes for noise. By
-    # the scatter over the lines, which does not, the size has to differ from none as well.
+    # The error of a coarse encoder repeats in every period and lies on few lines; χ² takes it for noise. So
+    # the size has to be significant by the scatter over the lines as well (Wald test).
     if not rejects and is_significant_at_shapes(trial.fit, -1, SIGNIFICANCE / count) is False:
         return False
     if first:
         return True
-    excess, gained = current.excess, current.cost - trial.cost
-    reached, takes_all = trial.cost < CLOSE * trial.dof, gained > NAMED_SHARE * excess
-    if not (reached and takes_all) and is_significant_at_shapes(trial.fit, -1) is False:
-        return False  # beside a weight a thousand times all else what is left has a shape, and no size
+    excess, total_gain = current.excess, current.cost - trial.cost
+    is_close, takes_nearly_all = trial.cost < CLOSE * trial.dof, total_gain > NAMED_SHARE * excess
+    if not (is_close and takes_nearly_all) and is_significant_at_shapes(trial.fit, -1) is False:
+        return False  # the remainder of a much larger cause fits some shape, but with no significant size
     remainder = SMALL_REMAINDER if small else REMAINDER
-    if gained < remainder * current.excess_on(_axes(trial.term.place)):
+    if total_gain < remainder * current.excess_on(_axes_of_place(trial.term.place)):
         return False
     if small:
         return True
-    # Where the model stays far from the noise, what little a further cause removes may be any cause's.
-    if trial.cost < REACHED * trial.dof and takes_all:
+    # Far from the noise a small gain may belong to any cause.
+    if trial.cost < REACHED * trial.dof and takes_nearly_all:
         return True
-    # What an imperfect model of the first cause leaves was up to 0.3 % of it on hidden plants.
-    share = 0.01 if reached else SHARE
-    return gained > share * start.excess_in_motion
+    # Empirical (hidden plants): an imperfect model of the first cause leaves up to 0.3 % of it.
+    share = 0.01 if is_close else SHARE
+    return total_gain > share * start.excess_in_motion
 
 
 def is_asked_for(without: CandidateEvidence, trial: CandidateEvidence) -> bool:
@@ -122,19 +124,19 @@ def drop_insignificant_causes(
     train: Sequence[SpectralRecord],
     held: Sequence[SpectralRecord],
 ) -> Selection:
-    """The selection without causes of these names whose size is not significant beside those found later."""
+    """The selection without those of the causes ``small`` whose size is not significant beside all others."""
     known, final = len(found.base.fit.candidate.terms), found.final.fit
-    lost = [
+    insignificant = [
         n
         for n, s in enumerate(found.steps)
         if (s.chosen.term.effect.cause, s.chosen.term.place) in small
         and is_size_significant(final, known + n, SIGNIFICANCE) is False
     ]
-    if not lost or len(lost) == len(found.steps) or budget.is_spent():
+    if not insignificant or len(insignificant) == len(found.steps) or budget.is_spent():
         return found
-    number = lost[-1]
-    fewer = partial(fit, final.layout, train, final.p, final.candidate.without(known + number), iterations=25)
-    rest = evidence_if_finite(fewer, held)
+    number = insignificant[-1]
+    refit = partial(fit, final.layout, train, final.p, final.candidate.without(known + number), iterations=25)
+    rest = evidence_if_finite(refit, held)
     if rest is None:
         return found
     steps = (*found.steps[:number], *found.steps[number + 1 :])

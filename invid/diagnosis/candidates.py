@@ -27,44 +27,45 @@ from invid.signals.spectral_record import SpectralRecord
 POLISHED, REFITTED, PLACES = 12, 6, 2
 """How many candidates are polished and refitted, and at most how many places of one cause."""
 NEARLY = 0.5
-"""Share of the gain at its cause's best place from which a place is polished as well. A guess: of a mode with
-2 % damping, the shape of the grid next to it takes two thirds."""
+"""Share of the gain at the best place of a cause from which another place is polished as well. Empirical: at
+the nearest shape of the grid a mode with 2 % damping shows two thirds of its gain."""
 REACH = 3.0
-"""How much more a refit may gain than its screen promised: shapes between the grid's, inner motion. A guess
-that saves refits; it only skips what could not be accepted at three times its promise."""
+"""Factor by which a refit may gain more than its screen predicted (shapes between the grid's, inner motion).
+Empirical; it only skips what could not be accepted at three times its prediction."""
 UNEXPLAINED = 1.5
-"""χ²/ν above which no candidate explains the records. A guess; it decides only whether to look elsewhere."""
+"""χ²/ν above which no candidate explains the records. Empirical; it only decides whether to try another
+start."""
 
 
 def screen_candidates(screen: Screen, terms: Sequence[PlacedEffect]) -> list[Score]:
     """The likeliest candidates with their best shapes, best first."""
 
-    def look(term: PlacedEffect) -> Score:
+    def screen_term(term: PlacedEffect) -> Score:
         budget.check()
         report_candidate("screening", term, screen.fit, terms.index(term) / (3.0 * len(terms)))
         return screen.best(term)
 
-    def polish(score: Score) -> Score:
+    def polish_score(score: Score) -> Score:
         budget.check()
         report_candidate("screening", score.term, screen.fit, 0.35)
         return screen.best(score.term, polish=True)
 
-    scores = map_candidates(look, terms, screen.fit, [])
+    scores = map_candidates(screen_term, terms, screen.fit, [])
     scores = [s for s in scores if np.isfinite(s.gain) and s.gain > 0]
     scores.sort(key=lambda s: -s.gain)
-    asked = _few_of_a_cause(scores)[:POLISHED]
-    # The best may lie between a grid's shapes: a sharp mode, of which the next shape takes two thirds.
-    least = {cause: NEARLY * s.gain for s in reversed(scores) if (cause := s.term.effect.cause)}
-    further = [s for s in scores if s.term.effect.shapes and s.gain >= least[s.term.effect.cause]]
-    asked += [s for s in further if s not in asked and s.gain >= asked[-1].gain]
-    polished = map_candidates(polish, asked, screen.fit, [])
-    screen.release()
+    to_polish = _best_of_each_cause(scores)[:POLISHED]
+    # The best shape may lie between those of the grid, as that of a sharp mode does.
+    near_best = {cause: NEARLY * s.gain for s in reversed(scores) if (cause := s.term.effect.cause)}
+    further = [s for s in scores if s.term.effect.shapes and s.gain >= near_best[s.term.effect.cause]]
+    to_polish += [s for s in further if s not in to_polish and s.gain >= to_polish[-1].gain]
+    polished = map_candidates(polish_score, to_polish, screen.fit, [])
+    screen.restore_views()
     polished.sort(key=lambda s: -s.gain)
-    return _few_of_a_cause(polished)
+    return _best_of_each_cause(polished)
 
 
-def _few_of_a_cause(scores: Sequence[Score]) -> list[Score]:
-    """At most ``PLACES`` of each cause, in the order given."""
+def _best_of_each_cause(scores: Sequence[Score]) -> list[Score]:
+    """The first ``PLACES`` scores of each cause, in the order given."""
     count: dict[str, int] = {}
     out = []
     for s in scores:
@@ -76,13 +77,13 @@ def _few_of_a_cause(scores: Sequence[Score]) -> list[Score]:
 
 
 def report_candidate(stage: str, term: PlacedEffect, fit: JointFit, fraction: float) -> None:
-    """Progress: what is done with a candidate."""
+    """Reports progress: stage, axis, cause and element of a candidate."""
     axis = fit.layout.structure.axes[term.place.axis]
     budget.tell(stage, fraction, axis=axis, cause=term.effect.cause, element=term.place.element)
 
 
 def no_least_gain(_: PlacedEffect) -> float:
-    """No least gain."""
+    """Zero: every candidate is worth a refit."""
     return 0.0
 
 
@@ -94,30 +95,33 @@ def refit_candidates(
     least: Callable[[PlacedEffect], float],
     reached: float,
 ) -> list[CandidateEvidence]:
-    """Joint fits of the best screened; ``least``: training gain below which a cause is not accepted,
-    ``reached``: what others came to."""
-    # Far from what the best could reach, or from what would be accepted: no refit.
-    far = 0.05 * max((s.gain for s in scores), default=0.0)
-    worth = [s for s in scores[:REFITTED] if s.gain >= far and REACH * s.gain >= least(s.term)]
+    """Joint fits of the best screened candidates.
 
-    def begin(score: Score) -> JointFit | None:
-        report_candidate("weighing", score.term, here, 0.4 + 0.2 * worth.index(score) / len(worth))
+    ``least``: gain of training χ² below which a cause is not accepted; ``reached``: lowest χ² of other
+    candidates.
+    """
+    # No refit of what is far behind the best, or could not be accepted.
+    least_promise = 0.05 * max((s.gain for s in scores), default=0.0)
+    promising = [s for s in scores[:REFITTED] if s.gain >= least_promise and REACH * s.gain >= least(s.term)]
+
+    def start_refit(score: Score) -> JointFit | None:
+        report_candidate("weighing", score.term, here, 0.4 + 0.2 * promising.index(score) / len(promising))
         return fit_if_finite(partial(refit_with_effect, here, train, score.term, score.x, 4, score.shift))
 
-    begun = [f for f in map_candidates(begin, worth, here, train) if f is not None]
-    near = min([reached, *(f.cost for f in begun if not is_at_bound(f))])
+    started = [f for f in map_candidates(start_refit, promising, here, train) if f is not None]
+    lowest_cost = min([reached, *(f.cost for f in started if not is_at_bound(f))])
 
-    def go_on(found: JointFit) -> CandidateEvidence | None:
-        # Four steps away from a start that is right to first order: what is far behind stays there.
+    def finish_refit(found: JointFit) -> CandidateEvidence | None:
+        # The start is right to first order: what is far behind after four steps stays behind.
         if budget.is_spent():
             return CandidateEvidence(found, evaluate_held_out(found, held))
         report_candidate("weighing", found.candidate.terms[-1], here, 0.6)
-        if found.converged or found.cost - near >= 0.5 * (here.cost - near):
+        if found.converged or found.cost - lowest_cost >= 0.5 * (here.cost - lowest_cost):
             return evidence_if_finite(lambda: found, held)
         further = partial(fit, found.layout, train, found.p, found.candidate, known=found.evaluation)
         return evidence_if_finite(partial(further, iterations=10), held)
 
-    trials = map_candidates(go_on, begun, here, [*train, *held])
+    trials = map_candidates(finish_refit, started, here, [*train, *held])
     return [t for t in trials if t is not None and not is_at_bound(t.fit) and not is_smaller_model(t)]
 
 
@@ -131,24 +135,24 @@ def add_trials_from_other_start(
 ) -> list[CandidateEvidence]:
     """The ``trials`` and, where none of them explains the records, those from other linear parameters.
 
-    A strong cause bends the linear fit without effects so far that no step leads back: friction of a far mass
-    takes a spring and a damper apart. The identification fits friction along, so its parameters (``start``)
-    may be right where the fit without is not.
+    A strong cause can bias the linear fit without effects so far that no step leads back: friction of a far
+    mass changes a spring and a damper. The identification fits friction along, so its parameters ``start``
+    (n,) may be right where those of the fit are not.
     """
     best = min((t.fit.cost for t in trials), default=np.inf)
     if best < UNEXPLAINED * here.dof or here.candidate.terms or start.size != here.p.size:
         return list(trials)
-    there = evidence_if_finite(lambda: fit(here.layout, train, start, Candidate(), iterations=0), held)
-    if there is None:
+    other = evidence_if_finite(lambda: fit(here.layout, train, start, Candidate(), iterations=0), held)
+    if other is None:
         return list(trials)
-    scores = [s for s in screen_candidates(Screen(there.fit), terms) if s.term.effect.cause != "torque_delay"]
-    others = refit_candidates(there.fit, train, held, scores, no_least_gain, best)
+    scores = [s for s in screen_candidates(Screen(other.fit), terms) if s.term.effect.cause != "torque_delay"]
+    others = refit_candidates(other.fit, train, held, scores, no_least_gain, best)
     if not others:
         return list(trials)
-    # Where the linear parameters alone gain more than the cause, it is no cause's doing.
-    least = min(others, key=lambda t: t.fit.cost).fit
-    alone = fit_if_finite(lambda: fit(here.layout, train, least.p, Candidate(), iterations=20))
-    if alone is None or here.cost - alone.cost > alone.cost - least.cost:
+    # Where the other linear parameters alone gain more than the cause adds, the gain is not the cause's.
+    cheapest = min(others, key=lambda t: t.fit.cost).fit
+    without_cause = fit_if_finite(lambda: fit(here.layout, train, cheapest.p, Candidate(), iterations=20))
+    if without_cause is None or here.cost - without_cause.cost > without_cause.cost - cheapest.cost:
         return list(trials)
     found = {(t.term.effect.cause, t.term.place): t for t in trials}
     for trial in others:
@@ -165,38 +169,41 @@ def rivals_of_best(
     train: Sequence[SpectralRecord],
     held: Sequence[SpectralRecord],
 ) -> list[CandidateEvidence]:
-    """Candidates that promised as much as the best one and did not get there, from its linear parameters.
+    """Refits of candidates that the screen ranked as high as the best one, from the best one's linear
+    parameters.
 
-    A strong cause bends the linear fit without it. Whichever candidate finds the way back from there would
-    stand without the rivals that explain as much and only lost their way.
+    A strong cause biases the linear fit without it. The candidate whose fit leads back from there would else
+    have no rivals, although others explain as much and only their fits ended elsewhere.
     """
-    plain = [t for t in trials if t.fit.p.size == here.p.size]
-    if not plain:
+    comparable = [t for t in trials if t.fit.p.size == here.p.size]
+    if not comparable:
         return []
-    best = min(plain, key=lambda t: t.fit.cost)
-    gain = {_key(s.term): s.gain for s in scores}
-    arrived = {_key(t.term) for t in plain if t.fit.converged or t is best}
-    promised = NEARLY * gain.get(_key(best.term), np.inf)
-    lost = [s.term for s in scores[:REFITTED] if s.gain >= promised and _key(s.term) not in arrived]
-    if not lost:
+    best = min(comparable, key=lambda t: t.fit.cost)
+    gain = {_cause_and_place(s.term): s.gain for s in scores}
+    settled = {_cause_and_place(t.term) for t in comparable if t.fit.converged or t is best}
+    least_gain = NEARLY * gain.get(_cause_and_place(best.term), np.inf)
+    stranded = [
+        s.term for s in scores[:REFITTED] if s.gain >= least_gain and _cause_and_place(s.term) not in settled
+    ]
+    if not stranded:
         return []
-    there = fit_if_finite(partial(fit, here.layout, train, best.fit.p, here.candidate, iterations=0))
-    if there is None:
+    at_best = fit_if_finite(partial(fit, here.layout, train, best.fit.p, here.candidate, iterations=0))
+    if at_best is None:
         return []
     return refit_candidates(
-        there, train, held, screen_candidates(Screen(there), lost), no_least_gain, best.fit.cost
+        at_best, train, held, screen_candidates(Screen(at_best), stranded), no_least_gain, best.fit.cost
     )
 
 
-def _key(term: PlacedEffect) -> tuple[str, Place]:
+def _cause_and_place(term: PlacedEffect) -> tuple[str, Place]:
     return term.effect.cause, term.place
 
 
 def is_smaller_model(trial: CandidateEvidence) -> bool:
-    """A larger friction model that is Coulomb or viscous friction to within a tenth.
+    """Whether a larger friction model is Coulomb or viscous friction to within a tenth.
 
-    Empirical: the motion of inner masses is reconstructed to a few per cent, and so is the law there;
-    what a larger model gains by that is no asymmetry and no Stribeck effect.
+    Empirical: the motion of inner masses is reconstructed to a few per cent, and so is the law there; what a
+    larger model gains by that is no asymmetry and no Stribeck effect.
     """
     x, cause = trial.x, trial.term.effect.cause
     if cause == "stribeck_friction":

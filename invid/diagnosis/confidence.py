@@ -1,4 +1,4 @@
-"""From a selection to findings: how sure, what competes, and whether to name anything at all."""
+"""Findings of a selection: confidence, alternatives, and whether anything may be named."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from invid.diagnosis.evidence import (
     is_size_significant,
     unearned_phase_penalty,
 )
-from invid.diagnosis.outcome import Cause, competes, finding_of, likelihood_share
+from invid.diagnosis.outcome import Cause, finding_of, is_rival, likelihood_share
 from invid.diagnosis.selection import Selection
 from invid.diagnosis.thresholds import (
     AT_FLOOR,
@@ -34,34 +34,37 @@ from invid.model.document import EffectTerm, Estimate
 from invid.numerics.arrays import Float64
 from invid.recording.model import Recording
 
-SLOW = 400.0
-"""χ² gain of dry friction below which a Stribeck effect is not excluded, where none was fitted: forty per
-cent more torque in the sixth of the time that is slow is a fortieth of dry friction's power, and 9 (3 σ) of
-that needs 400. On paper; no campaign counted it."""
-SPRING = (
+STRIBECK_EXCLUDED = 400.0
+"""χ² gain of dry friction below which a Stribeck effect is not excluded where none was fitted. Physical: 40 %
+more torque in the sixth of the time that is slow is 1/40 of the power of dry friction; 3 σ (χ² 9) of that
+needs 400."""
+SPRING_DOUBT = (
     "It may as well be a spring to ground, such as a hose or a cable: no constant torque comes with it. Move "
     "the axis by some tens of degrees and measure again."
 )
-"""Said of a weight in balance, which the catalogue knows and a spring from a load to ground it does not."""
-GRADUAL = 0.1
-"""Rounding over Stribeck velocity above which friction still rises where a Stribeck effect falls: nothing of
-it is static. On paper, and from a tester's eddy-current brakes, named Stribeck friction at 0.97."""
-FADES = 5.0
-"""Static friction over the Coulomb level from where on it is no contact that begins to slide: those of the
-literature lose up to two thirds. On paper."""
-BRAKE = (
+"""Doubt of a weight in balance: a spring from a load to ground is not in the catalogue."""
+MOST_ROUNDING = 0.1
+"""Rounding over Stribeck velocity above which friction still rises where a Stribeck effect falls, so that
+nothing of it is static. Physical; checked on eddy-current brakes, which were named Stribeck friction at
+0.97."""
+MOST_STATIC = 5.0
+"""Static over Coulomb friction above which it is no contact that begins to slide. Physical: in the literature
+dry friction loses up to two thirds."""
+BRAKE_DOUBT = (
     "It may as well be a resistance that no contact makes, such as an eddy-current brake: it hardly starts "
     "at rest, or hardly anything of it stays at speed. Move the axis slowly at constant speeds: dry friction "
     "stays at the slowest."
 )
-"""Said of Stribeck friction without one of the two levels that it is named for."""
-STICKS = 0.4
-"""Static friction over the Coulomb level, less one, from where on a Stribeck effect is one: as in SLOW."""
+"""Doubt of Stribeck friction without one of the two levels that define it."""
+LEAST_STATIC = 0.4
+"""Static over Coulomb friction, less one, from which a Stribeck effect counts as one. Physical, as for
+``STRIBECK_EXCLUDED``."""
 
 
 @dataclass(frozen=True, eq=False)
 class Judgement:
-    """What may be said."""
+    """Findings of a selection; whether they may be ``named`` and are ``complete``; explained share of the
+    excess χ²."""
 
     findings: tuple[Finding, ...]
     named: bool
@@ -71,14 +74,14 @@ class Judgement:
 
 
 def judge(selection: Selection, recording: Recording, after: NullTest) -> Judgement:
-    """Findings with confidence and alternatives."""
+    """Findings of a selection with confidence and alternatives; ``after``: null test with all causes."""
     if not selection.steps:
         return Judgement((), False, False, 0.0)
     base, final = selection.base, selection.final
     before = base.excess
-    left = final.excess
+    remainder = final.excess
     total = base.cost - final.cost
-    explained = float(np.clip(1.0 - max(left, 0.0) / max(before, total, 1e-300), 0.0, 1.0))
+    explained = float(np.clip(1.0 - max(remainder, 0.0) / max(before, total, 1e-300), 0.0, 1.0))
     held_before = base.held.cost - base.held.dof
     held_left = final.held.cost - final.held.dof
     held = 1.0 - max(held_left, 0.0) / max(held_before, base.held.cost - final.held.cost, 1e-300)
@@ -88,15 +91,16 @@ def judge(selection: Selection, recording: Recording, after: NullTest) -> Judgem
     )
     complete = not after.rejects or (explained > BROUGHT_DOWN and is_at_floor(final))
     named = explained >= NAMED or (explained >= MOST_OF_CHI2 and _power_explained(base, final) >= NAMED)
-    if selection.partly:
+    if selection.only_independent:
         named, complete = True, False
     return Judgement(findings, named, complete, explained)
 
 
 def is_at_floor(final: CandidateEvidence) -> bool:
-    """Whether every axis' held-out missing torque is within 1.2 times its floor: what ``residual`` shows.
+    """Whether the held-out missing torque of every axis is within 1.2 times its floor, as ``residual`` shows
+    it.
 
-    χ² says less: a rest on a few lines weighs little among many, and is what the torque still lacks.
+    χ² alone is weaker: an excess on a few lines weighs little among many, and the torque still lacks it.
     """
     motors = final.fit.layout.structure.motors
     pairs = [rms_torque(final.held, i) for i in range(motors)]
@@ -104,7 +108,7 @@ def is_at_floor(final: CandidateEvidence) -> bool:
 
 
 def _power_explained(base: CandidateEvidence, final: CandidateEvidence) -> float:
-    """The contract's explained fraction: power of the torque missing on held-out data, noise taken off."""
+    """Explained share of the power of the missing held-out torque, noise subtracted (contract)."""
     motors = base.fit.layout.structure.motors
     before = [rms_torque(base.held, i) for i in range(motors)]
     after = [rms_torque(final.held, i) for i in range(motors)]
@@ -114,48 +118,48 @@ def _power_explained(base: CandidateEvidence, final: CandidateEvidence) -> float
 
 
 def parameter_estimates(trial: CandidateEvidence, number: int, linear: bool) -> dict[str, Estimate]:
-    """The contract's parameters of one effect with their standard deviations."""
+    """Parameters of one effect with standard deviations, named and in the units of the contract."""
     term, x = trial.fit.candidate.terms[number], trial.fit.candidate.x[number]
     covariance = trial.fit.covariance_of(number)
     values = term.effect.values(x.tolist(), term.place)
     jacobian = np.zeros((len(values), x.size))
     for k in range(x.size):
         h = 1e-5 * max(abs(float(x[k])), 1e-9)
-        moved = x.copy()
-        moved[k] += h
-        changed = term.effect.values(moved.tolist(), term.place)
+        shifted = x.copy()
+        shifted[k] += h
+        changed = term.effect.values(shifted.tolist(), term.place)
         jacobian[:, k] = [(changed[n] - values[n]) / h for n in values]
-    # What the data do not see (the moment of a change between two records) is no reason to lose the rest.
-    seen = np.isfinite(np.diag(covariance))
-    known = jacobian[:, seen]
-    variance = np.einsum("ik,kl,il->i", known, covariance[np.ix_(seen, seen)], known)
-    variance[(jacobian[:, ~seen] != 0).any(axis=1)] = np.inf
-    if term.effect.coefficients == ("sine", "cosine") and seen[:2].all():
-        variance[0] = max(variance[0], _of_amplitude(x[:2], covariance[:2, :2]))
+    # Parameters that the data do not determine (when a load changed between two records) leave the others.
+    is_finite = np.isfinite(np.diag(covariance))
+    known = jacobian[:, is_finite]
+    variance = np.einsum("ik,kl,il->i", known, covariance[np.ix_(is_finite, is_finite)], known)
+    variance[(jacobian[:, ~is_finite] != 0).any(axis=1)] = np.inf
+    if term.effect.coefficients == ("sine", "cosine") and is_finite[:2].all():
+        variance[0] = max(variance[0], _amplitude_variance(x[:2], covariance[:2, :2]))
     out = {}
     for (name, value), v in zip(values.items(), variance, strict=True):
         std = float(np.sqrt(v)) if np.isfinite(v) and v > 0 else None
         if std is None and name == "time":
-            std = _gap(trial, value) / float(np.sqrt(12.0))
+            std = _gap_length(trial, value) / float(np.sqrt(12.0))
         out[name] = Estimate(value, std, unit_of(term.effect.parameters[name], linear))
     return out
 
 
-def _of_amplitude(x: Float64, covariance: Float64) -> float:
-    """Variance of √(sine² + cosine²), as far as it goes within three standard deviations of the two.
+def _amplitude_variance(x: Float64, covariance: Float64) -> float:
+    """Variance of √(sine² + cosine²), from its change at ±3 standard deviations along the principal axes.
 
-    Where one of them is about zero and known much worse (a wave seen over a small part of its cycle), the
-    slope there says that it does not matter.
+    Where one of the two is near zero and known much worse (a wave seen over a small part of its cycle) the
+    derivative there would say that it does not matter.
     """
     sizes, axes = np.linalg.eigh(covariance)
     steps = 3.0 * np.sqrt(np.maximum(sizes, 0.0)) * axes
-    moved = np.hypot(*np.concatenate((x[:, None] + steps, x[:, None] - steps), axis=1))
-    change = np.abs(moved - np.hypot(*x)).reshape(2, -1).max(axis=0) / 3.0
+    shifted = np.hypot(*np.concatenate((x[:, None] + steps, x[:, None] - steps), axis=1))
+    change = np.abs(shifted - np.hypot(*x)).reshape(2, -1).max(axis=0) / 3.0
     return float(change @ change)
 
 
-def _gap(trial: CandidateEvidence, time: float) -> float:
-    """Length of the gap between records in which ``time`` lies: anywhere in it the data are the same."""
+def _gap_length(trial: CandidateEvidence, time: float) -> float:
+    """Length [s] of the gap between records in which ``time`` lies; the data are the same anywhere in it."""
     records = [*trial.fit.evaluation.records, *trial.held.records]
     before = max((r.end_time for r in records if r.end_time <= time + r.step), default=time)
     after = min((r.start_time for r in records if r.start_time >= time - r.step), default=time)
@@ -163,7 +167,7 @@ def _gap(trial: CandidateEvidence, time: float) -> float:
 
 
 def effect_term(trial: CandidateEvidence, number: int, recording: Recording) -> EffectTerm:
-    """One effect in the model's terms."""
+    """One effect of a fit as a term of the model document."""
     term = trial.fit.candidate.terms[number]
     parameters = parameter_estimates(trial, number, recording.linear)
     if isinstance(term.effect, DryLaw) and term.effect.rounding > 0:
@@ -178,7 +182,7 @@ def effect_term(trial: CandidateEvidence, number: int, recording: Recording) -> 
     )
 
 
-def _rms(trial: CandidateEvidence) -> float:
+def _total_rms(trial: CandidateEvidence) -> float:
     motors = trial.fit.layout.structure.motors
     return float(np.sqrt(sum(rms_torque(trial.held, i)[0] ** 2 for i in range(motors))))
 
@@ -203,23 +207,37 @@ def _finding(selection: Selection, number: int, recording: Recording, explained:
         )
         for t in rivals
     )
-    alternatives += _other_scale(final, term, recording, alternatives)
-    alternatives += _slow_friction(step, recording, alternatives)
+    alternatives += _gain_alternative(final, term, recording, alternatives)
+    alternatives += _stribeck_alternative(step, recording, alternatives)
     axis = term.place.axis
     before, after = _axis_rms(step.before, axis), _axis_rms(step.chosen, axis)
     total = sum(s.before.cost - s.chosen.cost for s in selection.steps)
     fraction = float(np.clip((step.before.cost - step.chosen.cost) / max(total, 1e-300), 0, 1)) * explained
-    said = (SPRING,) if _like_a_spring(final.fit, at) else (BRAKE,) if is_degenerate_stribeck(effect) else ()
-    cause = Cause(
-        effect, before, after, fraction, share, alternatives, is_size_significant(final.fit, at), doubts=said
+    doubts = (
+        (SPRING_DOUBT,)
+        if _is_like_spring(final.fit, at)
+        else (BRAKE_DOUBT,)
+        if is_degenerate_stribeck(effect)
+        else ()
     )
-    near = final.cost <= AT_FLOOR * final.dof and not selection.partly
+    cause = Cause(
+        effect,
+        before,
+        after,
+        fraction,
+        share,
+        alternatives,
+        is_size_significant(final.fit, at),
+        doubts=doubts,
+    )
+    near = final.cost <= AT_FLOOR * final.dof and not selection.only_independent
     sizes = final.fit.layout.structure.sizes
-    return finding_of(cause, explained, sizes, recording.axes, at_noise=near, own=selection.partly)
+    return finding_of(cause, explained, sizes, recording.axes, at_noise=near, own=selection.only_independent)
 
 
-def _like_a_spring(fit: JointFit, at: int) -> bool:
-    """Whether a weight hangs in balance, as far as the records tell: only stiffness, no constant torque."""
+def _is_like_spring(fit: JointFit, at: int) -> bool:
+    """Whether gravity is fitted by its stiffness alone, with no significant constant torque (a weight in
+    balance)."""
     if fit.candidate.terms[at].effect.cause != "gravity":
         return False
     constant, std = float(fit.candidate.x[at][1]), float(np.sqrt(fit.covariance_of(at)[1, 1]))
@@ -227,19 +245,20 @@ def _like_a_spring(fit: JointFit, at: int) -> bool:
 
 
 def is_degenerate_stribeck(effect: EffectTerm) -> bool:
-    """Whether Stribeck friction lacks its static part, or a Coulomb level by three standard deviations."""
+    """Whether Stribeck friction has no static part, or no Coulomb level (by three standard deviations)."""
     if effect.cause != "stribeck_friction":
         return False
     at = effect.parameters
-    gradual = ROUNDING in at and at[ROUNDING].value > GRADUAL * at["velocity"].value
+    gradual = ROUNDING in at and at[ROUNDING].value > MOST_ROUNDING * at["velocity"].value
     level = at["coulomb"].value + 3.0 * (at["coulomb"].std or 0.0)
-    return gradual or at["static"].value > FADES * level
+    return gradual or at["static"].value > MOST_STATIC * level
 
 
-def _slow_friction(
+def _stribeck_alternative(
     step: Step, recording: Recording, known: tuple[Alternative, ...]
 ) -> tuple[Alternative, ...]:
-    """Stribeck friction beside dry friction that is too weak to tell what it does at slow speed."""
+    """Stribeck friction as alternative to dry friction that is too weak to show what it does at slow
+    speed."""
     term, chosen = step.chosen.term, step.chosen
     if term.effect.cause != "coulomb_friction" or any(a.cause == "stribeck_friction" for a in known):
         return ()
@@ -248,28 +267,30 @@ def _slow_friction(
         t for t, _ in step.ranked if t.term.effect.cause == "stribeck_friction" and t.term.place == term.place
     ]
     if fitted:
-        if not _sticks(fitted[0], chosen):
+        if not _is_stribeck_likely(fitted[0], chosen):
             return ()
-    elif step.before.cost - chosen.cost > SLOW * chosen.dispersion:
+    elif step.before.cost - chosen.cost > STRIBECK_EXCLUDED * chosen.dispersion:
         return ()
     return (
         Alternative("stribeck_friction", recording.axes[axis], term.place.element, _axis_rms(chosen, axis)),
     )
 
 
-def _sticks(slow: CandidateEvidence, dry: CandidateEvidence) -> bool:
-    """Whether a fitted Stribeck effect gains what its parameters do by chance, and is as large as one is."""
+def _is_stribeck_likely(slow: CandidateEvidence, dry: CandidateEvidence) -> bool:
+    """Whether a fitted Stribeck effect gains more than its parameters do by chance and may be as large as
+    usual."""
     std = float(np.sqrt(max(slow.fit.covariance_of(-1)[1, 1], 0.0)))
     gained = (dry.cost - slow.cost) / dry.dispersion
-    return gained > slow.term.size - dry.term.size and float(slow.x[1]) + 2.0 * std > STICKS * float(
+    return gained > slow.term.size - dry.term.size and float(slow.x[1]) + 2.0 * std > LEAST_STATIC * float(
         slow.x[0]
     )
 
 
-def _other_scale(
+def _gain_alternative(
     final: CandidateEvidence, term: PlacedEffect, recording: Recording, known: tuple[Alternative, ...]
 ) -> tuple[Alternative, ...]:
-    """With two axes, one's torque scaled by g and the other's by 1/g are the same data."""
+    """The other axis' torque gain as alternative: of two axes, g on one and 1/g on the other give the same
+    data."""
     if term.effect.cause != "torque_gain" or recording.axis_count != 2:
         return ()
     axis = 1 - term.place.axis
@@ -278,31 +299,32 @@ def _other_scale(
     return (Alternative("torque_gain", recording.axes[axis], None, _axis_rms(final, axis), None),)
 
 
-def _rivals(step: Step, left: float) -> tuple[list[CandidateEvidence], float]:
+def _rivals(step: Step, remainder: float) -> tuple[list[CandidateEvidence], float]:
     """Candidates that the data cannot tell from the chosen one, and its share of the likelihood."""
     rows = step.before.fit.dof
     scores: Float64 = np.array([s - unearned_phase_penalty(t, rows) for t, s in step.ranked])
-    # Weight is weight, at the load or at the motor: the other end is an alternative, no doubt of the cause.
-    own = [n == 0 or _same_weight(t.term, step.ranked[0][0].term) for n, (t, _) in enumerate(step.ranked)]
+    # Gravity at the load or at the motor is one cause: the other place is an alternative, not a doubt.
+    own = [n == 0 or _is_same_weight(t.term, step.ranked[0][0].term) for n, (t, _) in enumerate(step.ranked)]
     chosen, best = step.ranked[0][1], step.chosen
     rivals = [
         t
         for t, s in sorted(step.ranked[1:], key=lambda ranked: ranked[1] - chosen >= COMPETES)
-        if competes(s - chosen, t.cost - best.cost, left) and _competes(step, t)
+        if is_rival(s - chosen, t.cost - best.cost, remainder) and _is_separate_model(step, t)
     ]
     return rivals, likelihood_share(scores, own)
 
 
-def _same_weight(one: PlacedEffect, other: PlacedEffect) -> bool:
+def _is_same_weight(one: PlacedEffect, other: PlacedEffect) -> bool:
     """Whether both are gravity on the same axis."""
     return one.effect.cause == other.effect.cause == "gravity" and one.place.axis == other.place.axis
 
 
-def _competes(step: Step, rival: CandidateEvidence) -> bool:
-    """Not a larger friction model at the same place that gains nothing by being larger.
+def _is_separate_model(step: Step, rival: CandidateEvidence) -> bool:
+    """Whether a rival is more than a larger friction model at the same place that gains nothing by being
+    larger.
 
-    Nested models always fit as well; the smaller is the answer unless the larger gains what its
-    parameters may by chance once in a hundred.
+    Nested models always fit as well. The smaller is the answer unless the larger gains what its parameters
+    gain by chance once in a hundred (χ²).
     """
     if rival.term.effect.is_null(rival.x.tolist()):
         return False

@@ -1,6 +1,7 @@
-"""Does it matter: the grade of every finding with its reason, the order of the findings, the headline.
+"""Consequences of findings: grade with reason, order of the findings, headline.
 
-One place for what the words of a diagnosis promise, whichever engine found them (``grade_consequences``).
+One place for what the words of a diagnosis promise, for elastic and rigid machines alike
+(``grade_consequences``).
 """
 
 from __future__ import annotations
@@ -13,18 +14,18 @@ import numpy as np
 from invid.config import CellConfig, parse_config
 from invid.diagnosis.headline import headline
 from invid.effects.registry import effect_of
-from invid.effects.sizes import Machine, Size, measured
+from invid.effects.sizes import Machine, Size, measured_sizes
 from invid.errors import ConfigError
 from invid.model.diagnosis_document import Consequence, Diagnosis, Finding, Grade
 from invid.model.document import EffectTerm
 from invid.recording.model import Recording
 
-_STEP = 10
-"""Samples over which a speed is taken: a single one would be that of the encoder's last count."""
+SPEED_SAMPLES = 10
+"""Samples over which a speed is taken; over one sample it would be that of one encoder count."""
 
 
 def machine_of(diagnosis: Diagnosis, recording: Recording) -> tuple[Machine, list[str]]:
-    """What sizes are compared with, from the recording and the config that it carries; and warnings."""
+    """What sizes are compared with, from the recording and the config in it; and warnings."""
     config, warnings = None, []
     if recording.config:
         try:
@@ -43,7 +44,7 @@ def machine_of(diagnosis: Diagnosis, recording: Recording) -> tuple[Machine, lis
     for name, axis in axes.items():
         if axis.rated_torque is not None:
             rated.setdefault(name, axis.rated_torque)
-    speed = {name: _fastest(recording, i) for i, name in enumerate(recording.axes)}
+    speed = {name: _top_speed(recording, i) for i, name in enumerate(recording.axes)}
     speed |= {name: axis.limits.velocity for name, axis in axes.items()}
     return Machine(
         chains=diagnosis.model.chains,
@@ -51,30 +52,30 @@ def machine_of(diagnosis: Diagnosis, recording: Recording) -> tuple[Machine, lis
         rated=rated,
         speed=speed,
         duration=sum(e.duration for e in recording.experiments),
-        acceptable=_acceptable(config),
+        acceptable=_accepted_limits(config),
     ), warnings
 
 
-def _acceptable(config: CellConfig | None) -> dict[str, dict[str, float]]:
+def _accepted_limits(config: CellConfig | None) -> dict[str, dict[str, float]]:
     axes = () if config is None else config.axes
     return {a.name: a.acceptable.model_dump(exclude_none=True) for a in axes}
 
 
-def _fastest(recording: Recording, axis: int) -> float:
+def _top_speed(recording: Recording, axis: int) -> float:
     """Largest speed of an axis in the recording [rad/s or m/s]."""
     speeds = [0.0]
     for e in recording.experiments:
-        if e.samples > _STEP:
-            moved = e.position[_STEP:, axis] - e.position[:-_STEP, axis]
-            speeds.append(float(np.nanmax(np.abs(moved))) * e.sample_rate_hz / _STEP)
+        if e.samples > SPEED_SAMPLES:
+            travel = e.position[SPEED_SAMPLES:, axis] - e.position[:-SPEED_SAMPLES, axis]
+            speeds.append(float(np.nanmax(np.abs(travel))) * e.sample_rate_hz / SPEED_SAMPLES)
     return max(speeds)
 
 
 def consequence_of(term: EffectTerm, machine: Machine) -> Consequence:
-    """Grade, sizes and reason of one effect: own limits first, then published figures, else neither."""
+    """Grade, sizes and reason of one effect: by the limits of the config first, then by published figures."""
     effect = effect_of(term.cause)
     declared = () if effect is None else effect.sizes
-    found = measured(declared, term, machine)
+    found = measured_sizes(declared, term, machine)
     sizes = {size.quantity.name: value for size, value in found}
     text = ", ".join(size.phrase(value, machine.linear) for size, value in found)
     share = max((value for size, value in found if size.quantity.torque), default=None)
@@ -88,21 +89,23 @@ def consequence_of(term: EffectTerm, machine: Machine) -> Consequence:
         elif size.expected is not None and size.serious is not None and (size.linear or not machine.linear):
             grade = Grade.ACT if value > size.serious else Grade.WATCH
             grade = Grade.AS_EXPECTED if value <= size.expected else grade
-            judged.append((grade, _usual(size, size.expected, machine.linear), size.source))
+            judged.append((grade, _usual_text(size, size.expected, machine.linear), size.source))
     if not judged:
-        return Consequence(Grade.WATCH, text, _no_figure(term, machine, declared, sizes), share, None, sizes)
+        return Consequence(
+            Grade.WATCH, text, _no_figure_reason(term, machine, declared, sizes), share, None, sizes
+        )
     grade, reason, source = min(judged, key=lambda j: j[0].rank)
     return Consequence(grade, text, reason, share, source, sizes)
 
 
-def _usual(size: Size, expected: float, linear: bool) -> str:
-    """Up to where such drives are like that; by physics there may be nothing beside it."""
+def _usual_text(size: Size, expected: float, linear: bool) -> str:
+    """Text of the largest usual size; "none is expected" where physics allows none."""
     if expected == 0:
         return "none is expected"
     return f"up to {size.number(expected, linear)} is usual for such drives"
 
 
-def _no_figure(
+def _no_figure_reason(
     term: EffectTerm, machine: Machine, declared: Sequence[Size], sizes: Mapping[str, float]
 ) -> str:
     wanted = {s.quantity.name for s in declared if s.expected is not None}
@@ -112,15 +115,15 @@ def _no_figure(
 
 
 def grade_consequences(diagnosis: Diagnosis, recording: Recording) -> Diagnosis:
-    """The same diagnosis, graded: findings by consequence, and a headline."""
+    """The diagnosis with its findings graded and sorted by consequence, and with a headline."""
     machine, warnings = machine_of(diagnosis, recording)
-    graded = [_graded(f, machine) for f in diagnosis.findings]
+    graded = [_grade_finding(f, machine) for f in diagnosis.findings]
     rank = {id(f): _rank(f) for f in graded}
     findings = tuple(sorted(graded, key=lambda f: rank[id(f)]))
     result = replace(
         diagnosis,
         findings=findings,
-        sentences=_sentences(diagnosis, graded, findings),
+        sentences=_reorder_sentences(diagnosis, graded, findings),
         warnings=tuple(dict.fromkeys([*diagnosis.warnings, *warnings])),
     )
     # A later comparison asks whether a cause that is not in the model was looked for.
@@ -129,40 +132,41 @@ def grade_consequences(diagnosis: Diagnosis, recording: Recording) -> Diagnosis:
     return replace(result, headline=headline(result))
 
 
-def _graded(finding: Finding, machine: Machine) -> Finding:
+def _grade_finding(finding: Finding, machine: Machine) -> Finding:
     consequence = consequence_of(finding.effect, machine)
     return replace(
         finding,
         consequence=consequence,
-        sentence=_with_grade(finding, consequence),
+        sentence=_graded_sentence(finding, consequence),
     )
 
 
 def _rank(finding: Finding) -> tuple[int, float]:
-    """Most serious first; within a grade what it gains."""
+    """Sort key of a finding: most serious first, within a grade by what it explains."""
     grade = Grade.WATCH if finding.consequence is None else finding.consequence.grade
     return grade.rank, -finding.fraction
 
 
-def _with_grade(finding: Finding, consequence: Consequence) -> str:
-    """The finding's sentence with what it means; what is as expected asks nobody to check anything."""
-    effect, said = effect_of(finding.effect.cause), finding.sentence
-    if not said or not consequence.text:
-        return said
+def _graded_sentence(finding: Finding, consequence: Consequence) -> str:
+    """The finding's sentence with its consequence; the advice to check is left out where all is as
+    expected."""
+    effect, sentence = effect_of(finding.effect.cause), finding.sentence
+    if not sentence or not consequence.text:
+        return sentence
     if effect is not None and consequence.grade is Grade.AS_EXPECTED:
-        said = said.removesuffix(f" {effect.check}")
+        sentence = sentence.removesuffix(f" {effect.check}")
     size = consequence.text[:1].upper() + consequence.text[1:]
     if consequence.source is None:
-        return f"{said.rstrip('.')}. {size}."
+        return f"{sentence.rstrip('.')}. {size}."
     how = "as expected" if consequence.grade is Grade.AS_EXPECTED else "too much"
     how = "more than usual" if consequence.grade is Grade.WATCH else how
-    return f"{said.rstrip('.')}. {size}: {how} ({consequence.reason})."
+    return f"{sentence.rstrip('.')}. {size}: {how} ({consequence.reason})."
 
 
-def _sentences(
+def _reorder_sentences(
     diagnosis: Diagnosis, graded: Sequence[Finding], findings: Sequence[Finding]
 ) -> tuple[str, ...]:
-    """The diagnosis' sentences, those of findings by consequence in the places where they stood."""
+    """The diagnosis' sentences with those of the findings in the new order, at the same positions."""
     own = [f.sentence for f in diagnosis.findings]
     ordered = iter([f.sentence for f in findings if f.sentence])
     if sum(s in own for s in diagnosis.sentences) != sum(bool(f.sentence) for f in graded):

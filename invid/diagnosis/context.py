@@ -1,8 +1,8 @@
-"""Which special rules a diagnosis may use, and what those that it asked did.
+"""Special rules that a diagnosis may use, and a record of what those that it called did.
 
-The search, the fits before it and the verdict know no rule: they ask the context by name
-(``apply_rule("friction-ladder", step, …)``), which runs the rule, or where it is switched off hands back what
-would be there without it.
+The search, the fits before it and the verdict know no rule: they call the context by name
+(``apply_rule("friction-ladder", step, …)``), which runs the rule or, where it is switched off, returns what
+there would be without it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from invid.numerics import budget
 
 
 class Stage(StrEnum):
-    """What a rule is handed, and what it hands on."""
+    """Kind of object that a rule receives and returns."""
 
     DATA = "data"
     """Recording or records before the search."""
@@ -39,12 +39,12 @@ class Stage(StrEnum):
 
 
 CHEAP = (Stage.DATA, Stage.VERDICT)
-"""Stages whose rules look and fit little: they are asked when a budget is spent, too."""
+"""Stages whose rules are so cheap that they run even when the budget is spent."""
 
 
 @dataclass(frozen=True)
 class Rule:
-    """What the general search does not do by itself: another start, candidate or doubt.
+    """Something that the general search does not do by itself: another start, candidate or doubt.
 
     Attributes
     ----------
@@ -53,12 +53,12 @@ class Rule:
     reason, source
         One sentence of physics or statistics; where it is from.
     apply
-        Takes what is there (first) and what it needs beside; hands back what it was given where it finds
+        Takes the object (first) and what the rule needs besides; returns the object unchanged where it finds
         nothing.
     without
-        What is handed on instead, of the same arguments; default: the first of them.
+        What is returned instead, of the same arguments; default: the first of them.
     applies
-        Of the same arguments: whether there is anything to look at; it fits nothing.
+        Of the same arguments: whether the rule has anything to examine; fits nothing.
     """
 
     name: str
@@ -72,7 +72,7 @@ class Rule:
 
 @dataclass(frozen=True)
 class RuleUse:
-    """One rule that applied: whether it changed anything, χ² before and after, and its processor time [s]."""
+    """One call of a rule: whether it changed anything, χ² before and after, and its processor time [s]."""
 
     rule: str
     stage: Stage
@@ -96,10 +96,10 @@ class RuleUse:
 
 @dataclass(eq=False)
 class Context:
-    """The rules of one diagnosis that are switched off, and those that were asked.
+    """The rules of one diagnosis that are switched off, and the calls of the others.
 
-    ``clock`` is the processor's, where the price of rules is measured; documents of one recording are alike
-    without it.
+    ``clock`` is that of the processor, given where the price of rules is measured; without it two documents
+    of one recording are equal.
     """
 
     without: frozenset[str] = frozenset()
@@ -107,15 +107,15 @@ class Context:
     searches: int = 0
     asked: list[RuleUse] = field(default_factory=list)
     latest: Context | None = None
-    """That of the diagnosis which ran last within this one: every rule that was asked there."""
+    """Context of the latest diagnosis within this one, with every rule that was called there."""
 
     def fresh(self) -> Context:
-        """The same switches, and nothing asked yet; kept as ``latest``."""
+        """A context with the same switches and no calls yet; kept as ``latest``."""
         self.latest = Context(self.without, self.clock)
         return self.latest
 
-    def fired(self) -> list[dict[str, Any]]:
-        """``details.rules``: the rules that changed anything, in the order in which they did."""
+    def fired_rules(self) -> list[dict[str, Any]]:
+        """Entries of ``details.rules``: the rules that changed anything, in that order."""
         return [a.to_json() for a in self.asked if a.changed]
 
 
@@ -123,13 +123,13 @@ _current: ContextVar[Context] = ContextVar("context of the diagnosis")
 
 
 def current_context() -> Context:
-    """The context of the diagnosis that runs; all rules on, where none does."""
+    """The context of the running diagnosis; one with all rules on where none runs."""
     return _current.get(Context())
 
 
 @contextmanager
 def use_context(context: Context) -> Iterator[Context]:
-    """Context manager: within it rules are asked in this context."""
+    """Context manager that makes ``context`` the current one."""
     token = _current.set(context)
     try:
         yield context
@@ -138,7 +138,13 @@ def use_context(context: Context) -> Iterator[Context]:
 
 
 def context_without(names: Collection[str], clock: Callable[[], float] | None = None) -> Context:
-    """A context with these rules off; InputError where there is no rule of a name."""
+    """A context with the rules ``names`` switched off.
+
+    Raises
+    ------
+    InputError
+        A name that no rule has.
+    """
     known = rules_by_name()
     for name in names:
         if name not in known:
@@ -147,46 +153,46 @@ def context_without(names: Collection[str], clock: Callable[[], float] | None = 
 
 
 def rules_by_name() -> Mapping[str, Rule]:
-    """All rules in the order in which they are asked."""
+    """All rules by name, in the order in which they are called."""
     known: Mapping[str, Rule] = rules.BY_NAME
     return known
 
 
 def apply_rule(name: str, *given: Any, **options: Any) -> Any:
-    """What a rule makes of what it is given; what there would be without it, where it is off."""
+    """The result of a rule for ``given``; what there would be without it where it is off or finds nothing."""
     rule, context = rules_by_name()[name], current_context()
     if name in context.without:
         return rule.without(*given, **options)
     if not rule.applies(*given, **options):
         return rule.without(*given, **options)
-    begin = 0.0 if context.clock is None else context.clock()
-    what = name.replace("-", " ")
-    if rule.stage not in CHEAP and budget.is_left_out(what):
+    started = 0.0 if context.clock is None else context.clock()
+    label = name.replace("-", " ")
+    if rule.stage not in CHEAP and budget.is_left_out(label):
         return rule.without(*given, **options)
     try:
         found = rule.apply(*given, **options)
     except budget.BudgetSpent:
-        budget.leave_out(what)
+        budget.leave_out(label)
         return rule.without(*given, **options)
-    spent = None if context.clock is None else context.clock() - begin
-    plain = rule.without(*given, **options)
+    cpu_s = None if context.clock is None else context.clock() - started
+    without = rule.without(*given, **options)
     costs = chi2_of(given[0] if given else None), chi2_of(found)
-    changed = not _same(found, plain)
+    changed = not _is_same(found, without)
     chi2 = None if not changed or costs[0] is None or costs[1] is None else (costs[0], costs[1])
-    context.asked.append(RuleUse(name, rule.stage, max(context.searches, 1), changed, chi2, spent))
+    context.asked.append(RuleUse(name, rule.stage, max(context.searches, 1), changed, chi2, cpu_s))
     return found
 
 
-def _same(one: object, other: object) -> bool:
-    """Whether a rule handed on what there would be without it."""
+def _is_same(one: object, other: object) -> bool:
+    """Whether a rule returned just what there would be without it."""
     if isinstance(one, list | tuple) and isinstance(other, list | tuple):
-        return len(one) == len(other) and all(_same(a, b) for a, b in zip(one, other, strict=True))
+        return len(one) == len(other) and all(_is_same(a, b) for a, b in zip(one, other, strict=True))
     return one is other or (isinstance(one, bool | float | str) and one == other)
 
 
 def chi2_of(value: object) -> float | None:
-    """χ² of what a rule hands on, where it has one: of a fit, a trial, a step, a selection or the best of
-    several."""
+    """χ² of what a rule returned: of a fit, a trial, a step, a selection or the best of several; else
+    ``None``."""
     for path in (("selection", "final", "cost"), ("final", "cost"), ("chosen", "cost"), ("cost",)):
         found: object = value
         for part in path:

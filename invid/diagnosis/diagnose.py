@@ -1,4 +1,4 @@
-"""The diagnosis of a recording: fit, test, select, judge, say."""
+"""The diagnosis of a recording: fit, search, judgement, check over time, sentences."""
 
 from __future__ import annotations
 
@@ -34,15 +34,15 @@ from invid.recording.model import Recording
 from invid.signals.encoder_glitches import remove_glitches
 from invid.signals.plausibility import check_units
 
-CLEARLY = 0.1
-"""Share of a hold from which it is worth a word that it acts inside the drive."""
+NOTABLE_SHARE = 0.1
+"""Share of a hold inside the drive from which a warning says so (empirical)."""
 
 TIME_TO_IDENTIFY, TIME_TO_SEARCH = 0.5, 0.85
-"""Share of a budget for the identification, and of the rest for the search; what remains is for the
-simulation over time and for what is said. A guess."""
+"""Share of the budget for the identification, and of the rest for the search; what remains is for the
+simulation over time and the sentences (empirical)."""
 
-OF_GIVEN = "the model given, of its own recording: "
-"""Before what the identification of a model warned of that was drawn from other data."""
+GIVEN_MODEL_PREFIX = "the model given, of its own recording: "
+"""Prefix of warnings that come from the identification of a model made from other data."""
 
 
 def diagnose(
@@ -65,46 +65,46 @@ def diagnose(
     InputError, NotIdentifiableError
         Data from which no model can be drawn, or a model that does not fit the recording's axes.
     """
-    recording, told = remove_glitches(recording)
-    # What a search tries far from the solution may overflow; it is told by its size and taken back.
+    recording, glitch_warnings = remove_glitches(recording)
+    # Steps far from the solution may overflow; the search sees it in their cost and takes them back.
     with use_context(current_context().fresh()) as context, np.errstate(all="ignore"):
         try:
-            result = _diagnosed(recording, model, masses)
+            result = _diagnose_clean(recording, model, masses)
         except np.linalg.LinAlgError as error:
             raise NotIdentifiableError(
                 f"{recording.source}: the model is so far from these records that no fit of both is finite "
                 f"({error}); give the model of this robot, or diagnose without one"
             ) from None
-        result = replace(result, details={**result.details, "rules": context.fired()})
-    cut = budget.warning()
-    if cut is not None:
+        result = replace(result, details={**result.details, "rules": context.fired_rules()})
+    budget_warning = budget.warning()
+    if budget_warning is not None:
         kept = [w for w in result.warnings if not w.startswith(budget.SPENT)]
-        result = replace(result, warnings=(*kept, cut))
-    if told:
-        result = replace(result, warnings=tuple(dict.fromkeys([*result.warnings, *told])))
+        result = replace(result, warnings=(*kept, budget_warning))
+    if glitch_warnings:
+        result = replace(result, warnings=tuple(dict.fromkeys([*result.warnings, *glitch_warnings])))
     return grade_consequences(result, recording)
 
 
-def _diagnosed(
+def _diagnose_clean(
     recording: Recording, model: Model | None, masses: Sequence[int] | Literal["auto"] | None
 ) -> Diagnosis:
-    """The diagnosis of a recording without glitches."""
+    """The diagnosis of a recording whose encoder glitches are removed."""
     if model is not None and is_of_rigid_axes(model, recording):
         return diagnose_trajectory(recording, model=model)
     dropped = apply_rule("dropped-rows", recording)
-    sound = interpolate_dropped_rows(recording, dropped) if dropped else recording
+    repaired = interpolate_dropped_rows(recording, dropped) if dropped else recording
     if model is None:
         with budget.use_share(TIME_TO_IDENTIFY, 0.0, 0.3):
-            kind = machine_kind(recording, masses, lambda: identify_chains(sound, masses))
+            kind = machine_kind(recording, masses, lambda: identify_chains(repaired, masses))
             model = kind.model
             if model is None and not kind.rigid:
-                model = identify_chains(sound, masses)
+                model = identify_chains(repaired, masses)
         if model is None:
             result = diagnose_trajectory(recording, analysis=kind.analysis)
-            return replace(result, warnings=(*result.warnings, kind.said)) if kind.said else result
+            return replace(result, warnings=(*result.warnings, kind.sentence)) if kind.sentence else result
     elif model.provenance.get("recorded") != recording.created:
-        said = (w.removeprefix(OF_GIVEN) for w in model.warnings)
-        model = replace(model, warnings=tuple(f"{OF_GIVEN}{w}" for w in said))
+        said = (w.removeprefix(GIVEN_MODEL_PREFIX) for w in model.warnings)
+        model = replace(model, warnings=tuple(f"{GIVEN_MODEL_PREFIX}{w}" for w in said))
     if model.axes != recording.axes:
         raise InputError(
             f"the model has the axes {list(model.axes)}, the recording {list(recording.axes)}; diagnose with "
@@ -112,33 +112,33 @@ def _diagnosed(
         )
     check_units(model, recording)
     with budget.use_share(TIME_TO_SEARCH, 0.3, 0.9):
-        look = run_search_pass(sound, merge_spring_damping(model))
-    sound, model, tones, bare = look.recording, look.model, look.tones, look.bare
-    train, held = look.train, look.held
-    selection = look.selection.as_far_as_explained()
-    warnings = [*look.warnings, *hold_timing_warnings(selection.final.fit, recording)]
-    result = build_diagnosis(sound, model, selection, bare, train, held, tones, warnings)
+        search = run_search_pass(repaired, merge_spring_damping(model))
+    repaired, model, tones, bare = search.recording, search.model, search.tones, search.bare
+    train, held = search.train, search.held
+    selection = search.selection.widen_by_remainder()
+    warnings = [*search.warnings, *hold_timing_warnings(selection.final.fit, recording)]
+    result = build_diagnosis(repaired, model, selection, bare, train, held, tones, warnings)
     if result.verdict is Verdict.UNEXPLAINED and selection.steps:
-        alone = apply_rule("own-evidence", selection, train, held)
-        if alone is not None:
-            selection = alone.as_far_as_explained()
-            result = build_diagnosis(sound, model, selection, bare, train, held, tones, warnings)
+        independent = apply_rule("own-evidence", selection, train, held)
+        if independent is not None:
+            selection = independent.widen_by_remainder()
+            result = build_diagnosis(repaired, model, selection, bare, train, held, tones, warnings)
     budget.tell("simulating over time", 0.92)
     if result.findings and not budget.is_left_out("the extended model simulated over time"):
         linear = extended_model(model, bare, ())
-        answer = simulate_held_out(sound, look.spectra, linear, result.model, selection.final.fit, held)
+        answer = simulate_held_out(repaired, search.spectra, linear, result.model, selection.final.fit, held)
         reached = not null_test(selection.final.held.cost, selection.final.held.dof, held).rejects
-        lost = isinstance(answer, Replay) and answer.lost and reached
-        if isinstance(answer, Replay) and answer.refused and not lost:
+        is_lost = isinstance(answer, Replay) and answer.is_lost and reached
+        if isinstance(answer, Replay) and answer.is_refused and not is_lost:
             result = build_diagnosis(
-                sound, model, selection, bare, train, held, tones, [*warnings, REFUSED], refused=True
+                repaired, model, selection, bare, train, held, tones, [*warnings, REFUSED], is_refused=True
             )
-        elif isinstance(answer, Replay) and not lost:
-            selection = selection.wider(answer.shift)
-            result = build_diagnosis(sound, model, selection, bare, train, held, tones, warnings)
-        result = add_time_domain_check(result, answer, sound, lost=lost)
+        elif isinstance(answer, Replay) and not is_lost:
+            selection = selection.widen_covariance(answer.shift)
+            result = build_diagnosis(repaired, model, selection, bare, train, held, tones, warnings)
+        result = add_time_domain_check(result, answer, repaired, is_lost=is_lost)
         result = replace(result, details={**result.details, "linear_model": model_to_json(linear)})
-    if selection.cut:
+    if selection.is_cut_short:
         result = limit_unfinished_search(result)
     return add_dropped_rows_finding(
         result, recording, dropped, rms_before_repair(recording, bare) if dropped else {}
@@ -146,19 +146,19 @@ def _diagnosed(
 
 
 def hold_timing_warnings(final: JointFit, recording: Recording) -> list[str]:
-    """Warnings about holds that no record shows alone and that were not taken to act with the command."""
-    layout, said = final.layout, []
-    for hold, share in zip(layout.holds, final.p[layout.holds_at], strict=True):
+    """Warnings about holds whose timing no record shows and that the fit places before the command."""
+    layout, warnings = final.layout, []
+    for hold, share in zip(layout.holds, final.p[layout.hold_slice], strict=True):
         friction = 0.5 * layout.step * float(share) * hold.stiffness
-        if hold.damping or share < CLEARLY:
+        if hold.damping or share < NOTABLE_SHARE:
             continue
         unit = unit_of("damping", recording.linear)
-        said.append(
+        warnings.append(
             f"{recording.axes[hold.axis]}: its hold is taken to act up to half a sample before the command, "
             f"as fits best; viscous friction of {friction:.2g} {unit} at its motor would look alike: record "
             "the demanded torque, or drive the axis without a hold, to tell"
         )
-    return said
+    return warnings
 
 
 __all__ = ["diagnose"]

@@ -1,4 +1,4 @@
-"""One candidate with its joint fit, and how such a fit is started."""
+"""One candidate with its joint fit and its held-out records, and how such a fit is started."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Protocol, TypeVar
 
 import numpy as np
 
-from invid.effects.catalogue.extra_mode import frequency_told
+from invid.effects.catalogue.extra_mode import is_frequency_known
 from invid.likelihood.evaluation import Evaluation, count_per_line, evaluate
 from invid.likelihood.hypothesis import Layout
 from invid.likelihood.joint_fit import JointFit, evaluate_held_out, fit, pack, parameter_bounds, unpack
@@ -22,19 +22,19 @@ from invid.signals.spectral_record import SpectralRecord
 
 
 def excess_chi2(part: Evaluation, axes: Collection[int], *, moving: bool = False) -> float:
-    """χ² beyond its expectation in the missing torque of some axes; ``moving``: without lines at 0 Hz."""
+    """χ² beyond its expectation in the missing torque of the axes; ``moving``: without lines at 0 Hz."""
     chosen, out = sorted(axes), 0.0
     for view, root, missing in zip(part.views, part.roots, part.missing, strict=True):
         white = np.abs(np.einsum("fij,fj->fi", root, missing)) ** 2
-        rows, rests = count_per_line(view.record, root), view.record.omega == 0.0
-        counted = ~rests if moving else np.ones(rests.size, dtype=bool)
-        out += float((white[:, chosen] - rows[:, None])[counted].sum())
+        rows, static_lines = count_per_line(view.record, root), view.record.omega == 0.0
+        used = ~static_lines if moving else np.ones(static_lines.size, dtype=bool)
+        out += float((white[:, chosen] - rows[:, None])[used].sum())
     return out
 
 
 @dataclass(frozen=True, eq=False)
 class CandidateEvidence:
-    """One candidate, refitted jointly."""
+    """One candidate: its joint fit to the training records, and the held-out records under that fit."""
 
     fit: JointFit
     held: Evaluation
@@ -46,56 +46,56 @@ class CandidateEvidence:
 
     @property
     def x(self) -> Float64:
-        """Its parameters."""
+        """(k,) parameters of the effect added last."""
         return self.fit.candidate.x[-1]
 
     @property
     def cost(self) -> float:
-        """χ² of training and held-out data together."""
+        """χ² of training and held-out records together."""
         return self.fit.cost + self.held.cost
 
     @property
     def dof(self) -> int:
-        """Degrees of freedom of both."""
+        """Degrees of freedom of training and held-out records together."""
         return self.fit.dof + self.held.dof
 
     @property
     def excess(self) -> float:
-        """χ² beyond its expectation; negative where chance was kind."""
+        """χ² minus its expectation; negative where chance made it small."""
         return self.cost - self.dof
 
     def excess_on(self, axes: Collection[int]) -> float:
-        """What is beyond noise in the missing torque of some axes."""
+        """χ² beyond its expectation in the missing torque of the axes."""
         return sum(excess_chi2(part, axes) for part in (self.fit.evaluation, self.held))
 
     @property
     def excess_in_motion(self) -> float:
-        """What is beyond noise in all torque that is not constant over its record."""
+        """χ² beyond its expectation in all torque that is not constant over its record."""
         every = range(self.fit.layout.structure.motors)
         return sum(excess_chi2(part, every, moving=True) for part in (self.fit.evaluation, self.held))
 
     @property
     def beyond_noise(self) -> float:
-        """χ² left beyond noise, three standard deviations of χ² taken off.
+        """χ² beyond noise: the excess less three standard deviations of χ², at least zero.
 
-        Likelihoods compare models of which one is true. Where even the final model leaves an excess,
-        something of that size is wrong with the models, and a smaller difference between causes decides
+        Likelihoods compare models of which one is true. Where even the final model leaves an excess, the
+        models are wrong by something of that size, and a smaller difference between two causes decides
         nothing.
         """
         return max(float(self.excess - 3.0 * np.sqrt(2.0 * self.dof)), 0.0)
 
     @property
     def starts(self) -> int:
-        """Unknowns of the records that effects remember (``began``)."""
+        """Number of initial states of effects with memory, over all records."""
         return sum(len(v.starts) for part in (self.fit.evaluation, self.held) for v in part.views)
 
     @property
     def dispersion(self) -> float:
-        """χ²/ν of both, at least 1."""
+        """χ²/ν of training and held-out records together, at least 1."""
         return max(1.0, self.cost / self.dof)
 
     def rejects(self, records: Sequence[SpectralRecord]) -> bool:
-        """Whether it leaves more than the noise of its records, training and held out together."""
+        """Whether the null test rejects it on ``records``, training and held-out together."""
         return null_test(self.cost, self.dof, records).rejects
 
     @property
@@ -104,35 +104,35 @@ class CandidateEvidence:
         return max(1.0, self.held.cost / max(self.held.dof, 1))
 
     def score(self, dispersion: float, rows: int) -> float:
-        """−2 ln(likelihood) and Schwarz' penalty of all effects: what candidates are ranked by."""
+        """−2 ln(likelihood) with Schwarz' penalty of all effects; candidates are ranked by it."""
         return self.cost / dispersion + schwarz_penalty(self, rows)
 
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """One cause added: before, the chosen one, and those that compete, best first."""
+    """One cause added: the fit before, the chosen one, and its competitors, best first."""
 
     before: CandidateEvidence
     chosen: CandidateEvidence
     ranked: tuple[tuple[CandidateEvidence, float], ...]
-    """Candidates with −2 ln(likelihood) plus penalty, over the dispersion, best first."""
+    """Candidates with −2 ln(likelihood)/dispersion + penalty, best first."""
 
-    def against(self, rivals: Sequence[tuple[CandidateEvidence, float]]) -> Step:
-        """The same step with more that compete; the chosen one stays first."""
+    def with_rivals(self, rivals: Sequence[tuple[CandidateEvidence, float]]) -> Step:
+        """The step with further competitors; the chosen candidate stays first."""
         others = sorted((*self.ranked[1:], *rivals), key=lambda r: r[1])
         return replace(self, ranked=(self.ranked[0], *others))
 
 
-class _Costly(Protocol):
+class _HasCost(Protocol):
     @property
     def cost(self) -> float: ...
 
 
-T = TypeVar("T", bound=_Costly)
+T = TypeVar("T", bound=_HasCost)
 
 
 def fit_if_finite(run: Callable[[], T]) -> T | None:
-    """What ``run`` fits; none where nothing finite follows from its start.
+    """What ``run`` fits; ``None`` where its start leads to nothing finite.
 
     Raises
     ------
@@ -151,7 +151,7 @@ def fit_if_finite(run: Callable[[], T]) -> T | None:
 def evidence_if_finite(
     run: Callable[[], JointFit], held: Sequence[SpectralRecord]
 ) -> CandidateEvidence | None:
-    """What ``run`` fits, judged on held-out records; none where nothing finite follows from its start.
+    """What ``run`` fits, evaluated on the held-out records; ``None`` where its start leads to nothing finite.
 
     Raises
     ------
@@ -174,38 +174,39 @@ def refit_with_effect(
     iterations: int,
     shift: Float64 | None = None,
 ) -> JointFit:
-    """Joint fit with one effect more; ``shift``: step of the parameters so far that goes with it."""
-    layout, p, candidate, known = _start(current, records, term, x, shift)
+    """Joint fit with one effect more; ``shift`` (n,): step of the parameters so far that the screen
+    predicts."""
+    layout, p, candidate, known = _choose_start(current, records, term, x, shift)
     return fit(layout, records, p, candidate, iterations=iterations, quick=True, known=known)
 
 
-def _start(
+def _choose_start(
     current: JointFit,
     records: Sequence[SpectralRecord],
     term: PlacedEffect,
     x: Float64,
     shift: Float64 | None,
 ) -> tuple[Layout, Float64, Candidate, Evaluation | None]:
-    """Where the joint fit starts, with its evaluation if finite: the cheapest of the screen's joint step,
-    shares of it, and of sizes alone.
+    """Layout, parameters, effects and evaluation where the joint fit starts.
 
-    A strong effect biases the linear parameters, so its size alone makes things worse; a linearised step
-    overshoots where the bias is large.
+    The cheapest of the screen's joint step, of shares of it, and of shares of the size alone. A strong effect
+    biases the linear parameters, so that its size alone makes the fit worse, and a linearised step overshoots
+    where the bias is large. The evaluation is ``None`` where none is finite.
     """
-    layout, stay = current.layout, np.ones(current.layout.count, dtype=bool)
+    layout, kept = current.layout, np.ones(current.layout.count, dtype=bool)
     if term.effect.cause == "torque_delay":
-        layout, stay = layout.without_delay([term.place.axis])
+        layout, kept = layout.without_delay([term.place.axis])
     count = len(term.effect.coefficients)
-    best, known = np.inf, None
-    chosen = layout, current.p[stay], current.candidate.plus(term, x)
-    tries = [(0.0, 1.0), (0.0, 0.4), (0.0, 0.1), (0.0, 0.01)]
+    best, best_evaluation = np.inf, None
+    best_start = layout, current.p[kept], current.candidate.plus(term, x)
+    attempts = [(0.0, 1.0), (0.0, 0.4), (0.0, 0.1), (0.0, 0.01)]
     if shift is not None and shift.size and np.isfinite(shift).all():
-        tries = [(1.0, 1.0), (0.5, 1.0), *tries[:1], (0.4, 0.4), *tries[1:]]
+        attempts = [(1.0, 1.0), (0.5, 1.0), *attempts[:1], (0.4, 0.4), *attempts[1:]]
     low, high = parameter_bounds(current.layout, current.candidate, current.evaluation, True)
-    for step, share in tries:
+    for step, share in attempts:
         moved = pack(current.p, current.candidate)
         if step and shift is not None:
-            limit = np.where(_logarithmic(current), LARGEST_STEP, np.inf)
+            limit = np.where(_is_logarithmic(current), LARGEST_STEP, np.inf)
             moved = np.clip(moved + np.clip(step * shift, -limit, limit), low, high)
         p, before = unpack(current.layout, current.candidate, moved)
         trial = x.copy()
@@ -215,18 +216,18 @@ def _start(
         candidate = before.plus(term, trial)
         with np.errstate(all="ignore"):
             try:
-                there = evaluate(layout, records, p[stay], candidate, jacobian=False)
+                evaluation = evaluate(layout, records, p[kept], candidate, jacobian=False)
             except np.linalg.LinAlgError:
                 continue
-        if np.isfinite(there.cost) and there.cost < best:
-            best, known, chosen = there.cost, there, (layout, p[stay], candidate)
-        if there.cost < current.cost:
+        if np.isfinite(evaluation.cost) and evaluation.cost < best:
+            best, best_evaluation, best_start = evaluation.cost, evaluation, (layout, p[kept], candidate)
+        if evaluation.cost < current.cost:
             break
-    return *chosen, known
+    return *best_start, best_evaluation
 
 
-def _logarithmic(current: JointFit) -> Bool:
-    """(n,) parameters of a fit that move as logarithms."""
+def _is_logarithmic(current: JointFit) -> Bool:
+    """(n,) which parameters of a fit are logarithms."""
     structure, layout = current.layout.structure, current.layout
     flags = [structure.logarithmic, np.zeros(layout.count - structure.count, dtype=bool)]
     for t in current.candidate.terms:
@@ -237,7 +238,7 @@ def _logarithmic(current: JointFit) -> Bool:
 
 
 def is_at_bound(found: JointFit) -> bool:
-    """Whether a shape or size of the last effect ends at its bound: the fit then wants another cause."""
+    """Whether a shape or size of the last effect ends at its bound; the fit then calls for another cause."""
     term, x, views = found.candidate.terms[-1], found.candidate.x[-1], found.evaluation.views
     if term.effect.beyond(views, term.place, x.tolist()):
         return True
@@ -246,19 +247,20 @@ def is_at_bound(found: JointFit) -> bool:
     shapes = x[len(term.effect.coefficients) :]
     limits = term.effect.limits(views, term.place)
     if term.effect.cause == "extra_mode":
-        # Nor is damping; but a mode beside all lines is none, and one that wants more damping than any has is
-        # what a hold with other gains leaves (three of fifteen empty records), or friction.
+        # Nor is damping. But a mode outside all lines is none, and one with damping at its bound is friction,
+        # or what a hold with other gains leaves (empirical: three of fifteen records without a cause).
         if shapes[1] >= limits[1][1] - 1e-3:
             return True
         variance = float(found.covariance_of(-1)[1, 1])
-        if not frequency_told(views, float(np.exp(shapes[0])), float(np.sqrt(variance))):
+        if not is_frequency_known(views, float(np.exp(shapes[0])), float(np.sqrt(variance))):
             return True
         shapes, limits = shapes[:1], limits[:1]
     return any(v <= low + 1e-9 or v >= high - 1e-9 for v, (low, high) in zip(shapes, limits, strict=True))
 
 
 def is_size_significant(found: JointFit, number: int, chance: float = 0.01) -> bool | None:
-    """Whether a coefficient of an effect differs from zero (Wald); ``None`` where none is known."""
+    """Whether the size of an effect differs from zero (Wald test); ``None`` where its covariance is not
+    known."""
     term, x = found.candidate.terms[number], found.candidate.x[number]
     count = len(term.effect.coefficients)
     block = found.covariance_of(number)[:count, :count]
@@ -269,11 +271,12 @@ def is_size_significant(found: JointFit, number: int, chance: float = 0.01) -> b
 
 
 def is_significant_at_shapes(found: JointFit, number: int, chance: float = 0.01) -> bool | None:
-    """Whether a coefficient of an effect differs from zero at the shapes that were found; ``None`` where none
-    is known.
+    """Whether the size of an effect differs from zero at the shapes that were fitted; ``None`` where not
+    known.
 
-    With none of the effect there are no shapes: that cycles are not told, and the phase with them, says
-    nothing of the size (a gear error of 215 in χ² whose sine and cosine are 2.6 std from none).
+    Without the effect there are no shapes, so an uncertain number of cycles, and the phase with it, says
+    nothing against the size. Empirical: a gear error with a gain of 215 in χ² had sine and cosine 2.6
+    standard deviations from zero.
     """
     term, x = found.candidate.terms[number], found.candidate.x[number]
     count = len(term.effect.coefficients)
@@ -288,15 +291,16 @@ def is_significant_at_shapes(found: JointFit, number: int, chance: float = 0.01)
 
 
 def schwarz_penalty(trial: CandidateEvidence, rows: int) -> float:
-    """Schwarz' penalty of the parameters of the effects and of what they remember, and how rare their places
-    are."""
+    """Schwarz' penalty of the parameters and initial states of all effects, and the rarity of their
+    places."""
     terms, structure = trial.fit.candidate.terms, trial.fit.layout.structure
     rare = sum(t.effect.rarity(t.place, structure) for t in terms)
     return float(np.log(max(rows, 2))) * (sum(t.size for t in terms) + trial.starts) + rare
 
 
 def is_extension_of(larger: CandidateEvidence, smaller: CandidateEvidence) -> bool:
-    """Whether one is a larger friction model at the same place: then it always fits as well."""
+    """Whether ``larger`` is a larger friction model at the same place, which always fits as well as
+    ``smaller``."""
     one, other = larger.term, smaller.term
     return (
         one.place == other.place
@@ -306,22 +310,22 @@ def is_extension_of(larger: CandidateEvidence, smaller: CandidateEvidence) -> bo
 
 
 def unearned_phase_penalty(trial: CandidateEvidence, rows: int) -> float:
-    """What Schwarz' penalty asks too much for a phase of the effect added last that the data barely see.
+    """Part of Schwarz' penalty to take back for a phase of the last effect that the data hardly determine.
 
-    ln(rows) a parameter is the logarithm of prior over posterior variance where the prior is that of one row.
-    No phase is preferred and no order of size: beside the quadrature c that is seen the other one is then
-    distributed as 1/(π c (1 + s²/c²)), at none as dense as a normal one of variance c²·π/2. It pays ln(prior
-    over posterior variance) of that: nothing where the data do not see it (gravity on a small motion is a
-    constant torque), and something where they see that it is none.
+    ln(rows) a parameter is the logarithm of prior over posterior variance with the prior of one row. No phase
+    and no order of size is preferred: beside the quadrature c that is seen, the other one is distributed as
+    1/(π c (1 + s²/c²)), nowhere as dense as a normal one of variance c²·π/2. Its penalty is the ln(prior over
+    posterior variance) of that: nothing where the data do not see it (gravity on a small motion is a constant
+    torque), and something where they show that it is zero.
     """
     if trial.term.effect.coefficients != ("sine", "cosine"):
         return 0.0
     block = trial.fit.covariance_of(-1)[:2, :2]
-    most = float(np.log(max(rows, 2)))
+    full_penalty = float(np.log(max(rows, 2)))
     if not np.isfinite(block).all():
-        return most
-    large = float(np.linalg.eigvalsh(block)[-1])
+        return full_penalty
+    variance = float(np.linalg.eigvalsh(block)[-1])
     expected = 0.5 * np.pi * float(trial.x[:2] @ trial.x[:2])
-    if large <= 0.0 or expected <= 0.0:
+    if variance <= 0.0 or expected <= 0.0:
         return 0.0
-    return float(np.clip(most - np.log(expected / large), 0.0, most))
+    return float(np.clip(full_penalty - np.log(expected / variance), 0.0, full_penalty))

@@ -1,4 +1,4 @@
-"""Effects that a model given to the diagnosis already has: part of what is fitted, not to be found again."""
+"""Effects of a model that is given to the diagnosis: part of the fit, not to be found again."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from invid.model.place import Place
 from invid.numerics.arrays import Float64, frozen_float
 
 NORMAL_FRICTION = ("coulomb_friction", "viscous_friction")
-"""What ``invid identify`` fits along (``invid.identification.model_facts``)."""
+"""Friction that an identification fits along (``invid.identification.model_facts``)."""
 
 
 def effects_in_model(model: Model) -> tuple[EffectTerm, ...]:
     """Effects that count as part of the model: all but the friction that an identification fitted along.
 
-    ``invid identify`` needs friction to get the linear parameters right; whether it is there, and of what
-    kind, is for the diagnosis to say.
+    ``invid identify`` needs friction to get the linear parameters right; whether it is there, and of which
+    kind, is for the diagnosis to decide.
     """
     if model.fit.get("joint_with_effects"):
         return model.effects
@@ -34,7 +34,7 @@ def effects_in_model(model: Model) -> tuple[EffectTerm, ...]:
 
 
 def fitted_friction(model: Model, structure: ChainStructure) -> Candidate:
-    """The friction that an identification fitted along, as causes at their places; none for other models."""
+    """The friction that an identification fitted along, as effects at their places; none for other models."""
     kept = {id(e) for e in effects_in_model(model)}
     out = Candidate()
     for term in model.effects:
@@ -46,7 +46,7 @@ def fitted_friction(model: Model, structure: ChainStructure) -> Candidate:
 
 
 def effect_place(term: EffectTerm, structure: ChainStructure) -> Place:
-    """Where an effect of a model sits; ModelError where the model has no such place."""
+    """The place of an effect of a model; ModelError where the model has no such place."""
     axes = list(structure.axes)
     effect = BY_CAUSE[term.cause]
     axis = axes.index(term.axis)
@@ -72,7 +72,7 @@ def effect_place(term: EffectTerm, structure: ChainStructure) -> Place:
 
 
 def effect_vector(term: EffectTerm) -> Float64:
-    """The parameters of an effect as they are fitted; ModelError where one is missing or impossible."""
+    """(k,) parameters of an effect as they are fitted; ModelError where one is missing or impossible."""
     effect = BY_CAUSE[term.cause]
     values = {
         name: effect.optional[name]
@@ -90,7 +90,8 @@ def effect_vector(term: EffectTerm) -> Float64:
 
 
 def merge_spring_damping(model: Model) -> Model:
-    """The model with its ``spring_damping`` among the dampers, which are the same thing."""
+    """The model with its ``spring_damping`` effects added to the dampers of its chains, which are the same
+    thing."""
     extra = [e for e in model.effects if (law := effect_of(e.cause)) is not None and law.in_chain]
     if not extra:
         return model
@@ -107,7 +108,7 @@ def merge_spring_damping(model: Model) -> Model:
 
 
 def known_effects_candidate(model: Model, structure: ChainStructure) -> Candidate:
-    """The effects of a model as they enter the fit of the linear parameters."""
+    """The effects of a model as they enter the fit; ModelError for a cause that is not in the catalogue."""
     out = Candidate()
     for term in effects_in_model(model):
         effect = effect_of(term.cause)

@@ -25,7 +25,8 @@ from invid.signals.spectra import LineSpectra
 from invid.signals.spectral_record import SpectralRecord
 
 LIGHTEST = 1e-8
-"""Share of its branch that a mass has at least where a fit starts: rounding is 1e-16 of the matrices."""
+"""Least share of its branch that a mass has where a fit starts (numerical: rounding of the matrices is
+1e-16)."""
 
 
 def fit_linear_model(
@@ -34,12 +35,12 @@ def fit_linear_model(
     spectra: Sequence[LineSpectra],
     train: Sequence[SpectralRecord],
     held: Sequence[SpectralRecord],
-    asked: ValidationRequest = PLAIN,
+    request: ValidationRequest = PLAIN,
 ) -> tuple[JointFit, Float64, list[SpectralRecord], list[SpectralRecord]]:
-    """The model, with the effects it came with, fitted to the training records, its parameters with unbounded
-    time offsets, and the records with their scatter.
+    """Fit of the model with its effects, parameters (n,) before the final fit, training and held-out records.
 
-    Where records are asked for ``apart`` nothing is a tone.
+    The parameters are those of a first fit whose time offsets are not bounded; the records carry the scatter
+    between their periods. Where ``request`` takes all records period by period, nothing is taken for a tone.
     """
     chains = model.chains
     grounded = tuple(int(i) for i in np.flatnonzero(chains.ground_springs > 0))
@@ -47,30 +48,37 @@ def fit_linear_model(
     origin = min(float(e.time[0]) for e in recording.experiments)
     logged = train[0].command is not None
     holds = find_inside_holds(spectra, model, recording, with_command=logged)
-    smoothed = tuple(range(structure.motors)) if asked.whole else axes_with_smoothed_torque(model)
-    layout = layout_of(structure, train, origin, holds, () if logged and not asked.whole else smoothed)
-    given = known_effects_candidate(model, structure)
-    late = [t.place.axis for t in given.terms if t.effect.cause == "torque_delay"]
-    layout, _ = layout.without_delay(late)
+    smoothed = tuple(range(structure.motors)) if request.whole else axes_with_smoothed_torque(model)
+    layout = layout_of(structure, train, origin, holds, () if logged and not request.whole else smoothed)
+    known_effects = known_effects_candidate(model, structure)
+    delayed_axes = [t.place.axis for t in known_effects.terms if t.effect.cause == "torque_delay"]
+    layout, _ = layout.without_delay(delayed_axes)
     start = start_vector(model, layout)
-    first = fit(layout, add_scatter(train, spectra, layout, start), start, given, iterations=25, strict=False)
+    first = fit(
+        layout, add_scatter(train, spectra, layout, start), start, known_effects, iterations=25, strict=False
+    )
     train = add_scatter(train, spectra, layout, first.p)
     held = add_scatter(held, spectra, layout, first.p)
-    keys = [r.key for r in (*train, *held) if asked.apart or r.trend or (asked.each and r.differs)]
+    keys = [
+        r.key
+        for r in (*train, *held)
+        if request.by_period or r.trend or (request.by_period_if_differing and r.differs)
+    ]
     # A tone that repeats with no period looks like a change from one to the next.
-    if keys and (asked.apart or asked.each or not find_tones(first, held, spectra)):
+    if keys and (request.by_period or request.by_period_if_differing or not find_tones(first, held, spectra)):
         train, held = split_into_periods(recording, train, keys), split_into_periods(recording, held, keys)
-        if asked.apart and len(held) > 1 and held[0].alone:
+        if request.by_period and len(held) > 1 and held[0].alone:
             train, held = [*train, held[0]], held[1:]
     return fit(layout, train, first.p, first.candidate, iterations=25), first.p, train, held
 
 
 def refit_without_effects(base: JointFit, train: Sequence[SpectralRecord]) -> JointFit:
-    """The linear model alone fitted to the same records, where the model came with effects."""
+    """The linear model alone fitted to the same records; the same fit where the model came without
+    effects."""
     if not base.candidate.terms:
         return base
     layout = replace(base.layout, free_delays=tuple(range(base.layout.structure.motors)))
-    linear, rest = base.p[: layout.structure.count], base.p[base.layout.stairs_at.start :]
+    linear, rest = base.p[: layout.structure.count], base.p[base.layout.zoh_slice.start :]
     p = np.concatenate((linear, base.layout.delays(base.p), rest))
     return fit(layout, train, p, Candidate(), iterations=25)
 
@@ -82,8 +90,8 @@ def layout_of(
     holds: tuple[InsideHold, ...] = (),
     smoothed: tuple[int, ...] = (),
 ) -> Layout:
-    """Delay and hold-over-the-sample parameters that the records leave open, the holds' shares, and the time
-    constants of the axes whose reported torque is ``smoothed``."""
+    """The parameter vector that the records leave open: time offsets, shares held over the sample, holds'
+    shares, and time constants of the axes ``smoothed``."""
     motors = structure.motors
     stairs = np.array([r.staircase for r in records])
     unknown = tuple(i for i in range(motors) if np.isnan(stairs[:, i]).any())
@@ -93,18 +101,18 @@ def layout_of(
 
 
 def axes_with_smoothed_torque(model: Model) -> tuple[int, ...]:
-    """Axes whose drive smooths the torque that it reports, by three standard deviations in ``fit``."""
-    found = []
+    """Axes whose drive smooths the torque that it reports (time constant above three standard deviations)."""
+    smoothed = []
     for i, axis in enumerate(model.axes):
         lag = model.fit.get("torque_lag_s", {}).get(axis, {})
         value, std = lag.get("value"), lag.get("std")
         if value is not None and std is not None and value > 3.0 * std:
-            found.append(i)
-    return tuple(found)
+            smoothed.append(i)
+    return tuple(smoothed)
 
 
 def start_vector(model: Model, layout: Layout) -> Float64:
-    """(n,) parameters of the model as it came."""
+    """(n,) parameters of the model as it was given."""
     structure, start = layout.structure, np.zeros(layout.count)
     # A mass that vanished in the identification makes the chain's matrices singular.
     masses = [np.maximum(m, LIGHTEST * m.sum()) for m in model.chains.masses]
@@ -117,16 +125,16 @@ def start_vector(model: Model, layout: Layout) -> Float64:
     for k, i in enumerate(layout.smoothed):
         lag = model.fit.get("torque_lag_s", {}).get(structure.axes[i], {})
         time_constant = max(float(lag.get("value") or 0.0), 0.0)
-        start[layout.smoothed_at.start + k] = time_constant
-        start[structure.count + layout.free_delays.index(i)] += time_constant  # which held the lag's delay
-    start[layout.stairs_at] = 0.5
-    start[layout.holds_at] = [h.expected for h in layout.holds]
+        start[layout.lag_slice.start + k] = time_constant
+        start[structure.count + layout.free_delays.index(i)] += time_constant  # it contained the lag's delay
+    start[layout.zoh_slice] = 0.5
+    start[layout.hold_slice] = [h.expected for h in layout.holds]
     return start
 
 
 def find_tones(
     fitted: JointFit, held: Sequence[SpectralRecord], spectra: Sequence[LineSpectra]
 ) -> list[Tone]:
-    """Tones of the training and the held-out records."""
+    """Tones that the training and the held-out records have in common."""
     both = (fitted.evaluation, evaluate_held_out(fitted, held))
     return list(apply_rule("tones", both, fitted.layout, fitted.p, spectra))

@@ -1,9 +1,9 @@
-"""What may be said of the figures of a search: verdict, confidence, words; for machines of every kind.
+"""Verdict, confidence and words for the figures of a search, for elastic and rigid machines alike.
 
-Whoever diagnoses hands over residuals of rows kept out, causes and what competes with them. The words mean
-what the contract says (CONTRACT.md): *explained* asks for nine tenths of what was missing and every axis
-within 1.2 of its floor; a finding with alternatives has a confidence of at most 0.89; a model that misses
-more than half of the torque is not to be trusted, and the first warning says so.
+The caller hands over residuals on held-out rows, causes and their competitors. The words mean what the
+contract says (CONTRACT.md): *explained* asks for nine tenths of what was missing and every axis within 1.2 of
+its floor; a finding with alternatives has a confidence of at most 0.89; a model that misses more than half of
+the torque is not to be trusted, and the first warning says so.
 """
 
 from __future__ import annotations
@@ -25,22 +25,22 @@ from invid.recording.model import Recording, Role
 
 @dataclass(frozen=True, eq=False)
 class Cause:
-    """One cause that was found, with what the data say of it.
+    """One cause that was found, with its figures.
 
     Attributes
     ----------
     before, after
-        Rms missing torque of its axis on rows kept out, without it and with it.
+        Rms missing torque of its axis on held-out rows, without it and with it.
     fraction
-        Share of what the model missed that it takes.
+        Share of what the model missed that it explains.
     share
-        Its share of the likelihood, among all that competes (``likelihood_share``).
+        Its share of the likelihood among all competitors (``likelihood_share``).
     alternatives
-        What the data cannot tell from it (``competes``).
-    sized
-        Whether its size differs from none; ``None`` where that is not known.
+        Causes that the data cannot tell from it (``is_rival``).
+    size_is_significant
+        Whether its size differs from zero; ``None`` where that is not known.
     remarks
-        Further sentences; ``doubts`` are those that leave no certainty.
+        Further sentences; ``doubts`` are those that limit the confidence.
     """
 
     effect: EffectTerm
@@ -49,25 +49,28 @@ class Cause:
     fraction: float
     share: float
     alternatives: tuple[Alternative, ...] = ()
-    sized: bool | None = None
+    size_is_significant: bool | None = None
     remarks: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
 
 
 def likelihood_share(scores: Float64, own: Sequence[bool]) -> float:
-    """The chosen candidates' share of the likelihood of all; ``scores``: −2 ln L with penalty.
+    """Share of the likelihood of all candidates that the ``own`` ones have; ``scores``: −2 ln L with penalty.
 
-    Likelihood ratios overstate certainty where the models are imperfect (the dispersion only accounts
-    for their size, not for their coherence); halving the exponent is empirical, from hidden plants.
+    Likelihood ratios overstate certainty where the models are imperfect (the dispersion only accounts for
+    their size, not for their coherence); halving the exponent is empirical (hidden plants).
     """
     weights = np.exp(-0.25 * np.clip(scores - scores.min(), 0.0, 200.0))
     return float(weights[list(own)].sum() / weights.sum())
 
 
-def competes(worse: float, costlier: float, left: float) -> bool:
-    """Whether a candidate is told from the chosen one neither by its score, ``worse`` by so much in −2 ln L
-    with penalty, nor by a cost that is higher by less than all that even the chosen one leaves."""
-    return worse < COMPETES or costlier < left
+def is_rival(score_gap: float, cost_gap: float, remainder: float) -> bool:
+    """Whether a candidate counts as a rival of the chosen one.
+
+    It does where its −2 ln L with penalty is higher by less than ``COMPETES``, or its χ² by less than the
+    ``remainder`` that even the chosen one leaves.
+    """
+    return score_gap < COMPETES or cost_gap < remainder
 
 
 def finding_of(
@@ -79,17 +82,17 @@ def finding_of(
     at_noise: bool,
     own: bool = False,
 ) -> Finding:
-    """A cause as a finding: how sure, in words, and what tells it from its rivals.
+    """A cause as a finding: confidence, sentence, and the experiment that tells it from its rivals.
 
-    Nobody may be certain where alternatives remain or more than 1.2 floors are left (not ``at_noise``): the
-    cause named may then be a disguise of another. ``own``: it stands on its own evidence, whatever share of
-    all that was missing is explained.
+    The confidence is limited where alternatives remain or more than 1.2 floors are left (not ``at_noise``):
+    the true cause may then be another. ``own``: the cause stands on its own evidence, whatever share of all
+    that was missing is explained.
     """
-    sure = 1.0 if own else 0.55 + 0.45 * _ramp(explained)
+    sure = 1.0 if own else 0.55 + 0.45 * _confidence_ramp(explained)
     confidence = float(np.clip(cause.share * sure, 0.01, 0.999))
     if cause.alternatives or cause.doubts or not at_noise:
         confidence = min(confidence, CONTESTED)
-    if cause.sized is False:
+    if cause.size_is_significant is False:
         confidence = min(confidence, UNSIZED)
     sentence = finding_sentence(cause.effect, cause.fraction, confidence, cause.alternatives, sizes, axes)
     return Finding(
@@ -99,17 +102,17 @@ def finding_of(
         after=cause.after,
         fraction=cause.fraction,
         alternatives=cause.alternatives,
-        separating_experiment=separating(cause.effect, cause.alternatives),
+        separating_experiment=separating_experiment_of(cause.effect, cause.alternatives),
         sentence=" ".join([sentence, *cause.remarks, *cause.doubts]),
     )
 
 
-def _ramp(explained: float) -> float:
+def _confidence_ramp(explained: float) -> float:
     return float(np.clip((explained - NAMED) / (0.995 - NAMED), 0.0, 1.0))
 
 
-def separating(term: EffectTerm, rivals: Sequence[Alternative]) -> dict[str, object] | None:
-    """The experiment that tells a cause from its rivals; ``None`` where it has none."""
+def separating_experiment_of(term: EffectTerm, rivals: Sequence[Alternative]) -> dict[str, object] | None:
+    """The experiment that tells a cause from its rivals; ``None`` without rivals."""
     if not rivals:
         return None
     effect = BY_CAUSE[term.cause]
@@ -124,7 +127,8 @@ def separating(term: EffectTerm, rivals: Sequence[Alternative]) -> dict[str, obj
 
 
 def explained_share(residual: Sequence[AxisResidual]) -> float:
-    """The contract's explained fraction: power of what was missing that is gone, noise taken off."""
+    """Explained fraction of the contract: share of the power of the missing torque that is gone, noise
+    subtracted."""
     before, after, noise = (
         sum(x**2 for x in column)
         for column in zip(*((r.before, r.after, r.noise_floor) for r in residual), strict=True)
@@ -135,30 +139,30 @@ def explained_share(residual: Sequence[AxisResidual]) -> float:
 def axis_above_floor(residual: Sequence[AxisResidual]) -> AxisResidual | None:
     """The axis farthest above 1.2 times its floor; ``None`` where all are within."""
     left = [r for r in residual if not r.after <= FLOOR * r.noise_floor]
-    return max(left, key=floors, default=None)
+    return max(left, key=floors_left, default=None)
 
 
-def floors(residual: AxisResidual) -> float:
-    """What an axis misses, in noise floors."""
+def floors_left(residual: AxisResidual) -> float:
+    """Missing torque of an axis in units of its noise floor."""
     return residual.after / max(residual.noise_floor, 1e-300)
 
 
 def verdict_of(
     residual: Sequence[AxisResidual], explained: float | None, *, named: bool, missing: bool, complete: bool
 ) -> Verdict:
-    """What the data say; ``missing``: the records ask for more than the model without causes, ``complete``:
-    no test finds anything beside those that are named."""
+    """The verdict; ``missing``: the null test rejects the model without causes, ``complete``: nothing is left
+    beside the named causes."""
     if not named:
         return Verdict.UNEXPLAINED if missing else Verdict.CONSISTENT
-    taken = explained is None or explained >= EXPLAINED
+    is_enough = explained is None or explained >= EXPLAINED
     return (
         Verdict.EXPLAINED
-        if complete and taken and axis_above_floor(residual) is None
+        if complete and is_enough and axis_above_floor(residual) is None
         else Verdict.PARTLY_EXPLAINED
     )
 
 
-def assembled(
+def assemble_diagnosis(
     recording: Recording,
     residual: Sequence[AxisResidual],
     findings: Sequence[Finding],
@@ -168,13 +172,13 @@ def assembled(
     complete: bool,
     explained: float | None,
     left: Unexplained | None = None,
-    said: Sequence[str] = (),
-    nothing: str = "The model explains the measurement to within its noise: nothing is missing.",
-    further: Sequence[str] = (),
+    opening: Sequence[str] = (),
+    consistent_sentence: str = "The model explains the measurement to within its noise: nothing is missing.",
+    closing: Sequence[str] = (),
     warnings: Sequence[str] = (),
     details: Mapping[str, Any] | None = None,
 ) -> Diagnosis:
-    """The diagnosis of an outcome.
+    """The diagnosis of verdict, residuals, findings and sentences.
 
     Parameters
     ----------
@@ -182,7 +186,7 @@ def assembled(
         See ``verdict_of``.
     left
         What is left in words, where the caller knows more of it than its size.
-    said, nothing, further
+    opening, consistent_sentence, closing
         Sentences before those of findings, the one of a consistent record, and those at the end.
     """
     findings = [
@@ -190,10 +194,10 @@ def assembled(
     ]
     verdict = verdict_of(residual, explained, named=bool(findings), missing=missing, complete=complete)
     if verdict in (Verdict.PARTLY_EXPLAINED, Verdict.UNEXPLAINED) and left is None:
-        left = left_over(residual, explained)
-    sentences = [*said, *(f.sentence for f in findings)]
+        left = describe_remainder(residual, explained)
+    sentences = [*opening, *(f.sentence for f in findings)]
     if verdict is Verdict.CONSISTENT:
-        sentences.append(nothing)
+        sentences.append(consistent_sentence)
     if left is not None:
         sentences.append(left.sentence)
     result = Diagnosis(
@@ -204,15 +208,15 @@ def assembled(
         unexplained=left,
         model=model,
         warnings=tuple(dict.fromkeys(warnings)),
-        sentences=tuple(dict.fromkeys([*sentences, *further])),
+        sentences=tuple(dict.fromkeys([*sentences, *closing])),
         details={} if details is None else details,
     )
-    return _distrusted(result, recording)
+    return _mark_untrusted(result, recording)
 
 
-def left_over(residual: Sequence[AxisResidual], explained: float | None) -> Unexplained:
-    """How much is left, on the axis farthest above its floor."""
-    worst = max(residual, key=floors)
+def describe_remainder(residual: Sequence[AxisResidual], explained: float | None) -> Unexplained:
+    """How much torque is left unexplained, on the axis farthest above its floor."""
+    worst = max(residual, key=floors_left)
     short = explained is not None and explained < EXPLAINED
     of = f", {1 - (explained or 0.0):.0%} of what was missing on all axes" if short else ""
     return Unexplained(
@@ -224,20 +228,21 @@ def left_over(residual: Sequence[AxisResidual], explained: float | None) -> Unex
     )
 
 
-def _distrusted(diagnosis: Diagnosis, recording: Recording) -> Diagnosis:
-    """A model that misses more than half of the torque is not to be trusted, and that comes first."""
+def _mark_untrusted(diagnosis: Diagnosis, recording: Recording) -> Diagnosis:
+    """The diagnosis marked as not to be trusted, first of all sentences, where the model misses over half the
+    torque."""
     share = missed_torque_share(diagnosis.residual, recording)
     if not share > MISSED:
         return diagnosis
-    said = (
+    warning = (
         f"The model cannot be trusted: it misses {share:.0%} of the torque. See that the torque channel is "
         "the motor's, that every axis moves freely, and that the number of masses fits."
     )
     return replace(
         diagnosis,
-        model=diagnosis.model.distrusted(said),
-        warnings=(said, *diagnosis.warnings),
-        sentences=(said, *diagnosis.sentences),
+        model=diagnosis.model.distrusted(warning),
+        warnings=(warning, *diagnosis.warnings),
+        sentences=(warning, *diagnosis.sentences),
         details={**diagnosis.details, "missed_fraction": share},
     )
 
@@ -255,11 +260,10 @@ def missed_torque_share(residual: Sequence[AxisResidual], recording: Recording) 
 
 
 def limit_unfinished_search(result: Diagnosis) -> Diagnosis:
-    """The diagnosis with no more certainty than a search that did not end allows.
+    """The diagnosis with its certainty limited because the search did not end.
 
-    A cause that was found may have a rival that was not weighed: no finding is surer than a contested one.
-    Without any finding the record is neither free of causes nor without a name for them: it counts as
-    unexplained, and its model as not to be trusted.
+    A cause that was found may have a rival that was not examined: no finding is surer than a contested one.
+    Without any finding the record counts as unexplained and its model as not to be trusted.
     """
     details = {**result.details, "cut_short": True}
     if result.findings:
@@ -268,12 +272,12 @@ def limit_unfinished_search(result: Diagnosis) -> Diagnosis:
     reason = "the search for causes was cut short by its budget: what was not looked at may be there"
     left = result.unexplained
     if left is None:
-        left = Unexplained(max(result.residual, key=floors).axis, (), (), "")
+        left = Unexplained(max(result.residual, key=floors_left).axis, (), (), "")
         left = replace(left, sentence=f"{left.axis}: {reason}")
     else:
         left = replace(left, sentence=f"{left.sentence}; {reason}")
-    told = {*result.sentences[-1:]} if result.unexplained is None else {result.unexplained.sentence}
-    sentences = (*(s for s in result.sentences if s not in told), left.sentence)
+    replaced = {*result.sentences[-1:]} if result.unexplained is None else {result.unexplained.sentence}
+    sentences = (*(s for s in result.sentences if s not in replaced), left.sentence)
     return replace(
         result,
         verdict=Verdict.UNEXPLAINED,

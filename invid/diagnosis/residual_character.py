@@ -1,4 +1,4 @@
-"""Where and how the part lives that no cause explains."""
+"""Axis, frequencies and character of the missing torque that no cause explains."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from invid.recording.model import Recording
 
 
 def describe_unexplained(trial: CandidateEvidence, recording: Recording) -> Unexplained:
-    """Axis, frequencies and character of the excess of the training and held-out records."""
+    """Axis, frequencies and character of the excess of the training and held-out records, in words."""
     motors = recording.axis_count
     power = np.zeros(motors)
     lines: dict[int, list[tuple[float, float]]] = {i: [] for i in range(motors)}
@@ -21,8 +21,8 @@ def describe_unexplained(trial: CandidateEvidence, recording: Recording) -> Unex
         for number, view in enumerate(evaluation.views):
             r = evaluation.missing[number]
             c = np.einsum("fii->fi", evaluation.covariance[number]).real
-            good = informative_lines(evaluation.covariance[number], view.record)
-            excess = np.where(good, np.abs(r) ** 2 / np.maximum(c, 1e-300) - 1.0, 0.0)
+            usable = informative_lines(evaluation.covariance[number], view.record)
+            excess = np.where(usable, np.abs(r) ** 2 / np.maximum(c, 1e-300) - 1.0, 0.0)
             excess[0] *= 0.5
             power += excess.sum(axis=0)
             index = view.record.lines
@@ -35,14 +35,14 @@ def describe_unexplained(trial: CandidateEvidence, recording: Recording) -> Unex
                 lines[i] += list(zip((view.omega / 2 / np.pi).tolist(), excess[:, i].tolist(), strict=True))
             size = float(np.std(view.record.motor_wave))
             levels.append(
-                (size, float((np.abs(r) ** 2 * good).sum() / max((np.abs(view.acting) ** 2).sum(), 1e-300)))
+                (size, float((np.abs(r) ** 2 * usable).sum() / max((np.abs(view.acting) ** 2).sum(), 1e-300)))
             )
     axis = int(np.argmax(power))
-    found: dict[float, float] = {}
+    power_by_frequency: dict[float, float] = {}
     for hz, e in lines[axis]:
         key = round(hz, 4)
-        found[key] = found.get(key, 0.0) + e
-    strongest = sorted(found, key=lambda hz: -found[hz])[:6]
+        power_by_frequency[key] = power_by_frequency.get(key, 0.0) + e
+    strongest = sorted(power_by_frequency, key=lambda hz: -power_by_frequency[hz])[:6]
     character = []
     if even[axis] > 0.15 * max(power[axis], 1e-300):
         character.append("even")
@@ -51,7 +51,7 @@ def describe_unexplained(trial: CandidateEvidence, recording: Recording) -> Unex
     relative = [share for _, share in sorted(levels)]
     if len(relative) > 1 and relative[-1] > 0 and not 0.5 < relative[0] / relative[-1] < 2.0:
         character.append("amplitude-dependent")
-    character.append(_follows(trial, axis))
+    character.append(_time_character(trial, axis))
     name = recording.axes[axis]
     where = ", ".join(f"{hz:.3g}" for hz in sorted(strongest))
     return Unexplained(
@@ -65,8 +65,8 @@ def describe_unexplained(trial: CandidateEvidence, recording: Recording) -> Unex
     )
 
 
-def _follows(trial: CandidateEvidence, axis: int) -> str:
-    """What the missing torque goes with over time: position, velocity, or neither."""
+def _time_character(trial: CandidateEvidence, axis: int) -> str:
+    """Whether the missing torque depends on position, velocity or neither, as a word of the contract."""
     best: dict[str, float] = {"position-dependent": 0.0, "velocity-dependent": 0.0}
     total = 0.0
     evaluation = trial.fit.evaluation

@@ -1,4 +1,4 @@
-"""The diagnosis of a large motion: rows over time and what is missing in them, judged as every other."""
+"""The diagnosis of a large motion: regression over time instead of spectra, judged as every other."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import numpy as np
 
 from invid.diagnosis.outcome import (
     Cause,
-    assembled,
+    assemble_diagnosis,
     axis_above_floor,
-    competes,
     explained_share,
     finding_of,
-    floors,
+    floors_left,
+    is_rival,
     likelihood_share,
     limit_unfinished_search,
 )
@@ -25,7 +25,7 @@ from invid.model.document import EffectTerm, Model
 from invid.numerics import budget
 from invid.numerics.arrays import Float64
 from invid.recording.model import Recording
-from invid.rigid_motion.analysis import Analysis, analyse, row_floor, sampling_leaves
+from invid.rigid_motion.analysis import Analysis, analyse, row_floor, sampling_error
 from invid.rigid_motion.effect_terms import term_of
 from invid.rigid_motion.figures import figures_of
 from invid.rigid_motion.model import model_of
@@ -63,11 +63,11 @@ def diagnose_trajectory(
     near = axis_above_floor(residual) is None
     missing = any(
         r.after > max(FLOOR * r.noise_floor, allowed)
-        for r, allowed in zip(residual, sampling_leaves(a), strict=True)
+        for r, allowed in zip(residual, sampling_error(a), strict=True)
     )
     causes = sorted(_causes(a, terms, explained or 0.0), key=lambda c: c.after - c.before)
     sizes = extended.chains.masses_per_branch
-    result = assembled(
+    result = assemble_diagnosis(
         recording,
         residual,
         # Each was tested against the model without it on rows kept out: it stands on its own evidence.
@@ -76,25 +76,28 @@ def diagnose_trajectory(
         missing=missing,
         complete=True,
         explained=explained,
-        left=None if near or not (terms or missing) else _left(a, residual),
+        left=None if near or not (terms or missing) else _describe_residual(a, residual),
         warnings=extended.warnings,
         details=figures_of(a, extended),
     )
-    return limit_unfinished_search(result) if a.selection.cut else result
+    return limit_unfinished_search(result) if a.selection.is_cut_short else result
 
 
 def _residuals(a: Analysis) -> tuple[AxisResidual, ...]:
     rows, unit, floor = judged_rows(a.design), a.recording.torque_unit, row_floor(a)
     result = []
     for i, name in enumerate(a.recording.axes):
-        mine = rows & (a.design.axis == i)
-        before, after = root_mean_square(a.base.held_out[mine]), root_mean_square(a.final.held_out[mine])
-        result.append(AxisResidual(name, unit, before, after, float(np.sqrt(np.mean(floor[mine])))))
+        axis_rows = rows & (a.design.axis == i)
+        before, after = (
+            root_mean_square(a.base.held_out[axis_rows]),
+            root_mean_square(a.final.held_out[axis_rows]),
+        )
+        result.append(AxisResidual(name, unit, before, after, float(np.sqrt(np.mean(floor[axis_rows])))))
     return tuple(result)
 
 
 class _Costs:
-    """χ² of fits over independent rows, in the scatter that the final fit leaves."""
+    """χ² of fits over independent rows, with the residual variance of the final fit as unit."""
 
     def __init__(self, a: Analysis) -> None:
         self.design, self.final = a.design, a.final
@@ -102,14 +105,14 @@ class _Costs:
         train = ~a.design.validate if own else judged_rows(a.design)
         length = train.sum() / max(a.final.effective, 1.0)
         self.held = float(judged_rows(a.design).sum() / length)
-        # Rows that are predicted by fits without them are all rows, and count once.
+        # In cross-validation every row is predicted by a fit without it and counts once.
         self.trained = a.final.effective if own else 0.0
         rows = judged_rows(a.design)
         noise = float(np.mean((row_floor(a) * a.design.weight**2)[rows]))
         share = 1.0 - noise / max(held_out_cost(a.design, a.final), 1e-300)
         count = self.held + self.trained
         self.left = max(count * share - 3.0 * float(np.sqrt(2.0 * count)), 0.0)
-        """What even the final fit leaves beyond noise, three standard deviations taken off."""
+        """χ² that even the final fit leaves beyond noise, three standard deviations subtracted."""
 
     def of(self, result: Fit) -> float:
         """χ² of a fit."""
@@ -124,30 +127,33 @@ class _Costs:
 
 
 def _causes(a: Analysis, terms: list[Regressor], explained: float) -> list[Cause]:
-    """The terms with what they take and what competes with them."""
+    """The terms as causes, with what each explains and its competitors."""
     costs, design = _Costs(a), a.design
     others = [[t for t in a.final.terms if t is not term] for term in terms]
     without = [fit_terms(design, rest) for rest in others]
     gains = [max(costs.of(w) - costs.of(a.final), 0.0) for w in without]
     found = []
     for term, rest, bare, gain in zip(terms, others, without, gains, strict=True):
-        mine = judged_rows(design) & (design.axis == term.axis)
-        near = _near(a, term, rest, costs, costs.of(a.final) + NEAR * gain)
+        axis_rows = judged_rows(design) & (design.axis == term.axis)
+        near = _near_fits(a, term, rest, costs, costs.of(a.final) + NEAR * gain)
         scores = np.array([costs.score(f) for f in (a.final, *near)])
         chance = max(training_p(bare, a.final), held_out_p(design, bare, a.final))
         alternatives = tuple(
             Alternative(
-                f.terms[-1].cause, a.recording.axes[term.axis], "mass 1", root_mean_square(f.held_out[mine])
+                f.terms[-1].cause,
+                a.recording.axes[term.axis],
+                "mass 1",
+                root_mean_square(f.held_out[axis_rows]),
             )
             for f, score in zip(near, scores[1:], strict=True)
-            if competes(score - scores[0], costs.of(f) - costs.of(a.final), costs.left)
+            if is_rival(score - scores[0], costs.of(f) - costs.of(a.final), costs.left)
         )
-        effect, remarks = _plain(a, term, rest)
+        effect, remarks = _plain_effect(a, term, rest)
         found.append(
             Cause(
                 effect,
-                root_mean_square(bare.held_out[mine]),
-                root_mean_square(a.final.held_out[mine]),
+                root_mean_square(bare.held_out[axis_rows]),
+                root_mean_square(a.final.held_out[axis_rows]),
                 explained * gain / max(sum(gains), 1e-300),
                 (1.0 - chance) * likelihood_share(scores, [True, *(False for _ in near)]),
                 alternatives,
@@ -157,11 +163,11 @@ def _causes(a: Analysis, terms: list[Regressor], explained: float) -> list[Cause
     return found
 
 
-def _near(a: Analysis, term: Regressor, rest: list[Regressor], costs: _Costs, most: float) -> list[Fit]:
-    """Fits of other causes in this one's stead that take about as much."""
+def _near_fits(a: Analysis, term: Regressor, rest: list[Regressor], costs: _Costs, most: float) -> list[Fit]:
+    """Fits with another cause in place of ``term`` that cost less than ``most``."""
     labels: dict[Any, list[Regressor]] = {}
     for c in a.candidates:
-        # What contains the term is a refinement that was tried and not needed, not a rival.
+        # A law that contains the term is a refinement that was not needed, not a rival.
         nested = term.cause in c.replaces or c.cause in term.replaces
         if c.axis == term.axis and not (c.base or nested) and c.label != term.label and can_join(rest, c):
             labels.setdefault(c.label, []).append(c)
@@ -175,10 +181,10 @@ def _near(a: Analysis, term: Regressor, rest: list[Regressor], costs: _Costs, mo
     return found
 
 
-def _plain(a: Analysis, term: Regressor, rest: list[Regressor]) -> tuple[EffectTerm, tuple[str, ...]]:
-    """The effect in the cause's own parameters, and what the model has beyond them, in sentences.
+def _plain_effect(a: Analysis, term: Regressor, rest: list[Regressor]) -> tuple[EffectTerm, tuple[str, ...]]:
+    """The effect in the cause's own parameters, and sentences about what the model has beyond them.
 
-    Friction that differs by direction has four parameters; where it also bends at low speed, the four are
+    Friction that differs by direction has four parameters. Where it also bends at low speed, the four are
     those of the best law without the bend (with the bend they would mean something else), and the bend stands
     in the model's effect. The symmetric law beside it lets a reader compare with tables.
     """
@@ -223,23 +229,23 @@ def _plain(a: Analysis, term: Regressor, rest: list[Regressor]) -> tuple[EffectT
     return effect, tuple(remarks)
 
 
-def _left(a: Analysis, residual: tuple[AxisResidual, ...]) -> Unexplained:
-    """Where and how the part lives that no cause explains, on the axis farthest above its floor."""
-    worst = max(range(len(residual)), key=lambda i: floors(residual[i]))
-    mine = a.design.axis == worst
-    left = a.final.held_out[mine]
+def _describe_residual(a: Analysis, residual: tuple[AxisResidual, ...]) -> Unexplained:
+    """Size, frequencies and character of the unexplained torque on the axis farthest above its floor."""
+    worst = max(range(len(residual)), key=lambda i: floors_left(residual[i]))
+    axis_rows = a.design.axis == worst
+    residual_rows = a.final.held_out[axis_rows]
     motion = max(a.motions, key=lambda m: int(m.keep.sum()))
     character = []
     position = np.concatenate([m.rows(m.position)[:, worst] for m in a.motions])
     velocity = np.concatenate([m.rows(m.velocity)[:, worst] for m in a.motions])
-    time = np.arange(left.size, dtype=float)
+    time = np.arange(residual_rows.size, dtype=float)
     for name, driver in (("position", position), ("velocity", velocity), ("time", time)):
-        if _depends(left, driver, a.final.effective / a.design.axes):
+        if _is_dependent(residual_rows, driver, a.final.effective / a.design.axes):
             character.append(f"{name}-dependent")
     frequencies: tuple[float, ...] = ()
-    if not motion.steady and left.size >= 64:
-        power = np.abs(np.fft.rfft(left - left.mean())) ** 2
-        line = np.fft.rfftfreq(left.size, motion.row_step)
+    if not motion.steady and residual_rows.size >= 64:
+        power = np.abs(np.fft.rfft(residual_rows - residual_rows.mean())) ** 2
+        line = np.fft.rfftfreq(residual_rows.size, motion.row_step)
         top = sorted(float(f) for f in line[np.argsort(power)[-3:]])
         frequencies = tuple(round(f, 3) for f in top)
     r = residual[worst]
@@ -254,8 +260,8 @@ def _left(a: Analysis, residual: tuple[AxisResidual, ...]) -> Unexplained:
     )
 
 
-def _depends(residual: Float64, driver: Float64, effective: float) -> bool:
-    """More than a tenth of the residual's power, and significant, in its mean over ten bins of ``driver``."""
+def _is_dependent(residual: Float64, driver: Float64, effective: float) -> bool:
+    """Whether the mean over ten bins of ``driver`` holds a significant tenth of the residual's power."""
     edges = np.quantile(driver, np.linspace(0, 1, 11)[1:-1])
     bins = np.searchsorted(edges, driver)
     sums = np.bincount(bins, residual, 10)

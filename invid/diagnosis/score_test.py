@@ -1,4 +1,4 @@
-"""Score test of every cause at every place, linear parameters and chosen causes projected out."""
+"""Score test of every cause at every place, with linear parameters and chosen causes projected out."""
 
 from __future__ import annotations
 
@@ -21,24 +21,25 @@ from invid.numerics.whitening import stack
 
 @dataclass(frozen=True, eq=False)
 class Score:
-    """How much χ² a cause at a place takes away, at its best shape, before anything is refitted."""
+    """Result of the score test of one cause at one place: parameters and χ² it would gain, before any
+    refit."""
 
     term: PlacedEffect
     x: Float64
     gain: float
     shift: Float64 = field(default_factory=lambda: np.zeros(0))
-    """Change of all parameters fitted so far that goes with it, to first order; empty where not known."""
+    """(n,) first-order change of all parameters fitted so far; empty where not known."""
 
     @property
     def size(self) -> int:
-        """Parameters."""
+        """Number of parameters."""
         return self.term.size
 
 
 def terms_to_test(
     structure: ChainStructure, *, linear_axes: bool, chosen: Sequence[PlacedEffect] = ()
 ) -> list[PlacedEffect]:
-    """Every cause at every place that can be there and is not chosen yet."""
+    """Every cause at every place that the structure allows and that is not ``chosen`` yet."""
     out = []
     for effect in effects():
         if structure.motors < effect.least_axes or (linear_axes and effect.rotary):
@@ -54,35 +55,35 @@ def terms_to_test(
 
 
 class Screen:
-    """The projection of one fit, and scores against it."""
+    """Score tests against one fit: its tangent space is projected out of every cause's columns."""
 
     def __init__(self, fit: JointFit) -> None:
         self.fit = fit
         evaluation = fit.evaluation
         scale = np.linalg.norm(evaluation.jacobian, axis=0)
         scale[scale == 0] = 1.0
-        # A parameter that stands at its bound and would go on takes nothing away: a hold that is all inside
-        # its drive is no more viscous friction than that, and the rest of it is there to be found.
-        free = ~fit.stuck
+        # A parameter at its bound whose gradient points outwards is not projected out: a hold that is all
+        # inside its drive explains no more viscous friction than that, and the rest is to be found.
+        free = ~fit.is_stuck
         left, size, right = np.linalg.svd((evaluation.jacobian / scale)[:, free], full_matrices=False)
         seen = size > 1e-10 * size[0]
         self.basis = left[:, seen]
-        self._back = np.zeros((scale.size, int(seen.sum())))
-        self._back[free] = (right[seen].T / size[seen]) / scale[free, None]
+        self._pseudo_inverse = np.zeros((scale.size, int(seen.sum())))
+        self._pseudo_inverse[free] = (right[seen].T / size[seen]) / scale[free, None]
         self.residual = evaluation.residual - self.basis @ (self.basis.T @ evaluation.residual)
         self._feedback = [v.feedback for v in evaluation.views]
-        self._at: Pattern | None = None
+        self._reconstructed: Pattern | None = None
         self.tail = evaluation.residual.size - sum(
             2 * v.record.omega.size * v.record.torque.shape[1] for v in evaluation.views
         )
 
     @property
     def views(self) -> tuple[View, ...]:
-        """The records."""
+        """Records of the fit through its linear plant."""
         return self.fit.evaluation.views
 
     def project(self, columns: Sequence[Complex128]) -> Float64:
-        """(rows, L) whitened columns without what the fit already explains."""
+        """(rows, L) whitened columns with the tangent space of the fit projected out."""
         parts = []
         evaluation = self.fit.evaluation
         for column, root, basis in zip(columns, evaluation.roots, evaluation.bases, strict=True):
@@ -103,14 +104,16 @@ class Screen:
             part = stack(root @ term.effect.contribution(view, term.place, x.tolist())[0][..., None])[:, 0]
             parts.append(part - basis @ (basis.T @ part) if basis.size else part)
         white = np.concatenate([*parts, np.zeros(self.tail)]) + evaluation.residual
-        out: Float64 = -self._back @ (self.basis.T @ white)
+        out: Float64 = -self._pseudo_inverse @ (self.basis.T @ white)
         return out
 
-    def at(self, term: PlacedEffect, shape: Sequence[float]) -> tuple[float, Float64]:
-        """Gain and parameter vector at one shape."""
+    def score_at_shape(self, term: PlacedEffect, shape: Sequence[float]) -> tuple[float, Float64]:
+        """Gain of χ² and (k,) parameters of an effect at one shape."""
         effect, place = term.effect, term.place
         if not effect.coefficients:
-            columns = self.project([self._nonlinear(v, term, shape)[..., None] for v in self.views])[:, 0]
+            columns = self.project(
+                [self._nonlinear_contribution(v, term, shape)[..., None] for v in self.views]
+            )[:, 0]
             if not np.isfinite(columns).all():
                 return -np.inf, np.asarray(shape, dtype=float)
             gain = float(-2.0 * columns @ self.residual - columns @ columns)
@@ -121,24 +124,27 @@ class Screen:
         return gain, np.concatenate((coefficients, np.asarray(shape, dtype=float)))
 
     def _reconstruct(self, term: PlacedEffect | None) -> None:
-        """Inner motion of every view, had the missing torque come from a force at the term's place."""
-        read = term is not None and term.inner and term.effect.along_pattern
-        pattern = term.place.pattern(self.fit.layout.structure) if term is not None and read else None
-        if pattern == self._at:
+        """Sets the inner motion of every view as if the missing torque came from a force at the term's
+        place."""
+        is_read = term is not None and term.inner and term.effect.along_pattern
+        pattern = term.place.pattern(self.fit.layout.structure) if term is not None and is_read else None
+        if pattern == self._reconstructed:
             return
-        self._at = pattern
-        for view, own, rest in zip(self.views, self._feedback, self.fit.evaluation.missing, strict=True):
+        self._reconstructed = pattern
+        for view, feedback, rest in zip(self.views, self._feedback, self.fit.evaluation.missing, strict=True):
             if pattern is None or view.missing is None:
-                view.respond(own)
+                view.set_inner_motion(feedback)
             else:
-                view.respond(own - view.yields(pattern) * view.inferred(pattern, rest)[:, None])
+                view.set_inner_motion(
+                    feedback - view.inner_receptance(pattern) * view.estimated_force(pattern, rest)[:, None]
+                )
 
-    def release(self) -> None:
-        """Gives the views of the fit their own inner motion back."""
+    def restore_views(self) -> None:
+        """Restores the inner motion of the fit in its views."""
         self._reconstruct(None)
 
-    def _nonlinear(self, view: View, term: PlacedEffect, shape: Sequence[float]) -> Complex128:
-        """Contribution on top of the causes chosen, inner motion in agreement with it."""
+    def _nonlinear_contribution(self, view: View, term: PlacedEffect, shape: Sequence[float]) -> Complex128:
+        """(F, M) contribution on top of the chosen causes, inner motion iterated with it."""
         self._reconstruct(term)
         if not term.inner or view.missing is not None:
             return term.effect.contribution(view, term.place, shape)[0]
@@ -148,17 +154,17 @@ class Screen:
             total, yields = term.effect.contribution(view, term.place, shape)
             if yields is None:
                 break
-            view.respond(before + yields)
-        view.respond(before)
+            view.set_inner_motion(before + yields)
+        view.set_inner_motion(before)
         return total
 
     def best(self, term: PlacedEffect, *, polish: bool = False) -> Score:
-        """The best shape of the grid, polished between its neighbours where asked."""
+        """Score at the best shape of the grid; ``polish``: refined between the grid's shapes."""
         self._reconstruct(term)
         grid = term.effect.grid(self.views, term.place)
         if not grid:
             return Score(term, np.zeros(0), -np.inf)
-        results = [(*self.at(term, shape), shape) for shape in grid]
+        results = [(*self.score_at_shape(term, shape), shape) for shape in grid]
         gain, x, shape = max(results, key=lambda r: r[0])
         if not polish:
             return Score(term, x, gain)
@@ -169,7 +175,7 @@ class Screen:
     def _polish(
         self, term: PlacedEffect, gain: float, x: Float64, shape: list[float], grid: list[tuple[float, ...]]
     ) -> tuple[float, Float64]:
-        """Bisection of the grid's spacing, one shape after the other."""
+        """Gain and parameters after bisecting the grid's spacing, one shape after the other."""
         limits = term.effect.limits(self.views, term.place)
         for k in range(len(shape)):
             values = sorted({g[k] for g in grid})
@@ -181,7 +187,7 @@ class Screen:
                 for sign in (-1.0, 1.0):
                     trial = list(shape)
                     trial[k] = float(np.clip(shape[k] + sign * width, *limits[k]))
-                    g, tx = self.at(term, trial)
+                    g, tx = self.score_at_shape(term, trial)
                     if g > gain:
                         gain, x, shape = g, tx, trial
                         break
@@ -189,7 +195,7 @@ class Screen:
 
 
 def _regress(effect: Effect, columns: Float64, residual: Float64) -> tuple[float, Float64]:
-    """Best coefficients within their signs, and the χ² they take away."""
+    """Best coefficients within their signs, and the χ² they gain."""
     scale = np.linalg.norm(columns, axis=0)
     good = scale > 1e-12 * max(float(scale.max(initial=0.0)), 1e-300)
     coefficients = np.zeros(columns.shape[1])

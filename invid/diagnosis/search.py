@@ -42,18 +42,18 @@ from invid.numerics.arrays import Float64
 from invid.numerics.distributions import chi2_isf
 from invid.signals.spectral_record import SpectralRecord
 
-NONE_YET = "causes of what is missing (none was weighed to the end)"
-FURTHER = "further causes"
-AGAIN = "each cause once more beside the others"
-"""What a search leaves out when its time is spent, as the warning says it."""
-HALF = 0.6
-"""Share of what is still to be done that is taken to lie ahead after one more cause; for progress alone."""
-MODE = 150
-"""Iterations for a mode moved to another mass of its axis: it creeps along a valley, and 20 stop halfway."""
-NOTHING = Candidate()
-AN_AXIS = 8
-"""Causes an axis at most besides the friction that the search starts with: no limit that evidence meets (two
-of friction, a weight, four faults), and an end where it is misled."""
+NO_CAUSE_YET = "causes of what is missing (none was weighed to the end)"
+FURTHER_CAUSES = "further causes"
+RECONSIDERATION = "each cause once more beside the others"
+"""What a search leaves out when its time is spent, in the words of the warning."""
+REMAINING_SHARE = 0.6
+"""Share of the remaining work that is taken to lie ahead after one more cause; for progress display alone."""
+MODE_ITERATIONS = 150
+"""Iterations of a mode moved to another mass of its axis: the fit follows a flat valley, 20 stop halfway."""
+NO_EFFECTS = Candidate()
+MOST_PER_AXIS = 8
+"""Most causes of an axis besides the friction that the search starts with. Empirical: real machines need
+fewer (two of friction, a weight, four faults); it ends a search that is misled."""
 
 
 def select_causes(
@@ -66,180 +66,197 @@ def select_causes(
     start: Float64 | None = None,
     moves: Sequence[SlowMove] = (),
     family: str | None = None,
-    friction: Candidate = NOTHING,
+    friction: Candidate = NO_EFFECTS,
 ) -> Selection:
-    """Adds causes while both the training and the held-out gain are significant.
+    """Causes added while both the training and the held-out gain are significant.
 
-    ``free``: linear parameters of the fit whose time offsets were not bounded; where delays start. ``start``:
-    those of the model, tried for a first cause where those of the fit lead nowhere. ``moves``: slow moves
-    beside the records, which tell laws of position apart. ``family``: of causes, where only those of one are
-    asked for. ``friction``: what the identification fitted along, where the search starts.
+    ``free`` (n,): parameters of the fit with unbounded time offsets, where delays start. ``start`` (n,):
+    parameters of the model, tried for a first cause where those of the fit lead nowhere. ``moves``: slow
+    moves beside the records, which tell laws of position apart. ``family``: the only family of causes to
+    search. ``friction``: what the identification fitted along, where the search starts.
 
-    A lag keeps the time offset of its axis beside it: two timings, where a delay is one. Where what the lag's
-    model leaves is more than the difference between the two, the data do not ask for the second timing, and
-    the delay leads; the lag stays its rival.
+    A lag keeps the time offset of its axis beside it: two timings where a delay is one. Where the excess of
+    the lag's model is more than the χ² between the two, the data do not need the second timing, and the delay
+    is chosen; the lag stays its rival.
     """
-    asked = _Asked(linear_axes, free, start, moves, family=family, friction=friction)
-    found = _search(base, train, held, asked)
+    request = SearchRequest(linear_axes, free, start, moves, family=family, friction=friction)
+    found = _search_causes(base, train, held, request)
     contested = frozenset(
         s.chosen.term.place.axis
         for s in found.steps
         if s.chosen.term.effect.cause == "torque_lag"
-        and any(_is(t, "torque_delay", s.chosen.term.place.axis) for t, _ in s.ranked)
+        and any(_is_cause_on(t, "torque_delay", s.chosen.term.place.axis) for t, _ in s.ranked)
     )
-    if not contested or _alone(found, [*train, *held]):
+    if not contested or _is_lag_sufficient(found, [*train, *held]):
         return found
     if budget.is_left_out("the delay in place of a lag"):
-        return replace(found, cut=True)
-    other = _search(base, train, held, replace(asked, contested=contested))
-    if any(_is(s.chosen, "torque_lag", i) for s in other.steps for i in contested):
-        return found  # a delay that needs the lag beside it takes nothing's place
+        return replace(found, is_cut_short=True)
+    other = _search_causes(base, train, held, replace(request, contested=contested))
+    if any(_is_cause_on(s.chosen, "torque_lag", i) for s in other.steps for i in contested):
+        return found  # a delay that needs a lag beside it replaces nothing
     return other if other.final.cost - found.final.cost < found.final.beyond_noise else found
 
 
-def _alone(found: Selection, records: Sequence[SpectralRecord]) -> bool:
-    """Whether one lag leaves nothing but noise and its delay more: beside others that is the larger model."""
+def _is_lag_sufficient(found: Selection, records: Sequence[SpectralRecord]) -> bool:
+    """Whether a lag is the only cause, reaches the noise, and is clearly better than a delay.
+
+    Beside other causes the lag is the larger model, and the delay is tried in its place.
+    """
     if len(found.steps) > 1 or found.final.rejects(records):
         return False
     delay = next((t for t, _ in found.steps[0].ranked if t.term.effect.cause == "torque_delay"), None)
     return delay is not None and delay.cost - found.final.cost > found.final.beyond_noise + LARGER
 
 
-def _named(step: Step) -> tuple[str, Place]:
+def _cause_and_place(step: Step) -> tuple[str, Place]:
     return step.chosen.term.effect.cause, step.chosen.term.place
 
 
-def _is(trial: CandidateEvidence, cause: str, axis: int) -> bool:
+def _is_cause_on(trial: CandidateEvidence, cause: str, axis: int) -> bool:
     return trial.term.effect.cause == cause and trial.term.place.axis == axis
 
 
 @dataclass(frozen=True, eq=False)
-class _Asked:
-    """What a search is given beside the fit and its records; see ``select``."""
+class SearchRequest:
+    """Settings of a search besides the fit and its records; see ``select_causes``."""
 
     linear_axes: bool
     free: Float64 | None
     start: Float64 | None
     moves: Sequence[SlowMove]
     contested: frozenset[int] = frozenset()
-    """Axes on which a delay goes before its lag."""
+    """Axes on which a delay is preferred to a lag."""
     axis: int | None = None
-    """Where causes are looked for; everywhere where it is none."""
+    """The only axis to search; all where it is ``None``."""
     family: str | None = None
-    """Which causes are looked for; all where it is none."""
-    friction: Candidate = NOTHING
-    """Laws that the identification fitted along: where the search starts."""
+    """The only family of causes to search; all where it is ``None``."""
+    friction: Candidate = NO_EFFECTS
+    """Laws that the identification fitted along, where the search starts."""
 
 
-def _search(
-    base: JointFit, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord], asked: _Asked
+def _search_causes(
+    base: JointFit, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord], request: SearchRequest
 ) -> Selection:
-    """Causes added one by one."""
+    """The selection of causes added one by one, from the identification's friction or from nothing."""
     start = CandidateEvidence(base, evaluate_held_out(base, held))
-    begun = _from_friction(start, train, held, asked)
-    if begun is not None and (_right(begun) or budget.is_spent()):
-        return begun
-    found = _added(Selection(start, start), train, held, asked)
-    again = budget.or_else(AGAIN, partial(_reconsidered, found, train, held, asked), found)
-    if [_named(s) for s in again.steps] != [_named(s) for s in found.steps]:
-        again = _added(again, train, held, asked)  # beside another cause there may be more to find
-    found = cast(Selection, apply_rule("asymmetric-pair", again, train, held))
-    found = replace(found, cut=found.cut or budget.is_left_out(FURTHER))
-    # Beside a cause that the identification knew nothing of, its friction may stand for a part of that.
-    return found if begun is None or found.final.cost < begun.final.cost else begun
+    from_friction = _search_from_friction(start, train, held, request)
+    if from_friction is not None and (_is_model_right(from_friction) or budget.is_spent()):
+        return from_friction
+    found = _add_causes(Selection(start, start), train, held, request)
+    reconsidered = budget.or_else(
+        RECONSIDERATION, partial(_reconsider_causes, found, train, held, request), found
+    )
+    if [_cause_and_place(s) for s in reconsidered.steps] != [_cause_and_place(s) for s in found.steps]:
+        reconsidered = _add_causes(
+            reconsidered, train, held, request
+        )  # with a cause exchanged there may be more to find
+    found = cast(Selection, apply_rule("asymmetric-pair", reconsidered, train, held))
+    found = replace(found, is_cut_short=found.is_cut_short or budget.is_left_out(FURTHER_CAUSES))
+    # Friction fitted without a cause that is there may absorb a part of it, so both starts are compared.
+    return found if from_friction is None or found.final.cost < from_friction.final.cost else from_friction
 
 
-def _right(found: Selection) -> bool:
-    """Whether a search ended where a model is taken for right, as ``trust`` has it."""
+def _is_model_right(found: Selection) -> bool:
+    """Whether a search ended at a model that counts as right, by the thresholds of ``trust``."""
     final = found.final
     return final.cost <= REACHED * final.dof or final.excess <= LEFT * found.base.excess
 
 
-def _from_friction(
-    start: CandidateEvidence, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord], asked: _Asked
+def _search_from_friction(
+    start: CandidateEvidence,
+    train: Sequence[SpectralRecord],
+    held: Sequence[SpectralRecord],
+    request: SearchRequest,
 ) -> Selection | None:
-    """The search begun with the friction of the identification; ``None`` where there is none."""
-    known = apply_rule("known-friction", start, asked.friction, asked.start, train, held)
+    """The search that starts with the friction of the identification; ``None`` where there is none."""
+    known = apply_rule("known-friction", start, request.friction, request.start, train, held)
     if known is None:
         return None
-    names = [_named(s) for s in known.steps]
-    begun = _added(known, train, held, asked, len(names))
-    every = sum(_named(s) in names for s in begun.steps)  # they stand first
-    found = budget.or_else(AGAIN, partial(_reconsidered, begun, train, held, asked, every=every), begun)
-    if [_named(s) for s in found.steps] != [_named(s) for s in begun.steps]:
-        found = _added(found, train, held, asked, sum(_named(s) in names for s in found.steps))
+    names = [_cause_and_place(s) for s in known.steps]
+    extended = _add_causes(known, train, held, request, len(names))
+    protected = sum(_cause_and_place(s) in names for s in extended.steps)  # they come first
+    found = budget.or_else(
+        RECONSIDERATION,
+        partial(_reconsider_causes, extended, train, held, request, protected=protected),
+        extended,
+    )
+    if [_cause_and_place(s) for s in found.steps] != [_cause_and_place(s) for s in extended.steps]:
+        found = _add_causes(
+            found, train, held, request, sum(_cause_and_place(s) in names for s in found.steps)
+        )
     found = cast(Selection, apply_rule("asymmetric-pair", found, train, held))
-    return replace(found, cut=found.cut or budget.is_left_out(FURTHER))
+    return replace(found, is_cut_short=found.is_cut_short or budget.is_left_out(FURTHER_CAUSES))
 
 
-def _added(
+def _add_causes(
     found: Selection,
     train: Sequence[SpectralRecord],
     held: Sequence[SpectralRecord],
-    asked: _Asked,
-    besides: int = 0,
+    request: SearchRequest,
+    known_count: int = 0,
 ) -> Selection:
-    """Causes added one by one to those found; ``besides``: how many of them were known, and do not count.
+    """The selection with causes added one by one; ``known_count``: how many are known and do not count.
 
-    A further cause is weighed against what was missing without causes, or with those known.
+    A further cause is compared with the excess without causes, or with the known ones.
     """
     found = cast(Selection, apply_rule("reversal-widths", found, train, held))
     start, current, steps, rejected = found.base, found.final, list(found.steps), found.rejected
-    first, sure, small = current if besides else start, found, set[tuple[str, Place]]()
-    most = AN_AXIS * start.fit.layout.structure.motors + besides
+    first, sure, small = current if known_count else start, found, set[tuple[str, Place]]()
+    most = MOST_PER_AXIS * start.fit.layout.structure.motors + known_count
     while len(steps) < most:
         rejects = current.rejects([*train, *held])
         if steps and not rejects:
-            break  # what the causes leave is noise; what else fits it says how imperfect their models are
+            break  # the remainder is noise; what else fits it only shows that the models are imperfect
         number = len(steps)
         try:
-            with budget.use_share(1.0, 1.0 - HALF**number, 1.0 - HALF ** (number + 1)):
-                step, rejected, little = _step(
-                    current, train, held, asked, first, first=not steps, rejects=rejects, small=True
+            with budget.use_share(1.0, 1.0 - REMAINING_SHARE**number, 1.0 - REMAINING_SHARE ** (number + 1)):
+                step, rejected, little = _find_step(
+                    current, train, held, request, first, first=not steps, rejects=rejects, small=True
                 )
         except budget.BudgetSpent:
-            budget.leave_out(f"causes beside {number} found" if number else NONE_YET)
-            found = replace(found, cut=True)
+            budget.leave_out(f"causes beside {number} found" if number else NO_CAUSE_YET)
+            found = replace(found, is_cut_short=True)
             break
         if step is None:
             break
-        step = cast(Step, apply_rule("slow-moves", step, asked.moves))
+        step = cast(Step, apply_rule("slow-moves", step, request.moves))
         added = apply_rule("friction-ladder", step, train, held)
         now = Selection(start, added[-1].chosen, (*steps, *added))
         now = cast(Selection, apply_rule("reversal-widths", now, train, held))
         steps, current = list(now.steps), now.final
-        small |= {_named(s) for s in added if little}
+        small |= {_cause_and_place(s) for s in added if little}
         if not small:
-            sure = replace(now, cut=found.cut)
+            sure = replace(now, is_cut_short=found.is_cut_short)
     if small and current.cost > FAR * current.dof:
-        # Far from the noise what is small beside the first cause may be what a law of that errs by.
-        return replace(sure, rejected=rejected, cut=found.cut)
-    if current.cost > FAR * current.dof:  # what a wrong model leaves, any cause may fit
-        small = {_named(s) for s in steps[besides:]}
+        # Far from the noise a cause that is small beside the first may be an error of the first one's law.
+        return replace(sure, rejected=rejected, is_cut_short=found.is_cut_short)
+    if current.cost > FAR * current.dof:  # any cause may fit the remainder of a wrong model
+        small = {_cause_and_place(s) for s in steps[known_count:]}
     return drop_insignificant_causes(
-        Selection(start, current, tuple(steps), rejected, found.cut), small, train, held
+        Selection(start, current, tuple(steps), rejected, found.is_cut_short), small, train, held
     )
 
 
-def _reconsidered(
+def _reconsider_causes(
     found: Selection,
     train: Sequence[SpectralRecord],
     held: Sequence[SpectralRecord],
-    asked: _Asked,
+    request: SearchRequest,
     *,
-    every: int = 0,
+    protected: int = 0,
 ) -> Selection:
-    """Every cause but the last sought anew beside all others.
+    """The selection with every cause but the last searched anew beside all others.
 
-    It was chosen while those after it were missing, and may have stood for a part of them: a ripple for
-    gravity beside friction, one mass for the next. A mode may be the chain's own, which another cause hid
-    from the linear fit.
+    It was chosen while later ones were missing and may stand for a part of them: a ripple for gravity beside
+    friction, one mass for the next. A mode may be the chain's own, which another cause hid from the linear
+    fit. ``protected``: the first causes, known beforehand, which are dropped where nothing is found in their
+    place.
     """
     known, newest = len(found.base.fit.candidate.terms), len(found.steps) - 1
     for number in reversed(range(len(found.steps))):
         final, at, count = found.final, known + number, known + len(found.steps)
-        mode = found.steps[number].chosen.term.effect.cause == "extra_mode"
-        if number == newest and not mode and number >= every:
+        is_mode = found.steps[number].chosen.term.effect.cause == "extra_mode"
+        if number == newest and not is_mode and number >= protected:
             continue
         last = CandidateEvidence(
             reorder_effects(final.fit, [*range(at), *range(at + 1, count), at]), final.held
@@ -247,31 +264,31 @@ def _reconsidered(
         rest = evidence_if_finite(partial(drop_last_effect, last.fit, train), held)
         if rest is None:
             continue
-        if mode:
+        if is_mode:
             other = apply_rule("mode-in-chain", last, rest, train, held)
             if other is None and number == newest:
                 continue
             rest = other or rest
         rejects = rest.rejects([*train, *held])
-        if number == newest and rejects and number >= every:
+        if number == newest and rejects and number >= protected:
             continue
-        # What stands for a part of another axis' cause leaves the rest of that.
+        # At the noise only causes of the same axis can replace it; else it may stand for one of another axis.
         axis = None if found.final.rejects([*train, *held]) else last.term.place.axis
-        here = replace(asked, axis=axis)
-        step, *_ = _step(rest, train, held, here, found.base, first=True, rejects=rejects, known=(last,))
-        if step is None and number < every:
-            wet = last.term.effect.cause == "viscous_friction" and is_asked_for(rest, last)
-            if wet:
+        here = replace(request, axis=axis)
+        step, *_ = _find_step(rest, train, held, here, found.base, first=True, rejects=rejects, known=(last,))
+        if step is None and number < protected:
+            is_viscous_needed = last.term.effect.cause == "viscous_friction" and is_asked_for(rest, last)
+            if is_viscous_needed:
                 step = Step(rest, last, ((last, last.score(last.dispersion, last.fit.dof)),))
             else:
                 found = replace(found, final=rest, steps=(*found.steps[:number], *found.steps[number + 1 :]))
                 continue
         if step is None:
             limit = chi2_isf(SIGNIFICANCE, last.term.size) * found.final.dispersion
-            if not rejects and rest.cost < found.final.cost + limit:  # the others leave nothing to it
+            if not rejects and rest.cost < found.final.cost + limit:  # not needed beside the others
                 found = replace(found, final=rest, steps=(*found.steps[:number], *found.steps[number + 1 :]))
             continue
-        step = cast(Step, apply_rule("slow-moves", step, asked.moves))
+        step = cast(Step, apply_rule("slow-moves", step, request.moves))
         added = apply_rule("friction-ladder", step, train, held)
         order = [*range(at), *range(count - 1, count - 1 + len(added)), *range(at, count - 1)]
         chosen = CandidateEvidence(reorder_effects(added[-1].chosen.fit, order), added[-1].chosen.held)
@@ -280,11 +297,11 @@ def _reconsidered(
     return found
 
 
-def _step(
+def _find_step(
     current: CandidateEvidence,
     train: Sequence[SpectralRecord],
     held: Sequence[SpectralRecord],
-    asked: _Asked,
+    request: SearchRequest,
     start: CandidateEvidence,
     *,
     first: bool,
@@ -292,24 +309,29 @@ def _step(
     known: Sequence[CandidateEvidence] = (),
     small: bool = False,
 ) -> tuple[Step | None, tuple[Score, ...], bool]:
-    """The cause that is best beside those of ``current``, what the screen says else, and whether the cause is
-    so ``small`` that it counts near the noise only; ``known``: fits that compete as they are."""
+    """The step that adds the best cause, the best scores of the screen, and whether it is a small cause.
+
+    The step is ``None`` where no cause is accepted. ``small``: accept causes that count only near the noise;
+    ``known``: fits that compete as they are.
+    """
     here = current.fit
     terms = [
         t
         for t in terms_to_test(
-            here.layout.structure, linear_axes=asked.linear_axes, chosen=here.candidate.terms
+            here.layout.structure, linear_axes=request.linear_axes, chosen=here.candidate.terms
         )
-        if (t.effect.cause != "torque_delay" or _late(here.layout, here.p, t.place.axis))
-        and asked.axis in (None, t.place.axis, t.place.other)
-        and asked.family in (None, t.effect.family)
+        if (t.effect.cause != "torque_delay" or _is_offset_at_bound(here.layout, here.p, t.place.axis))
+        and request.axis in (None, t.place.axis, t.place.other)
+        and request.family in (None, t.effect.family)
     ]
     count, rows = max(len(terms), 1), here.dof
-    trials, scores = _candidates(here, train, held, asked, terms, first=first, rejects=rejects, known=known)
+    trials, scores = _fit_candidates(
+        here, train, held, request, terms, first=first, rejects=rejects, known=known
+    )
     least_left = min((t.fit.cost for t in trials), default=np.inf)
     trials = [apply_rule("change-retimed", t, train, held) if t.fit.cost <= least_left else t for t in trials]
     trials = apply_rule("gradual-sign", trials, current, train, held)
-    trials = [t for t in trials if not is_smaller_model(t)]  # some were larger only for want of rounding
+    trials = [t for t in trials if not is_smaller_model(t)]  # with the rounding some need no larger model
     trials = merge_trials(trials, known)
     if not trials:
         return None, tuple(scores[:5]), False
@@ -319,22 +341,22 @@ def _step(
         *(t for t in trials[1:] if t.cost - trials[0].cost < NEAR * (current.cost - trials[0].cost)),
     ]
 
-    def hopeless(t: CandidateEvidence) -> bool:
-        # Noise alone has had its best by now: what little more there is makes no cause of it.
+    def is_hopeless(t: CandidateEvidence) -> bool:
+        # Too little gain is left to make a candidate at the noise significant.
         least = needed_gain(current, t, count, rejects=rejects)
         return not rejects and REACH * (current.cost - t.cost) < least
 
-    def polish(t: CandidateEvidence) -> CandidateEvidence:
+    def continue_fit(t: CandidateEvidence) -> CandidateEvidence:
         if budget.is_spent():
             return t
         report_candidate("fitting", t.term, here, 0.7)
         more = fit(t.fit.layout, train, t.fit.p, t.fit.candidate, iterations=40)
         return CandidateEvidence(more, evaluate_held_out(more, held))
 
-    open_ = [t for t in best[:4] if not t.fit.converged and not hopeless(t)]
-    gone_on = iter(map_candidates(polish, open_, here, [*train, *held]))
-    # Where the fit went on it may have reached an edge, and then wants something else than this cause.
-    polished = [next(gone_on) if t in open_ else t for t in best[:4]]
+    unconverged = [t for t in best[:4] if not t.fit.converged and not is_hopeless(t)]
+    continued = iter(map_candidates(continue_fit, unconverged, here, [*train, *held]))
+    # A continued fit may have reached a bound, which calls for another cause.
+    polished = [next(continued) if t in unconverged else t for t in best[:4]]
     if first and not known and all(t.cost > FAR * t.dof for t in polished):
         polished = _tempered(polished, here, train, held)
     polished = [t for t in polished if not is_at_bound(t.fit)]
@@ -342,24 +364,34 @@ def _step(
     if not trials:
         return None, tuple(scores[:5]), False
     dispersion = min(t.dispersion for t in trials)
-    ranked = _ranked([(t, t.score(dispersion, rows)) for t in trials], asked.contested)
-    best_of_all = ranked[0][0]
-    quiet = not null_test(here.cost, here.dof, train).rejects
-    apart = min(t.fit.dispersion for t in trials), min(t.held_dispersion for t in trials)
-    there = partial(
-        is_accepted, current, best_of_all, apart, count, start, first=first, rejects=rejects, quiet=quiet
+    ranked = _rank_candidates([(t, t.score(dispersion, rows)) for t in trials], request.contested)
+    winner = ranked[0][0]
+    train_at_noise = not null_test(here.cost, here.dof, train).rejects
+    dispersions = min(t.fit.dispersion for t in trials), min(t.held_dispersion for t in trials)
+    accepts = partial(
+        is_accepted,
+        current,
+        winner,
+        dispersions,
+        count,
+        start,
+        first=first,
+        rejects=rejects,
+        quiet=train_at_noise,
     )
-    sure = there()
-    if not sure and not (small and there(small=True)):
+    sure = accepts()
+    if not sure and not (small and accepts(small=True)):
         return None, tuple(scores[:5]), False
-    if best_of_all.term.effect.cause == "extra_mode":
-        # A mode on one mass is nearly one on the next with another size, and a fit creeps along that.
-        others = apply_rule("next-mass", best_of_all, train, held, terms, [best_of_all.term], iterations=MODE)
+    if winner.term.effect.cause == "extra_mode":
+        # A mode on one mass is nearly the same as one on the next with another size.
+        others = apply_rule(
+            "next-mass", winner, train, held, terms, [winner.term], iterations=MODE_ITERATIONS
+        )
         trials = merge_trials(trials, others)
-    elif best_of_all.rejects([*train, *held]):
-        trials += apply_rule("next-mass", best_of_all, train, held, terms, [t.term for t in trials])
+    elif winner.rejects([*train, *held]):
+        trials += apply_rule("next-mass", winner, train, held, terms, [t.term for t in trials])
     dispersion = min(t.dispersion for t in trials)
-    ranked = _ranked([(t, t.score(dispersion, rows)) for t in trials], asked.contested)
+    ranked = _rank_candidates([(t, t.score(dispersion, rows)) for t in trials], request.contested)
     chosen = ranked[0][0]
     sure = sure or current.cost - chosen.cost > MOST * current.excess
     return Step(current, chosen, tuple(ranked)), tuple(scores[:5]), not sure
@@ -389,31 +421,31 @@ def _tempered(
     return list(map_candidates(temper, trials, here, [*train, *held]))
 
 
-def _candidates(
+def _fit_candidates(
     here: JointFit,
     train: Sequence[SpectralRecord],
     held: Sequence[SpectralRecord],
-    asked: _Asked,
+    request: SearchRequest,
     terms: Sequence[PlacedEffect],
     *,
     first: bool,
     rejects: bool,
     known: Sequence[CandidateEvidence],
 ) -> tuple[list[CandidateEvidence], list[Score]]:
-    """Joint fits of what the screen promises, and the screen's other answers."""
+    """Joint fits of the most promising candidates, and the scores of the screen."""
     scores = screen_candidates(Screen(here), terms)
-    late = [t for t in terms if t.effect.cause == "torque_delay"]
-    trials = list(apply_rule("delay-beyond-bound", here, train, held, late, asked.free))
+    delays = [t for t in terms if t.effect.cause == "torque_delay"]
+    trials = list(apply_rule("delay-beyond-bound", here, train, held, delays, request.free))
     trials += apply_rule("lag-beside-delay", here, train, held, trials, terms)
     tried = {(t.term.effect.cause, t.term.place) for t in trials}
-    # Without a shape there is one minimum, and those known are in it.
+    # An effect without shapes has one minimum, and the known fit is in it.
     tried |= {(t.term.effect.cause, t.term.place) for t in known if not t.term.effect.shapes}
     scores = [
         s
         for s in scores
         if s.term.effect.cause != "torque_delay" and (s.term.effect.cause, s.term.place) not in tried
     ]
-    # A rival of those known takes as much.
+    # A rival of the known fits must gain as much as they do.
     known_gain = max((here.cost - t.fit.cost for t in known), default=0.0)
 
     def least(term: PlacedEffect) -> float:
@@ -422,15 +454,15 @@ def _candidates(
     reached = min((t.fit.cost for t in (*trials, *known)), default=np.inf)
     trials += refit_candidates(here, train, held, scores, least, reached)
     trials = merge_trials(trials, rivals_of_best(trials, scores, here, train, held))
-    if first and rejects and asked.start is not None and not known:
-        trials = apply_rule("start-from-model", trials, asked.start, here, train, held, terms)
+    if first and rejects and request.start is not None and not known:
+        trials = apply_rule("start-from-model", trials, request.start, here, train, held, terms)
     return trials, scores
 
 
 def merge_trials(
     trials: Sequence[CandidateEvidence], known: Sequence[CandidateEvidence]
 ) -> list[CandidateEvidence]:
-    """Trials and those known; of one cause at one place the better."""
+    """Trials and known fits; of one cause at one place the better of the two."""
     found = {(t.term.effect.cause, t.term.place): t for t in trials}
     for trial in known:
         key = (trial.term.effect.cause, trial.term.place)
@@ -439,30 +471,31 @@ def merge_trials(
     return list(found.values())
 
 
-def _ranked(
+def _rank_candidates(
     scored: Sequence[tuple[CandidateEvidence, float]], contested: frozenset[int]
 ) -> list[tuple[CandidateEvidence, float]]:
-    """Best first; a lag on a contested axis just behind the delay there.
+    """Candidates with their scores, best first.
 
-    So is a larger friction model behind a smaller one where the training records do not ask for it: one in 26
-    motors with dry friction of 1 N·m alone got a peak of 4.7 ± 9.8 N·m at the slowest for held-out chance. Or
-    where it makes those kept out worse: what it then fits is not what the machine does at another amplitude.
+    A lag on a contested axis is placed just behind the delay there. So is a larger friction model behind a
+    smaller one where the training records do not need it (empirical: by held-out chance one in 26 motors with
+    dry friction of 1 N·m got a peak of 4.7 ± 9.8 N·m at the slowest), or where it makes held-out records
+    worse: it then fits what the machine does not do at another amplitude.
     """
     delays = {t.term.place.axis: s for t, s in scored if t.term.effect.cause == "torque_delay"}
-    moved = []
+    entries = []
     for trial, score in scored:
-        behind = trial.term.effect.cause == "torque_lag" and trial.term.place.axis in contested
-        least = delays.get(trial.term.place.axis, score) if behind else score
+        is_behind = trial.term.effect.cause == "torque_lag" and trial.term.place.axis in contested
+        least = delays.get(trial.term.place.axis, score) if is_behind else score
         for smaller, s in scored:
             if not is_extension_of(trial, smaller):
                 continue
             limit = LARGER * trial.dispersion
             if smaller.fit.cost - trial.fit.cost < limit or trial.held.cost - smaller.held.cost > limit:
-                least, behind = max(least, s), True
-        moved.append((trial, max(score, least), behind))
-    return [(t, s) for t, s, _ in sorted(moved, key=lambda one: one[1:])]
+                least, is_behind = max(least, s), True
+        entries.append((trial, max(score, least), is_behind))
+    return [(t, s) for t, s, _ in sorted(entries, key=lambda one: one[1:])]
 
 
-def _late(layout: Layout, p: Float64, axis: int) -> bool:
-    """The time offset stands at one sample: more than sampling convention."""
+def _is_offset_at_bound(layout: Layout, p: Float64, axis: int) -> bool:
+    """Whether the time offset of an axis is at its bound of one sample, more than a sampling convention."""
     return axis in layout.free_delays and abs(layout.delays(p)[axis]) > 0.98 * layout.step

@@ -1,4 +1,4 @@
-"""One look at a recording through one linear model: fit, and the causes that the records ask for."""
+"""One search pass: a recording fitted by one linear model, and the causes that its records need."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from invid.diagnosis.validation import (
     PLAIN,
     ValidationRequest,
     is_law_of_motion,
-    scatter_of,
+    scatter_ratio,
     split_records,
-    unfolded,
+    unfold_periods,
 )
 from invid.errors import InputError
 from invid.likelihood.joint_fit import JointFit, evaluate_held_out
@@ -35,16 +35,16 @@ from invid.signals.plausibility import check_plausible
 from invid.signals.spectra import LineSpectra, all_spectra
 from invid.signals.spectral_record import SpectralRecord
 
-WHOLE = "the records taken whole, against the friction of every motor"
-"""What a budget that is spent leaves out."""
-ALIKE = 5.0
-"""How many times as far from its noise as the training records the held-out one may be before it counts as
-another machine's: twice the amplitude of an unknown law is four times the power. A guess."""
+WHOLE_RECORDS = "the records taken whole, against the friction of every motor"
+"""What a spent budget leaves out, in the words of the warning."""
+SAME_MACHINE = 5.0
+"""Ratio of held-out and training χ²/ν from which the held-out record counts as another machine's. Empirical:
+twice the amplitude of an unknown law is four times the power."""
 
 
 @dataclass(frozen=True, eq=False)
 class SearchPass:
-    """The result of one search pass, with the recording and the model that it looked at.
+    """The result of one search pass, with the recording and the model that it used.
 
     ``recording`` is without the ``tones`` that repeat with no period; ``bare`` is the fit of the linear model
     alone, ``selection`` starts from the model with the effects it came with.
@@ -62,54 +62,57 @@ class SearchPass:
 
 
 def run_search_pass(recording: Recording, model: Model) -> SearchPass:
-    """The linear fit, then causes added while the records ask for them.
+    """The linear fit, and the causes added while the records need them.
 
-    What is kept out may have been measured after a change: the training is free of it, and little or nothing
-    there says what it was. Then each record without a role keeps a part of its own out; of records for
-    validation, all followed from period to period, the first period joins the training, for causes that
-    change with time alone. Or it moves less than the others and shows nothing of what they do, a torque limit
-    that it stays below: then it cannot be asked, and a part of each of the others is kept out as well.
+    A held-out record may have been measured after a change: the training is free of it and says little of
+    what changed. Then each record without a role keeps a part of its own out; where records are for
+    validation, all are followed from period to period and the first held-out period joins the training, for
+    causes that change with time alone. Or it moves less than the others and shows nothing of what they do,
+    such as a torque limit that it does not reach: then a part of each of the others is kept out as well.
     """
-    look = _over_periods(recording, model)
-    fitted = {r.key for r in look.train} & {s.key for s in look.spectra if s.role is Role.VALIDATE}
-    told = [
+    result = _search_whole_or_periods(recording, model)
+    fitted = {r.key for r in result.train} & {s.key for s in result.spectra if s.role is Role.VALIDATE}
+    notes = [
         f"experiment {key} is for validation, but a period of it was fitted: nothing else shows the machine "
         "on that side of the change; the gain is measured on the rest"
         for key in sorted(fitted)
     ]
-    return replace(look, warnings=[*look.warnings, *told])
+    return replace(result, warnings=[*result.warnings, *notes])
 
 
-def _over_periods(recording: Recording, model: Model) -> SearchPass:
-    """The look at whole records against every motor's friction, where their periods differ and its laws leave
-    a tenth of that scatter at most, or of what the look at their mean leaves; else that look."""
-    *_, (folded, _, train, held) = _begun(recording, model, PLAIN)
-    scatter = scatter_of(folded, held)
+def _search_whole_or_periods(recording: Recording, model: Model) -> SearchPass:
+    """The pass over whole records beside the friction of every motor, or the one over mean periods.
+
+    The first is taken where periods differ and its laws leave at most a tenth of that scatter, or at most a
+    tenth of the excess of the second.
+    """
+    *_, (folded, _, train, held) = _fit_and_split(recording, model, PLAIN)
+    scatter = scatter_ratio(folded, held)
     whole: SearchPass | None = None
-    beside_friction = partial(_of_whole, recording, model)
+    search_whole = partial(_search_whole_records, recording, model)
     if scatter and not any(r.alone for r in (*train, *held)):
-        with budget.use_share(0.5, 0.05, 0.4):  # the rest is for the other look
-            whole = budget.or_else(WHOLE, beside_friction, None)
+        with budget.use_share(0.5, 0.05, 0.4):  # the rest is for the other pass
+            whole = budget.or_else(WHOLE_RECORDS, search_whole, None)
         if whole is not None and is_law_of_motion(whole.selection.final, scatter):
             return whole
-    look = _by_periods(recording, model)
-    final = look.selection.final
-    if look.tones or final.cost < FAR * final.dof:
-        return look
+    result = _search_by_periods(recording, model)
+    final = result.selection.final
+    if result.tones or final.cost < FAR * final.dof:
+        return result
     if whole is None and not scatter:
-        whole = budget.or_else(WHOLE, beside_friction, None)
+        whole = budget.or_else(WHOLE_RECORDS, search_whole, None)
     if whole is None:
-        return look
+        return result
     other = whole.selection.final
-    nearer = other.excess / other.dof < (1.0 - NAMED_SHARE) * final.excess / final.dof
-    return whole if nearer else look
+    is_nearer = other.excess / other.dof < (1.0 - NAMED_SHARE) * final.excess / final.dof
+    return whole if is_nearer else result
 
 
-def _of_whole(recording: Recording, model: Model) -> SearchPass | None:
-    """The look at whole records, against the friction of every motor; ``None`` where it finds nothing."""
+def _search_whole_records(recording: Recording, model: Model) -> SearchPass | None:
+    """The pass over whole records beside the friction of every motor; ``None`` where it finds nothing."""
     current_context().searches += 1
-    whole = unfolded(recording)
-    spectra, warnings, (base, _, train, held) = _begun(whole, model, ValidationRequest(whole=True))
+    whole = unfold_periods(recording)
+    spectra, warnings, (base, _, train, held) = _fit_and_split(whole, model, ValidationRequest(whole=True))
     selection = apply_rule(
         "whole-records",
         CandidateEvidence(base, evaluate_held_out(base, held)),
@@ -126,72 +129,85 @@ def _of_whole(recording: Recording, model: Model) -> SearchPass | None:
     )
 
 
-def _by_periods(recording: Recording, model: Model) -> SearchPass:
-    """The look at the mean of each record's periods. Where they differ far beyond the sensors' noise, one at
-    every period: what repeats in none may have a law that holds in all. What the mean shows beside that is
-    measured by what differs, and any cause may pass (presliding friction, of a ripple)."""
-    look = _over_changes(recording, model)
-    if look.tones or not any(r.differs for r in (*look.train, *look.held)):
-        return look
-    if budget.is_left_out("every period of the records by itself"):
-        return _cut(look)
-    other = _looked(look.recording, model, ValidationRequest(each=True))
-    return other if other.selection.steps else look
+def _search_by_periods(recording: Recording, model: Model) -> SearchPass:
+    """The pass over the mean of each record's periods, or over each period where they differ.
 
-
-def _over_changes(recording: Recording, model: Model) -> SearchPass:
-    look = _looked(recording, model)
-    base = look.selection.base
-    if look.selection.steps:
-        return look
-    rejected = null_test(base.held.cost, base.held.dof, look.held).rejects
-    changed = rejected or null_test(base.fit.cost, base.fit.dof, look.train).rejects
-    if changed and budget.is_left_out("changes between the records and within them"):
-        return _cut(look)
-    if not rejected and changed:
-        other = _looked(recording, model, ValidationRequest(within=True))
-        return other if other.selection.steps else look
-    if not rejected or base.held.cost / base.held.dof < ALIKE * base.fit.dispersion:
-        return look
-    if not any(s.role is Role.VALIDATE for s in look.spectra):
-        other = _looked(recording, model, ValidationRequest(spare=False))
-        return other if other.selection.steps else look
-    other = _looked(look.recording, model, ValidationRequest(apart=True))
-    return other if _changes(other) else look
-
-
-def _cut(look: SearchPass) -> SearchPass:
-    """The look with a search that the budget ended."""
-    return replace(look, selection=replace(look.selection, cut=True))
-
-
-def _explained_by_a_change(recording: Recording, model: Model) -> bool:
-    """Whether a change alone leaves no more than the sensors' noise in every single period of every record.
-
-    What a spring that drifts changes in a light resonance from one period to the next is nearly a sinusoid
-    between two lines, and so the same as a tone; of two periods exactly. With that taken out the rest of the
-    drift fits no law. A law of one or two numbers that explains all periods is no chance, and a tone is none.
+    Where periods differ far beyond the sensors' noise, what repeats in none may follow a law that holds in
+    all. The scatter hides what the mean shows beside that, and a wrong cause may pass (presliding friction,
+    of a ripple).
     """
-    _, _, (base, free, train, held) = _begun(recording, model, ValidationRequest(apart=True))
+    result = _search_over_changes(recording, model)
+    if result.tones or not any(r.differs for r in (*result.train, *result.held)):
+        return result
+    if budget.is_left_out("every period of the records by itself"):
+        return _mark_cut_short(result)
+    other = _search_once(result.recording, model, ValidationRequest(by_period_if_differing=True))
+    return other if other.selection.steps else result
+
+
+def _search_over_changes(recording: Recording, model: Model) -> SearchPass:
+    """The pass over mean periods, repeated with other held-out parts where its null test says so.
+
+    Repeated where it finds no cause but the held-out or the training records reject the linear model.
+    """
+    result = _search_once(recording, model)
+    base = result.selection.base
+    if result.selection.steps:
+        return result
+    rejected = null_test(base.held.cost, base.held.dof, result.held).rejects
+    changed = rejected or null_test(base.fit.cost, base.fit.dof, result.train).rejects
+    if changed and budget.is_left_out("changes between the records and within them"):
+        return _mark_cut_short(result)
+    if not rejected and changed:
+        other = _search_once(recording, model, ValidationRequest(split_every_record=True))
+        return other if other.selection.steps else result
+    if not rejected or base.held.cost / base.held.dof < SAME_MACHINE * base.fit.dispersion:
+        return result
+    if not any(s.role is Role.VALIDATE for s in result.spectra):
+        other = _search_once(recording, model, ValidationRequest(spare=False))
+        return other if other.selection.steps else result
+    other = _search_once(result.recording, model, ValidationRequest(by_period=True))
+    return other if _has_time_cause(other) else result
+
+
+def _mark_cut_short(result: SearchPass) -> SearchPass:
+    """The pass with its search marked as ended by the budget."""
+    return replace(result, selection=replace(result.selection, is_cut_short=True))
+
+
+def _is_explained_by_change(recording: Recording, model: Model) -> bool:
+    """Whether a change over time alone brings every single period of every record to the sensors' noise.
+
+    A spring that drifts changes a light resonance from one period to the next by nearly a sinusoid between
+    two lines, which looks like a tone; of two periods exactly. With that removed the rest of the drift fits
+    no law. A law of one or two numbers that explains all periods is no chance, and a tone cannot do it.
+    """
+    _, _, (base, free, train, held) = _fit_and_split(recording, model, ValidationRequest(by_period=True))
     found = select_causes(base, train, held, linear_axes=recording.linear, free=free, family="time")
     return bool(found.steps) and found.final.cost < CLOSE * found.final.dof
 
 
-def _changes(look: SearchPass) -> bool:
+def _has_time_cause(result: SearchPass) -> bool:
     """Whether a cause was found that changes with time alone."""
-    return any(s.chosen.term.effect.family == "time" for s in look.selection.steps)
+    return any(s.chosen.term.effect.family == "time" for s in result.selection.steps)
 
 
-def _looked(recording: Recording, model: Model, asked: ValidationRequest = PLAIN) -> SearchPass:
+def _search_once(recording: Recording, model: Model, request: ValidationRequest = PLAIN) -> SearchPass:
+    """One search: linear fit, tones, causes, and a second search without the period of a load change."""
     current_context().searches += 1
-    begun = partial(_begun, model=model, asked=asked)
-    spectra, warnings, (base, free, train, held) = begun(recording)
-    tones = [] if asked.each else find_tones(base, held, spectra)
-    if tones and not asked.apart and not budget.is_spent() and _explained_by_a_change(recording, model):
-        return _looked(recording, model, ValidationRequest(apart=True))
+    prepare = partial(_fit_and_split, model=model, request=request)
+    spectra, warnings, (base, free, train, held) = prepare(recording)
+    tones = [] if request.by_period_if_differing else find_tones(base, held, spectra)
+    if (
+        tones
+        and not request.by_period
+        and not budget.is_spent()
+        and _is_explained_by_change(recording, model)
+    ):
+        return _search_once(recording, model, ValidationRequest(by_period=True))
     if tones:
         recording = remove_tones(recording, tones)
-        spectra, warnings, (base, free, train, held) = begun(recording)
+        spectra, warnings, (base, free, train, held) = prepare(recording)
     search = partial(
         select_causes,
         linear_axes=recording.linear,
@@ -203,30 +219,30 @@ def _looked(recording: Recording, model: Model, asked: ValidationRequest = PLAIN
     with budget.use_share(1.0, 0.1, 0.9):
         selection = search(base, train, held)
     if not selection.steps and selection.final.fit is not base:
-        # A chain that has in it what was found beside.
+        # The chain now contains the mode that was found beside it.
         base, selection = selection.final.fit, replace(selection, base=selection.final)
-    around = apply_rule("load-change", selection, recording, base, search)
-    if around is not None:
-        base, selection, train, held = around
+    without_change = apply_rule("load-change", selection, recording, base, search)
+    if without_change is not None:
+        base, selection, train, held = without_change
     bare = refit_without_effects(base, train)
     return SearchPass(recording, model, spectra, tones, train, held, bare, selection, warnings)
 
 
-_Begun = tuple[JointFit, Float64, list[SpectralRecord], list[SpectralRecord]]
+LinearFit = tuple[JointFit, Float64, list[SpectralRecord], list[SpectralRecord]]
 
 
-def _begun(
-    recording: Recording, model: Model, asked: ValidationRequest
-) -> tuple[tuple[LineSpectra, ...], list[str], _Begun]:
-    """Spectra, what to warn about, and the linear fit with its records (``fit_linear_model``)."""
+def _fit_and_split(
+    recording: Recording, model: Model, request: ValidationRequest
+) -> tuple[tuple[LineSpectra, ...], list[str], LinearFit]:
+    """Spectra, warnings, and the linear fit with its records (``fit_linear_model``)."""
     budget.tell("reading spectra", 0.0)
     spectra = all_spectra(recording)
     if not spectra:
         raise InputError(f"{recording.source}: no experiment shakes an axis; nothing to compare with a model")
     check_plausible(recording, spectra)
-    train, held, warnings = split_records(recording, spectra, asked)
+    train, held, warnings = split_records(recording, spectra, request)
     train, standing = leave_out_sticking_axes(train, spectra, model, recording)
     held, _ = leave_out_sticking_axes(held, spectra, model, recording)
     warnings = [*(w for s in spectra for w in s.warnings), *warnings, *standing]
     budget.tell("fitting the linear model", 0.05)
-    return spectra, warnings, fit_linear_model(model, recording, spectra, train, held, asked)
+    return spectra, warnings, fit_linear_model(model, recording, spectra, train, held, request)

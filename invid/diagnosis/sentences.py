@@ -1,4 +1,4 @@
-"""Sentences for the person who has to do something about it."""
+"""Sentences about findings for the person who has to act on them."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from invid.effects.registry import BY_CAUSE
 from invid.model.diagnosis_document import Alternative
 from invid.model.document import EffectTerm, Estimate
 
-SEEN = 0.005
-"""Share of what the model missed from which a finding is said to explain it: below, it would round to 0 %."""
+LEAST_NAMED = 0.005
+"""Share of what the model missed from which a finding is said to explain it; below, it would round to 0 %."""
 
 
 def format_estimate(estimate: Estimate) -> str:
-    """Value ± one standard deviation with as many digits as it deserves."""
+    """Value ± one standard deviation with as many digits as the standard deviation warrants."""
     unit = f" {estimate.unit}" if estimate.unit and estimate.unit != "1" else ""
     if estimate.std is None or not estimate.std > 0:
         return f"{estimate.value:.4g}{unit}"
@@ -27,7 +27,7 @@ def format_estimate(estimate: Estimate) -> str:
 
 
 def place_phrase(term: EffectTerm, sizes: Sequence[int], axes: Sequence[str]) -> str:
-    """ "at the motor", "at the load", "in spring 2"; nothing where an axis has one mass."""
+    """The place in words: "at the motor", "at the load", "in spring 2"; empty where an axis has one mass."""
     if term.other_axis is not None and term.cause == "gravity":
         return f" of the link that {term.other_axis} carries, felt on both,"
     if term.other_axis is not None:
@@ -45,8 +45,8 @@ def place_phrase(term: EffectTerm, sizes: Sequence[int], axes: Sequence[str]) ->
     return " at the load" if int(q) == count else f" at {term.element}"
 
 
-def _rival(rival: Alternative, term: EffectTerm) -> str:
-    """A cause that the data cannot tell from the one named; its place where only that differs."""
+def _rival_text(rival: Alternative, term: EffectTerm) -> str:
+    """Title of an alternative; only its place where the cause is the same."""
     if rival.axis != term.axis:
         return f"{BY_CAUSE[rival.cause].title} on {rival.axis}"
     if rival.cause == term.cause and rival.element is not None:
@@ -55,7 +55,7 @@ def _rival(rival: Alternative, term: EffectTerm) -> str:
 
 
 def separating_text(causes: Sequence[str]) -> str:
-    """What tells causes apart, the one named first; where they ask for different things, either."""
+    """What tells causes apart, that of the first one first; where they need different experiments, either."""
     experiments = {e.kind: e.text for e in (BY_CAUSE[c].separating for c in reversed(causes))}
     first = BY_CAUSE[causes[0]].separating
     others = [t for k, t in sorted(experiments.items()) if k != first.kind]
@@ -70,7 +70,7 @@ def finding_sentence(
     sizes: Sequence[int],
     axes: Sequence[str],
 ) -> str:
-    """Cause, place, size, gain, what to check; or what it cannot be told from."""
+    """Cause, place, size and gain of a finding, its alternatives, and what to check."""
     effect = BY_CAUSE[term.cause]
     main = term.parameters.get(effect.main)
     size = effect.size_text(format_estimate(main)) if main is not None else ""
@@ -80,12 +80,12 @@ def finding_sentence(
         )
         size = f" ({format_estimate(thousand)})"
     text = f"Axis {term.axis}: {effect.title}{size}{place_phrase(term, sizes, axes)} "
-    if fraction >= SEEN:
+    if fraction >= LEAST_NAMED:
         text += f"explains {100 * fraction:.0f} % of what the model missed."
     else:
         text += "is there as well: beyond the noise, though less than a per cent of what the model missed."
     if rivals:
-        others = sorted({_rival(r, term) for r in rivals})
+        others = sorted({_rival_text(r, term) for r in rivals})
         tells = separating_text([term.cause, *sorted({r.cause for r in rivals})])
         text += f" The data cannot tell it from {', '.join(others)}: {tells}."
     elif confidence < 0.8:

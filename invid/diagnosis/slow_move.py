@@ -1,4 +1,4 @@
-"""Slow moves of a recording, as means over stretches that are long beside its flexible modes."""
+"""Slow moves of a recording as means over stretches that are long beside its flexible modes."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from invid.recording.model import Experiment, Kind, Recording
 from invid.signals.timebase import resample_uniformly
 
 LONGEST, SHORTEST = 0.5, 0.1
-"""Length [s] of the stretches that count as one observation: slow beside the flexible modes, short beside a
-move. What chance does to neighbouring stretches is not quite independent: the evidence is halved for it."""
+"""Longest and shortest stretch [s] that counts as one observation: slow beside the flexible modes, short
+beside a move. Neighbouring stretches are not quite independent; the evidence is halved for that."""
 STRETCHES = 20
-"""How many a move has at least, where they are not too short for it: the regressions have up to eight
+"""Least number of stretches of a move, unless they get too short: the regressions have up to eight
 numbers."""
 
 
@@ -23,7 +23,7 @@ numbers."""
 class SlowMove:
     """Means over n stretches of one slow move: (n, M) velocity, acceleration and torque.
 
-    ``path`` (samples, M) is the position, ``rows`` how many samples a stretch is long.
+    ``path`` (samples, M) is the position, ``rows`` the length of a stretch in samples.
     """
 
     path: Float64
@@ -34,7 +34,7 @@ class SlowMove:
 
 
 def find_slow_moves(recording: Recording) -> tuple[SlowMove, ...]:
-    """Every slow move of a recording that is long enough to say anything."""
+    """The slow moves of a recording that are long enough for a regression."""
     found = (_move(e) for e in recording.experiments if e.kind is Kind.CONSTANT_VELOCITY)
     return tuple(m for m in found if m is not None)
 
@@ -57,8 +57,8 @@ def _move(experiment: Experiment) -> SlowMove | None:
 def stretch_means(values: Float64, rows: int) -> Float64:
     """(n, L) means of (samples, L) under triangles of half-width ``rows``.
 
-    The second difference of the position over that distance is the acceleration's mean under the same
-    triangle: what is fast meets both sides alike.
+    The second difference of the position over that distance is the mean acceleration under the same triangle,
+    so fast motion cancels alike on both sides of the equation.
     """
     triangle = np.convolve(np.ones(rows), np.ones(rows)) / rows**2
     at = np.arange(rows, values.shape[0] - rows, rows)

@@ -1,4 +1,4 @@
-"""The numbers that decide a diagnosis: is a cause there, is it at the noise, the verdict, who competes.
+"""Thresholds of a diagnosis: significance, distance from the noise, verdict, rivals.
 
 Each says whether it is statistical (a test), physical (a bound), of the contract, or empirical and on what.
 """
@@ -9,50 +9,49 @@ from invid.model.document import MISSED as MISSED
 
 # --- Significance: is a cause there
 SIGNIFICANCE = 1e-3
-"""Chance, over all candidates together, that noise passes the training gain; the held-out gain must pass as
-well, so a false alarm by selection is rarer than the null test's 1 %."""
+"""Chance, over all candidates together, that noise passes the training gain (statistical); the held-out gain
+must pass as well, so a false alarm by selection is rarer than the null test's 1 %."""
 HELD_OUT = 6.6
-"""Held-out χ² gain of one degree of freedom that noise exceeds once in a hundred."""
+"""Held-out χ² gain of one degree of freedom that noise exceeds once in a hundred (statistical)."""
 WEAK = 1e-6
-"""Chance that noise passes where the null test finds no excess: then errors of the model far below the noise
-count as well, and they are coherent. Empirical (hidden plants): a torque scale 5 σ from one was named on data
-without it."""
+"""Chance that noise passes where the null test finds no excess. There coherent errors of the model far below
+the noise count as well. Empirical (hidden plants): a torque scale 5 σ from one was named without one."""
 LARGER = 9.2
-"""χ² gain of two degrees of freedom that noise exceeds once in a hundred: what a larger friction model must
-gain over a smaller one that it contains."""
+"""χ² gain of two degrees of freedom that noise exceeds once in a hundred (statistical): what a larger
+friction model must gain over a smaller one that it contains."""
 REMAINDER = 0.25
-"""A further cause must remove this share of what the first left beyond noise on its own axes. Empirical
-(hidden plants): an imperfect model of a strong first cause leaves a per cent of it, of which other causes fit
+"""Share of the remainder beyond noise on its own axes that a further cause must explain. Empirical (hidden
+plants): an imperfect model of a strong first cause leaves a per cent of it, of which other causes fit
 some."""
 SMALL_REMAINDER = 0.1
-"""The same for a cause that is kept only where the search ends near the noise: one of several alike takes no
-quarter of what they leave together. A guess."""
+"""The same for a cause that is kept only where the search ends near the noise (empirical): of several alike
+none explains a quarter of what they leave together."""
 MOST = 0.5
-"""A further cause that takes this share of all that is missing is sure however small it is beside the first.
-A guess."""
+"""Share of all that is missing from which a further cause counts as sure, however small beside the first
+(empirical)."""
 SHARE = 0.05
-"""A further cause that does not bring χ²/ν below CLOSE must remove this share of the first excess. Empirical:
+"""Share of the first excess that a further cause must explain unless it brings χ²/ν below CLOSE. Empirical:
 on the flexible bench ripples of 2 % were named otherwise with a phase known to ten radians. Of the excess in
-motion: a constant torque, as a robot arm's weight, is a thousand times all friction, and leaves nothing."""
+motion: a constant torque, as a robot arm's weight, is a thousand times all friction and leaves nothing."""
 NAMED_SHARE = 0.9
-"""A further cause that takes this share of what is left and reaches the noise is there, however small beside
-the first: what an imperfect model of the first leaves has no such law. A guess, no campaign counted it."""
+"""Share of the remainder that a further cause must explain, and reach the noise, to be accepted however small
+beside the first (empirical): the remainder of an imperfect model follows no such law."""
 
 # --- Distance from the noise: χ² over its degrees of freedom
 CLOSE = 1.5
-"""χ²/ν up to which a fit is close enough to the noise that what it leaves is a matter of that."""
+"""χ²/ν up to which a fit is close to the noise (empirical)."""
 AT_FLOOR = 1.44
-"""χ²/ν up to which the extended model is at the noise: a residual of 1.2 times the floor, the product's bar.
-Above it something is left that no cause took, the cause named may be a disguise of another (a delay of a lag
-beside friction left χ²/ν at 300 and a hundredth of the excess), and nobody may be certain."""
+"""χ²/ν up to which the extended model is at the noise: a residual of 1.2 times the floor (contract). Above it
+something is unexplained and the cause named may be another in disguise (a delay of a lag beside friction left
+χ²/ν at 300 and a hundredth of the excess), so nothing is certain."""
 REACHED = 2.0
-"""χ²/ν below which the extended model is taken for right, whatever the linear fit looked like."""
+"""χ²/ν below which the extended model counts as right, whatever the linear fit looked like (empirical)."""
 FAR = 3.0
-"""χ²/ν from which a fit leaves so much that the linear model itself may be wrong. A guess."""
+"""χ²/ν from which the linear model itself may be wrong (empirical)."""
 LEFT = 0.02
-"""Share of the excess below which the same holds. Empirical, on hidden plants: with the wrong number of
-masses the best cause leaves 5 % and more (χ²/ν 300 to 9000), with the right one less than 1 % is left; of a
-cubic spring beside a hold inside a drive it was 1.3 %."""
+"""Share of the excess below which the same holds. Empirical (hidden plants): with the wrong number of masses
+the best cause leaves 5 % and more (χ²/ν 300 to 9000), with the right one less than 1 %; with a cubic spring
+beside a hold inside a drive it was 1.3 %."""
 
 # --- Verdict: what was missing, what is left
 FLOOR = 1.2
@@ -60,26 +59,30 @@ FLOOR = 1.2
 EXPLAINED = 0.9
 """Share of what was missing that named causes take away where a diagnosis is called explained (contract)."""
 NAMED = 0.9
-"""Share of the excess χ² below which nothing is named (prototype: separates named from outside)."""
+"""Share of the excess χ² below which nothing is named. Empirical (prototype): it separates right names from
+wrong ones."""
 MOST_OF_CHI2 = 0.5
-"""Share of the excess χ² that must go at least where the share of the missing torque's power says NAMED. On
-long periodic records of a real machine a few lines stand thousands of times above their noise and hold the
-excess χ² (antiresonances, where the motor hardly moves), while next to no torque is missing there."""
+"""Share of the excess χ² that must go where the power of the missing torque reaches NAMED. Empirical (long
+periodic records of a real machine): a few lines at antiresonances, where the motor hardly moves, stand
+thousands of times above their noise and hold the excess χ², while next to no torque is missing there."""
 OWN_SHARE = 0.5
-"""Share of what its axis misses that a cause named on its own evidence takes, on training and held-out
-records alike. A guess: whatever else there is, it is the smaller part there."""
+"""Share of what its axis misses that a cause on its own evidence must explain, in training and held-out
+records alike (empirical): whatever else there is, it is the smaller part."""
 OWN_RIVAL = 0.8
-"""Share of its gain that no cause of another kind or place reaches beside it. A guess."""
+"""Share of its gain that no cause of another kind or place may reach (empirical)."""
 BROUGHT_DOWN = 0.98
-"""Share of what was missing that causes explain at least where the rest stands out of the noise."""
+"""Least share of what was missing that causes must explain where the rest stands out of the noise
+(empirical)."""
 
 # --- Rivals: what the data cannot tell apart
 NEAR = 0.3
-"""Share of the best candidate's gain that one may miss of it and still be weighed as its rival. A guess."""
+"""Share of the best candidate's gain that a candidate may lack and still be examined as its rival
+(empirical)."""
 COMPETES = 9.0
-"""Difference of −2 ln(likelihood) within which two causes are called indistinguishable (about 3 σ)."""
+"""Difference of −2 ln(likelihood) within which two causes count as indistinguishable (statistical, about 3
+σ)."""
 CONTESTED = 0.89
-"""Most that is claimed where alternatives remain. exp(−COMPETES/4) leaves a rival at the edge a tenth of the
-likelihood, so a cause with one has at most nine tenths."""
+"""Largest confidence where alternatives remain (contract). exp(−COMPETES/4) leaves a rival at the edge a
+tenth of the likelihood, so a cause with one has at most nine tenths."""
 UNSIZED = 0.5
-"""Most that is claimed of a cause whose size cannot be told from none: something is there, and it fits."""
+"""Largest confidence of a cause whose size does not differ significantly from zero."""

@@ -1,9 +1,9 @@
-"""The extension simulated over time on the held-out records: another physics than the one it was fitted with.
+"""The extended model simulated over time on the held-out records: a check by other equations than the fit's.
 
 The regression that names a cause works on lines and takes inner motion from the model. Here the extended
-model is integrated over time from the torque alone (``invid.simulate``), and what is left between its record
-and the measured one is written as torque again, r = Z(Θ − Θ_sim) − A(T − T_sim): comparable with the residual
-of the regression and with the noise, line by line.
+model is integrated over time from the torque alone (``invid.simulate``), and the difference between its
+record and the measured one is expressed as torque again, r = Z(Θ − Θ_sim) − A(T − T_sim): comparable line by
+line with the residual of the regression and with the noise.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from scipy.interpolate import CubicSpline
 
 from invid.diagnosis.thresholds import CONTESTED
 from invid.effects.motion import View
-from invid.effects.registry import of_the_plant
+from invid.effects.registry import effects_of_plant
 from invid.errors import InvidError
 from invid.likelihood.evaluation import Evaluation, evaluate, record_views
 from invid.likelihood.joint_fit import JointFit
@@ -39,27 +39,28 @@ REFUSED = (
     "simulated over time on held-out data the extended model gains no more than the uncertainty of that "
     "gain: the extension is refused"
 )
-LOST = (
+MOTION_LOST = (
     "simulated over time the motion ends among other ripples than the measured one, at the least difference: "
     "the extension is judged by the missing torque alone"
 )
-AGREES = 2.0
-"""How many times the residual of the regression, or the noise, the simulation over time may leave. Empirical:
-on hidden plants it leaves 1.0 to 1.5 times either; more means that one of the two has the physics wrong."""
+AGREEMENT = 2.0
+"""Factor over the residual of the regression, or the noise, that the simulation over time may leave.
+Empirical (hidden plants): it leaves 1.0 to 1.5 times either; more means that one of the two has the physics
+wrong."""
 
-KEPT = 0.01
-"""Weight of the training records beside the simulated ones where the two physics are compared. A guess that
-leaves what the held-out records see to them: ten standard deviations of the training fit cost one."""
+TRAINING_WEIGHT = 0.01
+"""Weight of the training records beside the simulated ones where the two methods are compared. Empirical: ten
+standard deviations of the training fit cost one, so the held-out records decide where they can."""
 
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """What the simulation over time leaves on the held-out records.
+    """Residual of the simulation over time on the held-out records.
 
     ``torque_after`` (M,) [N·m or N] missing torque between the simulated and the measured record;
     ``position_before``, ``position_after`` (M,) [rad or m] rms error of the simulated motion with the linear
-    and with the extended model, ``motion`` (M,) that of the measured one about its mean, ``reach`` (M,) what
-    it may be off and still feel the same forces. ``gain`` is how much χ² falls, ``std`` its own.
+    and with the extended model, ``motion`` (M,) rms of the measured one about its mean, ``reach`` (M,) the
+    error up to which the forces are the same. ``gain`` is the decrease of χ², ``std`` its standard deviation.
     """
 
     keys: tuple[str, ...]
@@ -73,24 +74,24 @@ class Replay:
     linear: Recording
     extended: Recording
     shift: Float64 = field(default_factory=lambda: np.zeros(0))
-    """(n,) by how much every parameter of the fit would move to agree with the simulation over time."""
+    """(n,) change of every parameter of the fit that would agree with the simulation over time."""
 
     @property
-    def refused(self) -> bool:
-        """A gain smaller than its own uncertainty is no gain."""
+    def is_refused(self) -> bool:
+        """Whether the gain is smaller than its own standard deviation."""
         return not self.gain > self.std
 
     @property
-    def lost(self) -> bool:
-        """The simulated motion of an axis is off by more than the measured one moves, or so far that a
-        ripple found there pushes elsewhere: no judge of the law.
+    def is_lost(self) -> bool:
+        """Whether the simulated motion of an axis is too far off to judge the law.
 
-        A soft axis among ripples ends in another one at the least difference.
+        Farther off than the measured one moves, or so far that a ripple found there acts in another
+        direction: a soft axis among ripples ends in another one at the least difference.
         """
         return bool((self.position_after > self.reach).any())
 
     def to_json(self, recording: Recording) -> dict[str, Any]:
-        """Plain values."""
+        """Entry ``details.replay`` of the document."""
         return {
             "experiments": list(self.keys),
             "gain_chi2": self.gain,
@@ -118,27 +119,27 @@ def simulate_held_out(
     fitted: JointFit,
     held: Sequence[SpectralRecord],
 ) -> Replay | str:
-    """Simulates both models on the held-out records; a sentence where that cannot be done.
+    """Both models simulated on the held-out records; a sentence where that cannot be done.
 
-    ``fitted`` gives Z and A of the extended model. Like is compared with like: what a simulation from noisy
-    torque adds, and the ends of the records, are in what either model leaves. Against the regression of the
-    linear model an effect of half the noise was refused.
+    ``fitted`` gives Z and A of the extended model. Both models are simulated, so the noise of the torque that
+    drives a simulation and the ends of the records are in both residuals. Compared with the regression of the
+    linear model instead, an effect of half the noise was refused.
     """
     keys = tuple(dict.fromkeys(r.key for r in held))
-    # Lost rows were put right before anything was fitted.
-    driving = replace(extended, effects=of_the_plant(extended.effects))
+    # Lost rows were interpolated before anything was fitted.
+    plant_model = replace(extended, effects=effects_of_plant(extended.effects))
     views = record_views(fitted.layout, held, fitted.p)
-    driven = _driven(recording, spectra, views)
+    driven = _with_acting_torque(recording, spectra, views)
     try:
-        models = [_without_offsets(m) for m in (linear, driving)]
+        models = [_without_offsets(m) for m in (linear, plant_model)]
         plain, answer = parallel_map(lambda m: simulate(m, driven, only=keys), models, known=[driven])
     except InvidError as error:
         return f"the extended model could not be simulated over time: {error}"
-    evaluation = _left_by(answer, spectra, views, fitted)
-    before = _left_by(plain, spectra, views, fitted)
+    evaluation = _residual_of_simulation(answer, spectra, views, fitted)
+    before = _residual_of_simulation(plain, spectra, views, fitted)
     if evaluation is None or before is None:
         return "the held-out records are not whole: the extension was not simulated over time"
-    shift = _shift(fitted, held, evaluation)
+    shift = _parameter_shift(fitted, held, evaluation)
     gain = before.cost - evaluation.cost
     # χ² of two residuals with the same noise differs by ‖d‖² ± 2‖d‖, d their whitened difference.
     spread = max(1.0, evaluation.cost / max(evaluation.dof, 1))
@@ -147,10 +148,10 @@ def simulate_held_out(
     return Replay(
         keys=keys,
         torque_after=np.array([rms_torque(evaluation, i)[0] for i in range(recording.axis_count)]),
-        position_before=_error(measured, plain),
-        position_after=_error(measured, answer),
+        position_before=_rms_error(measured, plain),
+        position_after=_rms_error(measured, answer),
         motion=motion,
-        reach=np.minimum(motion, _ripples(extended)),
+        reach=np.minimum(motion, _ripple_reach(extended)),
         gain=gain,
         std=float(2.0 * np.sqrt(abs(gain) * spread)),
         linear=plain,
@@ -159,11 +160,11 @@ def simulate_held_out(
     )
 
 
-def _ripples(model: Model) -> Float64:
+def _ripple_reach(model: Model) -> Float64:
     """(M,) a third of a radian of the finest ripple of each axis [rad]; infinite where there is none.
 
-    Farther away the force is not that at the measured motion plus what is linear in the error: a twentieth of
-    it is not.
+    Farther away the force is no longer that at the measured motion plus a linear term; its error there is a
+    twentieth.
     """
     out = np.full(len(model.axes), np.inf)
     for effect in model.effects:
@@ -173,38 +174,39 @@ def _ripples(model: Model) -> Float64:
     return out
 
 
-def _left_by(
+def _residual_of_simulation(
     answer: Recording, spectra: Sequence[LineSpectra], views: Sequence[View], fitted: JointFit
 ) -> Evaluation | None:
-    """What is left between the held-out records and a simulation of them, as torque."""
-    left = _differences(answer, spectra, views)
+    """Residual between the held-out records and a simulation of them, as torque; ``None`` where lines do not
+    match."""
+    left = _difference_records(answer, spectra, views)
     if left is None:
         return None
     structure = fitted.layout.structure
     sampled = replace(
         fitted.layout,
         free_delays=(),
-        free_stairs=(),
-        known_stairs=np.zeros(structure.motors),
+        free_zoh=(),
+        known_zoh=np.zeros(structure.motors),
         holds=(),
         smoothed=(),
     )
     evaluation = evaluate(sampled, left, fitted.p[: structure.count], Candidate(), jacobian=False)
-    return _rung_out(evaluation, fitted.candidate)
+    return _remove_mode_transients(evaluation, fitted.candidate)
 
 
-def _shift(fitted: JointFit, held: Sequence[SpectralRecord], replayed: Evaluation) -> Float64:
-    """(n,) Gauss-Newton step of all parameters from what the regression leaves to what the simulation leaves.
+def _parameter_shift(fitted: JointFit, held: Sequence[SpectralRecord], replayed: Evaluation) -> Float64:
+    """(n,) Gauss–Newton step of all parameters from the residual of the regression to that of the simulation.
 
-    The noise is the same in both, so the step is the disagreement of two physics and no matter of chance. The
-    training records, which were not simulated, keep only what the held-out ones say nothing about.
+    The noise is the same in both, so the step is the disagreement of two methods and not chance. The training
+    records, which were not simulated, keep only what the held-out ones do not determine.
     """
     own = evaluate(fitted.layout, held, fitted.p, fitted.candidate)
-    past = fitted.evaluation.jacobian
-    scale = np.linalg.norm(past, axis=0)
+    train_jacobian = fitted.evaluation.jacobian
+    scale = np.linalg.norm(train_jacobian, axis=0)
     scale[scale == 0] = 1.0
-    past = past / scale
-    normal = KEPT * past.T @ past
+    train_jacobian = train_jacobian / scale
+    normal = TRAINING_WEIGHT * train_jacobian.T @ train_jacobian
     slope = np.zeros(scale.size)
     at = 0
     for view, basis in zip(own.views, replayed.bases, strict=True):
@@ -220,21 +222,21 @@ def _shift(fitted: JointFit, held: Sequence[SpectralRecord], replayed: Evaluatio
 
 
 def add_time_domain_check(
-    result: Diagnosis, answer: Replay | str, recording: Recording, *, lost: bool = False
+    result: Diagnosis, answer: Replay | str, recording: Recording, *, is_lost: bool = False
 ) -> Diagnosis:
-    """The diagnosis with what the simulation over time says of its extension; none where it is ``lost``."""
+    """The diagnosis with the result of the simulation over time; ``is_lost``: its motion judges nothing."""
     if isinstance(answer, str):
         return replace(result, warnings=(*result.warnings, answer))
     details = {**result.details, "replay": answer.to_json(recording)}
     result = replace(result, details=details)
-    if answer.refused and not result.findings:
+    if answer.is_refused and not result.findings:
         return result
     doubtful = [
         r
         for r, torque in zip(result.residual, answer.torque_after, strict=True)
-        if torque > AGREES * max(r.after, r.noise_floor) and torque > 0.1 * r.before
+        if torque > AGREEMENT * max(r.after, r.noise_floor) and torque > 0.1 * r.before
     ]
-    if not doubtful and not lost:
+    if not doubtful and not is_lost:
         return result
     warning = (
         "simulated over time the extended model leaves more on "
@@ -243,17 +245,18 @@ def add_time_domain_check(
     )
     return replace(
         result,
-        warnings=(*result.warnings, LOST if lost else warning),
+        warnings=(*result.warnings, MOTION_LOST if is_lost else warning),
         findings=tuple(replace(f, confidence=min(f.confidence, CONTESTED)) for f in result.findings),
     )
 
 
-def _rung_out(evaluation: Evaluation, candidate: Candidate) -> Evaluation:
-    """The evaluation without what extra modes ring on from how the simulation started them.
+def _remove_mode_transients(evaluation: Evaluation, candidate: Candidate) -> Evaluation:
+    """The evaluation without the transient of extra modes from the state in which the simulation started
+    them.
 
-    The mode's own coordinate starts and ends somewhere as every coordinate of the chains does, but is none
-    of them: a jump Δx and Δẋ of it over the record acts as [(jωm + c)Δx + mΔẋ]·(2/T), which its spring and
-    damper pass on as (k + jωc)/(k + jωc − ω²m): two real unknowns of each record and mode.
+    The mode's own coordinate starts and ends somewhere as every coordinate of the chains does, but is none of
+    them: a jump Δx and Δẋ of it over the record acts as [(jωm + c)Δx + mΔẋ]·(2/T), which its spring and
+    damper transfer as (k + jωc)/(k + jωc − ω²m): two real unknowns of each record and mode.
     """
     modes = [
         (t, t.effect.values(x.tolist(), t.place))
@@ -272,20 +275,22 @@ def _rung_out(evaluation: Evaluation, candidate: Candidate) -> Evaluation:
             spring = v["stiffness"] + 1j * w * damper
             jumps = np.stack((1j * w * v["mass"] + damper, np.full(w.size, v["mass"], dtype=complex)), axis=1)
             jumps[0] *= 0.5
-            passed = (spring / (spring - w**2 * v["mass"]))[:, None] * jumps
-            columns.append(view.push(term.place.pattern(view.structure))[:, :, None] * passed[:, None, :])
+            transferred = (spring / (spring - w**2 * v["mass"]))[:, None] * jumps
+            columns.append(
+                view.condensed_force(term.place.pattern(view.structure))[:, :, None] * transferred[:, None, :]
+            )
         part = stack(root @ np.concatenate(columns, axis=2))
         own = orthonormal(part - basis @ (basis.T @ part))
         rows = slice(at, at + part.shape[0])
-        rung = own @ (own.T @ residual[rows])
-        residual[rows] -= rung
-        missing[number] = missing[number] - unstack(unwhitener(root), rung, missing[number].shape)
+        transient = own @ (own.T @ residual[rows])
+        residual[rows] -= transient
+        missing[number] = missing[number] - unstack(unwhitener(root), transient, missing[number].shape)
         at = rows.stop
-    seen = tuple(replace(s, missing=m) for s, m in zip(evaluation.seen, missing, strict=True))
-    return replace(evaluation, residual=residual, seen=seen, cost=float(residual @ residual))
+    seen = tuple(replace(s, missing=m) for s, m in zip(evaluation.parts, missing, strict=True))
+    return replace(evaluation, residual=residual, parts=seen, cost=float(residual @ residual))
 
 
-def _error(measured: Sequence[Experiment], simulated: Recording) -> Float64:
+def _rms_error(measured: Sequence[Experiment], simulated: Recording) -> Float64:
     found: Float64 = np.sqrt(
         np.mean(
             [
@@ -299,12 +304,15 @@ def _error(measured: Sequence[Experiment], simulated: Recording) -> Float64:
 
 
 def _without_offsets(model: Model) -> Model:
-    """The drive is given the torque as it acts: the sampling is in it."""
+    """The model without time offsets: the drive is given the torque as it acts."""
     return replace(model, fit={**model.fit, "time_offset_s": {}})
 
 
-def _driven(recording: Recording, spectra: Sequence[LineSpectra], views: Sequence[View]) -> Recording:
-    """The recording with the torque as it acts, A·T: later, held over the sample, holds inside the drives."""
+def _with_acting_torque(
+    recording: Recording, spectra: Sequence[LineSpectra], views: Sequence[View]
+) -> Recording:
+    """The recording with the torque as it acts, A·T: delayed, held over the sample, holds inside the
+    drives."""
     known = {s.key: s for s in spectra}
     waves: dict[str, Float64] = {}
     for view in views:
@@ -316,7 +324,7 @@ def _driven(recording: Recording, spectra: Sequence[LineSpectra], views: Sequenc
 
 
 def wave_from_amplitudes(lines: Complex128, record: SpectralRecord, s: LineSpectra) -> Float64:
-    """(period, M) wave of (F, M) amplitudes as sampled, its mean left out."""
+    """(period, M) wave of (F, M) amplitudes at the sampling instants, without its mean."""
     period = s.position_wave.shape[0]
     half = np.zeros((period // 2 + 1, lines.shape[1]), dtype=complex)
     half[record.lines[1:]] = lines[1:] * (period / 2)
@@ -327,7 +335,7 @@ def wave_from_amplitudes(lines: Complex128, record: SpectralRecord, s: LineSpect
 def add_torque(
     recording: Recording, spectra: Sequence[LineSpectra], waves: Mapping[str, Float64]
 ) -> Recording:
-    """The recording with waves (period, M) added to the torque of the experiments that they are given for."""
+    """The recording with waves (period, M) added to the torque of the experiments with these keys."""
     known = {s.key: s for s in spectra}
     experiments = []
     for e in recording.experiments:
@@ -346,17 +354,18 @@ def add_torque(
     return replace(recording, experiments=tuple(experiments))
 
 
-def _differences(
+def _difference_records(
     answer: Recording, spectra: Sequence[LineSpectra], views: Sequence[View]
 ) -> list[SpectralRecord] | None:
-    """Measured minus simulated, torque as it acts; ``None`` where the lines do not match."""
+    """Records of measured minus simulated motion and torque as it acts; ``None`` where the lines do not
+    match."""
     known = {s.key: s for s in spectra}
     out = []
     for view in views:
         record = view.record
         motors = record.torque.shape[1]
         simulated = next(e for e in answer.experiments if e.key == record.key)
-        lines = _lines_as(simulated, known[record.key], record)
+        lines = _lines_of_simulation(simulated, known[record.key], record)
         if lines is None:
             return None
         position = record.position - lines[:, :motors]
@@ -367,14 +376,14 @@ def _differences(
                 position=position,
                 torque=view.acting + view.images - lines[:, motors:],
                 command=None,
-                # Recorded torque noise acts in the simulation: its answer does not end as it began.
+                # Recorded torque noise acts in the simulation, so its motion does not close over the record.
                 transient=True,
             )
         )
     return out
 
 
-def _lines_as(simulated: Experiment, s: LineSpectra, record: SpectralRecord) -> Complex128 | None:
+def _lines_of_simulation(simulated: Experiment, s: LineSpectra, record: SpectralRecord) -> Complex128 | None:
     """(F, 2M) amplitudes of a simulated experiment on the lines and over the periods of a measured record.
 
     Not by ``spectra_of``: a simulation has no noise, so it would be judged settled at another period.

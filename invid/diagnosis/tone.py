@@ -1,4 +1,4 @@
-"""A torque at one frequency that repeats with no period: taken out of a recording, counted, said."""
+"""A torque at one frequency that repeats with no period: removed from a recording, measured, described."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from invid.signals.spectral_record import SpectralRecord
 
 @dataclass(frozen=True, eq=False)
 class Tone:
-    """A sinusoidal torque on one axis in one record, and what it does to all channels."""
+    """A sinusoidal torque on one axis in one record, with its phasors in all channels."""
 
     axis: int
     frequency_hz: float
     amplitude: float
-    """Of the torque [N·m or N]."""
+    """Amplitude of the torque [N·m or N]."""
     channels: Complex128
     """(2M,) phasors of positions and torques: each holds Re(phasor·e^{2πjf(t − start)})."""
     start: float
@@ -28,14 +28,14 @@ class Tone:
 
 
 def remove_tones(recording: Recording, tones: Sequence[Tone]) -> Recording:
-    """The recording without what the tones did to its channels."""
+    """The recording with the tones subtracted from its channels."""
     experiments = []
     for e in recording.experiments:
         position, torque = e.position.copy(), e.torque.copy()
         for t in tones:
             if t.key == e.key:
-                turning = np.exp(2j * np.pi * t.frequency_hz * (e.time - t.start))
-                both = (turning[:, None] * t.channels).real
+                rotation = np.exp(2j * np.pi * t.frequency_hz * (e.time - t.start))
+                both = (rotation[:, None] * t.channels).real
                 position -= both[:, : position.shape[1]]
                 torque -= both[:, position.shape[1] :]
         experiments.append(replace(e, position=position, torque=torque))
@@ -43,14 +43,14 @@ def remove_tones(recording: Recording, tones: Sequence[Tone]) -> Recording:
 
 
 def tone_power(tones: Sequence[Tone], axis: int, records: Sequence[SpectralRecord]) -> float:
-    """Mean square of the tones of an axis over these records."""
+    """Mean square [(N·m)² or N²] of the tones of an axis over these records."""
     keys = {r.key for r in records}
     total = sum(0.5 * t.amplitude**2 for t in tones if t.axis == axis and t.key in keys)
     return float(total) / max(len(keys), 1)
 
 
 def describe_tones(tones: Sequence[Tone], recording: Recording, unit: str) -> Unexplained | None:
-    """Where the tones are, strongest first; none where there are none."""
+    """Axis, amplitude and frequencies of the strongest tones, in words; ``None`` without tones."""
     if not tones:
         return None
     first = max(tones, key=lambda t: t.amplitude)

@@ -1,4 +1,4 @@
-"""Whether the linear model can carry a diagnosis: a cause named on a wrong model is a wrong name."""
+"""Whether the linear model can carry a diagnosis: on a wrong model a named cause is wrong."""
 
 from __future__ import annotations
 
@@ -17,19 +17,20 @@ from invid.model.diagnosis_document import Finding, Unexplained
 from invid.model.document import Model, parameter_vector, stds_by_name
 from invid.recording.model import Recording
 
-LEAST = 0.9
-"""Share of the torque that a linear model of the right machine explains; as in ``invid.identify``."""
+LEAST_EXPLAINED = 0.9
+"""Share of the torque that a linear model of the right machine explains (empirical, as in
+``invid.identify``)."""
 
 
 @dataclass(frozen=True)
 class Trust:
-    """What is wrong with the linear fit, most important first; empty where nothing is."""
+    """Doubts about the linear fit, most important first; empty where there are none."""
 
     reasons: tuple[str, ...] = ()
     unseen: tuple[str, ...] = ()
-    """Sentences about parameters that the data cannot tell."""
+    """Sentences about parameters that the data do not determine."""
     broken: bool = False
-    """The linear model itself is wrong: no cause may be named on it."""
+    """Whether the linear model itself is wrong, so that no cause may be named on it."""
 
     @property
     def trustworthy(self) -> bool:
@@ -45,28 +46,28 @@ def judge_linear_fit(
     tests: tuple[NullTest, NullTest],
     recording: Recording,
 ) -> Trust:
-    """Judges the linear fit with what the causes made of it.
+    """Doubts about the linear fit, judged with the causes in the model.
 
-    A strong cause makes a linear fit look wrong that is right once the cause is in: where the extended
-    model comes down to the noise, only parameters that the data cannot tell are left to complain of.
+    A strong cause makes a linear fit look wrong that is right once the cause is in the model. Where the
+    extended model comes down to the noise, only parameters that the data do not determine are reported.
     """
-    unseen = _unseen(extended, final, recording.linear)
-    too_short = _too_short(recording)
+    unseen = _unseen_parameters(extended, final, recording.linear)
+    short = _short_experiments(recording)
     before, after = (t.chi2 / max(t.dof, 1) for t in tests)
-    if (after < REACHED or after - 1.0 < LEFT * (before - 1.0)) and not too_short:
+    if (after < REACHED or after - 1.0 < LEFT * (before - 1.0)) and not short:
         return Trust(unseen=unseen)
     doubts = [str(r) for r in model.fit.get("doubts", ()) if isinstance(r, str)]
-    # A parameter that the linear fit could not tell makes no wrong model: a strong cause blinds the fit
-    # without it, and what the extended one cannot tell is ``unseen``.
+    # A parameter that the linear fit could not determine makes no wrong model: a strong cause hides it from
+    # the fit without effects, and what the extended fit cannot determine is in ``unseen``.
     blind = model.fit.get("unseen", ())
     reasons = [r for r in doubts if r not in blind]
     if not doubts and model.fit.get("trustworthy", True) is False:
         reasons = list(model.warnings[:1]) or ["the identification does not trust its own fit"]
-    reasons += too_short
+    reasons += short
     if not base.fit.converged and not reasons:
         reasons.append("the linear fit did not converge")
-    share = min(_explained(base.fit.evaluation), _explained(final.fit.evaluation))
-    if share < LEAST and not any("of the torque only" in r for r in reasons):
+    share = min(_explained_share(base.fit.evaluation), _explained_share(final.fit.evaluation))
+    if share < LEAST_EXPLAINED and not any("of the torque only" in r for r in reasons):
         reasons.append(
             f"the linear model accounts for {share:.0%} of the torque only: another number of masses, a "
             "torque channel that is not the motor torque, or axes that do not move freely"
@@ -74,8 +75,8 @@ def judge_linear_fit(
     return Trust(tuple(dict.fromkeys(reasons)), unseen, broken=bool(reasons))
 
 
-def _too_short(recording: Recording) -> list[str]:
-    """Experiments cut off before the end of their first period: their lines cannot be told apart."""
+def _short_experiments(recording: Recording) -> list[str]:
+    """Reasons about experiments that end before their first period does: their lines are not resolved."""
     return [
         f"experiment {e.key} holds {e.samples / e.period_samples:.0%} of one period of its excitation"
         for e in recording.experiments
@@ -83,8 +84,8 @@ def _too_short(recording: Recording) -> list[str]:
     ][:1]
 
 
-def _explained(evaluation: Evaluation) -> float:
-    """Share of the noise-weighted torque power of the training records that is accounted for."""
+def _explained_share(evaluation: Evaluation) -> float:
+    """Explained share of the noise-weighted torque power of the training records."""
     left = total = 0.0
     for number, view in enumerate(evaluation.views):
         weight = 1.0 / np.maximum(np.einsum("fii->fi", evaluation.covariance[number]).real, 1e-300)
@@ -95,8 +96,8 @@ def _explained(evaluation: Evaluation) -> float:
     return max(0.0, 1.0 - left / max(total, 1e-300))
 
 
-def _unseen(extended: Model, final: CandidateEvidence, linear: bool) -> tuple[str, ...]:
-    """Parameters that the joint fit leaves open, in words."""
+def _unseen_parameters(extended: Model, final: CandidateEvidence, linear: bool) -> tuple[str, ...]:
+    """Sentences about parameters that the joint fit does not determine."""
     if extended.covariance is None:
         known, (names, _) = stds_by_name(extended), parameter_vector(extended.chains)
         lost = [n for n in names if not np.isfinite(known[n]) and ".damper." not in n]
@@ -111,7 +112,7 @@ def _unseen(extended: Model, final: CandidateEvidence, linear: bool) -> tuple[st
 
 
 def limit_confidence(findings: tuple[Finding, ...], found: Trust) -> tuple[Finding, ...]:
-    """Findings with their confidence limited where the data cannot tell all of the model."""
+    """Findings with limited confidence where the data do not determine all of the model."""
     if not found.unseen:
         return findings
     return tuple(replace(f, confidence=min(f.confidence, CONTESTED)) for f in findings)
@@ -120,51 +121,54 @@ def limit_confidence(findings: tuple[Finding, ...], found: Trust) -> tuple[Findi
 def doubt_unknown_hold_timing(
     findings: tuple[Finding, ...], recording: Recording, model: Model, final: JointFit
 ) -> tuple[tuple[Finding, ...], list[str]]:
-    """Findings without those that may well be the timing of a hold; less confidence for those that could be.
+    """Findings without those that may be the timing of a hold, those that could be with less confidence;
+    warnings.
 
     A hold of gain P inside the drive that acts half a sample before the record says so looks like viscous
-    friction of P·h/2, exactly. Demand beside the torque, or records that show the hold alone, tell. Friction
-    no larger than that is a sampling convention, and no finding. Where the hold's share is fitted along, the
-    friction and what the share makes are known together better than either.
+    friction of P·h/2, exactly. A demand logged beside the torque, or records that show the hold alone, tell
+    them apart. Friction no larger than that is a sampling convention, and no finding. Where the hold's share
+    is fitted along, the sum of the friction and what the share contributes is known better than either.
     """
-    placed, train = model.fit.get("holds", {}), final.evaluation.records
-    out, said = [], []
+    locations, train = model.fit.get("holds", {}), final.evaluation.records
+    out, warnings = [], []
     for f in findings:
         axis = f.effect.axis
         i = recording.axes.index(axis)
         held, declared = driven_hold(recording, i)
-        told = not str(placed.get(axis, "open")).startswith("open")
-        known = told or any(r.command is not None or r.staircase[i] == 1.0 for r in train)
-        if f.effect.cause != "viscous_friction" or f.effect.element != "mass 1" or not held or known:
+        is_told = not str(locations.get(axis, "open")).startswith("open")
+        is_known = is_told or any(r.command is not None or r.staircase[i] == 1.0 for r in train)
+        if f.effect.cause != "viscous_friction" or f.effect.element != "mass 1" or not held or is_known:
             out.append(f)
             continue
         size = f.effect.parameters["coefficient"]
         gain, step = _stiffest_hold(declared, model, i, final), train[0].step
-        small = size.value <= 0.5 * step * gain + 3.0 * (size.std or 0.0)
-        if small and not _more_than_its_hold(final, i):
-            said.append(
+        is_small = size.value <= 0.5 * step * gain + 3.0 * (size.std or 0.0)
+        if is_small and not _exceeds_hold(final, i):
+            warnings.append(
                 f"viscous friction of {size.value:.2g} {size.unit} on {axis} is what its hold makes by "
                 "acting up to half a sample before the record: a matter of sampling, so it is no finding; "
                 "record the demanded torque over whole periods, or drive the axis without a hold, to tell"
             )
             continue
         out.append(replace(f, confidence=min(f.confidence, CONTESTED)))
-        said.append(
+        warnings.append(
             f"viscous friction of {axis}: a hold works while the axis is driven, nothing says when it "
             "acts, and half a sample of it looks like such friction: record the demanded torque over "
             "whole periods, or drive the axis without a hold"
         )
-    # What the gains of such a hold leave, another cause may take: a damped mode beside it was a false alarm.
+    # Another cause may fit what wrong gains of such a hold leave: a damped mode was a false alarm.
     untimed = {f.effect.axis for f in findings if f not in out}
     kept = (
         replace(f, confidence=min(f.confidence, CONTESTED)) if f.effect.axis in untimed else f for f in out
     )
-    return tuple(kept), said
+    return tuple(kept), warnings
 
 
-def _more_than_its_hold(final: JointFit, axis: int) -> bool:
-    """Whether viscous friction at a motor, with what the fitted share of its hold makes of it, is more than
-    all of the hold could make, by three standard deviations."""
+def _exceeds_hold(final: JointFit, axis: int) -> bool:
+    """Whether viscous friction at a motor and its hold's share of it exceed what the whole hold could make.
+
+    By three standard deviations of their sum (statistical).
+    """
     layout, terms = final.layout, final.candidate.terms
     holds = [k for k, h in enumerate(layout.holds) if h.axis == axis and h.stiffness and not h.damping]
     at = [
@@ -175,16 +179,20 @@ def _more_than_its_hold(final: JointFit, axis: int) -> bool:
     if not holds or not at:
         return False
     friction = layout.count + sum(t.size for t in terms[: at[0]])
-    share, makes = layout.holds_at.start + holds[0], 0.5 * layout.step * layout.holds[holds[0]].stiffness
+    share, per_share = (
+        layout.hold_slice.start + holds[0],
+        0.5 * layout.step * layout.holds[holds[0]].stiffness,
+    )
     variance = final.covariance[np.ix_([friction, share], [friction, share])]
-    weights = np.array([1.0, makes])
+    weights = np.array([1.0, per_share])
     std = float(np.sqrt(max(weights @ variance @ weights, 0.0)))
-    total = float(final.candidate.x[at[0]][0]) + makes * float(final.p[share])
-    return total - 3.0 * std > SHARES[1] * makes
+    total = float(final.candidate.x[at[0]][0]) + per_share * float(final.p[share])
+    return total - 3.0 * std > SHARES[1] * per_share
 
 
 def _stiffest_hold(declared: float | None, model: Model, axis: int, final: JointFit) -> float:
-    """Proportional gain of an axis' hold [torque per position]: declared, or as stiff as it may well be."""
+    """Proportional gain of an axis' hold [torque per position]: declared, or the largest that is
+    plausible."""
     if declared is not None:
         return declared
     inside = max((h.stiffness for h in final.layout.holds if h.axis == axis), default=0.0)
@@ -195,12 +203,14 @@ def _stiffest_hold(declared: float | None, model: Model, axis: int, final: Joint
     return float(model.chains.masses[axis].sum()) * (HOLD_BAND * lowest) ** 2
 
 
-def distrust_sentences(found: Trust, masses: tuple[int, ...], *, partly: bool = False) -> list[str]:
-    """What is wrong and the way out, before anything else is said; ``partly``: something is named all the
-    same."""
+def distrust_sentences(found: Trust, masses: tuple[int, ...], *, only_independent: bool = False) -> list[str]:
+    """What is wrong with the model and how to correct it, as the first sentences of the diagnosis.
+
+    ``only_independent``: causes that stand on their own evidence are named all the same.
+    """
     if found.broken:
         sizes = ", ".join(str(n) for n in masses)
-        named = "only what a motor's own motion shows is" if partly else "no cause is"
+        named = "only what a motor's own motion shows is" if only_independent else "no cause is"
         return [
             f"The linear model itself cannot be trusted, so {named} named: {found.reasons[0]}.",
             "Put that right first: see that every axis is excited and hits nothing, and that the torque "
@@ -217,7 +227,7 @@ def distrust_sentences(found: Trust, masses: tuple[int, ...], *, partly: bool = 
 
 
 def qualify_unexplained(found: Trust, left: Unexplained | None) -> Unexplained | None:
-    """The description of what is missing, with the reason why it is not named."""
+    """The description of the unexplained torque, with the doubt of the model as reason where there is one."""
     if left is None or not found.broken:
         return left
     return replace(

@@ -1,7 +1,7 @@
-"""What is kept out of every fit and asked in its stead: a table, of which the first row that holds counts.
+"""What is kept out of every fit to validate it: a table, of which the first row whose condition holds counts.
 
-A look at a recording may ask for another row (``Asked``): where what is for validation shows nothing of what
-the others do, or lies on the other side of a change. The rigid engine keeps blocks of time out
+A search pass may ask for another row (``ValidationRequest``) where the validation records show nothing of
+what the others do, or were measured after a change. The regression of large motion keeps blocks of time out
 (``invid.rigid_motion.regression``).
 """
 
@@ -17,7 +17,7 @@ from invid.diagnosis.evidence import CandidateEvidence
 from invid.diagnosis.thresholds import NAMED_SHARE
 from invid.likelihood.evaluation import Evaluation, count_per_line
 from invid.likelihood.joint_fit import JointFit, evaluate_held_out
-from invid.likelihood.null_test import DIFFERS
+from invid.likelihood.null_test import LEAST_SCATTER
 from invid.likelihood.prepare_records import line_weights, spectral_record, uses_demand
 from invid.recording.model import Recording, Role
 from invid.signals.spectra import LineSpectra
@@ -29,41 +29,41 @@ Parts = tuple[list[SpectralRecord], list[SpectralRecord]]
 
 @dataclass(frozen=True)
 class ValidationRequest:
-    """What a search pass asks of the validation, and of how records are taken.
+    """How a search pass wants its records split and taken.
 
     Attributes
     ----------
     spare
         A record that is more than the linear model needs may be kept out whole.
-    within
+    split_every_record
         A part of every other record is kept out beside those for validation.
-    apart
-        Every record is followed from period to period; the first that is held out joins the training.
-    each
-        So are records whose periods differ far beyond the sensors' noise.
+    by_period
+        Every record is taken period by period; the first held-out one joins the training.
+    by_period_if_differing
+        Records whose periods differ far beyond the sensors' noise are taken period by period.
     whole
-        The records are ``unfolded``: what their identification could not see behind the scatter, torque that
-        the drive smooths, is free.
+        The records have no periods (``unfold_periods``), and the time constant of reported torque is free:
+        the identification could not see it behind the scatter.
     """
 
     spare: bool = True
-    within: bool = False
-    apart: bool = False
-    each: bool = False
+    split_every_record: bool = False
+    by_period: bool = False
+    by_period_if_differing: bool = False
     whole: bool = False
 
 
 PLAIN = ValidationRequest()
-"""Nothing but what the table gives."""
+"""The table as it is."""
 
 
 @dataclass(frozen=True, eq=False)
 class ValidationRecords:
-    """The records of a recording, as the rows of the table see them."""
+    """The records of a recording, as the rows of the table use them."""
 
     recording: Recording
     spectra: Sequence[LineSpectra]
-    asked: ValidationRequest
+    request: ValidationRequest
 
     @cached_property
     def train(self) -> list[LineSpectra]:
@@ -82,14 +82,14 @@ class ValidationRecords:
 
     @cached_property
     def record(self) -> Callable[..., SpectralRecord]:
-        """Makes a record of spectra, or of some of their periods."""
+        """Function that makes a record of spectra, or of some of their periods."""
         experiments = {e.key: e for e in self.recording.experiments}
         made = partial(spectral_record, demand=uses_demand(self.recording, self.spectra))
         return lambda s, *periods: made(s, experiments[s.key], *periods)
 
     @property
     def missing(self) -> str:
-        """Why something else has to be kept out."""
+        """Reason why something else has to be kept out, for the warnings."""
         if self.validate:
             return "validation does not show what the others do"
         return "no validation experiment (role 'validate')"
@@ -97,137 +97,140 @@ class ValidationRecords:
 
 @dataclass(frozen=True)
 class ValidationRow:
-    """One way to keep something out: when it is taken, what it keeps out, and the warning that says so."""
+    """One way to keep something out: its condition, the split, and the warning about it."""
 
     name: str
-    holds: Callable[[ValidationRecords], bool]
+    applies: Callable[[ValidationRecords], bool]
     parts: Callable[[ValidationRecords], Parts]
     sentence: Callable[[ValidationRecords], str | None]
 
 
-def _by_role(offer: ValidationRecords) -> Parts:
-    return [offer.record(s) for s in offer.train], offer.validate
+def _split_by_role(data: ValidationRecords) -> Parts:
+    return [data.record(s) for s in data.train], data.validate
 
 
-def _is_spare(offer: ValidationRecords) -> bool:
+def _has_spare_record(data: ValidationRecords) -> bool:
     """Whether there is a record more than the linear model needs: each axis once, or M of all at once."""
-    motors = offer.recording.axis_count
-    everything = any(s.driven.all() for s in offer.train)
-    asked = offer.asked.spare and not offer.asked.within
-    return asked and len(offer.train) > motors and (everything or motors == 1)
+    motors = data.recording.axis_count
+    everything = any(s.driven.all() for s in data.train)
+    is_allowed = data.request.spare and not data.request.split_every_record
+    return is_allowed and len(data.train) > motors and (everything or motors == 1)
 
 
-def _without_spare(offer: ValidationRecords) -> Parts:
-    kept = offer.spare
-    return [offer.record(s) for s in offer.train if s is not kept], [offer.record(kept)]
+def _keep_out_spare(data: ValidationRecords) -> Parts:
+    kept = data.spare
+    return [data.record(s) for s in data.train if s is not kept], [data.record(kept)]
 
 
-def _without_last_period(offer: ValidationRecords) -> Parts:
-    train = [offer.record(s, slice(0, s.periods - 1)) for s in offer.train]
-    last = [offer.record(s, slice(s.periods - 1, None)) for s in offer.train]
-    return train, [*last, *offer.validate]
+def _keep_out_last_period(data: ValidationRecords) -> Parts:
+    train = [data.record(s, slice(0, s.periods - 1)) for s in data.train]
+    last = [data.record(s, slice(s.periods - 1, None)) for s in data.train]
+    return train, [*last, *data.validate]
 
 
-def _without_fifth_lines(offer: ValidationRecords) -> Parts:
+def _keep_out_fifth_lines(data: ValidationRecords) -> Parts:
     train, held = [], []
-    for s in offer.train:
-        record = offer.record(s)
+    for s in data.train:
+        record = data.record(s)
         lines = np.arange(record.omega.size)
         last = lines % 5 == 4
         train.append(line_weights(record, ~last))
-        # There is one mean only: a weight would have no held-out gain without it.
+        # There is only one line at 0 Hz: without it a weight would have no held-out gain.
         held.append(line_weights(record, last | (lines == 0)))
-    return train, [*held, *offer.validate]
+    return train, [*held, *data.validate]
 
 
 VALIDATION: tuple[ValidationRow, ...] = (
     ValidationRow(
         "role",
-        lambda offer: bool(offer.validate) and not offer.asked.within,
-        _by_role,
-        lambda offer: None,
+        lambda data: bool(data.validate) and not data.request.split_every_record,
+        _split_by_role,
+        lambda data: None,
     ),
     ValidationRow(
         "spare record",
-        _is_spare,
-        _without_spare,
-        lambda offer: (
-            f"no validation experiment (role 'validate'): experiment {offer.spare.key} is kept out of every "
+        _has_spare_record,
+        _keep_out_spare,
+        lambda data: (
+            f"no validation experiment (role 'validate'): experiment {data.spare.key} is kept out of every "
             "fit instead; record one with another realisation and amplitude"
         ),
     ),
     ValidationRow(
         "last period",
-        lambda offer: all(s.periods >= 2 and s.deviations.shape[0] == s.periods for s in offer.train),
-        _without_last_period,
-        lambda offer: (
-            f"{offer.missing}: the last period of each experiment is kept out of every fit instead, which "
+        lambda data: all(s.periods >= 2 and s.deviations.shape[0] == s.periods for s in data.train),
+        _keep_out_last_period,
+        lambda data: (
+            f"{data.missing}: the last period of each experiment is kept out of every fit instead, which "
             "repeats the same motion; record one with another realisation"
         ),
     ),
     ValidationRow(
         "fifth line",
-        lambda offer: True,
-        _without_fifth_lines,
-        lambda offer: (
-            f"{offer.missing} and no whole period to spare: every fifth line is kept out of every fit "
+        lambda data: True,
+        _keep_out_fifth_lines,
+        lambda data: (
+            f"{data.missing} and no whole period to spare: every fifth line is kept out of every fit "
             "instead; record an experiment of its own for validation"
         ),
     ),
 )
-"""What is kept out; the first row that holds counts."""
+"""What is kept out; the first row whose condition holds counts."""
 
 
-def validation_row(offer: ValidationRecords) -> ValidationRow:
+def validation_row(data: ValidationRecords) -> ValidationRow:
     """The first row of the table whose condition holds."""
-    return next(row for row in VALIDATION if row.holds(offer))
+    return next(row for row in VALIDATION if row.applies(data))
 
 
 def split_records(
-    recording: Recording, spectra: Sequence[LineSpectra], asked: ValidationRequest = PLAIN
+    recording: Recording, spectra: Sequence[LineSpectra], request: ValidationRequest = PLAIN
 ) -> tuple[list[SpectralRecord], list[SpectralRecord], list[str]]:
     """Training and held-out records, and what to warn about."""
-    offer = ValidationRecords(recording, spectra, asked)
-    row = validation_row(offer)
-    train, held = row.parts(offer)
-    said = row.sentence(offer)
-    return train, held, [] if said is None else [said]
+    data = ValidationRecords(recording, spectra, request)
+    row = validation_row(data)
+    train, held = row.parts(data)
+    warning = row.sentence(data)
+    return train, held, [] if warning is None else [warning]
 
 
-def unfolded(recording: Recording) -> Recording:
+def unfold_periods(recording: Recording) -> Recording:
     """The recording with every experiment as one record without a period.
 
-    A law of motion is not linear: on the mean of periods that differ it gives something else than its own
-    mean, and what it gives otherwise in each of them passes for noise. Taken whole, with the ends of a record
-    that does not close, such a record is as exact as any other.
+    A law of motion is not linear: for the mean of periods that differ it gives something else than its own
+    mean, and the difference passes for noise. Taken whole, with the ends of a record that does not close,
+    such a record is as exact as any other.
     """
     experiments = tuple(replace(e, period_samples=0) for e in recording.experiments)
     return replace(recording, experiments=experiments)
 
 
-def scatter_of(fit: JointFit, held: Sequence[SpectralRecord]) -> float:
-    """Power of the scatter between periods over that of the sensors' noise, of the training or the held-out
-    records the larger; zero where the periods are alike but for noise."""
-    level = max(_scatter_in(fit.evaluation), _scatter_in(evaluate_held_out(fit, held)))
-    return level if level > DIFFERS else 0.0
+def scatter_ratio(fit: JointFit, held: Sequence[SpectralRecord]) -> float:
+    """Power of the scatter between periods over that of the sensors' noise; zero where it is not above
+    ``LEAST_SCATTER``.
+
+    The larger of the training and the held-out records.
+    """
+    level = max(_mean_scatter_ratio(fit.evaluation), _mean_scatter_ratio(evaluate_held_out(fit, held)))
+    return level if level > LEAST_SCATTER else 0.0
 
 
-def _scatter_in(part: Evaluation) -> float:
+def _mean_scatter_ratio(part: Evaluation) -> float:
     ratios = []
     for view, covariance, root in zip(part.views, part.covariance, part.roots, strict=True):
         record = view.record
         if record.alone or not record.scatter.any():
             continue
-        seen = count_per_line(record, root) > 0
-        seen[0] = False
+        counted = count_per_line(record, root) > 0
+        counted[0] = False
         own = np.einsum("fii->fi", covariance).real - record.scatter
-        ratios.append(float(np.mean(record.scatter[seen] / np.maximum(own[seen], 1e-300))))
+        ratios.append(float(np.mean(record.scatter[counted] / np.maximum(own[counted], 1e-300))))
     return float(np.mean(ratios)) if ratios else 0.0
 
 
 def is_law_of_motion(final: CandidateEvidence, scatter: float) -> bool:
-    """Whether the laws found leave a tenth of the ``scatter`` at most in whole records.
+    """Whether the laws found leave at most a tenth of the ``scatter`` in whole records.
 
-    Noise of the torque or a disturbance, which no law of the motion gives, is left there as it was.
+    Torque noise or a disturbance, which no law of motion explains, would be left unchanged.
     """
     return final.excess < (1.0 - NAMED_SHARE) * scatter * final.dof

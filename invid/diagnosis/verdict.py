@@ -1,4 +1,4 @@
-"""What a search found, as a diagnosis: verdict, residuals, findings, what is left."""
+"""The result of a search as a diagnosis: verdict, residuals, findings, remainder."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from invid.diagnosis.confidence import effect_term, is_at_floor, judge
 from invid.diagnosis.context import apply_rule
 from invid.diagnosis.known_effects import effects_in_model
-from invid.diagnosis.outcome import assembled, explained_share
+from invid.diagnosis.outcome import assemble_diagnosis, explained_share
 from invid.diagnosis.residual_character import describe_unexplained
 from invid.diagnosis.selection import Selection
 from invid.diagnosis.thresholds import BROUGHT_DOWN
@@ -23,7 +23,7 @@ from invid.diagnosis.trust import (
     limit_confidence,
     qualify_unexplained,
 )
-from invid.effects.registry import of_the_plant
+from invid.effects.registry import effects_of_plant
 from invid.effects.units import unit_of
 from invid.likelihood.joint_fit import JointFit, evaluate_held_out
 from invid.likelihood.null_test import NullTest, null_test, rms_torque
@@ -44,26 +44,27 @@ def build_diagnosis(
     tones: Sequence[Tone],
     warnings: list[str],
     *,
-    refused: bool = False,
+    is_refused: bool = False,
 ) -> Diagnosis:
+    """The diagnosis of a selection; ``is_refused``: the simulation over time refused its causes."""
     base, final = selection.base, selection.final
     known = len(base.fit.candidate.terms)
     without = base.held if bare is base.fit else evaluate_held_out(bare, held)
     before_test = null_test(base.fit.cost + base.held.cost, base.fit.dof + base.held.dof, [*train, *held])
     after_test = null_test(final.fit.cost + final.held.cost, final.fit.dof + final.held.dof, [*train, *held])
-    # A cause below what the test of the whole sees is there if its extension gains anything.
-    coherent = before_test.rejects or (bool(selection.steps) and not refused)
+    # A cause too small for the null test of all records counts if its extension gains anything over time.
+    coherent = before_test.rejects or (bool(selection.steps) and not is_refused)
     unit = unit_of("torque", recording.linear)
-    judged = judge(selection, recording, after_test)
-    full = extended_model(model, final.fit, ())
-    linear = judge_linear_fit(model, full, base, final, (before_test, after_test), recording)
-    trusted = selection.partly or not linear.broken
-    named = judged.findings if judged.named and trusted and not refused else ()
-    sure, untimed = doubt_unknown_hold_timing(
+    judgement = judge(selection, recording, after_test)
+    linear_model = extended_model(model, final.fit, ())
+    linear = judge_linear_fit(model, linear_model, base, final, (before_test, after_test), recording)
+    trusted = selection.only_independent or not linear.broken
+    named = judgement.findings if judgement.named and trusted and not is_refused else ()
+    sure, timing_warnings = doubt_unknown_hold_timing(
         limit_confidence(tuple(named), linear), recording, model, final.fit
     )
-    if named and not sure:  # all of it is a matter of sampling
-        named, coherent = (), not judged.complete
+    if named and not sure:  # all findings are sampling conventions
+        named, coherent = (), not judgement.complete
     shown = final if named else base
     residual = []
     for i, axis in enumerate(recording.axes):
@@ -73,8 +74,8 @@ def build_diagnosis(
         before, after = (float(np.hypot(level, np.sqrt(beside))) for level in (before, after))
         residual.append(AxisResidual(axis, unit, before, after, floor))
     explained = explained_share(residual) if named or known else None
-    humming = unexplained = describe_tones(tones, recording, unit)
-    # A model with causes in it is as right as where they were found: what is called explained there is here.
+    tone_summary = unexplained = describe_tones(tones, recording, unit)
+    # A given model with causes in it explains what it explained when it was found.
     as_found = not selection.steps and not linear.broken and is_at_floor(base)
     as_found = as_found and explained is not None and explained > BROUGHT_DOWN
     quiet = not tones and (not coherent or as_found)
@@ -83,13 +84,13 @@ def build_diagnosis(
     elif not named:
         if coherent:
             unexplained = qualify_unexplained(linear, describe_unexplained(base, recording))
-    elif not judged.complete:
+    elif not judgement.complete:
         unexplained = describe_unexplained(final, recording)
-        if selection.partly and explained is not None:
+        if selection.only_independent and explained is not None:
             rest = f"{1.0 - explained:.0%} of what was missing is left. {unexplained.sentence}"
             unexplained = qualify_unexplained(linear, replace(unexplained, sentence=rest))
     effects = [effect_term(shown, k, recording) for k in range(known)] + [f.effect for f in named]
-    inside = of_the_plant(effects_in_model(model))
+    inside = effects_of_plant(effects_in_model(model))
     effects += [e for e in effects_in_model(model) if e not in inside]
     extended = extended_model(model, shown.fit, tuple(effects))
     extended = replace(
@@ -101,24 +102,24 @@ def build_diagnosis(
             "unseen": list(linear.unseen),
         },
     )
-    said = distrust_sentences(linear, model.chains.masses_per_branch, partly=bool(named))
-    within = ("1.2 times " if coherent else "") + "its noise"
-    return assembled(
+    distrust = distrust_sentences(linear, model.chains.masses_per_branch, only_independent=bool(named))
+    level_text = ("1.2 times " if coherent else "") + "its noise"
+    return assemble_diagnosis(
         recording,
         residual,
         sure,
         extended,
         missing=not quiet or unexplained is not None,
-        complete=judged.complete and not tones,
+        complete=judgement.complete and not tones,
         explained=explained,
         left=unexplained,
-        said=said,
-        nothing="The model"
+        opening=distrust,
+        consistent_sentence="The model"
         + (", with the causes it already contains," if known else "")
-        + f" explains the measurement to within {within}: nothing is missing.",
-        further=[] if humming is None else [humming.sentence],
-        warnings=[*said, *model.warnings, *warnings, *untimed, *judged.warnings],
-        details=_details(before_test, after_test, selection, judged.explained),
+        + f" explains the measurement to within {level_text}: nothing is missing.",
+        closing=[] if tone_summary is None else [tone_summary.sentence],
+        warnings=[*distrust, *model.warnings, *warnings, *timing_warnings, *judgement.warnings],
+        details=_details(before_test, after_test, selection, judgement.explained),
     )
 
 
@@ -152,7 +153,7 @@ def extended_model(
     fitted: JointFit,
     effects: tuple[EffectTerm, ...],
 ) -> Model:
-    """The linear parameters refitted jointly, with the effects."""
+    """The model with the linear parameters of the joint fit, and with the effects."""
     structure = fitted.layout.structure
     chains = structure.chains(fitted.p[: structure.count])
     values = structure.physical(fitted.p[: structure.count])
@@ -167,11 +168,12 @@ def extended_model(
     index = [place[name] for name in names]
     finite = bool(np.isfinite(covariance).all())
     layout = fitted.layout
-    # A demand logged beside the torque has its half sample of being held by itself.
+    # For a demand logged beside the torque the half sample of holding is counted separately.
+
     logged = any(v.record.command is not None for v in fitted.evaluation.views)
     offsets = layout.delays(fitted.p) + (0.5 * layout.step if logged else 0.0)
-    offsets[list(layout.smoothed)] -= fitted.p[layout.smoothed_at]
-    held = 0.5 * layout.step * layout.stairs(fitted.p)
+    offsets[list(layout.smoothed)] -= fitted.p[layout.lag_slice]
+    held = 0.5 * layout.step * layout.zoh_share(fitted.p)
     facts = {
         **dict(model.fit),
         "chi2": fitted.cost,
@@ -179,21 +181,21 @@ def extended_model(
         "time_offset_s": {
             f"{structure.axes[i]}.time_offset": {
                 "value": float(offsets[i]),
-                "std": _finite(float(np.sqrt(max(fitted.covariance[n + k, n + k], 0.0)))),
+                "std": _finite_or_none(float(np.sqrt(max(fitted.covariance[n + k, n + k], 0.0)))),
             }
             for k, i in enumerate(layout.free_delays)
         }
         | {
             f"{structure.axes[i]}.time_offset": {"value": float(held[i]), "std": None}
-            for i in layout.held_late
+            for i in layout.late_zoh_axes
         },
         "torque_lag_s": dict(model.fit.get("torque_lag_s", {}))
         | {
             structure.axes[i]: {
                 "value": float(fitted.p[at]),
-                "std": _finite(float(np.sqrt(max(fitted.covariance[at, at], 0.0)))),
+                "std": _finite_or_none(float(np.sqrt(max(fitted.covariance[at, at], 0.0)))),
             }
-            for i, at in zip(layout.smoothed, range(layout.smoothed_at.start, layout.count), strict=True)
+            for i, at in zip(layout.smoothed, range(layout.lag_slice.start, layout.count), strict=True)
         },
         "joint_with_effects": bool(effects),
     }
@@ -208,5 +210,5 @@ def extended_model(
     )
 
 
-def _finite(value: float) -> float | None:
+def _finite_or_none(value: float) -> float | None:
     return value if np.isfinite(value) else None

@@ -1,4 +1,4 @@
-"""Causes: what each is, resists with, looks like and means. What an effect of one file needs is here.
+"""Causes: law, look-alikes and meaning of each. What an effect in a file of its own needs is here.
 
 >>> from invid.effects import Experiment, MotionEffect, Parameter, mass_places
 """

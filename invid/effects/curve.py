@@ -1,4 +1,4 @@
-"""The fitted cause as a curve for pictures: what it resists with, over the quantity that it depends on."""
+"""The fitted cause as a curve for pictures: resistance over the quantity that it depends on."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Curve:
 
 
 def abscissa(term: EffectTerm) -> str | None:
-    """What a cause's missing torque is drawn over; ``None`` where it has no such picture."""
+    """Quantity over which a cause's missing torque is drawn; ``None`` where it has no such picture."""
     effect = effect_of(term.cause)
     return None if effect is None else effect.over or None
 

@@ -1,4 +1,4 @@
-"""What every effect declares.
+"""The interface of an effect.
 
 An effect adds to the missing torque r = Z Θ − A T of the linear model a *contribution*: r plus the
 contributions of all effects is zero for a perfect model. A resistance f (a force −f on the pattern b of
@@ -31,7 +31,7 @@ from invid.numerics.arrays import Complex128, Float64
 
 @dataclass(frozen=True)
 class Experiment:
-    """What tells a cause from its look-alikes: which kind of measurement, and the same in words.
+    """The experiment that tells a cause from its look-alikes: kind of measurement, and the same in words.
 
     ``by_hand``: what a person has to do where no motion of the drives shows it.
     """
@@ -43,10 +43,11 @@ class Experiment:
 
 @dataclass(frozen=True, eq=False)
 class PlaceMotion:
-    """All that a law of motion may see: the motion at its place over time, each (n,) [rad or m, s].
+    """The motion at a place over time as a law may use it, each (n,) [rad or m, s].
 
-    ``rest`` is the speed below which noise hides the direction. ``load`` is the torque that the rest asks of
-    the joint and ``torque_rate`` the change of the drive's torque [N·m, N·m/s], where they are known.
+    ``rest`` is the speed below which noise hides the direction. ``load`` is the torque that the rest of the
+    machine demands of the joint and ``torque_rate`` the rate of the drive's torque [N·m, N·m/s], where they
+    are known.
     """
 
     position: Float64
@@ -78,24 +79,25 @@ class Effect:
     separating: Experiment = Experiment("hand", "")
     """The experiment that tells it from its look-alikes."""
     looks_like: tuple[str, ...] = ()
-    """Causes that it is easily taken for."""
+    """Causes that it is easily mistaken for."""
     family: str = ""
     parts: tuple[str, ...] = ()
-    """What friction it is made of; two laws of friction with a common part do not sit at one place."""
+    """Kinds of friction that it consists of; two laws with a common part do not sit at one place."""
     home: Literal["motor", "end", "spring", "axis"] = "motor"
-    """Where it sits in a model that does not say it."""
+    """Place of the effect in a model that does not state one."""
     over: str = ""
-    """What its missing torque is drawn over (``invid.effects.curve``); "" where it has no such picture."""
+    """Quantity over which its missing torque is drawn (``invid.effects.curve``); "" where it has no such
+    picture."""
     path: bool = False
     """Whether its curve is a path in time, as a hysteresis is."""
     sizes: tuple[Size, ...] = ()
-    """What is measured of it to say what it means, the most telling first, with published figures."""
+    """Measures of its size with published figures, the most informative first."""
     optional: ClassVar[Mapping[str, float]] = MappingProxyType({})
     """Parameters that a model need not name, as they are then."""
     in_samples: bool = False
-    """Whether it sits in the samples and not in the plant: found there, and not fitted."""
+    """Whether it sits in the samples and not in the plant; it is found there, and not fitted."""
     in_chain: bool = False
-    """Whether the linear parameters already hold it: part of the fit, not to be found."""
+    """Whether the linear parameters already contain it; it is part of the fit, not to be found."""
     parameters: ClassVar[Mapping[str, str]] = MappingProxyType({})
     coefficients: tuple[str, ...] = ()
     lower: tuple[float, ...] = ()
@@ -106,10 +108,10 @@ class Effect:
     least_axes: int = 1
     main: str = ""
     along_pattern: bool = True
-    """Whether its force lies along the pattern of its place and can be read from the missing torque."""
+    """Whether its force lies along the pattern of its place and can be estimated from the missing torque."""
 
     def places(self, structure: ChainStructure) -> list[Place]:
-        """Everywhere it may sit."""
+        """All places where it may sit."""
         raise NotImplementedError
 
     def grid(self, views: Sequence[View], place: Place) -> list[tuple[float, ...]]:
@@ -117,11 +119,11 @@ class Effect:
         return [()]
 
     def limits(self, views: Sequence[View], place: Place) -> list[tuple[float, float]]:
-        """Bounds of the shapes, as they move; not bounded by default."""
+        """Bounds of the shapes as they are fitted; unbounded by default."""
         return [(-np.inf, np.inf)] * len(self.shapes)
 
     def difference(self, view: View, shape: int, value: float) -> float:
-        """Step of a shape for a derivative by differences."""
+        """Step of a shape for finite differences."""
         return 1e-4 * (1.0 if self.logarithmic[shape] else max(abs(value), 1e-6))
 
     def basis(self, view: View, place: Place, shape: Sequence[float]) -> Complex128:
@@ -131,7 +133,7 @@ class Effect:
     def contribution(
         self, view: View, place: Place, x: Sequence[float]
     ) -> tuple[Complex128, Complex128 | None]:
-        """(F, M) contribution to r at ``x`` and (F, ΣN) what it does to inner coordinates."""
+        """(F, M) contribution to r at ``x`` and (F, ΣN) the inner motion that it causes."""
         count = len(self.coefficients)
         columns = self.basis(view, place, x[count:])
         out: Complex128 = columns @ np.asarray(x[:count])
@@ -142,7 +144,7 @@ class Effect:
         return False
 
     def remembers(self, view: View, place: Place, x: Sequence[float]) -> bool:
-        """Whether its force in a record depends on what was before (``view.starts``)."""
+        """Whether its force in a record depends on its initial state (``view.starts``)."""
         return False
 
     def follows_motor(self, place: Place) -> bool:
@@ -150,19 +152,21 @@ class Effect:
         return False
 
     def rarity(self, place: Place, structure: ChainStructure) -> float:
-        """−2 ln of the odds, before any data, that this cause sits here and not where it usually does."""
+        """−2 ln of the prior odds that this cause sits here and not at its usual place."""
         return 0.0
 
     def noise_power(
         self, view: View, place: Place, x: Sequence[float]
     ) -> tuple[float | Float64, float | Float64]:
-        """What the effect multiplies the noise powers of position and torque by, as numbers or (F,): taking a
-        sensor's fault out scales its noise, and an actuator that lets less torque through less of its noise.
+        """Factors on the noise powers of position and torque, as numbers or (F,).
+
+        Removing a sensor's fault scales its noise, and an actuator that transmits less torque transmits less
+        of its noise.
         """
         return 1.0, 1.0
 
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
-        """The contract's parameters: the vector by name, logarithms taken back."""
+        """Parameters of the contract by name from the fitted vector, logarithms undone."""
         names = (*self.coefficients, *self.shapes)
         logarithms = (*(False for _ in self.coefficients), *self.logarithmic)
         return {
@@ -171,13 +175,13 @@ class Effect:
         }
 
     def vector(self, p: Mapping[str, float]) -> list[float]:
-        """The vector that the contract's parameters are fitted as: the inverse of ``values``."""
+        """Fitted vector from the contract's parameters: the inverse of ``values``."""
         logs = dict(zip(self.shapes, self.logarithmic, strict=True))
         names = (*self.coefficients, *self.shapes)
         return [float(np.log(p[n])) if logs.get(n) else float(p[n]) for n in names]
 
     def stands_beside(self, other: Effect) -> bool:
-        """Whether both may sit at one place: two laws of friction where no part is in both."""
+        """Whether both may sit at one place; of two laws of friction, whether they have no part in common."""
         if self.cause == other.cause:
             return False
         if self.family == other.family == "friction":
@@ -185,11 +189,11 @@ class Effect:
         return True
 
     def most_places(self, structure: ChainStructure) -> int | None:
-        """At how many places it can be seen at once; as many as there are where it is none."""
+        """Number of places at which it can be seen at once; ``None`` for no limit."""
         return None
 
     def known(self, term: EffectTerm) -> Self:
-        """The law as a model has it, with what its parameters do not hold."""
+        """The law with what a model states of it beyond its parameters."""
         return self
 
     def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64 | None:
@@ -200,7 +204,7 @@ class Effect:
         return None
 
     def simulation(self, at: ModelPlace) -> Sequence[Element]:
-        """What the simulators are given; ModelError where it cannot be simulated."""
+        """Elements for the simulators; ModelError where it cannot be simulated."""
         raise ModelError(f"effect {self.cause} on {at.term.axis}: it says nothing on how to simulate it")
 
     def regressors(self, motion: PlaceMotion, shape: Sequence[float]) -> Float64:
@@ -211,11 +215,11 @@ class Effect:
         raise InputError(f"effect {self.cause}: it has no law for large motion")
 
     def size_text(self, size: str) -> str:
-        """How a sentence says its size."""
+        """The size as a sentence states it."""
         return f" of {size}"
 
     def beyond(self, views: Sequence[View], place: Place, x: Sequence[float]) -> bool:
-        """Whether it is larger than what it works on, or than the motion in the records: then it is none.
+        """Whether it is larger than what it acts on, or than the motion in the records, and so is none.
 
         A spring that drifts by more than itself stands for another spring, a gap that the deflection never
         crosses for none.
@@ -223,38 +227,38 @@ class Effect:
         return False
 
     def is_null(self, x: Sequence[float]) -> bool:
-        """At a bound where nothing is left of the effect."""
+        """Whether it is at a bound where it has no force."""
         count = len(self.coefficients)
         return bool(count) and all(abs(c) < 1e-300 for c in x[:count])
 
 
 class ForceEffect(Effect):
-    """A resistance that is a law of motion over time: basis forces on the pattern."""
+    """A resistance given by a law of motion over time."""
 
     smeared = False
     local: ClassVar[bool] = True
-    """Whether the force at a sample follows from the motion at it and beside it, and from nothing before."""
+    """Whether the force at a sample depends only on the motion at it and at its neighbours."""
     answered: ClassVar[bool] = False
-    """Whether the law goes on with the motion beyond the band that its own force makes (``beyond_band``)."""
+    """Whether the law responds to the motion beyond the band that its own force causes (``beyond_band``)."""
 
     def law(self, view: View, place: Place, shape: Sequence[float]) -> Float64:
         """(n, L) resistance for each coefficient at one."""
         raise NotImplementedError
 
     def force(self, view: View, place: Place, shape: Sequence[float]) -> Complex128:
-        """(F, L) the same on the lines."""
+        """(F, L) lines of the resistance for each coefficient at one."""
         return view.to_lines(self.law(view, place, shape), smeared=self.smeared)
 
     def basis(self, view: View, place: Place, shape: Sequence[float]) -> Complex128:
-        push = view.push(place.pattern(view.structure))
-        out: Complex128 = push[:, :, None] * self.force(view, place, shape)[:, None, :]
+        reached = view.condensed_force(place.pattern(view.structure))
+        out: Complex128 = reached[:, :, None] * self.force(view, place, shape)[:, None, :]
         return out
 
     def contribution(
         self, view: View, place: Place, x: Sequence[float]
     ) -> tuple[Complex128, Complex128 | None]:
         if self.local and view.is_measured(place.pattern(view.structure)):
-            return view.measured((self, place, tuple(x)), lambda: self._contribution(view, place, x))
+            return view.cached((self, place, tuple(x)), lambda: self._contribution(view, place, x))
         return self._contribution(view, place, x)
 
     def _contribution(self, view: View, place: Place, x: Sequence[float]) -> tuple[Complex128, Complex128]:
@@ -270,14 +274,16 @@ class ForceEffect(Effect):
             total = view.to_lines(wave[:, None], smeared=self.smeared)[:, 0]
         else:
             total = self.force(view, place, x[count:]) @ np.asarray(x[:count])
-        return view.push(pattern) * total[:, None], -view.yields(pattern) * total[:, None]
+        return view.condensed_force(pattern) * total[:, None], -view.inner_receptance(pattern) * total[
+            :, None
+        ]
 
 
 class ImpedanceEffect(Effect):
     """A resistance linear in the motion along its pattern: exact, whatever its size."""
 
     steady: ClassVar[bool] = True
-    """Whether it is the same all through a record: then its force follows from the motors' spectra alone."""
+    """Whether it is constant over a record, so that its force follows from the motors' spectra alone."""
 
     def impedance(self, view: View, place: Place, x: Sequence[float]) -> Complex128:
         """(F,) force per motion."""
@@ -287,52 +293,57 @@ class ImpedanceEffect(Effect):
         pattern = place.pattern(view.structure)
         z = self.impedance(view, place, (1.0, *shape))
         if view.record.transient:  # the wave that laws are read from closes; the motion does not
-            raw = view.raw
-            moved = along(pattern, raw + view.feedback + view.of_ends)
+            raw = view.unfiltered
+            moved = along(pattern, raw + view.feedback + view.end_motion)
         else:
             moved = view.spectrum(pattern)
         force = z * moved + self.within(view, place, (1.0, *shape))
-        out: Complex128 = view.push(pattern)[:, :, None] * force[:, None, None]
+        out: Complex128 = view.condensed_force(pattern)[:, :, None] * force[:, None, None]
         return out
 
     def within(self, view: View, place: Place, x: Sequence[float]) -> Complex128 | float:
-        """(F,) force beside the impedance, where that is only the mean of what changes over the record."""
+        """(F,) force beside the impedance, which is only the mean of an effect that changes over the
+        record."""
         return 0.0
 
     def contribution(
         self, view: View, place: Place, x: Sequence[float]
     ) -> tuple[Complex128, Complex128 | None]:
         pattern = place.pattern(view.structure)
-        raw = view.raw
+        raw = view.unfiltered
         z = self.impedance(view, place, x)
-        force = (z * along(pattern, raw) + self.within(view, place, x)) / (1.0 + z * view.compliance(pattern))
-        return view.push(pattern) * force[:, None], -view.yields(pattern) * force[:, None]
+        force = (z * along(pattern, raw) + self.within(view, place, x)) / (
+            1.0 + z * view.driving_point_receptance(pattern)
+        )
+        return view.condensed_force(pattern) * force[:, None], -view.inner_receptance(pattern) * force[
+            :, None
+        ]
 
     def of_jumps(self, view: View, place: Place, x: Sequence[float], moved: Complex128) -> Complex128:
         """(F, 2ΣN) force along the pattern for a unit jump of each coordinate's position and velocity.
 
-        ``moved`` (F, ΣN, 2ΣN): motion that the jumps stand for. What stores momentum or moves a damper has
-        ends of its own, (2/T)((d + jωm)Δx + mΔv).
+        ``moved`` (F, ΣN, 2ΣN): motion of the linear plant for the jumps. Masses and dampers have ends of
+        their own, (2/T)((d + jωm)Δx + mΔv).
         """
         pattern = place.pattern(view.structure)
         z = self.impedance(view, place, x)
         force: Complex128 = z[:, None] * along(pattern, moved)
         mass, damper = self.carries(view, x)
-        own = np.stack((damper + 1j * view.omega * mass, np.full(view.omega.size, mass, dtype=complex)))
-        own *= 2.0 / view.record.span
-        own[:, 0] *= 0.5
+        stored = np.stack((damper + 1j * view.omega * mass, np.full(view.omega.size, mass, dtype=complex)))
+        stored *= 2.0 / view.record.span
+        stored[:, 0] *= 0.5
         for at, sign in pattern:
-            force[:, at] += sign * own[0]
-            force[:, view.base.shape[1] + at] += sign * own[1]
-        out: Complex128 = force / (1.0 + z * view.compliance(pattern))[:, None]
+            force[:, at] += sign * stored[0]
+            force[:, view.base.shape[1] + at] += sign * stored[1]
+        out: Complex128 = force / (1.0 + z * view.driving_point_receptance(pattern))[:, None]
         return out
 
     def carries(self, view: View, x: Sequence[float]) -> tuple[float, float]:
-        """Mass and damper in it, as far as its impedance is theirs."""
+        """Mass and damper that its impedance contains."""
         return 0.0, 0.0
 
     def force_per_motion(self, view: View, place: Place, x: Sequence[float]) -> Complex128:
-        """(F,) force per motion that the pattern would have without it."""
+        """(F,) force per motion that the pattern would have without the effect."""
         z = self.impedance(view, place, x)
-        out: Complex128 = z / (1.0 + z * view.compliance(place.pattern(view.structure)))
+        out: Complex128 = z / (1.0 + z * view.driving_point_receptance(place.pattern(view.structure)))
         return out

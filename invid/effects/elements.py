@@ -1,4 +1,4 @@
-"""What an effect is made of in the simulation: elements at coordinates, which both simulators know.
+"""Elements of the simulation that effects consist of, at coordinates, known to both simulators.
 
 An effect says in ``Effect.simulation`` which elements it is. Force laws that are a table of one quantity
 (``StaticLaw``) need nothing else; laws that stick or remember name a ``Law`` of the compiled kernels.
@@ -45,10 +45,10 @@ class ForceLaw:
 
 @dataclass(frozen=True)
 class StaticLaw:
-    """A resistance that is a function of the position or the velocity at its place, (n,) to (n,) [N·m or N].
+    """A resistance that is a function of position or velocity at its place, (n,) to (n,) [N·m or N].
 
     Between two coordinates (``b`` ≥ 0) the quantity is that of a minus that of b. The simulators read it from
-    a table over twice the range that the motion reaches, and go straight on beyond.
+    a table over twice the range of the motion, linearly extrapolated.
     """
 
     over: Literal["position", "velocity"]
@@ -87,7 +87,7 @@ class AddedMass:
 
 @dataclass(frozen=True)
 class TorqueChannel:
-    """What an axis' torque goes through before it acts: gain, delay [s], lag [s], limit [N·m or N]."""
+    """Path of an axis' torque before it acts: gain, delay [s], lag [s], limit [N·m or N]."""
 
     axis: int
     gain: float = 1.0
@@ -174,9 +174,9 @@ Element = (
 
 
 class ModelPlace:
-    """Where an effect of a model sits, in coordinates of its chains; ModelError where there is no such place.
+    """Place of an effect of a model in coordinates of its chains; ModelError where there is no such place.
 
-    ``value(name)`` is a parameter of the effect. In a ``rigid`` model an axis is one mass, and springs of it
+    ``value(name)`` is a parameter of the effect. In a ``rigid`` model an axis is one mass, and its springs
     lead to ground.
     """
 
@@ -240,7 +240,7 @@ class ModelPlace:
         return int(self.chains.masses[self.axis].size)
 
     def positive(self, name: str) -> float:
-        """A parameter that must be above zero."""
+        """A parameter; ModelError where it is not above zero."""
         found = self.value(name)
         if not found > 0:
             raise ModelError(
@@ -249,7 +249,7 @@ class ModelPlace:
         return found
 
     def optional(self, name: str, default: float) -> float:
-        """A parameter that need not be there."""
+        """A parameter, or the default where the model does not state it."""
         given = self.term.parameters.get(name)
         return default if given is None else given.value
 
@@ -257,5 +257,5 @@ class ModelPlace:
 def dry_parameters(
     level: float, excess: float = 0.0, velocity: float = 1.0, exponent: float = 2.0
 ) -> tuple[float, ...]:
-    """Parameters of ``Law.DRY``, alike in both directions."""
+    """Parameters of ``Law.DRY``, the same in both directions."""
     return (level, level, excess, velocity, excess, exponent)

@@ -1,4 +1,4 @@
-"""One record, seen through one linear plant."""
+"""One record through one linear plant: its motion, its missing torque, and the forces that explain it."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from invid.numerics.arrays import Complex128, Float64
 from invid.signals.spectral_record import SpectralRecord
 
 T = TypeVar("T")
-KEPT = 32
-"""Laws of measured motion that a record keeps: more than act at once, and few beside its spectra."""
+CACHE_SIZE = 32
+"""Most laws of measured motion that a record keeps: more than act at once, few beside its spectra."""
 
 
 @dataclass(frozen=True, eq=False)
 class Closing:
-    """How the ends of a record that does not close follow from what is missing."""
+    """Linear map from the missing torque of a record that does not close to the jumps of its ends."""
 
     inner: Complex128
     """(F, ΣN, 2ΣN) motion of every coordinate for a unit jump of each."""
@@ -35,22 +35,23 @@ class Closing:
 
     @cached_property
     def unit(self) -> Float64:
-        """(2ΣN,) largest line of motion for a unit jump: jumps in the units of motion."""
+        """(2ΣN,) largest line of motion for a unit jump, which expresses jumps in units of motion."""
         out: Float64 = np.abs(self.inner).max(axis=(0, 1)) + 1e-300
         return out
 
-    def follow(self, missing: Complex128) -> Float64:
-        """(2ΣN, P) jumps that go with (F, M, P) of missing torque."""
+    def jumps_of(self, missing: Complex128) -> Float64:
+        """(2ΣN, P) jumps for missing torque (F, M, P)."""
         out: Float64 = np.tensordot(self.gain, missing, axes=((1, 2), (0, 1))).real
         return out
 
-    def left(self, extra: Complex128) -> Complex128:
-        """(F, M) missing torque with ``extra`` (F, M) of effects, without what the ends explain."""
+    def missing_with(self, extra: Complex128) -> Complex128:
+        """(F, M) missing torque with ``extra`` (F, M) of effects, the part that the ends explain projected
+        out."""
         out: Complex128 = self.linear + extra + self.torque @ self.jumps(extra)
         return out
 
     def jumps(self, extra: Complex128) -> Float64:
-        """(2ΣN,) with ``extra`` (F, M) contributed by effects."""
+        """(2ΣN,) jumps with ``extra`` (F, M) contributed by effects."""
         out: Float64 = np.einsum("jfm,fm->j", self.gain, self.linear + extra).real
         return out
 
@@ -69,7 +70,7 @@ class MotorLaw(Protocol):
 
 
 class View:
-    """One record seen through one linear plant; time-domain waves are made once."""
+    """One record through one linear plant; its waves over time are computed once."""
 
     def __init__(  # noqa: PLR0913 - what a law may ask of a record
         self,
@@ -100,47 +101,49 @@ class View:
         self.late = late
         """(M,) how much later than its samples the held torque of each axis steps [s]."""
         self.inertance = inertance
-        """(M, M) acceleration of the motors over their torque, far above all modes."""
+        """(M, M) acceleration of the motors over their torque far above all modes."""
         self.base = np.einsum("fqm,fm->fq", motion, record.filtered)
         self.feedback: Complex128 = np.zeros_like(self.base)
-        self.of_ends: Complex128 = np.zeros_like(self.base)
-        """(F, ΣN) motion besides ``base`` that the ends of a record that does not close stand for."""
-        self._open: tuple[Complex128, Float64] | None = None
-        """Where a record does not close: what the waves of inner motion have besides ``base`` (F, ΣN), and
-        each coordinate's mean rate (ΣN,)."""
+        self.end_motion: Complex128 = np.zeros_like(self.base)
+        """(F, ΣN) motion besides ``base`` due to the ends of a record that does not close."""
+        self._end_correction: tuple[Complex128, Float64] | None = None
+        """For a record that does not close: inner motion (F, ΣN) besides ``base``, and mean rates (ΣN,)."""
         self.jumps: Float64 = np.zeros(0)
-        """(2ΣN,) positions, then velocities: how far the ends of a record that does not close are apart."""
+        """(2ΣN,) end minus start of positions, then of velocities, of a record that does not close."""
         self.closing: Closing | None = None
         self.secants = Secants()
         self.starts: dict[Pattern, float] = {}
-        """Where sliders stood when the record began, over what they give way at."""
+        """Initial displacements of sliders, over the displacement at which they slide."""
         self.missing: Complex128 | None = None
-        """(F, M) missing torque of the linear model; None where forces cannot be read from it."""
+        """(F, M) missing torque of the linear model; ``None`` where forces cannot be estimated from it."""
         self.certainty: Complex128 = np.zeros((0, 0, 0), dtype=complex)
         """(F, M, M) inverse covariance of ``missing`` and of ``remaining``."""
         self.remaining: Complex128 | None = None
-        """(F, M) missing torque that the causes chosen so far and the record's ends leave."""
+        """(F, M) missing torque without what the chosen causes and the record's ends explain."""
         self.beside: tuple[MotorLaw, ...] = ()
         """Laws at motors other than dry friction, which feels what they take."""
         self._waves: dict[tuple[Pattern, bool], Float64] = {}
         self._gains: dict[tuple[Pattern, ...], Complex128] = {}
-        self._hidden: dict[Pattern, Complex128] = {}
-        self._pushes: dict[Pattern, Complex128] = {}
-        self._yields: dict[Pattern, Complex128] = {}
-        self._measured: dict[Hashable, Any] = {}
+        self._hidden_motion: dict[Pattern, Complex128] = {}
+        self._condensed_forces: dict[Pattern, Complex128] = {}
+        self._inner_receptances: dict[Pattern, Complex128] = {}
+        self._cache: dict[Hashable, Any] = {}
 
-    def measured(self, key: Hashable, make: Callable[[], T]) -> T:
-        """What ``make`` gives once, kept: for what follows from the motors' measured motion, which settling
-        inner motion does not change."""
-        out: T = self._measured.pop(key) if key in self._measured else make()
-        self._measured[key] = out
-        if len(self._measured) > KEPT:
-            del self._measured[next(iter(self._measured))]
+    def cached(self, key: Hashable, make: Callable[[], T]) -> T:
+        """The value of ``make()``, cached under ``key``.
+
+        For what follows from the motors' measured motion alone, which iterations of inner motion do not
+        change.
+        """
+        out: T = self._cache.pop(key) if key in self._cache else make()
+        self._cache[key] = out
+        if len(self._cache) > CACHE_SIZE:
+            del self._cache[next(iter(self._cache))]
         return out
 
-    def forget_measured(self) -> None:
-        """Has that made anew: it may hold a little of the inner motion there was."""
-        self._measured.clear()
+    def clear_cache(self) -> None:
+        """Clears the cache: its values may depend a little on the inner motion at that time."""
+        self._cache.clear()
 
     def is_measured(self, pattern: Pattern) -> bool:
         """Whether the motion along a pattern is that of one motor."""
@@ -148,41 +151,44 @@ class View:
 
     @property
     def omega(self) -> Float64:
-        """(F,) [rad/s]."""
+        """(F,) angular frequencies [rad/s]."""
         return self.record.omega
 
     @cached_property
-    def raw(self) -> Complex128:
-        """(F, ΣN) motion of the linear plant at the motors' positions as they were measured."""
+    def unfiltered(self) -> Complex128:
+        """(F, ΣN) motion of the linear plant at the measured motor positions, noise not filtered out."""
         out: Complex128 = np.einsum("fqm,fm->fq", self.motion, self.record.position)
         return out
 
     @cached_property
-    def farthest(self) -> Float64:
-        """(2ΣN,) twice the motion and its rate: what the ends of the record are apart by at most."""
+    def jump_bound(self) -> Float64:
+        """(2ΣN,) bound of the jumps between the ends of the record: twice the motion and its rate."""
         size = np.sqrt((np.abs(self.base) ** 2).sum(axis=0))
         rate = np.sqrt((np.abs(self.omega[:, None] * self.base) ** 2).sum(axis=0))
         out: Float64 = 2.0 * np.concatenate((size, rate)) + 1e-300
         return out
 
     @cached_property
-    def smear(self) -> Float64:
-        """(F,) what the mean over a triangle of two samples takes of a wave."""
+    def averaging_gain(self) -> Float64:
+        """(F,) gain of a mean over a triangle of two samples."""
         out: Float64 = np.sinc(self.omega * self.record.wave_step / 2 / np.pi) ** 2
         return out
 
-    def respond(self, feedback: Complex128, jumps: Float64 | None = None) -> None:
-        """Sets what all effects do to the inner coordinates, (F, ΣN), and what the ends of a record that does
-        not close are apart by, where given.
+    def set_inner_motion(self, feedback: Complex128, jumps: Float64 | None = None) -> None:
+        """Sets the inner motion (F, ΣN) that all effects cause, and the ``jumps`` (2ΣN,) of a record that
+        does not close.
 
-        The motors' own wander is in their waves.
+        The ramp between the motors' own ends is in their waves.
         """
         self.feedback = feedback
         self._waves = {k: v for k, v in self._waves.items() if self.is_measured(k[0])}
         if self.closing is not None and jumps is not None:
             self.jumps = jumps
             slopes = jumps[: self.base.shape[1]] / self.record.span
-            self._open = (self.closing.inner @ jumps + self._wander - self.slope * slopes, slopes)
+            self._end_correction = (
+                self.closing.inner @ jumps + self._ramp_motion - self.slope * slopes,
+                slopes,
+            )
 
     @cached_property
     def slope(self) -> Complex128:
@@ -191,19 +197,19 @@ class View:
         return out
 
     @cached_property
-    def _wander(self) -> Complex128:
-        """(F, ΣN) motion that goes with the straight line between the motors' ends."""
+    def _ramp_motion(self) -> Complex128:
+        """(F, ΣN) motion that belongs to the straight line between the motors' ends."""
         out: Complex128 = np.einsum("fqm,fm->fq", self.motion, self.slope * self.record.ramp)
         return out
 
-    def left(self, extra: Complex128) -> Complex128 | None:
+    def missing_with(self, extra: Complex128) -> Complex128 | None:
         """(F, M) missing torque with ``extra`` (F, M) of effects; ``None`` where it is not known."""
         if self.closing is not None:
-            return self.closing.left(extra)
+            return self.closing.missing_with(extra)
         return None if self.missing is None else self.missing + extra
 
-    def closed(self, extra: Complex128) -> Float64:
-        """(2ΣN,) jumps that go with what effects contribute (F, M); none where the record closes."""
+    def closing_jumps(self, extra: Complex128) -> Float64:
+        """(2ΣN,) jumps with ``extra`` (F, M) contributed by effects; empty where the record closes."""
         return np.zeros(0) if self.closing is None else self.closing.jumps(extra)
 
     def spectrum(self, pattern: Pattern) -> Complex128:
@@ -212,22 +218,22 @@ class View:
 
     def wave(self, pattern: Pattern) -> Float64:
         """(n,) motion along the pattern over time."""
-        return self._with_hidden(pattern, False)
+        return self._wave_with_hidden(pattern, False)
 
     def velocity(self, pattern: Pattern) -> Float64:
-        """(n,) its derivative."""
-        return self._with_hidden(pattern, True)
+        """(n,) velocity along the pattern over time."""
+        return self._wave_with_hidden(pattern, True)
 
-    def hide(self, pattern: Pattern, lines: Complex128 | None) -> None:
-        """Adds (n//2 + 1,) of the waves' own lines to the motion along the pattern, instead of what was added
-        before; None for none."""
+    def set_hidden_motion(self, pattern: Pattern, lines: Complex128 | None) -> None:
+        """Sets motion (n//2 + 1,) on the waves' own lines that is added along the pattern; ``None`` removes
+        it."""
         if lines is None:
-            self._hidden.pop(pattern, None)
+            self._hidden_motion.pop(pattern, None)
         else:
-            self._hidden[pattern] = lines
+            self._hidden_motion[pattern] = lines
 
-    def _with_hidden(self, pattern: Pattern, rate: bool) -> Float64:
-        out, lines = self._wave(pattern, rate), self._hidden.get(pattern)
+    def _wave_with_hidden(self, pattern: Pattern, rate: bool) -> Float64:
+        out, lines = self._wave(pattern, rate), self._hidden_motion.get(pattern)
         if lines is None:
             return out
         more: Float64 = np.fft.irfft(1j * self.record.wave_omega * lines if rate else lines, out.size)
@@ -243,17 +249,17 @@ class View:
             out: Float64 = (record.motor_velocity if rate else record.motor_wave)[:, i] * pattern[0][1]
         else:
             x = self.spectrum(pattern)
-            wander = sum(sign * record.ramp[self._axis(at)] for at, sign in pattern)
-            if self._open is not None:
-                x = x + along(pattern, self._open[0])
-                wander = sum(sign * self._open[1][at] for at, sign in pattern)
+            wander = sum(sign * record.ramp[self._axis_of(at)] for at, sign in pattern)
+            if self._end_correction is not None:
+                x = x + along(pattern, self._end_correction[0])
+                wander = sum(sign * self._end_correction[1][at] for at, sign in pattern)
             out = record.to_wave(1j * self.omega * x if rate else x)
             if wander:
                 out = out + (wander if rate else wander * record.wave_time)
         self._waves[key] = out
         return out
 
-    def _axis(self, coordinate: int) -> int:
+    def _axis_of(self, coordinate: int) -> int:
         return int(np.searchsorted(np.asarray(self.structure.motor_dofs), coordinate, side="right") - 1)
 
     def to_lines(self, basis: Float64, *, smeared: bool = False) -> Complex128:
@@ -264,7 +270,7 @@ class View:
             out = out + (basis[-1] - basis[0]) / count
         out[0] *= 0.5
         if smeared:
-            out = out / self.smear[:, None]
+            out = out / self.averaging_gain[:, None]
         return out
 
     def drive_means(self, axis: int) -> Float64:
@@ -272,7 +278,7 @@ class View:
 
         Held over its samples, from ``late`` on.
         """
-        return self.measured(("drive", axis), lambda: self._drive_means(axis))
+        return self.cached(("drive", axis), lambda: self._drive_means(axis))
 
     def _drive_means(self, axis: int) -> Float64:
         record, late = self.record, float(self.late[axis])
@@ -285,103 +291,106 @@ class View:
         out: Float64 = np.diff(whole).reshape(record.samples, parts) * (parts / record.wave_step)
         return out
 
-    def push(self, pattern: Pattern) -> Complex128:
-        """(F, M) Wᵀ b: how a force along the pattern reaches the motors."""
-        if pattern not in self._pushes:
-            self._pushes[pattern] = sum(
+    def condensed_force(self, pattern: Pattern) -> Complex128:
+        """(F, M) Wᵀ b: torques at the motors that equal a unit force along the pattern."""
+        if pattern not in self._condensed_forces:
+            self._condensed_forces[pattern] = sum(
                 (sign * self.motion[:, at] for at, sign in pattern[1:]),
                 start=pattern[0][1] * self.motion[:, pattern[0][0]],
             )
-        return self._pushes[pattern]
+        return self._condensed_forces[pattern]
 
-    def yields(self, pattern: Pattern) -> Complex128:
-        """(F, ΣN) Z_ii⁻¹ b: how the inner coordinates give way."""
-        if pattern not in self._yields:
-            self._yields[pattern] = sum(
+    def inner_receptance(self, pattern: Pattern) -> Complex128:
+        """(F, ΣN) Z_ii⁻¹ b: motion of the inner coordinates under a unit force along the pattern, motors
+        held."""
+        if pattern not in self._inner_receptances:
+            self._inner_receptances[pattern] = sum(
                 (sign * self.inner[:, :, at] for at, sign in pattern[1:]),
                 start=pattern[0][1] * self.inner[:, :, pattern[0][0]],
             )
-        return self._yields[pattern]
+        return self._inner_receptances[pattern]
 
-    def spread(self, pattern: Pattern, missing: Complex128) -> Complex128:
-        """(F,) force along the pattern that ``missing`` (F, M) would take, each line by how well it is told.
+    def distributed_force(self, pattern: Pattern, missing: Complex128) -> Complex128:
+        """(F,) least-squares force along the pattern for ``missing`` (F, M), each line weighted by its
+        information.
 
-        For what is summed up over many lines: of a force that is spread over all of them none need stand out
-        of its noise.
+        For sums over many lines: of a force spread over all of them, none need stand out of its noise.
         """
-        push = self.push(pattern)
-        weighted = np.einsum("fij,fj->fi", self.certainty, push).conj()
-        information = np.einsum("fi,fi->f", weighted, push).real
+        reached = self.condensed_force(pattern)
+        weighted = np.einsum("fij,fj->fi", self.certainty, reached).conj()
+        information = np.einsum("fi,fi->f", weighted, reached).real
         most = max(float(np.median(information)), 1e-300)
         force: Complex128 = -np.einsum("fi,fi->f", weighted, missing) / np.maximum(information, most)
         return force
 
-    def inferred(self, pattern: Pattern, missing: Complex128) -> Complex128:
-        """(F,) force along the pattern that ``missing`` (F, M) would take, whatever its law.
+    def estimated_force(self, pattern: Pattern, missing: Complex128) -> Complex128:
+        """(F,) force along the pattern that explains ``missing`` (F, M), whatever its law.
 
-        r = −Wᵀ b f solved for f with the weights of the noise, shrunk by its own noise (Wiener) and zero
-        where noise alone could be all of it (once in 400 records on any of their lines).
+        r = −Wᵀ b f is solved for f with the weights of the noise, shrunk by its own noise (Wiener) and zero
+        where noise alone could be all of it (statistical: once in 400 records on any of their lines).
 
-        The motors hardly feel a force on inner masses far below their resonance; there the least error of the
-        linear parameters reads as a huge one, which would move the inner masses by more than they move. So
-        on the half of the lines where it is felt least the force is no larger than the largest on the others.
+        The motors hardly feel a force on inner masses far below their resonance; there a small error of the
+        linear parameters looks like a huge force, which would move the inner masses by more than they move.
+        So on the half of the lines where it is felt least the force is limited to the largest on the others.
         """
-        push = self.push(pattern)
-        weighted = np.einsum("fij,fj->fi", self.certainty, push).conj()
-        information = np.einsum("fi,fi->f", weighted, push).real
+        reached = self.condensed_force(pattern)
+        weighted = np.einsum("fij,fj->fi", self.certainty, reached).conj()
+        information = np.einsum("fi,fi->f", weighted, reached).real
         safe = np.maximum(information, 1e-300)
         force = -np.einsum("fi,fi->f", weighted, missing) / safe
         power = np.abs(force) ** 2 * safe
-        # A pair of forces moves nothing at 0 Hz: what is left of its push there is rounding.
-        felt = np.abs(push).max(axis=1) > 1e-10
+        # A pair of forces moves nothing at 0 Hz; its condensed force there is rounding.
+        is_felt = np.abs(reached).max(axis=1) > 1e-10
         beyond = power > 6.0 + np.log(max(self.omega.size, 1))
-        keep = np.where(felt & beyond, 1.0 - 1.0 / np.maximum(power, 1e-300), 0.0)
+        keep = np.where(is_felt & beyond, 1.0 - 1.0 / np.maximum(power, 1e-300), 0.0)
         out: Complex128 = keep * force
-        if felt.any():
-            well = felt & (information >= np.median(information[felt]))
-            most, size = float(np.abs(out[well]).max()), np.abs(out)
-            out = np.where(well | (size <= most), out, out * (most / np.maximum(size, 1e-300)))
+        if is_felt.any():
+            is_well_felt = is_felt & (information >= np.median(information[is_felt]))
+            most, size = float(np.abs(out[is_well_felt]).max()), np.abs(out)
+            out = np.where(is_well_felt | (size <= most), out, out * (most / np.maximum(size, 1e-300)))
         return out
 
-    def correction(self, patterns: tuple[Pattern, ...], rest: Complex128, outside: Complex128) -> Complex128:
-        """(F, ΣN) what forces beyond the laws do to inner coordinates: the mean of what ``rest`` leaves open.
+    def correction(
+        self, patterns: tuple[Pattern, ...], remainder: Complex128, outside: Complex128
+    ) -> Complex128:
+        """(F, ΣN) inner motion due to forces that the laws lack: their mean given ``remainder``.
 
-        ``rest`` is the missing torque with the laws' contributions. A law at the wrong size reconstructs
-        the wrong inner motion, which near a clamped resonance feeds back and runs away; the measured
-        torque says what force there really was. Prior variance of the forces: what is missing would take at
-        each place alone, so that nothing is corrected where noise is all there is; without what ``outside``
-        (F, M) of drives and sensors explains: a late torque is no force at any mass, and as a prior it lets
-        all noise through.
+        ``remainder`` (F, M) is the missing torque with the laws' contributions. A law of the wrong size
+        reconstructs the wrong inner motion, which near a clamped resonance feeds back and diverges; the
+        measured torque tells the true force. Prior variance of the forces: the force that explains all
+        missing torque at each place alone, so that nothing is corrected where there is only noise. It is
+        taken without ``outside`` (F, M), the contributions of drives and sensors: a late torque is no force
+        at any mass, and as a prior it would let all noise pass.
         """
         if patterns not in self._gains:
-            asking = self.left(outside)
-            if asking is None:
+            missing = self.missing_with(outside)
+            if missing is None:
                 return np.zeros_like(self.base)
-            pushes = np.stack([self.push(p) for p in patterns], axis=-1)  # (F, M, T)
-            prior = np.stack([np.abs(self.inferred(p, asking)) ** 2 for p in patterns], axis=-1)
+            pushes = np.stack([self.condensed_force(p) for p in patterns], axis=-1)  # (F, M, T)
+            prior = np.stack([np.abs(self.estimated_force(p, missing)) ** 2 for p in patterns], axis=-1)
             weighted = np.einsum("fmt,fmn->ftn", pushes.conj(), self.certainty)
             inner = np.einsum("ftn,fnu->ftu", weighted, pushes) * prior[:, None, :]
             inner = inner + np.eye(len(patterns))
             # S Hᴴ(H S Hᴴ + C)⁻¹ = S (Hᴴ C⁻¹ H S + 1)⁻¹ Hᴴ C⁻¹
             self._gains[patterns] = -prior[..., None] * np.linalg.solve(inner, weighted)
-        forces = np.einsum("ftm,fm->ft", self._gains[patterns], rest)
+        forces = np.einsum("ftm,fm->ft", self._gains[patterns], remainder)
         out: Complex128 = np.zeros_like(self.base)
         for k, pattern in enumerate(patterns):
-            out = out - self.yields(pattern) * forces[:, k, None]
+            out = out - self.inner_receptance(pattern) * forces[:, k, None]
         return out
 
     def correction_gain(self, patterns: tuple[Pattern, ...]) -> Complex128 | None:
-        """(F, T, M) forces along the patterns over what is left, as ``correction`` has found them; ``None``
-        where it was never asked."""
+        """(F, T, M) gain from the remainder to forces along the patterns in ``correction``; ``None`` before
+        its first call."""
         return self._gains.get(patterns)
 
-    def compliance(self, pattern: Pattern) -> Complex128:
-        """(F,) bᵀ Z_ii⁻¹ b."""
-        return along(pattern, self.yields(pattern))
+    def driving_point_receptance(self, pattern: Pattern) -> Complex128:
+        """(F,) bᵀ Z_ii⁻¹ b: motion along the pattern under a unit force along it, motors held."""
+        return along(pattern, self.inner_receptance(pattern))
 
 
 def along(pattern: Pattern, motion: Complex128) -> Complex128:
-    """(F, ...) of the (F, ΣN, ...) motion of every coordinate that along the pattern."""
+    """(F, ...) component along the pattern of the motion (F, ΣN, ...) of all coordinates."""
     (first, sign), *others = pattern
     total: Complex128 = sign * motion[:, first]
     for at, sign in others:
@@ -390,5 +399,5 @@ def along(pattern: Pattern, motion: Complex128) -> Complex128:
 
 
 def rms(values: Sequence[Float64]) -> float:
-    """Largest rms of several waves, their means taken out."""
+    """Largest standard deviation of several waves."""
     return max((float(np.std(v)) for v in values), default=0.0)

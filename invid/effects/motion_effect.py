@@ -1,4 +1,4 @@
-"""A cause that is a law of the motion at its place: what an effect of one file needs to say, and no more.
+"""A cause that is a law of the motion at its place: all that an effect in a file of its own has to declare.
 
 The law alone is fitted, named, simulated, saved, reloaded and drawn, on elastic and on rigid machines
 (docs/how-to/add-an-effect.md).
@@ -85,11 +85,11 @@ class MotionEffect(ForceEffect):
 
     @property
     def nonlinear(self) -> tuple[Parameter, ...]:
-        """The shapes."""
+        """Parameters that are shapes."""
         return tuple(p for p in self.numbers if not p.linear)
 
     def starts(self, position: float, velocity: float) -> list[tuple[float, ...]]:
-        """Shapes to start from, in their units, where the motion has these rms sizes; [()] without shapes."""
+        """Starting shapes in their units for a motion of these rms sizes; [()] without shapes."""
         unit = {unit_of("velocity", False): velocity, unit_of("position", False): position}
         scaled = [
             tuple(s * (unit.get(unit_of(p.unit, False), 1.0) if p.of_motion else 1.0) for s in p.starts)
@@ -129,7 +129,7 @@ class MotionEffect(ForceEffect):
         return self.resistance(motion, shape)
 
     def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64 | None:
-        return self._alone(p, x)
+        return self._static_resistance(p, x)
 
     def simulation(self, at: ModelPlace) -> Sequence[Element]:
         if self.over not in ("velocity", "position", "deflection", "deflection rate"):
@@ -140,9 +140,13 @@ class MotionEffect(ForceEffect):
         p = {name: at.value(name) for name in self.parameters}
         over = "velocity" if self.over in ("velocity", "deflection rate") else "position"
         a, b = at.coordinates(self.home)
-        return [StaticLaw("velocity" if over == "velocity" else "position", partial(self._alone, p), a, b)]
+        return [
+            StaticLaw(
+                "velocity" if over == "velocity" else "position", partial(self._static_resistance, p), a, b
+            )
+        ]
 
-    def _alone(self, p: Mapping[str, float], x: Float64) -> Float64:
+    def _static_resistance(self, p: Mapping[str, float], x: Float64) -> Float64:
         """(n,) resistance where the quantity ``over`` is ``x`` and nothing else moves."""
         still = np.zeros_like(x)
         motion = PlaceMotion(x, still, still)

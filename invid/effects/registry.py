@@ -1,4 +1,4 @@
-"""All causes: the catalogue of the contract, those of installed packages, those of files given by hand.
+"""All causes: the catalogue of the contract, those of installed packages, those of given files.
 
 A package offers effects in the entry point group ``invid.effects`` (an ``Effect`` or several); a file holds
 ``EFFECT`` (or ``EFFECTS``). Helpers that are forked know what their caller knew.
@@ -77,7 +77,7 @@ CATALOGUE: tuple[Effect, ...] = (
 )
 """Every cause of the contract."""
 LARGE_MOTION: tuple[Effect, ...] = (LoadDependentFriction(), QuadraticStiffness())
-"""Causes that only moves of a rigid machine show."""
+"""Causes that show only in large motion of a rigid machine."""
 GROUP = "invid.effects"
 """Entry point group of installed packages."""
 
@@ -85,27 +85,27 @@ _further: ContextVar[tuple[Effect, ...]] = ContextVar("further effects", default
 
 
 def further_effects() -> tuple[Effect, ...]:
-    """Effects beside the catalogue's: of installed packages, then those in use (``using``)."""
-    return (*_installed(), *_further.get())
+    """Effects besides the catalogue: of installed packages, then those registered at present."""
+    return (*_installed_effects(), *_further.get())
 
 
 def effects() -> tuple[Effect, ...]:
-    """Every cause that a search tries."""
+    """Every cause that a search tests."""
     return (*CATALOGUE, *further_effects())
 
 
 def effect_of(cause: str) -> Effect | None:
-    """The effect of a name; ``None`` where none is known by it."""
+    """The effect with this cause; ``None`` where there is none."""
     return next((e for e in (*effects(), *LARGE_MOTION) if e.cause == cause), None)
 
 
-def of_the_plant(terms: Sequence[EffectTerm]) -> tuple[EffectTerm, ...]:
-    """The effects of a model without those that sit in the samples of a recording alone."""
+def effects_of_plant(terms: Sequence[EffectTerm]) -> tuple[EffectTerm, ...]:
+    """The effects of a model without those that sit in the samples of a recording."""
     return tuple(t for t in terms if (e := effect_of(t.cause)) is None or not e.in_samples)
 
 
 class _Causes(Mapping[str, Effect]):
-    """All effects that are known now, by name."""
+    """All effects that are known at present, by name."""
 
     def __getitem__(self, cause: str) -> Effect:
         found = effect_of(cause)
@@ -125,18 +125,18 @@ BY_CAUSE: Mapping[str, Effect] = _Causes()
 
 
 @contextmanager
-def registered_effects(given: Sequence[Effect | str | Path]) -> Iterator[None]:
-    """Further effects, or files that hold them, are known within.
+def registered_effects(sources: Sequence[Effect | str | Path]) -> Iterator[None]:
+    """Context manager that registers further effects, or those of files.
 
     Raises
     ------
     InputError
         A file that cannot be read, holds no effect, or one that does not do what an effect must.
     """
-    found = [e for one in given for e in ([one] if isinstance(one, Effect) else load_effects(Path(one)))]
+    found = [e for one in sources for e in ([one] if isinstance(one, Effect) else load_effects(Path(one)))]
     for effect in found:
-        _checked(effect, "effects")
-    token = _further.set(_together(_further.get(), found))
+        _check_effect(effect, "effects")
+    token = _further.set(_merge_effects(_further.get(), found))
     try:
         yield
     finally:
@@ -144,7 +144,7 @@ def registered_effects(given: Sequence[Effect | str | Path]) -> Iterator[None]:
 
 
 def load_effects(path: Path) -> tuple[Effect, ...]:
-    """The effects that a Python file holds as ``EFFECT`` or ``EFFECTS``; InputError says what is wrong."""
+    """The effects of a Python file (``EFFECT`` or ``EFFECTS``); InputError says what is wrong."""
     where = f"effects file {path}"
     try:
         source = path.read_bytes()
@@ -167,12 +167,12 @@ def load_effects(path: Path) -> tuple[Effect, ...]:
             at = f" in line {line}" if line else ""
             raise InputError(f"{where}: {type(error).__name__}{at}: {error}") from None
     held = getattr(module, "EFFECTS", None) or getattr(module, "EFFECT", None)
-    return tuple(_checked(e, where) for e in _listed(held, where))
+    return tuple(_check_effect(e, where) for e in _effects_held(held, where))
 
 
 @cache
-def _installed() -> tuple[Effect, ...]:
-    """The effects of installed packages; InputError names the one that cannot be used."""
+def _installed_effects() -> tuple[Effect, ...]:
+    """The effects of installed packages; InputError names one that cannot be used."""
     found: list[Effect] = []
     for entry in sorted(entry_points(group=GROUP), key=lambda e: e.name):
         package = "a package" if entry.dist is None else f"package {entry.dist.name}"
@@ -183,18 +183,18 @@ def _installed() -> tuple[Effect, ...]:
             raise InputError(
                 f"{where}: {type(error).__name__}: {error}; mend or uninstall the package"
             ) from None
-        found += [_checked(e, where) for e in _listed(held, where)]
-    return _together((), found)
+        found += [_check_effect(e, where) for e in _effects_held(held, where)]
+    return _merge_effects((), found)
 
 
-def _listed(held: object, where: str) -> Sequence[object]:
+def _effects_held(held: object, where: str) -> Sequence[object]:
     if held is None:
         raise InputError(f"{where}: holds no EFFECT; write EFFECT = YourEffect() at its end")
     return held if isinstance(held, list | tuple) else (held,)
 
 
-def _checked(effect: object, where: str) -> Effect:
-    """The same effect, if it does what one must; InputError says what it lacks."""
+def _check_effect(effect: object, where: str) -> Effect:
+    """The effect itself; InputError where it lacks what an effect must have."""
     if isinstance(effect, type) and issubclass(effect, Effect):
         raise InputError(
             f"{where}: EFFECT is the class {effect.__name__}; write EFFECT = {effect.__name__}()"
@@ -214,7 +214,7 @@ def _checked(effect: object, where: str) -> Effect:
     try:
         effect.places(ChainStructure((2, 2), ("A1", "A2"), viscous=False, grounded=()))
         if isinstance(effect, MotionEffect):
-            _tried(effect)
+            _try_law(effect)
     except InputError as error:
         raise InputError(f"{where}: {error}") from None
     except Exception as error:  # whatever a stranger's law raises
@@ -222,8 +222,8 @@ def _checked(effect: object, where: str) -> Effect:
     return effect
 
 
-def _tried(effect: MotionEffect) -> None:
-    """Its law on a motion of ten samples."""
+def _try_law(effect: MotionEffect) -> None:
+    """Evaluates its law on a motion of ten samples; InputError where the result is not usable."""
     x = np.linspace(-1.0, 1.0, 10)
     starts = effect.starts(1.0, 1.0)
     if not starts:
@@ -236,9 +236,9 @@ def _tried(effect: MotionEffect) -> None:
         )
 
 
-def _together(there: tuple[Effect, ...], more: Sequence[Effect]) -> tuple[Effect, ...]:
-    """Those there and more; one cause once."""
-    out = list(there)
+def _merge_effects(known: tuple[Effect, ...], more: Sequence[Effect]) -> tuple[Effect, ...]:
+    """Known and further effects, each cause once; InputError where two have the same name."""
+    out = list(known)
     taken = {e.cause for e in (*CATALOGUE, *LARGE_MOTION)}
     for effect in more:
         if effect.cause in taken:

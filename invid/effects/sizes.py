@@ -1,4 +1,4 @@
-"""How large an effect is on its machine, and from which size on that matters.
+"""Size of an effect on its machine, and the sizes from which it matters.
 
 Each measure is a function of the effect and the machine; it returns ``None`` where the recording does not say
 enough (no rated torque, no spring). Published figures for geared servo axes stand beside them: up to
@@ -49,8 +49,8 @@ RATED_SOURCE = "rated torque is what the motor can give for ever (IEC 60034-1, d
 
 @dataclass(frozen=True)
 class Machine:
-    """What a size is compared with: the identified chains, and by axis rated torque [N·m or N], the speed it
-    works at [rad/s or m/s], limits of its own (by measure); ``duration`` of the measurement [s]."""
+    """References for sizes: the identified chains, and by axis rated torque [N·m or N], speed [rad/s or m/s]
+    and limits by measure; ``duration`` of the measurement [s]."""
 
     chains: CoupledChains
     linear: bool
@@ -83,7 +83,7 @@ Measured = Callable[[EffectTerm, Machine], float | None]
 
 
 def share(*names: str) -> Measured:
-    """The largest of these torques over rated torque."""
+    """Measure: the largest of these torques over rated torque."""
 
     def measure(term: EffectTerm, machine: Machine) -> float | None:
         rated = machine.rated.get(term.axis)
@@ -118,18 +118,19 @@ def size(name: str, factor: float = 1.0) -> Measured:
 
 
 def scale_error(term: EffectTerm, machine: Machine) -> float | None:
-    """How far a scale is from one."""
+    """Absolute difference of a scale from one."""
     return abs(term.value("gain") - 1.0)
 
 
 def lost_motion(term: EffectTerm, machine: Machine) -> float | None:
-    """Without load the slider still holds the spring apart by torque/stiffness, to either side."""
+    """Deflection by which the slider still holds the spring apart without load, to either side:
+    torque/stiffness."""
     stiffness = machine.spring(term.axis, term.element)
     return 2.0 * abs(term.value("torque")) / stiffness if stiffness else None
 
 
 def sag(term: EffectTerm, machine: Machine) -> float | None:
-    """Angle by which a torque at an outer mass stays behind the motor."""
+    """Angle by which an outer mass lags behind the motor under a torque."""
     compliance = machine.compliance(term.axis, term.element)
     return abs(term.value("torque")) * compliance if compliance else None
 
@@ -173,7 +174,7 @@ def resonance_change(alter: Callable[[EffectTerm, Machine], tuple[Float64, Float
 
 def with_mode(term: EffectTerm, machine: Machine) -> tuple[Float64, Float64]:
     chains = machine.chains
-    count, at = chains.dofs, _dof(term, machine)
+    count, at = chains.dofs, _coordinate(term, machine)
     k, m = np.zeros((count + 1, count + 1)), np.zeros((count + 1, count + 1))
     k[:count, :count], m[:count, :count] = chains.stiffness_matrix, chains.mass_matrix
     m[count, count] = term.value("mass")
@@ -208,11 +209,11 @@ def with_drift(term: EffectTerm, machine: Machine) -> tuple[Float64, Float64]:
     springs[axis][number - 1] = max(
         springs[axis][number - 1] + term.value("rate") * machine.duration, 0.01 * springs[axis][number - 1]
     )
-    moved = replace(chains, springs=tuple(frozen_float(s) for s in springs))
-    return moved.stiffness_matrix, moved.mass_matrix
+    changed = replace(chains, springs=tuple(frozen_float(s) for s in springs))
+    return changed.stiffness_matrix, changed.mass_matrix
 
 
-def _dof(term: EffectTerm, machine: Machine) -> int:
+def _coordinate(term: EffectTerm, machine: Machine) -> int:
     chains = machine.chains
     i = chains.axes.index(term.axis)
     _, number = place_of(term.element)
@@ -239,7 +240,7 @@ def _milliseconds(value: float, _linear: bool) -> str:
 
 @dataclass(frozen=True)
 class Quantity:
-    """What is measured of an effect, with its words ("{} of rated torque") and how its number is written.
+    """A measured quantity of an effect, with its words ("{} of rated torque") and number format.
 
     ``limit``: key of the config's ``acceptable`` where it is not the own name. ``torque``: whether it is a
     share of rated torque.
@@ -281,7 +282,7 @@ SAMPLES = Quantity("dropped_samples_fraction", "{} of the samples", _percent)
 
 @dataclass(frozen=True)
 class Size:
-    """One measure of an effect, with its published figure where there is one: usual up to ``expected``,
+    """One measure of an effect, with its published figures where there are any: usual up to ``expected``,
     serious from ``serious`` on."""
 
     quantity: Quantity
@@ -292,7 +293,7 @@ class Size:
     linear: bool = False
 
     def number(self, value: float, linear: bool) -> str:
-        """The size alone: "0.2 %", "0.3 mrad (1′)"."""
+        """The size as text: "0.2 %", "0.3 mrad (1′)"."""
         return self.quantity.write(value, linear)
 
     def phrase(self, value: float, linear: bool) -> str:
@@ -300,7 +301,7 @@ class Size:
         return self.quantity.words.format(self.number(value, linear))
 
 
-def measured(sizes: Sequence[Size], term: EffectTerm, machine: Machine) -> list[tuple[Size, float]]:
-    """Every size of an effect that the machine's data allow, the most telling first."""
+def measured_sizes(sizes: Sequence[Size], term: EffectTerm, machine: Machine) -> list[tuple[Size, float]]:
+    """Every size of an effect that the machine's data allow, the most informative first."""
     found = [(size, size.of(term, machine)) for size in sizes]
     return [(size, value) for size, value in found if value is not None and math.isfinite(value)]

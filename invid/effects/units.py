@@ -18,8 +18,8 @@ _DIMENSIONS = {
     "cubic": (1, -3, 0, 0),
     "stiffness_rate": (1, -1, -1, 0),
 }
-_ALONE = {"angle": "rad", "count": "1", "ratio": "1"}
-_RAISED = {1: "", 2: "²", 3: "³", 4: "⁴", 5: "⁵", 6: "⁶"}
+_PURE = {"angle": "rad", "count": "1", "ratio": "1"}
+_POWERS = {1: "", 2: "²", 3: "³", 4: "⁴", 5: "⁵", 6: "⁶"}
 
 
 def unit_of(kind: str, linear: bool) -> str:
@@ -28,10 +28,10 @@ def unit_of(kind: str, linear: bool) -> str:
     Raises
     ------
     InputError
-        A kind that nobody knows; it lists those that are known.
+        An unknown kind; the message lists the known ones.
     """
-    if kind in _ALONE:
-        return _ALONE[kind]
+    if kind in _PURE:
+        return _PURE[kind]
     if not re.fullmatch(r"[a-z_]+(\^[1-6])?([*/][a-z_]+(\^[1-6])?)*", kind):
         raise InputError(f"unit {kind!r}: it is written as 'torque', 'torque/velocity^2', 'torque*time'")
     total = [0, 0, 0, 0]
@@ -39,13 +39,13 @@ def unit_of(kind: str, linear: bool) -> str:
         if name not in _DIMENSIONS:
             raise InputError(
                 f"unit {kind!r}: no kind of quantity is called {name!r}; known: "
-                f"{', '.join(sorted((*_DIMENSIONS, *_ALONE)))}"
+                f"{', '.join(sorted((*_DIMENSIONS, *_PURE)))}"
             )
         for k, own in enumerate(_DIMENSIONS[name]):
             total[k] += own * int(power or 1) * (-1 if sign == "/" else 1)
     names = ("N", "m", "s", "kg") if linear else ("N·m", "rad", "s", "kg·m²")
-    above = [f"{n}{_RAISED[p]}" for n, p in zip(names, total, strict=True) if p > 0]
-    below = [f"{n}{_RAISED[-p]}" for n, p in zip(names, total, strict=True) if p < 0]
+    above = [f"{n}{_POWERS[p]}" for n, p in zip(names, total, strict=True) if p > 0]
+    below = [f"{n}{_POWERS[-p]}" for n, p in zip(names, total, strict=True) if p < 0]
     if not below:
         return "·".join(above) or "1"
     under = "·".join(below)

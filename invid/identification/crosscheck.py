@@ -1,4 +1,4 @@
-"""Does something that knows less structure say the same? Two checks of a fit that do not share its start.
+"""Two checks of a fit by methods with less structure.
 
 The paper's inverse on modes fitted to the FRF matrix, and a rational FRF of no structure at all.
 """
@@ -24,27 +24,28 @@ from invid.signals.frf import FrfMatrix, frf_matrix
 from invid.signals.spectra import LineSpectra
 
 OWN_ERROR = 0.005
-"""Relative error of the paper's route beyond its covariance: it knows no hold and no friction but viscous."""
-GRANTED = 0.01
-"""Share of every amplitude that counts as noise in the comparison with a rational FRF: what is missed by
-less matters to nobody, whatever the sensors could tell."""
-LARGEST = 100
-"""Modes times motors squared up to which the second route is taken: it then takes a second or two."""
-FURTHER = 2
+"""Relative error of the paper's route beyond its covariance (empirical): it has no hold and only viscous
+friction."""
+GRANTED_ERROR = 0.01
+"""Share of every amplitude that counts as noise in the comparison with a rational FRF (physical: an error
+below it does not matter)."""
+MOST_MODES = 100
+"""Modes times motors squared up to which the second route is taken (empirical: a second or two)."""
+MORE_MODES = 2
 """Modes the rational FRF may have beyond the model's: one that the model lacks, and one for friction."""
 
 
 def missed_by_structure(spectra: Sequence[LineSpectra], fit: Fit) -> tuple[float, float]:
-    """Power the fit misses over that which a rational FRF misses, and the first alone.
+    """Missed power of the fit over that of a rational FRF, and the first alone; (0, 0) without a rational
+    FRF.
 
-    Both are mean squares on the same lines in the same units, with the sensors' noise plus ``GRANTED``
-    of every amplitude as one. A machine that is not linear is missed by both alike: the ratio stays
-    near one. A fit in a wrong minimum, or a structure that cannot move as the machine does (springs to
-    ground, masses too few), is beaten by far. (0, 0) where no rational FRF is found.
+    Both are mean squares on the same lines, with the sensors' noise plus ``GRANTED_ERROR`` of every amplitude
+    as unit. Both miss a machine that is not linear alike: the ratio stays near one. It is large for a fit in
+    a wrong minimum, or a structure that cannot move as the machine does (springs to ground, masses too few).
     """
     try:
         with np.errstate(all="ignore"):
-            found = unstructured(spectra, fit.structure.sizes, further=FURTHER, model_error=GRANTED)
+            found = unstructured(spectra, fit.structure.sizes, further=MORE_MODES, model_error=GRANTED_ERROR)
     except np.linalg.LinAlgError:  # a pole upon a line of the record: the search ended nowhere
         found = None
     if found is None:
@@ -52,13 +53,13 @@ def missed_by_structure(spectra: Sequence[LineSpectra], fit: Fit) -> tuple[float
     left, rows = 0.0, 0
     for record, state in zip(found.records, fit.problem.states(fit.solution.p), strict=True):
         omega, _, _, weight, _ = record
-        place = np.searchsorted(state.block.omega, omega * (1.0 - 1e-9))
-        place = np.minimum(place, state.block.omega.size - 1)
-        shared = np.abs(state.block.omega[place] / omega - 1.0) < 1e-6
-        place = place[shared]
+        lines = np.searchsorted(state.block.omega, omega * (1.0 - 1e-9))
+        lines = np.minimum(lines, state.block.omega.size - 1)
+        shared = np.abs(state.block.omega[lines] / omega - 1.0) < 1e-6
+        lines = lines[shared]
         # Missing torque as the acceleration error it stands for: ω²G r.
-        moved = np.linalg.solve(state.stiffness[place], state.residual[place][..., None])[..., 0]
-        error = np.abs((omega[shared] ** 2)[:, None] * moved * weight[shared])
+        acceleration_error = np.linalg.solve(state.stiffness[lines], state.residual[lines][..., None])[..., 0]
+        error = np.abs((omega[shared] ** 2)[:, None] * acceleration_error * weight[shared])
         left += float((error**2).sum())
         rows += 2 * error.size
     own = left / max(rows, 1)
@@ -68,11 +69,11 @@ def missed_by_structure(spectra: Sequence[LineSpectra], fit: Fit) -> tuple[float
 def second_route(spectra: Sequence[LineSpectra], fit: Fit) -> PaperResult | InvidError:
     """The paper's inverse on modes of the FRF matrix; the search for poles starts at those of the fit.
 
-    That the routes share a start does not make them agree: modes know nothing of chains, and move to
-    where the FRF has them.
+    A common start does not make the routes agree: modes know nothing of chains, and move to where the FRF has
+    them.
     """
     sizes, axes = fit.structure.sizes, fit.structure.axes
-    if (sum(sizes) - len(sizes)) * len(sizes) ** 2 > LARGEST:
+    if (sum(sizes) - len(sizes)) * len(sizes) ** 2 > MOST_MODES:
         return NotIdentifiableError("the plant is large: the second route takes minutes (--method paper)")
     if any(s.transient for s in spectra):
         return NotIdentifiableError("records that are not settled: the paper's method needs settled ones")
@@ -80,7 +81,7 @@ def second_route(spectra: Sequence[LineSpectra], fit: Fit) -> PaperResult | Invi
     measured = frf_matrix(spectra, delay_s=float(np.mean(offsets)) if offsets else 0.0)
     if measured.frequency_hz.size < 8:
         return NotIdentifiableError("too few frequencies at which all axes are excited for a second route")
-    variance = measured.variance + (GRANTED * np.abs(measured.frf)) ** 2
+    variance = measured.variance + (GRANTED_ERROR * np.abs(measured.frf)) ** 2
     start = modes_of_chains(fit.chains)
     try:
         return identify_paper(measured.frequency_hz, measured.frf, variance, sizes, axes=axes, start=start)
@@ -91,16 +92,15 @@ def second_route(spectra: Sequence[LineSpectra], fit: Fit) -> PaperResult | Invi
 
 
 def widen_by_method_error(paper: PaperResult, measured: FrfMatrix) -> PaperResult:
-    """The paper's result with the error of its method beside the noise.
+    """The paper's result with the error of its method added to the covariance.
 
-    The method takes damping to first order. What that costs is found by applying it to its own result:
-    the FRF of the identified chains with their dampers, on the same lines, must give them back; by as
-    much as it does not, the standard deviations are widened.
+    The method takes damping to first order. Applied to the FRF of its own result it has to return that
+    result; the standard deviations are widened by the difference.
     """
     omega = 2 * np.pi * measured.frequency_hz
     sizes, axes = paper.chains.masses_per_branch, paper.chains.axes
     try:
-        again = identify_paper(
+        repeated = identify_paper(
             measured.frequency_hz,
             frf(paper.chains, omega),
             measured.variance,
@@ -109,26 +109,26 @@ def widen_by_method_error(paper: PaperResult, measured: FrfMatrix) -> PaperResul
             start=paper.modes,
         )
         values = np.array([v for v, _ in paper.named.values()])
-        own = np.array([v for v, _ in again.named.values()]) - values
+        method_error = np.array([v for v, _ in repeated.named.values()]) - values
     except (InvidError, np.linalg.LinAlgError, ValueError, FloatingPointError) as error:
-        lost = f"the method could not be checked on its own result ({error}): its errors may be larger"
-        return replace(paper, warnings=(*paper.warnings, lost))
-    covariance = paper.covariance + np.diag(own**2)
+        warning = f"the method could not be checked on its own result ({error}): its errors may be larger"
+        return replace(paper, warnings=(*paper.warnings, warning))
+    covariance = paper.covariance + np.diag(method_error**2)
     deviation = np.sqrt(np.maximum(np.diag(paper.covariance), 1e-300))
     found = paper.warnings
-    if np.any((np.abs(own) > 2.0 * deviation) & (np.abs(own) > 1e-3 * np.abs(values))):
-        worst = int(np.argmax(np.abs(own) / deviation))
+    if np.any((np.abs(method_error) > 2.0 * deviation) & (np.abs(method_error) > 1e-3 * np.abs(values))):
+        worst = int(np.argmax(np.abs(method_error) / deviation))
         found = (
             *found,
             f"damping: applied to its own result the paper's method is off by "
-            f"{abs(own[worst] / values[worst]):.1%} in {list(paper.named)[worst]}; standard "
+            f"{abs(method_error[worst] / values[worst]):.1%} in {list(paper.named)[worst]}; standard "
             "deviations include it; refined has no such error",
         )
     return replace(paper, covariance=covariance, warnings=found)
 
 
 def modes_of_chains(chains: CoupledChains) -> Modes:
-    """The modes that a plant shows at its motors; no covariance."""
+    """The modes of a plant as its motors show them; no covariance."""
     modes = modes_of_matrices(
         chains.mass_matrix,
         chains.damping_matrix,
@@ -153,25 +153,25 @@ def compare_routes(
 ) -> dict[str, Any]:
     """Whether the paper's inverse and the maximum-likelihood fit agree within their joint uncertainty.
 
-    The paper's route has a say only where its modes explain the FRF to its noise: otherwise its
-    covariance is that of an error it does not know.
+    The paper's route counts only where its modes explain the FRF to its noise; otherwise its covariance lacks
+    its own error.
     """
     if isinstance(paper, InvidError):
         return {"paper": None, "reason": str(paper)}
-    theirs = paper.named
+    by_paper = paper.named
     worst_name, worst = "", 0.0
     table: dict[str, float] = {}
     for k, name in enumerate(names):
-        if name not in theirs:
+        if name not in by_paper:
             continue
-        value, variance = theirs[name]
+        value, variance = by_paper[name]
         table[name] = value
         joint = float(np.sqrt(max(variance, 0.0) + max(covariance[k, k], 0.0)))
         joint = float(np.hypot(joint, OWN_ERROR * abs(values[k])))
         z = abs(value - values[k]) / joint if np.isfinite(joint) and joint > 0 else 0.0
         if z > worst:
             worst_name, worst = name, z
-    sound = paper.modes.model_error == 0.0 and not paper.warnings
+    is_sound = paper.modes.model_error == 0.0 and not paper.warnings
     # 4 standard deviations on the worst of a few dozen parameters.
     agree = worst < 4.0
     out: dict[str, Any] = {
@@ -179,7 +179,7 @@ def compare_routes(
         "agree": agree,
         "worst": {"name": worst_name, "deviations": worst},
     }
-    if not sound:
+    if not is_sound:
         out["reason"] = "the paper's route does not explain the FRF to its noise: no judge of the fit"
     elif not agree:
         warnings.append(

@@ -1,4 +1,4 @@
-"""A chain with one mass more, from what the fit of the smaller one leaves: the mode that is missing.
+"""A chain with one mass more: the missing mode, estimated from the residual of the smaller chain's fit.
 
 A mode whose resonance and antiresonance lie close together is no peak that modes are read from, and a start
 without it has no way there. In the compliance at the motor, Σ φ²/(ω_k² − ω²), it is one small term more; the
@@ -22,15 +22,15 @@ from invid.model.chains import CoupledChains
 from invid.numerics.arrays import Complex128, Float64
 from invid.numerics.whitening import stack
 
-LOSS = (0.005, 0.02, 0.08)
-"""Loss factors of the further mode that are tried: harmonic drives and gears lie between."""
-AT_ONCE = 64
+LOSS_FACTORS = (0.005, 0.02, 0.08)
+"""Loss factors of the further mode that are tried (physical: harmonic drives and gears lie between)."""
+FREQUENCIES_AT_ONCE = 64
 """Frequencies whose modes are held in memory together."""
 
 
 @dataclass(frozen=True)
 class MissingMode:
-    """The mode that the missing torque asks for most, and what χ² falls by with it, all else linear."""
+    """The mode that reduces χ² most, with its gain when everything else is linearised."""
 
     omega: float
     """[rad/s]"""
@@ -40,21 +40,21 @@ class MissingMode:
 
 
 def missing_mode(fit: Fit) -> MissingMode | None:
-    """The mode that the fit of a single free branch lacks; None for others, or where none would help."""
+    """The mode that the fit of a single free branch lacks; ``None`` for others, or where none would help."""
     sizes = fit.chains.masses_per_branch
     if len(sizes) != 1 or sizes[0] < 2 or np.any(fit.chains.ground_springs):
         return None
     problem, p = fit.problem, fit.solution.p
     residual, jacobian = problem.evaluate(p)
     basis, _ = np.linalg.qr(jacobian / np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300))
-    left = residual - basis @ (basis.T @ residual)
+    remainder = residual - basis @ (basis.T @ residual)
     states = problem.states(p)
     torques = [_plant_torque(problem, s, p) for s in states]
     omega = np.concatenate([s.block.omega for s in states])
     found: MissingMode | None = None
-    for loss in LOSS:
-        tried = _frequencies(omega[omega > 0], loss)
-        for at in np.array_split(tried, -(-tried.size // AT_ONCE)):
+    for loss in LOSS_FACTORS:
+        grid = _frequency_grid(omega[omega > 0], loss)
+        for at in np.array_split(grid, -(-grid.size // FREQUENCIES_AT_ONCE)):
             rows = []
             for s, torque in zip(states, torques, strict=True):
                 line = s.block.omega[:, None]
@@ -65,19 +65,19 @@ def missing_mode(fit: Fit) -> MissingMode | None:
             rows.append(np.zeros((residual.size - sum(len(r) for r in rows), at.size)))
             own = np.concatenate(rows)
             own = own - basis @ (basis.T @ own)
-            power, along = np.sum(own**2, axis=0), left @ own
+            power, along = np.sum(own**2, axis=0), remainder @ own
             gain = np.where((power > 0) & (along < 0), along**2 / np.maximum(power, 1e-300), 0.0)
-            most = int(gain.argmax())
-            if gain[most] > (0.0 if found is None else found.gain):
-                share = float(-along[most] / power[most])
-                found = MissingMode(float(at[most]), share, float(gain[most]))
+            strongest = int(gain.argmax())
+            if gain[strongest] > (0.0 if found is None else found.gain):
+                share = float(-along[strongest] / power[strongest])
+                found = MissingMode(float(at[strongest]), share, float(gain[strongest]))
     return found
 
 
 def _plant_torque(problem: MissingTorqueProblem, state: State, p: Float64) -> Complex128:
     """(F, M) torque on the plant: that of the drive without friction.
 
-    Not Z·Θ: where a record does not close, most of that may be what its ends leave on all lines.
+    Not Z·Θ: where a record does not close, most of that may be a contribution of its ends.
     """
     block, s = state.block, problem.slices
     channel = channel_torque(block, p[s["delay"]], p[s["staircase"]])
@@ -85,20 +85,18 @@ def _plant_torque(problem: MissingTorqueProblem, state: State, p: Float64) -> Co
     return driven - block.columns @ p[s["column"]]
 
 
-def _frequencies(omega: Float64, loss: float) -> Float64:
-    """Frequencies [rad/s] no wider apart than a mode of that loss is wide between its half powers, or lines.
-
-    On a coarser grid a mode of low loss falls between two of them and is not seen.
-    """
+def _frequency_grid(omega: Float64, loss: float) -> Float64:
+    """Grid of frequencies [rad/s] no wider than the half-power width of a mode with that loss, or than the
+    lines."""
     first, last = float(omega.min()), float(omega.max())
-    apart = (last - first) / max(np.unique(omega).size - 1, 1)
-    even = np.arange(first, min(apart / loss, last), apart) if apart > 0 else omega[:1]
-    start = max(first, apart / loss)
-    wider = np.geomspace(start, last, 2 + int(np.log(last / start) / loss)) if last > start else omega[:0]
-    return np.concatenate((even, wider))
+    spacing = (last - first) / max(np.unique(omega).size - 1, 1)
+    linear = np.arange(first, min(spacing / loss, last), spacing) if spacing > 0 else omega[:1]
+    start = max(first, spacing / loss)
+    geometric = np.geomspace(start, last, 2 + int(np.log(last / start) / loss)) if last > start else omega[:0]
+    return np.concatenate((linear, geometric))
 
 
-def with_mode(chains: CoupledChains, mode: MissingMode) -> list[CoupledChains]:
+def chains_with_mode(chains: CoupledChains, mode: MissingMode) -> list[CoupledChains]:
     """The free chain with one mode more, as a start; empty where no chain has those modes."""
     root = np.sqrt(chains.masses[0])
     squares, shapes = np.linalg.eigh(chains.stiffness_matrix / root[:, None] / root)
@@ -110,11 +108,11 @@ def with_mode(chains: CoupledChains, mode: MissingMode) -> list[CoupledChains]:
         return []
     masses, springs = springs_and_masses(rows, 1.0 / float(weights.sum()), poles.size)
     masses = np.append(masses, last_mass(float(chains.masses[0].sum()), masses))
-    lossy = float(np.median(chains.dampers[0] / chains.springs[0]))
+    loss = float(np.median(chains.dampers[0] / chains.springs[0]))
     try:
-        return [CoupledChains.build([masses], [springs], [lossy * springs], axes=chains.axes)]
+        return [CoupledChains.build([masses], [springs], [loss * springs], axes=chains.axes)]
     except InvidError:
         return []
 
 
-__all__ = ["MissingMode", "missing_mode", "with_mode"]
+__all__ = ["MissingMode", "chains_with_mode", "missing_mode"]

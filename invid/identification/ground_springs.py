@@ -1,4 +1,4 @@
-"""Machines that a spring ties to the ground: no rigid motion, so no mass by the sum rule."""
+"""Machines with springs to ground: no rigid motion, so the sum rule gives no mass."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from invid.numerics.arrays import Float64
 from invid.signals.spectra import LineSpectra
 
 BETTER = 4.0
-"""Factor by which χ² must fall: as for any other structure, a factor of two in what is missed."""
+"""Factor by which χ² must fall (empirical): as for any other structure, a factor of two in amplitude."""
 SIGNIFICANT = 3.0
-"""Standard deviations below which a spring to ground is none."""
+"""Standard deviations below which a spring to ground is dropped (statistical)."""
 
 
 def fit_ground_springs(
@@ -26,29 +26,29 @@ def fit_ground_springs(
     free: Fit,
     starts_for: Callable[[Sequence[LineSpectra]], Iterable[CoupledChains]],
 ) -> Fit:
-    """The fit with a spring from each motor to ground, where that explains what a free machine cannot.
+    """The fit with a spring from each motor to ground where that is better by far; else the ``free`` one.
 
-    Without the torque of that spring the machine is free: T − K_g Θ drives the chains alone. A first K_g
-    is read off the lowest lines, and the free starts are drawn from the records so corrected.
+    Without the torque of that spring the machine is free: T − K_g Θ drives the chains alone. A first K_g is
+    read from the lowest lines, and the free starts are drawn from the records corrected by it.
     """
-    stiffness = _static(spectra)
+    stiffness = _static_stiffness(spectra)
     grounded = tuple(int(i) for i in np.flatnonzero(stiffness > 0))
     if not grounded:
         return free
     corrected = [replace(s, torque=s.torque - stiffness * s.position) for s in spectra]
     found = free
     while grounded and not budget.is_spent():
-        structure = replace(_plain(free.structure), grounded=grounded)
-        begun = [
+        structure = replace(_free_structure(free.structure), grounded=grounded)
+        starts = [
             replace(c, ground_springs=np.where(np.isin(np.arange(stiffness.size), grounded), stiffness, 0.0))
             for c in starts_for(corrected)
         ]
         try:
             # A first pass tells the machine that stands on a spring; the rest takes three times as long.
-            quick = fit_structure(spectra, structure, begun, thorough=False)
-            if not quick.noise_cost < free.noise_cost:
+            first_pass = fit_structure(spectra, structure, starts, thorough=False)
+            if not first_pass.noise_cost < free.noise_cost:
                 return free
-            found = fit_structure(spectra, structure, [quick.chains])
+            found = fit_structure(spectra, structure, [first_pass.chains])
         except (InvidError, np.linalg.LinAlgError):
             return free
         if not found.noise_cost * BETTER < free.noise_cost:
@@ -63,11 +63,11 @@ def fit_ground_springs(
     return found if grounded else free
 
 
-def _plain(structure: ChainStructure) -> ChainStructure:
+def _free_structure(structure: ChainStructure) -> ChainStructure:
     return ChainStructure(structure.sizes, structure.axes)
 
 
-def _static(spectra: Sequence[LineSpectra]) -> Float64:
+def _static_stiffness(spectra: Sequence[LineSpectra]) -> Float64:
     """(M,) spring to ground of each motor from the lowest lines, T = (K_g + jωB)Θ − ω²SΘ; 0 for none."""
     motors = spectra[0].axis_count
     out = np.zeros(motors)

@@ -1,4 +1,4 @@
-"""What the data cannot see, in the words of the machine, with the experiment that would show it."""
+"""Parameters that the data do not determine, in words, with the experiment that would."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _WORDS = {"mass": "m", "spring": "K", "damper": "D"}
 
 @dataclass(frozen=True)
 class Unidentifiable:
-    """Parameters the data cannot tell, and sentences about them."""
+    """Parameters that the data do not determine, and sentences about them."""
 
     LIMIT: ClassVar[float] = 0.25
     """Relative standard deviation above which a mass or spring is not known: ±3σ then spans a factor
@@ -34,21 +34,23 @@ def blind_directions(
     covariance: Float64,
     band_hz: tuple[float, float],
 ) -> Unidentifiable:
-    """Directions of parameter space (masses, springs, couplings) that the data leave open."""
+    """Directions of parameter space (masses, springs, couplings) that the data do not determine."""
     scale = np.array([_scale(chains, n, v) for n, v in zip(names, values, strict=True)])
-    judged = np.array([".damper." not in n for n in names])
+    is_judged = np.array([".damper." not in n for n in names])
     relative = np.sqrt(np.maximum(np.diag(covariance), 0.0)) / scale
-    open_ = [int(k) for k in np.flatnonzero(judged & ~(relative < Unidentifiable.LIMIT))]
+    undetermined = [int(k) for k in np.flatnonzero(is_judged & ~(relative < Unidentifiable.LIMIT))]
     sentences: list[str] = []
-    if open_:
-        sentences += _groups(chains, names, covariance, scale, open_, band_hz)
-    lost = [int(k) for k in np.flatnonzero(~np.isfinite(relative))]
-    sentences += [f"{_word(names[k])}: not seen by these data at all" for k in lost if not judged[k]]
-    unseen = frozenset(names[k] for k in [*open_, *lost])
+    if undetermined:
+        sentences += _direction_sentences(chains, names, covariance, scale, undetermined, band_hz)
+    unseen_at_all = [int(k) for k in np.flatnonzero(~np.isfinite(relative))]
+    sentences += [
+        f"{_symbol(names[k])}: not seen by these data at all" for k in unseen_at_all if not is_judged[k]
+    ]
+    unseen = frozenset(names[k] for k in [*undetermined, *unseen_at_all])
     return Unidentifiable(unseen, tuple(sentences))
 
 
-def _groups(
+def _direction_sentences(
     chains: CoupledChains,
     names: Sequence[str],
     covariance: Float64,
@@ -59,22 +61,22 @@ def _groups(
     """One sentence for every direction of large variance."""
     advice = _advice(chains, band_hz)
     lost = [k for k in open_ if not np.isfinite(covariance[k, k])]
-    out = [f"{_word(names[k])}: not seen by these data; {advice}" for k in lost]
+    out = [f"{_symbol(names[k])}: not seen by these data; {advice}" for k in lost]
     rest = np.array([k for k in open_ if np.isfinite(covariance[k, k])], dtype=int)
     if rest.size == 0:
         return out
     block = covariance[np.ix_(rest, rest)] / scale[rest][:, None] / scale[rest]
     size, vectors = np.linalg.eigh(block)
-    told: set[int] = set()
+    covered: set[int] = set()
     for at in np.argsort(size)[::-1]:
-        if size[at] < Unidentifiable.LIMIT**2 or len(told) == rest.size:
+        if size[at] < Unidentifiable.LIMIT**2 or len(covered) == rest.size:
             break
         vector = vectors[:, at]
         members = [int(k) for k in np.flatnonzero(np.abs(vector) > 0.3 * np.abs(vector).max())]
-        if all(m in told for m in members):
+        if all(m in covered for m in members):
             continue
-        told |= set(members)
-        labels = [_word(names[rest[m]]) for m in members]
+        covered |= set(members)
+        labels = [_symbol(names[rest[m]]) for m in members]
         error = np.sqrt(size[at])
         if len(members) == 1:
             m = rest[members[0]]
@@ -83,8 +85,10 @@ def _groups(
             )
         elif len(members) == 2:
             same = vector[members[0]] * vector[members[1]] > 0
-            what = "ratio" if same else "product"
-            out.append(f"{labels[0]} and {labels[1]}: only as a {what} (±{_percent(error)} each); {advice}")
+            relation = "ratio" if same else "product"
+            out.append(
+                f"{labels[0]} and {labels[1]}: only as a {relation} (±{_percent(error)} each); {advice}"
+            )
         else:
             out.append(f"{', '.join(labels)}: only in combination (±{_percent(error)}); {advice}")
     return out
@@ -114,7 +118,7 @@ def _scale(chains: CoupledChains, name: str, value: float) -> float:
     return max(abs(value), 1e-300)
 
 
-def _word(name: str) -> str:
+def _symbol(name: str) -> str:
     """ "K2 of A1" for "A1.spring.2"; "coupling A1-A2" for "A1-A2.coupling"."""
     if name.endswith(".coupling"):
         return f"coupling {name.removesuffix('.coupling')}"

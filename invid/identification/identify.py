@@ -18,7 +18,7 @@ from invid.identification.crosscheck import (
 from invid.identification.fewer_masses import fewer_masses_warnings
 from invid.identification.ground_springs import fit_ground_springs
 from invid.identification.machine_kind import machine_kind, rigid_model
-from invid.identification.model_facts import BEATEN, SUSPECT, paper_model, refined_model
+from invid.identification.model_facts import MOST_BEATEN, SUSPECT, paper_model, refined_model
 from invid.identification.model_order import choose_order
 from invid.identification.starts import chain_starts, fit_sizes, measured_frf
 from invid.identification.torque_timing import refit_with_late_torque
@@ -40,7 +40,7 @@ from invid.signals.plausibility import check_plausible
 from invid.signals.spectra import LineSpectra, all_spectra
 
 TIME_TO_SEARCH = 0.9
-"""Share of a budget for everything but covariances and what is said of the model. A guess."""
+"""Share of a budget for everything but covariances and sentences about the model (empirical)."""
 
 Masses = Sequence[int] | Literal["auto"] | None
 Method = Literal["paper", "refined"]
@@ -83,45 +83,49 @@ def identify(
     NotIdentifiableError
         Data from which no such model can be drawn at all; an excitation that drowns in the noise.
     """
-    recording, told = remove_glitches(recording)
-    # What a search tries far from the solution may overflow; it is told by its size and taken back.
+    recording, warnings = remove_glitches(recording)
+    # Steps far from the solution may overflow; the search sees it in their cost and takes them back.
     with budget.use_share(TIME_TO_SEARCH), np.errstate(all="ignore"):
         try:
-            model = _model(recording, masses, method, profile, (bootstrap, workers))
+            model = _identify_kind(recording, masses, method, profile, (bootstrap, workers))
         except np.linalg.LinAlgError as error:
             raise NotIdentifiableError(
                 f"{recording.source}: no chain of masses and springs fits these records to any finite error "
                 f"({error}); check the signs and units of position and torque, and the number of masses"
             ) from None
-    cut = budget.warning()
-    told = told if cut is None else [*told, cut]
-    return replace(model, warnings=(*model.warnings, *told)) if told else model
+    budget_warning = budget.warning()
+    warnings = warnings if budget_warning is None else [*warnings, budget_warning]
+    return replace(model, warnings=(*model.warnings, *warnings)) if warnings else model
 
 
-def _model(
+def _identify_kind(
     recording: Recording, masses: Masses, method: Method, profile: bool, draws: tuple[int, int]
 ) -> Model:
-    """Rigid inertias or chains, as the recording is."""
+    """Model of rigid inertias or of chains, by the kind of the recording."""
     if method == "refined":
         kind = machine_kind(recording, masses, lambda: identify_chains(recording, masses))
         if kind.rigid:
             return rigid_model(recording, kind)
         if kind.model is not None and not (profile or draws[0]):
             return kind.model
-    return _chains(recording, masses, method, profile, draws)
+    return _identify_chains(recording, masses, method, profile, draws)
 
 
 def identify_chains(recording: Recording, masses: Masses) -> Model:
-    """``identify`` for a machine that is known to be elastic, without intervals of its own."""
-    return _chains(recording, masses, "refined", False)
+    """``identify`` for a machine that is known to be elastic, without profile or bootstrap."""
+    return _identify_chains(recording, masses, "refined", False)
 
 
-def _chains(
-    recording: Recording, masses: Masses, method: Method, profile: bool, again: tuple[int, int] = (0, 1)
+def _identify_chains(
+    recording: Recording,
+    masses: Masses,
+    method: Method,
+    profile: bool,
+    draws_and_workers: tuple[int, int] = (0, 1),
 ) -> Model:
     budget.tell("reading spectra", 0.0)
     spectra = all_spectra(recording, Role.IDENTIFY)
-    _check(recording, spectra)
+    _check_excitation(recording, spectra)
     spectra = replace_by_acting_torque(spectra, recording.experiments)
     wanted = recording.masses_per_axis if masses is None else masses
     warnings = [w for s in spectra for w in s.warnings]
@@ -133,9 +137,9 @@ def _chains(
         warnings += choice.warnings
         further = [] if choice.chains is None else [choice.chains]
     else:
-        sizes = _sizes(recording, wanted)
+        sizes = _checked_sizes(recording, wanted)
     if method == "paper":
-        result, measured = _by_paper(spectra, sizes, recording.axes)
+        result, measured = _identify_by_paper(spectra, sizes, recording.axes)
         return paper_model(recording, result, measured, warnings, order)
     measured = measured_frf(spectra)
     fit = fit_sizes(spectra, sizes, recording.axes, measured, further=further, declared=not order)
@@ -143,7 +147,7 @@ def _chains(
     if not budget.is_left_out("the paper's method as a second route"):
         fit, paper = restart_from_second_route(spectra, fit)
     doubtful = fit.noise_chi2 > SUSPECT and not budget.is_left_out("springs to ground and late torque")
-    if doubtful and min(missed_by_structure(spectra, fit)) > BEATEN:
+    if doubtful and min(missed_by_structure(spectra, fit)) > MOST_BEATEN:
 
         def starts_for(corrected: Sequence[LineSpectra]) -> Iterator[CoupledChains]:
             return chain_starts(corrected, sizes, recording.axes, measured_frf(corrected), (), False)
@@ -156,7 +160,7 @@ def _chains(
     further_facts: dict[str, Any] = {}
     if profile:
         further_facts["profile"] = {name: {"low": i.low, "high": i.high} for name, i in profiles(fit).items()}
-    draws, workers = again
+    draws, workers = draws_and_workers
     if draws:
         spreads = bootstrap_of(fit, draws, workers=workers)
         parameters = {name: asdict(spread) for name, spread in spreads.items()}
@@ -167,10 +171,10 @@ def _chains(
 def restart_from_second_route(
     spectra: Sequence[LineSpectra], fit: Fit
 ) -> tuple[Fit, PaperResult | InvidError]:
-    """The fit and the paper's result beside it, which is a further start where it contradicts the fit.
+    """The better of the fit and one restarted from the paper's result, and the paper's result.
 
-    Only where its modes explain the FRF to its noise while the fit has not come down to it: one of the two
-    then stands in a wrong minimum.
+    Restarted only where the paper's modes explain the FRF to its noise while the fit is above it and
+    disagrees: one of the two is then in a wrong minimum.
     """
     paper = second_route(spectra, fit)
     if isinstance(paper, InvidError) or paper.modes.model_error > 0.0:
@@ -179,19 +183,19 @@ def restart_from_second_route(
     if at_noise or compare_routes(paper, fit.names, fit.values, fit.covariance, [])["agree"]:
         return fit, paper
     structure = ChainStructure(fit.structure.sizes, fit.structure.axes)
-    again = fit_structure(spectra, structure, [paper.chains])
-    if again.noise_cost < 0.9 * fit.noise_cost:
-        return again, second_route(spectra, again)
+    refitted = fit_structure(spectra, structure, [paper.chains])
+    if refitted.noise_cost < 0.9 * fit.noise_cost:
+        return refitted, second_route(spectra, refitted)
     return fit, paper
 
 
-def _by_paper(
+def _identify_by_paper(
     spectra: Sequence[LineSpectra], sizes: Sequence[int], axes: Sequence[str]
 ) -> tuple[PaperResult, FrfMatrix]:
-    """The paper's route, its standard deviations widened by what it misses of its own result.
+    """The paper's route, its standard deviations widened by the error of its method, and the FRF matrix.
 
-    The torque acts later than recorded where it is held over the sample; modes are searched for on the
-    records, under their noise, before they are fitted to the FRF matrix.
+    Held torque acts later than recorded; modes are searched on the records, under their noise, before they
+    are fitted to the FRF matrix.
     """
     found = search_modes(spectra, sizes)
     start = None
@@ -218,7 +222,7 @@ def _by_paper(
 
 
 # --- checks ------------------------------------------------------------------------------------
-def _check(recording: Recording, spectra: Sequence[LineSpectra]) -> None:
+def _check_excitation(recording: Recording, spectra: Sequence[LineSpectra]) -> None:
     if not spectra:
         raise InputError(
             f"{recording.source}: no experiment with role 'identify' that shakes an axis; "
@@ -234,7 +238,7 @@ def _check(recording: Recording, spectra: Sequence[LineSpectra]) -> None:
                 f"{recording.source}: axis {axis} is never excited (no experiment names it as excited_axis "
                 "or excites several); measure it too, or leave the axis out of the recording"
             )
-        if not any(_carries(s, i) or _carries(s, motors + i) for s in driving):
+        if not any(_has_signal(s, i) or _has_signal(s, motors + i) for s in driving):
             # Named as excited, so the recording is no bad input: the excitation drowned in the noise.
             raise NotIdentifiableError(
                 f"{recording.source}: the excitation of axis {axis} is too weak: neither its torque nor its "
@@ -246,7 +250,7 @@ def _check(recording: Recording, spectra: Sequence[LineSpectra]) -> None:
         raise NotIdentifiableError(f"{recording.source}: no excited line found in any experiment")
 
 
-def _carries(s: LineSpectra, channel: int) -> bool:
+def _has_signal(s: LineSpectra, channel: int) -> bool:
     """Whether a channel's excited lines rise above its noise, and it is not constant."""
     both = np.concatenate((s.position, s.torque), axis=1)[s.excited, channel]
     if both.size == 0 or not np.any(both):
@@ -255,7 +259,7 @@ def _carries(s: LineSpectra, channel: int) -> bool:
     return bool(np.mean(np.abs(both) ** 2) > 5.0 * s.floor[channel])
 
 
-def _sizes(recording: Recording, wanted: Sequence[int]) -> tuple[int, ...]:
+def _checked_sizes(recording: Recording, wanted: Sequence[int]) -> tuple[int, ...]:
     sizes = tuple(int(n) for n in wanted)
     if len(sizes) != recording.axis_count or any(n < 1 for n in sizes):
         raise InputError(

@@ -1,4 +1,4 @@
-"""Elastic or rigid: where the motion does not say it, both are fitted, and rows kept out decide.
+"""Elastic or rigid machine: where the motion does not decide it, both are fitted and held-out rows decide.
 
 Periods and sweeps are made for chains; constant velocities and declared masses leave no choice. Any other
 record (production moves, noise, a velocity alone) may be of either kind.
@@ -28,32 +28,32 @@ from invid.signals.drive_torque import replace_by_acting_torque
 from invid.signals.spectra import LineSpectra, all_spectra
 
 RIGID_ENOUGH = 0.1
-"""Share of the torque (rms, rows kept out) below which rigid axes are not doubted. Empirical: 0.007 to 0.17
-on five real rigid machines, 0.11 and more on twenty simulated chains in moves, noise and chirps."""
-CLEARLY = 0.5
-"""What chains may miss of what rigid axes miss where an axis was moved: a factor of two in amplitude, as
-wherever one structure is believed over another (``model_facts.BEATEN``)."""
-PIECES = 12
+"""Missed share of the torque (rms, held-out rows) below which rigid axes are not doubted. Empirical: 0.007 to
+0.17 on five real rigid machines, 0.11 and more on twenty simulated chains in moves, noise and chirps."""
+CLEAR_RATIO = 0.5
+"""Ratio of missed torque, chains over rigid axes, below which a moved machine counts as elastic (empirical):
+a factor of two in amplitude, as between any two structures (``model_facts.MOST_BEATEN``)."""
+PIECE_COUNT = 12
 """Pieces of each record; chains are judged on every third, from all over it: the end of a chirp shows what
 its beginning does not."""
 
 
 @dataclass(frozen=True, eq=False)
 class MachineKind:
-    """What the machine is taken for, and the model that was fitted to tell."""
+    """The kind of a machine, and the model that was fitted to decide it."""
 
     rigid: bool
     model: Model | None = None
-    said: str = ""
-    """What either kind misses; empty where only one was fitted."""
+    sentence: str = ""
+    """What either kind misses, in words; empty where only one was fitted."""
     analysis: Analysis | None = None
-    """That of rigid axes, where it was made and they are."""
+    """The analysis of rigid axes, where it was made and they are rigid."""
 
 
 def machine_kind(
     recording: Recording, masses: Sequence[int] | str | None, chains: Callable[[], Model]
 ) -> MachineKind:
-    """Rigid axes or chains; ``chains`` identifies them as such, with ``masses`` as asked for."""
+    """Rigid axes or chains; ``chains`` identifies them as chains, with ``masses`` as requested."""
     wanted = recording.masses_per_axis if masses is None else masses
     if wanted is not None and not isinstance(wanted, str):
         return MachineKind(all(n == 1 for n in wanted) and is_trajectory(recording))
@@ -62,17 +62,17 @@ def machine_kind(
         return MachineKind(rigid=False)
     if all(e.kind is Kind.CONSTANT_VELOCITY for e in experiments):
         return MachineKind(rigid=True)
-    moved = is_trajectory(recording)
-    if not moved and not any(e.kind is Kind.OTHER for e in experiments):
+    is_moved = is_trajectory(recording)
+    if not is_moved and not any(e.kind is Kind.OTHER for e in experiments):
         return MachineKind(rigid=False)
     try:
         found = analyse(recording)
         missed = rigid_missed_share(found)
         identify_trajectory(recording, analysis=found)  # an axis may not accelerate at all
-        analysis = None if found.selection.cut else found  # there may be time for more of it
+        analysis = None if found.selection.is_cut_short else found  # there may be time for more of it
     except InvidError:
         analysis, missed = None, float("inf")
-    if moved and missed < RIGID_ENOUGH:
+    if is_moved and missed < RIGID_ENOUGH:
         return MachineKind(rigid=True, analysis=analysis)
     model, left = None, float("inf")
     try:
@@ -83,21 +83,21 @@ def machine_kind(
     except (InvidError, np.linalg.LinAlgError):
         pass
     if np.isinf(missed) and np.isinf(left):
-        return MachineKind(moved and model is None, model)  # whoever fits it again says why
-    said = f"rigid axes miss {_share(missed)} of the torque on rows kept out, " + (
+        return MachineKind(is_moved and model is None, model)  # whoever fits it again says why
+    sentence = f"rigid axes miss {_share_text(missed)} of the torque on rows kept out, " + (
         "and no elasticity shows"
         if model is not None and max(model.chains.masses_per_branch) == 1
-        else f"chains {_share(left)}"
+        else f"chains {_share_text(left)}"
     )
     # The better one wins; of what is moved and not shaken only where it is so clearly.
-    if model is not None and left < (CLEARLY if moved else 1.0) * missed:
-        said = f"taken for an elastic machine: {said}"
-        return MachineKind(False, replace(model, warnings=(*model.warnings, said)), said)
-    return MachineKind(True, said=f"taken for a rigid machine: {said}", analysis=analysis)
+    if model is not None and left < (CLEAR_RATIO if is_moved else 1.0) * missed:
+        sentence = f"taken for an elastic machine: {sentence}"
+        return MachineKind(False, replace(model, warnings=(*model.warnings, sentence)), sentence)
+    return MachineKind(True, sentence=f"taken for a rigid machine: {sentence}", analysis=analysis)
 
 
 def is_of_rigid_axes(model: Model, recording: Recording) -> bool:
-    """Whether a recording is to be diagnosed as one of rigid axes, beside a model that is given."""
+    """Whether a recording is to be diagnosed as one of rigid axes with the given model."""
     if max(model.chains.masses_per_branch) > 1:
         return False
     periodic = any(e.period_samples and e.periods >= 2 for e in recording.experiments)
@@ -105,23 +105,25 @@ def is_of_rigid_axes(model: Model, recording: Recording) -> bool:
 
 
 def rigid_model(recording: Recording, kind: MachineKind) -> Model:
-    """The model of rigid axes, with what was said when the kind was chosen.
+    """The model of rigid axes, with the sentence about the choice of the kind.
 
-    One that misses more than half of the torque is not to be trusted.
+    One that misses more than half of the torque is marked as not to be trusted.
     """
     analysis = analyse(recording) if kind.analysis is None else kind.analysis
     model = identify_trajectory(recording, analysis=analysis)
     left, power = np.sum(_rigid_powers(analysis), axis=0)
-    warnings = [kind.said] if kind.said else []
+    warnings = [kind.sentence] if kind.sentence else []
     if left > MISSED**2 * power:
-        said = f"the model misses {_share(float(np.sqrt(left / power)))} of the torque on rows kept out"
-        model, warnings = model.distrusted(said), [said, *warnings]
+        sentence = (
+            f"the model misses {_share_text(float(np.sqrt(left / power)))} of the torque on rows kept out"
+        )
+        model, warnings = model.distrusted(sentence), [sentence, *warnings]
     return replace(model, warnings=(*warnings, *model.warnings))
 
 
 def rigid_missed_share(analysis: Analysis) -> float:
-    """Rms share of the torque that rigid axes miss beyond noise on rows kept out; that of the worst axis."""
-    return _worst(_rigid_powers(analysis))
+    """Rms share of the torque that rigid axes miss beyond noise on held-out rows, of the worst axis."""
+    return _worst_share(_rigid_powers(analysis))
 
 
 def _rigid_powers(analysis: Analysis) -> Float64:
@@ -130,50 +132,55 @@ def _rigid_powers(analysis: Analysis) -> Float64:
     left = analysis.final.held_out**2 - floor
     out = np.zeros((design.axes, 2))
     for i in range(design.axes):
-        mine = rows & (design.axis == i)
-        out[i] = max(float(left[mine].sum()), 0.0), float(np.sum(design.torque[mine] ** 2))
+        axis_rows = rows & (design.axis == i)
+        out[i] = max(float(left[axis_rows].sum()), 0.0), float(np.sum(design.torque[axis_rows] ** 2))
     return out
 
 
-def _worst(powers: Float64) -> float:
-    """The largest share, in rms, of what an axis misses; (M, 2) powers missing and in all."""
+def _worst_share(powers: Float64) -> float:
+    """Largest missed share (rms) of an axis; (M, 2) missing and total powers."""
     left, power = powers.T
     return float(np.sqrt(np.max(np.maximum(left, 0.0) / np.maximum(power, 1e-300))))
 
 
 def chains_missed_share(recording: Recording, chains: CoupledChains) -> float:
-    """The same for chains, fitted anew to two of three pieces of each record and judged on the others.
+    """Missed share of chains, refitted to two of three pieces of each record and evaluated on the others.
 
     Lines are weighted by their noise: beside the clamped resonances what is missing is mostly noise.
     """
     structure = ChainStructure(chains.masses_per_branch, recording.axes)
     start = replace(chains, ground_dampers=frozen_float(np.zeros(recording.axis_count)))
-    judged_on = set(range(1, PIECES, 3))
+    judged_pieces = set(range(1, PIECE_COUNT, 3))
     fitted = fit_structure(
-        _pieces(recording, set(range(PIECES)) - judged_on), structure, [start], thorough=False
+        _spectra_of_pieces(recording, set(range(PIECE_COUNT)) - judged_pieces),
+        structure,
+        [start],
+        thorough=False,
     )
-    return _missed(fitted, _pieces(recording, judged_on))
+    return _missed_share(fitted, _spectra_of_pieces(recording, judged_pieces))
 
 
-def _missed(fitted: Fit, spectra: Sequence[LineSpectra]) -> float:
-    """Share that a fit misses of other records: nothing is fitted there but their ends."""
+def _missed_share(fitted: Fit, spectra: Sequence[LineSpectra]) -> float:
+    """Missed share of a fit on other records, where only their ends are fitted."""
     problem = add_coulomb_columns(problem_from_spectra(fitted.structure, spectra), spectra)
     powers = np.zeros((len(fitted.structure.axes), 2))
     for state in problem.states(transfer_parameters(fitted.problem, fitted.solution.p, problem)):
         noise = np.einsum("fii->fi", state.covariance).real
         powers[:, 0] += (np.abs(state.residual) ** 2 / noise - 1.0).sum(axis=0)
         powers[:, 1] += (np.abs(state.block.torque) ** 2 / noise).sum(axis=0)
-    return _worst(powers)
+    return _worst_share(powers)
 
 
-def _pieces(recording: Recording, numbers: Collection[int]) -> tuple[LineSpectra, ...]:
+def _spectra_of_pieces(recording: Recording, numbers: Collection[int]) -> tuple[LineSpectra, ...]:
     """Spectra of some of the pieces of each experiment that is not for validation."""
-    own = tuple(_cut(e, n) for e in recording.experiments if e.role is Role.IDENTIFY for n in sorted(numbers))
+    own = tuple(
+        _piece_of(e, n) for e in recording.experiments if e.role is Role.IDENTIFY for n in sorted(numbers)
+    )
     return replace_by_acting_torque(all_spectra(replace(recording, experiments=own), Role.IDENTIFY), own)
 
 
-def _cut(experiment: Experiment, number: int) -> Experiment:
-    first, last = (k * experiment.samples // PIECES for k in (number, number + 1))
+def _piece_of(experiment: Experiment, number: int) -> Experiment:
+    first, last = (k * experiment.samples // PIECE_COUNT for k in (number, number + 1))
     rows = slice(first, last)
     demand, status = experiment.torque_demand, experiment.status
     return replace(
@@ -190,5 +197,5 @@ def _cut(experiment: Experiment, number: int) -> Experiment:
     )
 
 
-def _share(missed: float) -> str:
+def _share_text(missed: float) -> str:
     return "all" if np.isinf(missed) else f"{missed:.1%}"

@@ -1,4 +1,4 @@
-"""From fits to models: values, standard deviations, doubts, warnings, and the facts of the fit."""
+"""Fits as models: values, standard deviations, doubts, warnings, and the facts of the fit."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from invid.signals.spectra import LineSpectra
 
 SUSPECT = 5.0
 """χ²/ν against sensor noise above which the fit is compared with a rational FRF of no structure."""
-BEATEN = 4.0
-"""Mean square the fit misses, in units of what a rational FRF misses, and of 1 % of the amplitudes, above
-which it is doubted: a factor of two in amplitude."""
+MOST_BEATEN = 4.0
+"""Missed mean square of the fit, over that of a rational FRF and over that of 1 % of the amplitudes, above
+which it is doubted (empirical): a factor of two in amplitude."""
 EXPLAINED = 0.9
 """Share of the torque a trustworthy model explains. Empirical: real drives with friction stand above
 0.99, a wrong order or a torque that is none below 0.7 (flexible bench, case study)."""
@@ -50,8 +50,8 @@ def paper_model(
     names_all, values = parameter_vector(chains)
     known = {n: float(np.sqrt(max(v, 0.0))) for n, (_, v) in paper.named.items()}
     std = np.array([known.get(name, np.nan) for name in names_all])
-    warnings = [*warnings, *paper.warnings, *_order_doubts(order)]
-    trust = not _order_doubts(order)
+    warnings = [*warnings, *paper.warnings, *_doubts_of_order(order)]
+    trust = not _doubts_of_order(order)
     for name, value, error in zip(names_all, values, std, strict=True):
         if ".damper." in name or ".coupling" in name:
             continue
@@ -78,8 +78,8 @@ def paper_model(
     )
 
 
-def _order_doubts(order: Mapping[str, Any]) -> list[str]:
-    """Structures that the data cannot tell apart: their parameters differ, their motion does not."""
+def _doubts_of_order(order: Mapping[str, Any]) -> list[str]:
+    """Doubts about structures that the data cannot tell apart: other parameters, the same motion."""
     if not order.get("alike"):
         return []
     alike = " and ".join(",".join(map(str, n)) for n in (order["chosen"], *order["alike"]))
@@ -122,11 +122,11 @@ def refined_model(
             f"the model explains {fit.explained:.0%} of the torque only: another number of masses, a torque "
             "channel that is not the motor torque, or axes that do not move freely"
         )
-    doubts += _order_doubts(order)
-    beaten, missed = missed_by_structure(spectra, fit) if fit.noise_chi2 > SUSPECT else (0.0, 0.0)
-    if beaten > BEATEN and missed > BEATEN:
+    doubts += _doubts_of_order(order)
+    missed_ratio, missed_power = missed_by_structure(spectra, fit) if fit.noise_chi2 > SUSPECT else (0.0, 0.0)
+    if missed_ratio > MOST_BEATEN and missed_power > MOST_BEATEN:
         doubts.append(
-            f"an FRF without structure misses the records by {np.sqrt(beaten):.2g} times less than the "
+            f"an FRF without structure misses the records by {np.sqrt(missed_ratio):.2g} times less than the "
             "fitted plant: the fit stands in a wrong minimum, or the machine has another structure (number "
             "of masses, springs to ground)"
         )
@@ -136,10 +136,10 @@ def refined_model(
             f"the torque is missed by {np.sqrt(fit.noise_chi2):.2g} times its noise: something acts that the "
             "model does not contain; standard deviations include it; invid diagnose names it where it can"
         )
-    for axis, own in fit.facts["hold_timing"].items():
+    for axis, std_of_mass in fit.facts["hold_timing"].items():
         warnings.append(
             f"{axis}: a hold works while this axis is driven, and nothing tells whether it acts inside the "
-            f"drive or is held over the sample: its motor mass is known to ±{own:.2g} only; record "
+            f"drive or is held over the sample: its motor mass is known to ±{std_of_mass:.2g} only; record "
             "torque_demand, or an experiment in which the axis is held and not excited"
         )
     for axis, lag in fit.facts["torque_lag_s"].items():
@@ -173,17 +173,17 @@ def refined_model(
         chains=chains,
         std=std_by_name(chains, dict(zip(names, std, strict=True))),
         linear=recording.linear,
-        effects=_friction(fit, recording),
+        effects=_significant_friction(fit, recording),
         warnings=tuple(dict.fromkeys(warnings)),
         covariance=frozen_float(covariance) if finite else None,
         parameter_names=names if finite else (),
-        fit=_plain(facts),
+        fit=_plain_json(facts),
         provenance=_provenance(recording),
     )
 
 
 def _correlations(names: Sequence[str], covariance: Float64) -> list[list[Any]]:
-    """[name, name, correlation] of the pairs that the data tell together better than apart: |ρ| > 0.9."""
+    """[name, name, correlation] of pairs with |ρ| > 0.9."""
     deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     found = []
     for i in range(len(names)):
@@ -195,8 +195,9 @@ def _correlations(names: Sequence[str], covariance: Float64) -> list[list[Any]]:
     return sorted(found, key=lambda row: -abs(row[2]))
 
 
-def _friction(fit: Fit, recording: Recording) -> tuple[EffectTerm, ...]:
-    """Friction that the fit could not do without: part of the model, or its simulation would not damp."""
+def _significant_friction(fit: Fit, recording: Recording) -> tuple[EffectTerm, ...]:
+    """Significant friction of the fit as effects of the model, without which its simulation would not
+    damp."""
     torque = "N" if recording.linear else "N·m"
     damping = units(recording.linear)["damping"]
     found = []
@@ -223,12 +224,12 @@ def _friction(fit: Fit, recording: Recording) -> tuple[EffectTerm, ...]:
     return tuple(found)
 
 
-def _plain(value: Any) -> Any:
-    """Strict JSON has no NaN and no infinity: they become null."""
+def _plain_json(value: Any) -> Any:
+    """The value for strict JSON: NaN and infinity become null."""
     if isinstance(value, dict):
-        return {k: _plain(v) for k, v in value.items()}
+        return {k: _plain_json(v) for k, v in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
+        return [_plain_json(v) for v in value]
     if isinstance(value, float | np.floating):
         return float(value) if np.isfinite(value) else None
     if isinstance(value, np.bool_):

@@ -1,4 +1,4 @@
-"""How many masses each branch has: chosen by what the data need."""
+"""Choice of the number of masses of each branch."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from invid.errors import InvidError
-from invid.identification.further_mode import MissingMode, missing_mode, with_mode
+from invid.identification.further_mode import MissingMode, chains_with_mode, missing_mode
 from invid.identification.starts import fit_sizes, measured_frf
 from invid.likelihood.fit import AT_NOISE, Fit, fit_structure
 from invid.model.chains import CoupledChains
@@ -31,15 +31,15 @@ class OrderChoice:
 
 
 GAIN = 1.3
-"""A further mass must lower χ² by this factor: coloured residuals (friction, ripple) let any extra
-parameter fit a few per cent of them, a missing mode leaves tens to thousands (case study: 26 000 for
+"""Factor by which a further mass must lower χ². Empirical: coloured residuals (friction, ripple) let any
+extra parameter fit a few per cent of them, a missing mode leaves tens to thousands (case study: 26 000 for
 two masses, 1.3 for three and for four)."""
-NEAR = 3.0
-"""χ²/ν up to which what one mode more would take is told from the missing torque alone; beyond, the fit may
-stand in a wrong minimum. Empirical: friction that a fit lacks leaves 1.1 to 3 in records without a period."""
-UNSEEN = 0.5
-"""Relative standard deviation of a final mass from which it is none: the data do not tell it from a wall, nor
-(two of them below it) from nothing."""
+NEAR_NOISE = 3.0
+"""χ²/ν up to which the gain of one mode more is estimated from the missing torque alone; beyond, the fit may
+be in a wrong minimum. Empirical: unmodelled friction leaves 1.1 to 3 in records without a period."""
+MOST_RELATIVE_STD = 0.5
+"""Relative standard deviation of a final mass from which it counts as none (statistical): the data tell it
+neither from a wall nor (two of them below it) from nothing."""
 
 
 def choose_order(spectra: Sequence[LineSpectra], axes: Sequence[str], *, most: int = 6) -> OrderChoice:
@@ -55,19 +55,21 @@ def choose_order(spectra: Sequence[LineSpectra], axes: Sequence[str], *, most: i
     chains: dict[tuple[int, ...], CoupledChains] = {}
     fits: dict[tuple[int, ...], Fit] = {}
     modes: dict[tuple[int, ...], MissingMode | None] = {}
-    vanishing: dict[str, list[str]] = {}
-    standing: dict[str, list[str]] = {}
+    vanishing_by_sizes: dict[str, list[str]] = {}
+    fixed_by_sizes: dict[str, list[str]] = {}
 
     def cost(sizes: tuple[int, ...], parent: tuple[int, ...] = ()) -> float:
         if sizes not in costs:
-            begun = _split(chains.get(parent), sizes)
+            split_start = _split_final_masses(chains.get(parent), sizes)
             smaller = (sizes[0] - 1,)
-            hidden = _from_hidden_mode(spectra, fits.get(smaller), mode_of(smaller)) if count == 1 else None
+            hidden = (
+                _fit_with_hidden_mode(spectra, fits.get(smaller), mode_of(smaller)) if count == 1 else None
+            )
             try:
                 if hidden is not None and hidden.noise_chi2 < AT_NOISE:
                     fit = hidden
                 else:
-                    fit = fit_sizes(spectra, sizes, axes, measured, thorough=False, further=begun)
+                    fit = fit_sizes(spectra, sizes, axes, measured, thorough=False, further=split_start)
                     fit = hidden if hidden is not None and hidden.noise_cost < fit.noise_cost else fit
             except (InvidError, np.linalg.LinAlgError):
                 costs[sizes], dofs[sizes] = np.inf, 1
@@ -75,12 +77,12 @@ def choose_order(spectra: Sequence[LineSpectra], axes: Sequence[str], *, most: i
                 costs[sizes], dofs[sizes] = fit.noise_cost, max(fit.problem.dof, 1)
                 chains[sizes] = fit.chains
                 fits[sizes] = fit
-                gone = _vanishing(fit)
-                if gone:
-                    vanishing[_label(sizes)] = gone
-                walls = _standing(fit)
-                if walls:
-                    standing[_label(sizes)] = walls
+                vanished = _vanishing_masses(fit)
+                if vanished:
+                    vanishing_by_sizes[_label(sizes)] = vanished
+                fixed = _fixed_masses(fit)
+                if fixed:
+                    fixed_by_sizes[_label(sizes)] = fixed
         return costs[sizes]
 
     def mode_of(sizes: tuple[int, ...]) -> MissingMode | None:
@@ -94,11 +96,11 @@ def choose_order(spectra: Sequence[LineSpectra], axes: Sequence[str], *, most: i
         if count > 1 or small == (1,):
             return before < GAIN * dofs[small]  # already noise
         # Not by the noise: a floor that is too high hides a mode. What one mode takes to first order, twice.
-        mode = mode_of(small) if before < NEAR * dofs[small] else None
-        gain = np.inf if before >= NEAR * dofs[small] else 0.0 if mode is None else mode.gain
+        mode = mode_of(small) if before < NEAR_NOISE * dofs[small] else None
+        gain = np.inf if before >= NEAR_NOISE * dofs[small] else 0.0 if mode is None else mode.gain
         return bool(2.0 * gain < (1.0 - 1.0 / GAIN) * before)
 
-    def needed(small: tuple[int, ...], large: tuple[int, ...]) -> bool:
+    def is_needed(small: tuple[int, ...], large: tuple[int, ...]) -> bool:
         """Whether the larger structure is better by more than its parameters may."""
         before = cost(small)
         if is_settled(small):
@@ -107,7 +109,7 @@ def choose_order(spectra: Sequence[LineSpectra], axes: Sequence[str], *, most: i
             return False
         budget.tell(f"trying {_label(large)} masses", 0.3 * (1.0 - 0.8 ** len(costs)))
         after = cost(large, small)
-        if not np.isfinite(after) or _label(large) in vanishing or _label(large) in standing:
+        if not np.isfinite(after) or _label(large) in vanishing_by_sizes or _label(large) in fixed_by_sizes:
             return False  # a mass that goes to nothing, or stands still, is none: it fits something else
         if not np.isfinite(before):
             return True
@@ -120,17 +122,17 @@ def choose_order(spectra: Sequence[LineSpectra], axes: Sequence[str], *, most: i
     while best[0] < most:
         n = best[0] + 1
         following = (n,) * count
-        if needed(best, following):
+        if is_needed(best, following):
             best = following
             continue
         # One order alone may not pay where two do (a pair of modes close together).
-        if n < most and needed(best, (n + 1,) * count):
+        if n < most and is_needed(best, (n + 1,) * count):
             best = (n + 1,) * count
             continue
         break
     if count > 1 and not budget.is_left_out("masses more or less on single axes"):
-        best = _trimmed(_grown(best, needed, cost, most), needed, cost)
-    alike = _alike(best, costs, dofs)
+        best = _remove_masses(_add_masses(best, is_needed, cost, most), is_needed, cost)
+    alike = _equivalent_structures(best, costs, dofs)
     # Of those that the data cannot tell apart the most even one stands first.
     best, *alike = sorted((best, *alike), key=lambda n: (max(n) - min(n), n != best, costs[n]))
     warnings = []
@@ -151,68 +153,68 @@ def choose_order(spectra: Sequence[LineSpectra], axes: Sequence[str], *, most: i
             _label(sizes): (value / dofs[sizes] if np.isfinite(value) else None)
             for sizes, value in costs.items()
         },
-        "vanishing": vanishing,
-        "standing": standing,
+        "vanishing": vanishing_by_sizes,
+        "standing": fixed_by_sizes,
     }
     return OrderChoice(best, evidence, warnings, chains.get(best))
 
 
-def _from_hidden_mode(
+def _fit_with_hidden_mode(
     spectra: Sequence[LineSpectra], smaller: Fit | None, mode: MissingMode | None
 ) -> Fit | None:
-    """The fit with one mass more from the mode that the smaller one misses.
+    """The fit with one mass more, started from the mode that the smaller one lacks.
 
-    For itself, not among the other starts: where it falls back to the smaller chain, as a split mass may, the
-    two would pass for one minimum found twice, and no further start be tried.
+    Separate from the other starts: where it falls back to the smaller chain, as a split mass may, the two
+    would count as one minimum found twice, and no further start be tried.
     """
     if smaller is None or mode is None:
         return None
     try:
-        starts = with_mode(smaller.chains, mode)
+        starts = chains_with_mode(smaller.chains, mode)
         structure = ChainStructure((smaller.structure.sizes[0] + 1,), smaller.structure.axes)
         found = fit_structure(spectra, structure, starts, thorough=False) if starts else None
     except (InvidError, np.linalg.LinAlgError):
         return None
-    return None if found is None or _vanishing(found) or _standing(found) else found
+    return None if found is None or _vanishing_masses(found) or _fixed_masses(found) else found
 
 
-def _trimmed(
+def _remove_masses(
     best: tuple[int, ...],
-    needed: Callable[[tuple[int, ...], tuple[int, ...]], bool],
+    is_needed: Callable[[tuple[int, ...], tuple[int, ...]], bool],
     cost: Callable[[tuple[int, ...]], float],
 ) -> tuple[int, ...]:
-    """Masses taken away, the least missed first, while none of those left is superfluous."""
+    """Sizes with masses removed, cheapest first, as long as one is not needed."""
     while not budget.is_left_out("masses less on single axes"):
         smaller = [(*best[:i], n - 1, *best[i + 1 :]) for i, n in enumerate(best) if n > 1]
-        free = [s for s in smaller if np.isfinite(cost(s)) and not needed(s, best)]
-        if not free:
+        removable = [s for s in smaller if np.isfinite(cost(s)) and not is_needed(s, best)]
+        if not removable:
             return best
-        best = min(free, key=cost)
+        best = min(removable, key=cost)
     return best
 
 
-def _grown(
+def _add_masses(
     best: tuple[int, ...],
-    needed: Callable[[tuple[int, ...], tuple[int, ...]], bool],
+    is_needed: Callable[[tuple[int, ...], tuple[int, ...]], bool],
     cost: Callable[[tuple[int, ...]], float],
     most: int,
 ) -> tuple[int, ...]:
-    """Masses added to single branches while they pay: two more at once may have ended in a wrong minimum."""
+    """Sizes with masses added to single branches as long as one is needed."""
     while True:
         larger = [(*best[:i], n + 1, *best[i + 1 :]) for i, n in enumerate(best) if n < most]
-        paying = [s for s in larger if needed(best, s)]
-        if not paying:
+        better = [s for s in larger if is_needed(best, s)]
+        if not better:
             return best
-        best = min(paying, key=cost)
+        best = min(better, key=cost)
 
 
-def _alike(
+def _equivalent_structures(
     best: tuple[int, ...], costs: dict[tuple[int, ...], float], dofs: dict[tuple[int, ...], int]
 ) -> list[tuple[int, ...]]:
     """Other structures with as many masses that the data cannot tell from the best.
 
-    They exist: between two branches whose ends are coupled, a mass may hang on the one or on the other
-    with the same motion of every motor, as long as all its values stay positive.
+    Between two branches with coupled ends a mass may belong to the one or the other with the same motion of
+    every motor, as long as all values stay positive.
     """
     scale = max(costs[best] / dofs[best], 1.0)
     # As good as the best up to what one parameter may gain by chance once in a thousand.
@@ -220,8 +222,8 @@ def _alike(
     return [s for s, value in costs.items() if s != best and sum(s) == sum(best) and value < limit]
 
 
-def _split(chains: CoupledChains | None, sizes: tuple[int, ...]) -> list[CoupledChains]:
-    """The smaller model with its final masses split by stiff springs: a start that is no worse."""
+def _split_final_masses(chains: CoupledChains | None, sizes: tuple[int, ...]) -> list[CoupledChains]:
+    """The smaller model with its final masses split by stiff springs: a start of equal cost."""
     if chains is None or any(n < m for n, m in zip(sizes, chains.masses_per_branch, strict=True)):
         return []
     masses, springs, dampers = [], [], []
@@ -241,21 +243,22 @@ def _split(chains: CoupledChains | None, sizes: tuple[int, ...]) -> list[Coupled
         return []
 
 
-def _vanishing(fit: Fit) -> list[str]:
-    """Masses below a thousandth of their branch: the sign of one too many."""
+def _vanishing_masses(fit: Fit) -> list[str]:
+    """Names of masses below a thousandth of their branch: the sign of one too many."""
     out = []
     for axis, m in zip(fit.chains.axes, fit.chains.masses, strict=True):
         out += [f"{axis}.mass.{q + 1}" for q in np.flatnonzero(m < 1e-3 * m.sum())]
     return out
 
 
-def _standing(fit: Fit) -> list[str]:
-    """Final masses not told from a wall: a soft spring to ground (gravity, a stop) looks like them."""
+def _fixed_masses(fit: Fit) -> list[str]:
+    """Names of final masses that the data do not tell from a wall, as a soft spring to ground looks like
+    one."""
     std = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
     masses, out, last = fit.structure.slices["mass"].start, [], -1
     for axis, m in zip(fit.chains.axes, fit.chains.masses, strict=True):
         last += m.size
-        if m.size > 1 and not std[masses + last] < UNSEEN * m[-1]:
+        if m.size > 1 and not std[masses + last] < MOST_RELATIVE_STD * m[-1]:
             out.append(f"{axis}.mass.{m.size}")
     return out
 

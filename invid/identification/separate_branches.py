@@ -1,4 +1,4 @@
-"""Each branch on its own: a start for branches that hardly move one another.
+"""Start from each branch by itself, for branches that hardly move one another.
 
 Two arms alike on a heavy base share every resonance. A rational FRF matrix with as many poles as modes
 then has pairs of poles in one place, and a mode that is barely visible is lost among them; seen from one
@@ -25,7 +25,7 @@ def start_separate_branches(
     """Chains without couplings, each from its own motor's motion and torque; ``None`` where one fails."""
     found: list[CoupledChains] = []
     for i, (size, axis) in enumerate(zip(sizes, axes, strict=True)):
-        own = [_alone(s, i) for s in spectra if s.excited.any() and (not s.driven.size or s.driven[i])]
+        own = [_single_axis(s, i) for s in spectra if s.excited.any() and (not s.driven.size or s.driven[i])]
         if not own or size < 2:
             return None
         try:
@@ -49,8 +49,8 @@ def start_separate_branches(
     )
 
 
-def _alone(s: LineSpectra, axis: int) -> LineSpectra:
-    """The record as the search for poles sees it, of one axis."""
+def _single_axis(s: LineSpectra, axis: int) -> LineSpectra:
+    """The record of one axis alone, for the search for poles."""
     one, both = [axis], [axis, s.axis_count + axis]
     return replace(
         s,

@@ -21,20 +21,20 @@ from invid.signals.frf import FrfMatrix, frf_matrix, local_frf_matrix
 from invid.signals.spectra import LineSpectra
 
 MISFIT = 0.01
-"""Relative FRF error granted to the modal fit that only gives a start: friction of a few per cent of the
-peak torque leaves about that, and a modal fit that chases it is slow and no better a start."""
+"""Relative FRF error of the modal fit that only gives a start. Empirical: friction of a few per cent of the
+peak torque leaves about that, and a tighter modal fit is slow and no better a start."""
 LOCAL_MISFIT = 0.03
 """The same for the local regression, which blunts resonances narrower than its window."""
 
 
 def measured_frf(spectra: Sequence[LineSpectra], *, misfit: float = MISFIT) -> FrfMatrix:
-    """The FRF matrix the starts are drawn from; ``misfit`` is added to its relative errors."""
-    found = FrfMatrix.empty(spectra[0].axis_count)
+    """The FRF matrix for starts; ``misfit`` is added to its relative errors."""
+    frf = FrfMatrix.empty(spectra[0].axis_count)
     if not any(s.transient for s in spectra):
-        found = frf_matrix(spectra)
-    if found.frequency_hz.size < 8:
-        found, misfit = local_frf_matrix(spectra), max(misfit, LOCAL_MISFIT)
-    return replace(found, variance=found.variance + (misfit * np.abs(found.frf)) ** 2)
+        frf = frf_matrix(spectra)
+    if frf.frequency_hz.size < 8:
+        frf, misfit = local_frf_matrix(spectra), max(misfit, LOCAL_MISFIT)
+    return replace(frf, variance=frf.variance + (misfit * np.abs(frf.frf)) ** 2)
 
 
 def fit_sizes(
@@ -77,26 +77,26 @@ def chain_starts(
     thorough: bool,
     declared: bool = False,
 ) -> Iterator[CoupledChains]:
-    """Starts, most trusted first; each is made only when those before it did not do."""
+    """Starts, most trusted first; each is made only when those before it have failed."""
     yield from further
     crude: list[CoupledChains] = []
     count = 0
-    early = not is_costly_to_start(sizes) and measured.frequency_hz.size > 0
+    try_frf_first = not is_costly_to_start(sizes) and measured.frequency_hz.size > 0
     for modes, frf in _modal_starts(spectra, sizes, thorough):
         if count and budget.is_spent():
             break
         *physical, equal = starts(frf.frequency_hz, frf.frf, frf.variance, sizes, axes=axes, modes=modes)
         yield from physical
         crude.append(equal)
-        if not count and early and not budget.is_spent():
+        if not count and try_frf_first and not budget.is_spent():
             # Branches alike share poles, which as many poles as modes cannot fit; the modes of the FRF matrix
             # can, and take less time than a search under the noise.
             *shared, equal = starts(measured.frequency_hz, measured.frf, measured.variance, sizes, axes=axes)
             yield from shared
             crude.insert(0, equal)
-            alone = start_separate_branches(spectra, sizes, axes) if thorough and len(sizes) > 1 else None
-            if alone is not None:
-                yield alone
+            separate = start_separate_branches(spectra, sizes, axes) if thorough and len(sizes) > 1 else None
+            if separate is not None:
+                yield separate
         if declared and not count and budget.is_left_out("fewer masses than declared"):
             declared = False
         fewer = fewer_masses(spectra, sizes, axes) if declared and not count else None
@@ -105,7 +105,7 @@ def chain_starts(
         count += 1
     if count and not thorough:
         return
-    if (not count or not early) and measured.frequency_hz.size:
+    if (not count or not try_frf_first) and measured.frequency_hz.size:
         yield from starts(measured.frequency_hz, measured.frf, measured.variance, sizes, axes=axes)
     yield from crude
 
@@ -113,14 +113,14 @@ def chain_starts(
 def _modal_starts(
     spectra: Sequence[LineSpectra], sizes: Sequence[int], thorough: bool
 ) -> Iterator[tuple[Modes, FrfMatrix]]:
-    """Rational fits, each made only when those before it did not do: quick, thorough, fine."""
+    """Rational fits, each made only when those before it have failed: quick, thorough, fine."""
     found = rational_modes(spectra, sizes, trusted=TRUSTED)
     if found is not None:
         yield found
     for model_error in (0.0, FINE) if thorough else (0.0,):
-        searched = search_modes(spectra, sizes, model_error=model_error)
-        if searched is not None:
-            yield searched[:2]
+        search = search_modes(spectra, sizes, model_error=model_error)
+        if search is not None:
+            yield search[:2]
     if thorough:
         found = rational_modes(spectra, sizes, trusted=FINE)
         if found is not None:

@@ -1,4 +1,4 @@
-"""Torque that acts later than recorded by more than sampling convention: starts drawn with that taken out."""
+"""Torque that acts later than recorded by more than a sampling convention: starts corrected for it."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from invid.model.parameters import ChainStructure
 from invid.numerics.arrays import Float64
 from invid.signals.spectra import LineSpectra
 
-PAYS = 0.5
-"""Share of χ² to which the fit from timely starts must come, a guess: a wrong minimum of a late machine was
-off 40 000 times, while one that the model does not explain costs about the same from every start."""
+MOST_COST = 0.5
+"""Share of χ² to which the corrected fit must come. Empirical: a wrong minimum of a late machine was off 40
+000 times, while a machine that the model does not explain costs about the same from every start."""
 
 
 def refit_with_late_torque(
@@ -24,27 +24,26 @@ def refit_with_late_torque(
     fit: Fit,
     starts_for: Callable[[Sequence[LineSpectra]], Iterable[CoupledChains]],
 ) -> Fit:
-    """The fit from starts with the torque as late as ``fit`` found it, where that is more than a sample.
+    """The fit from starts with the torque delayed as ``fit`` found it, where that is more than a sample.
 
-    A late torque takes poles of every rational fit that starts are drawn from, but even a fit that ends in a
-    wrong minimum for it tells how late it is: no mass, spring or damper turns the phase in proportion to
-    frequency.
+    A late torque takes poles of every rational fit that starts are drawn from, but even a fit in a wrong
+    minimum shows the delay: no mass, spring or damper turns the phase in proportion to frequency.
     """
-    late = _lateness(fit)
-    if not (np.abs(late) > 1.0 / spectra[0].sample_rate_hz).any():
+    delays = _torque_delays(fit)
+    if not (np.abs(delays) > 1.0 / spectra[0].sample_rate_hz).any():
         return fit
-    turned = [replace(s, torque=s.torque * np.exp(-1j * s.omega[:, None] * late)) for s in spectra]
+    delayed = [replace(s, torque=s.torque * np.exp(-1j * s.omega[:, None] * delays)) for s in spectra]
     structure = ChainStructure(fit.structure.sizes, fit.structure.axes)
     try:
-        begun = fit_structure(turned, structure, starts_for(turned), thorough=False)
-        found = fit_structure(spectra, structure, [begun.chains])
+        first_pass = fit_structure(delayed, structure, starts_for(delayed), thorough=False)
+        found = fit_structure(spectra, structure, [first_pass.chains])
     except (InvidError, np.linalg.LinAlgError):
         return fit
-    return found if found.noise_cost < PAYS * fit.noise_cost else fit
+    return found if found.noise_cost < MOST_COST * fit.noise_cost else fit
 
 
-def _lateness(fit: Fit) -> Float64:
-    """(M,) how much later than recorded each torque acts [s]."""
+def _torque_delays(fit: Fit) -> Float64:
+    """(M,) delay [s] of each torque against the recorded one."""
     offsets = fit.facts.get("time_offset_s", {})
     return np.array(
         [float(offsets.get(f"{a}.time_offset", {}).get("value", 0.0)) for a in fit.structure.axes]

@@ -1,4 +1,4 @@
-"""Candidates that are fitted each for itself, on all cores."""
+"""A parallel map over candidates that are fitted independently."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ B = TypeVar("B")
 def map_candidates(
     run: Callable[[A], B], items: Sequence[A], here: JointFit, records: Sequence[SpectralRecord]
 ) -> list[B]:
-    """``[run(item) for item in items]``; answers share records, layout and effects with ``here``."""
+    """``[run(item) for item in items]`` on all cores; results share records, layout and effects with
+    ``here``."""
     laws = [*effects(), *(t.effect for t in here.candidate.terms)]
     return parallel_map(run, items, known=[*records, here.layout, here.layout.structure, *laws])
 

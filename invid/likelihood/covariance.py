@@ -1,4 +1,4 @@
-"""Covariance and standard deviations of a solution, inflated by what the fit leaves."""
+"""Covariance and standard deviations of a solution, inflated by χ²/ν."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from invid.numerics.arrays import Float64, Int64
 
 
 def physical_covariance(problem: MissingTorqueProblem, solution: Solution) -> Float64:
-    """(n, n) covariance of the structure's parameters in physical units, inflated by χ²/ν > 1.
+    """(n, n) covariance of the structure's parameters in physical units, inflated where χ²/ν > 1.
 
-    Infinite variances where the data do not see a parameter.
+    Variances of parameters that the data do not determine are infinite.
     """
     full = np.zeros((solution.p.size, solution.p.size))
     free = np.flatnonzero(solution.free)
@@ -28,10 +28,10 @@ def physical_covariance(problem: MissingTorqueProblem, solution: Solution) -> Fl
 
 
 def inverse_normal(jacobian: Float64) -> tuple[Float64, Int64]:
-    """(n, n) inverse of JᵀJ, and which parameters the data do not see.
+    """(n, n) inverse of JᵀJ, and the numbers of the parameters that the data do not determine.
 
-    Directions that they do not see (singular values below 1e-9 of the largest, columns scaled) are left out
-    of the inverse; every parameter they move by more than a hundredth counts as not seen.
+    Directions with singular values below 1e-9 of the largest (columns scaled) are left out of the inverse;
+    every parameter that they change by more than a hundredth counts as not determined.
     """
     scale, size, right, blind = jacobian_spectrum(jacobian)
     seen = size > 1e-9 * size[0]
@@ -40,8 +40,10 @@ def inverse_normal(jacobian: Float64) -> tuple[Float64, Int64]:
 
 
 def parameter_std(solution: Solution) -> Float64:
-    """(n,) standard deviation of every parameter as it moves (logarithms relative), inflated; NaN where
-    fixed, infinite where the data do not see it."""
+    """(n,) inflated standard deviation of every parameter as it is fitted (logarithms relative).
+
+    NaN where fixed, infinite where the data do not determine it.
+    """
     scale, size, right, blind = jacobian_spectrum(solution.jacobian)
     size = np.maximum(size, 1e-9 * size[0])
     own = np.sqrt(((right / size[:, None]) ** 2).sum(axis=0)) / scale

@@ -1,4 +1,4 @@
-"""Derivatives of what effects contribute, by differences."""
+"""Derivatives of what effects contribute, by finite differences."""
 
 from __future__ import annotations
 
@@ -26,10 +26,11 @@ def response_columns(
     *,
     strong: bool,
 ) -> bool:
-    """Fills in the columns of the effects, and with ``strong`` adds to those of the linear parameters what
-    the laws change by with the inner motion; False where a law has no slope by itself (``law_slopes``).
+    """Fills in the Jacobian columns of the effects; False where a law has no slope by itself
+    (``law_slopes``).
 
-    The first ``linear`` of ``columns`` (F, M, n) hold the derivatives at fixed forces.
+    The first ``linear`` of ``columns`` (F, M, n) hold the derivatives of the linear parameters at fixed
+    forces. ``strong``: adds to them the change of the laws with the inner motion.
     """
     slopes = slopes_of(view, candidate)
     if not slopes:
@@ -53,27 +54,27 @@ def response_columns(
         stiffness[:, structure.slices["spring"]] = np.diag(view.springs)  # they move as logarithms
         damping[:, structure.slices["damper"]] = np.eye(springs)
     change = ForceChange(base, missing, stiffness, damping, total, back)
-    moved = np.ones(count, dtype=bool)
+    is_felt = np.ones(count, dtype=bool)
     if view.record.transient:
-        # A force on a motor whose motion is measured moves no inner mass but by the ends of the record.
-        moved[known:] = [candidate.terms[number].feels(view) for number, *_ in steps]
-        moved[structure.count : known] = False
+        # A force on a motor whose motion is measured moves inner masses only through the record's ends.
+        is_felt[known:] = [candidate.terms[number].depends_on_inner_motion(view) for number, *_ in steps]
+        is_felt[structure.count : known] = False
     response = total
-    response[..., moved] = effect_response(view, candidate, slopes, change.only(moved))
+    response[..., is_felt] = effect_response(view, candidate, slopes, change.only(is_felt))
     columns[..., :known] += response[..., :known]
     columns[..., linear:] = response[..., known:]
     return True
 
 
 def effect_columns(view: View, candidate: Candidate, columns: Complex128, at: int) -> None:
-    """Derivatives of the contributions by differences.
+    """Fills in the derivatives of the contributions by finite differences, from column ``at`` on.
 
-    Both sides take the same steps from the same inner motion: what the steps have not brought into agreement
-    yet would be divided by the difference.
+    Both sides take the same steps from the same inner motion; a remaining disagreement would else be divided
+    by the difference.
     """
     feedback, jumps = view.feedback, view.jumps
-    view.forget_measured()  # both sides from the same inner motion
-    inner = any(t.feels(view) for t in candidate.terms)
+    view.clear_cache()  # both sides from the same inner motion
+    inner = any(t.depends_on_inner_motion(view) for t in candidate.terms)
     steps = difference_steps(view, candidate)
     if not steps:
         return
@@ -81,32 +82,34 @@ def effect_columns(view: View, candidate: Candidate, columns: Complex128, at: in
         columns[..., at : at + len(steps)] = direct_effect_changes(view, candidate, steps)[0]
         return
 
-    def at_(trial: Candidate) -> Complex128:
+    def contributions_at(trial: Candidate) -> Complex128:
         out = contributions(view, trial, passes=3, early=False)
-        view.respond(feedback, jumps)
+        view.set_inner_motion(feedback, jumps)
         return out
 
-    reference = at_(candidate)
+    reference = contributions_at(candidate)
     for number, (term, x) in enumerate(zip(candidate.terms, candidate.x, strict=True)):
         for k in range(x.size):
-            h = _step_of(view, term, x, k)
-            moved = x.copy()
-            moved[k] += h
-            changed = Candidate(candidate.terms, (*candidate.x[:number], moved, *candidate.x[number + 1 :]))
-            columns[..., at] = (at_(changed) - reference) / h
+            h = _difference_step(view, term, x, k)
+            shifted = x.copy()
+            shifted[k] += h
+            changed = Candidate(candidate.terms, (*candidate.x[:number], shifted, *candidate.x[number + 1 :]))
+            columns[..., at] = (contributions_at(changed) - reference) / h
             at += 1
 
 
 def learn_inner_response(view: View, candidate: Candidate) -> None:
-    """What the inner motion of a record that does not close answers to a change of its effects.
+    """Teaches the view how the inner motion of a record that does not close responds to a change of its
+    effects.
 
-    Beside a gap the differences were two to five times off without (chirps of the second generator).
+    Empirical: beside a gap the differences were two to five times off without it (chirps of the second
+    generator).
     """
     x = []
     for term, own in zip(candidate.terms, candidate.x, strict=True):
         more = own.copy()
         for k in range(own.size):
-            more[k] += _step_of(view, term, own, k)
+            more[k] += _difference_step(view, term, own, k)
         x.append(more)
     learn_inner_directions(
         view, forces_of(view, candidate), forces_of(view, Candidate(candidate.terms, tuple(x)))
@@ -114,17 +117,17 @@ def learn_inner_response(view: View, candidate: Candidate) -> None:
 
 
 def jump_columns(
-    view: View, candidate: Candidate, moved: Complex128, jumps: Float64, columns: Complex128, at: int
+    view: View, candidate: Candidate, motion: Complex128, jumps: Float64, columns: Complex128, at: int
 ) -> None:
-    """Adds to the effects' columns what they do at the ``jumps`` (2ΣN,) of a record that does not close."""
+    """Adds to the effects' columns their change at the ``jumps`` (2ΣN,) of a record that does not close."""
     for term, x in zip(candidate.terms, candidate.x, strict=True):
         for k in range(x.size):
             if isinstance(term.effect, ImpedanceEffect):
-                h = _step_of(view, term, x, k)
+                h = _difference_step(view, term, x, k)
                 more = x.copy()
                 more[k] += h
                 one, two = (
-                    jump_response(view, Candidate((term,), (own,)), moved)[0] @ jumps for own in (x, more)
+                    jump_response(view, Candidate((term,), (own,)), motion)[0] @ jumps for own in (x, more)
                 )
                 columns[..., at] += (two - one) / h
             at += 1
@@ -133,7 +136,7 @@ def jump_columns(
 def impedance_columns(
     view: View, candidate: Candidate, sp: Float64, q: Complex128, columns: Complex128
 ) -> None:
-    """Adds to the linear parameters' columns what effects linear in motion change by with the inner motion.
+    """Adds to the linear parameters' columns the change of effects that are linear in motion.
 
     ``columns`` (F, M, n) hold the derivatives at fixed forces, ∂q/∂p = −Z_ii⁻¹ (∂Z/∂p) q. Without this a mode
     on an inner mass was still a hundred of χ² from its minimum after a hundred steps, and its double on
@@ -143,23 +146,25 @@ def impedance_columns(
         if term.inner and isinstance(term.effect, ImpedanceEffect):
             pattern = term.place.pattern(view.structure)
             # Along one pattern only: its rows of Z_ii⁻¹ through ∂Z of every coordinate.
-            rows = view.yields(pattern)[:, :, None]
+            rows = view.inner_receptance(pattern)[:, :, None]
             every = view.structure.torque_derivative(sp, view.omega, rows, q[None])[0]
             force = -term.effect.force_per_motion(view, term.place, x.tolist())[:, None] * every[:, 0]
-            columns[..., : view.structure.count] += view.push(pattern)[:, :, None] * force[:, None, :]
+            columns[..., : view.structure.count] += (
+                view.condensed_force(pattern)[:, :, None] * force[:, None, :]
+            )
 
 
 def difference_steps(view: View, candidate: Candidate) -> list[tuple[int, int, float]]:
-    """Effect, number of the parameter and difference, for every parameter of the effects."""
+    """Number of the effect, number of the parameter and step, for every parameter of the effects."""
     return [
-        (number, k, _step_of(view, term, x, k))
+        (number, k, _difference_step(view, term, x, k))
         for number, (term, x) in enumerate(zip(candidate.terms, candidate.x, strict=True))
         for k in range(x.size)
     ]
 
 
-def _step_of(view: View, term: PlacedEffect, x: Float64, k: int) -> float:
-    """Step of a parameter for differences."""
+def _difference_step(view: View, term: PlacedEffect, x: Float64, k: int) -> float:
+    """Step of a parameter for finite differences."""
     count = len(term.effect.coefficients)
     if k < count:
         size = float(np.abs(x[:count]).max())
@@ -168,19 +173,19 @@ def _step_of(view: View, term: PlacedEffect, x: Float64, k: int) -> float:
 
 
 def moves_inner_masses(view: View, candidate: Candidate) -> bool:
-    """Whether effects move inner masses by more than a hundredth of what moves along one of their patterns:
-    below, what the laws gain by a change of that is a hundredth of a column.
+    """Whether effects move inner masses by more than a hundredth of the motion along one of their patterns.
 
-    Along the pattern and not beside the motors: a gap that is most of a spring's deflection moves the load by
-    a hundredth of what the axis moves, and a fit without the term stands still far from its minimum. What
-    holds a motor that stands is the spring beside it, whatever that moves.
+    Below, the change of the laws with that is a hundredth of a column. Along the pattern and not at the
+    motors: a gap that is most of a spring's deflection moves the load by a hundredth of the axis' motion, and
+    a fit without the term stops far from its minimum. A motor that stands is held by the spring beside it,
+    whatever that moves.
     """
     if any(t.effect.stands(view, t.place) for t in candidate.terms):
         return True
     for pattern in {t.place.pattern(view.structure) for t in candidate.terms if t.inner}:
         at, signs = [q for q, _ in pattern], np.array([sign for _, sign in pattern])
-        base, moved = view.base[:, at] @ signs, view.feedback[:, at] @ signs
-        if np.linalg.norm(moved) > 0.01 * np.linalg.norm(base):
+        base, caused = view.base[:, at] @ signs, view.feedback[:, at] @ signs
+        if np.linalg.norm(caused) > 0.01 * np.linalg.norm(base):
             return True
     return False
 
@@ -188,28 +193,28 @@ def moves_inner_masses(view: View, candidate: Candidate) -> bool:
 def law_columns(
     view: View, candidate: Candidate, sp: Float64, q: Complex128, columns: Complex128, linear: int
 ) -> None:
-    """Adds to the linear parameters' columns what the laws change by with the inner motion.
+    """Adds to the linear parameters' columns the change of the laws with the inner motion.
 
-    The first ``linear`` of ``columns`` (F, M, n) hold the derivatives at fixed forces,
-    ∂q/∂p = −Z_ii⁻¹ (∂Z/∂p) q. What moves no inner mass, a motor's mass or the time the torque acts at, moves
-    the missing torque that forces are read from.
+    The first ``linear`` of ``columns`` (F, M, n) hold the derivatives at fixed forces, ∂q/∂p = −Z_ii⁻¹
+    (∂Z/∂p) q. A parameter that moves no inner mass (a motor's mass, a time offset) changes the missing torque
+    from which forces are estimated.
     """
     structure, base, missing, closing = view.structure, view.base, view.missing, view.closing
     feedback, jumps = view.feedback, view.jumps
     springs, dampers = view.springs, view.dampers
     every = np.broadcast_to(np.eye(base.shape[1], dtype=complex), view.inner.shape)
-    moves = -(view.inner @ structure.torque_derivative(sp, view.omega, every, q[None])[0])
+    motion_slopes = -(view.inner @ structure.torque_derivative(sp, view.omega, every, q[None])[0])
     reference = contributions(view, candidate, passes=2, early=False)
-    view.respond(feedback, jumps)
+    view.set_inner_motion(feedback, jumps)
     for k in range(linear):
-        largest = float(np.abs(moves[..., k]).max()) if k < structure.count else 0.0
+        largest_motion = float(np.abs(motion_slopes[..., k]).max()) if k < structure.count else 0.0
         own = float(np.abs(columns[..., k]).max())
-        if largest > 0.0:
-            h = 1e-4 * float(np.abs(base).max()) / largest
+        if largest_motion > 0.0:
+            h = 1e-4 * float(np.abs(base).max()) / largest_motion
             at = sp.copy()
             at[k] += h
             values = structure.physical(at)
-            view.base = base + h * moves[..., k]
+            view.base = base + h * motion_slopes[..., k]
             view.springs = values[structure.slices["spring"]]
             view.dampers = values[structure.slices["damper"]]
         elif own > 0.0:
@@ -221,8 +226,8 @@ def law_columns(
         view.closing = (
             None if closing is None else replace(closing, linear=closing.linear + h * columns[..., k])
         )
-        view.respond(feedback, jumps)
+        view.set_inner_motion(feedback, jumps)
         columns[..., k] += (contributions(view, candidate, passes=2, early=False) - reference) / h
     view.base, view.missing, view.springs, view.dampers = base, missing, springs, dampers
     view.closing = closing
-    view.respond(feedback, jumps)
+    view.set_inner_motion(feedback, jumps)

@@ -1,9 +1,9 @@
-"""The linear plant with effects, fitted jointly to the missing torque of all records.
+"""Residual and Jacobian of the linear plant with effects, for all records.
 
-r = Z Θ − A T + Σ contributions, whitened with C_r = [Z, −A] C_n [Z, −A]ᴴ times what the scatter between
-periods adds. The Jacobian of the linear parameters is taken at the projected measurement (the cost's
-gradient is then exact for errors in variables); that of effects by differences, which costs one
-evaluation of the effect and no new plant.
+r = Z Θ − A T + Σ contributions, whitened with C_r = [Z, −A] C_n [Z, −A]ᴴ plus the scatter between periods.
+The Jacobian of the linear parameters is taken at the projected measurement (the cost's gradient is then exact
+for errors in variables); that of effects by differences, which costs one evaluation of the effect and no new
+plant.
 """
 
 from __future__ import annotations
@@ -45,19 +45,19 @@ from invid.signals.spectral_record import SpectralRecord
 
 @dataclass(frozen=True, eq=False)
 class RecordEvaluation:
-    """One record through one plant with its effects: what its residual is made of and its Jacobian needs."""
+    """One record through one plant with its effects: its residual and what the Jacobian needs."""
 
     view: View
     extra: Complex128
     """(F, M) contributions of the effects."""
     missing: Complex128
-    """(F, M) missing torque r, boundary terms taken out."""
+    """(F, M) missing torque r, boundary terms projected out."""
     covariance: Complex128
     root: Complex128
     basis: Float64
-    """(rows, k) orthonormal: what ends and starts of the record explain of the whitened rows."""
+    """(rows, k) orthonormal basis of the whitened columns of ends and initial states."""
     jumps: Float64
-    """(2ΣN,) ends of a record that does not close; empty for one that does."""
+    """(2ΣN,) jumps between the ends of a record that does not close; empty for one that does."""
     ends: Ends | None
     acting: ActingTorque
     white: Float64
@@ -66,43 +66,43 @@ class RecordEvaluation:
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """Whitened residual and what it is made of, per record."""
+    """Whitened residual and Jacobian, and the evaluations of the single records."""
 
     residual: Float64
     jacobian: Float64
     cost: float
-    seen: tuple[RecordEvaluation, ...]
+    parts: tuple[RecordEvaluation, ...]
     dof: int = 0
 
     @property
     def views(self) -> tuple[View, ...]:
         """The records through the plant."""
-        return tuple(s.view for s in self.seen)
+        return tuple(s.view for s in self.parts)
 
     @property
     def missing(self) -> tuple[Complex128, ...]:
-        """(F, M) missing torque r of every record, boundary terms taken out."""
-        return tuple(s.missing for s in self.seen)
+        """(F, M) missing torque r of every record, boundary terms projected out."""
+        return tuple(s.missing for s in self.parts)
 
     @property
     def covariance(self) -> tuple[Complex128, ...]:
-        """(F, M, M) of it, for every record."""
-        return tuple(s.covariance for s in self.seen)
+        """(F, M, M) covariance of the missing torque of every record."""
+        return tuple(s.covariance for s in self.parts)
 
     @property
     def bases(self) -> tuple[Float64, ...]:
-        """(rows, k) what ends and starts explain, for every record."""
-        return tuple(s.basis for s in self.seen)
+        """(rows, k) bases of the columns of ends and initial states of every record."""
+        return tuple(s.basis for s in self.parts)
 
     @property
     def roots(self) -> tuple[Complex128, ...]:
         """(F, M, M) whiteners of the missing torque, for every record."""
-        return tuple(s.root for s in self.seen)
+        return tuple(s.root for s in self.parts)
 
     @property
     def records(self) -> list[SpectralRecord]:
-        """The records it is of."""
-        return [s.view.record for s in self.seen]
+        """The records that were evaluated."""
+        return [s.view.record for s in self.parts]
 
 
 def record_views(
@@ -111,7 +111,8 @@ def record_views(
     p: Float64,
     acting: Sequence[ActingTorque] | None = None,
 ) -> list[View]:
-    """Every record through the plant at ``p``; ``acting``: its torques there, where they are known."""
+    """Every record through the plant at ``p`` (n,); ``acting``: its acting torques there, where they are
+    known."""
     structure = layout.structure
     sp = p[: structure.count]
     values = structure.physical(sp)
@@ -152,19 +153,21 @@ def evaluate(
     near: Sequence[View] = (),
     thorough: bool = False,
 ) -> Evaluation:
-    """Whitened residual (rows,) and Jacobian (rows, parameters of layout, then of the effects).
+    """Whitened residual (rows,) and Jacobian (rows, parameters of the layout, then of the effects).
 
-    ``near``: the views of an evaluation close by, whose inner motion is where this one's starts.
-    ``thorough``: the Jacobian knows that strong effects feel what the linear parameters do to inner motion.
+    ``near``: the views of an evaluation close by, whose inner motion is the start here. ``thorough``: the
+    Jacobian contains how strong effects change with the inner motion that the linear parameters change.
     """
     before = near if near and candidate.terms else [None] * len(records)
     acting = [acting_torque(r, layout, p) for r in records]
     views = record_views(layout, records, p, acting)
-    seen = tuple(_seen(v, a, layout, p, candidate, b) for v, a, b in zip(views, acting, before, strict=True))
+    parts = tuple(
+        _evaluate_record(v, a, layout, p, candidate, b) for v, a, b in zip(views, acting, before, strict=True)
+    )
     priors, _ = prior_residuals(layout, p, 0)
-    residual = np.concatenate([*(s.white for s in seen), priors])
-    dof = sum(_numbers(s) for s in seen)
-    here = Evaluation(residual, np.zeros((0, 0)), float(residual @ residual), seen, dof)
+    residual = np.concatenate([*(s.white for s in parts), priors])
+    dof = sum(_degrees_of_freedom(s) for s in parts)
+    here = Evaluation(residual, np.zeros((0, 0)), float(residual @ residual), parts, dof)
     return add_jacobian(here, layout, p, candidate, thorough=thorough) if jacobian else here
 
 
@@ -172,15 +175,16 @@ def add_jacobian(
     here: Evaluation, layout: Layout, p: Float64, candidate: Candidate, *, thorough: bool
 ) -> Evaluation:
     """The same evaluation, at the same parameters, with its Jacobian."""
-    parts = [_derivative(s, layout, p, candidate, thorough) for s in here.seen]
+    parts = [_record_jacobian(s, layout, p, candidate, thorough) for s in here.parts]
     _, prior_rows = prior_residuals(layout, p, sum(t.size for t in candidate.terms))
     return replace(here, jacobian=np.concatenate([*parts, prior_rows]))
 
 
-def _seen(
+def _evaluate_record(
     view: View, acting: ActingTorque, layout: Layout, p: Float64, candidate: Candidate, before: View | None
 ) -> RecordEvaluation:
-    """A record through a plant with effects; ``before``: a view close by, where its inner motion starts."""
+    """One record through a plant with effects; ``before``: a view close by whose inner motion is the
+    start."""
     record = view.record
     r: Complex128 = np.einsum("fij,fj->fi", view.stiffness, record.position) - view.acting - view.images
     covariance = residual_covariance(view, acting.factor, candidate)
@@ -189,27 +193,27 @@ def _seen(
     if record.weight.size:
         root = root * record.weight[:, None, None]
     rows, ends = 2 * r.size, None
-    open_, basis, jumps = np.zeros((rows, 0)), np.zeros((rows, 0)), np.zeros(0)
+    end_columns, basis, jumps = np.zeros((rows, 0)), np.zeros((rows, 0)), np.zeros(0)
     if record.transient:
         ends = record_ends(view, layout, p)
-        felt = ends.with_effects(view, candidate)
-        open_ = stack(root @ felt.torque)
-        basis, back = factored(open_)
-        view.closing = solve_record_ends(view, felt, root, r)
-        view.respond(view.feedback, view.closed(np.zeros_like(r)))
-        view.missing = view.left(np.zeros_like(r))
+        ends_felt = ends.with_effects(view, candidate)
+        end_columns = stack(root @ ends_felt.torque)
+        basis, back = factored(end_columns)
+        view.closing = solve_record_ends(view, ends_felt, root, r)
+        view.set_inner_motion(view.feedback, view.closing_jumps(np.zeros_like(r)))
+        view.missing = view.missing_with(np.zeros_like(r))
     else:
         view.missing = r
     if before is not None:
-        view.of_ends, view.secants = before.of_ends, before.secants
+        view.end_motion, view.secants = before.end_motion, before.secants
         view.starts = dict(before.starts)
-        view.respond(before.feedback, before.jumps)
+        view.set_inner_motion(before.feedback, before.jumps)
     extra = contributions(view, candidate)
-    extra, starting = solve_initial_states(view, candidate, extra, partial(_left, root, basis, r))
+    extra, starting = solve_initial_states(view, candidate, extra, partial(_chi2_of, root, basis, r))
     if starting.any():
-        basis, back = factored(np.column_stack((open_, stack(root @ starting))))
-    if not any(t.feels(view) for t in candidate.terms):
-        view.respond(view.feedback, view.closed(extra))
+        basis, back = factored(np.column_stack((end_columns, stack(root @ starting))))
+    if not any(t.depends_on_inner_motion(view) for t in candidate.terms):
+        view.set_inner_motion(view.feedback, view.closing_jumps(extra))
     r = r + extra
     white = stack(root @ r[..., None])[:, 0]
     if basis.size:
@@ -217,51 +221,51 @@ def _seen(
         along = basis @ within
         white = white - along
         r = r - unstack(unwhitener(root), along, r.shape)
-        jumps = -(back @ within)[: open_.shape[1]]
+        jumps = -(back @ within)[: end_columns.shape[1]]
     if record.transient:
-        view.of_ends = felt.moved @ jumps
+        view.end_motion = ends_felt.motion @ jumps
     view.remaining = r
     return RecordEvaluation(view, extra, r, covariance, root, basis, jumps, ends, acting, white)
 
 
-def _numbers(seen: RecordEvaluation) -> int:
+def _degrees_of_freedom(part: RecordEvaluation) -> int:
     """Degrees of freedom of a record."""
-    record, motors = seen.view.record, seen.missing.shape[1]
+    record, motors = part.view.record, part.missing.shape[1]
     lines = int(record.weight.sum()) if record.weight.size else record.omega.size
-    out: int = 2 * lines * motors - motors - seen.basis.shape[1]
+    out: int = 2 * lines * motors - motors - part.basis.shape[1]
     return out
 
 
-def _derivative(
-    seen: RecordEvaluation, layout: Layout, p: Float64, candidate: Candidate, thorough: bool
+def _record_jacobian(
+    evaluated: RecordEvaluation, layout: Layout, p: Float64, candidate: Candidate, thorough: bool
 ) -> Float64:
     """(rows, n) derivative of a record's whitened residual."""
-    view, r, sp = seen.view, seen.missing, p[: layout.structure.count]
+    view, r, sp = evaluated.view, evaluated.missing, p[: layout.structure.count]
     effects = sum(t.size for t in candidate.terms)
-    gain = np.asarray(np.linalg.solve(seen.covariance, r[..., None])[..., 0], dtype=np.complex128)
+    gain = np.asarray(np.linalg.solve(evaluated.covariance, r[..., None])[..., 0], dtype=np.complex128)
     columns = np.zeros((*r.shape, layout.count + effects), dtype=complex)
     columns[..., : layout.count], q = _linear_columns(
-        layout, p, view, gain, seen.jumps, seen.acting, _passed(view, candidate)
+        layout, p, view, gain, evaluated.jumps, evaluated.acting, _actuator_gain(view, candidate)
     )
     strong = thorough and not is_linear_in_motion(candidate) and moves_inner_masses(view, candidate)
     impedance_columns(view, candidate, sp, q, columns)
-    together = not is_linear_in_motion(candidate) and response_columns(
+    is_complete = not is_linear_in_motion(candidate) and response_columns(
         view, candidate, sp, q, columns, layout.count, strong=strong
     )
-    if not together:
-        if strong and seen.ends is not None:
+    if not is_complete:
+        if strong and evaluated.ends is not None:
             learn_inner_response(view, candidate)
         effect_columns(view, candidate, columns, layout.count)
-    if seen.ends is not None:
-        jump_columns(view, candidate, seen.ends.moved, seen.jumps, columns, layout.count)
-    if strong and not together:
+    if evaluated.ends is not None:
+        jump_columns(view, candidate, evaluated.ends.motion, evaluated.jumps, columns, layout.count)
+    if strong and not is_complete:
         law_columns(view, candidate, sp, q, columns, layout.count)
-    part: Float64 = stack(seen.root @ columns)
-    return part - seen.basis @ (seen.basis.T @ part) if seen.basis.size else part
+    part: Float64 = stack(evaluated.root @ columns)
+    return part - evaluated.basis @ (evaluated.basis.T @ part) if evaluated.basis.size else part
 
 
-def _left(root: Complex128, basis: Float64, r: Complex128, extra: Complex128) -> float:
-    """χ² of the missing torque ``r`` (F, M) with ``extra`` (F, M), without what the ends explain."""
+def _chi2_of(root: Complex128, basis: Float64, r: Complex128, extra: Complex128) -> float:
+    """χ² of the missing torque ``r`` + ``extra`` (F, M), the part along ``basis`` projected out."""
     white = stack(root @ (r + extra)[..., None])[:, 0]
     along = basis.T @ white
     return float(white @ white - along @ along)
@@ -274,18 +278,19 @@ def _linear_columns(
     gain: Complex128,
     jumps: Float64,
     acting: ActingTorque,
-    passed: Complex128,
+    actuator_gain: Complex128,
 ) -> tuple[Complex128, Complex128]:
-    """(F, M, parameters) derivative of r by those of the layout, and (F, ΣN) the motion it is taken at.
+    """(F, M, parameters) derivative of r by the layout's parameters, and (F, ΣN) the motion at which it is
+    taken.
 
     ``gain`` (F, M) is C_r⁻¹ r, ``jumps`` (2ΣN,) the ends of a record that does not close (empty for one that
-    does), ``passed`` (F, M) what actuators let through of a change of the acting torque.
+    does), ``actuator_gain`` (F, M) the transfer of the acting torque through actuator effects.
     """
     structure, record = layout.structure, view.record
     sp, motors = p[: structure.count], structure.motors
     # Only the sensors' noise moves the measurement: the scatter's share is in the covariance.
     expected = record.noise[:, :motors] * np.einsum("fij,fi->fj", view.stiffness.conj(), gain)
-    q = np.einsum("fqm,fm->fq", view.motion, record.position - expected) + view.feedback + view.of_ends
+    q = np.einsum("fqm,fm->fq", view.motion, record.position - expected) + view.feedback + view.end_motion
     columns = np.zeros((*record.torque.shape, layout.count), dtype=complex)
     columns[..., : structure.count] = structure.torque_derivative(sp, record.omega, view.motion, q[None])[0]
     if jumps.size:
@@ -293,26 +298,26 @@ def _linear_columns(
             structure, sp, record.omega, view.motion, jumps, record.span
         )
     at = structure.count
-    later = 1j * record.omega[:, None] * view.acting * passed
+    by_delay = 1j * record.omega[:, None] * view.acting * actuator_gain
     for k, i in enumerate(layout.free_delays):
-        columns[:, i, at + k] = later[:, i]
+        columns[:, i, at + k] = by_delay[:, i]
     at += len(layout.free_delays)
-    for k, i in enumerate(layout.free_stairs):
-        columns[:, i, at + k] = -acting.by_stair[:, i] * passed[:, i]
-        if i in layout.held_late and record.command is None:
-            columns[:, i, at + k] += 0.5 * layout.step * later[:, i]
-    at += len(layout.free_stairs)
+    for k, i in enumerate(layout.free_zoh):
+        columns[:, i, at + k] = -acting.by_zoh_share[:, i] * actuator_gain[:, i]
+        if i in layout.late_zoh_axes and record.command is None:
+            columns[:, i, at + k] += 0.5 * layout.step * by_delay[:, i]
+    at += len(layout.free_zoh)
     for k, hold in enumerate(layout.holds):
-        columns[:, hold.axis, at + k] = -acting.by_hold[:, k] * passed[:, hold.axis]
+        columns[:, hold.axis, at + k] = -acting.by_hold[:, k] * actuator_gain[:, hold.axis]
     at += len(layout.holds)
-    sharper = -later / layout.unsmoothed(p, record.omega)  # jω where 1 + jωτ was
+    by_lag = -by_delay / layout.inverse_lag(p, record.omega)  # jω where 1 + jωτ was
     for k, i in enumerate(layout.smoothed):
-        columns[:, i, at + k] = sharper[:, i]
+        columns[:, i, at + k] = by_lag[:, i]
     return columns, q
 
 
-def _passed(view: View, candidate: Candidate) -> Complex128:
-    """(F, M) how much of a change of the acting torque delays and lags of the actuators let through."""
+def _actuator_gain(view: View, candidate: Candidate) -> Complex128:
+    """(F, M) transfer of the acting torque through delays and lags of the actuators."""
     out: Complex128 = np.ones_like(view.acting)
     for term, x in zip(candidate.terms, candidate.x, strict=True):
         if isinstance(term.effect, ActuatorEffect):
@@ -321,16 +326,16 @@ def _passed(view: View, candidate: Candidate) -> Complex128:
 
 
 def count_per_line(record: SpectralRecord, root: Complex128) -> Float64:
-    """(F,) real numbers that every line of a record gives each axis: none where ``root`` (F, M, M) leaves it
-    out, and one at 0 Hz."""
+    """(F,) real numbers that each axis has on every line: 2, 1 at 0 Hz, 0 where ``root`` (F, M, M) leaves it
+    out."""
     out: Float64 = np.where(record.omega == 0.0, 1.0, 2.0) * (np.abs(root).sum(axis=(1, 2)) > 0)
     return out
 
 
 def residual_covariance(view: View, factor: Complex128, candidate: Candidate | None = None) -> Complex128:
-    """(F, M, M) covariance of r; a sensor whose scale is wrong shows its noise at that scale.
+    """(F, M, M) covariance of r; an effect that scales a sensor scales its noise as well.
 
-    Without that, of two scales that fit alike the one that makes the noise appear larger would win.
+    Without that, of two scales that fit alike the one with the larger apparent noise would win.
     """
     record = view.record
     motors = record.torque.shape[1]

@@ -1,8 +1,8 @@
-"""What the fit leaves beyond the sensors' noise, as a variance of its own.
+"""The residual beyond the sensors' noise as a variance of its own.
 
-Friction that sticks, ripple, anything the model does not have: it shows as missing torque larger
-than the noise predicts. Rows (one axis in one record) that carry it get less weight, and the
-covariance of the parameters becomes true to it.
+Friction that sticks, ripple, anything that the model lacks shows as missing torque larger than the noise
+predicts. Rows (one axis in one record) with it get less weight, and the covariance of the parameters becomes
+realistic.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from invid.likelihood.residual import MissingTorqueProblem, State
 from invid.numerics.arrays import Float64
 
 WINDOW = 24
-"""Neighbouring lines that share one excess variance: its own standard error is then 20 %."""
+"""Neighbouring lines that share one excess variance (statistical: its standard error is then 20 %)."""
 SIGNIFICANT = 3.0
-"""Standard errors above which an excess counts."""
+"""Standard errors from which an excess counts (statistical)."""
 
 
 def excess_variance(
@@ -32,7 +32,7 @@ def excess_variance(
     leverage = _leverage(problem, solution)
     powers, excesses = [], []
     for state, base_state, lev, noise in zip(states, base_states, leverage, base, strict=True):
-        excess = _excess(state, base_state, lev)
+        excess = _smooth_excess(state, base_state, lev)
         power = noise.copy()
         power[:, excess.shape[1] :] += excess
         powers.append(power)
@@ -41,7 +41,7 @@ def excess_variance(
 
 
 def _leverage(problem: MissingTorqueProblem, solution: Solution) -> list[Float64]:
-    """Per block (M,) the mean share of a row's variance that the fit has taken up."""
+    """Per block (M,) the mean share of a row's variance that the fit has absorbed."""
     scale, size, right, _ = jacobian_spectrum(solution.jacobian)
     seen = size > 1e-10 * size[0]
     hat = ((solution.jacobian @ (right[seen] / size[seen, None] / scale).T) ** 2).sum(axis=1)
@@ -56,28 +56,28 @@ def _leverage(problem: MissingTorqueProblem, solution: Solution) -> list[Float64
     return out
 
 
-def _excess(state: State, base: State, leverage: Float64) -> Float64:
+def _smooth_excess(state: State, base: State, leverage: Float64) -> Float64:
     """(F, M) excess torque power, smooth over the lines."""
     power = np.abs(state.residual) ** 2 / (1.0 - leverage)
     floor = np.einsum("fii->fi", base.covariance).real
     lines, motors = power.shape
     out = np.zeros((lines, motors))
     for i in range(motors):
-        overall, error = _common(power[:, i], floor[:, i])
+        overall, error = _common_excess(power[:, i], floor[:, i])
         start = overall if overall > SIGNIFICANT * error else 0.0
         out[:, i] = start
         if lines < 2 * WINDOW:
             continue
         for low in range(0, lines, WINDOW // 2):
             part = slice(max(low - WINDOW // 4, 0), min(low + 3 * WINDOW // 4, lines))
-            value, error = _common(power[part, i], floor[part, i])
+            value, error = _common_excess(power[part, i], floor[part, i])
             target = slice(low, min(low + WINDOW // 2, lines))
             out[target, i] = value if value > SIGNIFICANT * error else 0.0
     return out
 
 
-def _common(power: Float64, floor: Float64) -> tuple[float, float]:
-    """One excess x ≥ 0 with E[power] = floor + x, by iterated weighted means, and its standard error."""
+def _common_excess(power: Float64, floor: Float64) -> tuple[float, float]:
+    """One excess x ≥ 0 with E[power] = floor + x and its standard error, by iterated weighted means."""
     x = 0.0
     error = np.inf
     for _ in range(30):

@@ -1,4 +1,4 @@
-"""The whole fit of one structure: starts, nuisances, weights, covariance."""
+"""The complete fit of one structure: starts, nuisances, weights, covariance."""
 
 from __future__ import annotations
 
@@ -32,29 +32,29 @@ from invid.numerics.arrays import Float64
 from invid.numerics.distributions import chi2_isf
 from invid.signals.spectra import LineSpectra
 
-NEEDED = 1e-3
-"""Significance at which boundary terms are added: wrong once in a thousand settled records."""
+SIGNIFICANCE = 1e-3
+"""Significance at which boundary terms are added (statistical: wrong once in a thousand settled records)."""
 
 
-TEMPER = (0.1, 0.03, 0.01, 0.003)
-"""Shares of every amplitude that count as noise while a start is led to its minimum: under the sensors'
-noise alone the valley is so narrow that a start 12 % off in one spring of a chain of five ends in
-another minimum; a tenth of the amplitude makes it wide, and each step starts within the next."""
+NOISE_SHARES = (0.1, 0.03, 0.01, 0.003)
+"""Shares of every amplitude that count as noise while a start is led to its minimum. Empirical: under the
+sensors' noise alone a start 12 % off in one spring of a chain of five ends in another minimum; a tenth of the
+amplitude widens the valley, and each step starts within the next."""
 
 AT_NOISE = 1.5
-"""χ²/ν up to which a fit counts as at its noise and no further start is tried."""
-MODERATE = 300
-"""Modes times motors squared above which a plant is large. Four branches of five masses take seconds; beyond,
-a guess: six of five were cut short after six minutes."""
+"""χ²/ν up to which a fit counts as at its noise and no further start is tried (empirical)."""
+MOST_MODERATE = 300
+"""Modes times motors squared above which a plant is large. Empirical: four branches of five masses take
+seconds, six of five were cut short after six minutes."""
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
     """A fitted structure.
 
-    ``covariance`` (n, n) is of the structure's parameters in physical units, inflated where χ² says
-    so; ``names`` name them. ``noise_chi2`` is χ²/ν against the sensors' noise alone: what the model
-    leaves, in units of the noise; ``solution.reduced`` is after the excess got a variance.
+    ``covariance`` (n, n) is of the structure's parameters in physical units, inflated where χ² says so;
+    ``names`` name them. ``noise_chi2`` is χ²/ν against the sensors' noise alone; ``solution.reduced`` is χ²/ν
+    after the excess got a variance.
     """
 
     problem: MissingTorqueProblem
@@ -74,7 +74,7 @@ class Fit:
 
     @property
     def values(self) -> Float64:
-        """Structure's parameters in physical units."""
+        """(n,) the structure's parameters in physical units."""
         return self.structure.physical(self.solution.p[: self.structure.count])
 
 
@@ -98,38 +98,38 @@ def fit_structure(
         )
     # A large plant's further starts take longer than a search on from the first.
     patience = 1 if is_costly_to_start(structure.sizes) else 5 if thorough else 2
-    problem, solution = _best(problem, starts, spectra, 80 if thorough else 30, patience)
+    problem, solution = _fit_best_start(problem, starts, spectra, 80 if thorough else 30, patience)
     holds: dict[str, str] = {}
     budget.tell("identifying", 0.6 if thorough else 0.3)
     if thorough and not budget.is_left_out("transients, holds, inner friction and lags of the model"):
-        problem, solution = _boundary(problem, solution, spectra)
+        problem, solution = _add_boundary_terms(problem, solution, spectra)
         problem, solution = fit_sharp_reversals(problem, solution, spectra)
     problem, solution = fit_gradual_reversals(problem, solution, spectra)
     if thorough:
         problem, solution, holds = locate_holds(problem, solution, spectra)
-        problem, solution = _inner_friction(problem, solution)
+        problem, solution = _fit_inner_friction(problem, solution)
         problem, solution = fit_torque_lags(problem, solution)
     base = [b.noise for b in problem.blocks]
     noise_chi2, noise_cost = solution.reduced, solution.chi2
     excess: list[Float64] = []
     budget.tell("identifying", 0.8 if thorough else 0.3)
     if thorough:
-        problem, solution, excess = _weighted(problem, solution, base)
+        problem, solution, excess = _fit_excess_variance(problem, solution, base)
         plain = problem.with_noise(base)
-        again = solution if budget.is_spent() else gauss_newton(plain, solution.p)
-        if again.chi2 < 0.9 * noise_cost:
+        unweighted = solution if budget.is_spent() else gauss_newton(plain, solution.p)
+        if unweighted.chi2 < 0.9 * noise_cost:
             # The weights led out of a wrong minimum: what is left beyond the noise is to be judged anew.
-            noise_chi2, noise_cost = again.reduced, again.chi2
-            problem, solution, excess = _weighted(plain, again, base)
+            noise_chi2, noise_cost = unweighted.reduced, unweighted.chi2
+            problem, solution, excess = _fit_excess_variance(plain, unweighted, base)
         problem, solution, excess = _drop_coulomb(problem, solution, base, excess)
         problem, solution = fit_reversal_lags(problem, solution)
-    problem, solution, open_holds, early = free_hold_locations(problem, solution, spectra, holds)
+    problem, solution, open_holds, early_holds = free_hold_locations(problem, solution, spectra, holds)
     budget.tell("identifying", 0.95 if thorough else 0.3)
     free = physical_covariance(problem, solution)
-    bent = bool(gains_beyond_range(problem, solution))
-    problem, solution = _physical(problem, solution)
+    is_bounded = bool(gains_beyond_range(problem, solution))
+    problem, solution = _fit_within_bounds(problem, solution)
     # A hold that is kept in its range is known no better for that.
-    covariance = free if bent else physical_covariance(problem, solution)
+    covariance = free if is_bounded else physical_covariance(problem, solution)
     # A damper held at zero keeps the standard deviation it had when free.
     pinned = np.flatnonzero(~solution.free[: problem.structure.count])
     covariance[pinned, pinned] = np.diag(free)[pinned]
@@ -138,7 +138,7 @@ def fit_structure(
         for axis, dof in zip(structure.axes, structure.motor_dofs, strict=True)
         if axis in open_holds
     }
-    explained = _explained(problem, solution)
+    explained = _explained_share(problem, solution)
     return Fit(
         problem,
         solution,
@@ -148,42 +148,43 @@ def fit_structure(
         noise_chi2,
         noise_cost,
         explained,
-        {**_facts(problem, solution, excess), "holds": {**holds, **early}, "hold_timing": timing},
+        {**_facts(problem, solution, excess), "holds": {**holds, **early_holds}, "hold_timing": timing},
     )
 
 
 def is_costly_to_start(sizes: Sequence[int]) -> bool:
-    """Whether each start for a plant takes longer than a fit from it."""
-    return (sum(sizes) - len(sizes)) * len(sizes) ** 2 > MODERATE
+    """Whether a start for this plant takes longer than a fit from it."""
+    return (sum(sizes) - len(sizes)) * len(sizes) ** 2 > MOST_MODERATE
 
 
-def _best(
+def _fit_best_start(
     problem: MissingTorqueProblem,
     starts: Iterable[CoupledChains],
     spectra: Sequence[LineSpectra],
     iterations: int,
     patience: int,
 ) -> tuple[MissingTorqueProblem, Solution]:
-    """The lowest cost from all starts, and the problem with the friction that it was reached with.
+    """The problem, with the friction columns of its best fit, and the solution of lowest cost from all
+    starts.
 
-    Stops at the first that cannot be told from noise, or where a second start leads to the same minimum as
-    the best before it. How gradually friction turns over is asked after each: under a sign that is too sharp
-    a mode more or less is hidden behind what friction leaves, and no start would be told from noise.
+    Stops at the first start that reaches the noise, or where a second start leads to the same minimum as the
+    best one. The width of friction reversals is fitted after each: with a sign that is too sharp a mode hides
+    behind what friction leaves, and no start would reach the noise.
     """
     best: Solution | None = None
-    for number, p in enumerate(_promising(problem, starts, patience)):
+    for number, p in enumerate(_ordered_starts(problem, starts, patience)):
         if best is not None and budget.is_left_out("further starts of the identification"):
             break
         budget.tell(f"identifying, start {number + 1}", 0.5 * (1.0 - 0.5**number))
-        for share in TEMPER[1:]:
-            p = gauss_newton(_tempered(problem, share), p, iterations=15, tolerance=0.1).p
-        turned, found = fit_gradual_reversals(
+        for share in NOISE_SHARES[1:]:
+            p = gauss_newton(_temper(problem, share), p, iterations=15, tolerance=0.1).p
+        with_reversals, found = fit_gradual_reversals(
             problem, gauss_newton(problem, p, iterations=iterations), spectra
         )
-        again = best is not None and abs(found.chi2 - best.chi2) < 1e-3 * best.chi2
+        is_repeated = best is not None and abs(found.chi2 - best.chi2) < 1e-3 * best.chi2
         if best is None or found.chi2 < best.chi2:
-            problem, best = turned, found
-        if again or best.reduced < AT_NOISE:
+            problem, best = with_reversals, found
+        if is_repeated or best.reduced < AT_NOISE:
             break
     if best is None:
         raise NotIdentifiableError(
@@ -193,33 +194,34 @@ def _best(
     return problem, best
 
 
-def _promising(
+def _ordered_starts(
     problem: MissingTorqueProblem, starts: Iterable[CoupledChains], patience: int
 ) -> Iterator[Float64]:
-    """Where the starts lead with the widest valley, those that miss more than it grants after the others.
+    """(n,) parameters from the starts, fitted with the largest ``NOISE_SHARES``; those that miss more than it
+    come last.
 
-    A search on from there costs most of a fit, and nearly always ends in another minimum. Where
-    ``patience`` starts have missed, that is the machine, not the start: then the best of them goes on first.
+    A further fit from those costs most, and nearly always ends in another minimum. After ``patience`` such
+    starts it is the machine and not the start: then the best of them comes first.
     """
-    wide = _tempered(problem, TEMPER[0])
-    aside: list[Solution] = []
-    waited = False
+    tempered = _temper(problem, NOISE_SHARES[0])
+    postponed: list[Solution] = []
+    is_patience_spent = False
     for start in starts:
-        if aside and budget.is_spent():
+        if postponed and budget.is_spent():
             break
         p = problem.start(problem.structure.vector(start))
-        found = gauss_newton(wide, p, iterations=15, tolerance=0.1)
-        if found.reduced < 1.0 or waited:
+        found = gauss_newton(tempered, p, iterations=15, tolerance=0.1)
+        if found.reduced < 1.0 or is_patience_spent:
             yield found.p
             continue
-        aside.append(found)
-        if len(aside) == patience:
-            yield from (s.p for s in sorted(aside, key=lambda s: s.chi2))
-            aside, waited = [], True
-    yield from (s.p for s in sorted(aside, key=lambda s: s.chi2))
+        postponed.append(found)
+        if len(postponed) == patience:
+            yield from (s.p for s in sorted(postponed, key=lambda s: s.chi2))
+            postponed, is_patience_spent = [], True
+    yield from (s.p for s in sorted(postponed, key=lambda s: s.chi2))
 
 
-def _tempered(problem: MissingTorqueProblem, share: float) -> MissingTorqueProblem:
+def _temper(problem: MissingTorqueProblem, share: float) -> MissingTorqueProblem:
     """The problem with a share of every amplitude as further noise."""
     noise = []
     for block in problem.blocks:
@@ -228,31 +230,33 @@ def _tempered(problem: MissingTorqueProblem, share: float) -> MissingTorqueProbl
     return problem.with_noise(noise)
 
 
-def _boundary(
+def _add_boundary_terms(
     problem: MissingTorqueProblem, solution: Solution, spectra: Sequence[LineSpectra]
 ) -> tuple[MissingTorqueProblem, Solution]:
-    """Boundary terms for periodic records whose transient has not died: where they pay for themselves."""
+    """Problem and solution with boundary terms for periodic records whose transient is significant."""
     flags = [b.transient for b in problem.blocks]
     count = 2 * problem.structure.dofs
     for number, block in enumerate(problem.blocks):
         rows = 2 * block.position.size
         if block.transient or rows < 3 * count:
             continue
-        alone = replace(problem, blocks=(block,))
-        freed = replace(problem, blocks=(replace(block, transient=True),))
-        plain, _ = alone.evaluate(solution.p)
-        with_terms, _ = freed.evaluate(solution.p)
+        single = replace(problem, blocks=(block,))
+        with_boundary = replace(problem, blocks=(replace(block, transient=True),))
+        plain, _ = single.evaluate(solution.p)
+        with_terms, _ = with_boundary.evaluate(solution.p)
         before, after = float(plain[:rows] @ plain[:rows]), float(with_terms[:rows] @ with_terms[:rows])
-        # The scale is what is left with the terms in: friction that is left must not look like one.
+        # Scaled by the residual with the terms: unmodelled friction must not look like a transient.
         gain = (before - after) / max(after / (rows - count), 1.0)
-        flags[number] = bool(gain > chi2_isf(NEEDED, count))
+        flags[number] = bool(gain > chi2_isf(SIGNIFICANCE, count))
     if flags == [b.transient for b in problem.blocks]:
         return problem, solution
-    freed = add_coulomb_columns(problem_from_spectra(problem.structure, spectra, boundary=flags), spectra)
-    return freed, gauss_newton(freed, transfer_parameters(problem, solution.p, freed))
+    with_boundary = add_coulomb_columns(
+        problem_from_spectra(problem.structure, spectra, boundary=flags), spectra
+    )
+    return with_boundary, gauss_newton(with_boundary, transfer_parameters(problem, solution.p, with_boundary))
 
 
-def _inner_friction(
+def _fit_inner_friction(
     problem: MissingTorqueProblem, solution: Solution
 ) -> tuple[MissingTorqueProblem, Solution]:
     """Viscous friction of the masses beyond the motor, where the data ask for it.
@@ -268,15 +272,16 @@ def _inner_friction(
     scale = max(found.reduced, 1.0)
     part = slice(structure.slices["viscous"].stop, structure.slices["viscous"].stop + extra)
     positive = found.p[part] > -3.0 * parameter_std(found)[part]
-    if (solution.chi2 - found.chi2) / scale > chi2_isf(NEEDED, extra) and positive.all():
+    if (solution.chi2 - found.chi2) / scale > chi2_isf(SIGNIFICANCE, extra) and positive.all():
         return larger, found
     return problem, solution
 
 
-def _weighted(
+def _fit_excess_variance(
     problem: MissingTorqueProblem, solution: Solution, base: list[Float64]
 ) -> tuple[MissingTorqueProblem, Solution, list[Float64]]:
-    """Refit with what is left beyond the noise as a variance of its own, until it stands."""
+    """Problem, solution and excess after refits with the residual beyond noise as a variance, until they
+    settle."""
     excess: list[Float64] = [np.zeros(b.position.shape) for b in problem.blocks]
     for _ in range(6):
         noise, new = excess_variance(problem, solution, base)
@@ -297,7 +302,7 @@ def _weighted(
 def _drop_coulomb(
     problem: MissingTorqueProblem, solution: Solution, base: list[Float64], excess: list[Float64]
 ) -> tuple[MissingTorqueProblem, Solution, list[Float64]]:
-    """Leaves out Coulomb coefficients that the data do not ask for, or that would drive the motion."""
+    """The fit without Coulomb coefficients that are not significant, or that would drive the motion."""
     part = problem.slices["column"]
     if part.start == part.stop:
         return problem, solution, excess
@@ -308,15 +313,16 @@ def _drop_coulomb(
     names = tuple(n for n, k in zip(problem.column_names, keep, strict=True) if k)
     reduced = add_columns(problem, [b.columns[:, :, keep] for b in problem.blocks], names)
     solution = gauss_newton(reduced, transfer_parameters(problem, solution.p, reduced))
-    return _weighted(reduced, solution, base)
+    return _fit_excess_variance(reduced, solution, base)
 
 
-def _physical(problem: MissingTorqueProblem, solution: Solution) -> tuple[MissingTorqueProblem, Solution]:
-    """Dampers and viscous friction that came out negative are held at zero, gains of open holds within their
-    range, and the rest fitted again.
+def _fit_within_bounds(
+    problem: MissingTorqueProblem, solution: Solution
+) -> tuple[MissingTorqueProblem, Solution]:
+    """The fit with negative dampers and viscous friction at zero and gains of open holds within their range.
 
-    A viscous friction that is negative by more than three standard deviations stays: something else
-    wears its mask, and hiding that would bias the rest.
+    A viscous friction that is negative by more than three standard deviations stays: something else causes
+    it, and hiding that would bias the rest.
     """
     structure = problem.structure
     dampers, viscous = structure.slices["damper"], structure.slices["viscous"]
@@ -339,8 +345,8 @@ def _physical(problem: MissingTorqueProblem, solution: Solution) -> tuple[Missin
     return problem, solution
 
 
-def _explained(problem: MissingTorqueProblem, solution: Solution) -> float:
-    """Share of the (noise-weighted) torque power that the model accounts for, 0 … 1."""
+def _explained_share(problem: MissingTorqueProblem, solution: Solution) -> float:
+    """Explained share, 0 … 1, of the noise-weighted torque power."""
     left = total = 0.0
     for state in problem.states(solution.p):
         weight = 1.0 / np.maximum(np.einsum("fii->fi", state.covariance).real, 1e-300)
@@ -367,7 +373,7 @@ def _facts(problem: MissingTorqueProblem, solution: Solution, excess: list[Float
     spread = parameter_std(solution)
     s = problem.slices
 
-    def listed(part: slice) -> dict[str, dict[str, float]]:
+    def entries(part: slice) -> dict[str, dict[str, float]]:
         return {
             problem.names[k]: {"value": float(solution.p[k]), "std": float(spread[k])}
             for k in range(part.start, part.stop)
@@ -376,16 +382,16 @@ def _facts(problem: MissingTorqueProblem, solution: Solution, excess: list[Float
 
     viscous = problem.structure.slices["viscous"]
     motors = problem.structure.motors
-    friction = {k: v for k, v in listed(s["column"]).items() if k.endswith(COULOMB)}
+    friction = {k: v for k, v in entries(s["column"]).items() if k.endswith(COULOMB)}
     return {
         "result": solution.result,
         "iterations": solution.iterations,
         "chi2": solution.chi2,
         "dof": solution.dof,
-        "time_offset_s": {k: v for k, v in listed(s["delay"]).items() if not k.endswith(TORQUE_LAG)},
-        "torque_lag_s": _time_constants(listed(s["delay"])),
-        "held_over_sample": listed(s["staircase"]),
-        "friction": {**friction, **listed(viscous)},
+        "time_offset_s": {k: v for k, v in entries(s["delay"]).items() if not k.endswith(TORQUE_LAG)},
+        "torque_lag_s": _time_constants(entries(s["delay"])),
+        "held_over_sample": entries(s["staircase"]),
+        "friction": {**friction, **entries(viscous)},
         "boundary_terms": [b.key for b in problem.blocks if b.transient],
         "excess_torque": {
             b.key: [float(np.sqrt(e[:, i].mean())) for i in range(motors)]

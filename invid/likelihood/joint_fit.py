@@ -1,4 +1,4 @@
-"""Levenberg–Marquardt over the linear parameters and the effects together, bounds kept."""
+"""Levenberg–Marquardt over the linear parameters and the effects together, within bounds."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class JointFit:
 
     @property
     def dof(self) -> int:
-        """Degrees of freedom left."""
+        """Degrees of freedom."""
         return max(self.evaluation.dof - self.layout.count - sum(t.size for t in self.candidate.terms), 1)
 
     @property
@@ -44,13 +44,13 @@ class JointFit:
         return max(1.0, self.cost / self.dof)
 
     @property
-    def stuck(self) -> Bool:
-        """(n,) parameters at a bound that the cost would drive them past."""
+    def is_stuck(self) -> Bool:
+        """(n,) parameters at a bound whose gradient points outwards."""
         low, high = parameter_bounds(self.layout, self.candidate, self.evaluation, strict=True)
-        return _stuck(pack(self.p, self.candidate), low, high, self.evaluation)
+        return _is_stuck(pack(self.p, self.candidate), low, high, self.evaluation)
 
     def covariance_of(self, number: int) -> Float64:
-        """(k, k) of the parameters of one effect; negative numbers count from the last."""
+        """(k, k) covariance of the parameters of one effect; negative numbers count from the last."""
         ends = self.layout.count + np.cumsum([t.size for t in self.candidate.terms])
         part = slice(int(ends[number]) - self.candidate.terms[number].size, int(ends[number]))
         return self.covariance[part, part]
@@ -67,9 +67,9 @@ def parameter_bounds(
     if strict:  # up to one sample is sampling convention; more is a finding
         low[at : at + len(layout.free_delays)] = -1.0 * layout.step
         high[at : at + len(layout.free_delays)] = 1.0 * layout.step
-    low[layout.stairs_at], high[layout.stairs_at] = -0.5, 1.5
-    low[layout.holds_at], high[layout.holds_at] = SHARES
-    low[layout.smoothed_at] = 0.0
+    low[layout.zoh_slice], high[layout.zoh_slice] = -0.5, 1.5
+    low[layout.hold_slice], high[layout.hold_slice] = SHARES
+    low[layout.lag_slice] = 0.0
     for term in candidate.terms:
         shapes = term.effect.limits(evaluation.views, term.place)
         low = np.concatenate((low, term.effect.lower, [s[0] for s in shapes]))
@@ -78,12 +78,12 @@ def parameter_bounds(
 
 
 def pack(p: Float64, candidate: Candidate) -> Float64:
-    """(n,) the layout's parameters, then the effects'."""
+    """(n,) parameters of the layout, then of the effects."""
     return np.concatenate((p, *candidate.x)) if candidate.x else p.copy()
 
 
 def unpack(layout: Layout, candidate: Candidate, v: Float64) -> tuple[Float64, Candidate]:
-    """What ``pack`` put together."""
+    """Parameters of the layout and effects from a vector of ``pack``."""
     at, xs = layout.count, []
     for term in candidate.terms:
         xs.append(v[at : at + term.size].copy())
@@ -103,10 +103,10 @@ def fit(
     quick: bool = False,
     known: Evaluation | None = None,
 ) -> JointFit:
-    """Minimise the cost; converged when the predicted decrease is below ``tolerance``·χ²/ν.
+    """The joint fit from ``p`` (n,); converged when the predicted decrease of χ² is below ``tolerance``·χ²/ν.
 
-    ``quick``: a first look, with a Jacobian that takes the effects' forces on inner masses as given.
-    ``known``: the evaluation where it starts, if there is one.
+    ``quick``: with a Jacobian that takes the effects' forces on inner masses as given. ``known``: the
+    evaluation at the start, if there is one.
     """
     structure, thorough = layout.structure, not quick
     if known is None:
@@ -126,9 +126,9 @@ def fit(
 
     def parabola(here: _Point) -> Parabola:
         around = here.derive(layout, thorough=thorough)
-        return Parabola.of_rows(around.jacobian, around.residual, ~_stuck(here.v, low, high, around))
+        return Parabola.of_rows(around.jacobian, around.residual, ~_is_stuck(here.v, low, high, around))
 
-    def moved(here: _Point, step: Float64) -> _Point | None:
+    def take_step(here: _Point, step: Float64) -> _Point | None:
         trial = np.clip(here.v + step, low, high)
         p, candidate = unpack(layout, here.candidate, trial)
         if not structure.admissible(p[: structure.count]):
@@ -143,7 +143,7 @@ def fit(
     found = minimise(
         _Point(v, p, candidate, known),
         parabola,
-        moved,
+        take_step,
         limited=limited,
         iterations=iterations,
         dof=known.dof,
@@ -159,7 +159,7 @@ def fit(
 
 @dataclass(eq=False)
 class _Point:
-    """A point of the search; its Jacobian is made when it is asked for, for an accepted one only."""
+    """A point of the search; its Jacobian is computed on demand, for accepted points only."""
 
     v: Float64
     p: Float64
@@ -196,7 +196,7 @@ def reorder_effects(found: JointFit, order: Sequence[int]) -> JointFit:
 
 
 def drop_last_effect(found: JointFit, records: Sequence[SpectralRecord]) -> JointFit:
-    """The fit without its last effect; a delay's axis has its time offset back."""
+    """The fit without its last effect; the axis of a delay gets its time offset back."""
     layout, p, term = found.layout, found.p, found.candidate.terms[-1]
     if term.effect.cause == "torque_delay":
         layout = layout.with_delay(term.place.axis)
@@ -205,17 +205,17 @@ def drop_last_effect(found: JointFit, records: Sequence[SpectralRecord]) -> Join
     return fit(layout, records, p, candidate, iterations=25)
 
 
-def _stuck(v: Float64, low: Float64, high: Float64, here: Evaluation) -> Bool:
-    """(n,) at a bound, and the gradient points beyond it."""
+def _is_stuck(v: Float64, low: Float64, high: Float64, here: Evaluation) -> Bool:
+    """(n,) whether a parameter is at a bound and its gradient points outwards."""
     gradient = here.jacobian.T @ here.residual
     return ((v <= low) & (gradient > 0)) | ((v >= high) & (gradient < 0))
 
 
 def _covariance(here: Evaluation, v: Float64) -> Float64:
-    """(n, n) of everything; infinite where the data do not see it.
+    """(n, n) covariance of all parameters; infinite where the data do not determine them.
 
-    The larger, parameter by parameter, of two: what the noise makes of it times χ²/ν > 1, and the sandwich
-    over lines (White 1980), true also where a model that is not quite right leaves more on the few lines that
+    The larger, parameter by parameter, of two: that of the noise times χ²/ν > 1, and the sandwich over lines
+    (White 1980), which is true also where a model that is not quite right leaves more on the few lines that
     the parameter is read from than on the rest.
     """
     out, lost = inverse_normal(here.jacobian)
@@ -229,7 +229,7 @@ def _covariance(here: Evaluation, v: Float64) -> Float64:
 
 
 def _line_scores(here: Evaluation) -> Float64:
-    """(lines of all records, n) what each line adds to half the gradient of the cost."""
+    """(lines of all records, n) contribution of each line to half the gradient of the cost."""
     at, out = 0, []
     for view in here.views:
         lines, motors = view.acting.shape
@@ -241,9 +241,9 @@ def _line_scores(here: Evaluation) -> Float64:
 
 
 def evaluate_held_out(
-    fit_: JointFit, records: Sequence[SpectralRecord], candidate: Candidate | None = None
+    fitted: JointFit, records: Sequence[SpectralRecord], candidate: Candidate | None = None
 ) -> Evaluation:
-    """The held-out records under a fit, nothing refitted."""
+    """The held-out records evaluated under a fit, nothing refitted."""
     return evaluate(
-        fit_.layout, records, fit_.p, fit_.candidate if candidate is None else candidate, jacobian=False
+        fitted.layout, records, fitted.p, fitted.candidate if candidate is None else candidate, jacobian=False
     )

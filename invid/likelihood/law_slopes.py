@@ -1,4 +1,4 @@
-"""Laws around the motion there is: what a change of inner motion does to their forces.
+"""Laws linearised at the present motion: the change of their forces with inner motion.
 
 Where a record closes, a law of the motion at the same time is a product over time and so a convolution over
 the lines: a Toeplitz and a Hankel matrix, both from one Fourier transform of its slope.
@@ -22,46 +22,46 @@ from invid.likelihood.placed_effect import Candidate, PlacedEffect
 from invid.model.place import Pattern
 from invid.numerics.arrays import Bool, Complex128, Float64
 
-STEP = 1e-6
-"""Difference of a sample of motion, over the rms of the motion, that a local law's slope is taken with."""
+DIFFERENCE = 1e-6
+"""Finite difference of one sample of motion, over the rms of the motion, for the slope of a local law."""
 
 
 @dataclass(frozen=True, eq=False)
 class ForceChange:
-    """What P parameters change at the forces there are."""
+    """Direct changes with P parameters at fixed forces."""
 
     base: Complex128
     """(F, ΣN, P) motion of the linear plant."""
     missing: Complex128
-    """(F, M, P) missing torque of it."""
+    """(F, M, P) missing torque of the linear plant."""
     springs: Float64
     """(springs, P), stiffness; ``dampers`` (springs, P)."""
     dampers: Float64
     total: Complex128
-    """(F, M, P) what the effects contribute."""
+    """(F, M, P) contributions of the effects."""
     back: Complex128
-    """(F, ΣN, P) inner motion that follows from it."""
+    """(F, ΣN, P) inner motion that follows from them."""
 
     def only(self, columns: Bool) -> ForceChange:
-        """Some of the parameters."""
+        """The change with some of the parameters."""
         return ForceChange(*(getattr(self, f.name)[..., columns] for f in fields(self)))
 
 
 @dataclass(frozen=True, eq=False)
 class Factors:
-    """A slope taken apart: f = made · (Re(read · u) + direct), with u (F,) the change of the motion that it
-    reads, f (F,) that of the force, and r numbers between."""
+    """A slope as a product: f = made · (Re(read · u) + direct), with u (F,) the change of the motion that the
+    law reads, f (F,) that of the force, and r numbers between."""
 
     read: Complex128
     """(r, F)."""
     made: Complex128
     """(F, r)."""
     direct: Float64
-    """(r, P) what the springs and dampers themselves change."""
+    """(r, P) direct change with the springs and dampers."""
 
 
 class LawSlope(Protocol):
-    """A law around the motion there is: the force that a change of motion makes."""
+    """A law linearised at the present motion: change of force with a change of motion."""
 
     def force(self, view: View, change: ForceChange, inner: Complex128, jumps: Float64) -> Complex128:
         """(F, P) lines of the force along the place."""
@@ -69,54 +69,56 @@ class LawSlope(Protocol):
 
     @property
     def pattern(self) -> Pattern:
-        """Where it reads motion."""
+        """Pattern along which the law reads motion."""
         ...
 
     def factors(self, view: View, change: ForceChange) -> Factors | None:
-        """The same where the record closes; ``None`` where that is no product over time."""
+        """The slope as a product where the record closes; ``None`` where it is no product over time."""
         ...
 
 
 def slopes_of(view: View, candidate: Candidate) -> list[tuple[PlacedEffect, LawSlope]] | None:
-    """The laws that feel inner motion, each around the motion there is; ``None`` where one of them has no
-    slope by itself: it remembers, or is read from the torque."""
+    """The laws that depend on inner motion, linearised; ``None`` where one has no slope by itself.
+
+    Such a law has memory or is estimated from the torque.
+    """
     out: list[tuple[PlacedEffect, LawSlope]] = []
     for term, x in zip(candidate.terms, candidate.x, strict=True):
         effect = term.effect
         if isinstance(effect, ImpedanceEffect):
             if not effect.steady:
                 return None
-        elif term.feels(view) and not effect.follows_motor(term.place):
-            slope = _slope(view, term, x)
+        elif term.depends_on_inner_motion(view) and not effect.follows_motor(term.place):
+            slope = _slope_of(view, term, x)
             if slope is None:
                 return None
             out.append((term, slope))
     return out
 
 
-def _slope(view: View, term: PlacedEffect, x: Float64) -> LawSlope | None:
+def _slope_of(view: View, term: PlacedEffect, x: Float64) -> LawSlope | None:
     effect, place = term.effect, term.place
     if view.record.lines[-1] * 2 >= view.record.samples:
         return None
-    if isinstance(effect, DryLaw) and (share := effect.holding(view, place, x.tolist())) is not None:
-        return _Holding.of(view, share, place.axis)
+    if isinstance(effect, DryLaw) and (share := effect.holding_share(view, place, x.tolist())) is not None:
+        return HeldMotor.of(view, share, place.axis)
     if type(effect) is Backlash:
-        return _Gap.of(view, term, float(np.exp(x[0])))
+        return PlaySlope.of(view, term, float(np.exp(x[0])))
     if not (isinstance(effect, ForceEffect) and effect.local and term.inner):
         return None
-    return _Local.of(view, effect, term, x)
+    return LocalLaw.of(view, effect, term, x)
 
 
 @dataclass(frozen=True, eq=False)
-class _Holding:
-    """Friction that holds a motor: where it stands, the torque of its spring, as far as it is not beyond."""
+class HeldMotor:
+    """Friction that holds a standing motor: it balances the torque of the motor's spring up to its limit."""
 
     pattern: Pattern
     spring: int
     phase: Complex128
     """(m, F) e^{jωt} at the samples at which it holds."""
     share: Float64
-    """(m,) of each sample."""
+    """(m,) share of each sample in which it holds."""
     time: Float64
     ends: tuple[bool, bool]
     """Whether the first and the last sample of the record are among them."""
@@ -124,8 +126,8 @@ class _Holding:
     rate: Float64
 
     @classmethod
-    def of(cls, view: View, share: Float64, axis: int) -> _Holding | None:
-        """``share`` (n,) of each sample in which friction takes whatever acts."""
+    def of(cls, view: View, share: Float64, axis: int) -> HeldMotor | None:
+        """``share`` (n,) of each sample in which friction balances the acting torque."""
         structure, record = view.structure, view.record
         at = structure.motor_dofs[axis]
         pattern: Pattern = ((at, 1.0),)
@@ -163,7 +165,7 @@ class _Holding:
             first, last = held[0] * self.ends[0], held[-1] * self.ends[1]
             out = out + (last - first) / record.samples
         out[0] *= 0.5
-        return out / view.smear[:, None]
+        return out / view.averaging_gain[:, None]
 
     def factors(self, view: View, change: ForceChange) -> Factors | None:
         record, omega = view.record, view.omega
@@ -176,12 +178,12 @@ class _Holding:
         direct = self.wave[:, None] * change.springs[self.spring]
         direct = direct + self.rate[:, None] * change.dampers[self.spring]
         read: Complex128 = self.phase * (k + 1j * omega * d)
-        return Factors(read, made / view.smear[:, None], direct)
+        return Factors(read, made / view.averaging_gain[:, None], direct)
 
 
 @dataclass(frozen=True, eq=False)
-class _Local:
-    """A law of the motion at the same time, or at the samples beside it, beyond the band too."""
+class LocalLaw:
+    """A law of the motion at the same time or at neighbouring samples, beyond the band too."""
 
     pattern: Pattern
     smeared: bool
@@ -191,7 +193,7 @@ class _Local:
     velocity: tuple[Float64, Float64, Float64]
 
     @classmethod
-    def of(cls, view: View, effect: ForceEffect, term: PlacedEffect, x: Float64) -> _Local:
+    def of(cls, view: View, effect: ForceEffect, term: PlacedEffect, x: Float64) -> LocalLaw:
         count, pattern = len(effect.coefficients), term.place.pattern(view.structure)
 
         def law() -> Float64:
@@ -201,10 +203,10 @@ class _Local:
         compliance = beyond_band(view, term.place) if effect.answered else None
         try:
             if compliance is not None:
-                view.hide(pattern, solve_with_motion(view, pattern, compliance, law)[1])
+                view.set_hidden_motion(pattern, solve_with_motion(view, pattern, compliance, law)[1])
             found = [_slopes_over_time(view, pattern, rate, law) for rate in (False, True)]
         finally:
-            view.hide(pattern, None)
+            view.set_hidden_motion(pattern, None)
         return cls(pattern, effect.smeared, compliance, found[0], found[1])
 
     def factors(self, view: View, change: ForceChange) -> Factors | None:
@@ -215,9 +217,9 @@ class _Local:
         if any(w.any() for w in self.velocity):
             rate, turned = _convolution(view, self.velocity)
             same, mirrored = same + rate * own, mirrored - turned * own
-        smear = view.smear if self.smeared else np.ones(own.size)
+        smear = view.averaging_gain if self.smeared else np.ones(own.size)
         nothing = np.zeros((own.size, change.springs.shape[1]), dtype=complex)
-        return _of_lines(same / smear[:, None], mirrored / smear[:, None], nothing)
+        return _factors_of_lines(same / smear[:, None], mirrored / smear[:, None], nothing)
 
     def force(self, view: View, change: ForceChange, inner: Complex128, jumps: Float64) -> Complex128:
         record, own = view.record, 1j * view.omega[:, None]
@@ -228,33 +230,33 @@ class _Local:
             position = record.to_waves(lines) + record.wave_time[:, None] * wander
         if any(s.any() for s in self.velocity):
             velocity = record.to_waves(own * lines) + wander
-        force = seen = self._along(position, velocity)
+        force = seen = self._force_along(position, velocity)
         if self.compliance is not None:
             rate = 1j * record.wave_omega[:, None]
             for _ in range(BEYOND_PASSES):
                 hidden = -self.compliance[:, None] * np.fft.rfft(force, axis=0)
                 more = (np.fft.irfft(h, record.samples, axis=0) for h in (hidden, rate * hidden))
-                force = 0.5 * (force + seen + self._along(*more))
+                force = 0.5 * (force + seen + self._force_along(*more))
         return view.to_lines(force, smeared=self.smeared)
 
-    def _along(self, position: Float64, velocity: Float64) -> Float64:
+    def _force_along(self, position: Float64, velocity: Float64) -> Float64:
         """(n, P) force for a change of motion over time."""
-        return _shifted(self.position, position) + _shifted(self.velocity, velocity)
+        return _apply_slopes(self.position, position) + _apply_slopes(self.velocity, velocity)
 
 
 @dataclass(frozen=True, eq=False)
-class _Gap:
+class PlaySlope:
     """Free play: spring and damper lose the deflection within it."""
 
     pattern: Pattern
     spring: int
     inside: Complex128
-    """(F,) lines of what they lose, ``rate`` (F,) those of its rate."""
+    """(F,) lines of the deflection that they lose, ``rate`` (F,) those of its rate."""
     rate: Complex128
     position: tuple[Float64, Float64, Float64]
 
     @classmethod
-    def of(cls, view: View, term: PlacedEffect, gap: float) -> _Gap:
+    def of(cls, view: View, term: PlacedEffect, gap: float) -> PlaySlope:
         pattern = term.place.pattern(view.structure)
 
         def law() -> Float64:
@@ -275,16 +277,16 @@ class _Gap:
         if view.record.transient:
             return None
         k, d, own = float(view.springs[self.spring]), float(view.dampers[self.spring]), 1j * view.omega
-        stiff = -(k + own * d)[:, None] / view.smear[:, None]
+        stiff = -(k + own * d)[:, None] / view.averaging_gain[:, None]
         same, mirrored = _convolution(view, self.position)
         moved = own[:, None] * change.dampers[self.spring] + change.springs[self.spring]
-        return _of_lines(stiff * same, stiff * mirrored, -self.inside[:, None] * moved)
+        return _factors_of_lines(stiff * same, stiff * mirrored, -self.inside[:, None] * moved)
 
     def force(self, view: View, change: ForceChange, inner: Complex128, jumps: Float64) -> Complex128:
         record, omega = view.record, view.omega[:, None]
         lines, wander = motion_along(view, self.pattern, inner, jumps)
         wave = record.to_waves(lines) + record.wave_time[:, None] * wander
-        inside = _shifted(self.position, wave)
+        inside = _apply_slopes(self.position, wave)
         lost = view.to_lines(inside, smeared=True)
         rate = 1j * omega * lost
         if record.transient:
@@ -299,8 +301,8 @@ class _Gap:
         return out
 
 
-def _shifted(slopes: tuple[Float64, Float64, Float64], wave: Float64) -> Float64:
-    """(n, P) change of a law for a change of its wave (n, P), ``slopes`` as of ``_slopes_over_time``."""
+def _apply_slopes(slopes: tuple[Float64, Float64, Float64], wave: Float64) -> Float64:
+    """(n, P) change of a law with its wave (n, P); ``slopes`` as of ``_slopes_over_time``."""
     before, at, after = slopes
     out = at[:, None] * wave if at.any() else np.zeros_like(wave)
     for slope, shift in ((before, -1), (after, 1)):
@@ -312,12 +314,13 @@ def _shifted(slopes: tuple[Float64, Float64, Float64], wave: Float64) -> Float64
 def _slopes_over_time(
     view: View, pattern: Pattern, rate: bool, law: Callable[[], Float64]
 ) -> tuple[Float64, Float64, Float64]:
-    """(n,) each: change of a law at the sample before, at and after the one that moves (or its ``rate``)."""
+    """(n,) each: change of a law at the sample before, at and after the one whose position (or ``rate``)
+    changes."""
     kept = dict(view._waves)
     wave, rest = view._wave(pattern, rate), law()
-    length = STEP * max(float(np.sqrt(np.mean(wave**2))), 1e-300)
+    length = DIFFERENCE * max(float(np.sqrt(np.mean(wave**2))), 1e-300)
     at, before, after = (np.zeros(wave.size) for _ in range(3))
-    for mask in _apart(wave.size):
+    for mask in _separated_masks(wave.size):
         view._waves[(pattern, rate)] = wave + length * mask
         change = (law() - rest) / length
         moved = np.flatnonzero(mask)
@@ -329,8 +332,7 @@ def _slopes_over_time(
 
 
 def _convolution(view: View, slopes: tuple[Float64, Float64, Float64]) -> tuple[Complex128, Complex128]:
-    """(F, F) twice: lines of the force are the first times those of the motion and the second times their
-    conjugates."""
+    """(F, F) twice: factors of the motion's lines and of their conjugates in the lines of the force."""
     count, lines = view.record.samples, view.record.lines
     same: Complex128 = np.zeros((lines.size, lines.size), dtype=complex)
     mirrored: Complex128 = np.zeros_like(same)
@@ -346,16 +348,16 @@ def _convolution(view: View, slopes: tuple[Float64, Float64, Float64]) -> tuple[
     return same / count, mirrored / count
 
 
-def _of_lines(same: Complex128, mirrored: Complex128, direct: Complex128) -> Factors:
-    """Factors with the real and imaginary parts of the force's lines between."""
+def _factors_of_lines(same: Complex128, mirrored: Complex128, direct: Complex128) -> Factors:
+    """Factors with the real and imaginary parts of the force's lines as the numbers between."""
     # Re(S x̄) = Re(S̄ x), and an imaginary part is a real one of −j times.
     read = np.concatenate((same + mirrored.conj(), 1j * (mirrored.conj() - same)))
     made = np.concatenate((np.eye(same.shape[0]), 1j * np.eye(same.shape[0])), axis=1)
     return Factors(read, made, np.concatenate((direct.real, direct.imag)))
 
 
-def _apart(count: int) -> list[Float64]:
-    """Masks (n,) whose samples have two others between them, around the end too."""
+def _separated_masks(count: int) -> list[Float64]:
+    """Masks (n,) whose samples are at least three apart, around the end too."""
     number = np.arange(count) % 3
     for k in range(count % 3):
         number[count - 1 - k] = 3 + k
@@ -365,7 +367,7 @@ def _apart(count: int) -> list[Float64]:
 def motion_along(
     view: View, pattern: Pattern, inner: Complex128, jumps: Float64
 ) -> tuple[Complex128, Float64]:
-    """(F, P) lines along a place, and (P,) the rate at which it wanders besides."""
+    """(F, P) lines along a place, and (P,) its mean rate over a record that does not close."""
     lines = along(pattern, inner)
     if view.closing is None:
         return lines, np.zeros(inner.shape[-1])

@@ -13,7 +13,7 @@ from invid.numerics.levenberg_marquardt import NEARLY, Parabola, minimise
 
 @dataclass(frozen=True, eq=False)
 class _Point:
-    """Where the search stands."""
+    """A point of the search with residual, Jacobian and cost."""
 
     p: Float64
     residual: Float64
@@ -23,11 +23,11 @@ class _Point:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Where the fit stopped.
+    """The result of a fit.
 
-    ``result`` is "converged", "stalled" (no step reduces the cost, gradient not small) or "limit"
-    (iterations or time used up). ``covariance`` is (n, n) over all parameters, zero rows where fixed, not
-    inflated. ``chi2`` is the whitened sum of squares with ``dof`` real degrees of freedom.
+    ``result`` is "converged", "stalled" (no step reduces the cost, gradient not small) or "limit" (iterations
+    or time used up). ``covariance`` is (n, n) over all parameters, zero rows where fixed, not inflated.
+    ``chi2`` is the whitened sum of squares with ``dof`` real degrees of freedom.
     """
 
     p: Float64
@@ -52,21 +52,21 @@ def gauss_newton(
     iterations: int = 60,
     tolerance: float = 1e-3,
 ) -> Solution:
-    """Minimise the cost from ``start``.
+    """The solution from ``start`` (n,).
 
-    Converged when the predicted decrease of χ² is below ``tolerance`` times χ²/ν (then no parameter
-    would move by more than √tolerance standard deviations); where the iterations end in a valley that
-    bends, a step of half a standard deviation still counts.
+    Converged when the predicted decrease of χ² is below ``tolerance`` times χ²/ν (then no parameter would
+    move by more than √tolerance standard deviations); where the iterations end in a curved valley, a step of
+    half a standard deviation counts as converged.
     """
     free, structure = problem.free, problem.structure
     limited = np.zeros(start.size, dtype=bool)
     limited[problem.slices["structure"]] = structure.logarithmic
 
-    def at(p: Float64) -> _Point:
+    def point_at(p: Float64) -> _Point:
         residual, jacobian = problem.evaluate(p)
         return _Point(p, residual, jacobian, float(residual @ residual))
 
-    def moved(here: _Point, step: Float64) -> _Point | None:
+    def take_step(here: _Point, step: Float64) -> _Point | None:
         whole = np.zeros(start.size)
         whole[free] = step
         trial = here.p + whole
@@ -77,14 +77,14 @@ def gauss_newton(
             return None
         with np.errstate(all="ignore"):
             try:
-                return at(trial)
+                return point_at(trial)
             except np.linalg.LinAlgError:
                 return None
 
     found = minimise(
-        at(start.copy()),
+        point_at(start.copy()),
         lambda here: Parabola.of_rows(here.jacobian, here.residual),
-        moved,
+        take_step,
         limited=limited[free],
         iterations=iterations,
         dof=problem.dof,

@@ -1,4 +1,4 @@
-"""Effects at their places, and what they contribute to the missing torque together."""
+"""Effects at their places, and their joint contribution to the missing torque."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from invid.model.place import Pattern, Place
 from invid.numerics.arrays import Complex128, Float64
 
 PASSES = 12
-"""Most steps of inner motion and the forces that depend on it; weak effects agree after two or three."""
+"""Most iterations of inner motion and forces; weak effects agree after two or three."""
 
 
 @dataclass(frozen=True)
@@ -35,8 +35,8 @@ class PlacedEffect:
         """Whether it depends on inner motion, which forces change."""
         return self.place.kind in ("spring", "pair") or (self.place.kind == "mass" and self.place.number > 1)
 
-    def feels(self, view: View) -> bool:
-        """Whether it does in a record."""
+    def depends_on_inner_motion(self, view: View) -> bool:
+        """Whether it depends on inner motion in this record; friction does while its motor stands."""
         return self.inner or self.effect.stands(view, self.place)
 
 
@@ -64,30 +64,32 @@ class Candidate:
 def contributions(
     view: View, candidate: Candidate, *, passes: int = PASSES, early: bool = True
 ) -> Complex128:
-    """(F, M) of all effects, inner motion brought into agreement with the forces.
+    """(F, M) of all effects, with inner motion in agreement with the forces.
 
-    ``early``: stop as soon as it is; otherwise a fixed number of steps along what is known, for differences.
+    ``early``: stop at agreement; otherwise a fixed number of steps along known directions, for differences.
     """
     if not candidate.terms:
         return np.zeros_like(view.acting)
     forces = forces_of(view, candidate)
     if is_linear_in_motion(candidate):
         total, back = forces()
-        view.respond(back, view.closed(total))
+        view.set_inner_motion(back, view.closing_jumps(total))
         return total
-    if not any(t.feels(view) for t in candidate.terms):  # nothing depends on what it moves
+    if not any(
+        t.depends_on_inner_motion(view) for t in candidate.terms
+    ):  # no force depends on the inner motion
         total, back = forces()
-        view.respond(back)
+        view.set_inner_motion(back)
         return total
     total = solve_inner_motion(view, forces, passes, early=early)
     if not early or not any(t.effect.stands(view, t.place) for t in candidate.terms):
         return total
-    view.forget_measured()  # what resists beside a motor that stands, now that it is known what acts on it
+    view.clear_cache()  # resistance of a standing motor depends on the inner motion just found
     return solve_inner_motion(view, forces, passes)
 
 
 def is_linear_in_motion(candidate: Candidate) -> bool:
-    """Whether all forces follow from the motors' spectra, exactly: nothing has to come into agreement."""
+    """Whether all forces follow linearly from the motors' spectra, so that no iteration is needed."""
     return all(isinstance(t.effect, ImpedanceEffect) and t.effect.steady for t in candidate.terms)
 
 
@@ -95,40 +97,45 @@ _Impedances = Sequence[tuple[ImpedanceEffect, Place, Float64]]
 
 
 def impedances(view: View, effects: _Impedances, back: Complex128) -> tuple[Complex128, Complex128]:
-    """(F, M) contributions of effects linear in motion and (F, ΣN) what they do to inner coordinates.
+    """(F, M) contributions of effects linear in motion and (F, ΣN) the inner motion that they cause.
 
-    Exact, each in the motion that the others and the laws (``back``, (F, ΣN)) leave: friction at a mass moves
+    Exact, each in the motion that the others and the laws (``back``, (F, ΣN)) cause: friction at a mass moves
     what a mode on it or a damper beside it feels.
     """
     key = ("impedances", tuple((effect, place, tuple(x)) for effect, place, x in effects))
-    own = view.measured(key, lambda: _Impeded.of(view, effects))
-    moved = view.raw + back
-    asked = [
-        z * along(pattern, moved) + effect.within(view, place, x.tolist())
+    own = view.cached(key, lambda: CoupledImpedances.of(view, effects))
+    motion = view.unfiltered + back
+    alone = [
+        z * along(pattern, motion) + effect.within(view, place, x.tolist())
         for z, pattern, (effect, place, x) in zip(own.size, own.patterns, effects, strict=True)
     ]
-    forces = (own.meet @ np.stack(asked, axis=-1)[..., None])[..., 0]
-    return (own.push @ forces[..., None])[..., 0], -(own.yields @ forces[..., None])[..., 0]
+    forces = (own.coupling @ np.stack(alone, axis=-1)[..., None])[..., 0]
+    return (own.condensed_force @ forces[..., None])[..., 0], -(own.inner_receptance @ forces[..., None])[
+        ..., 0
+    ]
 
 
 @dataclass(frozen=True, eq=False)
-class _Impeded:
-    """Effects linear in motion at one place each, as far as inner motion does not change them."""
+class CoupledImpedances:
+    """Effects linear in motion at their places, as far as inner motion does not change them."""
 
     patterns: list[Pattern]
-    push: Complex128
-    """(F, M, k) what unit forces do to the motors' torque; ``yields`` (F, ΣN, k) to inner coordinates."""
-    yields: Complex128
+    condensed_force: Complex128
+    """(F, M, k) motor torques of unit forces; ``inner_receptance`` (F, ΣN, k) their inner motion."""
+    inner_receptance: Complex128
     size: list[Complex128]
-    meet: Complex128
-    """(F, k, k) forces over what each would be alone."""
+    coupling: Complex128
+    """(F, k, k) coupled forces over what each would be alone."""
 
     @classmethod
-    def of(cls, view: View, effects: _Impedances) -> _Impeded:
+    def of(cls, view: View, effects: _Impedances) -> CoupledImpedances:
         patterns = [place.pattern(view.structure) for _, place, _ in effects]
-        push, yields = view.measured(
+        push, yields = view.cached(
             ("unit forces", tuple(patterns)),  # the same for all sizes of the effects
-            lambda: tuple(np.stack([f(p) for p in patterns], axis=-1) for f in (view.push, view.yields)),
+            lambda: tuple(
+                np.stack([f(p) for p in patterns], axis=-1)
+                for f in (view.condensed_force, view.inner_receptance)
+            ),
         )
         size = [effect.impedance(view, place, x.tolist()) for effect, place, x in effects]
         rows = [z[:, None] * along(p, yields) for z, p in zip(size, patterns, strict=True)]
@@ -142,7 +149,7 @@ class _Impeded:
 
 
 Part = tuple[Complex128, Complex128 | None]
-"""Contribution (F, M) of one law, and (F, ΣN) what it does to inner coordinates."""
+"""Contribution (F, M) of one law, and (F, ΣN) the inner motion that it causes."""
 
 
 @dataclass(frozen=True)
@@ -183,35 +190,36 @@ def _beside_dry_friction(candidate: Candidate) -> tuple[SizedMotorLaw, ...]:
 
 
 def law_parts(view: View, candidate: Candidate) -> list[Part | None]:
-    """What each law contributes at the view's present inner motion; ``None`` for effects linear in motion."""
+    """Contribution of each law at the view's present inner motion; ``None`` for effects linear in motion."""
     view.beside = _beside_dry_friction(candidate)
     return [law_part(view, t, x) for t, x in zip(candidate.terms, candidate.x, strict=True)]
 
 
 def law_part(view: View, term: PlacedEffect, x: Float64) -> Part | None:
-    """The same of one effect."""
+    """Contribution of one law at the view's present inner motion; ``None`` for an effect linear in motion."""
     if isinstance(term.effect, ImpedanceEffect):
         return None
     return term.effect.contribution(view, term.place, x.tolist())
 
 
 def forces_of(view: View, candidate: Candidate) -> Forces:
-    """What the effects contribute at the view's present inner motion, and the inner motion that follows."""
+    """Function that returns the contributions at the view's present inner motion, and the inner motion that
+    follows."""
     return lambda: sum_contributions(view, candidate, law_parts(view, candidate))
 
 
 def sum_contributions(
     view: View, candidate: Candidate, parts: Sequence[Part | None]
 ) -> tuple[Complex128, Complex128]:
-    """(F, M) contributions and (F, ΣN) inner motion that follows, from what each law contributes."""
-    inner = any(t.feels(view) for t in candidate.terms)
+    """(F, M) contributions and (F, ΣN) inner motion that follows, from the contributions of single laws."""
+    inner = any(t.depends_on_inner_motion(view) for t in candidate.terms)
     patterns = tuple(
         t.place.pattern(view.structure)
         for t in candidate.terms
         if t.place.kind != "axis" and t.effect.along_pattern
     )
     total: Complex128 = np.zeros_like(view.acting)
-    outside: Complex128 = np.zeros_like(view.acting)
+    outside_torque: Complex128 = np.zeros_like(view.acting)
     back: Complex128 = np.zeros_like(view.base)
     linear: list[tuple[ImpedanceEffect, Place, Float64]] = []
     for term, x, part in zip(candidate.terms, candidate.x, parts, strict=True):
@@ -222,13 +230,13 @@ def sum_contributions(
         own, yields = part
         total = total + own
         if term.place.kind == "axis":  # a drive's or a sensor's: no force at any mass
-            outside = outside + own
+            outside_torque = outside_torque + own
         if yields is not None:
             back = back + yields
     if linear:
         own, moved = impedances(view, linear, back)
         total, back = total + own, back + moved
-    rest = view.left(total) if inner and patterns else None
+    rest = view.missing_with(total) if inner and patterns else None
     if rest is not None:
-        back = back + view.correction(patterns, rest, outside)
+        back = back + view.correction(patterns, rest, outside_torque)
     return total, back

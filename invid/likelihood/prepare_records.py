@@ -1,4 +1,4 @@
-"""From spectra to the records that a diagnosis works on: 0 Hz included, noise filtered out of motion."""
+"""Spectra to the records of a diagnosis: 0 Hz included, noise filtered out of motion."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from invid.signals.spectral_record import SpectralRecord
 from invid.signals.standstill import standstill_velocity
 from invid.signals.timebase import resample_uniformly
 
-BAND = 1.2
-"""Lines up to this times the highest excited one: distortion falls off above, noise does not."""
+BAND_FACTOR = 1.2
+"""Highest line used, over the highest excited one: distortion falls off above, noise does not."""
 MOST_LINES = 3000
-GRID = 16
+SAMPLES_PER_PERIOD = 16
 """Samples of a law of motion for each period of the highest line in use: what a law puts above an eighth of
-its grid's rate does not fold back onto the lines (jumps are averaged over their sample)."""
+its grid's rate does not alias onto the lines (jumps are averaged over their sample)."""
 
 
 def spectral_record(
@@ -35,29 +35,29 @@ def spectral_record(
     alone: bool = False,
     demand: bool = False,
 ) -> SpectralRecord:
-    """One record; ``rows`` picks periods (for keeping some out) where there are several.
+    """One record of a diagnosis; ``rows`` selects periods where there are several.
 
-    ``alone``: a single period of a machine that changes; it stands at its own time and does not close.
-    ``demand``: the torque is the logged demand and something beside it (``uses_demand``).
+    ``alone``: a single period of a machine that changes; it has its own time and does not close. ``demand``:
+    the torque is the logged demand and something beside it (``uses_demand``).
     """
     motors = s.axis_count
     count = s.position_wave.shape[0]
     share = 1.0
     theta, torque = s.position, s.torque
     if rows is not None:
-        picked = s.deviations[rows]
-        share = s.periods / picked.shape[0]
-        both = picked.mean(axis=0)
+        deviations = s.deviations[rows]
+        share = s.periods / deviations.shape[0]
+        both = deviations.mean(axis=0)
         theta, torque = theta + both[:, :motors], torque + both[:, motors:]
     excited = np.flatnonzero(s.excited)
     top = s.frequency_hz[excited[-1]] if excited.size else s.frequency_hz[-1]
-    used = s.frequency_hz <= BAND * top * (1 + 1e-9)
+    used = s.frequency_hz <= BAND_FACTOR * top * (1 + 1e-9)
     used &= np.arange(used.size) < MOST_LINES
     step = 1.0 / s.sample_rate_hz
     index = np.round(s.frequency_hz[used] * count * step).astype(int)
     wave, torque_wave = np.asarray(s.position_wave), np.asarray(s.torque_wave)
     if rows is not None:
-        wave, torque_wave = _own_waves(s, experiment, rows, alone)
+        wave, torque_wave = _waves_of_periods(s, experiment, rows, alone)
     ramp = np.zeros(motors)
     if (s.transient and s.periods <= 1) or alone:
         ramp = (wave[-1] - wave[0]) / ((count - 1) * step)
@@ -71,19 +71,19 @@ def spectral_record(
     keep = np.where(power > 6.0 * noise_all, 1.0 - noise_all / np.maximum(power, 1e-300), 0.0)
     keep[0] = 1.0
     clean = spectrum * keep
-    grid = min(count, next_fast_len(max(GRID * int(index[-1]), 256), real=True))
-    kept = grid // 2 + 1
-    coarse = clean[:kept] * (grid / count)
+    grid = min(count, next_fast_len(max(SAMPLES_PER_PERIOD * int(index[-1]), 256), real=True))
+    bins = grid // 2 + 1
+    coarse = clean[:bins] * (grid / count)
     if grid < count and grid % 2 == 0:
         coarse[-1] = 0.0
-    unseen = np.where(np.arange(kept)[:, None] > index[-1], 1.0 - keep[:kept], 0.0)
+    unseen = np.where(np.arange(bins)[:, None] > index[-1], 1.0 - keep[:bins], 0.0)
     if grid % 2 == 0:
         unseen[-1] = 0.0
     wave_step = count * step / grid
     wave_time = np.arange(grid) * wave_step - (count - 1) / 2 * step
-    velocity = np.fft.irfft(1j * omega_all[:kept, None] * coarse, grid, axis=0) + ramp
+    velocity = np.fft.irfft(1j * omega_all[:bins, None] * coarse, grid, axis=0) + ramp
     motor_wave = np.fft.irfft(coarse, grid, axis=0) + wave_time[:, None] * ramp
-    left = (omega_all[:, None] ** 2 * noise_all * (keep > 0))[:kept].sum(axis=0) * 2 / count**2
+    left = (omega_all[:, None] ** 2 * noise_all * (keep > 0))[:bins].sum(axis=0) * 2 / count**2
     filtered = clean[index] * (2.0 / count)
     floor = np.maximum(s.floor, 1e-300) * share
     # A torque without noise is a command: with none at all every error of the model would count as
@@ -97,7 +97,7 @@ def spectral_record(
     noise[0] = floor / 2.0
     mean_torque = torque_wave.mean(axis=0)
     zero = np.zeros((1, motors), dtype=complex)
-    start, end = _span(s, experiment)
+    start, end = _time_span(s, experiment)
     span, transient = s.span_s, s.transient
     if alone and rows is not None:
         span = s.span_s / s.periods
@@ -141,10 +141,12 @@ def spectral_record(
     )
 
 
-def _own_waves(s: LineSpectra, experiment: Experiment, rows: slice, alone: bool) -> tuple[Float64, Float64]:
-    """(n, M) position and torque of some of the periods that the spectra come from: their mean.
+def _waves_of_periods(
+    s: LineSpectra, experiment: Experiment, rows: slice, alone: bool
+) -> tuple[Float64, Float64]:
+    """(n, M) mean position and torque over some of the periods that the spectra come from.
 
-    What all of them drift has no place in a mean; a period ``alone`` is where the motor was.
+    A drift common to all has no place in a mean; a period ``alone`` keeps its position.
     """
     data, count = resample_uniformly(experiment), s.position_wave.shape[0]
     position = fold(data.position, count)[-s.periods :]
@@ -152,8 +154,8 @@ def _own_waves(s: LineSpectra, experiment: Experiment, rows: slice, alone: bool)
     return position[rows].mean(axis=0), fold(data.torque, count)[-s.periods :][rows].mean(axis=0)
 
 
-def _span(s: LineSpectra, experiment: Experiment) -> tuple[float, float]:
-    """Start and end of the part of the experiment that the spectra come from [s]."""
+def _time_span(s: LineSpectra, experiment: Experiment) -> tuple[float, float]:
+    """Start and end [s] of the part of the experiment that the spectra come from."""
     end = float(experiment.time[-1])
     return max(end - s.span_s, float(experiment.time[0])), end
 
@@ -161,46 +163,46 @@ def _span(s: LineSpectra, experiment: Experiment) -> tuple[float, float]:
 def _command(s: LineSpectra, experiment: Experiment, index: np.ndarray) -> tuple[Complex128, Float64] | None:
     """Spectrum of the demand where it is not all of the torque, and what its ends add to the torque's.
 
-    That of a record that does not close carries the trapezoid's correction of its ends, which a demand held
-    over the sample does not need. A mean over periods that still settle is no other: what is held over its
-    samples has no ends that could differ.
+    The spectrum of a record that does not close carries the trapezoid's correction of its ends, which a
+    demand held over the sample does not need. A mean over periods that still settle needs none either: a held
+    demand has no ends that could differ.
     """
     demand, count = experiment.torque_demand, s.position_wave.shape[0]
-    if demand is None or not _whole_demand(s, experiment):
+    if demand is None or not _has_whole_demand(s, experiment):
         return None
     wave, ends = mean_demand(s, demand)
     spectrum = np.fft.rfft(wave, axis=0)[index] * (2.0 / count)
     return np.concatenate((wave.mean(axis=0)[None].astype(complex), spectrum)), ends
 
 
-def _whole_demand(s: LineSpectra, experiment: Experiment) -> bool:
-    """Whether the demand is logged over all that the spectra come from; not where that was resampled."""
+def _has_whole_demand(s: LineSpectra, experiment: Experiment) -> bool:
+    """Whether the demand is logged over all that the spectra come from, without resampling."""
     demand = experiment.torque_demand
     return demand is not None and demand.shape[0] == experiment.samples and covers_demand(s, demand)
 
 
 def uses_demand(recording: Recording, spectra: Sequence[LineSpectra]) -> bool:
-    """Whether the torque is taken for the logged demand and something beside it: where a record does not say
-    for every axis that all of it is held over the sample.
+    """Whether the torque is taken as the logged demand and something beside it.
 
-    In all records or in none: what is held over the sample acts half of one later, and one time offset for
-    both kinds left 2.3 times the noise on an empty record.
+    It is where a record does not say for every axis that all torque is held over the sample, and in all
+    records or in none: held torque acts half a sample later, and one time offset for both kinds left 2.3
+    times the noise on a record without a cause.
     """
     experiments = {e.key: e for e in recording.experiments}
     return any(np.isnan(s.staircase).any() for s in spectra) and all(
-        _whole_demand(s, experiments[s.key]) for s in spectra
+        _has_whole_demand(s, experiments[s.key]) for s in spectra
     )
 
 
 def split_into_periods(
-    recording: Recording, records: Sequence[SpectralRecord], changing: Sequence[str]
+    recording: Recording, records: Sequence[SpectralRecord], keys: Sequence[str]
 ) -> list[SpectralRecord]:
-    """Records of the experiments ``changing`` taken apart into their periods, each at its own time."""
+    """Records with those of the experiments ``keys`` split into their periods, each at its own time."""
     experiments = {e.key: e for e in recording.experiments}
     out: list[SpectralRecord] = []
     done: set[str] = set()
     for record in records:
-        if record.key not in changing or record.weight.size:
+        if record.key not in keys or record.weight.size:
             out.append(record)
             continue
         if record.key in done:
@@ -211,29 +213,29 @@ def split_into_periods(
             out.append(record)
             continue
         experiment = experiments[record.key]
-        prepared = partial(spectral_record, alone=True, demand=record.command is not None)
-        out += [prepared(s, experiment, slice(k, k + 1)) for k in range(s.periods)]
+        record_of = partial(spectral_record, alone=True, demand=record.command is not None)
+        out += [record_of(s, experiment, slice(k, k + 1)) for k in range(s.periods)]
     return out
 
 
-STICKING = 3.0
-"""Peak torque of a held axis over its Coulomb friction below which it stands still for much of the time:
-a sinusoid of that size is below the friction for a fifth of each period, and then barely moves."""
+LEAST_TORQUE = 3.0
+"""Peak torque of a held axis over its Coulomb friction below which it counts as standing. Physical: a
+sinusoid of three times the friction is below it for a fifth of each period, and then barely moves."""
 
 
 def leave_out_sticking_axes(
     records: Sequence[SpectralRecord], spectra: Sequence[LineSpectra], model: Model, recording: Recording
 ) -> tuple[list[SpectralRecord], list[str]]:
-    """Records in which axes that stand on their own friction have no say, and what to warn about.
+    """Records without the torque of axes that stand on their own friction, and warnings.
 
-    Static friction takes any value up to its limit, so no law of the motion gives it. Held axes stand where
-    the torque stays below it, driven ones where they hardly move for it.
+    Static friction takes any value up to its limit, so no law of motion gives it. Held axes stand where the
+    torque stays below it, driven ones where they hardly move for it.
     """
     friction = model.fit.get("friction", {})
     driven = {s.key: s.driven for s in spectra}
     out: list[SpectralRecord] = []
     axes: set[str] = set()
-    hardly: set[str] = set()
+    driven_axes: set[str] = set()
     for record in records:
         aside = np.zeros(recording.axis_count, dtype=bool)
         noise = record.noise.copy()
@@ -242,10 +244,12 @@ def leave_out_sticking_axes(
             if not isinstance(entry, dict):
                 continue
             level, std = float(entry.get("value") or 0.0), float(entry.get("std") or np.inf)
-            stands, told = (_hardly_moves, hardly) if driven[record.key][i] else (_stays_below, axes)
+            stands, names = (
+                (_is_barely_moving, driven_axes) if driven[record.key][i] else (_is_below_friction, axes)
+            )
             if level > 4.0 * std and stands(record, i, level):
                 aside[i] = True
-                told.add(axis)
+                names.add(axis)
                 noise[:, recording.axis_count + i] += (1e3 * level) ** 2
         out.append(replace(record, noise=noise, set_aside=aside) if aside.any() else record)
     warnings = [
@@ -256,26 +260,26 @@ def leave_out_sticking_axes(
     warnings += [
         f"axis {axis} hardly moves for its friction in one experiment or more: its torque there says nothing "
         "and is left out; shake it harder"
-        for axis in sorted(hardly)
+        for axis in sorted(driven_axes)
     ]
     return out, warnings
 
 
-def _stays_below(record: SpectralRecord, axis: int, level: float) -> bool:
-    """Whether the torque of a held axis never gets near where its friction of a ``level`` gives way."""
+def _is_below_friction(record: SpectralRecord, axis: int, level: float) -> bool:
+    """Whether the torque of a held axis stays well below the ``level`` of its friction."""
     wave = record.torque_wave[:, axis]
-    return bool(np.abs(wave - wave.mean()).max() < STICKING * level)
+    return bool(np.abs(wave - wave.mean()).max() < LEAST_TORQUE * level)
 
 
-def _hardly_moves(record: SpectralRecord, axis: int, _: float) -> bool:
-    """Whether the sign of a motor's velocity is lost in its noise for more than half of a record: so is that
-    of its friction."""
+def _is_barely_moving(record: SpectralRecord, axis: int, _: float) -> bool:
+    """Whether the sign of a motor's velocity, and so of its friction, is lost in noise for over half of a
+    record."""
     v = record.motor_velocity[:, axis]
     slow = standstill_velocity(v, float(record.velocity_noise[axis]))
     return not record.standing[axis] and float(np.mean(np.abs(v) < slow)) > 0.5
 
 
 def line_weights(record: SpectralRecord, chosen: np.ndarray) -> SpectralRecord:
-    """Weights that switch lines off: waves need all lines of the record."""
+    """The record with weights that switch lines off; its waves keep all lines."""
     weight: Float64 = chosen.astype(float)
     return replace(record, weight=weight)

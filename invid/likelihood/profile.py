@@ -1,8 +1,8 @@
-"""Profile likelihood: intervals of single parameters that do not rest on a parabola.
+"""Profile likelihood: intervals of single parameters without a quadratic approximation.
 
-Where a parameter is held away from its estimate and all others are fitted again, χ² rises; the interval
-ends where it has risen by χ²/ν, one standard deviation for a parabola. Far from one where the data see a
-parameter badly: the interval is then lopsided, or does not end.
+One parameter is held away from its estimate and all others are fitted again; the interval ends where χ² has
+risen by χ²/ν, one standard deviation for a parabola. Where the data determine a parameter badly, the interval
+is asymmetric or does not end.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from invid.likelihood.fit import Fit
 from invid.likelihood.levenberg_marquardt import gauss_newton
 from invid.numerics import budget
 
-ENDLESS = 8.0
-"""Standard deviations after which an interval is taken not to end."""
+MOST_DEVIATIONS = 8.0
+"""Standard deviations from which an interval counts as unbounded."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Interval:
 
 
 def profiles(fit: Fit, names: Sequence[str] | None = None) -> dict[str, Interval]:
-    """68 % profile intervals of masses, springs and couplings (or of ``names``) that moved in the fit."""
+    """68 % profile intervals of masses, springs and couplings (or of ``names``) that were free in the fit."""
     structure, solution = fit.problem.structure, fit.solution
     wanted = [
         n
@@ -46,15 +46,16 @@ def profiles(fit: Fit, names: Sequence[str] | None = None) -> dict[str, Interval
             continue
         if budget.is_left_out("further profile intervals"):
             break
-        ends = [_end(fit, name, at, float(spread[at]), side) for side in (-1.0, 1.0)]
+        ends = [_interval_end(fit, name, at, float(spread[at]), side) for side in (-1.0, 1.0)]
         if structure.logarithmic[at]:
             ends = [None if e is None else float(np.exp(e)) for e in ends]
         out[name] = Interval(ends[0], ends[1])
     return out
 
 
-def _end(fit: Fit, name: str, at: int, spread: float, side: float) -> float | None:
-    """Where χ² has risen by χ²/ν on one side, by regula falsi on the root of the rise."""
+def _interval_end(fit: Fit, name: str, at: int, spread: float, side: float) -> float | None:
+    """Value at which χ² has risen by χ²/ν on one side (regula falsi on the root of the rise); ``None``
+    without end."""
     if not np.isfinite(spread) or spread <= 0:
         return None
     solution = fit.solution
@@ -72,7 +73,7 @@ def _end(fit: Fit, name: str, at: int, spread: float, side: float) -> float | No
         if root < 1.0:
             low, low_root, p = step, root, found.p
             step = min(step * (1.0 / max(root, 0.25)), 2.0 * step)
-            if step > ENDLESS:
+            if step > MOST_DEVIATIONS:
                 return None
         else:
             step = low + (step - low) * (1.0 - low_root) / (root - low_root)

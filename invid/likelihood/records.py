@@ -1,4 +1,4 @@
-"""From spectra to the blocks of the fit: lines, delays, holds, and the noise they start with."""
+"""Spectra to the blocks of the fit: lines, delays, holds, and their first noise."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from invid.numerics.arrays import Bool, Complex128, Float64
 from invid.signals.spectra import LineSpectra
 
 HOLD_OFFSET = ".hold_time_offset"
-"""Ending of the names of the further delays of holding torques."""
+"""Ending of the names of the additional delays of holding torques."""
 
 
 def problem_from_spectra(
@@ -84,7 +84,7 @@ def problem_from_spectra(
 
 
 def hold_offset(axis: str) -> str:
-    """Name of the further delay of an axis' holding torque."""
+    """Name of the additional delay of an axis' holding torque."""
     return f"{axis}{HOLD_OFFSET}"
 
 
@@ -109,8 +109,8 @@ def used_lines(s: LineSpectra, *, everything: bool) -> Bool:
 def hold_laws(spectra: Sequence[LineSpectra], axes: Sequence[int]) -> dict[int, tuple[float, float]]:
     """Proportional and derivative gain of each axis' hold, from the records in which it is held.
 
-    There torque = −(P + jωD)·position; least squares over the excited lines, weighted by the torque
-    noise. Axes that are not held by such a law (free, or stiffer than the data show) are left out.
+    There torque = −(P + jωD)·position; least squares over the excited lines, weighted by the torque noise.
+    Axes without such a law (free, or stiffer than the data show) are left out.
     """
     laws: dict[int, tuple[float, float]] = {}
     for i in axes:
@@ -130,7 +130,7 @@ def hold_laws(spectra: Sequence[LineSpectra], axes: Sequence[int]) -> dict[int, 
             continue
         (gain, damping), *_ = np.linalg.lstsq(real, goal, rcond=None)
         left = goal - real @ np.array([gain, damping])
-        # The law is believed where it explains nine tenths of the held axis' torque.
+        # The law is accepted where it explains nine tenths of the held axis' torque.
         if float(left @ left) < 0.1 * float(goal @ goal) and gain > 0:
             laws[i] = (float(gain), float(damping))
     return laws

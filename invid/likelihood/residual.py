@@ -1,13 +1,13 @@
-"""The missing torque of every record, whitened, with its Jacobian: what the fit makes small.
+"""The missing torque of every record, whitened, with its Jacobian: what the identification minimises.
 
-r = Z(p) Θ − A(p) T + Σ c X, with A the time offset (and hold over the sample) of each axis' torque
-and X further columns (friction at the motors, or what a caller adds). Its noise covariance is
-C_r = [Z, −A] C_n [Z, −A]ᴴ, re-evaluated at every iterate; V = Σ rᴴ C_r⁻¹ r is the maximum-likelihood
-cost of the errors-in-variables problem, and with the Jacobian taken at the projected measurement
-Θ̂ = Θ − C_Θr C_r⁻¹ r its gradient is exact (envelope theorem).
+r = Z(p) Θ − A(p) T + Σ c X, with A the time offset (and zero-order hold) of each axis' torque and X further
+columns (friction at the motors, or what a caller adds). Its noise covariance is C_r = [Z, −A] C_n [Z, −A]ᴴ,
+re-evaluated at every iterate; V = Σ rᴴ C_r⁻¹ r is the maximum-likelihood cost of the errors-in-variables
+problem, and with the Jacobian taken at the projected measurement Θ̂ = Θ − C_Θr C_r⁻¹ r its gradient is exact
+(envelope theorem).
 
-Records that are not in steady state carry boundary terms (``model.transient_terms``), which are
-projected out.
+Records that are not in steady state carry boundary terms (``model.transient_terms``), which are projected
+out.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from invid.signals.spectral_record import SpectralLines
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Everything known about one block at one parameter vector, before whitening."""
+    """One block evaluated at one parameter vector, before whitening."""
 
     block: Block
     stiffness: Complex128
@@ -63,18 +63,18 @@ class MissingTorqueProblem:
     staircase_names: tuple[str, ...] = ()
     column_names: tuple[str, ...] = ()
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """Mean and standard deviation of parameters about which something is known beforehand."""
+    """Mean and standard deviation of parameters with prior knowledge."""
     fixed: tuple[str, ...] = ()
-    """Names of parameters that do not move."""
+    """Names of fixed parameters."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """All parameters."""
+        """Names of all parameters."""
         return self.structure.names + self.delay_names + self.staircase_names + self.column_names
 
     @property
     def slices(self) -> dict[str, slice]:
-        """Where structure, delay, staircase, column stand."""
+        """Slices of the structure, delay, staircase and column parameters."""
         counts = {
             "structure": self.structure.count,
             "delay": len(self.delay_names),
@@ -89,13 +89,13 @@ class MissingTorqueProblem:
 
     @property
     def free(self) -> Bool:
-        """(n,) parameters that move."""
+        """(n,) whether a parameter is free."""
         held = set(self.fixed)
         flags: Bool = np.array([name not in held for name in self.names])
         return flags
 
     def start(self, structure: Float64) -> Float64:
-        """A full vector from the structure's parameters, the rest at its neutral value."""
+        """(n,) full vector from the structure's parameters, the rest at its neutral value."""
         p = np.zeros(len(self.names))
         p[self.slices["structure"]] = structure
         for at, name in enumerate(self.names):
@@ -105,7 +105,7 @@ class MissingTorqueProblem:
 
     # --- evaluation ----------------------------------------------------------------------------
     def states(self, p: Float64) -> list[State]:
-        """Unwhitened quantities of every block."""
+        """Every block evaluated at ``p`` (n,), before whitening."""
         sp = p[self.slices["structure"]]
         plants = plants_of(self.structure, sp, self.blocks)
         inertance = self.structure.inertance(sp)
@@ -143,9 +143,9 @@ class MissingTorqueProblem:
             ends = -(back @ (basis.T @ stack(root @ residual[..., None])[:, 0]))
             residual = residual + boundary @ ends
         gain = np.linalg.solve(covariance, residual[..., None])[..., 0]
-        sensed, felt = block.noise[:, :motors], block.noise[:, motors:]
-        position = block.position - sensed * np.einsum("fij,fi->fj", effective.conj(), gain)
-        torque = block.torque + felt * factor.conj() * gain
+        position_noise, torque_noise = block.noise[:, :motors], block.noise[:, motors:]
+        position = block.position - position_noise * np.einsum("fij,fi->fj", effective.conj(), gain)
+        torque = block.torque + torque_noise * factor.conj() * gain
         if block.transient:
             position = position + points @ ends[motor_end_indices(structure)].reshape(2, motors)
         q = np.einsum("fqm,fm->fq", motion, position)
@@ -162,7 +162,7 @@ class MissingTorqueProblem:
             -channel.by_delay * torque[..., None] - channel.hold_by_delay * hold_torque
         )
         command = torque + block.hold * position
-        jacobian[..., s["staircase"]] = -channel.by_stair * command[..., None]
+        jacobian[..., s["staircase"]] = -channel.by_zoh_share * command[..., None]
         jacobian[..., columns] = block.columns
         return State(block, stiffness, residual, jacobian, covariance, root, basis, position, ends)
 
@@ -190,7 +190,7 @@ class MissingTorqueProblem:
 
     @property
     def dof(self) -> int:
-        """Real degrees of freedom left for χ²."""
+        """Real degrees of freedom of χ²."""
         rows = 0
         for block in self.blocks:
             rows += 2 * block.position.size
@@ -248,10 +248,10 @@ def condense_dense(
         inverse[:, rows[:, None], rows] = block
         motion[:, rows] = -block @ full[:, rows[:, None], motors]
     stiff = full[:, motors] @ motion
-    return motion, _complex(0.5 * (stiff + stiff.transpose(0, 2, 1))), inverse
+    return motion, _as_complex(0.5 * (stiff + stiff.transpose(0, 2, 1))), inverse
 
 
-def _complex(values: npt.ArrayLike) -> Complex128:
+def _as_complex(values: npt.ArrayLike) -> Complex128:
     result: Complex128 = np.asarray(values, dtype=np.complex128)
     return result
 

@@ -1,4 +1,4 @@
-"""Fits through noise that is a share of the torque, less and less of it (graduated optimisation)."""
+"""Fits with a decreasing share of the torque as additional noise (graduated optimisation)."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ from invid.likelihood.placed_effect import Candidate
 from invid.numerics.arrays import Float64
 from invid.signals.spectral_record import SpectralRecord
 
-ROUGH = (0.1, 0.01, 0.001, 0.0)
-"""Share of every amplitude that counts as noise, fit after fit. By the sensors' noise a resonance a line
-beside its place is as wrong as none, and the way there is uphill; by a tenth of the torque it is not."""
+NOISE_SHARES = (0.1, 0.01, 0.001, 0.0)
+"""Shares of every amplitude that count as noise, fit after fit. Physical: by the sensors' noise a resonance
+one line off costs as much as none, with a barrier between; with a tenth of the torque as noise it does
+not."""
 
 
 def fit_tempered(
@@ -22,18 +23,18 @@ def fit_tempered(
     train: Sequence[SpectralRecord],
     p: Float64,
     candidate: Candidate,
-    shares: Sequence[float] = ROUGH,
+    shares: Sequence[float] = NOISE_SHARES,
     iterations: int = 60,
 ) -> JointFit:
-    """A fit from ``p`` (n,) at one share of the torque after the other."""
+    """A fit from ``p`` (n,) with one share of the torque as noise after the other."""
     for share in shares:
-        records = [_with_error(r, share) for r in train]
+        records = [_add_error(r, share) for r in train]
         found = fit(here.layout, records, p, candidate, iterations=iterations, strict=share == 0.0)
         p, candidate = found.p, found.candidate
     return found
 
 
-def _with_error(record: SpectralRecord, share: float) -> SpectralRecord:
+def _add_error(record: SpectralRecord, share: float) -> SpectralRecord:
     """The record with a share of its torque as noise."""
     if share == 0.0:
         return record
@@ -41,4 +42,4 @@ def _with_error(record: SpectralRecord, share: float) -> SpectralRecord:
     return replace(record, scatter=record.scatter + error)
 
 
-__all__ = ["ROUGH", "fit_tempered"]
+__all__ = ["NOISE_SHARES", "fit_tempered"]

@@ -1,4 +1,4 @@
-"""What is believed about a cell's plant before it moves: the last model, or a guess that says so."""
+"""The assumed plant of a cell before it moves: the last model, or a guess that says so."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Belief:
 
 
 def from_model(model: Model, config: CellConfig, *, source: str = "the last model") -> Belief:
-    """The belief in an accepted model.
+    """The assumed plant of an accepted model.
 
     Raises
     ------
@@ -90,12 +90,12 @@ def guess(config: CellConfig) -> Belief | None:
     masses, springs, dampers = [], [], []
     for axis, total in zip(config.axes, inertia, strict=True):
         count = axis.masses or GUESSED_MASSES
-        each = float(total or 0.0) / count
-        masses.append(np.full(count, each))
+        share_of_mass = float(total or 0.0) / count
+        masses.append(np.full(count, share_of_mass))
         # The highest antiresonance of a uniform chain lies below 2·√(K/m).
-        stiffness = each * (2 * np.pi * 0.6 * max(high, 2 * low) / 2) ** 2
+        stiffness = share_of_mass * (2 * np.pi * 0.6 * max(high, 2 * low) / 2) ** 2
         springs.append(np.full(count - 1, stiffness))
-        dampers.append(np.full(count - 1, 2 * GUESSED_DAMPING * float(np.sqrt(stiffness * each))))
+        dampers.append(np.full(count - 1, 2 * GUESSED_DAMPING * float(np.sqrt(stiffness * share_of_mass))))
     count = len(masses)
     couplings = np.zeros((count, count))
     for i in range(count):

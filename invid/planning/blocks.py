@@ -35,13 +35,13 @@ RAMP_S = 0.25
 """Raised-cosine start and end of a block."""
 FRICTION_FACTOR = 13.0
 """Peak torque over Coulomb torque below which sticking shows (notes, case study)."""
-TAIL = 0.025
+POWER_TAIL = 0.025
 """Power of the best design that lies below, and as much above, the band called informative."""
 ITERATIONS = 40
 """Of the multiplicative algorithm: within 2 % of the optimum from there on (case study)."""
 ROBUST_SHARE = 0.3
 """Share of the power kept on f^−½ over all lines, for a plant that has moved since the model was made."""
-PRICINGS = 3
+MOST_PRICINGS = 3
 """Times the price of travel and speed is raised before amplitudes are cut."""
 
 
@@ -86,13 +86,13 @@ class BlockDesigner:
     def block(self, length: float, number: int, rung: float) -> PlannedExperiment:
         """One block, within travel and velocity by the belief."""
         if length != self.length:
-            self._settle(length)
-        made = self._make(length, number, rung)
+            self._fit_prices(length)
+        made = self._build_block(length, number, rung)
         # laid out for the first block; the others have other phases
-        over = max((ratio for _, _, ratio in self._over(made)), default=1.0) if number else 1.0
+        over = max((ratio for _, _, ratio in self._excess_over_limits(made)), default=1.0) if number else 1.0
         return replace(made, torque=frozen_float(made.torque / over))
 
-    def _settle(self, length: float) -> None:
+    def _fit_prices(self, length: float) -> None:
         """Prices and amplitudes that keep blocks of this length within travel and velocity.
 
         Power is first moved away from the lines that cause the motion; what is still over is scaled.
@@ -101,8 +101,8 @@ class BlockDesigner:
         self.prices = (np.zeros(len(self.config.axes)), np.zeros(len(self.config.axes)))
         self.reduced = np.ones(len(self.config.axes))
         self.touched.clear()
-        for attempt in range(PRICINGS + 4):
-            over = self._over(self._make(length, 0, 1.0))
+        for attempt in range(MOST_PRICINGS + 4):
+            over = self._excess_over_limits(self._build_block(length, 0, 1.0))
             if not over:
                 return
             # Less torque moves less: travel and speed have their price after that.
@@ -110,7 +110,7 @@ class BlockDesigner:
             for axis, kind, ratio in strong or over:
                 limits = self.config.axes[axis].limits
                 self.touched.add(f"{LIMITS[kind]} of {self.config.axes[axis].name}")
-                if attempt < PRICINGS and kind != TORQUE:
+                if attempt < MOST_PRICINGS and kind != TORQUE:
                     limit = (limits.position, limits.velocity)[kind]
                     price = self.prices[kind]
                     price[axis] = max(price[axis], (self.limits[axis] * self.share / limit) ** 2) * ratio**2
@@ -118,7 +118,7 @@ class BlockDesigner:
                 for i in (axis,) if axis in self.excited else self.excited:
                     self.reduced[i] /= 1.02 * ratio
 
-    def _over(self, block: PlannedExperiment) -> list[tuple[int, int, float]]:
+    def _excess_over_limits(self, block: PlannedExperiment) -> list[tuple[int, int, float]]:
         """Axis, kind of limit and how far beyond what is usable of it the announcement would lie."""
         motion = foretold_motion(self.config, block, self.belief)
         over = with_margin(motion, block.torque) / usable(self.config)
@@ -128,7 +128,7 @@ class BlockDesigner:
         """(M,) peak torque."""
         return rung * self.share * self.limits * self.reduced
 
-    def _make(self, length: float, number: int, rung: float) -> PlannedExperiment:
+    def _build_block(self, length: float, number: int, rung: float) -> PlannedExperiment:
         config, cycle = self.config, self.config.bus.cycle_s
         period = round(length / cycle)
         spacing = 1.0 / (period * cycle)
@@ -163,9 +163,9 @@ class BlockDesigner:
             torque[:, i] = peaks[i] * np.append(wave, wave[0])
         ramp = round(RAMP_S / cycle)
         torque = excitation.apply_ramps(torque, ramp, ramp)
-        return replace(shell, torque=frozen_float(torque), reference=self._creep(peaks, period + 1))
+        return replace(shell, torque=frozen_float(torque), reference=self._creep_path(peaks, period + 1))
 
-    def _creep(self, peaks: Float64, samples: int) -> Float64 | None:
+    def _creep_path(self, peaks: Float64, samples: int) -> Float64 | None:
         """Slow motion where friction is near the amplitude, if the config allows any."""
         near = [i for i in self.excited if peaks[i] < FRICTION_FACTOR * self.belief.coulomb[i]]
         if self.creep <= 0 or not near:
@@ -190,7 +190,7 @@ class BlockDesigner:
         axis = interleaved(lines, self.excited)
         found = self._design(lines, spacing, axis, shell, robust_share=0.0)
         share = np.cumsum(found.amplitude**2) / np.sum(found.amplitude**2)
-        first, last = np.searchsorted(share, [TAIL, 1.0 - TAIL])
+        first, last = np.searchsorted(share, [POWER_TAIL, 1.0 - POWER_TAIL])
         return max(low, 0.9 * float(lines[first]) * spacing), min(high, 1.1 * float(lines[last]) * spacing)
 
     def _design(

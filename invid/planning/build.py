@@ -75,8 +75,8 @@ def make_plan(
     chosen = None if axes is None else {names.index(n) for n in axes}
     experiments: list[PlannedExperiment] = []
     for spec in config.experiments or default_experiments():
-        wanted = range(len(names)) if spec.axes is None else [names.index(n) for n in spec.axes]
-        excited = tuple(i for i in wanted if chosen is None or i in chosen)
+        specs_wanted = range(len(names)) if spec.axes is None else [names.index(n) for n in spec.axes]
+        excited = tuple(i for i in specs_wanted if chosen is None or i in chosen)
         if not excited:
             continue
         peaks = np.zeros(len(names))
@@ -84,25 +84,25 @@ def make_plan(
             peaks[i] = spec.amplitude * amplitude_scale * config.axes[i].limits.torque
         try:
             if isinstance(spec, MultisineSpec):
-                made = _multisine(config, spec, excited, peaks)
+                planned = _multisine(config, spec, excited, peaks)
             elif isinstance(spec, SteppedSineSpec):
-                made = _stepped_sine(config, spec, excited, peaks)
+                planned = _stepped_sine(config, spec, excited, peaks)
             elif isinstance(spec, ChirpSpec):
-                made = _chirp(config, spec, excited, peaks)
+                planned = _chirp(config, spec, excited, peaks)
             else:
-                made = _constant_velocity(config, spec, excited)
+                planned = _constant_velocity(config, spec, excited)
         except ConfigError:
             raise
         except InputError as error:
             raise ConfigError(f"experiments: {error}") from None
-        for e in made:
+        for e in planned:
             experiments.append(replace(e, key=f"{len(experiments):03d}"))
     if not experiments:
         raise ConfigError(f"experiments: none excites any of the axes {', '.join(axes or names)}")
     warnings = []
     if not any(e.role is Role.VALIDATE for e in experiments):
         warnings.append("no experiment has role 'validate': a diagnosis will have to hold data out by itself")
-    belief = model if isinstance(model, Belief) or model is None else _frictionless(model)
+    belief = model if isinstance(model, Belief) or model is None else _without_friction(model)
     return assemble(config, experiments, belief, budget, share=amplitude_scale, warnings=warnings)
 
 
@@ -129,22 +129,22 @@ def assemble(
     ``share`` is the factor on every torque that was asked for.
     """
     known = belief is not None and not belief.guessed
-    experiments, said = tuple(experiments), list(warnings)
+    experiments, sentences = tuple(experiments), list(warnings)
     inertia: list[float | None] = [a.inertia for a in config.axes]
     if belief is not None and known:
         inertia = [a.inertia or float(m) for a, m in zip(config.axes, belief.inertia, strict=True)]
-        experiments, peaks, lowered = fitted(config, experiments, belief, share)
-        said += lowered
+        experiments, peaks, is_lowered = fitted(config, experiments, belief, share)
+        sentences += is_lowered
         trials = model_trials(config, trials_of(config, experiments), peaks, belief)
         expected = model_forecast(config, experiments, peaks, belief)
     else:
-        rough = rigid(config) if belief is None else None
-        if rough is not None:
-            experiments, _, lowered = fitted(config, experiments, rough, share)
-            said += lowered
+        rough_peaks = rigid(config) if belief is None else None
+        if rough_peaks is not None:
+            experiments, _, is_lowered = fitted(config, experiments, rough_peaks, share)
+            sentences += is_lowered
         trials = trials_of(config, experiments)
         expected = limit_forecast(config, experiments, share)
-        said.append(UNKNOWN)
+        sentences.append(UNKNOWN)
     return Plan(
         axes=tuple(a.name for a in config.axes),
         cycle_s=config.bus.cycle_s,
@@ -152,7 +152,7 @@ def assemble(
         rest_s=REST_S,
         budget=budget,
         forecast=expected,
-        warnings=tuple(said),
+        warnings=tuple(sentences),
         trials=trials,
         phases=phases_of(config, experiments, trials, inertia=inertia),
         inertia=tuple(inertia),
@@ -160,7 +160,7 @@ def assemble(
     )
 
 
-def _frictionless(chains: CoupledChains) -> Belief:
+def _without_friction(chains: CoupledChains) -> Belief:
     zero = frozen_float(np.zeros(chains.branches))
     bare = replace(chains, ground_dampers=zero)
     return Belief(bare, chains.ground_dampers, zero, "the last model", False)
@@ -172,7 +172,7 @@ def _multisine(
     rate = 1.0 / config.bus.cycle_s
     count = len(excited)
     period = round(spec.period_s * rate)
-    _below_nyquist(spec.band_Hz[1], rate)
+    _check_below_nyquist(spec.band_Hz[1], rate)
     rng = np.random.default_rng(spec.seed)
     kind = "odd" if spec.lines == "interleaved" else spec.lines
     lines = excitation.line_numbers(
@@ -238,7 +238,7 @@ def _stepped_sine(
     result = []
     for axis in excited:
         for wanted in spec.frequencies_Hz:
-            _below_nyquist(wanted, rate)
+            _check_below_nyquist(wanted, rate)
             fade = round(fade_s(wanted) * rate)
             period = max(2, round(rate / wanted))
             frequency = rate / period
@@ -268,7 +268,7 @@ def _chirp(
     config: CellConfig, spec: ChirpSpec, excited: tuple[int, ...], peaks: Float64
 ) -> list[PlannedExperiment]:
     rate = 1.0 / config.bus.cycle_s
-    _below_nyquist(spec.band_Hz[1], rate)
+    _check_below_nyquist(spec.band_Hz[1], rate)
     fade = round(fade_s(spec.band_Hz[0]) * rate)
     samples = round(spec.duration_s * rate)
     wave = excitation.apply_ramps(
@@ -329,7 +329,7 @@ def _constant_velocity(
     return result
 
 
-def _below_nyquist(frequency: float, rate: float) -> None:
+def _check_below_nyquist(frequency: float, rate: float) -> None:
     # A tenth of the cycle rate: above it the zero-order hold and the delay of a cycle or two turn the
     # phase by more than a third of a turn, and a centring hold may no longer damp.
     if frequency > rate / 10:

@@ -1,4 +1,4 @@
-"""What a plan will tell, before anything moves: the expected covariance of every parameter.
+"""The expected covariance of every parameter of a plan, before anything moves.
 
 The planned torques, the hold and the believed plant give the motion (``invid.planning.response``); with the
 sensors' noise added it goes through the same spectra and the same whitened problem as a recording, with
@@ -94,13 +94,13 @@ class Expected:
             "belief": self.belief,
             "guessed": self.guessed,
             "noise": self.noise,
-            "worst": {"name": self.worst[0], "relative_std": _finite(self.worst[1])},
+            "worst": {"name": self.worst[0], "relative_std": _finite_or_none(self.worst[1])},
             "parameters": [
                 {
                     "name": n,
                     "value": float(v),
-                    "std": _finite(s),
-                    "relative_std": _finite(s / c),
+                    "std": _finite_or_none(s),
+                    "relative_std": _finite_or_none(s / c),
                     "in_goal": bool(g),
                 }
                 for n, v, s, c, g in zip(
@@ -111,7 +111,7 @@ class Expected:
         }
 
 
-def _finite(value: float) -> float | None:
+def _finite_or_none(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
@@ -122,18 +122,18 @@ def assumed_noise(config: CellConfig) -> Noise:
     counts = 1e6 if config.linear else ASSUMED_COUNTS
     step = np.array([a.position_per_count or turn / counts for a in config.axes])
     rated = np.array([a.rated_torque or a.limits.torque for a in config.axes])
-    said = []
+    sentences = []
     if any(a.position_per_count is None for a in config.axes):
-        said.append(f"encoders of {counts:g} counts per {'m' if config.linear else 'turn'}")
+        sentences.append(f"encoders of {counts:g} counts per {'m' if config.linear else 'turn'}")
     if any(a.rated_torque is None for a in config.axes):
-        said.append("rated torque as the torque limit")
-    said.append(f"torque noise {ASSUMED_TORQUE_NOISE:.1%} of rated")
+        sentences.append("rated torque as the torque limit")
+    sentences.append(f"torque noise {ASSUMED_TORQUE_NOISE:.1%} of rated")
     return Noise(
         np.zeros(count),
         frozen_float(step),
         frozen_float(ASSUMED_TORQUE_NOISE * rated),
         frozen_float(1e-3 * rated),
-        "assumed: " + ", ".join(said),
+        "assumed: " + ", ".join(sentences),
     )
 
 
@@ -251,13 +251,13 @@ def _synthetic_experiment(
         frequencies_hz=planned.frequencies_hz,
         sample_rate_hz=1.0 / cycle,
         time=frozen_float(np.arange(position.shape[0]) * cycle),
-        position=frozen_float(_on_lattice(seen, noise.position_step)),
-        torque=frozen_float(_on_lattice(felt, noise.torque_step)),
+        position=frozen_float(_quantise(seen, noise.position_step)),
+        torque=frozen_float(_quantise(felt, noise.torque_step)),
         torque_demand=frozen_float(demand),
     )
 
 
-def _on_lattice(values: Float64, step: Float64) -> Float64:
+def _quantise(values: Float64, step: Float64) -> Float64:
     safe = np.where(step > 0, step, 1.0)
     result: Float64 = np.where(step > 0, np.round(values / safe) * safe, values)
     return result

@@ -1,4 +1,4 @@
-"""What a run may at most do, from the last model or, where nobody knows the plant, from the limits."""
+"""Bounds of a run's motion and torque, from the last model or, for an unknown plant, from the limits."""
 
 from __future__ import annotations
 
@@ -22,26 +22,26 @@ from invid.planning.phases import (
 from invid.planning.response import Motion, foretold_motion, held_by_drive, hold_gains
 
 MARGIN = 1.25
-"""Motion and torque announced over those that the model foretells. Empirical: the models that an
-identification returns foretell the peaks of the same machine to a tenth, with 5 % of friction
-(``bench_announced.py``); what goes beyond the margin the trial sees, and scales down."""
+"""Announced motion and torque over those that the model predicts. Empirical: models from an identification
+predict the peaks of the same machine to a tenth, with 5 % of friction (``bench_announced.py``); what exceeds
+the margin the trial sees, and scales down."""
 DRIVE_HOLDS_HZ = (5.0, 15.0, 50.0)
-"""Nobody has told how stiff the loops inside the drives are: the worst of these counts, as bandwidths on the
-rigid axis."""
-READING = 0.03
+"""Assumed bandwidths [Hz] of the unknown loops inside the drives, on the rigid axis; the worst counts."""
+READING_NOISE = 0.03
 """Noise of 0x6077 as a share of rated torque: six standard deviations of 0.5 %, as the watch allows."""
-FULL = 0.95
+USABLE_SHARE = 0.95
 """Share of a limit that what is announced may use."""
-MOST_SPREAD = 10.0
-"""An axis that a trial hardly moves says no more about the experiments than this."""
-AGAIN = 3.0
+LARGEST_SPREAD = 10.0
+"""Largest spread with which a trial says anything about the experiments: its axis hardly moved beyond
+that."""
+DOUBLETS_MOTION = 3.0
 """Motion in the doublets over that of one from rest: each begins where the one before left the axis moving.
 Empirical (``bench_announced.py``)."""
-STOPPED = 5.0
+DOUBLETS_TORQUE = 5.0
 """Torque after the doublets over that of one: a drive whose own hold takes an axis over stops it, with what
 swings behind it. Empirical: 4.2 at most (``bench_announced.py``)."""
 ROUNDS = 6
-NEVER_BACK = 2.5
+CREEP_RATIO = 2.5
 """Creep in rms velocities of the shaking above which a motor hardly turns back (once in a hundred, normal).
 ``bench_identify.py --case creep``, peak twice the friction: there every seed is good to 1 %; with three
 fifths of it two seeds were, with three tenths none."""
@@ -77,14 +77,14 @@ def highest(parts: Sequence[Float64], axes: int) -> Float64:
 
 
 def peaks_of(config: CellConfig, experiment: PlannedExperiment, belief: Belief) -> Peaks:
-    """Start, run-in, record, end and the rest after it, from rest.
+    """Largest motion and torque of start, run-in, record, end and the rest after it, from rest.
 
-    Friction is left out of the motion, which it only lessens.
+    Friction, which only reduces the motion, is left out.
     """
     count = len(config.axes)
     free = replace(belief, coulomb=np.zeros(count))
     rest = round(REST_S / config.bus.cycle_s)
-    whole = _with_rest(experiment, rest)
+    whole = _append_rest(experiment, rest)
     bandwidths = DRIVE_HOLDS_HZ if held_by_drive(config, experiment).any() else DRIVE_HOLDS_HZ[:1]
     found = []
     for bandwidth in bandwidths:
@@ -103,7 +103,7 @@ def with_margin(motion: Motion, excitation: Float64) -> Float64:
     return result
 
 
-def _with_rest(e: PlannedExperiment, rest: int) -> PlannedExperiment:
+def _append_rest(e: PlannedExperiment, rest: int) -> PlannedExperiment:
     torque = np.concatenate((e.torque, np.zeros((rest, e.torque.shape[1]))))
     path = e.reference
     if path is not None:
@@ -117,12 +117,12 @@ def model_trials(
     peaks: Sequence[Peaks],
     belief: Belief,
 ) -> tuple[Trial, ...]:
-    """The trials with the spread that the model foretells; ``peaks`` are those of all experiments."""
+    """The trials with the spread that the model predicts; ``peaks`` are those of all experiments."""
     found = []
     for trial in trials:
         own = np.maximum(peaks_of(config, excerpt(config, trial, 1), belief).motion, 1e-300)
         whole = highest([peaks[k].motion for k in trial.covers], len(config.axes))
-        spread = frozen_float(np.clip(whole / own, 1.0, MOST_SPREAD))
+        spread = frozen_float(np.clip(whole / own, 1.0, LARGEST_SPREAD))
         found.append(replace(trial, spread=spread, usual=spread))
     return tuple(found)
 
@@ -135,13 +135,13 @@ def model_forecast(
     for i in sorted({i for e in experiments for i in e.excited}):
         first, _ = sign_amplitude(config, experiments, i)
         doublet = sign_doublet(config, i, first, float(belief.inertia[i]))
-        more = np.array([[AGAIN], [AGAIN], [STOPPED]])
+        more = np.array([[DOUBLETS_MOTION], [DOUBLETS_MOTION], [DOUBLETS_TORQUE]])
         bounds = np.maximum(bounds, more * peaks_of(config, doublet, belief).bound)
         swung = peaks_of(config, sign_doublets(config, i, first, float(belief.inertia[i])), belief)
         bounds[1] = np.maximum(bounds[1], swung.motion[1])
         bounds[0, i] = max(bounds[0, i], SIGN_TRAVEL * config.axes[i].limits.position)
     for i, axis in enumerate(config.axes):
-        bounds[2, i] += READING * (axis.rated_torque or axis.limits.torque)
+        bounds[2, i] += READING_NOISE * (axis.rated_torque or axis.limits.torque)
         if axis.gravity_loaded is not False:
             bounds[2, i] = axis.limits.torque  # what gravity asks for is only known when it hangs
     return announced(config, np.minimum(bounds, limits_of(config)), "model")
@@ -162,7 +162,7 @@ def limit_forecast(
         if axis.inertia is not None:
             # √(A·x/m), the speed of a mass that a doublet of torque A moves by x; half of it may be the motor
             doublet = np.sqrt(config.safety.test_amplitude * bounds[2, i] * bounds[0, i] / axis.inertia)
-            bounds[1, i] *= max(share, min(2.0 * AGAIN * float(doublet) / bounds[1, i], 1.0))
+            bounds[1, i] *= max(share, min(2.0 * DOUBLETS_MOTION * float(doublet) / bounds[1, i], 1.0))
     paths = [e.reference for e in experiments if e.reference is not None]
     cycle = config.bus.cycle_s
     bounds[0] += np.max([np.abs(p).max(axis=0) for p in paths], axis=0, initial=0.0)
@@ -177,8 +177,8 @@ def limits_of(config: CellConfig) -> Float64:
 
 def usable(config: CellConfig) -> Float64:
     """(3, M) what may be planned with: the limits less a little, torque less the noise of its reading."""
-    most = FULL * limits_of(config)
-    room = READING * np.array([a.rated_torque or a.limits.torque for a in config.axes])
+    most = USABLE_SHARE * limits_of(config)
+    room = READING_NOISE * np.array([a.rated_torque or a.limits.torque for a in config.axes])
     most[2] = np.maximum(most[2] - room, 0.5 * most[2])
     return most
 
@@ -234,9 +234,9 @@ def fitted(
         # a hair more, so that rounds end
         factor *= np.where(lower < 1.0, 0.99 * lower, 1.0)
         changed = {int(j) for j in np.flatnonzero(lower < 1.0)}
-        scaled = [_scaled(e, factor) if changed & set(e.excited) else None for e in experiments]
+        scaled = [_scale_experiment(e, factor) if changed & set(e.excited) else None for e in experiments]
         peaks = [p if e is None else peaks_of(config, e, belief) for e, p in zip(scaled, peaks, strict=True)]
-    result = tuple(_scaled(e, factor) for e in experiments)
+    result = tuple(_scale_experiment(e, factor) for e in experiments)
     said = [
         f"axis {config.axes[j].name}: its torque is planned at {share * factor[j]:.0%} of what the config "
         f"asks for, so that the {why} stays within its limit by {belief.source}"
@@ -246,7 +246,7 @@ def fitted(
     return result, peaks, said
 
 
-def _scaled(e: PlannedExperiment, factor: Float64) -> PlannedExperiment:
+def _scale_experiment(e: PlannedExperiment, factor: Float64) -> PlannedExperiment:
     """With every torque, and the travel of a creep, times the factor of its axis."""
     if factor.min() >= 1.0:
         return e
@@ -254,13 +254,13 @@ def _scaled(e: PlannedExperiment, factor: Float64) -> PlannedExperiment:
     if path is not None and e.torque.any():
         # a creep turns round earlier at the same speed
         most = factor * np.abs(path).max(axis=0)
-        path = np.where(most > 0, _folded(path, most), path)
+        path = np.where(most > 0, _fold_path(path, most), path)
     return replace(e, torque=frozen_float(e.torque * factor), reference=path)
 
 
-def _folded(path: Float64, most: Float64) -> Float64:
-    way = np.cumsum(np.abs(np.diff(path, axis=0, prepend=path[:1])), axis=0)
-    result: Float64 = most * (1.0 - np.abs(np.mod(way / np.where(most > 0, most, 1.0) + 1.0, 4.0) - 2.0))
+def _fold_path(path: Float64, most: Float64) -> Float64:
+    distance = np.cumsum(np.abs(np.diff(path, axis=0, prepend=path[:1])), axis=0)
+    result: Float64 = most * (1.0 - np.abs(np.mod(distance / np.where(most > 0, most, 1.0) + 1.0, 4.0) - 2.0))
     return result
 
 
@@ -275,9 +275,9 @@ def turning_back(config: CellConfig, experiment: PlannedExperiment, belief: Beli
     unit = "m/s" if config.linear else "rad/s"
     return [
         f"axis {axis.name}: it creeps at {creep[i]:.3g} {unit} and is shaken with {swing[i]:.3g} {unit} rms: "
-        f"it will turn back and stand; a creep_velocity of {NEVER_BACK * swing[i]:.2g} keeps it going"
+        f"it will turn back and stand; a creep_velocity of {CREEP_RATIO * swing[i]:.2g} keeps it going"
         for i, axis in enumerate(config.axes)
-        if 0 < creep[i] < NEVER_BACK * swing[i]
+        if 0 < creep[i] < CREEP_RATIO * swing[i]
     ]
 
 

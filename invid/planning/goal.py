@@ -28,12 +28,13 @@ from invid.planning.phases import REST_S
 BLOCKS_S = (5.0, 6.5, 8.0, 10.0, 13.0, 16.0, 20.0)
 """Lengths of a block. Shorter than 5 s the lines lie so far apart that a fit from nothing may miss a
 resonance (empirical, modes of 4 to 8 Hz); they scale with the lowest frequency below 0.5 Hz."""
-LADDER = (0.25, 0.35, 0.5, 0.7, 1.0)
+AMPLITUDES = (0.25, 0.35, 0.5, 0.7, 1.0)
 """Amplitudes tried, as shares of the largest allowed."""
 MARGIN = 0.9
 """The expected uncertainty must be this much below the goal: the measured one scatters about it."""
-SURELY = 2.0
-"""A block expected to miss the goal by this factor is not worked out: longer ones resolve more, too."""
+HOPELESS_FACTOR = 2.0
+"""Factor by which a block may be expected to miss the goal and still be computed; longer blocks resolve
+more."""
 RESERVE = 2
 """Blocks after the expected ones, at the largest amplitude."""
 
@@ -139,14 +140,14 @@ def plan_for_goal(  # noqa: PLR0913 - what is known of the cell, and what a pers
     first = 0.0
     for length in lengths:
         # Information grows with the length: what is expected of the shortest says which ones cannot do.
-        if first * np.sqrt(lengths[0] / length) > SURELY * goal and length != lengths[-1]:
+        if first * np.sqrt(lengths[0] / length) > HOPELESS_FACTOR * goal and length != lengths[-1]:
             continue
         blocks = [designer.block(length, 0, 1.0)]
         reached = designer.expected(blocks)
         best = (blocks, reached)
         first = first or reached.worst[1]
         if reached.worst[1] <= MARGIN * goal:
-            return _finish(designer, _Layout(blocks, reached, length), goal, plan_of, max_duration_s)
+            return _complete_plan(designer, _Layout(blocks, reached, length), goal, plan_of, max_duration_s)
     blocks, reached = best if best is not None else ([], designer.expected([]))
     length = lengths[-1]
     while MARGIN * goal < reached.worst[1] < np.inf:
@@ -157,7 +158,7 @@ def plan_for_goal(  # noqa: PLR0913 - what is known of the cell, and what a pers
             break
         blocks += [designer.block(length, len(blocks) + k, 1.0) for k in range(min(more, room))]
         reached = designer.expected(blocks)
-    return _finish(designer, _Layout(blocks, reached, length), goal, plan_of, max_duration_s)
+    return _complete_plan(designer, _Layout(blocks, reached, length), goal, plan_of, max_duration_s)
 
 
 def informative_band(
@@ -177,19 +178,19 @@ class _Layout:
     length: float
 
 
-def _finish(
+def _complete_plan(
     designer: BlockDesigner,
     layout: _Layout,
     goal: float,
     plan_of: Callable[[Sequence[PlannedExperiment]], Plan],
     max_duration_s: float,
 ) -> GoalPlan:
-    """Lowest amplitude that does, then rising ones, then reserve."""
+    """The plan with the lowest sufficient amplitude, then rising ones, then reserve."""
     blocks, reached, length = layout.blocks, layout.expected, layout.length
     reachable = reached.worst[1] <= goal
     rungs = [1.0] * len(blocks)
     if reachable and len(blocks) == 1:
-        for rung in LADDER[:-1]:
+        for rung in AMPLITUDES[:-1]:
             low = designer.peaks(rung)
             if any(low[i] < FRICTION_FACTOR * designer.belief.coulomb[i] for i in designer.excited):
                 continue
@@ -201,7 +202,7 @@ def _finish(
     needed = len(blocks)
     for _ in range(RESERVE):
         if reachable and (len(blocks) + 1) * (length + REST_S) <= max_duration_s:
-            higher = [r for r in LADDER if r > rungs[-1]]
+            higher = [r for r in AMPLITUDES if r > rungs[-1]]
             rungs.append(higher[min(1, len(higher) - 1)] if higher else 1.0)
             blocks = [*blocks, designer.block(length, len(blocks), rungs[-1])]
     binding = sorted(designer.touched)

@@ -1,4 +1,4 @@
-"""What a sweep plays, phase by phase: one list that the engine runs and the forecast works out."""
+"""The phases of a sweep: one list that the engine runs and the forecast evaluates."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ FIRST_S, CLIMB_S = 5.0, 10.0
 """Length of the two steps of a trial: at a tenth of the amplitude, and at about a third."""
 CLIMB_CYCLES = 3.0
 """And never below three cycles of the slowest line."""
-FIRST_MOST, CLIMB_MOST = 0.25, 0.8
+FIRST_SHARE, CLIMB_SHARE = 0.25, 0.8
 """Largest shares of the two steps."""
 SWEEP_S = 6.0
 """Length of the quick sweep on which single-axis experiments are tried."""
@@ -130,28 +130,32 @@ def sign_seconds(config: CellConfig, axis: int, amplitude: float, inertia: float
 def sign_doublet(config: CellConfig, axis: int, amplitude: float, inertia: float) -> PlannedExperiment:
     """The doublet that moves a rigid axis as far as one may, and its catch."""
     cycle = config.bus.cycle_s
-    wave = amplitude * excitation.doublet(round(_rigid_length(config, axis, amplitude, inertia) / cycle))
-    return _push(config, axis, np.concatenate((wave, np.zeros(round(SIGN_CATCH_S / cycle)))), CATCH_HZ)
+    wave = amplitude * excitation.doublet(
+        round(_rigid_doublet_length(config, axis, amplitude, inertia) / cycle)
+    )
+    return _doublet_torque(
+        config, axis, np.concatenate((wave, np.zeros(round(SIGN_CATCH_S / cycle)))), CATCH_HZ
+    )
 
 
 def sign_doublets(config: CellConfig, axis: int, amplitude: float, inertia: float) -> PlannedExperiment:
     """All doublets up to that one, before the catch: nothing holds the axis, and what swings goes on."""
     cycle = config.bus.cycle_s
-    last, length = _rigid_length(config, axis, amplitude, inertia), SIGN_FIRST_S
+    last, length = _rigid_doublet_length(config, axis, amplitude, inertia), SIGN_FIRST_S
     quiet = np.zeros(round(SIGN_QUIET_S / cycle))
     waves = [quiet]
     while length <= max(last, SIGN_FIRST_S):
         waves += [amplitude * excitation.doublet(round(length / cycle)), quiet]
         length *= 2
-    return _push(config, axis, np.concatenate(waves), FREE_HZ)
+    return _doublet_torque(config, axis, np.concatenate(waves), FREE_HZ)
 
 
-def _rigid_length(config: CellConfig, axis: int, amplitude: float, inertia: float) -> float:
+def _rigid_doublet_length(config: CellConfig, axis: int, amplitude: float, inertia: float) -> float:
     far = SIGN_FAR * config.axes[axis].limits.position
     return float(min(max(np.sqrt(16 * inertia * far / amplitude), SIGN_FIRST_S), SIGN_LAST_S))
 
 
-def _push(config: CellConfig, axis: int, wave: Float64, hold_hz: float) -> PlannedExperiment:
+def _doublet_torque(config: CellConfig, axis: int, wave: Float64, hold_hz: float) -> PlannedExperiment:
     torque = np.zeros((wave.size, len(config.axes)))
     # its edges rounded: what is worked out on lines up to 100 Hz may have nothing beyond them
     edge = np.hanning(max(round(SIGN_EDGE_S / config.bus.cycle_s), 1) + 2)
@@ -227,8 +231,8 @@ def trial_shares(config: CellConfig, experiment: PlannedExperiment) -> tuple[flo
         peak = float(np.abs(experiment.torque[:, i]).max(initial=0.0))
         if peak > 0:
             first = max(first, 0.5 * config.safety.test_amplitude * config.axes[i].limits.torque / peak)
-    first = min(first, FIRST_MOST)
-    return first, min(float(np.sqrt(first)), CLIMB_MOST)
+    first = min(first, FIRST_SHARE)
+    return first, min(float(np.sqrt(first)), CLIMB_SHARE)
 
 
 def excerpt(config: CellConfig, trial: Trial, step: int) -> PlannedExperiment:
@@ -257,12 +261,12 @@ def phases_of(
         seconds = sign_seconds(config, i, sign_amplitude(config, experiments, i)[0], inertia[i])
         name = f"trying the signs of {config.axes[i].name}"
         found.append(PhasePlan(Step.SIGNS, i, name, round(seconds / cycle)))
-    led: tuple[int, ...] = ()
+    led_axes: tuple[int, ...] = ()
 
     def change(excited: tuple[int, ...]) -> int:
         """Cycles of the rest before others are shaken: those that were come to rest first."""
-        nonlocal led
-        before, led = led, excited
+        nonlocal led_axes
+        before, led_axes = led_axes, excited
         return rest if before in ((), excited) else 2 * rest
 
     for number, trial in enumerate(trials):

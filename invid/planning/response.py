@@ -1,4 +1,4 @@
-"""The motion that a planned experiment will cause on a believed plant, before anything moves.
+"""The predicted motion of a planned experiment on the assumed plant.
 
 The loop is closed as the sweep closes it: excitation held over each sample, and a PD hold on every
 axis. It is solved on lines of the shifted Laplace plane s = σ + jω: with σ·T = 14 what wraps round the
@@ -22,12 +22,12 @@ from invid.planning.phases import lowest_frequency
 from invid.recording.model import Kind
 
 SHIFT = 14.0
-PAD = 0.05
+PADDING = 0.05
 """Share of the record that is worked out beyond its end."""
 ITERATIONS, RELAXATION = 8, 0.6
 """Of the friction torque. Empirical: converged to 1 % where friction is below half of the peak."""
 DRIVE_HOLD_HZ = 10.0
-"""Bandwidth believed of a position loop inside a drive (with its damping ratio of 0.7)."""
+"""Assumed bandwidth [Hz] of a position loop inside a drive (with a damping ratio of 0.7)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +97,7 @@ def foretold_motion(
         speed = np.diff(path, axis=0, prepend=path[:1]) / cycle
         drive = drive + stiffness * path + damping * speed
     # The last samples would carry the ringing of the jump from the record's end to its start.
-    padded = count + max(round(PAD * count), 64)
+    padded = count + max(round(PADDING * count), 64)
     drive = np.concatenate((drive, np.zeros((padded - count, drive.shape[1]))))
     sigma = SHIFT / (padded * cycle)
     fade = np.exp(-sigma * cycle * np.arange(padded))[:, None]
@@ -115,7 +115,7 @@ def foretold_motion(
         stiffness + damping * s[:, None],
         held[:, None] * z * (stiffness + damping * (1.0 - z) / cycle),
     )
-    plant = _stiffness(belief.chains, belief.viscous, s)
+    plant = _condensed_stiffness(belief.chains, belief.viscous, s)
     index = np.arange(law.shape[1])
     plant[:, index, index] += law
     answer = np.linalg.inv(plant)
@@ -145,7 +145,7 @@ def foretold_motion(
     return Motion(position[:count], velocity[:count], torque[:count])
 
 
-def _stiffness(chains: CoupledChains, viscous: Float64, s: Complex128) -> Complex128:
+def _condensed_stiffness(chains: CoupledChains, viscous: Float64, s: Complex128) -> Complex128:
     """(F, M, M) condensed motor stiffness at complex frequencies s [1/s], motor friction included."""
     outer = chains.motor_dofs
     damping = np.array(chains.damping_matrix)

@@ -21,9 +21,9 @@ LEVELS = (1.0, 0.4, 0.15)
 cubic spring change their share of the torque by as much or by its square."""
 SPEEDS = (0.01, 0.03, 0.1, 0.3)
 """Speeds of slow moves, of the axis's velocity limit: half a decade each, as a Stribeck curve asks for."""
-ROOM = 0.7
+USABLE_SHARE = 0.7
 """Share of the limits that slow moves use; the plan refuses above 0.8."""
-HIGHEST = 0.1
+MOST_LINE = 0.1
 """Highest line over the cycle rate that the plan takes."""
 
 
@@ -57,35 +57,35 @@ def to_separate(document: Mapping[str, Any], config: CellConfig) -> Separation:
     runs: list[list[Spec]] = []
     sentences: list[str] = []
     listed = findings if isinstance(findings, list | tuple) else []
-    open_ = [f for f in listed if _causes(f)]
-    if not open_:
+    contested = [f for f in listed if _competing_causes(f)]
+    if not contested:
         raise InputError(
             "the diagnosis has nothing to separate: no finding has alternatives that these data cannot "
             "tell from it"
         )
-    for finding in open_:
-        axis, causes = finding.get("axis"), _causes(finding)
+    for finding in contested:
+        axis, causes = finding.get("axis"), _competing_causes(finding)
         if axis not in names:
             raise InputError(f"the diagnosis is of an axis {axis!r}; the config has {', '.join(names)}")
-        made, said = _for_causes(config, str(axis), causes)
-        if made not in runs:
-            runs.append(made)
-            specs += made
-        sentences += [s for s in said if s not in sentences]
+        new_specs, sentences_made = _experiments_for(config, str(axis), causes)
+        if new_specs not in runs:
+            runs.append(new_specs)
+            specs += new_specs
+        sentences += [s for s in sentences_made if s not in sentences]
     if not specs:
         raise InputError(f"no measurement of the drives alone separates these causes: {' '.join(sentences)}")
-    specs.append(_validation(config))
-    first = next(k for k, f in enumerate(listed) if _causes(f))
+    specs.append(_validation_experiment(config))
+    first = next(k for k, f in enumerate(listed) if _competing_causes(f))
     return Separation(config.model_copy(update={"experiments": specs}), tuple(sentences), first)
 
 
 def is_measurable(cause: str) -> bool:
-    """Whether an experiment of the drives can tell a cause from others; else a person has to."""
+    """Whether an experiment of the drives can tell a cause from others; else a person has to act."""
     effect = effect_of(cause)
     return effect is not None and effect.separating.kind != "hand"
 
 
-def _causes(finding: Any) -> set[str]:
+def _competing_causes(finding: Any) -> set[str]:
     """Causes that compete for one finding; empty where it stands alone."""
     if not isinstance(finding, Mapping):
         return set()
@@ -99,7 +99,7 @@ def _causes(finding: Any) -> set[str]:
     return named | {str(finding.get("cause"))}
 
 
-def _base(config: CellConfig) -> MultisineSpec:
+def _base_experiment(config: CellConfig) -> MultisineSpec:
     """The config's own identifying multisine, or the default one."""
     own = [e for e in config.experiments if isinstance(e, MultisineSpec)]
     identify = [e for e in own if e.role == "identify"]
@@ -107,17 +107,17 @@ def _base(config: CellConfig) -> MultisineSpec:
     return base.model_copy(update={"role": "identify", "axes": None})
 
 
-def _validation(config: CellConfig) -> MultisineSpec:
+def _validation_experiment(config: CellConfig) -> MultisineSpec:
     """Held out: another realisation at a level in between."""
-    base = _base(config)
+    base = _base_experiment(config)
     level = 0.6 * base.amplitude
     return base.model_copy(
         update={"role": "validate", "experiments": 1, "seed": base.seed + 101, "amplitude": level}
     )
 
 
-def _ladder(config: CellConfig, levels: Sequence[float] = LEVELS) -> list[Spec]:
-    base = _base(config)
+def _amplitude_ladder(config: CellConfig, levels: Sequence[float] = LEVELS) -> list[Spec]:
+    base = _base_experiment(config)
     return [
         base.model_copy(
             update={
@@ -130,19 +130,22 @@ def _ladder(config: CellConfig, levels: Sequence[float] = LEVELS) -> list[Spec]:
     ]
 
 
-def _for_causes(config: CellConfig, axis: str, causes: set[str]) -> tuple[list[Spec], list[str]]:
+def _experiments_for(config: CellConfig, axis: str, causes: set[str]) -> tuple[list[Spec], list[str]]:
     specs: list[Spec] = []
     said: list[str] = []
     kinds = {e.separating.kind for c in causes if (e := effect_of(c)) is not None}
     limits = next(a.limits for a in config.axes if a.name == axis)
-    base, rate = _base(config), 1.0 / config.bus.cycle_s
+    base, rate = _base_experiment(config), 1.0 / config.bus.cycle_s
     unit = "m" if config.linear else "rad"
     if "speeds" in kinds:
-        speeds = tuple(round(ROOM * s * limits.velocity, 9) for s in SPEEDS)
-        specs += _ladder(config)
+        speeds = tuple(round(USABLE_SHARE * s * limits.velocity, 9) for s in SPEEDS)
+        specs += _amplitude_ladder(config)
         specs.append(
             ConstantVelocitySpec(
-                kind="constant_velocity", axes=(axis,), velocities=speeds, travel=_travel(limits, speeds, 0.3)
+                kind="constant_velocity",
+                axes=(axis,),
+                velocities=speeds,
+                travel=_travel_of(limits, speeds, 0.3),
             )
         )
         said.append(
@@ -150,9 +153,9 @@ def _for_causes(config: CellConfig, axis: str, causes: set[str]) -> tuple[list[S
             f"directions at {', '.join(f'{v:.3g}' for v in speeds)} {unit}/s."
         )
     if "positions" in kinds:
-        speed = round(ROOM * 0.3 * limits.velocity, 9)
-        travel = round(2.0 * ROOM * limits.position, 9)
-        specs += _ladder(config, (1.0, 0.4))
+        speed = round(USABLE_SHARE * 0.3 * limits.velocity, 9)
+        travel = round(2.0 * USABLE_SHARE * limits.position, 9)
+        specs += _amplitude_ladder(config, (1.0, 0.4))
         specs.append(
             ConstantVelocitySpec(kind="constant_velocity", axes=(axis,), velocities=(speed,), travel=travel)
         )
@@ -161,10 +164,10 @@ def _for_causes(config: CellConfig, axis: str, causes: set[str]) -> tuple[list[S
             "two amplitudes. Positions farther apart than the window allows need a start from another pose."
         )
     if "amplitudes" in kinds:
-        specs += _ladder(config)
+        specs += _amplitude_ladder(config)
         said.append(f"What depends on the amplitude of {axis}: the same excitation at {len(LEVELS)} levels.")
     if "band" in kinds:
-        top = round(min(HIGHEST * rate, 2.5 * base.band_Hz[1]), 6)
+        top = round(min(MOST_LINE * rate, 2.5 * base.band_Hz[1]), 6)
         specs.append(base.model_copy(update={"band_Hz": (base.band_Hz[0], top), "seed": base.seed + 21}))
         said.append(
             f"Delay or lag of {axis}: a band up to {top:.3g} Hz, where a lag loses amplitude and a "
@@ -186,7 +189,7 @@ def _for_causes(config: CellConfig, axis: str, causes: set[str]) -> tuple[list[S
     return specs, said
 
 
-def _travel(limits: Any, speeds: Sequence[float], seconds: float) -> float:
+def _travel_of(limits: Any, speeds: Sequence[float], seconds: float) -> float:
     """Long enough for the fastest move to last, short enough for the window."""
-    longest = 2.0 * ROOM * float(limits.position)
+    longest = 2.0 * USABLE_SHARE * float(limits.position)
     return round(min(longest, max(10 * seconds * max(speeds), 1e-6)), 9)

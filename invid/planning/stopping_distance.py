@@ -1,4 +1,4 @@
-"""How far an axis goes before it stands: after a stop, and after its master has died.
+"""Stopping distance of an axis: after a stop, and after the death of its master.
 
 v is the speed at which it happens [rad/s], t the time until the drive brakes [s], a₀ = τ/J the acceleration
 by the torque that goes on meanwhile, at worst the largest planned one in the direction of motion. The drive
@@ -21,12 +21,12 @@ from typing import Any
 from invid.config import AxisConfig, CellConfig
 from invid.errors import ConfigError
 
-STAMPS = 1.05
+SPEED_TOLERANCE = 1.05
 """The watch lets a speed pass that is 5 % over its limit: SYNC is known to a fifth of a cycle, over four."""
 SIGHT_CYCLES = 5
 """From what happens to the controlword at the drive, beyond the cycles in which nothing need be seen: two
 until a mean over four cycles shows it, one until its sample has come, one for the frame, one for its SYNC."""
-FEEDBACK = 1.25
+FEEDBACK_FACTOR = 1.25
 """Torque beyond the planned excitation: the weak centring of an excited axis (as ``forecast.MARGIN``)."""
 LOAD_SHARE = 0.5
 """Load of a gravity-loaded axis as a share of its torque limit, before its hold torque has been measured."""
@@ -74,7 +74,7 @@ class StoppingCase:
     reaction_s: float
     """From what happens to the quick stop at the drive, at worst."""
     sight_s: float
-    """How long a speed may be too high before it is seen."""
+    """Time for which a speed may be too high before it is seen."""
     room: float
     """How far beyond its window it may come to rest."""
     velocity: float
@@ -100,8 +100,8 @@ class StoppingCase:
             return None
         if a <= 0:
             return math.inf
-        entry = STAMPS * speed + a0 * seconds
-        return STAMPS * speed * seconds + a0 * seconds**2 / 2 + entry * SETTLE_S + entry**2 / (2 * a)
+        entry = SPEED_TOLERANCE * speed + a0 * seconds
+        return SPEED_TOLERANCE * speed * seconds + a0 * seconds**2 / 2 + entry * SETTLE_S + entry**2 / (2 * a)
 
     def fastest(self, seconds: float) -> float:
         """Speed whose way to rest is the room; ≤ 0: even from rest it is longer. ∞ where it is not known."""
@@ -116,7 +116,7 @@ class StoppingCase:
         if c >= 0:
             return 0.0
         # v²/(2a) + b·v + c = 0, in the form that a → ∞ allows
-        return -2 * c / (b + math.sqrt(b**2 - 2 * c / a)) / STAMPS
+        return -2 * c / (b + math.sqrt(b**2 - 2 * c / a)) / SPEED_TOLERANCE
 
 
 @dataclass(frozen=True)
@@ -169,7 +169,7 @@ class StoppingBudget:
         if a is None:
             return f"{case.axis}: how far it goes after a stop is not known: {facts.ramp}"
         stop = self.stop or 0.0
-        by = facts.ramp if a == facts.deceleration else self._by_torque(linear=linear)
+        by = facts.ramp if a == facts.deceleration else self._torque_clause(linear=linear)
         blind = (
             f"not known where this computer dies ({facts.watch})"
             if self.dead_master is None
@@ -183,7 +183,7 @@ class StoppingBudget:
             f"of a stop, at {a:.3g} {unit}/s² ({by}); {blind}"
         )
 
-    def _by_torque(self, *, linear: bool) -> str:
+    def _torque_clause(self, *, linear: bool) -> str:
         case, unit = self.case, "N" if linear else "N·m"
         beside = f" beside a load of {case.load:.3g}" if case.load else ""
         return f"{case.torque:.3g} {unit}{beside}, of {case.facts.deceleration:.3g} by {case.facts.ramp}"
@@ -267,7 +267,7 @@ def case_of(
         inertia=inertia,
         torque=axis.limits.torque,
         load=abs(load),
-        planned=min(FEEDBACK * planned, axis.limits.torque),
+        planned=min(FEEDBACK_FACTOR * planned, axis.limits.torque),
         reaction_s=(max(safety.missed_tpdos, safety.overrun_cycles) + SIGHT_CYCLES) * cycle,
         sight_s=SIGHT_CYCLES * cycle,
         room=axis.limits.stopping_room or axis.limits.position,
@@ -298,7 +298,7 @@ def budgets_of(
     )
     for budget in found:
         if budget.permitted <= 0:
-            raise ConfigError(_refusal(budget, linear=config.linear))
+            raise ConfigError(_refusal_text(budget, linear=config.linear))
     return found
 
 
@@ -315,7 +315,7 @@ def permitted(config: CellConfig, budgets: Sequence[StoppingBudget]) -> CellConf
     return config.model_copy(update={"axes": axes})
 
 
-def _refusal(budget: StoppingBudget, *, linear: bool) -> str:
+def _refusal_text(budget: StoppingBudget, *, linear: bool) -> str:
     case, unit = budget.case, "m" if linear else "rad"
     torque = "N" if linear else "N·m"
     if case.deceleration is not None and case.deceleration <= 0:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from invid.effects import curve as laws
-from invid.effects.registry import of_the_plant
+from invid.effects.registry import effects_of_plant
 from invid.errors import InvidError
 from invid.model.chains import CoupledChains
 from invid.model.diagnosis_document import Diagnosis
@@ -154,7 +154,7 @@ def replay_data(recording: Recording, diagnosis: Diagnosis) -> list[dict[str, An
         return []
     chosen = max(held, key=lambda e: float(e.position.std()))
     after = diagnosis.model
-    after = replace(after, effects=of_the_plant(after.effects))
+    after = replace(after, effects=effects_of_plant(after.effects))
     linear = replace(linear_model_of(diagnosis), effects=())
     try:
         runs = [simulate(x, recording, only=(chosen.key,)).experiments[0] for x in (linear, after)]

@@ -28,13 +28,13 @@ from invid.rigid_motion.selection import (
 from invid.signals.motion_record import Band, Motion, find_band, prepare_rows
 
 RESOLUTION = 0.005
-"""Part of the torque below which nothing is said to be missing: resampling, differentiation and a torque held
-over the sample leave up to 0.2 % on simulated axes without any fault (empirical)."""
+"""Share of the torque below which nothing counts as missing. Empirical: resampling, differentiation and held
+torque leave up to 0.2 % on simulated axes without a cause."""
 
 
 @dataclass(frozen=True, eq=False)
 class Analysis:
-    """A recording analysed: base model, selected causes, rows, band."""
+    """The analysis of a recording: base model, selected causes, rows, band."""
 
     recording: Recording
     band: Band
@@ -50,7 +50,7 @@ class Analysis:
 
 
 def analyse(recording: Recording) -> Analysis:
-    """Fit the base model that suits the data, then every cause the data ask for.
+    """The base model that suits the data, and every cause that the data need.
 
     Raises
     ------
@@ -66,32 +66,42 @@ def analyse(recording: Recording) -> Analysis:
         )
     motions = [m for m in motions if m.keep.any()]
     design = Design(motions)
-    reach = extent(motions, not recording.linear)
+    motion_extent = extent(motions, not recording.linear)
     springs = grounded_axes(recording)
-    base = base_terms(recording.axis_count, reach.steady)
+    base = base_terms(recording.axis_count, motion_extent.steady)
     base += [Regressor("ground_spring", i, ("stiffness",), base=True) for i in sorted(springs)]
-    candidates = candidate_terms(recording.axis_count, reach, springs)
-    if not reach.steady:
-        design.bend(_offsets(design, base, candidates))
+    candidates = candidate_terms(recording.axis_count, motion_extent, springs)
+    if not motion_extent.steady:
+        design.bend(_fit_time_offsets(design, base, candidates))
     with budget.use_share(0.8, 0.1, 0.9):
-        chosen = select_terms(design, base, candidates)
-    terms, spread = list(chosen.final.terms), dict[Regressor, float]()
+        selection_made = select_terms(design, base, candidates)
+    terms, spread = list(selection_made.final.terms), dict[Regressor, float]()
     if not budget.is_left_out("shapes of laws between those of the grid"):
-        terms, spread = _refined(design, chosen.final)
-    terms = _delays(design, terms, max(m.step for m in motions))
-    final, kept = fit_consistent_loads(design, terms)
-    if len(kept) < len(terms):
+        terms, spread = _refine_shapes(design, selection_made.final)
+    terms = _fit_delays(design, terms, max(m.step for m in motions))
+    final, is_kept = fit_consistent_loads(design, terms)
+    if len(is_kept) < len(terms):
         # What stood only beside what went goes as well.
-        final, kept = prune_terms(design, kept)
-    terms = kept
+        final, is_kept = prune_terms(design, is_kept)
+    terms = is_kept
     candidates += [t for t in load_terms(final, design) if not any(t.label == n.label for n in terms)]
     rigid = fit_terms(design, [t for t in final.terms if t.base])
     return Analysis(
-        recording, band, motions, design, reach, springs, candidates, chosen, rigid, final, spread
+        recording,
+        band,
+        motions,
+        design,
+        motion_extent,
+        springs,
+        candidates,
+        selection_made,
+        rigid,
+        final,
+        spread,
     )
 
 
-def _offsets(design: Design, base: list[Regressor], candidates: list[Regressor]) -> Float64:
+def _fit_time_offsets(design: Design, base: list[Regressor], candidates: list[Regressor]) -> Float64:
     """(M,) time offset of each axis, every cause that is linear beside it; within a sample [s]."""
     plain = [t for t in candidates if t.shape is None and not t.replaces]
     quick = fit_terms(design, [*base, *plain])
@@ -103,16 +113,16 @@ def _offsets(design: Design, base: list[Regressor], candidates: list[Regressor])
     return late
 
 
-def _delays(design: Design, terms: list[Regressor], step: float) -> list[Regressor]:
-    """Time offsets beyond a sample are no convention: a cause where the data insist, else taken out."""
+def _fit_delays(design: Design, terms: list[Regressor], step: float) -> list[Regressor]:
+    """The terms with time offsets beyond a sample as delays where they are significant, else without them."""
     current = fit_terms(design, terms)
     for term in [t for t in terms if t.cause == "time_offset"]:
         value, std = current.of(term)
         if abs(value[0]) <= step + 2 * std[0]:
             continue
         without = fit_terms(design, [t for t in terms if t is not term])
-        believed = is_needed(design, without, current) and _takes_all(design, without, current)
-        if believed and _late_while_moving(design, terms, term, step):
+        is_believed = is_needed(design, without, current) and _explains_most(design, without, current)
+        if is_believed and _is_late_in_motion(design, terms, term, step):
             terms = [replace(t, cause="torque_delay", base=False) if t is term else t for t in terms]
         else:
             terms = without.terms
@@ -120,11 +130,11 @@ def _delays(design: Design, terms: list[Regressor], step: float) -> list[Regress
     return terms
 
 
-def _takes_all(design: Design, without: Fit, current: Fit) -> bool:
-    """Whether nine tenths of what is missing beyond noise goes with the delay.
+def _explains_most(design: Design, without: Fit, current: Fit) -> bool:
+    """Whether the delay explains nine tenths of what is missing beyond noise.
 
-    In closed loop whatever else is missing shows in the torque as well, a little later. A delay that leaves
-    more may be the disguise of it.
+    In closed loop anything else that is missing shows in the torque as well, a little later; a delay that
+    leaves more may be another cause in disguise.
     """
     rows = judged_rows(design)
     noise = float(np.sum(design.noise[rows]))
@@ -132,11 +142,11 @@ def _takes_all(design: Design, without: Fit, current: Fit) -> bool:
     return after - noise < 0.1 * (before - noise)
 
 
-def _late_while_moving(design: Design, terms: list[Regressor], term: Regressor, step: float) -> bool:
-    """Whether the torque is late also where no axis stands or turns round near by.
+def _is_late_in_motion(design: Design, terms: list[Regressor], term: Regressor, step: float) -> bool:
+    """Whether the torque is late also where no axis stands or reverses nearby.
 
-    An axis that sticks before it turns, where the model's friction changes sign with the velocity, looks late
-    by as long as it sticks. That is friction, not the actuator.
+    An axis that sticks before it reverses, where the model's friction follows the sign of the velocity, looks
+    late by the time it sticks. That is friction, not the actuator.
     """
     rows = design.far & ~design.validate if design.has_validation else design.far
     if rows.sum() < 5 * sum(len(t.names) for t in terms):
@@ -152,7 +162,7 @@ def _late_while_moving(design: Design, terms: list[Regressor], term: Regressor, 
     return bool(abs(value[0]) > step + 3 * std[0] / np.sqrt(share))
 
 
-def _refined(design: Design, result: Fit) -> tuple[list[Regressor], dict[Regressor, float]]:
+def _refine_shapes(design: Design, result: Fit) -> tuple[list[Regressor], dict[Regressor, float]]:
     """Shape parameters between the grid points, with standard deviations from the cost's curvature."""
     terms = list(result.terms)
     spread: dict[Regressor, float] = {}
@@ -186,27 +196,28 @@ def row_floor(analysis: Analysis) -> Float64:
         if term.cause != "inertia":
             continue
         mass = float(analysis.final.of(term)[0][0])
-        own = design.axis == term.axis
-        variance[own] += mass**2 * float(band.accelerating()[term.axis])
+        own_noise = design.axis == term.axis
+        variance[own_noise] += mass**2 * float(band.accelerating()[term.axis])
     return variance
 
 
-def sampling_leaves(analysis: Analysis) -> Float64:
-    """(M,) rms torque that sampling leaves of a sound machine at most, beside the noise of its sensors."""
+def sampling_error(analysis: Analysis) -> Float64:
+    """(M,) largest rms torque that sampling leaves on a machine without a cause, beside its sensors'
+    noise."""
     design, rows, floor = analysis.design, judged_rows(analysis.design), row_floor(analysis)
     out = np.zeros(design.axes)
-    for i, steps in enumerate(counts_at_most(analysis)):
-        mine = rows & (design.axis == i)
-        noise = np.sqrt(np.mean(floor[mine]))
-        out[i] = max(RESOLUTION * root_mean_square(design.torque[mine]), float(np.hypot(noise, steps)))
+    for i, steps in enumerate(quantisation_error(analysis)):
+        axis_rows = rows & (design.axis == i)
+        noise = np.sqrt(np.mean(floor[axis_rows]))
+        out[i] = max(RESOLUTION * root_mean_square(design.torque[axis_rows]), float(np.hypot(noise, steps)))
     return out
 
 
-def counts_at_most(analysis: Analysis) -> Float64:
-    """(M,) rms torque that the steps of the encoder may leave in the rows.
+def quantisation_error(analysis: Analysis) -> Float64:
+    """(M,) largest rms torque that the counts of the encoder leave in the rows.
 
-    At a constant speed the rounding is no white noise but a tone, at whatever frequency the sampling folds it
-    to: at worst all of it, count²/12, at the cut-off.
+    At a constant speed the rounding is no white noise but a tone, at whatever frequency the sampling aliases
+    it to: at worst all of it, count²/12, at the cut-off.
     """
     count: Float64 = np.max([m.counts for m in analysis.motions], axis=0)
     most = np.zeros_like(count)

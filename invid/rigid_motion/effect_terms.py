@@ -20,7 +20,7 @@ def term_of(analysis: Analysis, term: Regressor) -> EffectTerm:
     value, std = final.of(term)
     place = Place("mass", term.axis, 1)
     count = len(effect.coefficients)
-    shapes = [] if term.shape is None or not effect.shapes else [_moved(effect, term.shape)]
+    shapes = [] if term.shape is None or not effect.shapes else [_fit_value(effect, term.shape)]
 
     def sizes(x: Float64) -> dict[str, float]:
         return effect.values([*x.tolist(), *shapes], place)
@@ -28,16 +28,16 @@ def term_of(analysis: Analysis, term: Regressor) -> EffectTerm:
     start = sum(len(t.names) for t in final.terms[: final.terms.index(term)])
     spread = final.covariance[start : start + count, start : start + count]
     step = np.where(std[:count] > 0, std[:count], 1.0) * 1e-3
-    moved = [
-        {n: (up[n] - down[n]) / (2 * h) for n in up}
-        for h, up, down in (
+    shifted = [
+        {n: (up[n] - backward[n]) / (2 * h) for n in up}
+        for h, up, backward in (
             (h, sizes(value[:count] + h * e), sizes(value[:count] - h * e))
             for h, e in zip(step, np.eye(count), strict=True)
         )
     ]
     parameters: dict[str, Estimate] = {}
     for name, size in sizes(value[:count]).items():
-        slope = np.array([m[name] for m in moved])
+        slope = np.array([m[name] for m in shifted])
         unit = unit_of(effect.parameters[name], linear)
         own = float(np.sqrt(max(slope @ spread @ slope, 0.0)))
         parameters[name] = Estimate(size, own, None if unit == "1" else unit)
@@ -45,8 +45,10 @@ def term_of(analysis: Analysis, term: Regressor) -> EffectTerm:
     for k in range(count, len(term.names)):  # how it bends at low speed, which the cause's own do not say
         parameters[term.names[k]] = Estimate(float(value[k]), float(std[k]), force)
     if term.shape is not None:
-        bent = effect.shapes[0] if effect.shapes else "low_speed_velocity"
-        parameters[bent] = _shape(analysis, term, parameters[bent].unit if effect.shapes else speed)
+        low_speed = effect.shapes[0] if effect.shapes else "low_speed_velocity"
+        parameters[low_speed] = _shape_estimate(
+            analysis, term, parameters[low_speed].unit if effect.shapes else speed
+        )
     if term.exponent or "inertia_counts" in effect.parameters:
         power = "inertia_counts" if "inertia_counts" in effect.parameters else "exponent"
         parameters[power] = Estimate(float(term.exponent), None, None)
@@ -56,11 +58,11 @@ def term_of(analysis: Analysis, term: Regressor) -> EffectTerm:
     return EffectTerm(term.cause, axis, parameters, element, other)
 
 
-def _moved(effect: Effect, shape: float) -> float:
-    """A shape as it moves in a fit."""
+def _fit_value(effect: Effect, shape: float) -> float:
+    """A shape parameter as it is fitted."""
     return float(np.log(shape)) if effect.logarithmic[0] else shape
 
 
-def _shape(analysis: Analysis, term: Regressor, unit: str | None) -> Estimate:
+def _shape_estimate(analysis: Analysis, term: Regressor, unit: str | None) -> Estimate:
     spread = analysis.shape_std.get(term, np.inf)
     return Estimate(float(term.shape or 0.0), float(spread) if np.isfinite(spread) else None, unit)

@@ -20,38 +20,38 @@ from invid.simulation.rigid import errors_of
 
 
 def figures_of(a: Analysis, extended: Model) -> dict[str, Any]:
-    """What stands in the ``details`` of a diagnosis."""
+    """Entries for ``details`` of a diagnosis."""
     design, rows = a.design, judged_rows(a.design)
     train = ~design.validate if design.has_validation else rows
     relative = {}
     for i, name in enumerate(a.recording.axes):
         mine = design.axis == i
         relative[name] = {
-            "fit": _percent(a.final.residual, design.torque, train & mine),
-            "held_out": _percent(a.final.held_out, design.torque, rows & mine),
+            "fit": _relative_error(a.final.residual, design.torque, train & mine),
+            "held_out": _relative_error(a.final.held_out, design.torque, rows & mine),
             "fit_rms": root_mean_square(a.final.residual[train & mine]),
         }
     return {
         "relative_torque_error_percent": relative,
         "relative_torque_error_percent_all_axes": {
-            "fit": _percent(a.final.residual, design.torque, train),
-            "held_out": _percent(a.final.held_out, design.torque, rows),
+            "fit": _relative_error(a.final.residual, design.torque, train),
+            "held_out": _relative_error(a.final.held_out, design.torque, rows),
         },
         "band_hz": [float(f) for f in a.band.rows_hz],
         "independent_rows": a.final.effective,
-        "ladder": _ladder(a),
-        "not_shown": _not_shown(a),
-        "simulation": _simulated(a, extended),
+        "ladder": _friction_models(a),
+        "not_shown": _axes_not_shown(a),
+        "simulation": _simulation_figures(a, extended),
     }
 
 
-def _percent(residual: Float64, torque: Float64, rows: np.typing.NDArray[np.bool_]) -> float:
+def _relative_error(residual: Float64, torque: Float64, rows: np.typing.NDArray[np.bool_]) -> float:
     size = root_mean_square(torque[rows])
     return 100 * root_mean_square(residual[rows]) / size if size > 0 else 0.0
 
 
-def _ladder(a: Analysis) -> list[dict[str, Any]]:
-    """Friction models of rising size on every axis at once, whatever was selected: to compare with tables."""
+def _friction_models(a: Analysis) -> list[dict[str, Any]]:
+    """Friction models of increasing size on every axis, whatever was selected, to compare with tables."""
     design, rows = a.design, judged_rows(a.design)
     train = ~design.validate if design.has_validation else rows
     friction = {
@@ -63,12 +63,12 @@ def _ladder(a: Analysis) -> list[dict[str, Any]]:
     }
     # As tables in the literature: without the sampling instant of the torque.
     others = [t for t in a.final.terms if t.cause not in friction and t.cause != "time_offset"]
-    falls = {t.axis for t in others if t.cause == "gravity"}
+    reductions = {t.axis for t in others if t.cause == "gravity"}
     count = a.recording.axis_count
     viscous = [Regressor("viscous_friction", i, ("coefficient",)) for i in range(count)]
     coulomb = [Regressor("coulomb_friction", i, ("torque",)) for i in range(count)]
-    offset = [Regressor("torque_offset", i, ("torque",)) for i in range(count) if i not in falls]
-    rungs: list[tuple[str, list[Regressor]]] = [
+    offset = [Regressor("torque_offset", i, ("torque",)) for i in range(count) if i not in reductions]
+    models: list[tuple[str, list[Regressor]]] = [
         ("no friction", []),
         ("viscous", viscous + offset),
         ("coulomb + viscous", coulomb + viscous),
@@ -76,7 +76,7 @@ def _ladder(a: Analysis) -> list[dict[str, Any]]:
         ("selected", [t for t in a.final.terms if t.cause in friction]),
     ]
     table = []
-    for name, terms in rungs:
+    for name, terms in models:
         result: Fit = fit_terms(design, others + terms)
         parameters = {}
         for term in result.terms:
@@ -89,8 +89,8 @@ def _ladder(a: Analysis) -> list[dict[str, Any]]:
         table.append(
             {
                 "friction": name,
-                "relative_error_percent": _percent(result.residual, design.torque, train),
-                "held_out_percent": _percent(result.held_out, design.torque, rows),
+                "relative_error_percent": _relative_error(result.residual, design.torque, train),
+                "held_out_percent": _relative_error(result.held_out, design.torque, rows),
                 "fit_rms": root_mean_square(result.residual[train]),
                 "held_out_rms": root_mean_square(result.held_out[rows]),
                 "parameters": parameters,
@@ -99,7 +99,7 @@ def _ladder(a: Analysis) -> list[dict[str, Any]]:
     return table
 
 
-def _not_shown(a: Analysis) -> list[str]:
+def _axes_not_shown(a: Analysis) -> list[str]:
     missing = []
     for i, name in enumerate(a.recording.axes):
         if not a.reach.both_ways[i]:
@@ -117,8 +117,8 @@ def _not_shown(a: Analysis) -> list[str]:
     return missing
 
 
-def _simulated(a: Analysis, extended: Model) -> list[dict[str, Any]]:
-    """The model run through time beside the record, and the best linear model in its place."""
+def _simulation_figures(a: Analysis, extended: Model) -> list[dict[str, Any]]:
+    """Errors of the simulated model beside the record, and those of the best linear model."""
     if budget.is_left_out("the model simulated over time"):
         return []
     found = errors_of(extended, a.recording)

@@ -17,9 +17,9 @@ from invid.rigid_motion.regression import Design, Fit, fit_terms
 from invid.rigid_motion.regressors import Regressor, load_on
 
 CAUSE = "load_dependent_friction"
-VARIES = 0.1
-"""Spread of |load| over its mean below which it counts as constant: |load|·sign(v) is then Coulomb friction
-to a tenth, which no cause that must remove a tenth of the residual can be told from."""
+LEAST_VARIATION = 0.1
+"""Spread of |load| over its mean below which it counts as constant. Physical: |load|·sign(v) is then Coulomb
+friction to a tenth, which a cause that must explain a tenth of the residual cannot be told from."""
 _WEIGHT = ("gravity",)
 _WHOLE = ("gravity", "inertia", "coupling", "configuration", "torque_offset")
 _ROUNDS, _SETTLED = 8, 1e-4
@@ -30,13 +30,13 @@ def load_terms(current: Fit, design: Design) -> list[Regressor]:
     found = []
     for axis in range(design.axes):
         for exponent, causes in ((0, _WEIGHT), (1, _WHOLE)):
-            term = _of(current, axis, causes, exponent)
-            if term is not None and load_variation(design, term) > VARIES:
+            term = _load_term(current, axis, causes, exponent)
+            if term is not None and load_variation(design, term) > LEAST_VARIATION:
                 found.append(term)
     return found
 
 
-def _of(current: Fit, axis: int, causes: tuple[str, ...], exponent: int) -> Regressor | None:
+def _load_term(current: Fit, axis: int, causes: tuple[str, ...], exponent: int) -> Regressor | None:
     acting = [t for t in current.terms if t.cause in causes and axis in (t.axis, t.other)]
     if not acting:
         return None
@@ -55,7 +55,7 @@ def load_variation(design: Design, term: Regressor) -> float:
 
 
 def fix_loads(design: Design, terms: list[Regressor]) -> list[Regressor]:
-    """The terms with every load as the fit beside it has it."""
+    """The terms with every load computed from the fit beside it, iterated."""
     if not any(t.cause == CAUSE for t in terms):
         return terms
     before: Float64 | None = None
@@ -64,12 +64,12 @@ def fix_loads(design: Design, terms: list[Regressor]) -> list[Regressor]:
         if before is not None and np.allclose(current.value, before, rtol=_SETTLED):
             break
         before = current.value
-        terms = [_renewed(t, current) for t in terms]
+        terms = [_with_current_load(t, current) for t in terms]
     return terms
 
 
-def _renewed(term: Regressor, current: Fit) -> Regressor:
+def _with_current_load(term: Regressor, current: Fit) -> Regressor:
     if term.cause != CAUSE:
         return term
-    fresh = _of(current, term.axis, _WHOLE if term.exponent else _WEIGHT, term.exponent)
+    fresh = _load_term(current, term.axis, _WHOLE if term.exponent else _WEIGHT, term.exponent)
     return term if fresh is None else replace(term, load=fresh.load)

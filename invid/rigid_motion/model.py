@@ -17,19 +17,19 @@ from invid.rigid_motion.regression import fit_terms
 from invid.rigid_motion.regressors import Regressor
 
 TRAJECTORY = "trajectory"
-"""The method that a model of rigid axes says it was made by."""
+"""Method name of models of rigid axes."""
 
 
 def identify_trajectory(recording: Recording, *, analysis: Analysis | None = None) -> Model:
-    """Rigid (or grounded) model with the effects the data ask for, fitted together.
+    """Rigid (or grounded) model with the effects that the data need, fitted together.
 
-    ``analysis``: that of this recording, where it is there already.
+    ``analysis``: that of this recording, where it exists already.
     """
     return model_of(analyse(recording) if analysis is None else analysis)
 
 
 def model_of(a: Analysis, given: Model | None = None) -> Model:
-    """The model of an analysis; ``given`` lends what such a record cannot show, the inertia."""
+    """The model of an analysis; ``given`` provides the inertia where the record cannot show it."""
     recording, final = a.recording, a.final
     count = recording.axis_count
     mass, mass_std = np.ones(count), np.full(count, np.nan)
@@ -69,7 +69,7 @@ def model_of(a: Analysis, given: Model | None = None) -> Model:
     unseen = [] if a.reach.steady else [i for i in range(count) if not np.isfinite(mass_std[i])]
     doubts = []
     for i in unseen:
-        mass[i] = _hidden_inertia(a, i)
+        mass[i] = _hidden_inertia_std(a, i)
         doubts.append(
             f"the inertia of {recording.axes[i]} does not show: the mass in this model, {mass[i]:.2g}, is "
             "what the rest could hide; record faster moves, or see that the torque is the motor's"
@@ -110,8 +110,8 @@ def model_of(a: Analysis, given: Model | None = None) -> Model:
     )
 
 
-def _hidden_inertia(a: Analysis, axis: int) -> float:
-    """Standard deviation of an inertia beside the rest of the model: what may be there and not be seen."""
+def _hidden_inertia_std(a: Analysis, axis: int) -> float:
+    """Standard deviation of an inertia given the rest of the model: how much could be there unseen."""
     own = Regressor("inertia", axis, ("mass",), base=True)
     _, std = fit_terms(a.design, [*a.final.terms, own]).of(own)
     if not std[0] > 0:

@@ -1,4 +1,4 @@
-"""Which records are large motions: what is left to the spectral chain diagnosis, and what is not."""
+"""Which records are large motions for rigid axes, and which are for the spectral diagnosis of chains."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ from invid.rigid_motion.selection import held_out_cost
 from invid.signals.motion_record import find_band, prepare_rows
 from invid.signals.timebase import resample_uniformly
 
-COHERENT = 0.8
+LEAST_COHERENCE = 0.8
 """Coherence above which a response is believed; of 15 averages, noise reaches 0.3 once in a hundred."""
 PROMINENCE = 1.1
 """ln of the factor by which a resonance stands out of the response (3); empirical: friction makes none."""
-RIGID = 0.8
+LEAST_RIGID_SHARE = 0.8
 """Share of the torque, on rows kept out, that inertia, friction and gravity of a rigid axis make at
 least. Empirical: 0.97 and more on the moves of three machines, 0.67 and less on the worst axis of ten chains
 that noise or a stepped sine shook. A resonance seldom stands out of such records: it is narrower than the
 lines they have."""
 
-SHAKEN = 4.0
+SHAKING_RATE = 4.0
 """Reversals of velocity a second from which an axis is shaken, not moved. Empirical: at most 1.8 on the moves
 of six arms of two links (one axis changes the inertia of the other, so that rigid axes alone account for a
-tenth of the torque in one), 7.8 and more on 16 chains that noise or a stepped sine shook."""
+tenth of the torque in one), 7.8 and more on 16 chains under noise or a stepped sine."""
 
 
 def is_trajectory(recording: Recording) -> bool:
-    """True for motions that a rigid model with gravity, friction or a spring to ground is for.
+    """Whether a recording is a motion for a rigid model with gravity, friction or a spring to ground.
 
-    That is: velocity without position; moves and constant velocities with no resonance in sight that are no
-    shaking, or whose torque rigid axes account for; and any record whose motor has no rigid mode. Periodic
-    and swept excitation of a free axis is not.
+    That is: velocity without position; moves and constant velocities without a visible resonance that are no
+    shaking, or whose torque rigid axes explain; and any record whose motor has no rigid mode. Periodic and
+    swept excitation of a free axis is not.
     """
     experiments = recording.experiments
     if any(e.attributes.get("position_source") == "integrated_velocity" for e in experiments):
@@ -53,7 +53,9 @@ def is_trajectory(recording: Recording) -> bool:
                 return True
             if is_resonance_visible(recording):
                 return False
-            return reversal_rate(recording) < SHAKEN or rigid_torque_share(recording) > RIGID
+            return (
+                reversal_rate(recording) < SHAKING_RATE or rigid_torque_share(recording) > LEAST_RIGID_SHARE
+            )
         return recording.axis_count == 1 and bool(grounded_axes(recording))
     except InvidError:
         # Too short or too uneven even to look at: the chain diagnosis says what is missing.
@@ -61,10 +63,10 @@ def is_trajectory(recording: Recording) -> bool:
 
 
 def is_resonance_visible(recording: Recording) -> bool:
-    """True where some axis's response from torque to acceleration has a peak that stands out.
+    """Whether the response from torque to acceleration of some axis has a significant peak.
 
-    It must stand out in both halves of the record at the same place: the peaks that friction makes of single
-    moves do not.
+    It must appear in both halves of the record at the same place: peaks that friction makes of single moves
+    do not.
     """
     longest = max((e for e in recording.experiments if e.kind is Kind.OTHER), key=lambda e: e.samples)
     even = resample_uniformly(longest)
@@ -72,26 +74,26 @@ def is_resonance_visible(recording: Recording) -> bool:
         return False
     acceleration = np.diff(even.position, 2, axis=0) / even.step**2
     torque = even.torque[1:-1]
-    middle = acceleration.shape[0] // 2
+    half_length = acceleration.shape[0] // 2
     for i in range(recording.axis_count):
-        whole = _peaks(torque[:, i], acceleration[:, i], even.step)
+        whole = _peak_frequencies(torque[:, i], acceleration[:, i], even.step)
         if whole.size == 0:
             continue
         halves = [
-            _peaks(torque[part, i], acceleration[part, i], even.step, acceleration.shape[0] // 8)
-            for part in (slice(None, middle), slice(middle, None))
+            _peak_frequencies(torque[part, i], acceleration[part, i], even.step, acceleration.shape[0] // 8)
+            for part in (slice(None, half_length), slice(half_length, None))
         ]
-        apart = 2.0 * 8 / (acceleration.shape[0] * even.step)
+        separate = 2.0 * 8 / (acceleration.shape[0] * even.step)
         for peak in whole:
-            if all((np.abs(half - peak) < max(apart, 0.05 * peak)).any() for half in halves):
+            if all((np.abs(half - peak) < max(separate, 0.05 * peak)).any() for half in halves):
                 return True
     return False
 
 
 def reversal_rate(recording: Recording) -> float:
-    """How often a second the velocity of the busiest axis changes sign, in the longest record.
+    """Reversals a second of the velocity of the busiest axis, in the longest record.
 
-    Beyond a tenth of its rms: an encoder at rest flickers.
+    Beyond a tenth of its rms, because an encoder at rest flickers.
     """
     longest = max(recording.experiments, key=lambda e: e.samples)
     even = resample_uniformly(longest)
@@ -104,10 +106,8 @@ def reversal_rate(recording: Recording) -> float:
 
 
 def rigid_torque_share(recording: Recording) -> float:
-    """Share of the torque's power that rigid axes with friction and gravity account for, on rows kept out.
-
-    Of the axis of which least is.
-    """
+    """Share of the torque's power that rigid axes with friction and gravity explain on held-out rows, worst
+    axis."""
     design = Design([prepare_rows(e, find_band(recording.experiments)) for e in recording.experiments])
     count = recording.axis_count
     terms = base_terms(count, steady=False)
@@ -119,16 +119,16 @@ def rigid_torque_share(recording: Recording) -> float:
         terms.append(Regressor("torque_offset", i, ("torque",)))
         if not recording.linear:
             terms.append(Regressor("gravity", i, ("sine", "cosine")))
-    left = fit_terms(design, terms).held_out
+    remainder = fit_terms(design, terms).held_out
     shares = []
     for i in range(count):
         rows = design.axis == i
         power = float(np.mean(design.torque[rows] ** 2))
-        shares.append(1.0 - float(np.mean(left[rows] ** 2)) / power if power > 0 else 1.0)
+        shares.append(1.0 - float(np.mean(remainder[rows] ** 2)) / power if power > 0 else 1.0)
     return min(shares)
 
 
-def _peaks(torque: Float64, acceleration: Float64, step: float, length: int = 0) -> Float64:
+def _peak_frequencies(torque: Float64, acceleration: Float64, step: float, length: int = 0) -> Float64:
     """Frequencies [Hz] of the peaks that stand out of the response where it is coherent."""
     length = length or acceleration.size // 8
     frequency, cross = csd(torque, acceleration, 1 / step, nperseg=length)
@@ -136,19 +136,19 @@ def _peaks(torque: Float64, acceleration: Float64, step: float, length: int = 0)
     _, pt = welch(torque, 1 / step, nperseg=length)
     coherence = np.abs(cross) ** 2 / np.maximum(pa * pt, 1e-300)
     response = np.log(np.maximum(np.abs(cross) / np.maximum(pt, 1e-300), 1e-300))
-    seen = (coherence > COHERENT) & (frequency > 0)
-    if seen.sum() < 8:
+    coherent = (coherence > LEAST_COHERENCE) & (frequency > 0)
+    if coherent.sum() < 8:
         return np.zeros(0)
-    peaks = find_peaks(response[seen], prominence=PROMINENCE, width=2)[0]
-    inner = peaks[(peaks > 2) & (peaks < int(seen.sum()) - 3)]
-    found: Float64 = frequency[seen][inner]
+    peaks = find_peaks(response[coherent], prominence=PROMINENCE, width=2)[0]
+    inner = peaks[(peaks > 2) & (peaks < int(coherent.sum()) - 3)]
+    found: Float64 = frequency[coherent][inner]
     return found
 
 
 def grounded_axes(recording: Recording) -> set[int]:
-    """Axes that a spring holds to ground: no rigid mode, and a resonance inside the band.
+    """Axes that a spring ties to ground: no rigid mode, and a resonance inside the band.
 
-    The spring must leave a quarter of what friction, gravity and inertia leave, on rows kept out.
+    The spring must leave at most a quarter of what friction, gravity and inertia leave on held-out rows.
     """
     if all(e.kind is Kind.CONSTANT_VELOCITY for e in recording.experiments):
         return set()

@@ -11,7 +11,7 @@ from invid.rigid_motion.regressors import Regressor, columns
 from invid.signals.motion_record import Motion
 
 BLOCKS = 20
-"""Pieces of an experiment that are kept out in turn where a recording names no validation data."""
+"""Pieces of an experiment that are held out in turn where a recording has no validation data."""
 
 
 class Design:
@@ -139,7 +139,7 @@ def correlation_length(residual: Float64, group: Float64, axis: Float64) -> floa
     return max(total, 1.0)
 
 
-def _solve(matrix: Float64, torque: Float64) -> Float64:
+def _scaled_lstsq(matrix: Float64, torque: Float64) -> Float64:
     scale = np.sqrt((matrix**2).sum(axis=0))
     scale[scale == 0] = 1.0
     solution: Float64 = np.linalg.lstsq(matrix / scale, torque, rcond=1e-10)[0] / scale
@@ -147,18 +147,18 @@ def _solve(matrix: Float64, torque: Float64) -> Float64:
 
 
 def fit_terms(design: Design, terms: list[Regressor], *, correlation: float | None = None) -> Fit:
-    """Least squares on the training rows, and on all but each piece where no validation rows are named."""
+    """Least squares on the training rows, and cross-validation over the pieces without validation rows."""
     matrix, torque, weight = design.matrix(terms), design.torque, design.weight
     train = ~design.validate if design.has_validation else np.ones(torque.size, dtype=bool)
     wm, wt = matrix * weight[:, None], torque * weight
-    value = _solve(wm[train], wt[train])
+    value = _scaled_lstsq(wm[train], wt[train])
     residual = torque - matrix @ value
     if design.has_validation:
         held_out = residual
     else:
         held_out = np.empty_like(torque)
         for g in _folds(design.group):
-            held_out[g] = torque[g] - matrix[g] @ _solve(wm[~g], wt[~g])
+            held_out[g] = torque[g] - matrix[g] @ _scaled_lstsq(wm[~g], wt[~g])
     weighted = residual * weight
     length = correlation or correlation_length(weighted[train], design.group[train], design.axis[train])
     count, free = int(train.sum()), matrix.shape[1]

@@ -59,7 +59,7 @@ class Regressor:
 
     @property
     def label(self) -> tuple[str, int, int | None, str]:
-        """What makes two terms the same, whatever their shape parameter."""
+        """Identity of a term without its shape parameter."""
         return (self.cause, self.axis, self.other, self.tag)
 
 
@@ -72,11 +72,11 @@ def columns(term: Regressor, motion: Motion) -> Float64:
         case "inertia":
             out[:, i, 0] = motion.acceleration[:, i]
         case "coupling":
-            j = _other(term)
+            j = _other_axis(term)
             out[:, i, 0] = motion.acceleration[:, j]
             out[:, j, 0] = motion.acceleration[:, i]
         case "configuration":
-            _configuration(out, motion, i, _other(term))
+            _fill_configuration(out, motion, i, _other_axis(term))
         case "ground_spring":
             out[:, i, 0] = motion.position[:, i]
         case "time_offset":
@@ -85,14 +85,14 @@ def columns(term: Regressor, motion: Motion) -> Float64:
             effect = effect_of(term.cause)
             if effect is None:
                 raise ValueError(f"no columns for {term.cause!r}")
-            own = effect.regressors(_motion_of(term, motion), _shape_of(term))
+            own = effect.regressors(_place_motion(term, motion), _shape_of(term))
             for axis in (i,) if term.other is None else (i, term.other):
                 out[:, axis] = own
     return out
 
 
-def _motion_of(term: Regressor, motion: Motion) -> PlaceMotion:
-    """What a law sees of the motion: of its axis, or of an axis that another carries."""
+def _place_motion(term: Regressor, motion: Motion) -> PlaceMotion:
+    """The motion that a law uses: of its axis, or of an axis that another carries."""
     i = term.axis
     position = motion.position[:, i]
     if term.other is not None:
@@ -122,13 +122,13 @@ def load_on(term: Regressor, motion: Motion) -> Float64:
     return total
 
 
-def _other(term: Regressor) -> int:
+def _other_axis(term: Regressor) -> int:
     if term.other is None:
         raise ValueError(f"{term.cause}: needs a second axis")
     return term.other
 
 
-def _configuration(out: Float64, motion: Motion, i: int, j: int) -> None:
+def _fill_configuration(out: Float64, motion: Motion, i: int, j: int) -> None:
     """Two links in series, joint j carried by joint i: b = m₂ l₁ r₂ (inertia that varies with q_j)."""
     cos, sin = np.cos(motion.position[:, j]), np.sin(motion.position[:, j])
     vi, vj = motion.velocity[:, i], motion.velocity[:, j]
@@ -141,7 +141,7 @@ def _configuration(out: Float64, motion: Motion, i: int, j: int) -> None:
 
 @dataclass(frozen=True)
 class Extent:
-    """How far and how fast each axis moved: what decides which terms make sense."""
+    """Range and speed of each axis' motion, which decide which terms are meaningful."""
 
     travel: Float64
     """(M,) peak-to-peak position."""
@@ -199,7 +199,7 @@ def base_terms(axes: int, steady: bool) -> list[Regressor]:
 
 
 def candidate_terms(axes: int, reach: Extent, springs: set[int]) -> list[Regressor]:
-    """Every cause that the record could show at all."""
+    """Every cause that the record could show."""
     found: list[Regressor] = []
     for i in range(axes):
         found.append(Regressor("viscous_friction", i, ("coefficient",), ("coefficient",)))
@@ -223,9 +223,9 @@ def candidate_terms(axes: int, reach: Extent, springs: set[int]) -> list[Regress
                     )
                 )
         if reach.both_ways[i]:
-            swallowed = ("coulomb_friction", "viscous_friction", "torque_offset", "stribeck_friction")
+            covered = ("coulomb_friction", "viscous_friction", "torque_offset", "stribeck_friction")
             dry = ("coulomb_friction", "stribeck_friction")
-            found.append(Regressor("asymmetric_friction", i, ASYMMETRIC, (), replaces=swallowed, needs=dry))
+            found.append(Regressor("asymmetric_friction", i, ASYMMETRIC, (), replaces=covered, needs=dry))
             for exponent in (1, 2):
                 for speed in speeds:
                     found.append(
@@ -236,19 +236,19 @@ def candidate_terms(axes: int, reach: Extent, springs: set[int]) -> list[Regress
                             (),
                             shape=speed,
                             exponent=exponent,
-                            replaces=(*swallowed, "asymmetric_friction"),
+                            replaces=(*covered, "asymmetric_friction"),
                             needs=(*dry, "asymmetric_friction"),
                             tag="low speed",
                         )
                     )
         # Below a fifth of a radian a sine and a cosine of the angle are an offset and a spring.
         # Beside a spring to ground, a sine over less than half a turn is a spring that is not linear.
-        swings = reach.travel[i] > (np.pi if i in springs else 0.2)
-        if reach.rotary and swings and not reach.steady:
+        amplitude = reach.travel[i] > (np.pi if i in springs else 0.2)
+        if reach.rotary and amplitude and not reach.steady:
             # Over less than half a turn a weight and the constant within friction by direction may cancel.
-            beside = ("asymmetric_friction",) if reach.travel[i] < np.pi else ()
+            besides = ("asymmetric_friction",) if reach.travel[i] < np.pi else ()
             found.append(
-                Regressor("gravity", i, ("sine", "cosine"), replaces=("torque_offset",), excludes=beside)
+                Regressor("gravity", i, ("sine", "cosine"), replaces=("torque_offset",), excludes=besides)
             )
         if i in springs:
             found.append(Regressor("quadratic_stiffness", i, ("coefficient",)))

@@ -1,4 +1,4 @@
-"""Which causes the data ask for: forward by what they explain, back by what they can do without.
+"""Selection of causes: forward by significance, then backward elimination.
 
 A cause is taken when the training rows and the rows kept out both say so at one per cent, the tests
 counting independent rows (serial correlation) and pieces, not samples.
@@ -18,21 +18,21 @@ from invid.rigid_motion.load_friction import fix_loads, load_terms
 from invid.rigid_motion.regression import Design, Fit, fit_terms
 from invid.rigid_motion.regressors import ASYMMETRIC, Regressor
 
-ALARM = 0.01
+FALSE_ALARM = 0.01
 """False alarms allowed for each decision, shared among the candidates tried (Bonferroni)."""
 LEAST_GAIN = 0.1
-"""Smallest part of the kept-out residual power that a cause must remove. Empirical: on measured axes the
-rigid model itself is wrong by some per cent of the remaining power in ways that any smooth term picks up.
-Machines drawn at random (six decades of inertia, 200 to 2000 Hz, tests/property) hold it too."""
+"""Smallest share of the held-out residual power that a cause must explain. Empirical: on measured axes the
+rigid model itself is wrong by some per cent of the remaining power in ways that any smooth term absorbs.
+Machines drawn at random (six decades of inertia, 200 to 2000 Hz, tests/property) confirm it."""
 
 
 @dataclass
 class Selection:
-    """Where the search ended."""
+    """The result of a selection."""
 
     final: Fit
-    cut: bool = False
-    """Whether the budget ended the search before it ended by itself."""
+    is_cut_short: bool = False
+    """Whether the budget ended the search."""
 
 
 def root_mean_square(values: Float64) -> float:
@@ -64,8 +64,8 @@ def held_out_p(design: Design, before: Fit, after: Fit) -> float:
     t = float(difference.mean() / (spread / np.sqrt(difference.size)))
     one: float = float(stats.t.sf(t, difference.size - 1))
     # Gains are skewed over pieces (a few hold all the reversals): a sign test sees what the mean's t misses.
-    wins = int((difference > 0).sum())
-    sign = float(stats.binomtest(wins, difference.size, 0.5, alternative="greater").pvalue)
+    win_count = int((difference > 0).sum())
+    sign = float(stats.binomtest(win_count, difference.size, 0.5, alternative="greater").pvalue)
     return min(1.0, 2 * min(one, sign))
 
 
@@ -87,20 +87,20 @@ def held_out_cost(design: Design, result: Fit) -> float:
 def is_needed(design: Design, without: Fit, current: Fit) -> bool:
     """True where ``current`` is better than ``without`` on both counts and by enough to matter."""
     return (
-        training_p(without, current) < ALARM
-        and held_out_p(design, without, current) < 5 * ALARM
+        training_p(without, current) < FALSE_ALARM
+        and held_out_p(design, without, current) < 5 * FALSE_ALARM
         and held_out_cost(design, current) < (1 - LEAST_GAIN) * held_out_cost(design, without)
     )
 
 
 def is_physical(result: Fit, term: Regressor) -> bool:
-    """Coefficients that must not be negative are not."""
+    """Whether no coefficient that must be positive is negative."""
     value, _ = result.of(term)
     return all(value[term.names.index(n)] >= 0 for n in term.positive)
 
 
 def join_term(terms: list[Regressor], new: Regressor) -> list[Regressor]:
-    """The terms with ``new`` instead of what it contains."""
+    """The terms with ``new`` in place of those that it contains."""
     kept = [
         t
         for t in terms
@@ -141,7 +141,7 @@ def fit_fast(design: Design, terms: list[Regressor], length: float) -> Fit:
 def select_terms(
     design: Design, base: list[Regressor], candidates: list[Regressor], *, most: int = 12
 ) -> Selection:
-    """Forward selection, then everything taken out again that is not missed."""
+    """Forward selection, then elimination of what is not significant."""
     current, terms = fit_terms(design, base), list(base)
     labels: dict[tuple[str, int, int | None, str], list[Regressor]] = {}
     for c in candidates:
@@ -151,7 +151,7 @@ def select_terms(
         length = design.torque.size / max(current.effective, 1.0)
         if design.has_validation:
             length = (~design.validate).sum() / max(current.effective, 1.0)
-        tried: list[tuple[Regressor, Fit]] = []
+        tried_labels: list[tuple[Regressor, Fit]] = []
         for label, options in labels.items():
             if budget.is_spent():
                 break
@@ -160,26 +160,26 @@ def select_terms(
                 continue
             trial = best_of_label(design, terms, options, length)
             if trial is not None:
-                tried.append((trial.terms[-1], trial))
+                tried_labels.append((trial.terms[-1], trial))
         cut = cut or budget.is_left_out(f"causes beside {number} found")
         if cut:  # of a step cut short nobody knows what would have been best
             break
-        tried += _under_load(design, current, terms, length)
-        good = [
+        tried_labels += _load_candidates(design, current, terms, length)
+        accepted = [
             (t, f)
-            for t, f in tried
-            if training_p(current, f) < ALARM / max(len(tried), 1)
-            and held_out_p(design, current, f) < ALARM
+            for t, f in tried_labels
+            if training_p(current, f) < FALSE_ALARM / max(len(tried_labels), 1)
+            and held_out_p(design, current, f) < FALSE_ALARM
             and held_out_cost(design, f) < (1 - LEAST_GAIN) * held_out_cost(design, current)
         ]
-        if not good:
+        if not accepted:
             # Two strong causes hide each other: what the other leaves is no noise, and neither stands out.
-            pair = _pair(design, current, [t for t, _ in tried], terms, length)
+            pair = _best_pair(design, current, [t for t, _ in tried_labels], terms, length)
             if pair is None:
                 break
-            good, tried = [pair], [pair]
+            accepted, tried_labels = [pair], [pair]
         # Information criterion on independent rows: more coefficients must earn their place.
-        _, best = min(good, key=lambda p: _criterion(p[1], length))
+        _, best = min(accepted, key=lambda p: _information_criterion(p[1], length))
         terms = fix_loads(design, list(best.terms))
         current = fit_terms(design, terms)
         design.reweigh(current.residual)
@@ -188,10 +188,10 @@ def select_terms(
     return Selection(current, cut or budget.is_left_out("further causes"))
 
 
-def _under_load(
+def _load_candidates(
     design: Design, current: Fit, terms: list[Regressor], length: float
 ) -> list[tuple[Regressor, Fit]]:
-    """Friction that grows with the load as the present fit has it, on every axis that has none yet."""
+    """Candidates of load-dependent friction with the load of the present fit, on every axis without one."""
     labels: dict[tuple[str, int, int | None, str], list[Regressor]] = {}
     for term in load_terms(current, design):
         if not any(t.label == term.label for t in terms):
@@ -200,7 +200,7 @@ def _under_load(
     return [(t.terms[-1], t) for t in trials if t is not None]
 
 
-def _pair(
+def _best_pair(
     design: Design, current: Fit, found: list[Regressor], terms: list[Regressor], length: float
 ) -> tuple[Regressor, Fit] | None:
     """The best two causes that only together are significant; the tests count the pairs tried."""
@@ -218,11 +218,11 @@ def _pair(
     good = [
         (t, f)
         for t, f in trials
-        if training_p(current, f) < ALARM / len(trials)
-        and held_out_p(design, current, f) < ALARM
+        if training_p(current, f) < FALSE_ALARM / len(trials)
+        and held_out_p(design, current, f) < FALSE_ALARM
         and held_out_cost(design, f) < (1 - LEAST_GAIN) ** 2 * held_out_cost(design, current)
     ]
-    return min(good, key=lambda p: _criterion(p[1], length)) if good else None
+    return min(good, key=lambda p: _information_criterion(p[1], length)) if good else None
 
 
 def can_join(terms: list[Regressor], new: Regressor) -> bool:
@@ -239,14 +239,14 @@ def can_join(terms: list[Regressor], new: Regressor) -> bool:
     return not any(new.cause in t.replaces and t.axis == new.axis and t.other is None for t in terms)
 
 
-def _criterion(result: Fit, length: float) -> float:
+def _information_criterion(result: Fit, length: float) -> float:
     shapes = sum(t.shape is not None for t in result.terms)
     rows = max(result.effective, 2.0)
     return rows * float(np.log(max(result.cost, 1e-300))) + (result.value.size + shapes) * float(np.log(rows))
 
 
-def _simpler(term: Regressor) -> list[list[Regressor]]:
-    """What a compound term may be replaced by, fewest coefficients first."""
+def _simpler_terms(term: Regressor) -> list[list[Regressor]]:
+    """Simpler replacements of a compound term, fewest coefficients first."""
     i = term.axis
     viscous = Regressor("viscous_friction", i, ("coefficient",), ("coefficient",))
     coulomb = Regressor("coulomb_friction", i, ("torque",), ("torque",))
@@ -267,8 +267,8 @@ def _simpler(term: Regressor) -> list[list[Regressor]]:
     return [[]]
 
 
-def _same_both_ways(design: Design, current: Fit, rest: list[Regressor], term: Regressor) -> Fit | None:
-    """Dry and viscous friction instead of friction that differs by direction, where the difference is none.
+def _symmetric_if_equal(design: Design, current: Fit, rest: list[Regressor], term: Regressor) -> Fit | None:
+    """Dry and viscous friction instead of asymmetric friction, where the difference is not significant.
 
     What bends at low speed alike in both directions, towards less friction, has no name in the catalogue (a
     coarse encoder at reversals, friction that grows with the root of speed): it is no asymmetry either.
@@ -294,10 +294,10 @@ def _same_both_ways(design: Design, current: Fit, rest: list[Regressor], term: R
 
 
 def fit_consistent_loads(design: Design, terms: list[Regressor]) -> tuple[Fit, list[Regressor]]:
-    """Fit with every load as the rest has it, and nothing with a sign that it cannot have.
+    """The fit with every load computed from the rest, and without terms of a wrong sign.
 
-    Beside what was taken after it a cause may turn into what it cannot be; the latest of them goes first, and
-    an inertia that the motion does not show last, with what it couples to.
+    Beside later causes a term may get an impossible sign; the latest of them is dropped first, and an inertia
+    that the motion does not show last, with its couplings.
     """
     while True:
         terms = fix_loads(design, terms)
@@ -306,19 +306,19 @@ def fit_consistent_loads(design: Design, terms: list[Regressor]) -> tuple[Fit, l
         if not wrong:
             return current, terms
         last = next((t for t in reversed(wrong) if not t.base), wrong[-1])
-        terms = [t for t in terms if t is not last and not _hangs_on(t, last)]
+        terms = [t for t in terms if t is not last and not _is_coupled_to(t, last)]
         if last.cause == "stribeck_friction":
-            terms += _simpler(last)[0]
+            terms += _simpler_terms(last)[0]
 
 
-def _hangs_on(term: Regressor, inertia: Regressor) -> bool:
+def _is_coupled_to(term: Regressor, inertia: Regressor) -> bool:
     """Whether a term couples the motion of an axis to one whose inertia is ``inertia``."""
     coupled = term.cause in ("coupling", "configuration") and inertia.cause == "inertia"
     return coupled and inertia.axis in (term.axis, term.other)
 
 
 def prune_terms(design: Design, terms: list[Regressor]) -> tuple[Fit, list[Regressor]]:
-    """Everything taken out, or made simpler, that is not missed."""
+    """The terms without those that are not significant, or with simpler ones in their place."""
     changed = True
     while changed:
         changed = False
@@ -327,14 +327,14 @@ def prune_terms(design: Design, terms: list[Regressor]) -> tuple[Fit, list[Regre
         current, terms = fit_consistent_loads(design, terms)
         for term in [t for t in terms if not t.base or t.cause == "configuration"]:
             rest = [t for t in terms if t is not term]
-            same = _same_both_ways(design, current, rest, term)
-            if same is not None:
-                current, terms, changed = same, list(same.terms), True
+            symmetric = _symmetric_if_equal(design, current, rest, term)
+            if symmetric is not None:
+                current, terms, changed = symmetric, list(symmetric.terms), True
                 break
-            falls = any(t.cause == "gravity" and t.axis == term.axis for t in rest)
-            for replacement in _simpler(term):
+            p_value_of = any(t.cause == "gravity" and t.axis == term.axis for t in rest)
+            for replacement in _simpler_terms(term):
                 # A falling load holds the joint with a constant of its own: an offset beside it is no cause.
-                if falls and any(t.cause == "torque_offset" for t in replacement):
+                if p_value_of and any(t.cause == "torque_offset" for t in replacement):
                     continue
                 simple = fit_terms(design, rest + replacement)
                 if not all(is_physical(simple, t) for t in replacement):

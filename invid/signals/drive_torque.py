@@ -21,14 +21,13 @@ def replace_by_acting_torque(
 ) -> tuple[LineSpectra, ...]:
     """Spectra whose torque is the hold's, torque − demand, plus the demand held over the sample.
 
-    Records without a demand, with uneven instants, and those whose torque follows the demand stay as they
-    were.
+    Records without a demand, with uneven instants, and those whose torque follows the demand are unchanged.
     """
     known = {e.key: e for e in experiments}
-    return tuple(_acting(s, known[s.key]) for s in spectra)
+    return tuple(_with_acting_torque(s, known[s.key]) for s in spectra)
 
 
-def _acting(s: LineSpectra, experiment: Experiment) -> LineSpectra:
+def _with_acting_torque(s: LineSpectra, experiment: Experiment) -> LineSpectra:
     demand = experiment.torque_demand
     if demand is None:
         return s
@@ -38,29 +37,29 @@ def _acting(s: LineSpectra, experiment: Experiment) -> LineSpectra:
     if not covers_demand(s, demand):
         return s  # resampled, or cut
     # Without a hold there is nothing beside the demand: what differs is how the drive follows it.
-    mixed = np.isnan(s.staircase) & np.any(demand != 0, axis=0) & (experiment.hold_gain != 0.0)
-    if not mixed.any():
+    combined = np.isnan(s.staircase) & np.any(demand != 0, axis=0) & (experiment.hold_gain != 0.0)
+    if not combined.any():
         return s
-    command = _command(s, demand)
-    late = _late(s, command[0] + command[1], mixed)
-    if late:  # where the torque is recorded some samples after the demand, so is the demand within it
-        demand = np.concatenate((np.repeat(demand[:1], late, axis=0), demand[:-late]))
-        command = _command(s, demand)
+    command = _demand_spectrum(s, demand)
+    delay = _delay_samples(s, command[0] + command[1], combined)
+    if delay:  # where the torque is recorded some samples after the demand, so is the demand within it
+        demand = np.concatenate((np.repeat(demand[:1], delay, axis=0), demand[:-delay]))
+        command = _demand_spectrum(s, demand)
     recorded, ends = command
     half = s.omega / (2 * s.sample_rate_hz)
     held = (np.sinc(half / np.pi) * np.exp(-1j * half))[:, None]
-    hold = np.where(mixed, s.torque - recorded - ends, 0.0)
-    torque = np.where(mixed, hold + recorded * held, s.torque)
+    hold = np.where(combined, s.torque - recorded - ends, 0.0)
+    torque = np.where(combined, hold + recorded * held, s.torque)
     # When the hold acts, not when it is recorded: the fit asks how much later than that it may act.
-    hold = hold * np.exp(1j * s.omega * late / s.sample_rate_hz)[:, None]
-    stairs = np.where(mixed, 0.0, s.staircase)
+    hold = hold * np.exp(1j * s.omega * delay / s.sample_rate_hz)[:, None]
+    stairs = np.where(combined, 0.0, s.staircase)
     return replace(
-        s, torque=torque, staircase=stairs, hold_torque=hold, stepped=np.where(mixed, recorded, 0.0)
+        s, torque=torque, staircase=stairs, hold_torque=hold, stepped=np.where(combined, recorded, 0.0)
     )
 
 
 def covers_demand(s: LineSpectra, demand: Float64) -> bool:
-    """Whether a demand (samples, M) holds all that the spectra come from; not where it was resampled."""
+    """Whether a demand (samples, M) covers all that the spectra come from; not where it was resampled."""
     samples = s.periods * s.position_wave.shape[0]
     if s.transient and s.periods == 1:
         return bool(demand.shape[0] == samples + 1)
@@ -77,7 +76,7 @@ def mean_demand(s: LineSpectra, demand: Float64) -> tuple[Float64, Float64]:
     return used.reshape(s.periods, count, -1).mean(axis=0), ends
 
 
-def _command(s: LineSpectra, demand: Float64) -> tuple[Complex128, Float64]:
+def _demand_spectrum(s: LineSpectra, demand: Float64) -> tuple[Complex128, Float64]:
     """(F, M) spectrum of the demand, and (M,) what the trapezoid's correction of its ends adds to it.
 
     That correction stands in the spectra of a record that does not close; a torque held over the sample
@@ -90,22 +89,24 @@ def _command(s: LineSpectra, demand: Float64) -> tuple[Complex128, Float64]:
     return spectrum, ends
 
 
-def _late(s: LineSpectra, command: Complex128, mixed: Bool) -> int:
+def _delay_samples(s: LineSpectra, command: Complex128, combined: Bool) -> int:
     """Samples by which the demand appears late in the recorded torque, the same for all axes.
 
-    Without the demand the torque is the hold's, −(P + jωD)·position: the lag is right at which that
-    explains most. Zero unless another is better by a factor of four in power.
+    Without the demand the torque is the hold's, −(P + jωD)·position: the right lag explains most of it. Zero
+    unless another is better by a factor of four in power.
     """
-    left = np.zeros(LATEST + 1)
+    remainder = np.zeros(LATEST + 1)
     lines = np.asarray(s.excited)
-    for i in np.flatnonzero(mixed):
+    for i in np.flatnonzero(combined):
         theta = s.position[lines, i]
         # The constant: what the ends of a record that does not close add to the spectrum of its velocity.
         law = real_rows(np.stack((theta, 1j * s.omega[lines] * theta, np.ones(theta.size)), axis=1))
         for lag in range(LATEST + 1):
-            turn = np.exp(1j * s.omega[lines] * lag / s.sample_rate_hz)
-            hold = real_rows((s.torque[lines, i] * turn - command[lines, i])[:, None])
+            rotation = np.exp(1j * s.omega[lines] * lag / s.sample_rate_hz)
+            hold = real_rows((s.torque[lines, i] * rotation - command[lines, i])[:, None])
             rest = hold - law @ np.linalg.lstsq(law, hold, rcond=None)[0]
-            left[lag] += float(np.sum(rest**2)) / max(float(np.sum(np.abs(command[lines, i]) ** 2)), 1e-300)
-    best = int(np.argmin(left))
-    return best if 4.0 * left[best] < left[0] else 0
+            remainder[lag] += float(np.sum(rest**2)) / max(
+                float(np.sum(np.abs(command[lines, i]) ** 2)), 1e-300
+            )
+    best = int(np.argmin(remainder))
+    return best if 4.0 * remainder[best] < remainder[0] else 0

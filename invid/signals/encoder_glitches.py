@@ -1,4 +1,4 @@
-"""Readings of an encoder that no motion explains: a sample off for itself, counts that are lost or wrap.
+"""Encoder readings that no motion explains: single wrong samples, lost counts, wraps.
 
 A mass does not leave its path for one sample and come back, nor jump and go on as before. Either is one
 number in a smooth series: the sample itself, or one of its differences. It is told by how far it is from the
@@ -15,71 +15,71 @@ import numpy as np
 from invid.numerics.arrays import Bool, Float64, Int64
 from invid.recording.model import Experiment, Recording
 
-FAR = 40.0
+LEAST_DEVIATION = 40.0
 """Standard deviations of δ⁸/70 over the record (from its median size) from which a sample is off. Noise
 leaves 1/FAR of that in the neighbours, which must be told from the 6.5 % of a knock; what is nearer does the
 spectra little harm."""
-LEFT = 0.045
+MOST_REMAINDER = 0.045
 """Rms of δ⁸/70 in the eight neighbours, over that of the sample taken out, above which it was no glitch:
 between 1/FAR and 6.5 %."""
-COUNTS = 20.0
-"""Smallest steps of the encoder that a glitch has at least. An axis that sticks may slip some counts within a
-sample and stand again. A guess."""
-MOST = 1 / 64
+LEAST_COUNTS = 20.0
+"""Least size of a glitch in counts of the encoder (empirical): an axis that sticks may slip some counts
+within a sample and stand again."""
+MOST_SHARE = 1 / 64
 """Share of samples above which they are no exceptions, and nothing is repaired."""
 WHOLE_TURN = 0.01
-"""Relative distance from whole turns within which a jump of an angle is one: an axis at 60 rad/s, sampled at
-1 kHz, moves by as much. A guess."""
+"""Relative distance from whole turns within which a jump of an angle is one (physical): an axis at 60 rad/s,
+sampled at 1 kHz, moves by as much."""
 
 _REACH = 4
 _WEIGHTS = np.array([1.0, -8.0, 28.0, -56.0, 70.0, -56.0, 28.0, -8.0, 1.0]) / 70.0
 
 
 def remove_glitches(recording: Recording) -> tuple[Recording, list[str]]:
-    """The recording with such samples interpolated and such jumps taken back, and a warning for each axis."""
+    """The recording with glitches interpolated and jumps undone, and a warning for each axis."""
     experiments, warnings = [], []
     for e in recording.experiments:
-        position, told = _repaired(e, recording)
+        position, told = _repair(e, recording)
         warnings += told
         experiments.append(e if position is None else replace(e, position=position))
     return (replace(recording, experiments=tuple(experiments)), warnings) if warnings else (recording, [])
 
 
-def _repaired(e: Experiment, recording: Recording) -> tuple[Float64 | None, list[str]]:
+def _repair(e: Experiment, recording: Recording) -> tuple[Float64 | None, list[str]]:
     """(n, M) position without them, ``None`` where there are none."""
     if e.samples < 4 * _REACH:
         return None, []
     steps = np.diff(e.time)
     even = np.abs(steps / np.median(steps) - 1.0) < 0.5
-    position, told = e.position.copy(), []
+    position, descriptions = e.position.copy(), []
     unit = "m" if recording.linear else "rad"
     for i, axis in enumerate(recording.axes):
         own = position[:, i]
         jumps = np.diff(own)
-        floor = COUNTS * _count(jumps)
+        floor = LEAST_COUNTS * _smallest_count(jumps)
         again = np.concatenate(([False], (jumps == 0) & (np.diff(e.torque[:, i]) == 0)))  # dropped, not off
-        steady = np.concatenate(([True], even)) & np.concatenate((even, [True])) & ~again
-        taken = np.zeros(own.size) if recording.linear else np.append(0.0, _whole_turns(jumps))
-        at, size = find_isolated(jumps - taken[1:], even, floor)
-        taken[at + 1] = size
-        count = int(np.count_nonzero(taken))
+        is_even = np.concatenate(([True], even)) & np.concatenate((even, [True])) & ~again
+        removed = np.zeros(own.size) if recording.linear else np.append(0.0, _whole_turns(jumps))
+        at, size = find_isolated(jumps - removed[1:], even, floor)
+        removed[at + 1] = size
+        count = int(np.count_nonzero(removed))
         if count:
-            own -= np.cumsum(taken)
-            told.append(
+            own -= np.cumsum(removed)
+            descriptions.append(
                 f"experiment {e.key}: the position of axis {axis} jumps {_times(count)} within a sample, by "
-                f"{np.abs(taken).max():.3g} {unit} at most, and goes on as before (a counter that wraps or "
+                f"{np.abs(removed).max():.3g} {unit} at most, and goes on as before (a counter that wraps or "
                 "loses counts: check the encoder's cable and the import); the jumps were taken back"
             )
-        at, size = find_isolated(own, steady, floor)
+        at, size = find_isolated(own, is_even, floor)
         if at.size:
             own[at] -= size
             samples = "1 sample stands" if at.size == 1 else f"{at.size} samples stand"
-            told.append(
+            descriptions.append(
                 f"experiment {e.key}: {samples} off in the position of axis {axis}, each by itself and by "
                 f"{np.abs(size).max():.3g} {unit} at most (glitches of encoder or bus: check cable and "
                 "shield); interpolated"
             )
-    return (position, told) if told else (None, [])
+    return (position, descriptions) if descriptions else (None, [])
 
 
 def find_isolated(values: Float64, sound: Bool, floor: float) -> tuple[Int64, Float64]:
@@ -97,25 +97,25 @@ def find_isolated(values: Float64, sound: Bool, floor: float) -> tuple[Int64, Fl
     none = np.zeros(0, dtype=int), np.zeros(0)
     if values.size < 4 * _REACH:
         return none
-    off = np.convolve(values, _WEIGHTS, mode="valid")
-    clear = np.convolve(~sound, np.ones(_WEIGHTS.size), mode="valid") < 0.5
-    bar = max(FAR * 1.4826 * float(np.median(np.abs(off))), floor)
-    picked = np.flatnonzero((np.abs(off) > bar) & clear)
+    deviation = np.convolve(values, _WEIGHTS, mode="valid")
+    is_clear = np.convolve(~sound, np.ones(_WEIGHTS.size), mode="valid") < 0.5
+    limit = max(LEAST_DEVIATION * 1.4826 * float(np.median(np.abs(deviation))), floor)
+    picked = np.flatnonzero((np.abs(deviation) > limit) & is_clear)
     kept = []
     for k in picked.tolist():
-        first, last = max(k - _REACH, 0), min(k + _REACH + 1, off.size)
-        if np.abs(off[first:last]).max() > abs(off[k]):
+        first, last = max(k - _REACH, 0), min(k + _REACH + 1, deviation.size)
+        if np.abs(deviation[first:last]).max() > abs(deviation[k]):
             continue  # beside one that is off all are; the farthest of them is it
-        rest = off[first:last] - off[k] * _WEIGHTS[first - k + _REACH : last - k + _REACH]
-        if np.sqrt(float(rest @ rest) / (2 * _REACH)) < LEFT * abs(off[k]):
+        rest = deviation[first:last] - deviation[k] * _WEIGHTS[first - k + _REACH : last - k + _REACH]
+        if np.sqrt(float(rest @ rest) / (2 * _REACH)) < MOST_REMAINDER * abs(deviation[k]):
             kept.append(k)
-    if not kept or len(kept) > MOST * values.size:
+    if not kept or len(kept) > MOST_SHARE * values.size:
         return none
     places = np.array(kept, dtype=int)
-    return places + _REACH, off[places]
+    return places + _REACH, deviation[places]
 
 
-def _count(jumps: Float64) -> float:
+def _smallest_count(jumps: Float64) -> float:
     """Smallest difference between steps from sample to sample: the encoder's count, where it shows."""
     sizes = np.diff(np.unique(jumps))
     sizes = sizes[sizes > 1e-9 * np.ptp(jumps)]  # the same count, at two places, may differ by rounding

@@ -120,13 +120,15 @@ def multisine(
             f"{period_samples} samples a period"
         )
     amplitude = numbers**-0.5 if shape is None else np.asarray(shape, dtype=float)
-    turns = np.unique(np.mod(np.asarray(rotations, dtype=float), np.pi))  # half a turn is only a sign
+    rotations_by_draw = np.unique(
+        np.mod(np.asarray(rotations, dtype=float), np.pi)
+    )  # half a turn is only a sign
     # Twice the samples of the highest line resolve the peak of a smooth sum to a few per cent.
     grid = max(256, int(2 ** np.ceil(np.log2(8 * numbers.max()))))
 
     def peaks(phases: Float64) -> tuple[float, Float64]:
-        spectrum = np.zeros((turns.size, grid // 2 + 1), dtype=complex)
-        spectrum[:, numbers] = amplitude * np.exp(1j * (phases + turns[:, None])) * (grid / 2)
+        spectrum = np.zeros((rotations_by_draw.size, grid // 2 + 1), dtype=complex)
+        spectrum[:, numbers] = amplitude * np.exp(1j * (phases + rotations_by_draw[:, None])) * (grid / 2)
         waves: Float64 = np.fft.irfft(spectrum, n=grid, axis=1)
         return float(np.abs(waves).max()), waves
 
@@ -141,7 +143,7 @@ def multisine(
         level = peak * (0.8 + 0.15 * step / ITERATIONS)
         clipped = np.fft.rfft(np.clip(waves, -level, level), axis=1)[:, numbers]
         # every rotation votes for the phases it would like, turned back to the common ones
-        trial = np.angle(np.sum(clipped * np.exp(-1j * turns[:, None]), axis=0))
+        trial = np.angle(np.sum(clipped * np.exp(-1j * rotations_by_draw[:, None]), axis=0))
     found = Multisine(
         lines=numbers,
         amplitudes=frozen_float(amplitude / smallest),
@@ -150,7 +152,7 @@ def multisine(
         sample_rate=sample_rate,
     )
     # the peak on the samples that are played, not on the coarser grid of the search
-    peak = max(float(np.abs(found.period(turn)).max()) for turn in turns)
+    peak = max(float(np.abs(found.period(rotation)).max()) for rotation in rotations_by_draw)
     return replace(found, amplitudes=frozen_float(found.amplitudes / peak))
 
 

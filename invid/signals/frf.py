@@ -10,7 +10,7 @@ import numpy as np
 from invid.numerics.arrays import Complex128, Float64
 from invid.signals.spectra import LineSpectra
 
-WELL_SPREAD = 1e-3
+LEAST_SINGULAR_RATIO = 1e-3
 """Smallest ratio of the singular values of T (axes scaled to equal power) for a line to count: below
 it the M torques are as good as parallel and noise is amplified a thousandfold."""
 
@@ -61,7 +61,7 @@ def frf_matrix(spectra: Sequence[LineSpectra], *, delay_s: float = 0.0) -> FrfMa
         theta = np.stack([spectra[n].position[k] for n, k in members], axis=1)
         torque = np.stack([spectra[n].torque[k] for n, k in members], axis=1)
         size = np.linalg.svd(torque / power[:, None], compute_uv=False)
-        if size[-1] < WELL_SPREAD * size[0]:
+        if size[-1] < LEAST_SINGULAR_RATIO * size[0]:
             continue
         frequency = float(np.mean([spectra[n].frequency_hz[k] for n, k in members]))
         inverse = np.linalg.pinv(torque)
@@ -94,8 +94,8 @@ def local_frf_matrix(spectra: Sequence[LineSpectra], *, lines: int = 160) -> Frf
     hz, owner = hz[use], owner[use]
     order = np.argsort(hz, kind="stable")
     hz, owner, theta, torque = hz[order], owner[order], theta[order], torque[order]
-    loose = [n for n, s in enumerate(spectra) if s.transient]
-    unknowns = 3 * motors + 2 * len(loose)
+    is_transient = [n for n, s in enumerate(spectra) if s.transient]
+    unknowns = 3 * motors + 2 * len(is_transient)
     window = int(1.7 * unknowns) + 2
     if hz.size < window:
         return FrfMatrix.empty(motors)
@@ -109,7 +109,7 @@ def local_frf_matrix(spectra: Sequence[LineSpectra], *, lines: int = 160) -> Frf
         x = (hz[part] - hz[centre]) / max(hz[part][-1] - hz[part][0], 1e-300)
         t = torque[part] / scale
         columns = [t, t * x[:, None], t * x[:, None] ** 2]
-        for n in loose:
+        for n in is_transient:
             own = (owner[part] == n).astype(complex)
             columns.append(np.stack((own, own * x), axis=1))
         matrix = np.concatenate(columns, axis=1)
@@ -120,12 +120,12 @@ def local_frf_matrix(spectra: Sequence[LineSpectra], *, lines: int = 160) -> Frf
         solution, _, rank, singular = np.linalg.lstsq(matrix, theta[part], rcond=None)
         if rank < matrix.shape[1] or singular[-1] < 1e-6 * singular[0]:
             continue
-        left = theta[part] - matrix @ solution
+        residual = theta[part] - matrix @ solution
         free = max(window - matrix.shape[1], 1)
         inverse = np.linalg.inv(matrix.conj().T @ matrix).real
         gain = (solution[:motors] / size[:motors, None] / scale[:, None]).T
         spread = np.diag(inverse)[:motors] / size[:motors] ** 2 / scale**2
-        power = (np.abs(left) ** 2).sum(axis=0) / free
+        power = (np.abs(residual) ** 2).sum(axis=0) / free
         keep.append(float(hz[centre]))
         values.append(gain)
         variances.append(power[:, None] * spread)

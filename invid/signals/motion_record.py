@@ -1,4 +1,4 @@
-"""One experiment made ready for regression: motion, its derivatives and torque in the band that carries both.
+"""One experiment as regression rows: motion, its derivatives and torque in the band that carries both.
 
 Derivatives are taken in the frequency domain with a smooth cut-off (no phase, exact in the pass band);
 the cut-off is where the motion falls to ten times the noise that the upper part of its own spectrum
@@ -28,15 +28,15 @@ TORQUE_BAND = 1.0
 two-link arm 1.0 to 1.5 give the same parameters within 5 %; from 2 up, where it only vibrates, not."""
 ROLL_OFF = 0.25
 """Share of a cut-off over which its filter falls to nothing."""
-_UPPER = 0.75
+_NOISE_BAND = 0.75
 """The noise is read above this part of the Nyquist band."""
-MOVING = 0.9
+LEAST_MOVING_SHARE = 0.9
 """Rows that move for less of their filter's length are left out: at standstill friction may be anything."""
 
 
 @dataclass(frozen=True)
 class Band:
-    """What one recording can carry."""
+    """Usable band of a recording."""
 
     motion_hz: float
     """Cut-off of position before it is differentiated."""
@@ -144,11 +144,11 @@ def reduce_rate(columns: Float64, step: float, cutoff_hz: Float64) -> Float64:
         for i, cutoff in enumerate(cutoff_hz)
     ]
     filtered = np.stack(parts, axis=1).reshape(columns.shape)
-    rows: Float64 = _taken(filtered, step, cutoff_hz)
+    rows: Float64 = _cut_edges(filtered, step, cutoff_hz)
     return rows
 
 
-def _taken(values: Any, step: float, cutoff_hz: Float64) -> Any:
+def _cut_edges(values: Any, step: float, cutoff_hz: Float64) -> Any:
     edge = min(int(np.ceil(2.0 / (float(cutoff_hz.min()) * step))), values.shape[0] // 8)
     return values[edge : values.shape[0] - edge : row_spacing(step, cutoff_hz)]
 
@@ -189,13 +189,13 @@ def white_psd(values: Float64, step: float) -> tuple[Float64, Float64, Float64]:
     frequency, power = welch(second, 1 / step, nperseg=length, axis=0)
     shape = np.abs(1 - np.exp(-2j * np.pi * frequency * step)) ** 4
     power = power / np.maximum(shape, 1e-9)[:, None]
-    upper = frequency > _UPPER * 0.5 / step
+    upper = frequency > _NOISE_BAND * 0.5 / step
     # A median of chi-squared periodogram values lies below their mean; Welch averages enough to ignore it.
     return frequency, power, np.median(power[upper], axis=0)
 
 
 def find_band(experiments: tuple[Experiment, ...]) -> Band:
-    """Cut-offs that all axes can carry, from the longest experiment's own spectra."""
+    """Cut-offs for all axes, from the longest experiment's own spectra."""
     longest = max(experiments, key=lambda e: e.samples)
     even = resample_uniformly(longest)
     velocity_only = is_integrated_velocity(longest)
@@ -211,10 +211,12 @@ def find_band(experiments: tuple[Experiment, ...]) -> Band:
     motion = float(np.clip(min(cutoffs), 8.0 / longest.duration, 0.8 * nyquist))
     # Nonlinear terms are evaluated on the motion up to its cut-off and compared below half of that, where the
     # harmonics that the cut-off takes away are missing least.
-    carried = 0.6 * motion if motion >= 0.6 * nyquist else 0.5 * motion
+    carried_bands = 0.6 * motion if motion >= 0.6 * nyquist else 0.5 * motion
     # Above what drives it, an axis shows its disturbances: regressing on that motion shrinks every estimate.
-    driven = TORQUE_BAND * _torque_edge([e for e in experiments if e.kind is longest.kind], torque_floor)
-    rows = np.clip(driven, 8.0 / longest.duration, carried)
+    torque_limits = TORQUE_BAND * _torque_bandwidth(
+        [e for e in experiments if e.kind is longest.kind], torque_floor
+    )
+    rows = np.clip(torque_limits, 8.0 / longest.duration, carried_bands)
     return Band(motion, rows, floor, torque_floor, velocity_only)
 
 
@@ -225,7 +227,7 @@ def _forward(position: Float64, step: float) -> Float64:
     return velocity
 
 
-def _torque_edge(experiments: list[Experiment], floor: Float64) -> Float64:
+def _torque_bandwidth(experiments: list[Experiment], floor: Float64) -> Float64:
     """(M,) frequency below which all but a thousandth of the torque's power above its noise lies [Hz]."""
     pieces = []
     for experiment in experiments:
@@ -248,7 +250,7 @@ def _torque_edge(experiments: list[Experiment], floor: Float64) -> Float64:
 def prepare_rows(experiment: Experiment, band: Band) -> Motion:
     """The experiment as regression rows."""
     if experiment.kind is Kind.CONSTANT_VELOCITY:
-        return _steady(experiment, band)
+        return _constant_velocity_row(experiment, band)
     even = resample_uniformly(experiment)
     step, cutoff = even.step, band.motion_hz
     position = derivative(even.position, step, cutoff, 0)
@@ -268,15 +270,15 @@ def prepare_rows(experiment: Experiment, band: Band) -> Motion:
     position, velocity, acceleration = position[inner], velocity[inner], acceleration[inner]
     moving = (np.abs(velocity) > rest).astype(float)
     share = reduce_rate(moving, step, band.rows_hz)
-    keep: Bool = np.all(share > MOVING, axis=1)
+    keep: Bool = np.all(share > LEAST_MOVING_SHARE, axis=1)
     same = np.sign(velocity) == np.sign(np.roll(velocity, 1, axis=0))
     reach = 2 * max(1, round(0.5 / (float(band.rows_hz.min()) * step))) + 1
     steadily = minimum_filter1d(np.all(same & (moving > 0), axis=1).astype(np.int8), reach)
-    far: Bool = (_taken(steadily, step, band.rows_hz) > 0)[keep]
+    far: Bool = (_cut_edges(steadily, step, band.rows_hz) > 0)[keep]
     row_noise = np.broadcast_to(
         band.torque_psd * band.rows_hz * passed_noise(0), (int(keep.sum()), position.shape[1])
     )
-    every = row_spacing(step, band.rows_hz)
+    stride = row_spacing(step, band.rows_hz)
     return Motion(
         key=experiment.key,
         role=experiment.role,
@@ -288,7 +290,7 @@ def prepare_rows(experiment: Experiment, band: Band) -> Motion:
         torque_bend=torque_bend[inner],
         counts=counts,
         step=step,
-        row_step=every * step,
+        row_step=stride * step,
         rest=rest,
         steady=False,
         band=band,
@@ -316,7 +318,7 @@ def _without_jumps(acceleration: Float64, step: float, cutoff_hz: float) -> slic
     return slice(first, count - last)
 
 
-def _steady(experiment: Experiment, band: Band) -> Motion:
+def _constant_velocity_row(experiment: Experiment, band: Band) -> Motion:
     """Constant velocity: one row, the means; the noise of a mean from the spread of batch means."""
     time, position, torque = experiment.time, experiment.position, experiment.torque
     slope = np.diff(position, axis=0) / np.diff(time)[:, None]

@@ -1,4 +1,4 @@
-"""Periods of a periodic record: is the declared period true, and from which period on is it settled."""
+"""Periods of a periodic record: check of the declared period, and the first settled period."""
 
 from __future__ import annotations
 
@@ -75,9 +75,9 @@ def find_period(values: Float64, longest: int) -> int | None:
     return int(run[np.argmax(normal[run])])
 
 
-GROWS = 10.0
-"""Growth in power of what neighbouring periods differ by that no settling shows. A guess: noise on forty
-lines and more stays below two, and a load put on was 10⁵ and 60 times (the fifth outsider's)."""
+CHANGE_GROWTH = 10.0
+"""Growth in power of the differences of neighbouring periods that no settling shows. Empirical: noise on
+forty lines and more stays below two, a load put on was 10⁵ and 60 times."""
 
 
 @dataclass(frozen=True)
@@ -113,41 +113,41 @@ def find_settled_periods(spectra: Complex128, floor: Float64, floor_dof: float) 
         return Settling(0, False)
     # Power of what neighbours differ by; noise alone stays below the limit.
     steps = (np.abs(np.diff(spectra, axis=0)) ** 2).mean(1) / 2 / np.maximum(floor, 1e-300)
-    limit = _limit(lines, floor_dof)
+    limit = _largest_noise_ratio(lines, floor_dof)
     settled = bool(np.all(steps[-1] <= limit))
     used = periods - 2
     for first in range(periods - 3, -1, -1):
-        later = spectra[first + 1 :]
-        count = later.shape[0]
-        power = (np.abs(spectra[first] - later.mean(0)) ** 2 / (1 + 1 / count)).mean(0)
-        scatter = (np.abs(later - later.mean(0)) ** 2).sum(0).mean(0) / (count - 1)
+        following = spectra[first + 1 :]
+        count = following.shape[0]
+        power = (np.abs(spectra[first] - following.mean(0)) ** 2 / (1 + 1 / count)).mean(0)
+        scatter = (np.abs(following - following.mean(0)) ** 2).sum(0).mean(0) / (count - 1)
         # Quantised channels can repeat exactly: the floor from above keeps the ratio finite.
-        yardstick = np.maximum(np.maximum(scatter, floor), 1e-300)
-        if np.any(power > _limit(lines, 2.0 * lines * (count - 1)) * yardstick):
+        reference = np.maximum(np.maximum(scatter, floor), 1e-300)
+        if np.any(power > _largest_noise_ratio(lines, 2.0 * lines * (count - 1)) * reference):
             break
         used = first
-    return Settling(_before_a_change(steps[: used + 1], limit), settled)
+    return Settling(_first_before_change(steps[: used + 1], limit), settled)
 
 
-def _before_a_change(steps: Float64, limit: float) -> int:
-    """First period used of those with ``steps`` (used + 1, C) to the next; sooner where the machine changed.
+def _first_before_change(steps: Float64, limit: float) -> int:
+    """First period used of those with ``steps`` (used + 1, C) to the next; earlier where the machine changed.
 
-    What settles changes most at first. Neighbours that differ more than those before them, ten times in
-    power, are a machine that changed, whose first load was thrown away with the periods before.
+    Settling is largest at first. Neighbours that differ ten times more in power than those before them are a
+    machine that changed, whose first load would be dropped with the periods before.
     """
     used = len(steps) - 1
     for k in range(1, used):
-        if np.any(steps[k] > GROWS * np.maximum(steps[:k].max(axis=0), limit)):
+        if np.any(steps[k] > CHANGE_GROWTH * np.maximum(steps[:k].max(axis=0), limit)):
             alike = np.flatnonzero((steps[:k] <= limit).all(axis=1))
             return int(alike[0]) if alike.size else 0
     return used
 
 
-def _limit(lines: int, dof: float) -> float:
-    """Largest power ratio that noise gives.
+def _largest_noise_ratio(lines: int, dof: float) -> float:
+    """Largest power ratio that noise explains.
 
-    The F quantile with an empirical margin of 2: coloured noise and stick-slip make the scatter of
-    few periods uneven over lines, and a transient below twice the noise in power moves a mean over
-    the periods by less than its own standard deviation.
+    The F quantile with an empirical margin of 2: coloured noise and stick-slip make the scatter of few
+    periods uneven over lines, and a transient below twice the noise in power moves a mean over the periods by
+    less than its own standard deviation.
     """
     return 2.0 * f_isf(FALSE_DROP, 2 * lines, max(dof, 2.0))

@@ -1,4 +1,4 @@
-"""What no machine does, checked before anything is fitted: axes that never move, torque of the wrong sign."""
+"""Checks before any fit: axes that never move, torque of the wrong sign."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from invid.numerics.arrays import Float64
 from invid.recording.model import Recording
 from invid.signals.spectra import LineSpectra
 
-STRETCHES, LEAST = 8, 6
+STRETCHES, LINES_PER_STRETCH = 8, 6
 """Stretches that a record's lines are cut into, and lines that each has at least."""
-SEEN = 5
+LEAST_SLOPES = 5
 """Stretches with a slope that stands out before anything is said. A machine's reactance falls across its
 poles alone, and a chain of four masses has three."""
-AGAINST = 0.9
+FALLING_SHARE = 0.9
 """Share of them that has to fall for the wrong sign."""
 
 
@@ -31,8 +31,7 @@ def check_units(model: Model, recording: Recording) -> None:
 
 
 def check_plausible(recording: Recording, spectra: Sequence[LineSpectra]) -> None:
-    """InputError for an axis whose position or torque never changes, or whose torque pushes the wrong
-    way."""
+    """InputError for an axis whose position or torque never changes, or whose torque has the wrong sign."""
     for i, axis in enumerate(recording.axes):
         if spectra and not any(np.ptp(s.position_wave[:, i]) > 0 for s in spectra):
             raise InputError(
@@ -45,27 +44,27 @@ def check_plausible(recording: Recording, spectra: Sequence[LineSpectra]) -> Non
                 f"{recording.source}: the torque of axis {axis} never changes, not even where the axis is "
                 "shaken; see that the drive reports it (0x6077 in a PDO) and that it is the column meant"
             )
-        slopes = [_slopes(s, i) for s in spectra]
+        slopes = [_reactance_slopes(s, i) for s in spectra]
         every = np.concatenate(slopes) if slopes else np.zeros(0)
         # A late torque turns the phase as well, but not where frequencies are low.
         lowest = all(own[0] < 0 for own in slopes if own.size)
-        if every.size >= SEEN and lowest and np.mean(every < 0) > AGAINST:
-            said = (
+        if every.size >= LEAST_SLOPES and lowest and np.mean(every < 0) > FALLING_SHARE:
+            fault = (
                 f"{recording.source}: torque and position of axis {axis} have opposite signs: its reactance "
                 f"falls with frequency in {int((every < 0).sum())} of {every.size} stretches of lines, and "
                 "that of a machine rises (Foster). "
             )
-            other = _shaken_instead(spectra, i)
+            other = _axis_moved_instead(spectra, i)
             if other is None:
-                raise InputError(said + "Turn one of the two round (in an import map: sign: -1)")
+                raise InputError(fault + "Turn one of the two round (in an import map: sign: -1)")
             raise InputError(
-                f"{said}So it is where an axis is held: the experiments that name it as excited_axis shake "
+                f"{fault}So it is where an axis is held: the experiments that name it as excited_axis shake "
                 f"{recording.axes[other]} more; see that they name the axis that was shaken"
             )
 
 
-def _shaken_instead(spectra: Sequence[LineSpectra], axis: int) -> int | None:
-    """Another axis that moves more in every record that names ``axis`` than in those that name itself."""
+def _axis_moved_instead(spectra: Sequence[LineSpectra], axis: int) -> int | None:
+    """Another axis that moves more in every record that names ``axis`` than in its own records, if any."""
 
     def moved(j: int, named: int) -> list[float]:
         return [float(np.sum(np.abs(s.position[s.excited, j]) ** 2)) for s in spectra if s.driven[named]]
@@ -77,7 +76,7 @@ def _shaken_instead(spectra: Sequence[LineSpectra], axis: int) -> int | None:
     return None
 
 
-def _slopes(s: LineSpectra, axis: int) -> Float64:
+def _reactance_slopes(s: LineSpectra, axis: int) -> Float64:
     """Slopes over frequency of the reactance Im(T/V) in stretches of lines, where they stand out.
 
     Foster's theorem: of a passive machine it rises everywhere between its poles, whatever springs, masses and
@@ -90,8 +89,8 @@ def _slopes(s: LineSpectra, axis: int) -> Float64:
     w = s.omega[lines]
     reactance = -(s.torque[lines, axis] / s.position[lines, axis]).real / w
     out = []
-    for part in np.array_split(np.arange(w.size), max(min(STRETCHES, w.size // LEAST), 1)):
-        if part.size < LEAST:
+    for part in np.array_split(np.arange(w.size), max(min(STRETCHES, w.size // LINES_PER_STRETCH), 1)):
+        if part.size < LINES_PER_STRETCH:
             continue
         x = w[part] - w[part].mean()
         slope = float(x @ reactance[part] / (x @ x))

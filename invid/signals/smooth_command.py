@@ -1,4 +1,5 @@
-"""The hold that works while an axis is driven, read off its command, which is smooth over frequency."""
+"""The hold that works while an axis is driven, identified from its command, which is smooth over
+frequency."""
 
 from __future__ import annotations
 
@@ -16,22 +17,22 @@ from invid.signals.spectra import LineSpectra
 CHANCE = 1e-6
 """Probability of taking a hold for seen where there is none. Small: a command of random amplitudes is rough
 with and without it, and of many lines some hold always smooths a little."""
-SMOOTHER = 4.0
-"""Factor by which the roughness (mean square) must fall as well: half in amplitude. A guess."""
-SMOOTH = 0.35
+ROUGHNESS_RATIO = 4.0
+"""Factor by which the roughness (mean square) must fall as well (empirical): half in amplitude."""
+MOST_ROUGHNESS = 0.35
 """Root mean square of the second differences of log amplitude above which a command is not smooth: lines
-whose noise is below a fifth of their amplitude (``LOUD``) have at most √6/5/√2."""
-LOUD = 25.0
+whose noise is below a fifth of their amplitude (``SIGNAL_POWER``) have at most √6/5/√2."""
+SIGNAL_POWER = 25.0
 """Power over noise of a line that counts."""
-EXPLAINED = 2.0
+MOST_RESIDUAL = 2.0
 """Mean square of what a hold leaves on lines without a command, in units of the noise: 16 lines and more of
 pure noise exceed it once in two thousand."""
-LINES = 16
+LEAST_LINES = 16
 """Lines needed at least."""
-STARTS = (0.03, 0.3, 3.0)
+DAMPING_STARTS = (0.03, 0.3, 3.0)
 """Dampings P/(ωD) at the middle of the band from which the search starts."""
 
-_Part = tuple[Complex128, Complex128, Complex128, Float64]
+RecordLines = tuple[Complex128, Complex128, Complex128, Float64]
 """Position, velocity, torque and angular frequency of the lines of a record."""
 
 
@@ -43,17 +44,17 @@ def find_smooth_hold(spectra: Sequence[LineSpectra], axis: int) -> tuple[float, 
     makes |T + (P + jωD)Θ| smoothest. Where the lines are shared out among the axes (interleaved), an axis'
     torque on the lines of the others is its hold's alone.
     """
-    alone = _without_command(spectra, axis)
-    if alone is not None:
-        return alone
+    by_lines = _without_command(spectra, axis)
+    if by_lines is not None:
+        return by_lines
     parts = []
     for s in spectra:
         lines = np.flatnonzero(s.excited)
-        if s.driven[axis] and lines.size >= LINES:
+        if s.driven[axis] and lines.size >= LEAST_LINES:
             noise = s.floor[s.axis_count + axis]
-            loud = lines[np.abs(s.torque[lines, axis]) ** 2 > LOUD * noise]
-            if loud.size > 0.8 * lines.size:
-                speed = 1j * s.omega[lines] * s.position[lines, axis] + _ends(s, axis)
+            has_signal = lines[np.abs(s.torque[lines, axis]) ** 2 > SIGNAL_POWER * noise]
+            if has_signal.size > 0.8 * lines.size:
+                speed = 1j * s.omega[lines] * s.position[lines, axis] + _end_spectrum(s, axis)
                 parts.append((s.position[lines, axis], speed, s.torque[lines, axis], s.omega[lines]))
     if not parts:
         return None
@@ -64,18 +65,18 @@ def find_smooth_hold(spectra: Sequence[LineSpectra], axis: int) -> tuple[float, 
     best = without
     law = np.zeros(2)
     for size in np.quantile(stiffness, (0.05, 0.25, 0.5)):
-        for share in STARTS:
+        for share in DAMPING_STARTS:
             begun = np.array([size * min(share, 1.0), size * min(1.0 / share, 1.0) / np.median(omega)])
-            found = _smoothest(parts, begun)
-            rough = _roughness(parts, found)
-            if rough @ rough < best @ best:
-                best, law = rough, found
+            found = _minimise_roughness(parts, begun)
+            roughness = _roughness(parts, found)
+            if roughness @ roughness < best @ best:
+                best, law = roughness, found
     before, after = float(without @ without), float(best @ best)
     if not np.all(law >= 0) or law[0] <= 0:
         return None
-    if after > SMOOTH**2 * count:
+    if after > MOST_ROUGHNESS**2 * count:
         return None
-    if before < SMOOTHER * after or (before - after) / 2.0 < f_isf(CHANCE, 2, count) * after / count:
+    if before < ROUGHNESS_RATIO * after or (before - after) / 2.0 < f_isf(CHANCE, 2, count) * after / count:
         return None
     return float(law[0]), float(law[1])
 
@@ -91,30 +92,30 @@ def _without_command(spectra: Sequence[LineSpectra], axis: int) -> tuple[float, 
             for first in range(stride):
                 lines = excited[first::stride]
                 torque, theta = s.torque[lines, axis], s.position[lines, axis]
-                if lines.size < LINES or np.mean(np.abs(torque) ** 2) < LOUD * noise[1]:
+                if lines.size < LEAST_LINES or np.mean(np.abs(torque) ** 2) < SIGNAL_POWER * noise[1]:
                     continue
-                rows = -np.stack((theta, 1j * s.omega[lines] * theta + _ends(s, axis)), axis=1)
+                rows = -np.stack((theta, 1j * s.omega[lines] * theta + _end_spectrum(s, axis)), axis=1)
                 law = np.linalg.lstsq(real_rows(rows), real_rows(torque), rcond=None)[0]
                 gain = law[0] ** 2 + (s.omega[lines] * law[1]) ** 2
                 left = np.abs(torque - rows @ law) ** 2 / (noise[1] + gain * noise[0])
-                if np.all(law >= 0) and law[0] > 0 and np.mean(left) < EXPLAINED:
+                if np.all(law >= 0) and law[0] > 0 and np.mean(left) < MOST_RESIDUAL:
                     return float(law[0]), float(law[1])
     return None
 
 
-def _ends(s: LineSpectra, axis: int) -> float:
-    """What the ends of a record that does not close add to the spectrum of its velocity."""
+def _end_spectrum(s: LineSpectra, axis: int) -> float:
+    """Contribution of the ends of a record that does not close to the spectrum of its velocity."""
     if not (s.transient and s.periods == 1):
         return 0.0
     wave = s.position_wave[:, axis]
     return float(2.0 * (2.0 * wave[-1] - wave[-2] - wave[0]) / s.span_s)
 
 
-def _roughness(parts: Sequence[_Part], law: Float64) -> Float64:
-    """By how much log |T + PΘ + DΩ| is off the straight line in log frequency between its neighbours, twice.
+def _roughness(parts: Sequence[RecordLines], law: Float64) -> Float64:
+    """Second differences of log |T + PΘ + DΩ| between neighbouring lines, corrected for uneven log frequency.
 
-    Commands fall with a power of frequency as often as not. Second differences over the lines alone take that
-    for roughness, most at the lowest lines, where P is told: it came out 2.6 times too large.
+    Commands often fall with a power of frequency. Second differences over the lines alone take that for
+    roughness, most at the lowest lines, which determine P: it came out 2.6 times too large.
     """
     out = []
     for position, speed, torque, omega in parts:
@@ -126,22 +127,22 @@ def _roughness(parts: Sequence[_Part], law: Float64) -> Float64:
     return result
 
 
-def _smoothest(parts: Sequence[_Part], begun: Float64) -> Float64:
+def _minimise_roughness(parts: Sequence[RecordLines], begun: Float64) -> Float64:
     """Levenberg–Marquardt on the roughness over the logarithms of P and D."""
 
-    def at(x: Float64) -> _Law:
+    def gains_at(x: Float64) -> LogGains:
         rough = _roughness(parts, np.exp(x))
-        return _Law(x, rough, float(rough @ rough))
+        return LogGains(x, rough, float(rough @ rough))
 
-    def parabola(here: _Law) -> Parabola:
+    def parabola(here: LogGains) -> Parabola:
         steps = 1e-4 * np.eye(2)
-        columns = [(at(here.x + step).roughness - here.roughness) / 1e-4 for step in steps]
+        columns = [(gains_at(here.x + step).roughness - here.roughness) / 1e-4 for step in steps]
         return Parabola.of_rows(np.stack(columns, axis=1), here.roughness)
 
     found = minimise(
-        at(np.log(begun)),
+        gains_at(np.log(begun)),
         parabola,
-        lambda here, step: at(here.x + step),
+        lambda here, step: gains_at(here.x + step),
         limited=np.ones(2, dtype=bool),
         iterations=40,
         gain=1e-6,
@@ -151,8 +152,8 @@ def _smoothest(parts: Sequence[_Part], begun: Float64) -> Float64:
 
 
 @dataclass(frozen=True, eq=False)
-class _Law:
-    """Logarithms of P and D, and what they leave."""
+class LogGains:
+    """Logarithms of P and D, and their residual."""
 
     x: Float64
     roughness: Float64

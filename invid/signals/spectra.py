@@ -29,16 +29,16 @@ from invid.signals.periods import find_period, find_settled_periods, fold, nonre
 from invid.signals.timebase import UniformRecord, resample_uniformly
 
 NOT_PERIODIC = 0.3
-"""Share of the variance that does not repeat above which a declared period is not believed: noise of
-half the signal's power still passes, a wrong period gives about 1."""
+"""Non-repeating share of the variance above which a declared period is rejected (empirical): noise of half
+the signal's power still passes, a wrong period gives about 1."""
 
 FEW_LINES = 32
 """A period of fewer lines than this, still settling, tells its motion from its ends hardly or not at all: the
 ends of N masses an axis are 2N numbers an axis, each line gives two. The lines of the whole record do."""
 
 
-_KNOWN: WeakKeyDictionary[Experiment, LineSpectra] = WeakKeyDictionary()
-"""Spectra by experiment, which is told by its identity and cannot change."""
+_CACHE: WeakKeyDictionary[Experiment, LineSpectra] = WeakKeyDictionary()
+"""Cache of spectra by experiment (by identity; experiments do not change)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,9 +136,9 @@ def all_spectra(recording: Recording, role: Role | None = None) -> tuple[LineSpe
     for e in recording.experiments:
         if e.kind is Kind.CONSTANT_VELOCITY or (role is not None and e.role is not role):
             continue
-        if e not in _KNOWN:
-            _KNOWN[e] = spectra_of(e)
-        found.append(_KNOWN[e])
+        if e not in _CACHE:
+            _CACHE[e] = spectra_of(e)
+        found.append(_CACHE[e])
     return tuple(found)
 
 
@@ -163,16 +163,16 @@ def spectra_of(
             + (f", up to {data.longest_gap - 1} in a row" if data.longest_gap > 2 else "")
             + "; they were interpolated"
         )
-    period = _period(experiment, data, warnings)
+    period = _verified_period(experiment, data, warnings)
     if period is None:
-        return _whole(experiment, data, band_hz, warnings)
-    found = _periodic(experiment, data, period, band_hz, drop_transient, warnings)
+        return _whole_spectra(experiment, data, band_hz, warnings)
+    found = _periodic_spectra(experiment, data, period, band_hz, drop_transient, warnings)
     if found.transient and found.frequency_hz.size < FEW_LINES and drop_transient:
-        return _whole(experiment, data, band_hz, warnings)
+        return _whole_spectra(experiment, data, band_hz, warnings)
     return found
 
 
-def _period(experiment: Experiment, data: UniformRecord, warnings: list[str]) -> int | None:
+def _verified_period(experiment: Experiment, data: UniformRecord, warnings: list[str]) -> int | None:
     """The period to use [samples]; the declared one is verified, never trusted."""
     declared = experiment.period_samples
     key = experiment.key
@@ -185,14 +185,14 @@ def _period(experiment: Experiment, data: UniformRecord, warnings: list[str]) ->
         return None
     if data.samples // declared < 2:
         return None
-    loudest = int(np.argmax(_loudness(experiment, data.torque)))
-    share = float(nonrepeating_share(fold(data.torque[:, [loudest]], declared))[0])
+    strongest = int(np.argmax(_rms_torque(experiment, data.torque)))
+    share = float(nonrepeating_share(fold(data.torque[:, [strongest]], declared))[0])
     if share <= NOT_PERIODIC:
         return declared
-    found = find_period(data.torque[:, loudest], data.samples // 2)
+    found = find_period(data.torque[:, strongest], data.samples // 2)
     if (
         found is not None
-        and float(nonrepeating_share(fold(data.torque[:, [loudest]], found))[0]) < NOT_PERIODIC / 3
+        and float(nonrepeating_share(fold(data.torque[:, [strongest]], found))[0]) < NOT_PERIODIC / 3
     ):
         warnings.append(
             f"experiment {key}: the declared period of {declared} samples does not repeat; the torque "
@@ -206,7 +206,7 @@ def _period(experiment: Experiment, data: UniformRecord, warnings: list[str]) ->
     return None
 
 
-def _loudness(experiment: Experiment, torque: Float64) -> Float64:
+def _rms_torque(experiment: Experiment, torque: Float64) -> Float64:
     """(M,) rms torque without its mean; the excited axis first where it is named."""
     rms: Float64 = torque.std(axis=0)
     if 0 <= experiment.excited_axis < rms.size and rms[experiment.excited_axis] > 0:
@@ -229,12 +229,12 @@ def _amplitudes(channels: Sequence[Float64], lines: int) -> Complex128:
     return out
 
 
-def _columns(*parts: Float64) -> list[Float64]:
+def _channels(*parts: Float64) -> list[Float64]:
     """The channels of (…, n, M) arrays, one after the other."""
     return [part[..., c] for part in parts for c in range(part.shape[-1])]
 
 
-def _periodic(
+def _periodic_spectra(
     experiment: Experiment,
     data: UniformRecord,
     period: int,
@@ -246,20 +246,20 @@ def _periodic(
     position = remove_drift(fold(data.position, period))
     torque = fold(data.torque, period)
     nyquist = (period - 1) // 2
-    spectra = _amplitudes(_columns(position, torque), nyquist)
+    spectra = _amplitudes(_channels(position, torque), nyquist)
     hz = np.arange(1, nyquist + 1) / (period * data.step)
     top = highest_excited(experiment, hz, spectra)
     quiet = (hz > 1.5 * hz[top]) & (hz < 0.45 / data.step)
     if not quiet.any():
         quiet = hz > 0.9 * hz[-1]
-    floor, floor_dof, share = _floor(data, quiet, hz, period)
+    floor, floor_dof, share = _noise_floor(data, quiet, hz, period)
     band = band_of(hz, top, band_hz)
     settling = find_settled_periods(spectra[:, : top + 1], floor, floor_dof)
     first = settling.first if drop_transient else 0
     if first:
         position = remove_drift(fold(data.position, period)[first:])
         del spectra
-        spectra = _amplitudes(_columns(position, torque[first:]), nyquist)
+        spectra = _amplitudes(_channels(position, torque[first:]), nyquist)
     used = spectra.shape[0]
     mean = spectra.mean(axis=0)
     # Quantisation error of a motion that repeats exactly repeats too: the quiet lines of the mean show it,
@@ -272,7 +272,7 @@ def _periodic(
         own = np.maximum(own, repeating * sensor_noise_share(mean[None, quiet], hz[quiet], data.step))
     step = np.concatenate((quantisation_step(data.position), quantisation_step(data.torque)))
     single = sum(np.abs(one) ** 2 for one in spectra) / used
-    rounding = _rounding(single, np.abs(mean) ** 2, step, band)
+    rounding = _rounding_power(single, np.abs(mean) ** 2, step, band)
     floor = np.maximum(floor, step**2 / 12 * 4 / period)
     averaged = np.maximum(np.maximum(repeating, floor / used), 1e-300)
     deviations = spectra[:, band] - mean[band]
@@ -298,14 +298,14 @@ def _periodic(
     )
 
 
-def _whole(
+def _whole_spectra(
     experiment: Experiment, data: UniformRecord, band_hz: tuple[float, float] | None, warnings: list[str]
 ) -> LineSpectra:
     """The whole record, end points corrected: Σ x e^{−jωt} h + h (x_n − x_0)/2 is the integral to O(h²)."""
     motors = data.position.shape[1]
     count = data.samples - 1
     wave = np.concatenate((data.position, data.torque), axis=1)
-    channels = _columns(wave[:count])
+    channels = _channels(wave[:count])
     # A constant and a slope carry no line of their own; without them the ends and leakage are small.
     nyquist = (count - 1) // 2
     mean = _amplitudes(channels, nyquist)
@@ -315,17 +315,17 @@ def _whole(
     mean += ends * (1.0 - held)
     hz = np.arange(1, nyquist + 1) / (count * data.step)
     if is_integrated_velocity(experiment):
-        mean[:, :motors] = _of_velocity(data.position, data.step, hz)
+        mean[:, :motors] = _position_of_velocity(data.position, data.step, hz)
     top = highest_excited(experiment, hz, mean[None])
     quiet = (hz > 1.5 * hz[top]) & (hz < 0.45 / data.step)
     if quiet.sum() < 16:
         quiet = hz > 0.9 * hz[-1]
     single = np.empty((nyquist, 2 * motors))
-    floor, _, share = _quiet([wave[:count]], hz, quiet, data.step, single)
+    floor, _, share = _quiet_noise([wave[:count]], hz, quiet, data.step, single)
     floor *= share
     step = quantisation_step(wave)
     band = band_of(hz, top, band_hz)
-    rounding = _rounding(single, single, step, band)
+    rounding = _rounding_power(single, single, step, band)
     floor = np.maximum(np.maximum(floor, step**2 / 12 * 4 / count), 1e-300)
     if is_integrated_velocity(experiment):
         # White noise of a velocity is noise ∝ 1/ω of its integral; the quiet lines tell its level there.
@@ -356,27 +356,29 @@ def is_integrated_velocity(experiment: Experiment) -> bool:
     return bool(experiment.attributes.get("position_source") == "integrated_velocity")
 
 
-def _of_velocity(position: Float64, step: float, hz: Float64) -> Complex128:
+def _position_of_velocity(position: Float64, step: float, hz: Float64) -> Complex128:
     """(F, M) position on the lines from a position (n, M) that is the running sum of a measured velocity.
 
     A running sum is no integral near half the sampling rate; the velocity that was summed up has exact lines.
-    The steps of position and velocity between the record's ends count as sampling shows them, which is how
+    The jumps of position and velocity between the record's ends count as sampling shows them, which is how
     the boundary terms expect them: Σ 1/(ω + kω_s) = (h/2)/tan(ωh/2), Σ 1/(ω + kω_s)² = (h/2)²/sin²(ωh/2).
     """
     velocity = np.diff(position, axis=0) / step
     velocity = np.concatenate((velocity, velocity[-1:]))  # the last one is in no sum
     count = velocity.shape[0] - 1
     omega = 2 * np.pi * hz[:, None]
-    once = (step / 2) / np.tan(omega * step / 2)
-    twice = ((step / 2) / np.sin(omega * step / 2)) ** 2
+    first_sum = (step / 2) / np.tan(omega * step / 2)
+    second_sum = ((step / 2) / np.sin(omega * step / 2)) ** 2
     faster = (velocity[count] - velocity[0]) * (2.0 / (count * step))
-    moved = 2.0 * velocity[:count].mean(axis=0) + 0.5 * step * faster
-    smooth = _amplitudes(_columns(velocity[:count]), hz.size) + 0.5 * step * faster - 1j * faster * once
-    out: Complex128 = smooth / (1j * omega) + 1j * moved * once + faster * twice
+    displacement = 2.0 * velocity[:count].mean(axis=0) + 0.5 * step * faster
+    smooth = _amplitudes(_channels(velocity[:count]), hz.size) + 0.5 * step * faster - 1j * faster * first_sum
+    out: Complex128 = smooth / (1j * omega) + 1j * displacement * first_sum + faster * second_sum
     return out
 
 
-def _floor(data: UniformRecord, quiet: Bool, hz: Float64, period: int) -> tuple[Float64, float, Float64]:
+def _noise_floor(
+    data: UniformRecord, quiet: Bool, hz: Float64, period: int
+) -> tuple[Float64, float, Float64]:
     """(2M,) noise power of one line of one period, its dof, and the sensors' own share of it; from the quiet
     band of the whole record, windowed: what is left of a transient leaks there otherwise."""
     count = data.samples
@@ -384,11 +386,11 @@ def _floor(data: UniformRecord, quiet: Bool, hz: Float64, period: int) -> tuple[
     fine = np.arange(1, lines + 1) / (count * data.step)
     band = hz[quiet]
     inside = (fine >= band[0]) & (fine <= band[-1]) if band.size else fine > 0.9 * fine[-1]
-    power, dof, share = _quiet([data.position, data.torque], fine, inside, data.step)
+    power, dof, share = _quiet_noise([data.position, data.torque], fine, inside, data.step)
     return power * (count / period), dof, share
 
 
-def _rounding(single: Float64, mean: Float64, step: Float64, band: Bool) -> Float64:
+def _rounding_power(single: Float64, mean: Float64, step: Float64, band: Bool) -> Float64:
     """(F, 2M) power of the encoders' rounding on the lines of the band; torque steps are taken as white."""
     motors = step.size // 2
     last = int(np.flatnonzero(band)[-1]) + 1
@@ -397,18 +399,18 @@ def _rounding(single: Float64, mean: Float64, step: Float64, band: Bool) -> Floa
     return power
 
 
-def _quiet(
+def _quiet_noise(
     parts: Sequence[Float64], hz: Float64, quiet: Bool, step: float, single: Float64 | None = None
 ) -> tuple[Float64, float, Float64]:
     """(2M,) noise power on the ``quiet`` lines of (n, …) samples of 2M channels, its dof, and the sensors'
     own share of it; through a window that lets nothing leak into them. ``single`` (F, 2M) gets the power of
     every line.
     """
-    channels, means = _columns(*parts), np.concatenate([part.mean(axis=0) for part in parts])
+    channels, means = _channels(*parts), np.concatenate([part.mean(axis=0) for part in parts])
     every = max(int(quiet.sum()) // ENOUGH, 1)
     power, kept, dof = np.zeros(len(channels)), [], 0.0
     for c, values in enumerate(channels):
-        windowed = _windowed(values - means[c], hz.size)
+        windowed = _windowed_spectrum(values - means[c], hz.size)
         level, dof = quiet_power(windowed[:, None], quiet)
         power[c] = level[0]
         if single is not None:
@@ -418,7 +420,7 @@ def _quiet(
     return power, dof, share
 
 
-def _windowed(values: Float64, lines: int) -> Complex128:
+def _windowed_spectrum(values: Float64, lines: int) -> Complex128:
     """(lines,) spectrum of (n,) samples through a Blackman window of unit noise gain: lines do not leak."""
     window = np.blackman(values.size)
     window = window / np.sqrt(np.mean(window**2))

@@ -48,7 +48,7 @@ class SpectralLines:
 
     @cached_property
     def folding(self) -> Images:
-        """What a torque that is held over the sample folds onto the lines."""
+        """Images of a torque held over the sample, aliased onto the lines."""
         return Images.of(self.omega, self.step, integrated=self.integrated)
 
 
@@ -178,7 +178,7 @@ class Images:
 
     omega: Float64
     step: float
-    smear: Float64
+    zoh_loss: Float64
     """(F,) share of a torque's amplitude that holding it over the sample takes away."""
     each: Complex128
     """(F, images) of every image on every line."""

@@ -1,4 +1,4 @@
-"""SYNC instants as they are: jitter and lost samples, brought onto a uniform grid.
+"""Samples at the true SYNC instants, with jitter and losses, resampled onto a uniform grid.
 
 Spectra want equidistant samples. Where the instants are even to a thousandth of a sample nothing is
 touched. Otherwise every channel is interpolated by a quintic spline through the true instants; its
@@ -17,11 +17,11 @@ from invid.errors import RecordingError
 from invid.numerics.arrays import Float64, Int64
 from invid.recording.model import Experiment
 
-EVEN = 1e-3
+EVEN_ERROR = 1e-3
 """Timing error in samples below which instants count as even: at a tenth of the sample rate it moves
 a sample by 6e-4 of the amplitude, incoherently, so 1e-5 of a line of a thousand samples or more."""
 
-LONGEST = 3
+LONGEST_GAP = 3
 """Steps between two samples up to which the spline is trusted: with two samples lost it is off by 0.4 % of
 the amplitude at a tenth of the sampling rate and by a fifth at a fifth, with five by 13 % and three times."""
 
@@ -65,7 +65,7 @@ def resample_uniformly(experiment: Experiment) -> UniformRecord:
     origin = float(time[0] + start - slope * index[-1] / 2)
     error = (time - origin) / step - index
     lost = int(index[-1]) + 1 - count
-    if lost == 0 and np.abs(error).max() < EVEN:
+    if lost == 0 and np.abs(error).max() < EVEN_ERROR:
         return UniformRecord(step, experiment.position, experiment.torque, 0, 1)
     grid = np.clip(origin + step * np.arange(int(index[-1]) + 1), time[0], time[-1])
 
@@ -74,7 +74,7 @@ def resample_uniformly(experiment: Experiment) -> UniformRecord:
     def resample(values: Float64) -> Float64:
         result: Float64 = make_interp_spline(time, values, k=5)(grid)
         for first, last in gaps:
-            _bridge(result, first, last, gaps, experiment.period_samples)
+            _fill_gap(result, first, last, gaps, experiment.period_samples)
         return result
 
     return UniformRecord(
@@ -88,11 +88,11 @@ def resample_uniformly(experiment: Experiment) -> UniformRecord:
 
 def _gaps(index: Int64) -> list[tuple[int, int]]:
     """First sample and the one after the last of every gap that is too long for a spline."""
-    ends = np.flatnonzero(np.diff(index) > LONGEST)
+    ends = np.flatnonzero(np.diff(index) > LONGEST_GAP)
     return [(int(index[k]) + 1, int(index[k + 1])) for k in ends]
 
 
-def _bridge(values: Float64, first: int, last: int, gaps: list[tuple[int, int]], period: int) -> None:
+def _fill_gap(values: Float64, first: int, last: int, gaps: list[tuple[int, int]], period: int) -> None:
     """Fill a gap of (n, M) values with what the other periods have there, or with a straight line.
 
     A spline through nothing swings out. Of a record that repeats the other periods know what was lost; their
@@ -109,6 +109,6 @@ def _bridge(values: Float64, first: int, last: int, gaps: list[tuple[int, int]],
         and not any(at[0] + shift < b and a <= at[-1] + shift for a, b in gaps)
     ]
     shape = np.mean(whole, axis=0) if whole else np.zeros((at.size, values.shape[1]))
-    off = values[at[[0, -1]]] - shape[[0, -1]]
-    part = np.linspace(0.0, 1.0, at.size)[:, None]
-    values[at] = shape + off[0] + part * (off[1] - off[0])
+    mismatch = values[at[[0, -1]]] - shape[[0, -1]]
+    weight = np.linspace(0.0, 1.0, at.size)[:, None]
+    values[at] = shape + mismatch[0] + weight * (mismatch[1] - mismatch[0])

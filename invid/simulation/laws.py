@@ -1,4 +1,4 @@
-"""Effects of a model as the simulator of elastic machines takes them, sorted by where it treats them.
+"""Effects of a model as laws of the simulator of elastic machines.
 
 What each cause is made of stands in its own file (``Effect.simulation``, ``invid.effects.elements``).
 Signs: friction, damping, cogging, gravity and offset are resistances, so they enter with a minus.
@@ -33,7 +33,7 @@ from invid.model.document import EffectTerm
 from invid.numerics.arrays import Float64
 
 PARAMETERS = 6
-POINTS = 2049
+TABLE_POINTS = 2049
 """Points of the table of a static law: straight between them, an error of 2·10⁻⁷ of the largest force for one
 that grows with the square."""
 
@@ -70,7 +70,7 @@ class Laws:
             case AddedMass():
                 self.extra_masses.append(element)
             case TorqueChannel():
-                self._channel(element)
+                self._channel_of(element)
             case ReadingError(axis, amplitude, phase):
                 self.eccentricity.setdefault(axis, []).append((amplitude, phase))
             case RepeatedRows(fraction):
@@ -86,7 +86,7 @@ class Laws:
             case _:
                 raise ModelError(f"effect {term.cause} on {term.axis}: an elastic model has no place for it")
 
-    def _channel(self, element: TorqueChannel) -> None:
+    def _channel_of(self, element: TorqueChannel) -> None:
         i = element.axis
         if element.gain != 1.0:
             self.gain[i] = self.gain.get(i, 1.0) * element.gain
@@ -108,7 +108,7 @@ def laws_of(chains: CoupledChains, effects: tuple[EffectTerm, ...]) -> Laws:
 
 
 def elements_of(chains: CoupledChains, term: EffectTerm, *, rigid: bool = False) -> Sequence[Element]:
-    """What an effect of a model is made of; ModelError where nobody knows the cause, or its place."""
+    """Elements of an effect of a model; ModelError for an unknown cause or place."""
     effect = effect_of(term.cause)
     if effect is None:
         raise ModelError(
@@ -129,11 +129,11 @@ def law_table(forces: list[ForceLaw]) -> tuple[Float64, Float64]:
 
 def static_table(laws: Sequence[StaticLaw], reach: Sequence[float]) -> tuple[list[ForceLaw], Float64]:
     """Static laws as laws of the kernel, and (S, POINTS) their forces from −reach to reach of each."""
-    tables = np.zeros((max(len(laws), 1), POINTS))
+    tables = np.zeros((max(len(laws), 1), TABLE_POINTS))
     out = []
     for row, (law, most) in enumerate(zip(laws, reach, strict=True)):
-        values = np.asarray(law.force(np.linspace(-most, most, POINTS)), dtype=float)
-        if values.shape != (POINTS,) or not np.isfinite(values).all():
+        values = np.asarray(law.force(np.linspace(-most, most, TABLE_POINTS)), dtype=float)
+        if values.shape != (TABLE_POINTS,) or not np.isfinite(values).all():
             raise ModelError(
                 f"simulation: a law over the {law.over} is not finite within ±{most:.3g}; check its numbers"
             )

@@ -1,4 +1,4 @@
-"""What drives the simulated plant: the recorded torque, and the feedback that keeps it where it was.
+"""Inputs of the simulated plant: the recorded torque, and feedback that ties it to the measured motion.
 
 The recorded torque alone does not hold a free plant in place: its rigid modes integrate every error
 twice. The simulated motors are therefore tied to the measured motion by a spring and a damper,
@@ -26,12 +26,12 @@ from invid.numerics.arrays import Float64
 from invid.recording.model import Experiment
 from invid.simulation.laws import Laws
 
-_OBSERVER_BELOW = 4.0
+_OBSERVER_RATIO = 4.0
 """A quarter of the lowest line: 6 % of the model's error is fed back there, 1 % a factor 2.5 above. Slower
 observers let torque noise walk: integrated twice it grows with the cube of the observer's period (case study
 at a tenth: 2 to 5 % of the motion)."""
 _OBSERVER_DAMPING = 0.7
-_DRIFT_BELOW = 0.5
+_DRIFT_RATIO = 0.5
 """Cut of the drift filter over the lowest line: forwards and backwards it takes 1.5 % of the line itself."""
 _HOLD_DAMPING = 0.3
 _MOST_SUBSTEPS = 64
@@ -80,7 +80,7 @@ def drift_torque(error: Float64, given: Drive, chains: CoupledChains, experiment
     """
     interval = float(given.time[1] - given.time[0])
     low, _ = band_of(experiment)
-    cut = _DRIFT_BELOW * low * 2 * interval
+    cut = _DRIFT_RATIO * low * 2 * interval
     length = error.shape[0]
     if cut >= 1 or length < 20:
         return np.zeros_like(error)
@@ -130,7 +130,7 @@ def drive(experiment: Experiment, chains: CoupledChains, laws: Laws, fastest: fl
 
     sums = np.diag(chains.rigid_mass_matrix)
     gain = np.where(np.isfinite(experiment.hold_gain), experiment.hold_gain, 0.0)
-    observer = sums * (2 * np.pi * low / _OBSERVER_BELOW) ** 2
+    observer = sums * (2 * np.pi * low / _OBSERVER_RATIO) ** 2
     held = gain > observer
     stiffness = np.where(held, gain, observer)
     ratio = np.where(held, _HOLD_DAMPING, _OBSERVER_DAMPING)
@@ -141,7 +141,7 @@ def drive(experiment: Experiment, chains: CoupledChains, laws: Laws, fastest: fl
     torque = CubicSpline(experiment.time, experiment.torque)
     motion = CubicSpline(experiment.time, _without_eccentricity(experiment.position, laws))
     rate = CubicSpline(time, _derivative(motion(time), interval, high))
-    applied = _actuator(torque, fine, laws, step)
+    applied = _apply_actuator(torque, fine, laws, step)
     applied += stiffness * motion(fine) + damping * rate(fine)
     return Drive(time, step, substeps, stiffness, damping, applied, motion(time), rate(time))
 
@@ -166,7 +166,7 @@ def _derivative(motion: Float64, interval: float, high: float) -> Float64:
     return smooth
 
 
-def _actuator(torque: CubicSpline, fine: Float64, laws: Laws, step: float) -> Float64:
+def _apply_actuator(torque: CubicSpline, fine: Float64, laws: Laws, step: float) -> Float64:
     """Torque that acts: the recorded one delayed, scaled, clipped and lagged, in this order."""
     applied: Float64 = torque(fine)
     for i, delay in laws.delay.items():
@@ -176,10 +176,10 @@ def _actuator(torque: CubicSpline, fine: Float64, laws: Laws, step: float) -> Fl
     for i, limit in laws.limit.items():
         applied[:, i] = np.clip(applied[:, i], -limit, limit)
     for i, constant in laws.lag.items():
-        keep = float(np.exp(-step / constant))
+        decay = float(np.exp(-step / constant))
         # exact for inputs that are linear within a sub-step
-        blend = (1.0 - keep) * constant / step
-        numerator = np.array([1.0 - blend, blend - keep])
-        begin = applied[0, i]
-        applied[:, i] = begin + lfilter(numerator, [1.0, -keep], applied[:, i] - begin)
+        blend = (1.0 - decay) * constant / step
+        numerator = np.array([1.0 - blend, blend - decay])
+        initial = applied[0, i]
+        applied[:, i] = initial + lfilter(numerator, [1.0, -decay], applied[:, i] - initial)
     return applied

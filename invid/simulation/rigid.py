@@ -1,4 +1,5 @@
-"""A rigid (or grounded) model in time: in closed loop where the controller is known, else by its torque.
+"""Simulation of a rigid (or grounded) model: in closed loop where the controller is known, else by its
+torque.
 
 A controller that the recording describes (``controller``, ``position_reference``) is simulated as the digital
 law it is. The record itself says what the law's velocity is: the difference over so many of its own samples
@@ -40,8 +41,8 @@ the sample rate."""
 _LONGEST_SPAN = 8
 """Samples that a controller's velocity may span: longer ones would not damp its own loop."""
 _START_SAMPLES = 300
-_KNOWN = 0.2
-"""A law whose torque is off by more than this part of the record's own is not the law that ran (measured
+_MOST_LAW_ERROR = 0.2
+"""Error of the torque, over the recorded one, above which a law is not the one that ran (empirical: measured
 closed-loop benches reproduce theirs within 3 %)."""
 
 
@@ -77,14 +78,14 @@ def closed_loop(experiment: Experiment) -> Loop | None:
             limit = float(one["limit"]) if one.get("limit") is not None else np.inf
         except (KeyError, TypeError, ValueError):
             return None
-        q, told = experiment.position[:, i], experiment.torque[:, i]
-        misses = []
+        q, commands = experiment.position[:, i], experiment.torque[:, i]
+        errors = []
         for span in range(1, _LONGEST_SPAN + 1):
             rate = (q[span:] - q[:-span]) / (span * step)
             command = stiffness * (reference[span:, i] - q[span:]) - damping * rate + feedforward[span:, i]
-            misses.append(_rms(np.clip(command, -limit, limit) - told[span:]))
-        best = int(np.argmin(misses))
-        if misses[best] > _KNOWN * _rms(told):
+            errors.append(_rms(np.clip(command, -limit, limit) - commands[span:]))
+        best = int(np.argmin(errors))
+        if errors[best] > _MOST_LAW_ERROR * _rms(commands):
             return None
         law[i] = 1.0, stiffness, damping, limit, best + 1, 0.0
     return Loop(law, reference, feedforward)
@@ -108,13 +109,13 @@ def simulate_motion(model: Model, recording: Recording) -> Recording:
             f"{recording.source}: its axes are {list(recording.axes)}, the model's are {list(model.axes)}; "
             f"they must be the same"
         )
-    done = [_one(model, e) for e in recording.experiments]
+    simulated = [_simulate_experiment(model, e) for e in recording.experiments]
     attributes = {**recording.attributes, "simulated_by": "invid simulate", "model_robot": model.robot}
-    return replace(recording, experiments=tuple(done), attributes=attributes)
+    return replace(recording, experiments=tuple(simulated), attributes=attributes)
 
 
 def errors_of(model: Model, recording: Recording) -> list[dict[str, Any]]:
-    """Simulated against recorded, where simulating says something: closed loops and springs to ground."""
+    """Errors of the simulation against the record, for closed loops and springs to ground."""
     grounded = bool(np.all(model.chains.ground_springs > 0))
     found = []
     for experiment in recording.experiments:
@@ -122,7 +123,7 @@ def errors_of(model: Model, recording: Recording) -> list[dict[str, Any]]:
         if loop is None and not grounded:
             continue
         try:
-            answer = _one(model, experiment)
+            answer = _simulate_experiment(model, experiment)
         except InputError as error:
             found.append({"key": experiment.key, "role": str(experiment.role), "failed": str(error)})
             continue
@@ -143,17 +144,17 @@ def errors_of(model: Model, recording: Recording) -> list[dict[str, Any]]:
     return found
 
 
-def _one(model: Model, experiment: Experiment) -> Experiment:
+def _simulate_experiment(model: Model, experiment: Experiment) -> Experiment:
     even = resample_uniformly(experiment)
     axes, count = even.position.shape[1], even.samples
-    laws = _laws(model)
+    laws = _rigid_laws(model)
     # (M,) by which the torque acts later than recorded [s]
     offsets = time_offsets(model)
     delay = np.array(
         [offsets.get(i, 0.0) + sum(c.delay for c in laws.channels if c.axis == i) for i in range(axes)]
     )
     loop = closed_loop(experiment) if even.samples == experiment.samples else None
-    fine = np.arange(count * SUBSTEPS) / SUBSTEPS * even.step
+    fine_grid = np.arange(count * SUBSTEPS) / SUBSTEPS * even.step
     instants = np.arange(count) * even.step
     if loop is not None:
         law, reference = loop.law.copy(), loop.reference
@@ -165,10 +166,10 @@ def _one(model: Model, experiment: Experiment) -> Experiment:
         law, reference = np.zeros((axes, 6)), np.asarray(even.position)
         torque = CubicSpline(instants, even.torque)
         applied = np.stack(
-            [torque(np.clip(fine - d, 0.0, instants[-1]))[:, i] for i, d in enumerate(delay)], axis=1
+            [torque(np.clip(fine_grid - d, 0.0, instants[-1]))[:, i] for i, d in enumerate(delay)], axis=1
         )
         if not np.all(model.chains.ground_springs > 0):
-            law, applied = _tied(model, even.position, even.step, applied[::SUBSTEPS])
+            law, applied = _tie_to_measurement(model, even.position, even.step, applied[::SUBSTEPS])
     law[:, 4] = np.maximum(law[:, 4], 1.0)
     rate = derivative(np.asarray(even.position), even.step, 0.1 / even.step, 1)
     state = np.stack([even.position[0], rate[0]])
@@ -177,15 +178,15 @@ def _one(model: Model, experiment: Experiment) -> Experiment:
     applied, reference = np.ascontiguousarray(applied), np.ascontiguousarray(reference)
 
     def run(start: Float64, samples: int) -> tuple[Float64, Float64]:
-        out, acted = np.zeros((samples, axes)), np.zeros((samples, axes))
+        out, acted_torque = np.zeros((samples, axes)), np.zeros((samples, axes))
         with np.errstate(over="ignore", invalid="ignore"):
             march(
                 start.copy(), applied, reference, law, mass, laws.carried, laws.smooth, laws.dry, static,
-                tables, even.step / SUBSTEPS, SUBSTEPS, out, acted,
+                tables, even.step / SUBSTEPS, SUBSTEPS, out, acted_torque,
             )  # fmt: skip
-        return out, acted
+        return out, acted_torque
 
-    out, acted = run(_start(state, np.asarray(even.position), even.step, run), count)
+    out, acted_torque = run(_fit_start(state, np.asarray(even.position), even.step, run), count)
     if not np.isfinite(out).all() or np.abs(out).max() > 1e6 * max(np.abs(even.position).max(), 1e-300):
         raise InputError(
             f"experiment {experiment.key}: the simulated motion runs away; a mass is far too small or an "
@@ -194,12 +195,12 @@ def _one(model: Model, experiment: Experiment) -> Experiment:
     if count != experiment.samples or not np.allclose(instants, experiment.time - experiment.time[0]):
         at = experiment.time - experiment.time[0]
         out = np.stack([np.interp(at, instants, column) for column in out.T], axis=1)
-        acted = np.stack([np.interp(at, instants, column) for column in acted.T], axis=1)
-    torque_out = experiment.torque if not law[:, 0].any() else frozen_float(acted)
+        acted_torque = np.stack([np.interp(at, instants, column) for column in acted_torque.T], axis=1)
+    torque_out = experiment.torque if not law[:, 0].any() else frozen_float(acted_torque)
     return replace(experiment, position=frozen_float(out), torque=torque_out)
 
 
-def _start(
+def _fit_start(
     state: Float64, measured: Float64, step: float, run: Callable[[Float64, int], tuple[Float64, Float64]]
 ) -> Float64:
     """Position and velocity at the first sample, fitted to the first samples that follow.
@@ -208,30 +209,32 @@ def _start(
     it. Gauss–Newton with differences; a step that does not help is not taken.
     """
     samples = min(_START_SAMPLES, measured.shape[0])
-    told = measured[:samples]
-    spread = np.maximum(told.std(axis=0), 1e-12 * np.abs(told).max() + 1e-300)
+    informative = measured[:samples]
+    spread = np.maximum(informative.std(axis=0), 1e-12 * np.abs(informative).max() + 1e-300)
     small = 1e-3 * np.stack([spread, spread / (samples * step)])
-    miss = told - run(state, samples)[0]
+    miss = informative - run(state, samples)[0]
     for _ in range(3):
         columns = []
         for place in np.ndindex(state.shape):
-            moved = state.copy()
-            moved[place] += small[place]
-            columns.append(((run(moved, samples)[0] - told + miss) / small[place]).ravel())
+            shifted = state.copy()
+            shifted[place] += small[place]
+            columns.append(((run(shifted, samples)[0] - informative + miss) / small[place]).ravel())
         basis = np.stack(columns, axis=1)
         if not (np.isfinite(basis).all() and np.isfinite(miss).all()):
             return state
         scale = np.maximum(np.linalg.norm(basis, axis=0), 1e-300)
         change = np.linalg.lstsq(basis / scale, miss.ravel(), rcond=1e-6)[0] / scale
         trial = state + change.reshape(state.shape)
-        fresh = told - run(trial, samples)[0]
-        if not _rms(fresh) < 0.999 * _rms(miss):
+        new_residual = informative - run(trial, samples)[0]
+        if not _rms(new_residual) < 0.999 * _rms(miss):
             return state
-        state, miss = trial, fresh
+        state, miss = trial, new_residual
     return state
 
 
-def _tied(model: Model, position: Float64, step: float, torque: Float64) -> tuple[Float64, Float64]:
+def _tie_to_measurement(
+    model: Model, position: Float64, step: float, torque: Float64
+) -> tuple[Float64, Float64]:
     """A slow spring and damper to the measured motion: controller rows and the torque that goes with them."""
     axes = position.shape[1]
     law = np.zeros((axes, 6))
@@ -282,7 +285,7 @@ class RigidLaws:
         return rows, tables
 
 
-def _laws(model: Model) -> RigidLaws:
+def _rigid_laws(model: Model) -> RigidLaws:
     axes = len(model.axes)
     smooth, dry, carried = np.zeros((axes, 6)), np.zeros((axes, 10)), np.zeros(5)
     smooth[:, 0] = model.chains.ground_springs

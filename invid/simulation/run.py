@@ -1,4 +1,4 @@
-"""The model's answer to a recorded excitation, as a recording."""
+"""The model's response to a recorded excitation, as a recording."""
 
 from __future__ import annotations
 
@@ -30,7 +30,8 @@ _TABLE_ROUNDS = 4
 _DIVERGED = 1e6  # times the measured motion: no wrong parameter does that, only a growing oscillation
 _START_SAMPLES = 2000
 _START_PRIOR = 1e-3
-"""Weight of the guessed initial state against the measured motion: only decides what no motor sees."""
+"""Weight of the guessed initial state against the measured motion: it decides only states that no motor
+shows."""
 
 
 def simulate(
@@ -57,17 +58,17 @@ def simulate(
     for i, offset in time_offsets(model).items():
         laws.delay[i] = laws.delay.get(i, 0.0) + offset
     plant = matrices(model.chains, laws)
-    chance = np.random.default_rng(0) if rng is None else rng
+    rng_of_drops = np.random.default_rng(0) if rng is None else rng
     origin = min(float(e.time[0]) for e in recording.experiments) if recording.experiments else 0.0
-    done = []
+    simulated = []
     for experiment in recording.experiments:
         if only is not None and experiment.key not in only:
             continue
-        answer = _simulate_one(_reordered(experiment, order), model, laws, plant, origin)
-        answer = _dropped(answer, laws.dropped, chance)
-        done.append(_reordered(answer, np.argsort(order)))
+        answer = _simulate_experiment(_reorder_axes(experiment, order), model, laws, plant, origin)
+        answer = _drop_rows(answer, laws.dropped, rng_of_drops)
+        simulated.append(_reorder_axes(answer, np.argsort(order)))
     attributes = {**recording.attributes, "simulated_by": "invid simulate", "model_robot": model.robot}
-    return replace(recording, experiments=tuple(done), attributes=attributes)
+    return replace(recording, experiments=tuple(simulated), attributes=attributes)
 
 
 def _axis_order(model: Model, recording: Recording) -> np.ndarray:
@@ -80,7 +81,7 @@ def _axis_order(model: Model, recording: Recording) -> np.ndarray:
     return np.array([recording.axes.index(a) for a in model.axes])
 
 
-def _reordered(experiment: Experiment, order: np.ndarray) -> Experiment:
+def _reorder_axes(experiment: Experiment, order: np.ndarray) -> Experiment:
     if np.array_equal(order, np.arange(order.size)):
         return experiment
     demand, status = experiment.torque_demand, experiment.status
@@ -95,27 +96,27 @@ def _reordered(experiment: Experiment, order: np.ndarray) -> Experiment:
 
 
 @dataclass(frozen=True, eq=False)
-class _Piece:
+class _Stretch:
     begin: int  # sub-steps
     end: int
     step: Step
 
 
-def _simulate_one(
+def _simulate_experiment(
     experiment: Experiment, model: Model, laws: Laws, plant: Matrices, origin: float
 ) -> Experiment:
     chains = model.chains
-    fastest = _fastest(plant, laws)
+    fastest = _fastest_motion(plant, laws)
     given = drive(experiment, chains, laws, fastest)
     motors = chains.motor_dofs.astype(np.int64)
-    pieces = _pieces(plant, laws, given, motors, origin)
-    tabled = _Tables(laws, given)
+    pieces = _stretches(plant, laws, given, motors, origin)
+    tables = _Tables(laws, given)
 
     def answer(start: Float64, added: Float64 | None = None) -> Float64:
         drive_ = given if added is None else replace(given, applied=given.applied + given.refined(added))
         for _ in range(_TABLE_ROUNDS):
-            motion, memory = _march(start, pieces, drive_, tabled.made, motors)
-            if tabled.reaches(memory):
+            motion, memory = _march_stretches(start, pieces, drive_, tables.made, motors)
+            if tables.cover(memory):
                 break
         return motion
 
@@ -123,24 +124,24 @@ def _simulate_one(
     motion = answer(state)
     with np.errstate(over="ignore", invalid="ignore"):
         free = _free_response(pieces[0].step, given, motors)
-    error = _error(motion, given)
+    error = _position_error(motion, given)
     for _ in range(_START_ROUNDS):
         trial = state + _start_correction(free, motion, given)
-        fresh = answer(trial)
-        fresh_error = _error(fresh, given)
-        if not fresh_error < 0.999 * error:
+        new_start = answer(trial)
+        new_error = _position_error(new_start, given)
+        if not new_error < 0.999 * error:
             break
-        state, motion, error = trial, fresh, fresh_error
+        state, motion, error = trial, new_start, new_error
     drift = np.zeros_like(given.measured)
     for _ in range(_DRIFT_ROUNDS if experiment.frequencies_hz.size else 0):
         added = drift + drift_torque(given.measured - motion[:, :, 0], given, chains, experiment)
         if not np.isfinite(added).all():  # it has run away; said below
             break
-        fresh = answer(state, added)
-        fresh_error = _error(fresh, given)
-        if not fresh_error < 0.99 * error:
+        new_start = answer(state, added)
+        new_error = _position_error(new_start, given)
+        if not new_error < 0.99 * error:
             break
-        drift, motion, error = added, fresh, fresh_error
+        drift, motion, error = added, new_start, new_error
     size = float(np.sum(given.measured**2))
     if not np.isfinite(error) or 0 < _DIVERGED**2 * size < error:
         raise InputError(
@@ -149,7 +150,7 @@ def _simulate_one(
             "signs)"
         )
     extra = drift + state[2 * plant.mass.shape[0] :]
-    return _as_experiment(experiment, motion, given, laws, extra)
+    return _to_experiment(experiment, motion, given, laws, extra)
 
 
 class _Tables:
@@ -161,14 +162,14 @@ class _Tables:
         self._reach = [
             2.0 * max(speed if law.over == "velocity" else size, 1e-300) for law in self._laws.static
         ]
-        self.made = self._make()
+        self.made = self._build()
 
-    def _make(self) -> tuple[Float64, Float64, Float64]:
+    def _build(self) -> tuple[Float64, Float64, Float64]:
         static, tables = static_table(self._laws.static, self._reach)
         return *law_table([*self._laws.forces, *static]), tables
 
-    def reaches(self, memory: Float64) -> bool:
-        """Whether all was read within the tables, and not in a small part of them; else they are new ones."""
+    def cover(self, memory: Float64) -> bool:
+        """Whether the motion stayed within the tables and used most of them; else they are computed anew."""
         reached = memory[len(self._laws.forces) :, 0]
         good = [0.1 * most <= r <= most or r == 0.0 for r, most in zip(reached, self._reach, strict=True)]
         if all(good) or not np.isfinite(reached).all():
@@ -176,13 +177,13 @@ class _Tables:
         self._reach = [
             most if fits else 2.0 * float(r) for r, most, fits in zip(reached, self._reach, good, strict=True)
         ]
-        self.made = self._make()
+        self.made = self._build()
         return False
 
 
-def _march(
+def _march_stretches(
     start: Float64,
-    pieces: list[_Piece],
+    pieces: list[_Stretch],
     given: Drive,
     laws: tuple[Float64, Float64, Float64],
     motors: np.ndarray,
@@ -193,8 +194,8 @@ def _march(
     state, applied = start[:states].copy(), given.applied + start[states:]
     memory = np.zeros((kinds.shape[0], 2))
     for e, (law, a, b) in enumerate(kinds.astype(int)):
-        first = state.size // 2 if law == Law.TABLE and parameters[e, 0] else 0
-        memory[e, 1] = state[first + a] - (state[first + b] if b >= 0 else 0.0)
+        begin_row = state.size // 2 if law == Law.TABLE and parameters[e, 0] else 0
+        memory[e, 1] = state[begin_row + a] - (state[begin_row + b] if b >= 0 else 0.0)
     motion = np.zeros((given.time.size, motors.size, 2))
     for piece in pieces:
         part = np.zeros(((piece.end - piece.begin) // every + 1, motors.size, 2))
@@ -219,7 +220,9 @@ def _march(
     return motion, memory
 
 
-def _pieces(plant: Matrices, laws: Laws, given: Drive, motors: np.ndarray, origin: float) -> list[_Piece]:
+def _stretches(
+    plant: Matrices, laws: Laws, given: Drive, motors: np.ndarray, origin: float
+) -> list[_Stretch]:
     """Stretches of constant parameters; borders lie on samples."""
     samples = given.time.size
     borders = {0, samples - 1}
@@ -244,12 +247,12 @@ def _pieces(plant: Matrices, laws: Laws, given: Drive, motors: np.ndarray, origi
         if np.linalg.eigvalsh(mass)[0] <= 0:
             raise InputError("simulation: payload or drift makes the mass matrix not positive definite")
         step = discretise(Matrices(mass, damping, stiffness), inputs, given.step)
-        pieces.append(_Piece(begin * given.substeps, end * given.substeps, step))
+        pieces.append(_Stretch(begin * given.substeps, end * given.substeps, step))
     return pieces
 
 
-def _fastest(plant: Matrices, laws: Laws) -> float:
-    """Fastest motion that the force laws must follow [rad/s]."""
+def _fastest_motion(plant: Matrices, laws: Laws) -> float:
+    """Fastest angular frequency of force laws [rad/s]."""
     stiff = max((f.parameters[0] / plant.mass[f.a, f.a] for f in laws.forces if f.law in (2, 7)), default=0.0)
     return float(np.hypot(plant.fastest, np.sqrt(stiff)))
 
@@ -297,13 +300,13 @@ def _start_correction(free: tuple[np.ndarray, Float64], motion: Float64, given: 
     return change
 
 
-def _error(motion: Float64, given: Drive) -> float:
+def _position_error(motion: Float64, given: Drive) -> float:
     with np.errstate(over="ignore", invalid="ignore"):
         value = float(np.sum((motion[:, :, 0] - given.measured) ** 2))
     return value if np.isfinite(value) else np.inf
 
 
-def _as_experiment(
+def _to_experiment(
     experiment: Experiment, motion: Float64, given: Drive, laws: Laws, extra: Float64
 ) -> Experiment:
     theta, rate = motion[:, :, 0], motion[:, :, 1]
@@ -326,7 +329,7 @@ def _as_experiment(
     return replace(experiment, position=position, torque=torque)
 
 
-def _dropped(experiment: Experiment, fraction: float, rng: np.random.Generator) -> Experiment:
+def _drop_rows(experiment: Experiment, fraction: float, rng: np.random.Generator) -> Experiment:
     if fraction == 0:
         return experiment
     kept = rng.uniform(size=experiment.samples) >= fraction

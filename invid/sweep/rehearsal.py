@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from invid.numerics.arrays import Float64
-from invid.planning.forecast import FULL, QUANTITIES, READING, announced, limits_of
+from invid.planning.forecast import QUANTITIES, READING_NOISE, USABLE_SHARE, announced, limits_of
 from invid.planning.model import AxisForecast, PlannedExperiment, Trial
 from invid.planning.phases import (
     FIRST_S,
@@ -160,7 +160,7 @@ class Rehearsal:
         """(3, M) what was announced, or the plan's share of 95 % of the limits where that is less."""
         plan, config = self._motion.plan, self._motion.config
         told = _announced(plan.forecast)
-        most = FULL * limits_of(config)
+        most = USABLE_SHARE * limits_of(config)
         if experiment.reference is None:
             rest = np.zeros_like(most)
             rest[2] = np.minimum(np.abs(self._motion.bias), most[2])
@@ -189,7 +189,7 @@ class Rehearsal:
         if not self.bounds.any() or all(f.basis == "model" for f in plan.forecast):
             return plan.forecast
         bounds = self.bounds.copy()
-        bounds[2] += READING * np.array(self._motion.cell.rated_torque)
+        bounds[2] += READING_NOISE * np.array(self._motion.cell.rated_torque)
         bounds = np.maximum(bounds, self._motion.watching.peaks)
         for e in plan.experiments:
             if e.kind is Kind.CONSTANT_VELOCITY:  # follows its path, with what torque that takes
@@ -252,7 +252,7 @@ class Rehearsal:
         window = max(1, round(min(SMOOTH_S, SMOOTH_CYCLE / highest) / motion.plan.cycle_s))
         total = np.cumsum(np.concatenate([np.zeros((1, motion.count)), kept.torque - bias]), axis=0)
         smooth = np.abs(total[window:] - total[:-window]).max(axis=0, initial=0.0) / window
-        noise = NOISE_STD * READING / 6 * rated / np.sqrt(window)
+        noise = NOISE_STD * READING_NOISE / 6 * rated / np.sqrt(window)
         led = [f.axis for f in motion.feedback]
         held = ~np.isin(np.arange(motion.count), led)
         largest: Float64 = np.where(held, np.sqrt(np.maximum(smooth**2 - noise**2, 0.0)), commanded)

@@ -12,7 +12,7 @@ import yaml
 from benchmarks.drivers.bench_stopping import TIMER, Run, cell_config, draw
 from invid.config import CellConfig, parse_config
 from invid.errors import ConfigError, DriveError
-from invid.planning.stopping_distance import FEEDBACK
+from invid.planning.stopping_distance import FEEDBACK_FACTOR
 from invid.sweep import Mode
 from invid_drivers.cia402.bus import Cia402Cell
 from invid_drivers.cia402.manuals import YES
@@ -73,7 +73,7 @@ def test_a_gentle_ramp_means_less_speed_and_says_so() -> None:
     # the ramp alone takes 0.5 rad from 1 rad/s, and the torque that is planned for less goes on for 65 ms
     assert 0.4 < budget.permitted < 0.8
     assert plan.forecast[0].velocity <= budget.permitted
-    assert budget.case.planned == pytest.approx(FEEDBACK * plan.peak_torque[0])
+    assert budget.case.planned == pytest.approx(FEEDBACK_FACTOR * plan.peak_torque[0])
     assert budget.dead_master == pytest.approx(0.5)
     assert limited.axes[0].limits.velocity == budget.permitted
     assert any("A1: at most" in s and "0x6085" in s for s in said)

@@ -5,7 +5,7 @@ import pytest
 
 from hidden.aperiodic import draw
 from invid.identification.identify import identify
-from invid.identification.machine_kind import CLEARLY, chains_missed_share
+from invid.identification.machine_kind import CLEAR_RATIO, chains_missed_share
 from invid.model.chains import CoupledChains
 
 
@@ -35,7 +35,7 @@ def test_chains_are_judged_on_pieces_of_all_that_a_chirp_shook() -> None:
     recording, truth = draw(112)
     chains = CoupledChains.build([truth.masses], [truth.springs], [truth.dampers], axes=recording.axes)
     assert (
-        chains_missed_share(recording, chains) < 0.2 * CLEARLY
+        chains_missed_share(recording, chains) < 0.2 * CLEAR_RATIO
     )  # of its end alone they missed more than all
 
 

@@ -31,7 +31,7 @@ def test_an_arm_is_rigid_where_no_elasticity_shows(seed: int, axes: int) -> None
     recording, _ = draw(seed, axes, seconds=15.0)
     kind = machine_kind(recording, None, lambda: chains_of(recording, 1))
     assert kind.rigid
-    assert kind.said.startswith("taken for a rigid machine: rigid axes miss")
+    assert kind.sentence.startswith("taken for a rigid machine: rigid axes miss")
     assert is_of_rigid_axes(rigid_model(recording, kind), recording)
 
 
@@ -43,8 +43,8 @@ def test_the_better_of_both_wins_and_what_the_other_misses_is_said(
     monkeypatch.setattr("invid.identification.machine_kind.chains_missed_share", lambda *_: missed)
     kind = machine_kind(recording, None, lambda: chains_of(recording, 2))
     assert kind.rigid is rigid
-    assert f"chains {missed:.1%}" in kind.said
-    assert "rigid axes miss" in kind.said
+    assert f"chains {missed:.1%}" in kind.sentence
+    assert "rigid axes miss" in kind.sentence
 
 
 def test_an_inertia_that_does_not_show_costs_trust_and_no_model() -> None:

@@ -1,6 +1,6 @@
-"""Special rules of the search, one a module, and their list (``catalogue``), loaded when first asked.
+"""Special rules of the search, one a module, and their list (``catalogue``), loaded when first used.
 
-The search imports none of them: it asks ``invid.diagnosis.context``.
+The search imports none of them: it calls ``invid.diagnosis.context``.
 """
 
 from importlib import import_module

@@ -1,4 +1,4 @@
-"""A constant torque and dry friction on one axis, against friction that differs between the directions."""
+"""Rule: a constant torque and dry friction on one axis, against friction that differs by direction."""
 
 from __future__ import annotations
 
@@ -26,10 +26,11 @@ PARTS = ("torque_offset", "coulomb_friction", "viscous_friction")
 def doubt_asymmetric_pairs(
     found: Selection, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord]
 ) -> Selection:
-    """The selection; each part of such a pair is as doubtful as one asymmetric friction is likely.
+    """The selection with asymmetric friction as rival of such pairs, as far as the data do not tell them
+    apart.
 
-    The pair is that cause with the same viscous friction both ways, or with none: of an asymmetric friction
-    at 6 dB it left nothing but noise, and its parts were certain one by one.
+    The pair is that cause with the same viscous friction both ways, or with none. Without the rule the pair
+    left nothing but noise of an asymmetric friction at 6 dB, and each part was certain.
     """
     known = len(found.base.fit.candidate.terms)
     final, terms = found.final, found.final.fit.candidate.terms
@@ -37,13 +38,13 @@ def doubt_asymmetric_pairs(
         if dry.effect.cause != "coulomb_friction":
             continue
         parts = [
-            k for k, t in enumerate(terms) if k >= known and t.effect.cause in PARTS and _belongs(t, dry)
+            k for k, t in enumerate(terms) if k >= known and t.effect.cause in PARTS and _is_part_of(t, dry)
         ]
         size = {terms[k].effect.cause: final.fit.candidate.x[k] for k in parts}
         if "torque_offset" not in size:
             continue
-        start = _start(size["coulomb_friction"], size["torque_offset"], size.get("viscous_friction"))
-        whole = PlacedEffect(_as_sharp_as(dry.effect), dry.place)
+        start = _start_sizes(size["coulomb_friction"], size["torque_offset"], size.get("viscous_friction"))
+        whole = PlacedEffect(_asymmetric_law_like(dry.effect), dry.place)
         kept = final.fit.candidate.only(k for k in range(len(terms)) if k not in parts)
         candidate = kept.plus(whole, start)
         trial = evidence_if_finite(
@@ -52,40 +53,43 @@ def doubt_asymmetric_pairs(
         if trial is None:
             continue
         rows = found.base.fit.dof
-        behind = trial.score(final.dispersion, rows) - final.score(final.dispersion, rows)
-        behind -= extended_schwarz_penalty(final.fit.layout.structure)
-        if behind >= COMPETES and trial.cost - final.cost >= final.beyond_noise:
+        score_gap = trial.score(final.dispersion, rows) - final.score(final.dispersion, rows)
+        score_gap -= extended_schwarz_penalty(final.fit.layout.structure)
+        if score_gap >= COMPETES and trial.cost - final.cost >= final.beyond_noise:
             continue
         steps = list(found.steps)
         for k in parts:
             step = steps[k - known]
-            others = replace(step, ranked=tuple(r for r in step.ranked if not _is(r[0].term, whole)))
-            steps[k - known] = others.against([(trial, step.ranked[0][1] + max(behind, 0.0))])
+            others = replace(
+                step, ranked=tuple(r for r in step.ranked if not _is_same_cause(r[0].term, whole))
+            )
+            steps[k - known] = others.with_rivals([(trial, step.ranked[0][1] + max(score_gap, 0.0))])
         found = replace(found, steps=tuple(steps))
     return found
 
 
-def _belongs(part: PlacedEffect, dry: PlacedEffect) -> bool:
-    """Whether a cause may be a part of one friction with ``dry``; a constant torque is one along a chain."""
+def _is_part_of(part: PlacedEffect, dry: PlacedEffect) -> bool:
+    """Whether a cause may be a part of one friction with ``dry``; a constant torque anywhere on the axis
+    may."""
     return part.place == dry.place or (
         part.effect.cause == "torque_offset" and part.place.axis == dry.place.axis
     )
 
 
-def _is(one: PlacedEffect, other: PlacedEffect) -> bool:
+def _is_same_cause(one: PlacedEffect, other: PlacedEffect) -> bool:
     return one.effect.cause == other.effect.cause and one.place == other.place
 
 
-def _as_sharp_as(dry: Effect) -> Effect:
-    """Asymmetric friction whose sign changes as gradually as that of ``dry``."""
+def _asymmetric_law_like(dry: Effect) -> Effect:
+    """Asymmetric friction whose sign changes over the same range of velocity as that of ``dry``."""
     law = BY_CAUSE["asymmetric_friction"]
     if isinstance(dry, DryLaw) and isinstance(law, DryLaw) and dry.rounding > 0:
         return law.rounded(dry.rounding)
     return law
 
 
-def _start(dry: Float64, constant: Float64, wet: Float64 | None) -> Float64:
-    """(4,) the asymmetric friction that the parts make."""
+def _start_sizes(dry: Float64, constant: Float64, wet: Float64 | None) -> Float64:
+    """(4,) sizes of the asymmetric friction that the parts add up to."""
     viscous = 0.0 if wet is None else float(wet[0])
     both = float(dry[0]) + np.array([1.0, -1.0]) * float(constant[0])
     return np.concatenate((np.maximum(both, 0.0), [viscous, viscous]))

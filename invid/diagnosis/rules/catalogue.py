@@ -1,4 +1,4 @@
-"""All special rules of the search, in the order in which they are asked."""
+"""All special rules of the search, in the order in which they are called."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ from invid.diagnosis.rules.whole_search import search_beside_friction
 from invid.diagnosis.rules.widths import fit_sign_widths
 
 GENERATORS = "hidden plants of this project (docs/explanations/hidden-tests.md)"
-"""Where a rule is from that no book has: what the hidden tests showed."""
+"""Source of rules that are empirical: the hidden tests of this project."""
 
 
-def _none(*_: Any, **__: Any) -> None:
+def _no_result(*_: Any, **__: Any) -> None:
     return None
 
 
-def _nothing(*_: Any, **__: Any) -> list[Any]:
+def _empty_list(*_: Any, **__: Any) -> list[Any]:
     return []
 
 
@@ -44,28 +44,28 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "dropped-rows", Stage.DATA,
         "A row that repeats the one before, bit by bit, while the axis moves was lost on the bus.",
-        GENERATORS, find_dropped_rows, _nothing,
+        GENERATORS, find_dropped_rows, _empty_list,
     ),
     Rule(
         "tones", Stage.DATA,
         "A sinusoid that repeats with no period turns by 2πfT from one to the next; noise does not.",
-        GENERATORS, find_common_tones, _nothing,
+        GENERATORS, find_common_tones, _empty_list,
     ),
     Rule(
         "known-friction", Stage.SELECTION,
         "An identification that gets chains right beside friction has found it: the search starts with it.",
-        "saves a step of the search for each law (bench_speed.py)", add_known_friction, _none,
+        "saves a step of the search for each law (bench_speed.py)", add_known_friction, _no_result,
         applies=lambda start, friction, *_: len(friction.terms) > 1,
     ),
     Rule(
         "delay-beyond-bound", Stage.CANDIDATES,
         "A time offset at its bound of one sample is a delay; it starts from the fit without that bound.",
-        GENERATORS, delay_variants, _nothing, applies=lambda here, train, held, late, free: bool(late),
+        GENERATORS, delay_variants, _empty_list, applies=lambda here, train, held, late, free: bool(late),
     ),
     Rule(
         "lag-beside-delay", Stage.CANDIDATES,
         "Near low frequencies a lag is a delay; each delay is weighed against the lag that is as late.",
-        GENERATORS, lag_variants, _nothing,
+        GENERATORS, lag_variants, _empty_list,
     ),
     Rule(
         "start-from-model", Stage.CANDIDATES,
@@ -93,7 +93,7 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "next-mass", Stage.CANDIDATES,
         "The screen's order of places is that of linear parameters which the cause itself has bent.",
-        GENERATORS, try_other_places, _nothing,
+        GENERATORS, try_other_places, _empty_list,
     ),
     Rule(
         "slow-moves", Stage.RANKING,
@@ -113,7 +113,7 @@ RULES: tuple[Rule, ...] = (
         "mode-in-chain", Stage.SELECTION,
         "A mode found beside a chain may be one of its own that the fit has lost: the inverse puts it back.",
         "inverse of a chain from its modes, equations 13 to 23 of the paper",
-        fit_chain_with_mode, _none,
+        fit_chain_with_mode, _no_result,
     ),
     Rule(
         "asymmetric-pair", Stage.SELECTION,
@@ -123,23 +123,23 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "load-change", Stage.SELECTION,
         "The period in which a load changes is half of one plant, half of another: it fits neither.",
-        GENERATORS, search_around_change, _none, applies=lambda selection, *_: bool(selection.steps),
+        GENERATORS, search_around_change, _no_result, applies=lambda selection, *_: bool(selection.steps),
     ),
     Rule(
         "whole-records", Stage.RESTART,
         "Where periods differ in motion, the law of their mean is not the mean of the law: records are taken "
         "whole, against the friction that every joint has.",
-        "whole cells (tests/hidden/cells.py)", search_beside_friction, _none,
+        "whole cells (tests/hidden/cells.py)", search_beside_friction, _no_result,
     ),
     Rule(
         "own-evidence", Stage.SELECTION,
         "Dry friction of a motor is read from measured motion, and stands where nothing else is explained.",
-        "whole cells (tests/hidden/cells.py)", keep_independent_causes, _none,
+        "whole cells (tests/hidden/cells.py)", keep_independent_causes, _no_result,
     ),
     Rule(
         "nonrepeating-torque", Stage.VERDICT,
         "Torque that differs from period to period beyond the sensors' noise is noise to all that repeats.",
-        "expectation of the scatter between periods", describe_scatter, _none,
+        "expectation of the scatter between periods", describe_scatter, _no_result,
     ),
 )  # fmt: skip
 """Every rule, by stage in the order in which the search meets them first."""

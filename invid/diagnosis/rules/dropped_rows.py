@@ -1,4 +1,4 @@
-"""Dropped samples: rows that repeat the one before more often than noise lets them."""
+"""Rule: dropped samples, rows that repeat the one before more often than noise explains."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import uniform_filter1d
 from scipy.special import erfinv
 
-from invid.diagnosis.outcome import explained_share, left_over, verdict_of
+from invid.diagnosis.outcome import describe_remainder, explained_share, verdict_of
 from invid.diagnosis.validation import split_records
 from invid.effects.registry import BY_CAUSE
 from invid.effects.units import unit_of
@@ -24,20 +24,21 @@ from invid.recording.model import Experiment, Recording
 from invid.signals.spectra import all_spectra
 
 FALSE_ALARM = 1e-4
-"""Chance, over all axes, that repeated rows of a sound recording are called dropped."""
-FAST = 0.05
-"""Chance that a position repeats below which it is too fast for that. A guess: what is slower is left out, so
-nothing but sensitivity on held axes depends on it."""
-ALIKE = 2.0
-"""Times that a rounded signal may repeat more or less often than its speed and noise say. A guess."""
-NEARLY = 0.2
-"""Share of the rows that repeat by chance by which their number may be wrong. Empirical: on eight hidden
-records it was half to once of it where there were few and within a tenth where there were many."""
-RARE = 0.3
-"""Chance of a row to repeat, over the share lost, up to which it hardly does. A guess: of all rows and these
-alone those count that tell the share better."""
+"""Chance, over all axes, that repeated rows of an intact recording are called dropped (statistical)."""
+MOST_REPEAT_CHANCE = 0.05
+"""Largest chance of a position to repeat at which a row of a held axis is used. Empirical; only the
+sensitivity on held axes depends on it."""
+MODEL_FACTOR = 2.0
+"""Factor by which the repeats of a rounded signal may differ from what its speed and noise predict
+(empirical)."""
+CHANCE_ERROR = 0.2
+"""Relative error of the number of rows that repeat by chance. Empirical, eight hidden records: half to once
+of it where there were few, within a tenth where there were many."""
+RARE_SHARE = 0.3
+"""Chance of a row to repeat, over the lost share, up to which it hardly repeats (empirical). The share is
+estimated from all rows and from these alone; the smaller error decides."""
 NODES = np.sqrt(2.0) * erfinv(np.linspace(-0.975, 0.975, 40))
-"""Standard normal deviates of equal weight."""
+"""40 standard normal deviates of equal weight: nodes of a mean over noise."""
 
 
 @dataclass(frozen=True)
@@ -49,64 +50,64 @@ class DroppedRows:
     std: float
 
 
-def _repeats(e: Experiment, axis: int) -> tuple[Bool, Float64, Float64]:
-    """(n − 1,) rows whose position and torque both repeat exactly, how likely that is by chance at most, and
-    how likely it is.
+def _repeated_rows(e: Experiment, axis: int) -> tuple[Bool, Float64, Float64]:
+    """(n − 1,) rows that repeat exactly, the largest chance that they do without loss, and the expected
+    chance.
 
-    Chance: the product of how often each channel alone repeats nearby (quantised channels do), over
-    a second either side, which leaves out that both were lost together; or of how often they do where both
-    turn round, as those of a slow sinusoid do at once. The torque of an axis that is held follows from its
-    position and repeats with it: there only rows count at which the position is too fast to repeat, the
-    others have no chance (NaN).
+    Chance: the product of how often each channel alone repeats nearby (quantised channels do), over a second
+    either side, without rows in which both repeat; or of how often they do where both reverse, as those of a
+    slow sinusoid do at once. The torque of a held axis follows from its position and repeats with it: only
+    rows count there at which the position is too fast to repeat; the others have no chance (NaN).
     """
     steps_p, steps_t = np.diff(e.position[:, axis]), np.diff(e.torque[:, axis])
     same_p, same_t = steps_p == 0, steps_t == 0
     both: Bool = same_p & same_t
     window = max(min(int(e.sample_rate_hz), both.size // 4), 8)
 
-    def near(flags: Bool) -> Float64:
-        # Of the rows that are not repeated as a whole: what a channel does by itself.
+    def chance_nearby(flags: Bool) -> Float64:
+        # Share of repeats of one channel among the rows that do not repeat as a whole.
         alone = uniform_filter1d((flags & ~both).astype(float), window, mode="constant")
         rest = uniform_filter1d((~both).astype(float), window, mode="constant")
         out: Float64 = alone / np.maximum(rest, 1.0 / window)
         return out
 
-    p, t = near(same_p), near(same_t)
+    p, t = chance_nearby(same_p), chance_nearby(same_t)
     # P(both) = P(p)·P(t) for independent channels, from P(p and not t) = P(p)(1 − P(t)) and so on.
     chance: Float64 = np.clip(p * t / np.maximum(1.0 - p - t + p * t, 1e-6) * (1 + p + t), 0.0, 1.0)
-    slow = _slow(steps_p)
+    repeat_p = _repeat_chance(steps_p)
     if e.excited_axis not in (-1, axis):
-        most = np.where(slow > FAST, np.nan, np.maximum(chance, slow))
+        most = np.where(repeat_p > MOST_REPEAT_CHANCE, np.nan, np.maximum(chance, repeat_p))
         return both, most, most
-    slow_t = _slow(steps_t)
-    most = np.maximum(chance, slow * slow_t)
-    return both, most, _at_once((slow, slow_t), (same_p & ~both, same_t & ~both), most)
+    repeat_t = _repeat_chance(steps_t)
+    most = np.maximum(chance, repeat_p * repeat_t)
+    return both, most, _joint_chance((repeat_p, repeat_t), (same_p & ~both, same_t & ~both), most)
 
 
-def _at_once(slow: tuple[Float64, Float64], alone: tuple[Bool, Bool], most: Float64) -> Float64:
-    """(n − 1,) chance that two rounded signals repeat at once, each as often as it does alone.
+def _joint_chance(chances: tuple[Float64, Float64], alone: tuple[Bool, Bool], most: Float64) -> Float64:
+    """(n − 1,) chance that two rounded signals repeat in the same row, scaled to how often each repeats
+    alone.
 
-    The larger of two estimates row by row is more than either: it made 0.9 % of 1.4 % lost
-    in one hidden case. Where the signals do not repeat as rounded ones do there is no better.
+    The larger of two estimates row by row would be more than either: it made 0.9 % of 1.4 % lost in one
+    hidden case. Where the signals do not repeat as rounded ones do, ``most`` is returned.
     """
-    out: Float64 = slow[0] * slow[1]
-    for own, other, seen in zip(slow, slow[::-1], alone, strict=True):
-        told = float((own * (1.0 - other)).sum())
-        if told <= 0.0 or not 1.0 / ALIKE < seen.sum() / told < ALIKE:
+    out: Float64 = chances[0] * chances[1]
+    for own, other, observed in zip(chances, chances[::-1], alone, strict=True):
+        expected = float((own * (1.0 - other)).sum())
+        if expected <= 0.0 or not 1.0 / MODEL_FACTOR < observed.sum() / expected < MODEL_FACTOR:
             return most
-        out = out * float(seen.sum() / told)
+        out = out * float(observed.sum() / expected)
     return np.minimum(out, most)
 
 
-def _slow(steps: Float64) -> Float64:
-    """(n − 1,) chance that a rounded signal repeats, from how fast it goes around each row and its noise.
+def _repeat_chance(steps: Float64) -> Float64:
+    """(n − 1,) chance that a rounded signal repeats, from its local speed and its noise.
 
     Rounded to q, a signal that moves by d from row to row stays in its step with the chance 1 − |d|/q.
     """
-    moved = np.abs(steps)
-    if not moved.any():
+    size = np.abs(steps)
+    if not size.any():
         return np.ones_like(steps)
-    unit = float(moved[moved > 0].min())
+    unit = float(size[size > 0].min())
     slope = np.convolve(steps, np.array([1.0, 1.0, 0.0, 1.0, 1.0]) / 4.0, mode="same")
     # Of white noise of variance v the bend has 5 v, of which rounding is q²/12; a step has 2 v.
     bend = 1.4826 * float(np.median(np.abs(steps[1:-1] - 0.5 * (steps[:-2] + steps[2:]))))
@@ -118,38 +119,41 @@ def _slow(steps: Float64) -> Float64:
 
 
 def find_dropped_rows(recording: Recording) -> list[DroppedRows]:
-    """Axes whose rows repeat more often than by chance."""
+    """Axes whose rows repeat more often than by chance, with the share lost."""
     out = []
     for axis in range(recording.axis_count):
         parts = [
-            _repeats(e, axis)
+            _repeated_rows(e, axis)
             for e in recording.experiments
             if float(np.std(e.position[:, axis])) > 0 and float(np.std(e.torque[:, axis])) > 0
         ]
         if not parts:
             continue
-        both, most, likely = (np.concatenate(p) for p in zip(*parts, strict=True))
-        told = np.isfinite(most)
-        repeated, rows = int(both[told].sum()), int(told.sum())
+        both, most, expected = (np.concatenate(p) for p in zip(*parts, strict=True))
+        countable = np.isfinite(most)
+        repeated, rows = int(both[countable].sum()), int(countable.sum())
         if rows == 0 or repeated < 5:
             continue
-        p0 = min(max(1.5 * float(most[told].sum()) / rows, 1e-9), 1.0)
+        p0 = min(max(1.5 * float(most[countable].sum()) / rows, 1e-9), 1.0)
         if binomial_sf(repeated - 1, rows, p0) > FALSE_ALARM / recording.axis_count:
             continue
-        out.append(_share(axis, both[told], likely[told]))
+        out.append(_dropped_share(axis, both[countable], expected[countable]))
     return out
 
 
-def _share(axis: int, both: Bool, likely: Float64) -> DroppedRows:
-    """The share that was lost, by the rows that hardly repeat by chance where there are enough of them."""
+def _dropped_share(axis: int, both: Bool, chances: Float64) -> DroppedRows:
+    """The lost share of one axis, from all rows or from those that hardly repeat by chance, whichever is
+    surer."""
 
-    def of(rows: Bool) -> tuple[float, float]:
-        repeated, chance, count = float(both[rows].sum()), float(likely[rows].sum()), float(rows.sum())
-        return (repeated - chance) / (count - chance), np.hypot(np.sqrt(repeated), NEARLY * chance) / count
+    def share_of(rows: Bool) -> tuple[float, float]:
+        repeated, chance, count = float(both[rows].sum()), float(chances[rows].sum()), float(rows.sum())
+        return (repeated - chance) / (count - chance), np.hypot(
+            np.sqrt(repeated), CHANCE_ERROR * chance
+        ) / count
 
     every = np.ones(both.size, dtype=bool)
-    rare = likely < RARE * of(every)[0]
-    options = [of(rows) for rows in (every, rare) if both[rows].sum() >= 5]
+    is_rare = chances < RARE_SHARE * share_of(every)[0]
+    options = [share_of(rows) for rows in (every, is_rare) if both[rows].sum() >= 5]
     share, std = min(options, key=lambda o: o[1])
     return DroppedRows(axis, float(share), float(std))
 
@@ -160,19 +164,19 @@ def interpolate_dropped_rows(recording: Recording, dropped: Sequence[DroppedRows
     for e in recording.experiments:
         position, torque = e.position.copy(), e.torque.copy()
         for d in dropped:
-            both, _, _ = _repeats(e, d.axis)
+            both, _, _ = _repeated_rows(e, d.axis)
             lost = np.concatenate(([False], both))
             kept = np.flatnonzero(~lost)
             if kept.size < 8:
                 continue
             at = np.flatnonzero(lost)
             for channel in (position, torque):
-                channel[at, d.axis] = _interpolated(e.time, channel[:, d.axis], kept, at)
+                channel[at, d.axis] = _interpolate(e.time, channel[:, d.axis], kept, at)
         experiments.append(replace(e, position=position, torque=torque))
     return replace(recording, experiments=tuple(experiments))
 
 
-def _interpolated(time: Float64, values: Float64, kept: np.ndarray, at: np.ndarray) -> Float64:
+def _interpolate(time: Float64, values: Float64, kept: np.ndarray, at: np.ndarray) -> Float64:
     out: Float64 = CubicSpline(time[kept], values[kept])(time[at])
     return out
 
@@ -221,7 +225,7 @@ def add_dropped_rows_finding(
     verdict = verdict_of(residual, explained, named=True, missing=True, complete=complete)
     left = result.unexplained
     if left is None and verdict is not Verdict.EXPLAINED:
-        left = left_over(residual, explained)
+        left = describe_remainder(residual, explained)
     kept = [s for s in result.sentences if result.verdict is not Verdict.CONSISTENT]
     if left is not None and left is not result.unexplained:
         kept.append(left.sentence)

@@ -1,7 +1,7 @@
-"""How gradually friction changes over with the sign of the velocity: found by refitting, not by a gradient.
+"""Rule: the range of velocity over which friction changes its sign, found by refits.
 
-A sign that jumps is the limit that nothing reaches. Where the motion is slow beside the range over which
-friction changes over, the jump leaves a tenth of the friction unexplained, which other causes then fit.
+A sign that jumps is a limit that no contact reaches. Where the motion is slow beside that range, a jump
+leaves a tenth of the friction unexplained, which other causes then fit.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from invid.likelihood.placed_effect import Candidate, PlacedEffect
 from invid.signals.spectral_record import SpectralRecord
 
 SHARES = (0.02, 0.05, 0.12, 0.3)
-"""Roundings tried, of the rms velocity. Below the first the jump is as good (1 % of the friction's power is
-left); above the last the law is viscous friction that saturates, which is another cause."""
+"""Roundings tried, over the rms velocity. Physical: below the first a jump is as good (1 % of the friction's
+power is left); above the last the law is viscous friction that saturates, another cause."""
 FINER = (1.6, 1.25)
-"""Factors around the best, one after the other: a fifth of the width is 1 % of the force."""
+"""Factors tried around the best rounding, one after the other: a fifth of the width is 1 % of the force."""
 ITERATIONS = 6
 
 
@@ -33,9 +33,9 @@ def fit_gradual_signs(
     train: Sequence[SpectralRecord],
     held: Sequence[SpectralRecord],
 ) -> list[CandidateEvidence]:
-    """Friction whose sign changes gradually, where it takes half of the excess but ends above the noise."""
+    """The trials, with a gradual sign where friction explains half of the excess and ends above the noise."""
 
-    def one(trial: CandidateEvidence) -> CandidateEvidence:
+    def refine_trial(trial: CandidateEvidence) -> CandidateEvidence:
         found = fit_sign_rounding(
             trial.fit,
             train,
@@ -46,21 +46,24 @@ def fit_gradual_signs(
         more = CandidateEvidence(found, evaluate_held_out(found, held))
         return more if more.held.cost < trial.held.cost else trial
 
-    asked = [t.cost <= 0.5 * current.cost and t.cost >= CLOSE * t.dof for t in trials]
-    some = iter(
+    is_worth = [t.cost <= 0.5 * current.cost and t.cost >= CLOSE * t.dof for t in trials]
+    refined = iter(
         map_candidates(
-            one, [t for t, a in zip(trials, asked, strict=True) if a], current.fit, [*train, *held]
+            refine_trial,
+            [t for t, a in zip(trials, is_worth, strict=True) if a],
+            current.fit,
+            [*train, *held],
         )
     )
-    return [next(some) if a else t for t, a in zip(trials, asked, strict=True)]
+    return [next(refined) if a else t for t, a in zip(trials, is_worth, strict=True)]
 
 
 def fit_sign_rounding(
     found: JointFit, records: Sequence[SpectralRecord], better: Callable[[JointFit, JointFit], bool]
 ) -> JointFit:
-    """The fit with the rounding of its last effect that serves best; as it was where that is none.
+    """The fit with the best rounding of its last effect; unchanged where none is ``better(new, old)``.
 
-    ``better(new, old)``: whether a rounding earns its place (it is one parameter more).
+    A rounding is one parameter more, which it has to earn.
     """
     term = found.candidate.terms[-1]
     law = term.effect
@@ -70,7 +73,7 @@ def fit_sign_rounding(
     speed = rms([v.velocity(pattern) for v in found.evaluation.views])
     best = found
     for share in SHARES:
-        trial = _with(best, records, term, law.rounded(share * speed))
+        trial = _fit_with_law(best, records, term, law.rounded(share * speed))
         if trial is None:
             continue
         if trial.cost < best.cost:
@@ -80,21 +83,21 @@ def fit_sign_rounding(
     if best is found:
         return found
     for factor in FINER:
-        here = _rounding(best)
+        here = _rounding_of(best)
         for other in (here * factor, here / factor):
-            trial = _with(best, records, term, law.rounded(other))
+            trial = _fit_with_law(best, records, term, law.rounded(other))
             if trial is not None and trial.cost < best.cost:
                 best = trial
                 break
     return best if better(best, found) else found
 
 
-def _rounding(found: JointFit) -> float:
+def _rounding_of(found: JointFit) -> float:
     law = found.candidate.terms[-1].effect
     return law.rounding if isinstance(law, DryLaw) else 0.0
 
 
-def _with(
+def _fit_with_law(
     found: JointFit, records: Sequence[SpectralRecord], term: PlacedEffect, law: DryLaw
 ) -> JointFit | None:
     candidate = Candidate((*found.candidate.terms[:-1], PlacedEffect(law, term.place)), found.candidate.x)

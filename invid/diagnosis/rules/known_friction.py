@@ -1,9 +1,9 @@
-"""The friction that the identification fitted along, as where a search for causes starts.
+"""Rule: the search starts with the friction that the identification fitted along.
 
-An identification that gets masses and springs right beside dry friction has found that friction, on every
-axis. A search that adds it again cause by cause screens and refits the whole catalogue once for each axis and
-law. Here all of it enters at once; every law is then asked for beside all others, with its rivals, as any
-cause is.
+An identification that gets masses and springs right beside dry friction has found that friction on every
+axis. A search that adds it cause by cause screens and refits the whole catalogue once for each axis and law.
+Here all of it enters at once; each law is then tested beside all others and against its rivals, as any cause
+is.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from invid.numerics.distributions import chi2_isf
 from invid.signals.spectral_record import SpectralRecord
 
 CHANCE = 0.01
-"""Of a size that noise makes as large. What starts without being there goes again once it is asked for beside
-all others; what is missing has to be found."""
-LEAST = 2
-"""Laws from which on starting with them saves anything: one alone is found by one step of the search."""
+"""Significance of a law's size (statistical). A law that starts without being there is dropped again when it
+is tested beside all others; a missing one has to be found."""
+LEAST_LAWS = 2
+"""Number of laws from which the rule saves time; a single one is found by one step of the search."""
 
 
 def add_known_friction(
@@ -33,14 +33,14 @@ def add_known_friction(
     train: Sequence[SpectralRecord],
     held: Sequence[SpectralRecord],
 ) -> Selection | None:
-    """The laws of ``friction`` that the records ask for, beside those of ``base``; ``None`` where too few.
+    """The laws of ``friction`` that are significant beside those of ``base``; ``None`` where too few.
 
     ``start`` (n,): the linear parameters that the identification found with them. The steps have no rivals
-    yet, and what each law gains is not told from the others'.
+    yet, and the gain of each law is not separated from the others'.
     """
     known = base.fit.candidate.terms
     fresh = [k for k, t in enumerate(friction.terms) if all(t.place != other.place for other in known)]
-    if len(fresh) < LEAST:
+    if len(fresh) < LEAST_LAWS:
         return None
     layout, chosen = base.fit.layout, base.fit.candidate
     for k in fresh:
@@ -51,10 +51,10 @@ def add_known_friction(
     while found is not None:
         count = len(found.fit.candidate.terms)
         sizes = {k: _significance(found, k) for k in range(len(known), count)}
-        if len(sizes) < LEAST:
+        if len(sizes) < LEAST_LAWS:
             return None
         if all(s > chi2_isf(CHANCE, 1) for s in sizes.values()):
-            return _selection(base, found, sorted(sizes, key=lambda k: -sizes[k]))
+            return _selection_of_laws(base, found, sorted(sizes, key=lambda k: -sizes[k]))
         weakest = min(sizes, key=lambda k: sizes[k])
         rest = found.fit.candidate.without(weakest)
         found = evidence_if_finite(partial(fit, layout, train, found.fit.p, rest, iterations=25), held)
@@ -62,13 +62,13 @@ def add_known_friction(
 
 
 def _significance(found: CandidateEvidence, number: int) -> float:
-    """Size over its standard deviation, squared; none below zero."""
+    """Squared ratio of size and standard deviation; zero for a size that is not positive."""
     size, variance = float(found.fit.candidate.x[number][0]), float(found.fit.covariance_of(number)[0, 0])
     return size**2 / variance if size > 0.0 and variance > 0.0 else 0.0
 
 
-def _selection(base: CandidateEvidence, found: CandidateEvidence, order: Sequence[int]) -> Selection:
-    """The laws as steps, the surest first."""
+def _selection_of_laws(base: CandidateEvidence, found: CandidateEvidence, order: Sequence[int]) -> Selection:
+    """The laws as steps of a selection, the most significant first."""
     before = range(len(base.fit.candidate.terms))
     final = CandidateEvidence(reorder_effects(found.fit, [*before, *order]), found.held)
     steps = []

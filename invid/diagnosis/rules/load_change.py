@@ -1,4 +1,4 @@
-"""A load that changes while the machine is measured: the period in which it does fits no plant."""
+"""Rule: a load that changes during the measurement; the period in which it does fits no plant."""
 
 from __future__ import annotations
 
@@ -12,49 +12,55 @@ from invid.likelihood.prepare_records import split_into_periods
 from invid.recording.model import Recording
 from invid.signals.spectral_record import SpectralRecord
 
-NEAR = 0.25
-"""Share of a period beyond its ends within which a change found may be one of that period. A guess; where
-there is a choice the records that are left decide."""
+NEAR_SHARE = 0.25
+"""Share of a period beyond its ends within which a change may belong to that period. Empirical; where there
+is a choice the remaining records decide."""
 
 
 def records_around_change(
     selection: Selection, recording: Recording
 ) -> tuple[list[SpectralRecord], list[SpectralRecord]] | None:
-    """Training and held-out records without the period in which the load changes; none where none does.
+    """Training and held-out records without the period in which the load changes; ``None`` without a change.
 
-    That period is half of one plant, half of the other, with what the change sets ringing: no model here.
-    Where it was all that the training had of one of the two, the first held-out period of that one joins it.
+    That period is half of one plant, half of the other, with a transient that the change excites: no model
+    here describes it. Where it was the only training record before or after the change, the first held-out
+    period of that side joins the training.
     """
     time = load_change_time(selection)
     if time is None:
         return None
     train, held = selection.final.fit.evaluation.records, selection.final.held.records
-    within = [r for r in (*train, *held) if _within(r, time)]
+    within = [r for r in (*train, *held) if _is_inside(r, time)]
     if not within:
         return None
     options = []
-    for odd in (*within, *(r for r in (*train, *held) if r.alone and _beside(r, time) and r not in within)):
-        kept = [[r for r in part if r is not odd] for part in (train, held)]
+    for left_out in (
+        *within,
+        *(r for r in (*train, *held) if r.alone and _is_near_record(r, time) and r not in within),
+    ):
+        kept = [[r for r in part if r is not left_out] for part in (train, held)]
         if all(kept):
-            options.append(_both_sides(kept[0], kept[1], time, recording))
+            options.append(_train_on_both_sides(kept[0], kept[1], time, recording))
     if len(options) < 2:
         return options[0] if options else None
-    return min(options, key=lambda parts: _left(selection, *parts))
+    return min(options, key=lambda parts: _dispersion_without(selection, *parts))
 
 
 def search_around_change(
     selection: Selection, recording: Recording, base: JointFit, search: Callable[..., Selection]
 ) -> tuple[JointFit, Selection, list[SpectralRecord], list[SpectralRecord]] | None:
-    """Fit, selection and records without the period in which the load changes; none where none does."""
+    """Fit, selection and records without the period in which the load changes; ``None`` without a change."""
     parts = records_around_change(selection, recording)
     if parts is None:
         return None
-    around = fit(base.layout, parts[0], base.p, base.candidate, iterations=25)
-    again = better_around_change(selection, search(around, *parts), *parts)
-    return None if load_change_time(again) is None else (around, again, *parts)
+    refit = fit(base.layout, parts[0], base.p, base.candidate, iterations=25)
+    found = better_around_change(selection, search(refit, *parts), *parts)
+    return None if load_change_time(found) is None else (refit, found, *parts)
 
 
-def _left(selection: Selection, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord]) -> float:
+def _dispersion_without(
+    selection: Selection, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord]
+) -> float:
     """χ²/ν of other records with the causes found."""
     final = selection.final.fit
     trial = evidence_if_finite(
@@ -63,20 +69,20 @@ def _left(selection: Selection, train: Sequence[SpectralRecord], held: Sequence[
     return float("inf") if trial is None else trial.cost / trial.dof
 
 
-def _beside(record: SpectralRecord, time: float) -> bool:
-    """Whether ``time`` is so near the record's end that the load may as well have changed in it.
+def _is_near_record(record: SpectralRecord, time: float) -> bool:
+    """Whether ``time`` is so near the record that the load may have changed in it.
 
     Fitted with the period in it, a mixture of two plants, the time lies at its edge as often as inside.
     """
-    reach = NEAR * (record.end_time - record.start_time)
+    reach = NEAR_SHARE * (record.end_time - record.start_time)
     return record.start_time - reach < time < record.end_time + reach
 
 
-def _both_sides(
+def _train_on_both_sides(
     train: list[SpectralRecord], held: list[SpectralRecord], time: float, recording: Recording
 ) -> tuple[list[SpectralRecord], list[SpectralRecord]]:
     """Records of which the training has some before and some after ``time``, where periods allow it."""
-    for side in (_before, _after):
+    for side in (_is_before, _is_after):
         if any(side(r, time) for r in train):
             continue
         periods = split_into_periods(recording, held, [r.key for r in held if side(r, time)])
@@ -86,16 +92,16 @@ def _both_sides(
     return train, held
 
 
-def _before(record: SpectralRecord, time: float) -> bool:
+def _is_before(record: SpectralRecord, time: float) -> bool:
     return record.end_time <= time + record.step
 
 
-def _after(record: SpectralRecord, time: float) -> bool:
+def _is_after(record: SpectralRecord, time: float) -> bool:
     return record.start_time >= time - record.step
 
 
 def load_change_time(selection: Selection) -> float | None:
-    """When the load changes [s], by the selected causes."""
+    """Time [s] at which the load changes by the selected causes; ``None`` where it does not."""
     candidate = selection.final.fit.candidate
     for term, x in zip(candidate.terms, candidate.x, strict=True):
         if term.effect.cause == "payload_change":
@@ -106,10 +112,11 @@ def load_change_time(selection: Selection) -> float | None:
 def better_around_change(
     before: Selection, again: Selection, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord]
 ) -> Selection:
-    """What the search without the period in which the load changes found, or the causes of the one with it.
+    """The better of the search ``again`` without the period of the change and the causes of ``before``
+    refitted.
 
-    Without that period a change in it looks like one of twice the size in the middle of the next: the search
-    may end there. The causes found with the period start at the right time.
+    Without that period a change in it looks like one of twice the size in the middle of the next one, and the
+    search may end there. The causes found with the period start at the right time.
     """
     final = before.final.fit
     trial = evidence_if_finite(
@@ -124,6 +131,6 @@ def better_around_change(
     return replace(again, final=trial, steps=(step,))
 
 
-def _within(record: SpectralRecord, time: float) -> bool:
+def _is_inside(record: SpectralRecord, time: float) -> bool:
     """Whether ``time`` is inside the record by more than its sampling."""
     return record.start_time + record.step < time < record.end_time - record.step

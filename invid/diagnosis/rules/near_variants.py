@@ -1,4 +1,4 @@
-"""Near relatives of a candidate that the screen may not offer: each is fitted beside it."""
+"""Rules: variants of a candidate that the screen may not offer; each is fitted beside it."""
 
 from __future__ import annotations
 
@@ -28,20 +28,21 @@ from invid.model.place import Place
 from invid.numerics.arrays import Float64
 from invid.signals.spectral_record import SpectralRecord
 
-FAR_BEHIND = 0.1
-"""Share of the gain of friction that differs between the directions that a smaller model may lack after a
-first look, and be looked at closely. A guess that saves fits; such looks end within a few per cent."""
+MOST_LOST = 0.1
+"""Share of the gain of asymmetric friction that a smaller model may lack after a quick fit and still be
+fitted fully. Empirical; quick fits end within a few per cent."""
 
 
 def friction_ladder(
     step: Step, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord]
 ) -> tuple[Step, ...]:
-    """Asymmetric friction and the symmetric laws at its place, fitted beside each other.
+    """Asymmetric friction and the symmetric laws at its place, fitted and compared, as steps.
 
     Four parameters against Coulomb and viscous friction (two), Stribeck or presliding and viscous (four),
-    each as two causes; and against Coulomb friction and a constant torque, which together are dry friction
-    that differs between the directions, without or with viscous friction. The cheapest after the penalty is
-    the answer; where the four parameters are needed the step comes back with those that are nearly as good.
+    each as two causes; and against Coulomb friction and a constant torque, which together are asymmetric dry
+    friction, without or with viscous friction. The cheapest after the penalty is the answer; where the four
+    parameters are needed the step is returned with those that are nearly as good as rivals. Empty where
+    nothing of this applies.
     """
     if step.chosen.term.effect.cause != "asymmetric_friction":
         return ()
@@ -49,32 +50,32 @@ def friction_ladder(
     rows, dispersion = here.dof, step.chosen.dispersion
     asymmetric = limit = step.chosen.score(dispersion, rows)
     best: CandidateEvidence | None = None
-    beside: list[tuple[CandidateEvidence, float]] = []
-    options = _without_asymmetry(step.chosen)
-    # Never less than what the fewer parameters may cost, and what leaves a rival a doubt.
+    rivals_beside: list[tuple[CandidateEvidence, float]] = []
+    options = _symmetric_options(step.chosen)
+    # At least what the fewer parameters may cost, and the difference up to which a rival counts.
     fewer = (2.0 * float(np.log(max(rows, 2))) + COMPETES) * dispersion
-    lost = here.cost + max(FAR_BEHIND * (step.before.fit.cost - here.cost), fewer)
+    most_cost = here.cost + max(MOST_LOST * (step.before.fit.cost - here.cost), fewer)
 
-    def tried(option: tuple[tuple[PlacedEffect, ...], tuple[Float64, ...]]) -> CandidateEvidence | None:
+    def fit_option(option: tuple[tuple[PlacedEffect, ...], tuple[Float64, ...]]) -> CandidateEvidence | None:
         terms, x = option
         candidate = Candidate((*here.candidate.terms[:-1], *terms), (*here.candidate.x[:-1], *x))
         near = fit_if_finite(partial(fit, here.layout, train, here.p, candidate, iterations=10, quick=True))
-        if near is None or near.cost > lost:
+        if near is None or near.cost > most_cost:
             return None
         return evidence_if_finite(
             partial(fit, near.layout, train, near.p, near.candidate, iterations=20), held
         )
 
-    trials = map_candidates(tried, options, here, [*train, *held])
+    trials = map_candidates(fit_option, options, here, [*train, *held])
     for (terms, _), trial in zip(options, trials, strict=True):
         if trial is None:
             continue
         score = trial.score(dispersion, rows)
         if any(t.effect.cause == "torque_offset" for t in terms):
             score += extended_schwarz_penalty(trial.fit.layout.structure)
-            beside.append(
+            rivals_beside.append(
                 (
-                    _led_by(trial, len(here.candidate.terms)),
+                    _move_to_end(trial, len(here.candidate.terms)),
                     step.ranked[0][1] + score - asymmetric,
                 )
             )
@@ -82,13 +83,13 @@ def friction_ladder(
             limit, best = score, trial
     if best is None:
         # Friction that two causes make nearly as well is no certain one.
-        return (step.against(beside),) if beside else (step,)
+        return (step.with_rivals(rivals_beside),) if rivals_beside else (step,)
     place = step.chosen.term.place
     kept = [(t, s) for t, s in step.ranked if t.term.place != place]
     steps: list[Step] = []
     first, count = len(here.candidate.terms) - 1, len(best.fit.candidate.terms)
     for size in range(first + 1, count + 1):
-        trial = best if size == count else _first_of(best, size, train, held)
+        trial = best if size == count else _fit_first_effects(best, size, train, held)
         before = steps[-1].chosen if steps else step.before
         if trial is None:
             return ()
@@ -97,26 +98,26 @@ def friction_ladder(
     return tuple(steps)
 
 
-def _led_by(trial: CandidateEvidence, at: int) -> CandidateEvidence:
-    """The same fit with effect ``at`` as its last one, after which a rival is called."""
+def _move_to_end(trial: CandidateEvidence, at: int) -> CandidateEvidence:
+    """The same fit with effect ``at`` moved to the end, which names the candidate."""
     count = len(trial.fit.candidate.terms)
     order = [*(k for k in range(count) if k != at), at]
     return CandidateEvidence(reorder_effects(trial.fit, order), trial.held)
 
 
 def extended_schwarz_penalty(structure: ChainStructure) -> float:
-    """What a cause costs for being one more of all that might be there (Chen and Chen 2008): −2 ln of the
-    share of one among every cause at every place.
+    """Penalty of one cause more among every cause at every place: −2 ln of its share (Chen and Chen 2008).
 
-    A constant torque beside friction is a second cause; friction that differs between the directions is one.
+    A constant torque beside friction is a second cause; asymmetric friction is one.
     """
     return 2.0 * float(np.log(len(terms_to_test(structure, linear_axes=False))))
 
 
-def _without_asymmetry(
+def _symmetric_options(
     chosen: CandidateEvidence,
 ) -> list[tuple[tuple[PlacedEffect, ...], tuple[Float64, ...]]]:
-    """Causes, with where they start, that together may be the friction that was chosen."""
+    """Pairs and triples of symmetric causes, with starts, that together may be the asymmetric friction
+    chosen."""
     place, x, rounded = chosen.term.place, chosen.x, chosen.term.effect
     dry, wet, constant = 0.5 * float(x[0] + x[1]), 0.5 * float(x[2] + x[3]), 0.5 * float(x[0] - x[1])
     if dry <= 0:
@@ -126,7 +127,7 @@ def _without_asymmetry(
     out: list[tuple[tuple[PlacedEffect, ...], tuple[Float64, ...]]] = []
     laws = [BY_CAUSE[c] for c in ("coulomb_friction", "stribeck_friction", "presliding_friction")]
     if isinstance(rounded, DryLaw) and rounded.rounding > 0:
-        # The rounding is that of a wrong law: the constant torque in it needs none.
+        # The rounding was fitted to a wrong law: with a constant torque none may be needed.
         laws += [law.rounded(rounded.rounding) for law in laws if isinstance(law, DryLaw)]
     for effect in laws:
         cause = effect.cause
@@ -136,7 +137,7 @@ def _without_asymmetry(
         if wet > 0:
             out.append(((law, viscous), (size, np.array([wet]))))
         if cause == "coulomb_friction" and offset not in chosen.fit.candidate.terms[:-1]:
-            # The constant torque first: it is sought again beside the others, and may be weight.
+            # The constant torque first: it is reconsidered beside the others, and may be weight.
             out.append(((offset, law), (np.array([constant]), size)))
             if wet > 0:
                 start = (np.array([constant]), size, np.array([wet]))
@@ -144,10 +145,10 @@ def _without_asymmetry(
     return out
 
 
-def _first_of(
+def _fit_first_effects(
     trial: CandidateEvidence, count: int, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord]
 ) -> CandidateEvidence | None:
-    """The fit with the first effects alone."""
+    """The fit with the first ``count`` effects alone."""
     whole = trial.fit
     candidate = whole.candidate.only(range(count))
     return evidence_if_finite(partial(fit, whole.layout, train, whole.p, candidate, iterations=12), held)
@@ -162,35 +163,35 @@ def try_other_places(
     *,
     iterations: int = 20,
 ) -> list[CandidateEvidence]:
-    """The cause of ``best`` at the places of its axis that were not ``tried``, from its fit.
+    """Fits of the cause of ``best`` at the places of its axis that were not ``tried``.
 
-    The screen's order of places is that of linear parameters which the cause itself has bent; where the best
-    leaves more than noise, the next mass may be the one.
+    The screen ranks the places with linear parameters that the cause itself has biased; where the best leaves
+    more than noise, the next mass may be the right one.
     """
     cause, place, here = best.term.effect.cause, best.term.place, best.fit
     known = {t.place for t in tried if t.effect.cause == cause}
     out = []
     for term in terms:
         if term.effect.cause == cause and term.place.axis == place.axis and term.place not in known:
-            moved = PlacedEffect(best.term.effect, term.place)
-            out.append(Candidate((*here.candidate.terms[:-1], moved), here.candidate.x))
+            placed = PlacedEffect(best.term.effect, term.place)
+            out.append(Candidate((*here.candidate.terms[:-1], placed), here.candidate.x))
 
-    def tried_there(candidate: Candidate) -> CandidateEvidence | None:
+    def fit_at_place(candidate: Candidate) -> CandidateEvidence | None:
         return evidence_if_finite(
             partial(fit, here.layout, train, here.p, candidate, iterations=iterations), held
         )
 
-    trials = map_candidates(tried_there, out, here, [*train, *held])
+    trials = map_candidates(fit_at_place, out, here, [*train, *held])
     return [t for t in trials if t is not None and not is_at_bound(t.fit)]
 
 
 def retime_load_change(
     trial: CandidateEvidence, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord]
 ) -> CandidateEvidence:
-    """A load's change from the time that all records together ask for.
+    """A load change refitted from every time of the grid; other causes are returned unchanged.
 
-    In a period of the training that is half of one load, half of the other, a small change early and a large
-    one late are alike: the fit ends at either, and a record kept out tells. Other causes come back unchanged.
+    In a training period that is half of one load, half of the other, a small change early and a large one
+    late fit alike: the fit ends at either, and a held-out record decides.
     """
     here, term = trial.fit, trial.term
     if term.effect.cause != "payload_change" or trial.held.cost < CLOSE * trial.held.dof:
@@ -211,26 +212,26 @@ def delay_variants(
     terms: Sequence[PlacedEffect],
     free: Float64 | None,
 ) -> list[CandidateEvidence]:
-    """Delays of the axes whose time offset stands at its bound, from the fit without that bound."""
+    """Delays of the axes whose time offset is at its bound, started from the fit without that bound."""
     out = []
     for term in terms:
         p = here.p.copy()
         if free is not None and free.size == p.size and not here.candidate.terms:
             p = free.copy()
         known = free if free is not None and free.size == here.p.size else p
-        late = float(here.layout.delays(known)[term.place.axis])
-        layout, stay = here.layout.without_delay([term.place.axis])
-        late -= float(layout.lateness(p[stay], train[0])[term.place.axis])
-        candidate = here.candidate.plus(term, np.array([late]))
-        trial = evidence_if_finite(partial(fit, layout, train, p[stay], candidate, iterations=20), held)
+        lateness = float(here.layout.delays(known)[term.place.axis])
+        layout, kept = here.layout.without_delay([term.place.axis])
+        lateness -= float(layout.total_delay(p[kept], train[0])[term.place.axis])
+        candidate = here.candidate.plus(term, np.array([lateness]))
+        trial = evidence_if_finite(partial(fit, layout, train, p[kept], candidate, iterations=20), held)
         if trial is not None:
             out.append(trial)
     return out
 
 
-MORE_THAN_HELD = 1.2
-"""Share held over the sample above which something else takes the torque's amplitude; its bound is 1.5. A
-guess."""
+MOST_HELD = 1.2
+"""Share held over the sample above which the torque loses more amplitude than holding explains; its bound is
+1.5 (empirical)."""
 
 
 def lag_variants(
@@ -240,21 +241,22 @@ def lag_variants(
     delays: Sequence[CandidateEvidence],
     terms: Sequence[PlacedEffect],
 ) -> list[CandidateEvidence]:
-    """Candidates of torque lags that the screen may miss.
+    """Torque lags that the screen may miss.
 
-    One beside every delay, as late: with another cause still missing the delay would stand without its
-    nearest rival. And one where the torque loses more amplitude with frequency than holding it over the
-    sample takes: the share held makes up for that until it stands at its bound, and would fall for the lag.
+    One beside every delay, with the same time: with another cause still missing, the delay would stand
+    without its nearest rival. And one where the torque loses more amplitude with frequency than holding over
+    the sample explains: the share held makes up for that until it is at its bound, and would fall with the
+    lag in the model.
     """
     starts = {d.term.place.axis: abs(float(d.x[0])) for d in delays}
-    for i, share in enumerate(here.layout.stairs(here.p)):
-        if share > MORE_THAN_HELD:  # as much amplitude as the rest takes
+    for i, share in enumerate(here.layout.zoh_share(here.p)):
+        if share > MOST_HELD:  # as much amplitude as the rest takes
             starts.setdefault(i, here.layout.step * float(np.sqrt((share - 1.0) / 12.0)))
-    late = [t for t in terms if t.effect.cause == "torque_lag" and starts.get(t.place.axis, 0.0)]
+    lags = [t for t in terms if t.effect.cause == "torque_lag" and starts.get(t.place.axis, 0.0)]
 
-    def tried(term: PlacedEffect) -> CandidateEvidence | None:
+    def fit_lag(term: PlacedEffect) -> CandidateEvidence | None:
         size = np.array([np.log(starts[term.place.axis])])
         return evidence_if_finite(partial(refit_with_effect, here, train, term, size, 20), held)
 
-    trials = map_candidates(tried, late, here, [*train, *held])
+    trials = map_candidates(fit_lag, lags, here, [*train, *held])
     return [t for t in trials if t is not None and not is_at_bound(t.fit)]

@@ -1,4 +1,4 @@
-"""Torque that is missing in every period, and in each another: no law that repeats, and no sensor's noise."""
+"""Rule: torque that is missing in every period, in each another: neither a law nor sensor noise."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ from invid.recording.model import Recording
 
 
 def describe_scatter(parts: Sequence[Evaluation], recording: Recording, unit: str) -> Unexplained | None:
-    """Where the missing torque does not repeat; none where it does, or where what differs may be
-    noise of a torque that the sensors do not show (``Record.differs``).
+    """Axis, size and frequencies of missing torque that does not repeat; ``None`` where there is none.
 
-    A torque that differs from period to period is noise to every test of what repeats: beside a ripple over
-    which the axis wanders χ² was half its expectation, with a model that explained nothing of it.
+    None either where the scatter may be noise of a torque that the sensors do not show
+    (``SpectralRecord.differs``). A torque that differs from period to period is noise to every test of what
+    repeats: beside a ripple over which the axis wanders χ² was half its expectation, with a model that
+    explained nothing of it.
     """
     best: tuple[float, float, int, tuple[float, ...]] | None = None
     for part in parts:

@@ -1,9 +1,9 @@
-"""What stands on its own evidence where the rest is not explained: dry friction of a motor.
+"""Rule: causes that stand on their own evidence where the rest is not explained: dry friction of a motor.
 
-The search names nothing as long as most is missing: what a wrong model leaves, any cause may fit. Dry
-friction at a motor is the exception. It is read from that motor's measured motion: no inner motion and no
-linear parameter stands between, and nothing else in the catalogue jumps with that motion's sign. Where it
-takes most of what its axis misses, on records that no fit saw as well, it is there whatever else is.
+The search names nothing as long as most is missing, because what a wrong model leaves, any cause may fit. Dry
+friction at a motor is the exception. It is read from that motor's measured motion, without inner motion or
+linear parameters, and nothing else in the catalogue jumps with the sign of that motion. Where it explains
+most of what its axis misses, on held-out records as well, it is there whatever else is.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from invid.signals.spectral_record import SpectralRecord
 def keep_independent_causes(
     found: Selection, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord]
 ) -> Selection | None:
-    """The selection with those causes alone that need no other to be right; ``None`` where there are none.
+    """The selection with only the causes that need no other to be right; ``None`` where there are none.
 
-    The linear model is fitted anew beside them, and each has to hold against the fit without it.
+    The linear model is refitted beside them, and each has to hold against the fit without it.
     """
     known = len(found.base.fit.candidate.terms)
-    steps = [n for n, s in enumerate(found.steps) if _reads_its_motor(s) and not _contested(s)]
+    steps = [n for n, s in enumerate(found.steps) if _is_motor_friction(s) and not _is_contested(s)]
     final, start = found.final.fit, found.base.fit.candidate
     if not steps or final.p.size != found.base.fit.p.size:
         return None
@@ -50,41 +50,43 @@ def keep_independent_causes(
         if not trials:
             return None
         whole = min(trials, key=lambda t: t.fit.cost)
-        bare = [_without(whole, known + k, train, held) for k in range(len(steps))]
-        weak = [k for k, rest in enumerate(bare) if rest is None or not _is_its_own(rest, whole, known + k)]
+        bare = [_fit_without(whole, known + k, train, held) for k in range(len(steps))]
+        weak = [
+            k for k, rest in enumerate(bare) if rest is None or not _is_independent(rest, whole, known + k)
+        ]
         if not weak:
-            return _selection(found, steps, whole, [b for b in bare if b is not None], known)
+            return _selection_of_steps(found, steps, whole, [b for b in bare if b is not None], known)
         steps = [n for k, n in enumerate(steps) if k not in weak]
     return None
 
 
-def _reads_its_motor(step: Step) -> bool:
+def _is_motor_friction(step: Step) -> bool:
     term = step.chosen.term
     at_motor = term.place.kind == "mass" and term.place.number == 1
     return at_motor and "dry" in term.effect.parts
 
 
-def _contested(step: Step) -> bool:
-    """Whether a cause of another kind or place takes a good part of what this one does."""
-    chosen, gained = step.chosen, step.before.cost - step.chosen.cost
+def _is_contested(step: Step) -> bool:
+    """Whether a cause of another kind or place explains a large share of what this one does."""
+    chosen, gain = step.chosen, step.before.cost - step.chosen.cost
     return any(
-        t.cost - chosen.cost < (1.0 - OWN_RIVAL) * gained
+        t.cost - chosen.cost < (1.0 - OWN_RIVAL) * gain
         for t, _ in step.ranked[1:]
         if not (t.term.place == chosen.term.place and t.term.effect.family == "friction")
     )
 
 
-def _without(
+def _fit_without(
     whole: CandidateEvidence, number: int, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord]
 ) -> CandidateEvidence | None:
-    """The fit without one cause, all else fitted anew."""
+    """The fit without one cause, everything else refitted."""
     here = whole.fit
     rest = here.candidate.without(number)
     return evidence_if_finite(partial(fit, here.layout, train, here.p, rest, iterations=15), held)
 
 
-def _is_its_own(rest: CandidateEvidence, whole: CandidateEvidence, number: int) -> bool:
-    """Whether a cause takes most of what its axis misses without it, on each part of the records."""
+def _is_independent(rest: CandidateEvidence, whole: CandidateEvidence, number: int) -> bool:
+    """Whether a cause explains most of what its axis misses without it, in training and held-out records."""
     axis = {whole.fit.candidate.terms[number].place.axis}
     parts = ((rest.fit.evaluation, whole.fit.evaluation), (rest.held, whole.held))
     return all(
@@ -92,14 +94,14 @@ def _is_its_own(rest: CandidateEvidence, whole: CandidateEvidence, number: int) 
     )
 
 
-def _selection(
+def _selection_of_steps(
     found: Selection,
     steps: Sequence[int],
     whole: CandidateEvidence,
     bare: Sequence[CandidateEvidence],
     known: int,
 ) -> Selection:
-    """Steps with what each takes beside the others, and the rivals at its own place that were weighed."""
+    """The causes as steps: gain of each beside the others, and its rivals at the same place."""
     out = []
     count = len(whole.fit.candidate.terms)
     for k, (n, rest) in enumerate(zip(steps, bare, strict=True)):
@@ -112,4 +114,4 @@ def _selection(
         rivals = tuple((t, s + offset) for t, s in old.ranked[1:] if t.term.place == chosen.term.place)
         score = old.ranked[0][1] + offset
         out.append(Step(rest, chosen, ((chosen, score), *rivals)))
-    return replace(found, final=whole, steps=tuple(out), partly=True)
+    return replace(found, final=whole, steps=tuple(out), only_independent=True)

@@ -1,8 +1,8 @@
-"""Slow moves as witnesses: what a constant torque, gravity and a ripple do over a long way.
+"""Rule: slow moves tell a constant torque, gravity and a ripple apart.
 
-On the small motion of an excitation the three are next to the same data. A slow move, recorded beside it,
-turns the axis far: there one regression of the torque on each law says which of them acts. The chain turns as
-one body, so no spring enters.
+On the small motion of an excitation the three give nearly the same data. A slow move, recorded beside it,
+turns the axis far, and one regression of the torque on each law says which of them acts. The chain turns as
+one body there, so no spring enters.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from invid.diagnosis.slow_move import SlowMove, stretch_means
 from invid.likelihood.joint_fit import evaluate_held_out, fit, pack, unpack
 from invid.numerics.arrays import Float64
 
-SLOW = 0.05
-"""Share of a move's top speed within which dry friction changes its sign in the regression."""
-DISAGREE = 13.8
-"""χ² of two numbers that chance exceeds once in a thousand."""
+SIGN_WIDTH = 0.05
+"""Share of a move's top speed within which dry friction changes its sign in the regression (empirical)."""
+MOST_DISAGREEMENT = 13.8
+"""χ² of two numbers that chance exceeds once in a thousand (statistical)."""
 
 
 _LAWS: dict[str, Callable[[Float64, float], Float64]] = {
@@ -28,15 +28,15 @@ _LAWS: dict[str, Callable[[Float64, float], Float64]] = {
     "gravity": lambda q, _: np.stack((np.sin(q), np.cos(q)), axis=1),
     "cogging": lambda q, cycles: np.stack((np.sin(cycles * q), np.cos(cycles * q)), axis=1),
 }
-"""Columns (samples, L) of the torque that each law takes at the positions (samples,)."""
+"""Columns (samples, L) of the torque of each law at the positions (samples,)."""
 
 
 def rank_by_slow_moves(step: Step, moves: Sequence[SlowMove]) -> Step:
     """The step with its laws of position ranked by the slow moves as well.
 
-    Only laws on one axis are compared, and only where the first of the ranking is one. The evidence of n
-    stretches is n·ln(residual) (the noise of a move is not known beforehand) with the same penalty a
-    parameter as everywhere.
+    Only laws on one axis are compared, and only where the best candidate is one. The evidence of n stretches
+    is n·ln(residual), because the noise of a move is not known beforehand, with the same penalty a parameter
+    as everywhere.
     """
     chosen = step.ranked[0][0]
     if chosen.term.effect.cause not in _LAWS:
@@ -47,12 +47,12 @@ def rank_by_slow_moves(step: Step, moves: Sequence[SlowMove]) -> Step:
         return step
     evidence = np.zeros(len(rivals))
     for move in moves:
-        evidence += _evidence(move, rivals, axis)
+        evidence += _move_evidence(move, rivals, axis)
     if not np.isfinite(evidence).all() or not evidence.any():
         return step
-    added = dict(zip(map(id, rivals), 0.5 * (evidence - evidence.min()), strict=True))
+    score_of_moves = dict(zip(map(id, rivals), 0.5 * (evidence - evidence.min()), strict=True))
     rows = step.before.fit.dof
-    ranked = [(t, s + added.get(id(t), 0.0)) for t, s in step.ranked]
+    ranked = [(t, s + score_of_moves.get(id(t), 0.0)) for t, s in step.ranked]
     ranked.sort(key=lambda one: one[1] - unearned_phase_penalty(one[0], rows))
     if ranked[0][0] not in rivals:  # a cause that has no law here may not win by the moves
         return step
@@ -61,10 +61,11 @@ def rank_by_slow_moves(step: Step, moves: Sequence[SlowMove]) -> Step:
 
 
 def sharpen_gravity(trial: CandidateEvidence, moves: Sequence[SlowMove], axis: int) -> CandidateEvidence:
-    """The trial with the size of gravity as the moves know it: the excitation sees one direction of the two.
+    """The trial with the size of gravity combined with that of the moves.
 
-    Both measurements weighted by their covariances, all other parameters moved along (a linear update). Left
-    as it is where the two disagree by more than chance does once in a thousand.
+    The excitation sees one direction of its two numbers. Both measurements are weighted by their covariances,
+    all other parameters move along (a linear update). Unchanged where the two disagree by more than chance
+    does once in a thousand.
     """
     if trial.term.effect.cause != "gravity":
         return trial
@@ -73,14 +74,14 @@ def sharpen_gravity(trial: CandidateEvidence, moves: Sequence[SlowMove], axis: i
     at = slice(whole.size - 2, whole.size)
     covariance = fitted.covariance
     for move in moves:
-        columns, rest, found = _regression(move, trial, axis)
+        columns, rest, found = _regress_move(move, trial, axis)
         spare = rest.size - columns.shape[1]
         if spare < 3 or not np.isfinite(covariance).all():
             continue
         own = 2.0 * float(rest @ rest) / spare * np.linalg.pinv(columns.T @ columns)[-2:, -2:]
         total = covariance[at, at] + own
         gap = found[-2:] - whole[at]
-        if float(gap @ np.linalg.solve(total, gap)) > DISAGREE:
+        if float(gap @ np.linalg.solve(total, gap)) > MOST_DISAGREEMENT:
             continue
         gain = np.linalg.solve(total, covariance[at, :]).T
         whole = whole + gain @ gap
@@ -90,77 +91,78 @@ def sharpen_gravity(trial: CandidateEvidence, moves: Sequence[SlowMove], axis: i
     p, candidate = unpack(fitted.layout, fitted.candidate, whole)
     if not fitted.layout.structure.admissible(p[: fitted.layout.structure.count]):
         return trial
-    moved = fit(fitted.layout, fitted.evaluation.records, p, candidate, iterations=0)
-    moved = replace(moved, covariance=covariance, converged=fitted.converged)
-    return CandidateEvidence(moved, evaluate_held_out(moved, trial.held.records))
+    refitted = fit(fitted.layout, fitted.evaluation.records, p, candidate, iterations=0)
+    refitted = replace(refitted, covariance=covariance, converged=fitted.converged)
+    return CandidateEvidence(refitted, evaluate_held_out(refitted, trial.held.records))
 
 
-def _evidence(move: SlowMove, rivals: Sequence[CandidateEvidence], axis: int) -> Float64:
-    """(rivals,) −2 ln(likelihood) of the torque of one axis under each law as the excitation has it."""
-    free = [_regression(move, trial, axis) for trial in rivals]
+def _move_evidence(move: SlowMove, rivals: Sequence[CandidateEvidence], axis: int) -> Float64:
+    """(rivals,) −2 ln(likelihood) of the torque of one axis under each law as the excitation knows it."""
+    free = [_regress_move(move, trial, axis) for trial in rivals]
     if any(rest.size < columns.shape[1] + 3 or not rest.any() for columns, rest, _ in free):
         return np.zeros(len(rivals))
     noise = min(float(rest @ rest) / (rest.size - columns.shape[1]) for columns, rest, _ in free)
-    return np.array([_surprise(move, trial, axis, noise) for trial in rivals])
+    return np.array([_move_score(move, trial, axis, noise) for trial in rivals])
 
 
-def _surprise(move: SlowMove, trial: CandidateEvidence, axis: int, noise: float) -> float:
-    """−2 ln(likelihood) of a move under a law whose numbers the excitation knows as well as it does.
+def _move_score(move: SlowMove, trial: CandidateEvidence, axis: int, noise: float) -> float:
+    """−2 ln(likelihood) of a move under a law whose parameters are only as certain as the excitation knows
+    them.
 
-    The move is no place to fit them anew: a constant torque known to a per cent was taken for weight whose
-    two parts cancel there by twenty times that. With their covariance Σ the stretches differ from what the
-    excitation foretells by noise + L Σ Lᵀ, inertia and friction of the move taken out; the evidence is
-    n·ln(residual), because the noise is not known beforehand, and ln(det) of what Σ adds to it.
+    They are not fitted anew to the move: a constant torque known to a per cent was taken for weight whose two
+    parts cancel there by twenty times that. With their covariance Σ the residual of the stretches has the
+    covariance noise + L Σ Lᵀ, inertia and friction of the move projected out; the evidence is n·ln(residual),
+    because the noise is not known beforehand, and ln(det) of what Σ adds.
     """
-    known, torque = _known(move, axis)
-    apart = np.linalg.qr(known)[0]
+    known, torque = _common_columns(move, axis)
+    common_basis = np.linalg.qr(known)[0]
     best = np.inf
-    for cycles in _cycles(trial):
-        law = _law(move, trial, axis, cycles)
-        expected, covariance, far = _foretold(trial, cycles)
-        law, rest = (v - apart @ (apart.T @ v) for v in (law, torque - law @ expected))
+    for cycles in _possible_cycles(trial):
+        law = _law_columns(move, trial, axis, cycles)
+        expected, covariance, cycles_chi2 = _predicted_coefficients(trial, cycles)
+        law, rest = (v - common_basis @ (common_basis.T @ v) for v in (law, torque - law @ expected))
         total = noise * np.eye(rest.size) + law @ covariance @ law.T
         left = noise * float(rest @ np.linalg.solve(total, rest))
-        wider = float(np.linalg.slogdet(total / noise)[1])
-        best = min(best, rest.size * np.log(left) + wider + far)
+        log_det = float(np.linalg.slogdet(total / noise)[1])
+        best = min(best, rest.size * np.log(left) + log_det + cycles_chi2)
     return best
 
 
-def _foretold(trial: CandidateEvidence, cycles: float) -> tuple[Float64, Float64, float]:
-    """(L,) coefficients that the excitation foretells, their (L, L) covariance, and χ² of the ``cycles``."""
+def _predicted_coefficients(trial: CandidateEvidence, cycles: float) -> tuple[Float64, Float64, float]:
+    """(L,) coefficients that the excitation predicts, their (L, L) covariance, and χ² of the ``cycles``."""
     count = len(trial.term.effect.coefficients)
     covariance = trial.fit.covariance_of(-1)
     if not np.isfinite(covariance).all():
         # Not seen: as large as the effect may be.
         return np.zeros(count), float(trial.x[:count] @ trial.x[:count]) * np.eye(count), 0.0
-    expected, own = trial.x[:count], covariance[:count, :count]
+    expected, covariance_left = trial.x[:count], covariance[:count, :count]
     if trial.x.size == count:
-        return expected, own, 0.0
-    away = float(np.log(cycles) - trial.x[count])
-    along = covariance[:count, count] / covariance[count, count]
-    own = own - np.outer(along, along) * covariance[count, count]
-    return expected + along * away, own, away**2 / float(covariance[count, count])
+        return expected, covariance_left, 0.0
+    offset = float(np.log(cycles) - trial.x[count])
+    slope = covariance[:count, count] / covariance[count, count]
+    covariance_left = covariance_left - np.outer(slope, slope) * covariance[count, count]
+    return expected + slope * offset, covariance_left, offset**2 / float(covariance[count, count])
 
 
-def _known(move: SlowMove, axis: int) -> tuple[Float64, Float64]:
-    """(n, M + 2) columns of what takes torque in a move whatever the law, sizes free, and the torque (n,)."""
+def _common_columns(move: SlowMove, axis: int) -> tuple[Float64, Float64]:
+    """(n, M + 2) columns of inertia and friction of a move, sizes free, and the torque (n,)."""
     v = move.velocity[:, axis]
-    slow = max(SLOW * float(np.abs(v).max()), 1e-300)
+    slow = max(SIGN_WIDTH * float(np.abs(v).max()), 1e-300)
     columns = np.concatenate([move.acceleration, np.tanh(v / slow)[:, None], v[:, None]], axis=1)
     return columns, move.torque[:, axis]
 
 
-def _law(move: SlowMove, trial: CandidateEvidence, axis: int, cycles: float) -> Float64:
+def _law_columns(move: SlowMove, trial: CandidateEvidence, axis: int, cycles: float) -> Float64:
     """(n, L) torque of the law for each coefficient at one."""
     return stretch_means(_LAWS[trial.term.effect.cause](move.path[:, axis], cycles), move.rows)
 
 
-def _regression(move: SlowMove, trial: CandidateEvidence, axis: int) -> tuple[Float64, Float64, Float64]:
-    """Columns (n, k), residual (n,) and coefficients (k,), the law's last, of one axis' torque."""
-    known, torque = _known(move, axis)
+def _regress_move(move: SlowMove, trial: CandidateEvidence, axis: int) -> tuple[Float64, Float64, Float64]:
+    """Columns (n, k), residual (n,) and coefficients (k,) of one axis' torque, those of the law last."""
+    known, torque = _common_columns(move, axis)
     best: tuple[Float64, Float64, Float64] | None = None
-    for cycles in _cycles(trial):
-        columns = np.concatenate((known, _law(move, trial, axis, cycles)), axis=1)
+    for cycles in _possible_cycles(trial):
+        columns = np.concatenate((known, _law_columns(move, trial, axis, cycles)), axis=1)
         size = np.linalg.norm(columns, axis=0)
         size[size == 0.0] = 1.0
         found = np.linalg.lstsq(columns / size, torque, rcond=1e-9)[0] / size
@@ -170,8 +172,9 @@ def _regression(move: SlowMove, trial: CandidateEvidence, axis: int) -> tuple[Fl
     return best if best is not None else (np.zeros((0, 0)), np.zeros(0), np.zeros(0))
 
 
-def _cycles(trial: CandidateEvidence) -> Float64:
-    """Cycles a revolution of a ripple within three standard deviations of what the excitation says."""
+def _possible_cycles(trial: CandidateEvidence) -> Float64:
+    """Cycles a revolution of a ripple within three standard deviations of its estimate; one for other
+    laws."""
     if trial.term.effect.cause != "cogging":
         return np.ones(1)
     variance = float(trial.fit.covariance[-1, -1])

@@ -1,9 +1,8 @@
-"""Records taken whole, searched against every axis' friction.
+"""Rule: records taken whole, searched beside the friction of every axis.
 
-Every joint rubs. Here the friction of every motor is in the hypothesis from the start, in one fit, with its
-own width of reversal, its rise at slow speed and its difference between the directions
-(``invid.effects.laws.joint``); what else there is is searched against what that leaves. Which parts of the
-friction are there is told at the end, by their sizes.
+Every joint has friction. Here that of every motor is in the hypothesis from the start, in one fit, with its
+own width of reversal, its rise at slow speed and its asymmetry (``invid.effects.laws.joint``); other causes
+are searched in what that leaves. At the end the parts of the friction that are significant are named.
 """
 
 from __future__ import annotations
@@ -42,14 +41,14 @@ from invid.numerics.distributions import chi2_isf
 from invid.signals.spectral_record import SpectralRecord
 
 LAW = JointFriction()
-TRIED = 3
-"""Candidates of a screen that are fitted at most. A guess."""
-NEAR = 0.5
-"""Share of the best one's gain from which a candidate is fitted. A guess."""
+MOST_FITS = 3
+"""Most candidates of a screen that are fitted (empirical)."""
+NEAR_BEST = 0.5
+"""Share of the best one's gain from which a candidate is fitted (empirical)."""
 OTHER_FRICTION = ("presliding_friction",)
-"""Friction of a motor that the joint's law stands for."""
+"""Friction of a motor that the joint's law replaces."""
 TIMING = ("torque_delay", "torque_lag")
-"""What the time constants and offsets of the drives, free here, stand for."""
+"""Causes that the free time constants and offsets of the drives replace here."""
 
 
 def search_beside_friction(
@@ -61,43 +60,42 @@ def search_beside_friction(
     *,
     linear_axes: bool,
 ) -> Selection | None:
-    """Friction of every motor, and causes beside it; ``None`` where no fit of the friction is finite.
+    """Selection of the friction of every motor and further causes; ``None`` where no fit of it is finite.
 
-    ``known``: the friction that the identification found with the linear parameters ``start``.
+    ``known``: the friction that the identification found with the linear parameters ``start`` (n,).
     """
-    null = _with_friction(base, known, start, train, held)
+    null = _fit_with_friction(base, known, start, train, held)
     if null is None:
         return None
-    found = _Found(null, ())
+    found = SearchState(null, ())
     cut = False
     try:
         while null_test(found.trial.fit.cost, found.trial.fit.dof, train).rejects:
-            more = _further(found, train, held, linear_axes)
+            more = _add_cause(found, train, held, linear_axes)
             if more is None:
                 break
             found = more
     except budget.BudgetSpent:
         cut = True
-    return replace(_named(base, null, found, train, held, linear_axes), cut=cut)
+    return replace(_name_friction(base, null, found, train, held, linear_axes), is_cut_short=cut)
 
 
 @dataclass(frozen=True, eq=False)
-class _Found:
-    """Where the search stands, and its steps."""
+class SearchState:
+    """The fit that the search has reached, and its steps."""
 
     trial: CandidateEvidence
     steps: tuple[Step, ...]
 
 
-def _with_friction(
+def _fit_with_friction(
     base: CandidateEvidence,
     known: Candidate,
     start: Float64,
     train: Sequence[SpectralRecord],
     held: Sequence[SpectralRecord],
 ) -> CandidateEvidence | None:
-    """The fit with the friction of every motor, from the parameters that the identification found with some
-    of it; those of the fit without were tried beside them and ended no lower."""
+    """The fit with the friction of every motor, started from the parameters of the identification."""
     structure = base.fit.layout.structure
     sizes = {(t.effect.cause, t.place): float(x[0]) for t, x in zip(known.terms, known.x, strict=True)}
     candidate = base.fit.candidate
@@ -112,10 +110,10 @@ def _with_friction(
     return evidence_if_finite(partial(fit, base.fit.layout, train, starts[0], candidate, iterations=60), held)
 
 
-def _further(
-    found: _Found, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord], linear_axes: bool
-) -> _Found | None:
-    """With one cause more, the best of a screen and a few fits; ``None`` where none is there."""
+def _add_cause(
+    found: SearchState, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord], linear_axes: bool
+) -> SearchState | None:
+    """The state with one cause more, the best of a screen and a few fits; ``None`` where none is accepted."""
     current = found.trial
     here, rows = current.fit, current.fit.dof
     chosen = here.candidate.terms
@@ -125,45 +123,44 @@ def _further(
         if t.effect.cause not in (*TIMING, *OTHER_FRICTION)
     ]
     scores = screen_candidates(Screen(here), terms)
-    enough = chi2_isf(SIGNIFICANCE / len(terms), 1) * min(here.dispersion, 1.0)
-    scores = [s for s in scores if REACH * s.gain >= enough]
+    least_gain = chi2_isf(SIGNIFICANCE / len(terms), 1) * min(here.dispersion, 1.0)
+    scores = [s for s in scores if REACH * s.gain >= least_gain]
     trials = []
-    for score in scores[:TRIED]:
-        if score.gain < NEAR * scores[0].gain:
+    for score in scores[:MOST_FITS]:
+        if score.gain < NEAR_BEST * scores[0].gain:
             continue
-        trial = _fitted(here, score, train, held)
+        trial = _refit_score(here, score, train, held)
         if trial is not None and not is_at_bound(trial.fit):
             trials.append(trial)
     if not trials:
         return None
     least = min(t.dispersion for t in trials)
-    # By the training: how far records of another motion are off is asked below, uncertainty allowed for.
+    # Ranked by the training records; the held-out ones are tested below, parameter uncertainty included.
     ranked = sorted(((t, t.fit.cost / least + schwarz_penalty(t, rows)) for t in trials), key=lambda r: r[1])
     best = ranked[0][0]
     needed = chi2_isf(SIGNIFICANCE / len(terms), max(best.term.size, 1))
     needed = max(needed, np.log(max(rows, 2)) * best.term.size)
-    gained = here.cost - best.fit.cost
-    if gained / best.fit.dispersion < needed or gained < SHARE * (here.cost - here.dof):
+    gain = here.cost - best.fit.cost
+    if gain / best.fit.dispersion < needed or gain < SHARE * (here.cost - here.dof):
         return None
-    if (_foreseen(current, held) - _foreseen(best, held)) / best.fit.dispersion < HELD_OUT:
+    if (_predicted_chi2(current, held) - _predicted_chi2(best, held)) / best.fit.dispersion < HELD_OUT:
         return None
     steps = (*found.steps, Step(current, best, tuple(ranked)))
-    beside = _beside(best, scores, here)
-    if beside:
-        more = _together(best, beside, train, held)
-        if more is not None:
+    ripples = _independent_ripples(best, scores, here)
+    if ripples:
+        together = _fit_together(best, ripples, train, held)
+        if together is not None:
             count = len(best.fit.candidate.terms)
-            for n in range(len(beside)):
-                order = [*(k for k in range(count + len(beside)) if k != count + n), count + n]
-                one = CandidateEvidence(reorder_effects(more.fit, order), more.held)
+            for n in range(len(ripples)):
+                order = [*(k for k in range(count + len(ripples)) if k != count + n), count + n]
+                one = CandidateEvidence(reorder_effects(together.fit, order), together.held)
                 steps = (*steps, Step(best, one, ((one, one.cost),)))
-            best = more
-    return _Found(best, steps)
+            best = together
+    return SearchState(best, steps)
 
 
-def _beside(best: CandidateEvidence, scores: Sequence[Score], here: JointFit) -> list[Score]:
-    """Ripples of other motors that the same screen shows: each is read from its own motor's motion alone, and
-    takes nothing from the other."""
+def _independent_ripples(best: CandidateEvidence, scores: Sequence[Score], here: JointFit) -> list[Score]:
+    """Ripples of other motors in the same screen; each is read from its own motor's motion alone."""
     needed = 2.0 * np.log(max(here.dof, 2)) * max(best.fit.dispersion, 1.0)
     taken, out = {best.term.place}, []
     for s in scores:
@@ -173,13 +170,13 @@ def _beside(best: CandidateEvidence, scores: Sequence[Score], here: JointFit) ->
     return out
 
 
-def _together(
+def _fit_together(
     best: CandidateEvidence,
     beside: Sequence[Score],
     train: Sequence[SpectralRecord],
     held: Sequence[SpectralRecord],
 ) -> CandidateEvidence | None:
-    """The fit with more causes at once; ``None`` where one of them then has no size."""
+    """The fit with further causes at once; ``None`` where one of them is not significant."""
     candidate = best.fit.candidate
     for s in beside:
         candidate = candidate.plus(s.term, s.x)
@@ -189,23 +186,23 @@ def _together(
     if found is None:
         return None
     first = len(best.fit.candidate.terms)
-    sure = all(_wald(found.fit, first + n) > 1.0 for n in range(len(beside)))
+    sure = all(_wald_ratio(found.fit, first + n) > 1.0 for n in range(len(beside)))
     return found if sure and found.fit.cost < best.fit.cost else None
 
 
-def _fitted(
+def _refit_score(
     here: JointFit, score: Score, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord]
 ) -> CandidateEvidence | None:
-    """The joint fit from what the screen promises: near the answer at once, or left there."""
+    """The joint fit from a screen's prediction after six iterations; ``None`` where it is not finite."""
     found = fit_if_finite(partial(refit_with_effect, here, train, score.term, score.x, 6, score.shift))
     return None if found is None else evidence_if_finite(lambda: found, held)
 
 
-def _foreseen(trial: CandidateEvidence, held: Sequence[SpectralRecord]) -> float:
-    """χ² of the held-out records, the parameters as uncertain as the training left them.
+def _predicted_chi2(trial: CandidateEvidence, held: Sequence[SpectralRecord]) -> float:
+    """χ² of the held-out records with the parameters free within their training uncertainty.
 
-    Records of another kind of motion ask for combinations of parameters that the training hardly tells; what
-    those are off by is no sign of a wrong law. min over δ of |r + Jδ|² + δᵀC⁻¹δ.
+    Records of another kind of motion depend on combinations of parameters that the training hardly
+    determines; an error of those is no sign of a wrong law. min over δ of |r + Jδ|² + δᵀC⁻¹δ.
     """
     part = evaluate(trial.fit.layout, held, trial.fit.p, trial.fit.candidate, near=(), jacobian=True)
     information = trial.fit.evaluation.jacobian
@@ -214,26 +211,26 @@ def _foreseen(trial: CandidateEvidence, held: Sequence[SpectralRecord]) -> float
     scale[scale == 0] = 1.0
     target = np.concatenate((part.residual, np.zeros(information.shape[0])))
     step, *_ = np.linalg.lstsq(both / scale, target, rcond=1e-10)
-    left = target - both / scale @ step
-    return float(left @ left)
+    remainder = target - both / scale @ step
+    return float(remainder @ remainder)
 
 
-def _named(
+def _name_friction(
     base: CandidateEvidence,
     null: CandidateEvidence,
-    found: _Found,
+    found: SearchState,
     train: Sequence[SpectralRecord],
     held: Sequence[SpectralRecord],
     linear_axes: bool,
 ) -> Selection:
-    """The selection with friction named by its parts, and without what is not told from nothing."""
+    """The selection with the friction named by its parts, and without causes that are not significant."""
     known = len(base.fit.candidate.terms)
     final = found.trial
     steps = list(found.steps)
     friction: list[tuple[PlacedEffect, Float64]] = []
     motors = [k for k, t in enumerate(final.fit.candidate.terms) if t.effect is LAW]
     for k in motors:
-        friction += _parts(final.fit, k)
+        friction += _friction_parts(final.fit, k)
     rest = [k for k in range(known, len(final.fit.candidate.terms)) if k not in motors]
     candidate = final.fit.candidate.only(range(known))
     for term, x in friction:
@@ -244,9 +241,9 @@ def _named(
     whole = evidence_if_finite(partial(fit, layout, train, final.fit.p, candidate, iterations=30), held)
     if whole is None:
         return Selection(base, base)
-    every = [*[Step(base, null, ((null, null.cost),)) for _ in friction], *steps]
-    while every:
-        sizes = [_wald(whole.fit, known + n) for n in range(len(every))]
+    all_steps = [*[Step(base, null, ((null, null.cost),)) for _ in friction], *steps]
+    while all_steps:
+        sizes = [_wald_ratio(whole.fit, known + n) for n in range(len(all_steps))]
         weakest = int(np.argmin(sizes))
         if sizes[weakest] > 1.0:
             break
@@ -254,29 +251,29 @@ def _named(
         other = evidence_if_finite(partial(fit, layout, train, whole.fit.p, fewer, iterations=20), held)
         if other is None:
             break
-        whole, every = other, [*every[:weakest], *every[weakest + 1 :]]
+        whole, all_steps = other, [*all_steps[:weakest], *all_steps[weakest + 1 :]]
     out = []
-    for n, step in enumerate(every):
+    for n, step in enumerate(all_steps):
         if step.chosen is null:
-            own = _led_by(whole, known + n)
+            own = _move_to_end(whole, known + n)
             out.append(Step(base, own, ((own, own.cost),)))
         elif step.chosen.term.effect.family == "position" and step.chosen.term.place.kind == "mass":
-            out.append(step)  # a weight, a ripple: read from its own motor's motion
+            out.append(step)  # a weight or a ripple is read from its own motor's motion
         else:
-            whole, step = _exchanged(whole, known + n, step, train, held, linear_axes)
+            whole, step = _exchange_cause(whole, known + n, step, train, held, linear_axes)
             out.append(step)
     return Selection(base, whole, tuple(out))
 
 
-def _led_by(trial: CandidateEvidence, at: int) -> CandidateEvidence:
-    """The same fit with effect ``at`` as its last one."""
+def _move_to_end(trial: CandidateEvidence, at: int) -> CandidateEvidence:
+    """The same fit with effect ``at`` moved to the end."""
     count = len(trial.fit.candidate.terms)
     return CandidateEvidence(
         reorder_effects(trial.fit, [*(k for k in range(count) if k != at), at]), trial.held
     )
 
 
-def _exchanged(
+def _exchange_cause(
     whole: CandidateEvidence,
     at: int,
     step: Step,
@@ -284,16 +281,18 @@ def _exchanged(
     held: Sequence[SpectralRecord],
     linear_axes: bool,
 ) -> tuple[CandidateEvidence, Step]:
-    """A cause against those that it is easily taken for, beside all others: it was chosen while some of them
-    were missing."""
+    """The fit and the step after comparing a cause with those that it is easily mistaken for.
+
+    It was chosen while some of the others were missing.
+    """
     if budget.is_spent():
         return whole, step
-    own, here = _led_by(whole, at), whole.fit
+    own, here = _move_to_end(whole, at), whole.fit
     run = partial(fit, here.layout, train, here.p, here.candidate.without(at), iterations=10, quick=True)
     rest = evidence_if_finite(run, held)
     if rest is None:
         return whole, step
-    lost, term = rest.fit.cost - here.cost, own.term
+    lost_chi2, term = rest.fit.cost - here.cost, own.term
     terms = [
         t
         for t in terms_to_test(
@@ -303,12 +302,12 @@ def _exchanged(
         and t.place.axis == term.place.axis
         and (t.effect.cause, t.place) != (term.effect.cause, term.place)
     ]
-    scores = [s for s in screen_candidates(Screen(rest.fit), terms) if s.gain > NEAR * lost]
-    trials = [_fitted(rest.fit, s, train, held) for s in scores[:TRIED]]
-    all_ = [own, *(t for t in trials if t is not None and not is_at_bound(t.fit))]
-    least, rows = min(t.fit.dispersion for t in all_), here.dof
+    scores = [s for s in screen_candidates(Screen(rest.fit), terms) if s.gain > NEAR_BEST * lost_chi2]
+    trials = [_refit_score(rest.fit, s, train, held) for s in scores[:MOST_FITS]]
+    fits = [own, *(t for t in trials if t is not None and not is_at_bound(t.fit))]
+    least, rows = min(t.fit.dispersion for t in fits), here.dof
     ranked = sorted(
-        ((t, t.fit.cost / least + schwarz_penalty(t, rows)) for t in all_),
+        ((t, t.fit.cost / least + schwarz_penalty(t, rows)) for t in fits),
         key=lambda r: (r[1], r[0] is not own),
     )
     best = ranked[0][0]
@@ -319,8 +318,9 @@ def _exchanged(
     return whole, Step(rest, best, tuple(ranked))
 
 
-def _wald(found: JointFit, number: int) -> float:
-    """Size of an effect's coefficients over what noise makes once in ``SIGNIFICANCE``; infinite for none."""
+def _wald_ratio(found: JointFit, number: int) -> float:
+    """Wald statistic of an effect's coefficients over its ``SIGNIFICANCE`` limit; infinite without
+    coefficients."""
     term, x = found.candidate.terms[number], found.candidate.x[number]
     count = max(len(term.effect.coefficients), 0)
     if not count:
@@ -336,14 +336,14 @@ def _wald(found: JointFit, number: int) -> float:
     return float(size @ information @ size) / chi2_isf(SIGNIFICANCE, count)
 
 
-def _parts(found: JointFit, number: int) -> list[tuple[PlacedEffect, Float64]]:
-    """The catalogue's laws that a motor's friction consists of, with their sizes."""
+def _friction_parts(found: JointFit, number: int) -> list[tuple[PlacedEffect, Float64]]:
+    """The catalogue's laws that a motor's friction consists of, with their parameters."""
     x, covariance = found.candidate.x[number], found.covariance_of(number)
     place = found.candidate.terms[number].place
     dry, wet, slow, uneven, uneven_wet, uneven_slow = (float(v) for v in x[:6])
     velocity, width = float(x[6]), float(np.exp(x[7]))
 
-    def there(parts: list[int], chance: float = SIGNIFICANCE) -> bool:
+    def is_present(parts: list[int], chance: float = SIGNIFICANCE) -> bool:
         block = covariance[np.ix_(parts, parts)]
         if not np.isfinite(block).all():
             return False
@@ -351,27 +351,27 @@ def _parts(found: JointFit, number: int) -> list[tuple[PlacedEffect, Float64]]:
             chance, len(parts)
         )
 
-    sticks = there([2])
-    if there([3, 4]):
-        law = _dry("asymmetric_friction")
+    is_stribeck = is_present([2])
+    if is_present([3, 4]):
+        law = _dry_law("asymmetric_friction")
         size = [dry + uneven, dry - uneven, wet + uneven_wet, wet - uneven_wet]
         shape: list[float] = []
-        if sticks:
+        if is_stribeck:
             law = AsymmetricStribeck()
             size, shape = [*size, slow + uneven_slow, slow - uneven_slow], [velocity]
         return [(PlacedEffect(law.rounded(width), place), np.array([*np.maximum(size, 0.0), *shape]))]
     out = []
-    if sticks:
-        law = _dry("stribeck_friction")
+    if is_stribeck:
+        law = _dry_law("stribeck_friction")
         out.append((PlacedEffect(law.rounded(width), place), np.array([dry, slow, velocity])))
-    elif there([0]):
-        out.append((PlacedEffect(_dry("coulomb_friction").rounded(width), place), np.array([dry])))
-    if there([1]):
+    elif is_present([0]):
+        out.append((PlacedEffect(_dry_law("coulomb_friction").rounded(width), place), np.array([dry])))
+    if is_present([1]):
         out.append((PlacedEffect(BY_CAUSE["viscous_friction"], place), np.array([wet])))
     return out
 
 
-def _dry(cause: str) -> DryLaw:
+def _dry_law(cause: str) -> DryLaw:
     law = BY_CAUSE[cause]
     assert isinstance(law, DryLaw)  # noqa: S101 - the catalogue's friction
     return law

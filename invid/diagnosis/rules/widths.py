@@ -1,8 +1,7 @@
-"""The range of velocity over which the friction found changes its sign, chosen beside what was found since.
+"""Rule: the range of velocity over which friction changes its sign, chosen beside the causes found since.
 
-The rounding of a law is no parameter of the fit. It is read from what the fit leaves, linear about where it
-stands, as the widths of the identification are (``invid.likelihood.nuisance.gradual_reversals``), and earns
-its place by a fit.
+The rounding of a law is no parameter of the fit. It is chosen by the linearised fit (as the widths of the
+identification in ``invid.likelihood.nuisance.gradual_reversals``) and confirmed by a refit.
 """
 
 from __future__ import annotations
@@ -23,11 +22,11 @@ from invid.likelihood.placed_effect import Candidate, PlacedEffect
 from invid.signals.spectral_record import SpectralRecord
 
 NARROWEST, WIDEST, WIDTHS = 2e-3, 0.3, 10
-"""Roundings tried, as shares of the rms velocity: below the first the jump is as good, above the last the law
+"""Roundings tried, over the rms velocity. Physical: below the first a jump is as good, above the last the law
 is viscous friction that saturates."""
 HALVINGS = 3
 ROUNDS = 2
-"""How often all laws are gone through: the width of one friction moves that of the next a little."""
+"""Passes over all laws: the width of one friction changes that of the next a little."""
 ITERATIONS = 10
 
 
@@ -36,13 +35,13 @@ def fit_sign_widths(
 ) -> Selection:
     """The selection with the width of reversal of every motor's friction fitted.
 
-    As it came where what is left is noise, or where no width earns Schwarz' penalty of one parameter.
+    Unchanged where the null test accepts it, or where no width earns Schwarz' penalty of one parameter.
     """
     final = found.final
     for _ in range(ROUNDS):
         before = final
-        for number in _dry(final.fit):
-            final = _retuned(final, number, train, held)
+        for number in _dry_laws(final.fit):
+            final = _tune_width(final, number, train, held)
         if final is before or not final.rejects([*train, *held]):
             break
     if final is found.final:
@@ -54,8 +53,8 @@ def fit_sign_widths(
     return replace(found, final=final, steps=(*found.steps[:-1], chosen))
 
 
-def _dry(found: JointFit) -> list[int]:
-    """Numbers of the laws at motors that change over with the sign of the velocity."""
+def _dry_laws(found: JointFit) -> list[int]:
+    """Numbers of the laws at motors that depend on the sign of the velocity."""
     return [
         k
         for k, t in enumerate(found.candidate.terms)
@@ -63,13 +62,14 @@ def _dry(found: JointFit) -> list[int]:
     ]
 
 
-def _retuned(
+def _tune_width(
     trial: CandidateEvidence, number: int, train: Sequence[SpectralRecord], held: Sequence[SpectralRecord]
 ) -> CandidateEvidence:
-    """The trial with the width of one law that leaves least, where it earns its place."""
-    here, price = trial.fit, float(np.log(max(trial.fit.dof, 2)))
+    """The trial with the best width of one law, where a refit earns its penalty and improves held-out
+    records."""
+    here, penalty = trial.fit, float(np.log(max(trial.fit.dof, 2)))
     width, gain = _best_width(here, number)
-    if width is None or gain < price * here.dispersion:
+    if width is None or gain < penalty * here.dispersion:
         return trial
     terms, law = here.candidate.terms, here.candidate.terms[number]
     assert isinstance(law.effect, DryLaw)  # noqa: S101 - by _dry
@@ -78,13 +78,13 @@ def _retuned(
     found = evidence_if_finite(
         partial(fit, here.layout, train, here.p, candidate, iterations=ITERATIONS), held
     )
-    if found is None or (here.cost - found.fit.cost) / found.fit.dispersion < price:
+    if found is None or (here.cost - found.fit.cost) / found.fit.dispersion < penalty:
         return trial
     return found if found.held.cost < trial.held.cost else trial
 
 
 def _best_width(here: JointFit, number: int) -> tuple[float | None, float]:
-    """Width of a law's sign that leaves least, and the χ² that it takes; ``None`` where it is now's."""
+    """The best width of a law's sign and the χ² it gains; ``None`` where the law has no width."""
     term, x = here.candidate.terms[number], here.candidate.x[number]
     law, screen = term.effect, Screen(here)
     if not isinstance(law, DryLaw):
@@ -94,7 +94,7 @@ def _best_width(here: JointFit, number: int) -> tuple[float | None, float]:
     shape = x[len(law.coefficients) :].tolist()
 
     def gain(width: float) -> float:
-        """Of columns in place of now's, which the projection has taken out with all else that is fitted."""
+        """Gain of χ² with the columns of another width beside the present ones, which are projected out."""
         columns = screen.project([law.rounded(width).basis(v, term.place, shape) for v in screen.views])
         found, *_ = np.linalg.lstsq(columns, screen.residual, rcond=1e-9)
         return float(screen.residual @ screen.residual) - float(

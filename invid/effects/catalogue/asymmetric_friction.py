@@ -49,7 +49,7 @@ class AsymmetricFriction(DryLaw):
     def places(self, structure: ChainStructure) -> list[Place]:
         return mass_places(structure)
 
-    def of(self, v: Float64, soft: float, shape: Sequence[float]) -> Float64:
+    def resistance_at(self, v: Float64, soft: float, shape: Sequence[float]) -> Float64:
         sign = sign_law(v, soft)
         # Of a joint that turns over gradually neither direction's friction acts at rest.
         whole = even_law(v, soft) if self.rounding > 0.0 else 1.0
@@ -106,12 +106,12 @@ class AsymmetricStribeck(AsymmetricFriction):
         size = max(rms([v.velocity(place.pattern(v.structure)) for v in views]), 1e-300)
         return [(float(np.log(0.02 * size)), float(np.log(1.5 * size)))]
 
-    def of(self, v: Float64, soft: float, shape: Sequence[float]) -> Float64:
+    def resistance_at(self, v: Float64, soft: float, shape: Sequence[float]) -> Float64:
         width = float(np.exp(shape[0]))
         odd = excess_law(v, soft, width)
         even = even_law(v, soft) * np.exp(-((v / width) ** 2))
         slow = np.stack([0.5 * (even + odd), -0.5 * (even - odd)], axis=1)
-        return np.concatenate((super().of(v, soft, ()), slow), axis=1)
+        return np.concatenate((super().resistance_at(v, soft, ()), slow), axis=1)
 
     def resists(self, v: Float64, x: Sequence[float]) -> Float64:
         near = np.exp(-((v / np.exp(x[6])) ** 2))

@@ -22,7 +22,7 @@ def spring_index(structure: ChainStructure, place: Place) -> int:
     return sum(n - 1 for n in structure.sizes[: place.axis]) + place.number - 1
 
 
-def largest(views: Sequence[View], place: Place) -> float:
+def largest_deflection(views: Sequence[View], place: Place) -> float:
     """Largest deflection of a spring over all records."""
     return max(float(np.abs(v.wave(place.pattern(v.structure))).max()) for v in views)
 
@@ -76,10 +76,12 @@ class Backlash(Effect):
     ) -> tuple[Complex128, Complex128 | None]:
         pattern = place.pattern(view.structure)
         force = self.force(view, place, float(np.exp(x[0])))
-        return view.push(pattern) * force[:, None], -view.yields(pattern) * force[:, None]
+        return view.condensed_force(pattern) * force[:, None], -view.inner_receptance(pattern) * force[
+            :, None
+        ]
 
     def beyond(self, views: Sequence[View], place: Place, x: Sequence[float]) -> bool:
-        return bool(0.5 * np.exp(x[0]) >= largest(views, place))
+        return bool(0.5 * np.exp(x[0]) >= largest_deflection(views, place))
 
     def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
         out: Float64 = stiffness * (np.sign(x) * np.maximum(np.abs(x) - 0.5 * p["gap"], 0.0) - x)

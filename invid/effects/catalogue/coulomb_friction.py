@@ -37,7 +37,7 @@ class CoulombFriction(DryLaw):
     def places(self, structure: ChainStructure) -> list[Place]:
         return mass_places(structure)
 
-    def of(self, v: Float64, soft: float, shape: Sequence[float]) -> Float64:
+    def resistance_at(self, v: Float64, soft: float, shape: Sequence[float]) -> Float64:
         return sign_law(v, soft)[:, None]
 
     def resists(self, v: Float64, x: Sequence[float]) -> Float64:

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from invid.effects.catalogue.backlash import largest, spring_index
+from invid.effects.catalogue.backlash import largest_deflection, spring_index
 from invid.effects.effect import Experiment, ForceEffect, PlaceMotion
 from invid.effects.elements import Element, ForceLaw, GroundSpring, Law, ModelPlace
 from invid.effects.motion import View
@@ -42,7 +42,7 @@ class CubicStiffness(ForceEffect):
         return view.wave(place.pattern(view.structure))[:, None] ** 3
 
     def beyond(self, views: Sequence[View], place: Place, x: Sequence[float]) -> bool:
-        most = largest(views, place)
+        most = largest_deflection(views, place)
         # One that softens pulls back less and less; beyond here it would push.
         return bool(views[0].springs[spring_index(views[0].structure, place)] + x[0] * most**2 <= 0.0)
 

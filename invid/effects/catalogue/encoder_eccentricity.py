@@ -38,11 +38,12 @@ class EncoderEccentricity(Effect):
     def places(self, structure: ChainStructure) -> list[Place]:
         return axis_places(structure)
 
-    def _lines(self, view: View, place: Place, swing: Float64) -> Complex128:
-        """(F, L) lines of errors of the reading (n, L) over time.
+    def _error_lines(self, view: View, place: Place, swing: Float64) -> Complex128:
+        """(F, L) lines of the reading's errors (n, L) over time.
 
-        Their part in proportion to the reading is that of the measured lines, noise and all: the wave has
-        none on lines that it fills, so an error of scale would change the motion's size and not its noise's.
+        The part proportional to the reading is taken from the measured lines with their noise: the wave has
+        none on lines below the noise, so an error of scale would change the size of the motion and not of its
+        noise.
         """
         wave = view.record.motor_wave[:, place.axis]
         centred = wave - wave.mean()
@@ -53,7 +54,7 @@ class EncoderEccentricity(Effect):
 
     def basis(self, view: View, place: Place, shape: Sequence[float]) -> Complex128:
         reading = view.record.motor_wave[:, place.axis]
-        error = self._lines(view, place, np.stack([np.sin(reading), np.cos(reading)], axis=1))
+        error = self._error_lines(view, place, np.stack([np.sin(reading), np.cos(reading)], axis=1))
         out: Complex128 = -view.stiffness[:, :, place.axis][:, :, None] * error[:, None, :]
         return out
 
@@ -61,14 +62,14 @@ class EncoderEccentricity(Effect):
         self, view: View, place: Place, x: Sequence[float]
     ) -> tuple[Complex128, Complex128 | None]:
         reading = view.record.motor_wave[:, place.axis]
-        error = self._lines(view, place, (reading - _true(reading, x))[:, None])
+        error = self._error_lines(view, place, (reading - _true_position(reading, x))[:, None])
         # Every coordinate moves as the motor does, not as it reads.
         return -view.stiffness[:, :, place.axis] * error, -view.motion[:, :, place.axis] * error
 
     def noise_power(
         self, view: View, place: Place, x: Sequence[float]
     ) -> tuple[float | Float64, float | Float64]:
-        true = _true(view.record.motor_wave[:, place.axis], x)
+        true = _true_position(view.record.motor_wave[:, place.axis], x)
         # d(true)/d(reading): on a small motion the swing is a scale of the encoder, of its noise as well.
         return float(np.mean((1.0 + x[0] * np.cos(true) - x[1] * np.sin(true)) ** -2)), 1.0
 
@@ -82,8 +83,8 @@ class EncoderEccentricity(Effect):
         return [ReadingError(at.axis, at.value("amplitude"), at.value("phase"))]
 
 
-def _true(reading: Float64, x: Sequence[float]) -> Float64:
-    """Position behind a reading."""
+def _true_position(reading: Float64, x: Sequence[float]) -> Float64:
+    """(n,) true position behind a reading."""
     true = reading
     for _ in range(6):
         true = reading - x[0] * np.sin(true) - x[1] * np.cos(true)

@@ -15,12 +15,13 @@ from invid.model.parameters import ChainStructure
 from invid.model.place import Pattern, Place, mass_places
 from invid.numerics.arrays import Complex128
 
-PEAKS = 8
+MOST_PEAKS = 8
 """Peaks of the missing torque that are tried as frequencies of the mode."""
-BEYOND = 2.0
-"""Highest frequency of a mode over the highest excited line. What a mode m, ω₀ above the band adds to a mass
-is m·ω⁴/ω₀²·(1 + (ω/ω₀)² + …): m/ω₀² shows first, the two apart only by the terms after it, a quarter of it
-here. Nearer a strong one is told (``frequency_told``); further off it is a compliance of any kind."""
+MOST_BEYOND_BAND = 2.0
+"""Highest frequency of a mode over the highest excited line. Physical: a mode m, ω₀ above the band adds
+m·ω⁴/ω₀²·(1 + (ω/ω₀)² + …) to a mass: m/ω₀² shows first, the two apart only by the terms after it, a quarter
+of it here. Nearer, a strong one is determined (``is_frequency_known``); farther off it is a compliance of any
+kind."""
 
 
 class ExtraMode(ImpedanceEffect):
@@ -50,15 +51,18 @@ class ExtraMode(ImpedanceEffect):
 
     def grid(self, views: Sequence[View], place: Place) -> list[tuple[float, ...]]:
         low = min(float(v.omega[1:].min()) for v in views)
-        high = 0.95 * BEYOND * _driven(views)[1]
+        high = 0.95 * MOST_BEYOND_BAND * _excited_band(views)[1]
         wide = [float(w) for w in np.geomspace(3 * low, high, 17)]
         # A light mode is narrower than this grid's spacing: the record itself says where to look.
-        narrow = _peaks(views, place.pattern(views[0].structure))
+        narrow = _peak_frequencies(views, place.pattern(views[0].structure))
         return [(float(np.log(w)), float(np.log(0.02))) for w in sorted({*wide, *narrow})]
 
     def limits(self, views: Sequence[View], place: Place) -> list[tuple[float, float]]:
-        low, high = _driven(views)
-        return [(float(np.log(low)), float(np.log(BEYOND * high))), (float(np.log(1e-3)), float(np.log(0.2)))]
+        low, high = _excited_band(views)
+        return [
+            (float(np.log(low)), float(np.log(MOST_BEYOND_BAND * high))),
+            (float(np.log(1e-3)), float(np.log(0.2))),
+        ]
 
     def impedance(self, view: View, place: Place, x: Sequence[float]) -> Complex128:
         own, zeta = float(np.exp(x[1])), float(np.exp(x[2]))
@@ -84,18 +88,20 @@ class ExtraMode(ImpedanceEffect):
         return [AddedMass(at.mass(at.last), *size, max(ratio, 0.0))]
 
 
-def frequency_told(views: Sequence[View], frequency: float, std: float) -> bool:
-    """Whether a mode's frequency [rad/s], its logarithm known to ``std``, is within the band or, above it,
-    told from the highest that may be by three standard deviations."""
-    high = _driven(views)[1]
-    return frequency <= high or float(np.log(frequency)) + 3.0 * std < float(np.log(BEYOND * high))
+def is_frequency_known(views: Sequence[View], frequency: float, std: float) -> bool:
+    """Whether a mode's frequency [rad/s] is within the band or significantly below the highest allowed one.
+
+    ``std`` is that of its logarithm; three standard deviations.
+    """
+    high = _excited_band(views)[1]
+    return frequency <= high or float(np.log(frequency)) + 3.0 * std < float(np.log(MOST_BEYOND_BAND * high))
 
 
-def _peaks(views: Sequence[View], pattern: Pattern) -> list[float]:
-    """Frequencies [rad/s] at which most is still missing that a force along the pattern would account for.
+def _peak_frequencies(views: Sequence[View], pattern: Pattern) -> list[float]:
+    """Frequencies [rad/s] at which a force along the pattern explains most of the missing torque.
 
-    Lines are taken three neighbours (of every record) together, where their power is centred: a light mode is
-    narrower than the lines are apart. None within a twentieth of a larger one.
+    Three neighbouring lines (of every record) are taken together, at the centroid of their power: a light
+    mode is narrower than the lines are apart. None within a twentieth of a larger one.
     """
     omega, power, records = [], [], 0
     for view in views:
@@ -103,9 +109,9 @@ def _peaks(views: Sequence[View], pattern: Pattern) -> list[float]:
         if missing is None:
             continue
         used = np.flatnonzero(np.asarray(view.record.excited, dtype=bool))
-        push = view.push(pattern)[used]
-        weighted = np.einsum("fij,fj->fi", view.certainty[used], push).conj()
-        information = np.einsum("fi,fi->f", weighted, push).real
+        reached = view.condensed_force(pattern)[used]
+        weighted = np.einsum("fij,fj->fi", view.certainty[used], reached).conj()
+        information = np.einsum("fi,fi->f", weighted, reached).real
         force = np.einsum("fi,fi->f", weighted, missing[used])
         omega.append(view.omega[used])
         power.append(np.abs(force) ** 2 / np.maximum(information, 1e-300))
@@ -115,28 +121,28 @@ def _peaks(views: Sequence[View], pattern: Pattern) -> list[float]:
     w, p = np.concatenate(omega), np.concatenate(power)
     order = np.argsort(w)
     window = min(3 * records, w.size)
-    together = np.ones(window) / window
-    centred = np.convolve(w[order] * p[order], together, mode="same")
-    p = np.convolve(p[order], together, mode="same")
+    kernel = np.ones(window) / window
+    centred = np.convolve(w[order] * p[order], kernel, mode="same")
+    p = np.convolve(p[order], kernel, mode="same")
     w = np.divide(centred, p, out=w[order], where=p > 0.0)
     found: list[float] = []
     for k in np.argsort(-p):
         if all(abs(w[k] / f - 1.0) > 0.05 for f in found):
             found.append(float(w[k]))
-        if len(found) == PEAKS:
+        if len(found) == MOST_PEAKS:
             break
     return found
 
 
-def _driven(views: Sequence[View]) -> tuple[float, float]:
+def _excited_band(views: Sequence[View]) -> tuple[float, float]:
     """Lowest and highest excited line [rad/s].
 
-    Below all of them a mode, well damped, is friction at its mass by another name.
+    Below all of them a damped mode is the same as friction at its mass.
     """
     lines = []
     for view in views:
         omega = view.omega
         excited = np.asarray(view.record.excited, dtype=bool).reshape(omega.size, -1).any(axis=1)
         lines.append(omega[excited] if excited.any() else omega[1:])
-    every = np.concatenate(lines)
-    return float(every.min()), float(every.max())
+    all_lines = np.concatenate(lines)
+    return float(all_lines.min()), float(all_lines.max())

@@ -52,7 +52,7 @@ class StribeckFriction(DryLaw):
         size = max(rms([v.velocity(place.pattern(v.structure)) for v in views]), 1e-300)
         return [(float(np.log(0.02 * size)), float(np.log(1.5 * size)))]
 
-    def of(self, v: Float64, soft: float, shape: Sequence[float]) -> Float64:
+    def resistance_at(self, v: Float64, soft: float, shape: Sequence[float]) -> Float64:
         vs = float(np.exp(shape[0]))
         return np.stack([sign_law(v, soft), excess_law(v, soft, vs)], axis=1)
 

@@ -15,12 +15,12 @@ from invid.model.parameters import ChainStructure
 from invid.model.place import Place, axis_places
 from invid.numerics.arrays import Complex128, Float64
 
-CUTS = (0.3, 0.4, 0.5, 0.6, 0.7, 0.78, 0.85, 0.9, 0.94, 0.97, 0.985, 0.992)
-"""Limits to start from over the peak torque. What is cut off halves from one to the next at the top: a limit
-that cuts more than twice of what is missing makes it worse, and would not be seen."""
+LIMITS_TRIED = (0.3, 0.4, 0.5, 0.6, 0.7, 0.78, 0.85, 0.9, 0.94, 0.97, 0.985, 0.992)
+"""Limits to start from over the peak torque. The clipped part halves from one to the next at the top: a limit
+that clips more than twice of what is missing makes the fit worse, and would not be found."""
 
-PARTS = 4
-"""Into how many parts a sample is taken where a hold goes on within it."""
+PARTS_OF_SAMPLE = 4
+"""Parts of a sample where a hold changes within it."""
 
 
 class TorqueSaturation(Effect):
@@ -42,15 +42,15 @@ class TorqueSaturation(Effect):
     def places(self, structure: ChainStructure) -> list[Place]:
         return axis_places(structure)
 
-    def _peak(self, views: Sequence[View], place: Place) -> float:
+    def _peak_torque(self, views: Sequence[View], place: Place) -> float:
         return max(float(np.abs(v.record.torque_wave[:, place.axis]).max()) for v in views)
 
     def grid(self, views: Sequence[View], place: Place) -> list[tuple[float, ...]]:
-        peak = max(self._peak(views, place), 1e-300)
-        return [(float(np.log(peak * f)),) for f in CUTS]
+        peak = max(self._peak_torque(views, place), 1e-300)
+        return [(float(np.log(peak * f)),) for f in LIMITS_TRIED]
 
     def limits(self, views: Sequence[View], place: Place) -> list[tuple[float, float]]:
-        peak = max(self._peak(views, place), 1e-300)
+        peak = max(self._peak_torque(views, place), 1e-300)
         # Cut below a tenth of its peak a torque is no measurement of itself any more, and the fit could
         # shrink plant and torque together until noise covers both.
         return [(float(np.log(0.1 * peak)), float(np.log(0.995 * peak)))]
@@ -62,9 +62,9 @@ class TorqueSaturation(Effect):
         t = view.record.torque_wave[:, place.axis]
         recorded = view.record.torque[:, place.axis]
         if view.record.command is None:
-            cut = view.to_lines(_beyond(t, limit)[:, None])[:, 0]
+            cut = view.to_lines(_clipped_part(t, limit)[:, None])[:, 0]
         else:
-            cut, recorded = _within_samples(view, place.axis, limit)
+            cut, recorded = _clipped_within_samples(view, place.axis, limit)
         out: Complex128 = np.zeros_like(view.acting)
         there = np.abs(recorded) > 0
         ratio = np.where(there, view.acting[:, place.axis] / np.where(there, recorded, 1.0), 1.0)
@@ -79,14 +79,14 @@ class TorqueSaturation(Effect):
         return [TorqueChannel(at.axis, limit=abs(at.value("limit")))]
 
 
-def _beyond(torque: Float64, limit: float) -> Float64:
+def _clipped_part(torque: Float64, limit: float) -> Float64:
     return torque - np.clip(torque, -limit, limit)
 
 
-def _within_samples(view: View, axis: int, limit: float) -> tuple[Complex128, Complex128]:
-    """(F,) what is cut off a demand held over each sample and a hold that goes on within it, and their sum.
+def _clipped_within_samples(view: View, axis: int, limit: float) -> tuple[Complex128, Complex128]:
+    """(F,) clipped part of a demand held over each sample and a hold that changes within it, and their sum.
 
-    At the samples alone the hold is what it was at the moment that the demand changed.
+    At the samples alone the hold has the value at which the demand changed.
     """
     record, wave = view.record, view.record.torque_wave[:, axis]
     command = np.zeros(0, dtype=complex) if record.command is None else record.command[:, axis]
@@ -97,8 +97,8 @@ def _within_samples(view: View, axis: int, limit: float) -> tuple[Complex128, Co
     hold = wave - demand
     change = np.append(np.diff(hold), 0.0 if record.transient else hold[0] - hold[-1])
     cut: Complex128 = np.zeros(view.omega.size, dtype=complex)
-    for part in (np.arange(PARTS) + 0.5) / PARTS:
-        lines = view.to_lines(_beyond(demand + hold + part * change, limit)[:, None])[:, 0]
-        cut += lines * np.exp(-1j * view.omega * part * record.step) / PARTS
+    for part in (np.arange(PARTS_OF_SAMPLE) + 0.5) / PARTS_OF_SAMPLE:
+        lines = view.to_lines(_clipped_part(demand + hold + part * change, limit)[:, None])[:, 0]
+        cut += lines * np.exp(-1j * view.omega * part * record.step) / PARTS_OF_SAMPLE
     late = np.sinc(view.omega * record.step / 2 / np.pi) * np.exp(-0.5j * view.omega * record.step)
     return cut, command * late + record.torque[:, axis] - command

@@ -79,8 +79,8 @@ class TransmissionError(Effect):
         out: Complex128 = np.zeros_like(view.acting)
         back: Complex128 = np.zeros_like(view.base)
         for at, force in ((a, lines[:, 0]), (b, lines[:, 1])):
-            out = out + view.push(((at, 1.0),)) * force[:, None]
-            back = back - view.yields(((at, 1.0),)) * force[:, None]
+            out = out + view.condensed_force(((at, 1.0),)) * force[:, None]
+            back = back - view.inner_receptance(((at, 1.0),)) * force[:, None]
         return out, back
 
     def basis(self, view: View, place: Place, shape: Sequence[float]) -> Complex128:
@@ -93,8 +93,8 @@ class TransmissionError(Effect):
         waves = np.stack([-sine - lean * cosine, -cosine + lean * sine, sine, cosine], axis=1)
         lines = stiff * view.to_lines(waves)
         out: Complex128 = (
-            view.push(((a, 1.0),))[:, :, None] * lines[:, None, :2]
-            + view.push(((b, 1.0),))[:, :, None] * lines[:, None, 2:]
+            view.condensed_force(((a, 1.0),))[:, :, None] * lines[:, None, :2]
+            + view.condensed_force(((b, 1.0),))[:, :, None] * lines[:, None, 2:]
         )
         return out
 

@@ -1,8 +1,7 @@
-"""Friction of a joint as it is: dry, viscous, more of it at slow speed, more in one direction than the other.
+"""Friction of a joint: dry, viscous, with a rise at slow speed, and different in the two directions.
 
-The law that a search starts with at every motor, so that the rest is searched against what friction leaves.
-It is no cause of the catalogue: which of its parts are there is told by their sizes, and they are then named
-by the catalogue's laws (``invid.diagnosis.normal_friction``).
+The law with which a search of whole records starts at every motor. It is no cause of the catalogue: its
+significant parts are named by the catalogue's laws (``invid.diagnosis.rules.whole_search``).
 """
 
 from __future__ import annotations
@@ -13,16 +12,16 @@ from math import erf, exp, log1p, pi, sqrt, tanh
 import numpy as np
 
 from invid.effects.effect import ForceEffect
-from invid.effects.laws.sign import FAR, mean_between
+from invid.effects.laws.sign import SATURATION, mean_between
 from invid.effects.motion import View, rms
 from invid.model.place import Place
 from invid.numerics.arrays import Float64
 from invid.numerics.compiled import compiled
 from invid.signals.standstill import sign_threshold
 
-SLOW, SLOWS = 0.2, (0.02, 1.5)
+STRIBECK_START, STRIBECK_BOUNDS = 0.2, (0.02, 1.5)
 """Stribeck velocity, and width of a reversal, over the rms velocity: where they start, and their bounds."""
-TURN, TURNS = 0.03, (1e-3, 0.3)
+WIDTH_START, WIDTH_BOUNDS = 0.03, (1e-3, 0.3)
 
 
 class JointFriction(ForceEffect):
@@ -39,25 +38,27 @@ class JointFriction(ForceEffect):
     smeared = True
 
     def grid(self, views: Sequence[View], place: Place) -> list[tuple[float, ...]]:
-        size = _speed(views, place)
-        return [(float(np.log(SLOW * size)), float(np.log(TURN * size)))]
+        size = _rms_speed(views, place)
+        return [(float(np.log(STRIBECK_START * size)), float(np.log(WIDTH_START * size)))]
 
     def limits(self, views: Sequence[View], place: Place) -> list[tuple[float, float]]:
-        size = _speed(views, place)
-        return [(float(np.log(a * size)), float(np.log(b * size))) for a, b in (SLOWS, TURNS)]
+        size = _rms_speed(views, place)
+        return [
+            (float(np.log(a * size)), float(np.log(b * size))) for a, b in (STRIBECK_BOUNDS, WIDTH_BOUNDS)
+        ]
 
     def law(self, view: View, place: Place, shape: Sequence[float]) -> Float64:
         v = view.velocity(place.pattern(view.structure))
         slow, width = float(np.exp(shape[0])), float(np.exp(shape[1]))
         soft = max(sign_threshold(v, float(view.record.velocity_noise[place.axis])), width)
-        out: Float64 = view.measured(
-            ("joint", place, soft, slow), lambda: _joint(np.ascontiguousarray(v), soft, slow)
+        out: Float64 = view.cached(
+            ("joint", place, soft, slow), lambda: _mean_parts(np.ascontiguousarray(v), soft, slow)
         )
         return out
 
 
 @compiled
-def _joint(v: np.ndarray, soft: float, slow: float) -> np.ndarray:
+def _mean_parts(v: np.ndarray, soft: float, slow: float) -> np.ndarray:
     """(n, 6) means of the parts over the samples, from their antiderivatives.
 
     Those of the parts at slow speed take b as one while s changes over: the width is the smaller by far.
@@ -66,15 +67,15 @@ def _joint(v: np.ndarray, soft: float, slow: float) -> np.ndarray:
     phi, plain, out = np.empty((6, count)), np.empty((6, count)), np.empty((count, 6))
     for k in range(count):
         u, w = abs(v[k]) / soft, v[k] / slow
-        near = u < FAR
+        near = u < SATURATION
         size = tanh(u) if near else 1.0
         sign = size if v[k] > 0 else -size
         bend = exp(-w * w)
         reached = 0.5 * sqrt(pi) * slow * erf(w)
-        late = soft * (log1p(exp(-2.0 * u)) if near else 0.0)
-        phi[0, k], plain[0, k] = abs(v[k]) + late, sign
+        overshoot = soft * (log1p(exp(-2.0 * u)) if near else 0.0)
+        phi[0, k], plain[0, k] = abs(v[k]) + overshoot, sign
         phi[1, k], plain[1, k] = 0.5 * v[k] * v[k], v[k]
-        phi[2, k], plain[2, k] = abs(reached) + late, sign * bend
+        phi[2, k], plain[2, k] = abs(reached) + overshoot, sign * bend
         phi[3, k], plain[3, k] = v[k] - soft * sign, size * size
         phi[4, k], plain[4, k] = 0.5 * v[k] * abs(v[k]), abs(v[k])
         phi[5, k], plain[5, k] = reached - soft * sign, size * size * bend
@@ -83,5 +84,5 @@ def _joint(v: np.ndarray, soft: float, slow: float) -> np.ndarray:
     return out
 
 
-def _speed(views: Sequence[View], place: Place) -> float:
+def _rms_speed(views: Sequence[View], place: Place) -> float:
     return max(rms([v.velocity(place.pattern(v.structure)) for v in views]), 1e-300)

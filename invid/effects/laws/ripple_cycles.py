@@ -1,4 +1,4 @@
-"""Cycles a revolution worth trying: a ripple over position is a line in the spectrum over position."""
+"""Candidates for cycles a revolution: a ripple over position is a line in the spectrum over position."""
 
 from __future__ import annotations
 
@@ -11,19 +11,20 @@ from invid.effects.motion import View, rms
 from invid.model.place import Pattern
 from invid.numerics.arrays import Float64
 
-SLOW = 4.0
-"""Phase [rad, rms] up to which cycles are tried one by one: a ripple whose phase hardly turns looks like any
-other smooth force of position, and only the screen tells them apart. Beyond it the ripple is a line."""
-PEAKS = 3
-"""Lines of the spectrum over position that are tried. A guess: the ripple is rarely below the third."""
+LEAST_PHASE = 4.0
+"""Phase [rad, rms] up to which cycles are tried one by one (physical): a ripple whose phase hardly turns
+looks like any other smooth force of position, and only the screen tells them apart. Beyond it the ripple is a
+line."""
+MOST_PEAKS = 3
+"""Lines of the spectrum over position that are tried (empirical: the ripple is rarely below the third)."""
 BINS = 1 << 18
-"""Most bins of position; where the motion asks for more the highest cycles are not looked for."""
-HIGHEST = 2000.0
+"""Most bins of position; for a motion that needs more, the highest cycles are not searched."""
+MOST_CYCLES = 2000.0
 
 
 def cycle_grid(size: float, most: int = 12) -> list[float]:
-    """Cycles a revolution worth trying for a motion of rms ``size`` [rad]: 0.4 to 4 rad of phase."""
-    low, high = max(1.5, 0.4 / max(size, 1e-9)), max(3.0, SLOW / max(size, 1e-9))
+    """Cycles a revolution to try for a motion of rms ``size`` [rad]: 0.4 to 4 rad of phase."""
+    low, high = max(1.5, 0.4 / max(size, 1e-9)), max(3.0, LEAST_PHASE / max(size, 1e-9))
     values = np.geomspace(low, max(high, 1.2 * low), most)
     return sorted({float(v) for v in values})
 
@@ -31,9 +32,9 @@ def cycle_grid(size: float, most: int = 12) -> list[float]:
 def ripples(views: Sequence[View], coordinate: Pattern, force: Pattern) -> list[float]:
     """Cycles a revolution of the strongest ripples of ``force`` over the position ``coordinate``, ascending.
 
-    The force that the missing torque asks for is summed up over position and its spectrum taken; of each peak
-    beyond ``SLOW`` the neighbours up to a line away are returned with it, because what the linear fit took of
-    the ripple moves it. Empty where no force can be read or the motion is small.
+    The force estimated from the missing torque is summed over position and transformed; of each peak beyond
+    ``LEAST_PHASE`` the neighbours up to a line away are returned with it, because the part of the ripple that
+    the linear fit absorbed shifts it. Empty where no force can be estimated or the motion is small.
     """
     readable = [(v, v.wave(coordinate), v.remaining) for v in views if v.remaining is not None]
     angles = [angle for _, angle, _ in readable]
@@ -44,30 +45,32 @@ def ripples(views: Sequence[View], coordinate: Pattern, force: Pattern) -> list[
     low = min(float(a.min()) for a in angles)
     span = max(float(a.max()) for a in angles) - low
     # Three times the rms speed is rare: a ripple that only slow parts of the motion show in the band is not.
-    top = min(HIGHEST, 3.0 * max(float(v.omega[-1]) for v, *_ in readable) / speed)
-    if span <= 0 or top <= SLOW / size:
+    top = min(MOST_CYCLES, 3.0 * max(float(v.omega[-1]) for v, *_ in readable) / speed)
+    if span <= 0 or top <= LEAST_PHASE / size:
         return []
     width = max(2 * np.pi / (8.0 * top), span / BINS)
     bins = int(span / width) + 1
     length = next_fast_len(4 * bins, real=True)
     power = np.zeros(length // 2 + 1)
     for view, angle, remaining in readable:
-        lines = view.spread(force, remaining)
+        lines = view.distributed_force(force, remaining)
         lines[0] = 0.0
         wave = view.record.to_wave(lines)
-        summed = np.bincount(((angle - low) / width).astype(int), weights=wave, minlength=bins)
-        power += np.abs(np.fft.rfft(summed, length)) ** 2 / view.record.samples
+        force_over_position = np.bincount(((angle - low) / width).astype(int), weights=wave, minlength=bins)
+        power += np.abs(np.fft.rfft(force_over_position, length)) ** 2 / view.record.samples
     cycles = 2 * np.pi * np.arange(power.size) / (length * width)
-    return _peaks(cycles, power, SLOW / size, min(top, np.pi / width), np.pi / span)
+    return _cycles_of_peaks(cycles, power, LEAST_PHASE / size, min(top, np.pi / width), np.pi / span)
 
 
-def _peaks(cycles: Float64, power: Float64, low: float, high: float, half_line: float) -> list[float]:
+def _cycles_of_peaks(
+    cycles: Float64, power: Float64, low: float, high: float, half_line: float
+) -> list[float]:
     inside = np.flatnonzero((cycles > low) & (cycles < high))
     inside = inside[(inside > 0) & (inside < power.size - 1)]
     summit = inside[(power[inside] >= power[inside - 1]) & (power[inside] > power[inside + 1])]
-    best = summit[np.argsort(-power[summit])][:PEAKS]
+    best = summit[np.argsort(-power[summit])][:MOST_PEAKS]
     around = cycles[best][:, None] + half_line * np.arange(-2, 3)
-    return sorted({float(c) for c in around.ravel() if low < c < HIGHEST})
+    return sorted({float(c) for c in around.ravel() if low < c < MOST_CYCLES})
 
 
 def rotate_phase(amplitude: float, phase: float) -> tuple[float, float]:

@@ -1,5 +1,4 @@
-"""Laws that jump with the sign of the velocity, or bend within a sample, averaged over their samples so that
-neither aliases.
+"""Laws that jump with the sign of the velocity, averaged over their samples so that they do not alias.
 
 With the velocity linear between samples, the mean of a law over an interval is ΔΦ/Δv, Φ the law's
 antiderivative (antiderivative antialiasing); a sample gets the mean of the intervals around it. At a motor
@@ -25,9 +24,9 @@ from invid.numerics.compiled import compiled
 from invid.signals.standstill import sign_threshold
 
 ROUNDING = "rounding"
-"""Name of the further parameter that friction has in a model where its sign changes over gradually."""
-FAR = 15.0
-"""Velocity over the softness from which a sign is one: exp(−30) is beyond the digits of a float."""
+"""Name of the additional parameter of friction in a model whose sign changes gradually."""
+SATURATION = 15.0
+"""Velocity over the softness from which the sign is one (exp(−30) is below the resolution of a float)."""
 
 FOLLOWED, SEEN = 20.0, 0.5
 """Speed below which a motor is followed, over the softness of a reversal, and over the rms velocity at most.
@@ -38,12 +37,12 @@ STEPS = 33
 
 
 class DryLaw(ForceEffect):
-    """A friction law that changes over with the sign of the velocity, at once or over a range of it."""
+    """A friction law that depends on the sign of the velocity, abruptly or over a range of velocity."""
 
     answered = True
     rounding: float = 0.0
-    """Velocity over which the sign changes over, tanh(v/rounding) [rad/s or m/s]; 0: at once. No contact
-    reverses at once: creep, lubricant and the simulation of others round the corner."""
+    """Velocity over which the sign changes, tanh(v/rounding) [rad/s or m/s]; 0: abruptly. Physical: creep and
+    lubricant round the corner of every contact."""
 
     def rounded(self, velocity: float) -> Self:
         """The same law with another rounding."""
@@ -62,7 +61,7 @@ class DryLaw(ForceEffect):
         return hash((type(self), self.rounding))
 
     def softness(self, view: View, place: Place) -> float:
-        """Velocity over which the sign changes over: the rounding, or the velocity's noise if larger."""
+        """Velocity over which the sign changes: the rounding, or the velocity's noise if larger."""
         v = view.velocity(place.pattern(view.structure))
         return max(sign_threshold(v, float(view.record.velocity_noise[place.axis])), self.rounding)
 
@@ -73,13 +72,13 @@ class DryLaw(ForceEffect):
         """(n,) resistance at velocities ``v`` (n,) other than zero."""
         raise NotImplementedError
 
-    def of(self, v: Float64, soft: float, shape: Sequence[float]) -> Float64:
+    def resistance_at(self, v: Float64, soft: float, shape: Sequence[float]) -> Float64:
         """(n, L) mean resistance around each sample of velocities ``v`` (n,), each coefficient at one."""
         raise NotImplementedError
 
     def law(self, view: View, place: Place, shape: Sequence[float]) -> Float64:
         v = view.velocity(place.pattern(view.structure))
-        return self.of(v, self.softness(view, place), shape)
+        return self.resistance_at(v, self.softness(view, place), shape)
 
     def contribution(
         self, view: View, place: Place, x: Sequence[float]
@@ -91,11 +90,13 @@ class DryLaw(ForceEffect):
             mean, _ = self._balance(view, place, x)
         else:  # when it turns round hardly changes with inner motion
             key = (self, place, tuple(x), view.beside)
-            mean, _ = view.measured(key, lambda: self._balance(view, place, x))
+            mean, _ = view.cached(key, lambda: self._balance(view, place, x))
         # A mean over the two intervals around each sample.
         spread = np.sinc(view.omega * view.record.wave_step / np.pi)
         total = view.to_lines(centred(mean, view)[:, None])[:, 0] / spread
-        return view.push(pattern) * total[:, None], -view.yields(pattern) * total[:, None]
+        return view.condensed_force(pattern) * total[:, None], -view.inner_receptance(pattern) * total[
+            :, None
+        ]
 
     def _balance(self, view: View, place: Place, x: Sequence[float]) -> tuple[Float64, Float64]:
         """(n,) mean friction over the interval after each sample, and (n,) the share in which it holds."""
@@ -121,9 +122,9 @@ class DryLaw(ForceEffect):
         left = centred(drive.mean(axis=1) - mean, view)
         return follow(v + lightness * record.unseen_speed(left, axis))
 
-    def holding(self, view: View, place: Place, x: Sequence[float]) -> Float64 | None:
-        """(n,) share of each sample in which whatever acts on a motor that stands holds it; ``None`` where it
-        never stands."""
+    def holding_share(self, view: View, place: Place, x: Sequence[float]) -> Float64 | None:
+        """(n,) share of each sample in which friction balances all torques on a standing motor; ``None``
+        without standstill."""
         if not self.stands(view, place):
             return None
         return centred(self._balance(view, place, x)[1], view)
@@ -158,11 +159,11 @@ def mean_between(v: np.ndarray, phi: np.ndarray, plain: np.ndarray) -> np.ndarra
 
 
 @compiled
-def _sign(v: np.ndarray, soft: float) -> np.ndarray:
+def _mean_sign(v: np.ndarray, soft: float) -> np.ndarray:
     phi, plain = np.empty(v.size), np.empty(v.size)
     for k in range(v.size):
         u = abs(v[k]) / soft
-        near = u < FAR
+        near = u < SATURATION
         phi[k] = soft * (u + (log1p(exp(-2.0 * u)) if near else 0.0))
         size = tanh(u) if near else 1.0
         plain[k] = size if v[k] > 0 else -size
@@ -170,20 +171,20 @@ def _sign(v: np.ndarray, soft: float) -> np.ndarray:
 
 
 @compiled
-def _excess(v: np.ndarray, soft: float, width: float) -> np.ndarray:
+def _mean_excess(v: np.ndarray, soft: float, width: float) -> np.ndarray:
     phi, plain = np.empty(v.size), np.empty(v.size)
     for k in range(v.size):
         u, w = abs(v[k]) / soft, abs(v[k]) / width
         # What the sign has not reached yet where it changes over, as if the bend were one there.
-        late = soft * (log1p(exp(-2.0 * u)) if u < FAR else 0.0)
+        late = soft * (log1p(exp(-2.0 * u)) if u < SATURATION else 0.0)
         phi[k] = width * sqrt(pi) / 2 * erf(w) + late
-        size = (tanh(u) if u < FAR else 1.0) * exp(-w * w)
+        size = (tanh(u) if u < SATURATION else 1.0) * exp(-w * w)
         plain[k] = size if v[k] > 0 else -size
     return mean_between(v, phi, plain)
 
 
 @compiled
-def _clipped(d: np.ndarray, half: float) -> np.ndarray:
+def _mean_clipped(d: np.ndarray, half: float) -> np.ndarray:
     phi, plain = np.empty(d.size), np.empty(d.size)
     for k in range(d.size):
         u = abs(d[k])
@@ -193,36 +194,36 @@ def _clipped(d: np.ndarray, half: float) -> np.ndarray:
 
 
 def clip_law(d: Float64, half: float) -> Float64:
-    """(n,) the deflection, within ±half."""
-    out: Float64 = _clipped(np.ascontiguousarray(d), half)
+    """(n,) the deflection, limited to ±half."""
+    out: Float64 = _mean_clipped(np.ascontiguousarray(d), half)
     return out
 
 
 def sign_law(v: Float64, soft: float) -> Float64:
     """(n,) the sign of the velocity, tanh(v/soft)."""
-    out: Float64 = _sign(np.ascontiguousarray(v), soft)
+    out: Float64 = _mean_sign(np.ascontiguousarray(v), soft)
     return out
 
 
 def excess_law(v: Float64, soft: float, width: float) -> Float64:
     """(n,) sign(v)·exp(−(v/width)²)."""
-    out: Float64 = _excess(np.ascontiguousarray(v), soft, width)
+    out: Float64 = _mean_excess(np.ascontiguousarray(v), soft, width)
     return out
 
 
 @compiled
-def _even(v: np.ndarray, soft: float) -> np.ndarray:
+def _mean_even(v: np.ndarray, soft: float) -> np.ndarray:
     phi, plain = np.empty(v.size), np.empty(v.size)
     for k in range(v.size):
         u = v[k] / soft
-        size = tanh(u) if abs(u) < FAR else (1.0 if u > 0 else -1.0)
+        size = tanh(u) if abs(u) < SATURATION else (1.0 if u > 0 else -1.0)
         phi[k], plain[k] = v[k] - soft * size, size * size
     return mean_between(v, phi, plain)
 
 
 def even_law(v: Float64, soft: float) -> Float64:
-    """(n,) the square of the sign: one, but where it changes over."""
-    out: Float64 = _even(np.ascontiguousarray(v), soft)
+    """(n,) the square of the sign: one, except where it changes."""
+    out: Float64 = _mean_even(np.ascontiguousarray(v), soft)
     return out
 
 

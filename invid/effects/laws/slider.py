@@ -15,7 +15,7 @@ from invid.numerics.compiled import compiled
 
 
 @compiled
-def _march(x: np.ndarray, most: float, passes: int, start: float) -> np.ndarray:
+def _slide(x: np.ndarray, most: float, passes: int, start: float) -> np.ndarray:
     out = np.empty(x.size)
     z, last = start, x[0]
     for _ in range(passes):
@@ -26,30 +26,31 @@ def _march(x: np.ndarray, most: float, passes: int, start: float) -> np.ndarray:
     return out
 
 
-CLOSED = 0.01
-"""Distance between start and end, over the range of the motion, up to which a record is as good as periodic.
-A guess: of one that settled for two periods a thousandth is left, one from rest may end anywhere."""
+MOST_OPEN = 0.01
+"""Distance between start and end, over the range of the motion, up to which a record counts as periodic.
+Empirical: after two settled periods a thousandth is left; a record from rest may end anywhere."""
 
 
 def is_closed_motion(x: Float64) -> bool:
-    """Whether a motion (n,) ends where it began, so nearly that it is as good as periodic."""
-    return abs(float(x[-1] - x[0])) < CLOSED * float(np.ptp(x))
+    """Whether a motion (n,) ends so near its start that it counts as periodic."""
+    return abs(float(x[-1] - x[0])) < MOST_OPEN * float(np.ptp(x))
 
 
 def depends_on_start(x: Float64, most: float, *, periodic: bool) -> bool:
-    """Whether where a slider stood before shows in a motion (n,): one that gives way in both directions again
-    and again forgets it."""
+    """Whether a slider's initial state affects its force in a motion (n,).
+
+    One that slides in both directions again and again forgets it.
+    """
     return float(np.ptp(x)) < 2.0 * most or not (periodic or is_closed_motion(x))
 
 
 def slide(x: Float64, most: float, *, periodic: bool, start: float = 0.0) -> Float64:
-    """(n,) displacement of a slider that gives way at ``most``; the periodic state where there is one, or
-    from ``start`` (a share of ``most``).
+    """(n,) displacement of a slider that slides at ``most``: the periodic state, or from ``start``·``most``.
 
     A record that still settles a little has the state of its last period at its start, not that of rest.
     """
     passes = 2 if periodic or is_closed_motion(x) else 1
-    out: Float64 = _march(np.ascontiguousarray(x), most, passes, start * most)
+    out: Float64 = _slide(np.ascontiguousarray(x), most, passes, start * most)
     return out
 
 
@@ -82,4 +83,4 @@ class SliderEffect(ForceEffect):
     def curve(self, p: Mapping[str, float], x: Float64, stiffness: float) -> Float64:
         most = p["torque"] / p["stiffness"]
         # A path walked twice; the second time is drawn.
-        return p["stiffness"] * _march(np.ascontiguousarray(x), most, 2, 0.0)
+        return p["stiffness"] * _slide(np.ascontiguousarray(x), most, 2, 0.0)

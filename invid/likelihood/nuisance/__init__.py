@@ -1,1 +1,1 @@
-"""What is fitted beside the machine: timing, holds, transients, initial states, reversals."""
+"""Nuisances that are fitted beside the machine: timing, holds, transients, initial states, reversals."""

@@ -1,4 +1,4 @@
-"""Coulomb friction at the motors as a column of the fit: the spectrum of the sign of the velocity."""
+"""Coulomb friction at the motors as a column of the fit: the spectrum of the velocity's sign."""
 
 from __future__ import annotations
 
@@ -35,16 +35,16 @@ def motor_velocity(s: LineSpectra) -> tuple[Float64, Float64]:
 
 
 def coulomb_columns(s: LineSpectra) -> tuple[Complex128, Bool]:
-    """(F, M) spectrum of sign(velocity) of each motor on all lines, and (M,) whether it moves clearly.
+    """(F, M) spectrum of the sign of each motor's velocity, and (M,) whether it moves significantly.
 
-    From the position alone: ``nuisance.reversals`` finds the reversals better once there is a model.
+    From the position alone; ``nuisance.reversals`` finds the reversals better once there is a model.
     """
     sign, moves = velocity_signs(s)
     return sign_spectrum(s, sign), moves
 
 
 def velocity_signs(s: LineSpectra) -> tuple[Float64, Bool]:
-    """(n, M) mean sign of each motor's velocity over each sample, and (M,) whether it moves clearly."""
+    """(n, M) mean sign of each motor's velocity over each sample, and (M,) whether it moves significantly."""
     velocity, noise = motor_velocity(s)
     rms = np.sqrt(np.mean(velocity**2, axis=0))
     smooth = np.maximum(2.0 * noise, 1e-3 * np.maximum(rms, 1e-300))

@@ -1,8 +1,8 @@
-"""Coulomb friction that turns round gradually: the width of the sign that the records ask for.
+"""Coulomb friction that reverses gradually: the width of the sign that fits the records best.
 
-Real joints turn their friction over within some mrad/s, and an axis that creeps or rests between moves spends
+Real joints reverse their friction within some mrad/s, and an axis that creeps or rests between moves spends
 much of its time there: a sharp sign then puts the whole friction on the wrong side. The column of an axis
-becomes tanh(v/w); w is the width at which the fit, linear about where it stands, leaves least.
+becomes tanh(v/w) with the width w of lowest cost in the linearised fit.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 
 from invid.likelihood.levenberg_marquardt import Solution, gauss_newton
 from invid.likelihood.nuisance.friction_columns import mean_sign, motor_velocity, sign_spectrum
-from invid.likelihood.nuisance.torque_lags import COULOMB, LAG_PAYS, NOISE_LIKE
+from invid.likelihood.nuisance.torque_lags import COULOMB, LAG_FACTOR, NOISE_LIKE
 from invid.likelihood.records import add_columns, used_lines
 from invid.likelihood.residual import MissingTorqueProblem
 from invid.numerics import budget
@@ -22,16 +22,16 @@ from invid.numerics.whitening import stack
 from invid.signals.spectra import LineSpectra
 
 NARROWEST, WIDEST, STEPS = 1e-3, 0.3, 11
-"""Widths that are tried, as shares of the rms velocity, and how many: narrower ones are sharp for every law,
-wider ones are viscous friction; two neighbours differ by less than a factor of two."""
+"""Widths that are tried, over the rms velocity, and their number. Physical: narrower ones are sharp for every
+law, wider ones are viscous friction; neighbours differ by less than a factor of two."""
 
 
 def fit_gradual_reversals(
     problem: MissingTorqueProblem, solution: Solution, spectra: Sequence[LineSpectra]
 ) -> tuple[MissingTorqueProblem, Solution]:
-    """The problem with friction that turns within a width of its own on each axis, and its solution.
+    """Problem and solution with friction that reverses within a width of its own on each axis.
 
-    As it came where the fit stands at its noise, or where χ² does not fall by the factor that a lag must pay.
+    Unchanged where the fit is at its noise, or where χ² does not fall by the factor that a lag must reach.
     """
     if solution.reduced < NOISE_LIKE:
         return problem, solution
@@ -41,23 +41,24 @@ def fit_gradual_reversals(
         for k, n in enumerate(problem.column_names)
         if n.endswith(COULOMB)
     ]
-    wider, found = problem, solution
+    larger, found = problem, solution
     for k, axis in places:
         if budget.is_left_out("how gradually friction turns over"):
             break
-        best = _best_width(wider, found, spectra, k, axis)
+        best = _best_width(larger, found, spectra, k, axis)
         if best is not None:
-            wider = add_columns(wider, best, wider.column_names)
-            found = gauss_newton(wider, found.p)
-    if wider is problem or solution.chi2 < LAG_PAYS * found.chi2:
+            larger = add_columns(larger, best, larger.column_names)
+            found = gauss_newton(larger, found.p)
+    if larger is problem or solution.chi2 < LAG_FACTOR * found.chi2:
         return problem, solution
-    return wider, found
+    return larger, found
 
 
 def _best_width(
     problem: MissingTorqueProblem, solution: Solution, spectra: Sequence[LineSpectra], column: int, axis: int
 ) -> list[Complex128] | None:
-    """Columns of all blocks with the width of an axis' friction that leaves least; None where it is now's."""
+    """Columns of all blocks with the best width of an axis' friction; ``None`` where the present one is
+    best."""
     residual, jacobian = problem.evaluate(solution.p)
     place = problem.slices["column"].start + column
     if not problem.free[place]:
@@ -65,18 +66,18 @@ def _best_width(
     at = int(np.count_nonzero(problem.free[:place]))
     others = np.delete(jacobian, at, axis=1)
     basis, _ = np.linalg.qr(others / np.maximum(np.linalg.norm(others, axis=0), 1e-300))
-    # Without this friction, and with all else free to follow.
-    bare = residual - jacobian[:, at] * solution.p[place]
-    bare = bare - basis @ (basis.T @ bare)
+    # The residual without this friction, with everything else refitted.
+    without_friction = residual - jacobian[:, at] * solution.p[place]
+    without_friction = without_friction - basis @ (basis.T @ without_friction)
 
-    def left(direction: Float64) -> float:
+    def cost_with(direction: Float64) -> float:
         own = direction - basis @ (basis.T @ direction)
         size = float(own @ own)
-        gain = float(own @ bare) ** 2 / size if size > 0 else 0.0
-        return float(bare @ bare) - gain
+        gain = float(own @ without_friction) ** 2 / size if size > 0 else 0.0
+        return float(without_friction @ without_friction) - gain
 
     states = problem.states(solution.p)
-    best, least = None, left(jacobian[:, at])
+    best, least_cost = None, cost_with(jacobian[:, at])
     velocities = [motor_velocity(s)[0][:, axis] for s in spectra]
     rms = float(np.sqrt(np.mean(np.concatenate(velocities) ** 2)))
     for width in rms * np.geomspace(NARROWEST, WIDEST, STEPS):
@@ -90,10 +91,10 @@ def _best_width(
             white = stack(state.root @ part[..., None])[:, 0]
             rows.append(white - state.basis @ (state.basis.T @ white))
             waves.append(wave)
-        rows.append(np.zeros(residual.size - sum(r.size for r in rows)))  # what is known beforehand
-        cost = left(np.concatenate(rows))
-        if cost < least:
-            least, best = cost, waves
+        rows.append(np.zeros(residual.size - sum(r.size for r in rows)))  # rows of the priors
+        cost = cost_with(np.concatenate(rows))
+        if cost < least_cost:
+            least_cost, best = cost, waves
     if best is None:
         return None
     columns = []

@@ -1,8 +1,8 @@
-"""Holds whose share inside their drive the data may or may not tell: a nuisance of every joint fit.
+"""Holds whose share inside their drive the data may not determine: a nuisance of every joint fit.
 
-A hold −(P + jωD)θ that works inside its drive acts half a sample before one that is held over the sample
-with the command. Recorded as one torque, the two differ by a viscous friction of P·h/2 and a motor inertia
-of D·h/2, to first order. Where nothing tells which it is, the share that works inside is a parameter.
+A hold −(P + jωD)θ that works inside its drive acts half a sample before one that is held over the sample with
+the command. Recorded as one torque, the two differ by a viscous friction of P·h/2 and a motor inertia of
+D·h/2, to first order. Where nothing tells which it is, the share that works inside is a parameter.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from invid.signals.smooth_command import find_smooth_hold
 from invid.signals.spectra import LineSpectra
 
 SHARES = (-0.1, 1.1)
-"""Bounds of a share: none to all, and a tenth for gains that are not quite those of the law."""
+"""Bounds of a share: none to all, and a tenth more for gains that differ from those of the law."""
 
 
 @dataclass(frozen=True)
 class InsideHold:
-    """A hold of an axis, the share of which that works inside the drive is a parameter, known to ± ½."""
+    """A hold of an axis whose share inside the drive is a parameter with a standard deviation of ½."""
 
     axis: int
     stiffness: float
@@ -34,13 +34,13 @@ class InsideHold:
     damping: float
     """D [torque per velocity]."""
     expected: float
-    """Share before the data are asked."""
+    """Mean of the prior of the share."""
     records: frozenset[str]
     """Keys of the experiments in which it works."""
 
     @property
     def name(self) -> str:
-        """Of the parameter."""
+        """Name of the parameter."""
         if self.damping == 0.0:
             return "stiffness_inside"
         return "hold_inside" if self.stiffness else "damping_inside"
@@ -53,10 +53,10 @@ class InsideHold:
 def find_inside_holds(
     spectra: Sequence[LineSpectra], model: Model, recording: Recording, *, with_command: bool
 ) -> tuple[InsideHold, ...]:
-    """The holds of a recording; none where the demand is logged beside them (``with_command``).
+    """The holds of a recording; empty where the demand is logged beside them (``with_command``).
 
-    A hold that a record shows alone has the law read there. One that no record shows has gains between none
-    and those it may well have, each for itself.
+    The law of a hold that a record shows alone is read there. The gains of one that no record shows are
+    parameters between zero and their plausible values.
     """
     if with_command:
         return ()
@@ -69,12 +69,13 @@ def find_inside_holds(
         share = 0.5 if late is None else -2.0 * float(late) / step
         # Without effects the identification may find a time that no hold has: an effect's doing.
         expected = share if SHARES[0] <= share <= SHARES[1] else 0.5
-        out.append(InsideHold(i, stiffness, damping, expected, _working(recording, spectra, i)))
+        out.append(InsideHold(i, stiffness, damping, expected, _experiments_with_hold(recording, spectra, i)))
     return tuple(out) + unseen_holds(spectra, model, recording, {h.axis for h in out})
 
 
-def _working(recording: Recording, spectra: Sequence[LineSpectra], axis: int) -> frozenset[str]:
-    """Experiments in which the hold of an axis may work: not where it is free or follows a demand."""
+def _experiments_with_hold(recording: Recording, spectra: Sequence[LineSpectra], axis: int) -> frozenset[str]:
+    """Keys of the experiments in which the hold of an axis may work: not where it is free or follows a
+    demand."""
     free = {e.key for e in recording.experiments if e.hold_gain[axis] == 0.0}
     return frozenset(
         s.key for s in spectra if not s.driven[axis] or (s.key not in free and s.staircase[axis] != 1.0)
@@ -82,11 +83,11 @@ def _working(recording: Recording, spectra: Sequence[LineSpectra], axis: int) ->
 
 
 HOLD_BAND = 4.0
-"""Frequency up to which a hold of unknown gain may reach, over that where the excitation begins. A guess:
-excitation that lies deeper inside a hold's band only fights the hold."""
-BEGUN = 0.02
-"""Share of the torque's power below which the excitation has not begun: what is not periodic leaks below. A
-guess."""
+"""Highest frequency of a hold of unknown gain, over the first excited one. Empirical: excitation deeper
+inside a hold's band only works against the hold."""
+LEAST_EXCITATION = 0.02
+"""Share of the torque's power below which the excitation has not begun; what is not periodic leaks below
+(empirical)."""
 
 
 def unseen_holds(
@@ -96,7 +97,7 @@ def unseen_holds(
 
     ``seen``: axes of which a record shows it. Of the others those count whose hold the identification left
     open or placed inside the drive. Their gains are read off the command where that is smooth over frequency;
-    else P is that of the recording or, where the hold is inside the drive, as stiff as it may well be, and D
+    else P is that of the recording or, where the hold is inside the drive, the stiffest plausible one, and D
     that of a critically damped one.
     """
     out = []
@@ -110,17 +111,17 @@ def unseen_holds(
         if not held or any(s.staircase[i] == 1.0 for s in spectra):
             continue
         total = float(model.chains.masses[i].sum())
-        bound = total * (HOLD_BAND * _begins(spectra, i)) ** 2 if declared is None else declared
+        bound = total * (HOLD_BAND * _first_frequency(spectra, i)) ** 2 if declared is None else declared
         law = (bound, 2.0 * float(np.sqrt(bound * total)))
-        read = find_smooth_hold(spectra, i) if declared is None else None
-        if read is not None:
-            # P is told by the lowest lines alone, where chirps ripple; holds are damped by half and more.
-            law = max(read[0], read[1] ** 2 / total), read[1]
+        gains = find_smooth_hold(spectra, i) if declared is None else None
+        if gains is not None:
+            # P follows from the lowest lines alone, where chirps ripple; holds have a damping ratio above ½.
+            law = max(gains[0], gains[1] ** 2 / total), gains[1]
         # A gain that the file states is the master's, by the contract: held over the sample as its command.
         expected = 0.5 if declared is None else 0.0
-        keys = _working(recording, spectra, i)
-        if read and inside:
-            out.append(InsideHold(i, *read, 1.0, keys))
+        keys = _experiments_with_hold(recording, spectra, i)
+        if gains and inside:
+            out.append(InsideHold(i, *gains, 1.0, keys))
             continue
         out.append(InsideHold(i, law[0], 0.0, expected, keys))
         out.append(InsideHold(i, 0.0, law[1], expected, keys))
@@ -128,18 +129,18 @@ def unseen_holds(
 
 
 def driven_hold(recording: Recording, axis: int) -> tuple[bool, float | None]:
-    """Whether a hold may work while an axis is driven, and its gain as declared: the stiffest, if any."""
+    """Whether a hold may work while an axis is driven, and its largest declared gain, if any."""
     gains = np.array([e.hold_gain[axis] for e in recording.experiments if e.excited_axis in (axis, -1)])
     declared = gains[np.isfinite(gains) & (gains > 0)]
     held = bool((np.isnan(gains) | (gains > 0)).any())
     return held, float(declared.max()) if declared.size else None
 
 
-def _begins(spectra: Sequence[LineSpectra], axis: int) -> float:
-    """Frequency [rad/s] at which the excitation of an axis begins, in the record where it is lowest."""
+def _first_frequency(spectra: Sequence[LineSpectra], axis: int) -> float:
+    """Lowest frequency [rad/s] at which the excitation of an axis begins."""
     lowest = []
     for s in spectra:
         if s.excited.any() and s.driven[axis]:
             power = np.cumsum(np.abs(s.torque[s.excited, axis]) ** 2)
-            lowest.append(float(s.omega[s.excited][np.searchsorted(power, BEGUN * power[-1])]))
+            lowest.append(float(s.omega[s.excited][np.searchsorted(power, LEAST_EXCITATION * power[-1])]))
     return min(lowest, default=0.0)

@@ -24,22 +24,22 @@ from invid.signals.smooth_command import find_smooth_hold
 from invid.signals.spectra import LineSpectra
 
 INSIDE = "inside the drive"
-"""How the statement begins that a hold acts before its command."""
+"""Beginning of the statement that a hold acts inside the drive."""
 OPEN = (".open_hold.stiffness", ".open_hold.damping")
-"""Endings of the names of the gains of a hold of which nothing tells where it works."""
+"""Endings of the names of the gains of a hold of unknown location."""
 
 
 def locate_holds(
     problem: MissingTorqueProblem, solution: Solution, spectra: Sequence[LineSpectra]
 ) -> tuple[MissingTorqueProblem, Solution, dict[str, str]]:
-    """What the holds do while their axis is driven, where no recorded demand tells.
+    """The fit with each hold placed inside the drive, with the command, or open, and the statements about it.
 
-    Two cells give the same data: (a) hold and command are held over the sample alike; (b) the hold
-    runs inside the drive, continuous, beside a command held over the sample, and then acts half a
-    sample earlier. With hold gains P, D they differ by a viscous friction P·h/2 and a motor inertia
-    D·h/2, exactly (less where the drive's loop is slow). Friction tells them apart: where it is zero
-    with (a), or on all axes with one common earliness, that is taken; where neither, the half sample
-    stays open and its effect goes into the covariance.
+    Two cells give the same data: (a) hold and command are held over the sample alike; (b) the hold runs
+    inside the drive, continuous, beside a command held over the sample, and then acts half a sample earlier.
+    With hold gains P, D they differ by a viscous friction P·h/2 and a motor inertia D·h/2, exactly (less
+    where the drive's loop is slow). Friction tells them apart: where it is zero with (a), or on all axes with
+    one common lead, that is taken; otherwise the half sample stays open and its effect goes into the
+    covariance.
     """
     structure = problem.structure
     names = [hold_offset(structure.axes[i]) for i in driven_and_held(spectra)]
@@ -47,24 +47,24 @@ def locate_holds(
     step = 1.0 / spectra[0].sample_rate_hz
     spread = parameter_std(solution)
     at = {name: k for k, name in enumerate(problem.names)}
-    open_axes, decided = [], {}
+    open_axes, statements = [], {}
     for i, name in zip(driven_and_held(spectra), names, strict=True):
         if i not in laws or any(s.staircase[i] == 1.0 for s in spectra):
             continue
         offset, error = solution.p[at[name]], spread[at[name]]
         if abs(offset) > max(4.0 * error, 0.1 * step):
-            decided[structure.axes[i]] = "hold and command act at different times; no hold while driven"
+            statements[structure.axes[i]] = "hold and command act at different times; no hold while driven"
             continue
         open_axes.append(i)
     if not open_axes:
-        return problem, solution, decided
+        return problem, solution, statements
     motors = np.array(open_axes)
     viscous = np.array([solution.p[structure.slices["viscous"].start + i] for i in motors])
     error = np.array([spread[structure.slices["viscous"].start + i] for i in motors])
     shift = np.array([laws[i][0] * step / 2 for i in motors])
     if np.all(shift < error):
-        return problem, solution, decided
-    early = 2.0 / step * shift  # viscous friction a second of earliness looks like
+        return problem, solution, statements
+    early = 2.0 / step * shift  # viscous friction that looks like a lead of one second
     without = float(np.sum((viscous / error) ** 2))
     common = float(np.sum(viscous * early / error**2) / np.sum((early / error) ** 2))
     common_error = float(1.0 / np.sqrt(np.sum((early / error) ** 2)))
@@ -78,13 +78,13 @@ def locate_holds(
     values = structure.physical(solution.p[: structure.count])
     alias = [float(laws[i][1] * step**2 / 12.0 / values[structure.motor_dofs[i]]) for i in open_axes]
 
-    def known(mean: float, std: float) -> dict[str, tuple[float, float]]:
+    def priors_for(mean: float, std: float) -> dict[str, tuple[float, float]]:
         return {name: (mean, float(np.hypot(std, a))) for name, a in zip(fixed, alias, strict=True)}
 
     if without < limit:
-        priors = {**problem.priors, **known(0.0, 1e-3 * step)}
+        priors = {**problem.priors, **priors_for(0.0, 1e-3 * step)}
         text = "as the command, held over the sample"
-        freed = replace(problem, priors=priors)
+        located = replace(problem, priors=priors)
     else:
         holds = {i: laws[i] for i in open_axes}
         blocks = problem_from_spectra(
@@ -95,15 +95,15 @@ def locate_holds(
             for new, old in zip(blocks, problem.blocks, strict=True)
         )
         if within < tight and 0.0 < common < 0.55 * step:
-            found, text = known(-common, common_error), f"{INSIDE}, {common:.3g} s before the command"
+            found, text = priors_for(-common, common_error), f"{INSIDE}, {common:.3g} s before the command"
         else:
-            found, text = known(-step / 4, step / 4), "open: inside the drive or held over the sample"
-        freed = replace(problem, blocks=blocks, priors={**problem.priors, **found})
-    decided |= {structure.axes[i]: text for i in open_axes}
+            found, text = priors_for(-step / 4, step / 4), "open: inside the drive or held over the sample"
+        located = replace(problem, blocks=blocks, priors={**problem.priors, **found})
+    statements |= {structure.axes[i]: text for i in open_axes}
     start = solution.p.copy()
     for name in fixed:
-        start[at[name]] = freed.priors[name][0]
-    return freed, gauss_newton(freed, start), decided
+        start[at[name]] = located.priors[name][0]
+    return located, gauss_newton(located, start), statements
 
 
 def free_hold_locations(
@@ -138,7 +138,7 @@ def free_hold_locations(
     at = {name: k for k, name in enumerate(problem.names)}
     laws: dict[int, tuple[float, float]] = {}
     seen: set[int] = set()
-    rubs: dict[int, tuple[float, float, float]] = {}
+    frictions: dict[int, tuple[float, float, float]] = {}
     for i, (dof, size) in enumerate(zip(structure.motor_dofs, structure.sizes, strict=True)):
         known = any(s.staircase[i] == 1.0 or s.hold_torque is not None for s in spectra)
         if known or not structure.viscous or structure.axes[i] in placed:
@@ -146,29 +146,29 @@ def free_hold_locations(
         half = 0.5 / min(s.sample_rate_hz for s in spectra)
         friction = float(values[first + i])
         error = float(spread[first + i]) if np.isfinite(spread[first + i]) else 0.0
-        said = np.array([s.hold_gain[i] for s in spectra if s.hold_gain.size > i and s.driven[i]])
+        stated = np.array([s.hold_gain[i] for s in spectra if s.hold_gain.size > i and s.driven[i]])
         law = find_smooth_hold(spectra, i)
         if law is None:
-            if not np.any(np.isnan(said) | (said > 0)):
+            if not np.any(np.isnan(stated) | (stated > 0)):
                 continue
             # One standard deviation of friction above none: a small P still comes with a D that counts.
-            gain = float(np.nanmax(said)) if np.any(said > 0) else (max(friction, 0.0) + error) / half
+            gain = float(np.nanmax(stated)) if np.any(stated > 0) else (max(friction, 0.0) + error) / half
             if gain <= 0:
                 continue
             law = gain, 2.0 * float(np.sqrt(gain * values[dof : dof + size].sum()))
         else:
             seen.add(i)
         laws[i] = law
-        rubs[i] = friction, error, law[0] * half
-    together = are_holds_sampled(list(rubs.values()))
+        frictions[i] = friction, error, law[0] * half
+    are_sampled = are_holds_sampled(list(frictions.values()))
     gains: dict[int, tuple[float, float]] = {}
     shares: dict[int, float] = {}
-    common = common_early_share([rubs[i] for i in rubs if i in seen])
-    for i, (friction, error, whole) in rubs.items():
+    common = common_early_share([frictions[i] for i in frictions if i in seen])
+    for i, (friction, error, whole) in frictions.items():
         # Where it acts, the hold's P makes friction of at most what there is: it bounds the share of the
         # half sample. Below a half of it, friction that does not stand out of its error speaks for none.
         share = min(1.0, (friction + 3.0 * error) / whole)
-        if friction < 3.0 * error and (together or share < 0.5):
+        if friction < 3.0 * error and (are_sampled or share < 0.5):
             continue
         gains[i] = laws[i]
         shares[i] = share if common is None or i not in seen else common[0]
@@ -186,12 +186,12 @@ def free_hold_locations(
     for block, s in zip(problem.blocks, spectra, strict=True):
         part = np.zeros((block.omega.size, structure.motors, len(names)), dtype=complex)
         jw, half = 1j * block.omega, block.step / 2
-        smear = block.folding.smear
+        loss = block.folding.zoh_loss
         for number, i in enumerate(gains):
             if not s.driven[i]:
                 continue
             late = solution.p[at[f"{structure.axes[i]}.time_offset"]]
-            command = np.exp(-jw * late) * (1.0 - shares[i] * smear)
+            command = np.exp(-jw * late) * (1.0 - shares[i] * loss)
             acting = (np.exp(-jw * (late - shares[i] * half)) - command) * block.position[:, i]
             part[:, i, 2 * number] = acting
             part[:, i, 2 * number + 1] = jw * acting
@@ -210,11 +210,12 @@ def free_hold_locations(
 
 
 def gains_beyond_range(problem: MissingTorqueProblem, solution: Solution) -> dict[int, float]:
-    """Parameters that are gains of an open hold and left their range, and the end of it that they crossed.
+    """Gains of open holds that left their range, by parameter number, with the end of the range that they
+    crossed.
 
-    A gain is none below zero, nor more than the whole gain, twice its mean. Where it goes there, something
-    that the model lacks (friction that turns round gradually) bends it, as it would bend the motor's mass:
-    that came out 9 to 24 % too large under holds of a negative damping.
+    A gain is at least zero and at most the whole gain, twice its mean. Beyond, something that the model lacks
+    (gradual reversals of friction) biases it, and would bias the motor's mass as well: empirical, 9 to 24 %
+    too large with holds of a negative damping.
     """
     out = {}
     for k, name in enumerate(problem.names):
@@ -227,18 +228,18 @@ def gains_beyond_range(problem: MissingTorqueProblem, solution: Solution) -> dic
 
 
 def common_early_share(axes: Sequence[tuple[float, float, float]]) -> tuple[float, float] | None:
-    """Share of half a sample by which holds act early on all axes alike, with its standard deviation.
+    """Common share of half a sample by which the holds of all axes act early, with its standard deviation.
 
-    ``axes`` as in ``are_holds_sampled``. ``None`` of a single axis, where friction is not the same share of
-    P·h/2 on all of them (wrong once in 370), where it is no more than its error, or more than holds make.
+    ``axes`` as in ``are_holds_sampled``. ``None`` for a single axis, where friction is not the same share of
+    P·h/2 on all axes (statistical: wrong once in 370), where it is not significant, or more than holds cause.
     """
     if len(axes) < 2 or any(error <= 0 for _, error, _ in axes):
         return None
     friction, error, whole = np.array(axes).T
     weight = float(np.sum((whole / error) ** 2))
     share, std = float(np.sum(friction * whole / error**2)) / weight, 1.0 / float(np.sqrt(weight))
-    apart = float(np.sum(((friction - share * whole) / error) ** 2))
-    if apart > chi2_isf(0.0027, len(axes) - 1) or share < 3.0 * std or share > 1.0 + 3.0 * std:
+    chi2 = float(np.sum(((friction - share * whole) / error) ** 2))
+    if chi2 > chi2_isf(0.0027, len(axes) - 1) or share < 3.0 * std or share > 1.0 + 3.0 * std:
         return None
     return share, std
 
@@ -247,18 +248,18 @@ def are_holds_sampled(axes: Sequence[tuple[float, float, float]]) -> bool:
     """Whether viscous friction is too small on all axes together for holds that run inside the drives.
 
     ``axes`` gives each axis' viscous friction, its standard deviation, and P·h/2, which a hold inside the
-    drive looks like. Its loop runs at least twice a sample and acts half of that earlier at the least.
-    Friction is none below zero, so a negative one (friction that the model lacks) counts as none. Wrong once
-    in 740: three standard deviations, one-sided, as for one axis; of several, each is short by chance in
-    half the cases.
+    drive looks like. Its loop runs at least twice a sample and acts at least half of that earlier. Friction
+    is not negative, so a negative one (friction that the model lacks) counts as zero. Statistical: wrong once
+    in 740, three standard deviations, one-sided; of several axes, each is too small by chance in half the
+    cases.
     """
-    short = sum(
+    shortfall = sum(
         (max(0.5 * whole - max(friction, 0.0), 0.0) / error) ** 2 if error > 0 else np.inf
         for friction, error, whole in axes
         if whole > 0
     )
     count = len(axes)
-    if short <= 0:
+    if shortfall <= 0:
         return False
-    chance = sum(comb(count, k) / 2.0**count * chi2_sf(short, k) for k in range(1, count + 1))
+    chance = sum(comb(count, k) / 2.0**count * chi2_sf(shortfall, k) for k in range(1, count + 1))
     return chance < normal_sf(3.0)

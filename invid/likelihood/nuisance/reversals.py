@@ -1,10 +1,10 @@
-"""When a motor turns round, and when it stands: position and torque together tell.
+"""When a motor reverses and when it stands, from position and torque together.
 
-Below some 20 Hz the encoder knows the velocity, above it the torque does, through the motor's inertia. With
-the position alone the instants of slow reversals were off by milliseconds (18 bits, 1 kHz): Coulomb friction
-came out 1.5 % too large, viscous friction negative by two to four of its standard deviations, motor masses
-one of theirs too small (``bench_identify.py --case friction``). The fusion is that of the fit, the projected
-position Θ̂ = Θ − C_Θr C_r⁻¹ r, on every line of the record.
+Below some 20 Hz the encoder determines the velocity, above it the torque does, through the motor's inertia.
+With the position alone the instants of slow reversals were off by milliseconds (18 bits, 1 kHz): Coulomb
+friction came out 1.5 % too large, viscous friction negative by two to four of its standard deviations, motor
+masses one of theirs too small (``bench_identify.py --case friction``). The fusion is that of the fit, the
+projected position Θ̂ = Θ − C_Θr C_r⁻¹ r, on every line of the record.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from invid.likelihood.excess_variance import SIGNIFICANT, WINDOW
 from invid.likelihood.levenberg_marquardt import Solution, gauss_newton
 from invid.likelihood.nuisance.friction_columns import sign_spectrum, velocity_signs
 from invid.likelihood.nuisance.torque_channel import Block, channel_torque
-from invid.likelihood.nuisance.torque_lags import COULOMB, COULOMB_SIGMA, LAG_PAYS, NOISE_LIKE
+from invid.likelihood.nuisance.torque_lags import COULOMB, COULOMB_SIGMA, LAG_FACTOR, NOISE_LIKE
 from invid.likelihood.records import add_columns, used_lines
 from invid.likelihood.residual import MissingTorqueProblem, condense_dense
 from invid.model.transient_terms import end_columns, end_forces, end_points
@@ -27,23 +27,24 @@ from invid.numerics import budget
 from invid.numerics.arrays import Bool, Complex128, Float64
 from invid.signals.spectra import LineSpectra
 
-AT_ONCE = 2048
-"""Lines condensed at once: bounds the memory of long records."""
-TURNS = 5
-"""Most fits with reversals found anew (empirical: two where motors hardly stand)."""
+LINES_AT_ONCE = 2048
+"""Lines condensed at once, which bounds the memory of long records."""
+MOST_FITS = 5
+"""Most fits with new reversals (empirical: two where motors hardly stand)."""
 ROUNDS = 3
-"""Rounds in which reversals and velocity are found from each other (empirical, virtual cells: more change
+"""Rounds in which reversals and velocity are computed from each other (empirical, virtual cells: more change
 nothing)."""
-SLOW = 4.0
-"""Standard deviations of the velocity within which its sign is not believed (wrong once in 30 000)."""
+SIGN_SIGMA = 4.0
+"""Standard deviations of the velocity within which its sign is not known (statistical: wrong once in 30
+000)."""
 
 
 def fit_sharp_reversals(
     problem: MissingTorqueProblem, solution: Solution, spectra: Sequence[LineSpectra]
 ) -> tuple[MissingTorqueProblem, Solution]:
-    """The problem with friction that turns where position and torque together put it, and its solution.
+    """Problem and solution with friction that reverses where position and torque together say.
 
-    In turns with the fit, from reversals that the position alone told, as long as χ² falls by a hundredth.
+    Reversals and fit alternate, from reversals of the position alone, as long as χ² falls by a hundredth.
     """
     places = [
         (k, problem.structure.axes.index(n.removesuffix(COULOMB)))
@@ -53,13 +54,13 @@ def fit_sharp_reversals(
     plain = problem, solution
     guesses = [velocity_signs(s) for s in spectra]
     signs = [sign for sign, _ in guesses]
-    for _ in range(TURNS):
+    for _ in range(MOST_FITS):
         if budget.is_spent():
             break
         size = np.zeros(problem.structure.motors)
         first, spread = problem.slices["column"].start, parameter_std(solution)
         for k, i in places:
-            # Friction that will leave the fit has no reversals to find.
+            # Friction that is not significant will leave the fit.
             if solution.p[first + k] > COULOMB_SIGMA * spread[first + k]:
                 size[i] = float(solution.p[first + k])
         if not np.any(size):
@@ -73,7 +74,7 @@ def fit_sharp_reversals(
             whole = whole_block(state.block, s)
             key = whole.omega.tobytes()
             if key not in plants:
-                plants = {key: _condensed(problem, solution.p, whole.omega)}
+                plants = {key: _condense_lines(problem, solution.p, whole.omega)}
             found = fuse_record(problem, solution.p, whole, state.ends, *plants[key])
             periodic = not s.transient or s.periods > 1
             signs[number] = reversal_signs(found, s, signs[number], size * moves, inertia, periodic=periodic)
@@ -83,22 +84,22 @@ def fit_sharp_reversals(
                 if moves[i] and size[i] > 0:
                     part[:, i, k] = spectrum[:, i]
             columns.append(part)
-        sharper = add_columns(problem, columns, problem.column_names)
-        refitted = gauss_newton(sharper, solution.p)
+        refined = add_columns(problem, columns, problem.column_names)
+        refitted = gauss_newton(refined, solution.p)
         before = solution.chi2
         if refitted.chi2 < before:
-            problem, solution = sharper, refitted
+            problem, solution = refined, refitted
         if refitted.chi2 > 0.99 * before:
             break
-    # As for lags of torque channels: what the model lacks bends towards anything a little.
-    if solution.reduced > NOISE_LIKE and plain[1].chi2 < LAG_PAYS * solution.chi2:
+    # As for lags of torque channels: unmodelled effects make any further parameter a little better.
+    if solution.reduced > NOISE_LIKE and plain[1].chi2 < LAG_FACTOR * solution.chi2:
         return plain
     return problem, solution
 
 
 @dataclass(frozen=True, eq=False)
 class FusedRecord:
-    """What a record says on all its lines but for Coulomb friction.
+    """A record on all its lines without Coulomb friction.
 
     ``missing`` (L, M) is the missing torque without it, ``stiffness`` (L, M, M) Z, ``noise`` (L, M) the noise
     power of the positions and ``other`` (L, M) that of the torques.
@@ -119,8 +120,11 @@ def fuse_record(
     motion: Complex128,
     stiffness: Complex128,
 ) -> FusedRecord:
-    """A record, as the block ``whole`` of all its lines, under parameters ``p`` and boundary terms
-    ``ends``; W and Z are ``motion`` (L, ΣN, M) and ``stiffness`` (L, M, M)."""
+    """A record, as the block ``whole`` of all its lines, under parameters ``p`` (n,) and boundary terms
+    ``ends``.
+
+    W and Z are ``motion`` (L, ΣN, M) and ``stiffness`` (L, M, M).
+    """
     structure = problem.structure
     motors, lines = structure.motors, whole.omega.size
     sp = p[problem.slices["structure"]]
@@ -129,8 +133,8 @@ def fuse_record(
     effective[:, np.arange(motors), np.arange(motors)] -= channel.hold
     missing = np.einsum("fij,fj->fi", effective, whole.position) - channel.factor * whole.torque
     missing -= np.einsum("fij,fj->fi", stiffness, channel.folded @ structure.inertance(sp))
-    for low in range(0, lines if whole.transient else 0, AT_ONCE):
-        part = slice(low, min(low + AT_ONCE, lines))
+    for low in range(0, lines if whole.transient else 0, LINES_AT_ONCE):
+        part = slice(low, min(low + LINES_AT_ONCE, lines))
         forces = end_forces(structure, sp, whole.omega[part], whole.span)
         points = end_points(whole.omega[part], whole.step, whole.span, ends_in=whole.ends_in)
         missing[part] += end_columns(structure, motion[part], effective[part], forces, points) @ ends
@@ -138,11 +142,15 @@ def fuse_record(
     return FusedRecord(whole.omega, missing, effective, whole.noise[:, :motors], other)
 
 
-def _condensed(problem: MissingTorqueProblem, p: Float64, omega: Float64) -> tuple[Complex128, Complex128]:
-    """W and Z of all lines, a part at a time."""
+def _condense_lines(
+    problem: MissingTorqueProblem, p: Float64, omega: Float64
+) -> tuple[Complex128, Complex128]:
+    """W (L, ΣN, M) and Z (L, M, M) of all lines, computed in parts."""
     parts = [
-        condense_dense(problem.structure, p[problem.slices["structure"]], omega[low : low + AT_ONCE])[:2]
-        for low in range(0, omega.size, AT_ONCE)
+        condense_dense(problem.structure, p[problem.slices["structure"]], omega[low : low + LINES_AT_ONCE])[
+            :2
+        ]
+        for low in range(0, omega.size, LINES_AT_ONCE)
     ]
     return np.concatenate([w for w, _ in parts]), np.concatenate([z for _, z in parts])
 
@@ -159,7 +167,7 @@ def reversal_signs(
     """(n, M) Coulomb friction over its size around each sample: the velocity's sign where a motor moves.
 
     ``sign`` is a first guess. ``friction`` (M,) is the size of the friction, zero for a motor that has none
-    or does not move (its column is returned as it came), ``inertia`` (M,) that of the motors.
+    or does not move (its column is returned unchanged), ``inertia`` (M,) that of the motors.
     """
     wave = np.asarray(s.position_wave)
     count, motors = wave.shape
@@ -177,22 +185,22 @@ def reversal_signs(
     diagonal = np.arange(motors)
     floor[:, diagonal, diagonal] += found.other
     for _ in range(ROUNDS):
-        rubbing = np.fft.rfft(sign, axis=0)[lines] * (2.0 / count) * friction
-        missing = found.missing + rubbing
+        friction_lines = np.fft.rfft(sign, axis=0)[lines] * (2.0 / count) * friction
+        missing = found.missing + friction_lines
         total = floor[:, diagonal, diagonal].real
         covariance = floor.copy()
-        covariance[:, diagonal, diagonal] += _excess(missing, total, total < 2.0 * found.other)
-        seen = found.stiffness * found.noise[:, None, :]  # C_rΘ
-        gain = np.linalg.solve(covariance, np.concatenate((missing[..., None], seen), axis=2))
-        back = seen.conj().transpose(0, 2, 1)
+        covariance[:, diagonal, diagonal] += _excess_power(missing, total, total < 2.0 * found.other)
+        noise_gain = found.stiffness * found.noise[:, None, :]  # C_rΘ
+        gain = np.linalg.solve(covariance, np.concatenate((missing[..., None], noise_gain), axis=2))
+        back = noise_gain.conj().transpose(0, 2, 1)
         moved = (back @ gain[..., :1])[..., 0]
         left = found.noise - np.einsum("fij,fji->fi", back, gain[..., 1:]).real
-        better = spectrum.copy()
-        better[lines] -= moved * (count / 2.0)
-        velocity = np.fft.irfft(rate * better, count, axis=0) + ramp
+        corrected = spectrum.copy()
+        corrected[lines] -= moved * (count / 2.0)
+        velocity = np.fft.irfft(rate * corrected, count, axis=0) + ramp
         spread = np.sqrt(np.maximum((found.omega[:, None] ** 2 * left).sum(axis=0) / 2.0, 0.0))
         for i in np.flatnonzero(friction > 0):
-            slow, slowed = SLOW * spread[i], friction[i] / inertia[i] * step
+            slow, slowed = SIGN_SIGMA * spread[i], friction[i] / inertia[i] * step
             held[:, i] = interval_means(velocity[:, i], held[:, i], slow, slowed, periodic=periodic)
         # An interval's friction acts half a sample after the instant it begins.
         first = held[-1:] if periodic else held[:1]
@@ -205,8 +213,8 @@ def interval_means(
 ) -> Float64:
     """(n,) mean friction over its size in the interval after each sample.
 
-    Where the velocity is within ``slow`` of zero or changes its sign, the motor is followed from sample to
-    sample: what pulls at a motor that stands, friction balances until it is exceeded.
+    Where the velocity is within ``slow`` of zero or changes its sign, the motor is simulated from sample to
+    sample: friction balances the other forces on a standing motor until they exceed it.
 
     Parameters
     ----------
@@ -217,7 +225,7 @@ def interval_means(
     slow
         Velocity [rad/s] below which its sign is not known.
     slowed
-        Velocity [rad/s] that friction takes in one sample: the unit of everything below.
+        Velocity [rad/s] by which friction slows the motor in one sample: the unit of everything below.
     """
     now = velocity / slowed
     after = np.append(now[1:], now[0] if periodic else now[-1])
@@ -240,11 +248,11 @@ def interval_means(
     return out
 
 
-def _excess(missing: Complex128, floor: Float64, told: Bool) -> Float64:
-    """(L, M) power of torques that the model lacks: the missing torque beyond its noise, where significant.
+def _excess_power(missing: Complex128, floor: Float64, is_told: Bool) -> Float64:
+    """(L, M) power of torques that the model lacks: significant missing torque beyond its noise.
 
-    Only the lines ``told`` (L, M), where the position has less noise than the torque, tell it: near the
-    Nyquist frequency the ends of a record look alike. Above them it goes on as it is on the last of them.
+    Only the lines ``is_told`` (L, M), where the position has less noise than the torque, determine it: near
+    the Nyquist frequency the ends of a record look alike. Above them the value of the last of them is used.
     """
     power = np.abs(missing) ** 2 - floor
     lines, motors = power.shape
@@ -254,9 +262,9 @@ def _excess(missing: Complex128, floor: Float64, told: Bool) -> Float64:
     high = np.minimum(low + WINDOW, lines)
     count = (high - low)[:, None]
     excess, square = np.split((sums[high] - sums[low]) / count, 2, axis=1)
-    out = np.where(told & (excess > SIGNIFICANT * np.sqrt(square / count)), excess, 0.0)
+    out = np.where(is_told & (excess > SIGNIFICANT * np.sqrt(square / count)), excess, 0.0)
     for i in range(motors):
-        last = int(np.flatnonzero(told[:, i])[-1]) if told[:, i].any() else 0
+        last = int(np.flatnonzero(is_told[:, i])[-1]) if is_told[:, i].any() else 0
         out[last:, i] = out[max(last - WINDOW // 2, 0), i]
     return out
 

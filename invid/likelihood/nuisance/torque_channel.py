@@ -1,4 +1,4 @@
-"""One record of the fit, and what its torque channels make of the torque: when it acts, and how much."""
+"""One record of the fit, and the acting torque of its torque channels."""
 
 from __future__ import annotations
 
@@ -45,10 +45,10 @@ class Block(SpectralLines):
 
 @dataclass(frozen=True, eq=False)
 class ChannelTorque:
-    """How the recorded torque of a block acts.
+    """The acting torque of a block and its derivatives.
 
-    Where the hold H works beside a command, the acting torque is z₁T + (z₁ − z₂)·H·Θ: the command
-    E = T + HΘ acts with z₁ (holding over the sample within it), the hold's −HΘ with z₂.
+    Where the hold H works beside a command, the acting torque is z₁T + (z₁ − z₂)·H·Θ: the command E = T + HΘ
+    acts with z₁ (zero-order hold included), the hold's −HΘ with z₂.
     """
 
     factor: Complex128
@@ -59,18 +59,20 @@ class ChannelTorque:
     """(F, M, delays) derivative of A."""
     hold_by_delay: Complex128
     """(F, M, delays) derivative of ``hold``, over the hold law."""
-    by_stair: Complex128
+    by_zoh_share: Complex128
     """(F, M, staircase parameters) derivative of A."""
     folded: Complex128
-    """(F, M) mass times displacement that the images of held torque fold onto the lines (``folding``)."""
+    """(F, M) mass times displacement that the images of held torque alias onto the lines (``folding``)."""
 
 
 def channel_torque(block: Block, delays: Float64, stairs: Float64) -> ChannelTorque:
-    """The torque channels of ``block`` under delays [s] (the axes' own first, squares of lags [s²] among
-    the others) and staircase shares."""
+    """The acting torque of ``block`` for ``delays`` [s] and held shares ``stairs``.
+
+    The axes' own delays come first; squares of lags [s²] are among the others.
+    """
     motors, lines = block.position.shape[1], block.omega.size
     jw = 1j * block.omega
-    smear = block.folding.smear
+    loss = block.folding.zoh_loss
     factor = np.ones((lines, motors), dtype=complex)
     hold_part = np.zeros((lines, motors), dtype=complex)
     by_delay = np.zeros((lines, motors, delays.size), dtype=complex)
@@ -81,22 +83,22 @@ def channel_torque(block: Block, delays: Float64, stairs: Float64) -> ChannelTor
     for i in range(motors):
         further = block.further_index[i]
         own = delays[i]
-        beside = block.hold[:, i].any()
+        has_hold = block.hold[:, i].any()
         late = own + (delays[further] if further >= 0 else 0.0)
-        z = np.exp(-jw * (own if beside else late))
+        z = np.exp(-jw * (own if has_hold else late))
         stair = block.staircase_index[i]
         share = stairs[stair] if stair >= 0 else block.staircase[i]
-        factor[:, i] = z * (1.0 - share * smear)
-        steps_at[i] = own if beside else late
+        factor[:, i] = z * (1.0 - share * loss)
+        steps_at[i] = own if has_hold else late
         if block.stepped is not None and block.stepped[:, i].any():
             stepped[:, i] = block.stepped[:, i]
         else:
             stepped[:, i] = share * block.torque[:, i]
-            steps_at[i] -= block.step / 2  # the half sample by which holding is late is in the delay
+            steps_at[i] -= block.step / 2  # the delay contains the half sample of holding
         if stair >= 0:
-            by_stair[:, i, stair] = -z * smear
+            by_stair[:, i, stair] = -z * loss
         by_delay[:, i, i] = -jw * factor[:, i]
-        if beside:
+        if has_hold:
             z2 = np.exp(-jw * late)
             z1 = factor[:, i].copy()
             hold_part[:, i] = (z1 - z2) * block.hold[:, i]
@@ -107,29 +109,28 @@ def channel_torque(block: Block, delays: Float64, stairs: Float64) -> ChannelTor
             by_delay[:, i, further] = -jw * factor[:, i]
         if block.lag_index:
             lag = block.lag_index[i]
-            passed, slope = lag_torque(block.omega, float(delays[lag]))
+            lag_gain, slope = lag_torque(block.omega, float(delays[lag]))
             for values in (factor, hold_part, by_delay, by_hold, by_stair):
-                values[:, i] *= passed if values.ndim == 2 else passed[:, None]
+                values[:, i] *= lag_gain if values.ndim == 2 else lag_gain[:, None]
             by_delay[:, i, lag] = slope * factor[:, i]
-            if beside:
-                by_hold[:, i, lag] = slope * passed * (z1 - z2)
+            if has_hold:
+                by_hold[:, i, lag] = slope * lag_gain * (z1 - z2)
     images = block.folding.at(steps_at) * stepped
     return ChannelTorque(factor, hold_part, by_delay, by_hold, by_stair, images)
 
 
 def lag_torque(omega: Float64, square: float) -> tuple[Complex128, Complex128]:
-    """(F,) acting torque over one recorded through a first-order lag of τ² = ``square``, its delay taken
-    out, and (F,) the derivative of its logarithm by ``square``.
+    """(F,) acting torque over one recorded through a first-order lag, and (F,) derivative of its logarithm.
 
-    The delay of the lag is in the time offset already; without it the factor is (1 + jωτ)e^{−jωτ}, smooth in
-    τ² through zero. Negative: the inverse, the position channel lags.
+    By τ² = ``square``. The delay of the lag is in the time offset already; without it the factor is (1 +
+    jωτ)e^{−jωτ}, smooth in τ² through zero. Negative: the inverse, the position channel lags.
     """
     tau = np.sqrt(abs(square))
-    once = 1.0 + 1j * omega * tau
-    factor = once * np.exp(-1j * omega * tau)
-    slope: Complex128 = omega**2 / (2.0 * once)
-    passed: Complex128 = factor if square >= 0 else 1.0 / factor
-    return passed, slope
+    lag = 1.0 + 1j * omega * tau
+    factor = lag * np.exp(-1j * omega * tau)
+    slope: Complex128 = omega**2 / (2.0 * lag)
+    gain: Complex128 = factor if square >= 0 else 1.0 / factor
+    return gain, slope
 
 
 __all__ = ["Block", "ChannelTorque", "channel_torque", "lag_torque"]

@@ -1,4 +1,4 @@
-"""What a torque channel does to the torque: friction beside it, torque that acts late, a low pass."""
+"""Parameters of torque channels: Coulomb friction beside the torque, late reversals, low-pass."""
 
 from __future__ import annotations
 
@@ -19,19 +19,20 @@ COULOMB = ".coulomb"
 HOLD_LAG = ".hold_lag"
 """Endings of the names of columns: Coulomb friction, and a hold inside the drive acting later."""
 COULOMB_SIGMA = 4.0
-"""Standard deviations (excess variance included) below which Coulomb friction leaves the fit."""
+"""Standard deviations (excess variance included) below which Coulomb friction leaves the fit
+(statistical)."""
 REVERSAL = ".reversal_lag"
-"""Ending of the names of the columns by which Coulomb friction may turn later than the velocity."""
+"""Ending of the names of the columns for friction that reverses later than the velocity."""
 
 TORQUE_LAG = ".torque_lag"
 """Ending of the names of the squares of torque channels' time constants [s²]."""
-LAG_SEEN = 1e-3
-"""Significance at which torque channels are taken to be low-passed."""
+LAG_SIGNIFICANCE = 1e-3
+"""Significance at which a torque channel is taken to be low-passed (statistical)."""
 NOISE_LIKE = 1.5
-"""χ²/ν below which a fit stands at the noise, as for a start (``fit._best``)."""
-LAG_PAYS = 1.3
-"""Factor by which χ² must fall where the lag does not bring it to the noise: as for a further mass (friction
-that the model lacks bends towards any parameter a little)."""
+"""χ²/ν below which a fit is at the noise, as for a start (``fit._fit_best_start``)."""
+LAG_FACTOR = 1.3
+"""Factor by which χ² must fall where the lag does not bring it to the noise, as for a further mass
+(empirical: unmodelled friction makes any further parameter a little better)."""
 
 
 def add_coulomb_columns(
@@ -61,7 +62,7 @@ def add_coulomb_columns(
     names = problem.structure.axes
     lags = [f"{names[i]}{HOLD_LAG}" for i in held]
     step = max(b.step for b in problem.blocks)
-    # A drive's own loop runs several times a sample; the torque it asks for acts within one such cycle.
+    # A drive's own loop runs several times a sample; its torque acts within one such cycle.
     known = dict.fromkeys(lags, (0.0, step / 8.0))
     problem = replace(problem, priors={**problem.priors, **known})
     return add_columns(problem, columns, [f"{names[i]}{COULOMB}" for i in axes] + lags)
@@ -78,37 +79,37 @@ def fit_reversal_lags(
 
 
 def reversal_lags(problem: MissingTorqueProblem, p: Float64) -> MissingTorqueProblem:
-    """When Coulomb friction turns round is known to half a sample, no better; the data may say more.
+    """The problem with a lag of each Coulomb friction's reversal, known to half a sample.
 
-    A motor that reverses stands for a moment, and the sign of its velocity does not tell when its
-    friction turned. Friction that turns later looks like motor inertia: with the instant taken as
-    known, the motor's mass was off by three to five of its standard deviations (virtual cells).
-    ``p`` holds the size of the friction.
+    A motor that reverses stands for a moment, and the sign of its velocity does not tell when its friction
+    reversed. Friction that reverses later looks like motor inertia: with the instant taken as known, the
+    motor's mass was off by three to five of its standard deviations (virtual cells). ``p`` (n,) holds the
+    size of the friction.
     """
     names = problem.column_names
     size = np.abs(p[problem.slices["column"]])
-    rubbing = [k for k, n in enumerate(names) if n.endswith(COULOMB) and size[k] > 0]
-    if not rubbing:
+    has_friction = [k for k, n in enumerate(names) if n.endswith(COULOMB) and size[k] > 0]
+    if not has_friction:
         return problem
     columns = []
     for block in problem.blocks:
-        turned = -1j * block.omega[:, None, None] * block.columns[:, :, rubbing]
-        columns.append(np.concatenate((block.columns, turned), axis=2))
-    lags = tuple(names[k].removesuffix(COULOMB) + REVERSAL for k in rubbing)
+        delayed = -1j * block.omega[:, None, None] * block.columns[:, :, has_friction]
+        columns.append(np.concatenate((block.columns, delayed), axis=2))
+    lags = tuple(names[k].removesuffix(COULOMB) + REVERSAL for k in has_friction)
     step = max(b.step for b in problem.blocks)
-    # Even within half a sample either way: a standard deviation of h/√12.
-    known = {n: (0.0, float(size[k]) * step / np.sqrt(12.0)) for n, k in zip(lags, rubbing, strict=True)}
+    # Uniform within half a sample either way: a standard deviation of h/√12.
+    known = {n: (0.0, float(size[k]) * step / np.sqrt(12.0)) for n, k in zip(lags, has_friction, strict=True)}
     return replace(add_columns(problem, columns, names + lags), priors={**problem.priors, **known})
 
 
 def fit_torque_lags(
     problem: MissingTorqueProblem, solution: Solution
 ) -> tuple[MissingTorqueProblem, Solution]:
-    """The problem with a first-order lag in each axis' torque channel, where the data ask for it.
+    """Problem and solution with a first-order lag in each axis' torque channel, where it is significant.
 
-    A drive that smooths the torque it reports delays it, which the time offset takes up, and lowers it by
-    ω²τ²/2, which nothing else does: masses and springs were off by 0.25 %, ten of their standard
-    deviations, with 2 ms at 13 Hz.
+    A drive that smooths the torque it reports delays it, which the time offset absorbs, and reduces it by
+    ω²τ²/2, which nothing else does: masses and springs were off by 0.25 %, ten of their standard deviations,
+    with 2 ms at 13 Hz.
     """
     axes, motors = problem.structure.axes, problem.structure.motors
     first = len(problem.delay_names)
@@ -117,8 +118,8 @@ def fit_torque_lags(
     larger = replace(problem, blocks=blocks, delay_names=names)
     found = gauss_newton(larger, transfer_parameters(problem, solution.p, larger))
     scale = max(found.reduced, 1.0)
-    if solution.chi2 - found.chi2 < scale * chi2_isf(LAG_SEEN, motors):
+    if solution.chi2 - found.chi2 < scale * chi2_isf(LAG_SIGNIFICANCE, motors):
         return problem, solution
-    if found.reduced > NOISE_LIKE and solution.chi2 < LAG_PAYS * found.chi2:
+    if found.reduced > NOISE_LIKE and solution.chi2 < LAG_FACTOR * found.chi2:
         return problem, solution
     return larger, found

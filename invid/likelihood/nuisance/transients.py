@@ -1,4 +1,4 @@
-"""What the ends of records that do not close add to their lines, with effects in the plant."""
+"""Transients: contribution of the ends of records that do not close, with effects in the plant."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from invid.numerics.whitening import orthonormal, stack, unstack, unwhitener, wh
 
 @dataclass(frozen=True, eq=False)
 class Ends:
-    """For a unit jump of each coordinate's position, then velocity; lines with 0 Hz first."""
+    """Responses to a unit jump of each coordinate's position, then velocity; lines with 0 Hz first."""
 
     torque: Complex128
     """(F, M, 2ΣN) missing torque."""
-    moved: Complex128
+    motion: Complex128
     """(F, ΣN, 2ΣN) motion of every coordinate besides that of the motors' sampled spectra."""
     inner: Complex128
-    """(F, ΣN, 2ΣN) the same without what follows the motors' own end points."""
+    """(F, ΣN, 2ΣN) the same without the response to the motors' own end points."""
 
     def with_effects(self, view: View, candidate: Candidate) -> Ends:
-        """With what effects linear in motion do at them."""
-        torque, motion = jump_response(view, candidate, self.moved)
+        """The responses with effects that are linear in motion."""
+        torque, motion = jump_response(view, candidate, self.motion)
         return replace(
-            self, torque=self.torque + torque, moved=self.moved + motion, inner=self.inner + motion
+            self, torque=self.torque + torque, motion=self.motion + motion, inner=self.inner + motion
         )
 
 
@@ -43,14 +43,14 @@ def record_ends(view: View, layout: Layout, p: Float64) -> Ends:
     points = end_points(view.omega, record.step, record.span, ends_in=record.ends_in)
     points[0] = 0.0  # positions carry no mean here
     inner: Complex128 = -(view.inner @ forces)
-    moved: Complex128 = inner + view.motion @ _shifts(structure, points)
+    moved: Complex128 = inner + view.motion @ _end_spectra(structure, points)
     return Ends(end_columns(structure, view.motion, view.stiffness, forces, points), moved, inner)
 
 
 def jump_response(view: View, candidate: Candidate, moved: Complex128) -> tuple[Complex128, Complex128]:
-    """(F, M, 2ΣN) missing torque and (F, ΣN, 2ΣN) motion for a unit jump of each coordinate.
+    """(F, M, 2ΣN) missing torque and (F, ΣN, 2ΣN) motion of effects linear in motion for unit jumps.
 
-    Those of effects that are linear in motion; ``moved`` is what the jumps alone stand for.
+    ``moved`` is the motion of the linear plant for them.
     """
     torque = np.zeros((*view.acting.shape, moved.shape[-1]), dtype=complex)
     motion = np.zeros_like(moved)
@@ -58,23 +58,23 @@ def jump_response(view: View, candidate: Candidate, moved: Complex128) -> tuple[
         if isinstance(term.effect, ImpedanceEffect):
             pattern = term.place.pattern(view.structure)
             force = term.effect.of_jumps(view, term.place, x.tolist(), moved)[:, None, :]
-            torque += view.push(pattern)[:, :, None] * force
-            motion -= view.yields(pattern)[:, :, None] * force
+            torque += view.condensed_force(pattern)[:, :, None] * force
+            motion -= view.inner_receptance(pattern)[:, :, None] * force
     return torque, motion
 
 
 def solve_record_ends(view: View, ends: Ends, root: Complex128, linear: Complex128) -> Closing:
-    """The jumps that leave least of the whitened missing torque and are no larger than the motion itself.
+    """The regularised map from missing torque to jumps: least squares with the size of the motion as prior.
 
-    Those that the motors hardly feel would else be noise many times the motion that laws are read from.
+    Jumps that the motors hardly feel would else be noise many times the motion that laws are read from.
     ``linear`` (F, M) is the missing torque without effects.
     """
-    scale = view.farthest
-    felt: Complex128 = root @ (ends.torque * scale)
-    scaled = stack(felt)
+    scale = view.jump_bound
+    whitened: Complex128 = root @ (ends.torque * scale)
+    scaled = stack(whitened)
     inverse = np.linalg.inv(scaled.T @ scaled + np.eye(scale.size))
     # Re(conj(a)·b) summed over lines is the product of stacked real numbers.
-    along: Complex128 = np.einsum("fmj,fmn->jfn", felt.conj(), root)
+    along: Complex128 = np.einsum("fmj,fmn->jfn", whitened.conj(), root)
     gain: Complex128 = -(scale[:, None] * inverse) @ along.reshape(scale.size, -1)
     return Closing(ends.inner, gain.reshape(along.shape), ends.torque, linear)
 
@@ -82,10 +82,10 @@ def solve_record_ends(view: View, ends: Ends, root: Complex128, linear: Complex1
 def project_out_ends(
     view: View, layout: Layout, p: Float64, r: Complex128, covariance: Complex128
 ) -> tuple[Complex128, float]:
-    """(P, F, M) ``r`` of lines 1…F of P periods without what the motion between their ends explains.
+    """(P, F, M) ``r`` of lines 1…F of P periods with the transients between their ends projected out.
 
-    A period of a motion that still settles does not close: its ends jump, each period's in its own way.
-    Also the share of each period's numbers that is left as degrees of freedom.
+    A period of a motion that still settles does not close: its ends jump, each period's in its own way. Also
+    returns the share of each period's numbers that is left as degrees of freedom.
     """
     root = whitener(covariance)
     basis = orthonormal(stack(root @ record_ends(view, layout, p).torque[1:]))
@@ -97,8 +97,8 @@ def project_out_ends(
     return out, 1.0 - basis.shape[1] / (2.0 * r[0].size)
 
 
-def _shifts(structure: ChainStructure, points: Complex128) -> Complex128:
-    """(F, M, 2ΣN) what the motors' end ``points`` (F, 2) add to their sampled spectra, for a unit jump."""
+def _end_spectra(structure: ChainStructure, points: Complex128) -> Complex128:
+    """(F, M, 2ΣN) change of the motors' sampled spectra by their end ``points`` (F, 2), for unit jumps."""
     motors = structure.motors
     out = np.zeros((points.shape[0], motors, 2 * structure.dofs), dtype=complex)
     at_position, at_speed = motor_end_indices(structure).reshape(2, -1)

@@ -9,7 +9,7 @@ import pytest
 
 from invid.config import parse_config
 from invid.diagnosis.consequence import grade_consequences
-from invid.diagnosis.outcome import assembled
+from invid.diagnosis.outcome import assemble_diagnosis
 from invid.effects.registry import CATALOGUE
 from invid.model.chains import CoupledChains
 from invid.model.diagnosis_document import (
@@ -218,7 +218,7 @@ def test_play_between_loads_of_a_hysteretic_spring_is_twice_torque_over_stiffnes
 def concluded(start: Diagnosis, recording: Recording) -> Diagnosis:
     """The document of figures whose words the start leaves open."""
     return grade_consequences(
-        assembled(
+        assemble_diagnosis(
             recording,
             start.residual,
             start.findings,

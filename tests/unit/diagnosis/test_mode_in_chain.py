@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from invid.diagnosis.rules.mode_in_chain import chain_parameters_with_mode
-from invid.effects.catalogue.extra_mode import _peaks
+from invid.effects.catalogue.extra_mode import _peak_frequencies
 from invid.effects.registry import BY_CAUSE
 from invid.likelihood.placed_effect import Candidate, PlacedEffect
 from invid.model.chains import CoupledChains
@@ -56,11 +56,11 @@ def test_a_mode_is_looked_for_where_causes_found_before_leave_most() -> None:
     view: Any = SimpleNamespace(
         record=SimpleNamespace(excited=np.ones(lines, dtype=bool)),
         omega=LINES,
-        push=lambda _: np.ones((lines, 1), dtype=complex),
+        condensed_force=lambda _: np.ones((lines, 1), dtype=complex),
         certainty=certain,
         missing=before,
         remaining=left,
     )
-    assert _peaks([view], ((0, 1),))[0] == pytest.approx(LINES[31])
+    assert _peak_frequencies([view], ((0, 1),))[0] == pytest.approx(LINES[31])
     view.remaining = None
-    assert LINES[2] <= _peaks([view], ((0, 1),))[0] <= LINES[8]
+    assert LINES[2] <= _peak_frequencies([view], ((0, 1),))[0] <= LINES[8]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from invid.diagnosis.rules.nonrepeating_torque import describe_scatter
-from invid.likelihood.null_test import _wander
+from invid.likelihood.null_test import _wander_share
 
 
 def _part(scatter: float) -> Any:
@@ -42,6 +42,6 @@ def test_a_held_axis_that_hardly_moves_does_not_wander() -> None:
     deviations[:, :, 1] = 1e-6 * np.array([1.0, -1.0, 0.0])[:, None]
     record: Any = SimpleNamespace(omega=np.arange(5.0), position=motion)
     driven: Any = SimpleNamespace(deviations=deviations, driven=np.array([True, False]))
-    assert _wander(record, driven) == 0.0
+    assert _wander_share(record, driven) == 0.0
     deviations[:, :, 0] = 0.3 * np.array([1.0, -1.0, 0.0])[:, None]
-    assert _wander(record, driven) == pytest.approx(0.3 * np.sqrt(2.0 / 3.0))
+    assert _wander_share(record, driven) == pytest.approx(0.3 * np.sqrt(2.0 / 3.0))

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from invid.diagnosis.search import _ranked
+from invid.diagnosis.search import _rank_candidates
 from invid.effects.catalogue.coulomb_friction import CoulombFriction
 from invid.effects.catalogue.stribeck_friction import StribeckFriction
 from invid.model.place import Place
@@ -40,7 +40,7 @@ def test_a_larger_friction_model_leads_only_where_the_training_records_ask_for_i
 ) -> None:
     dry = _trial(CoulombFriction(), 0, 50.0, 60.0)
     sticks = _trial(StribeckFriction(), axis, 50.0 - gain, 48.0)  # held-out chance is kind to it
-    ranked = _ranked([(dry, dry.cost + 4.0), (sticks, sticks.cost + 12.0)], frozenset())
+    ranked = _rank_candidates([(dry, dry.cost + 4.0), (sticks, sticks.cost + 12.0)], frozenset())
     assert ranked[0][0].term.effect.cause == first
     assert [s for _, s in ranked] == sorted(s for _, s in ranked)
 
@@ -49,5 +49,5 @@ def test_what_a_smaller_friction_model_misses_by_far_is_no_measure_of_what_the_l
     """Of exact records the larger model gained thirty of thirty-one, and was put behind for the rest."""
     dry = _trial(CoulombFriction(), 0, 550_000.0, 12_700_000.0)
     sticks = _trial(StribeckFriction(), 0, 14_000.0, 2_600_000.0)
-    ranked = _ranked([(dry, 1200.0), (sticks, 250.0)], frozenset())
+    ranked = _rank_candidates([(dry, 1200.0), (sticks, 250.0)], frozenset())
     assert ranked[0][0] is sticks

@@ -62,7 +62,7 @@ def test_a_simulation_that_ends_among_other_ripples_judges_nothing(monkeypatch) 
     def astray(*given, **named):
         found = honest(*given, **named)
         assert isinstance(found, Replay)
-        assert (found.reach < found.motion).any() or not found.lost
+        assert (found.reach < found.motion).any() or not found.is_lost
         return replace(found, gain=-1.0, position_after=1.1 * found.reach, shift=1e3 + found.shift)
 
     before = diagnose(recording)

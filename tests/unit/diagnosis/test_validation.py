@@ -54,7 +54,7 @@ def row(recording: Recording, asked: ValidationRequest = PLAIN) -> str:
 def test_the_first_row_that_holds_counts(recording: Recording) -> None:
     assert [r.name for r in VALIDATION] == ["role", "spare record", "last period", "fifth line"]
     assert row(recording) == "role"
-    assert row(recording, ValidationRequest(within=True)) == "last period"
+    assert row(recording, ValidationRequest(split_every_record=True)) == "last period"
     several = without_validation(recording)
     more = replace(several, experiments=(*several.experiments, replace(several.experiments[0], key="900")))
     assert row(more) == "spare record"
@@ -68,7 +68,7 @@ def test_every_row_but_the_records_own_roles_says_what_it_did(recording: Recordi
         (recording, PLAIN, ""),
         (
             recording,
-            ValidationRequest(within=True),
+            ValidationRequest(split_every_record=True),
             "validation does not show what the others do: the last period",
         ),
         (first_only(recording), PLAIN, "no validation experiment (role 'validate'): the last period"),

@@ -21,7 +21,7 @@ from test_consequence_grades import term
 
 from invid.cli.app import run
 from invid.diagnosis.diagnose import diagnose
-from invid.diagnosis.outcome import Cause, assembled, finding_of
+from invid.diagnosis.outcome import Cause, assemble_diagnosis, finding_of
 from invid.model.diagnosis_document import (
     Alternative,
     AxisResidual,
@@ -73,7 +73,7 @@ def test_no_document_says_more_than_its_numbers_carry(
     rivals = (Alternative("viscous_friction", "A1", "mass 1", 0.1),) if contested else ()
     start = document_of(term("coulomb_friction", torque=0.4), after=floors * 0.05, rivals=rivals)
     recording = plain_recording()
-    result = assembled(
+    result = assemble_diagnosis(
         recording,
         start.residual,
         start.findings if named else (),
@@ -100,7 +100,7 @@ def test_nobody_is_certain_where_something_is_left_or_competes(own: bool) -> Non
         (alone, False, 0.89),
         (replace(alone, alternatives=(rival,)), True, 0.89),
         (replace(alone, doubts=("It may be another.",)), True, 0.89),
-        (replace(alone, sized=False), True, 0.5),
+        (replace(alone, size_is_significant=False), True, 0.5),
     ):
         found = finding_of(cause, 1.0, (1,), ("A1",), at_noise=at_noise, own=own)
         assert found.confidence == pytest.approx(most)
@@ -113,7 +113,7 @@ def test_nobody_is_certain_where_something_is_left_or_competes(own: bool) -> Non
 def test_a_document_that_broke_them_would_be_found() -> None:
     start = document_of(term("coulomb_friction", torque=0.4))
     good = diagnosis_to_json(
-        assembled(
+        assemble_diagnosis(
             plain_recording(),
             start.residual,
             start.findings,
@@ -202,7 +202,9 @@ def test_a_document_that_misses_more_than_half_is_not_trusted() -> None:
     start = document_of(verdict=Verdict.UNEXPLAINED, explained=None)
     rows = [AxisResidual(a, "N·m", 6.0, 6.0, 0.05) for a in ("A1", "A2", "A3")]
     recording = plain_recording()
-    result = assembled(recording, rows, (), start.model, missing=True, complete=False, explained=None)
+    result = assemble_diagnosis(
+        recording, rows, (), start.model, missing=True, complete=False, explained=None
+    )
     document = diagnosis_to_json(result)
     assert document["model"]["fit"]["trustworthy"] is False
     assert "misses" in document["warnings"][0]

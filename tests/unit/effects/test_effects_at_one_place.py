@@ -29,12 +29,12 @@ def test_two_dampers_feel_each_other_and_the_force_that_a_law_puts_on_the_load()
         motion=motion,
         structure=ChainStructure((3,), ("A",)),
         record=SimpleNamespace(transient=False),
-        raw=motion[:, :, 0],
-        measured=lambda key, make: make(),
-        push=lambda pattern: sum(s * motion[:, at] for at, s in pattern),
-        yields=lambda pattern: sum(s * inner[:, :, at] for at, s in pattern),
+        unfiltered=motion[:, :, 0],
+        cached=lambda key, make: make(),
+        condensed_force=lambda pattern: sum(s * motion[:, at] for at, s in pattern),
+        inner_receptance=lambda pattern: sum(s * inner[:, :, at] for at, s in pattern),
     )
-    back = -view.yields(load) * force
+    back = -view.inner_receptance(load) * force
     effect = BY_CAUSE["viscous_friction"]
     assert isinstance(effect, ViscousFriction)
     places = ((Place("mass", 0, 2), np.array([0.7])), (Place("mass", 0, 3), np.array([0.3])))
@@ -46,4 +46,6 @@ def test_two_dampers_feel_each_other_and_the_force_that_a_law_puts_on_the_load()
     np.testing.assert_allclose((motion[:, :, 0] + back + moved)[:, 1:], q, rtol=1e-9)
     needed = damped[:, 0, 0] + np.einsum("fi,fi->f", damped[:, 0, 1:], q)
     alone = (plain[:, :1] @ motion)[:, 0, 0]
-    np.testing.assert_allclose(alone + view.push(load)[:, 0] * force + torque[:, 0], needed, rtol=1e-9)
+    np.testing.assert_allclose(
+        alone + view.condensed_force(load)[:, 0] * force + torque[:, 0], needed, rtol=1e-9
+    )

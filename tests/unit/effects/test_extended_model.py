@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from hidden.generator import make
 
-from invid.diagnosis.diagnose import OF_GIVEN, diagnose
+from invid.diagnosis.diagnose import GIVEN_MODEL_PREFIX, diagnose
 from invid.diagnosis.known_effects import effect_place, effect_vector, known_effects_candidate
 from invid.effects.registry import CATALOGUE
 from invid.errors import InputError, ModelError
@@ -189,9 +189,9 @@ def test_friction_that_has_gone_since_comes_out_as_nothing_and_nothing_takes_its
     # the friction that the model carries is gone: it comes out as nothing, and no other cause in its stead
     d = diagnose(nothing, model=dataclasses.replace(wrong, warnings=("axis A1 jammed",), provenance={}))
     assert d.verdict is Verdict.CONSISTENT
-    assert [w for w in d.warnings if "jammed" in w] == [f"{OF_GIVEN}axis A1 jammed"]
+    assert [w for w in d.warnings if "jammed" in w] == [f"{GIVEN_MODEL_PREFIX}axis A1 jammed"]
     again = diagnose(nothing, model=d.model)
-    assert [w for w in again.warnings if "jammed" in w] == [f"{OF_GIVEN}axis A1 jammed"]
+    assert [w for w in again.warnings if "jammed" in w] == [f"{GIVEN_MODEL_PREFIX}axis A1 jammed"]
     assert abs(d.model.effects[0].value("torque")) < 0.1 * truth.effects[0].parameters["torque"]
 
 

@@ -24,7 +24,7 @@ def test_a_force_is_read_from_the_torque_that_it_causes() -> None:
     rng = np.random.default_rng(1)
     push = (0.5 + rng.uniform(size=40)).astype(complex)
     force = np.exp(2j * np.pi * rng.uniform(size=40))
-    found = seen(push, 1e-6).inferred(PATTERN, -(push * force)[:, None])
+    found = seen(push, 1e-6).estimated_force(PATTERN, -(push * force)[:, None])
     np.testing.assert_allclose(found, force, rtol=2e-2)
 
 
@@ -33,7 +33,7 @@ def test_noise_alone_is_read_as_no_force_in_all_but_few_records() -> None:
     push = np.geomspace(1e-4, 1.0, 250).astype(complex)
     view = seen(push, 1.0)
     draws = rng.normal(size=(400, 250, 2)) @ np.array([1.0, 1.0j]) * np.sqrt(0.5)
-    wrong = sum(bool(np.any(view.inferred(PATTERN, r[:, None]))) for r in draws)
+    wrong = sum(bool(np.any(view.estimated_force(PATTERN, r[:, None]))) for r in draws)
     assert wrong <= 5  # expected: one
 
 
@@ -41,6 +41,6 @@ def test_an_error_where_the_force_is_hardly_felt_reads_as_no_more_than_the_force
     push = np.geomspace(1e-3, 1.0, 40).astype(complex)
     missing = -push.copy()  # a force of one everywhere
     missing[0] += 0.05  # a twentieth of what the other end feels: a force of fifty
-    found = seen(push, 1e-8).inferred(PATTERN, missing[:, None])
+    found = seen(push, 1e-8).estimated_force(PATTERN, missing[:, None])
     assert np.abs(found).max() < 1.01
     np.testing.assert_allclose(found[1:], 1.0, rtol=2e-2)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from invid.effects.laws.beyond_band import CLEAR, beyond_band, solve_beyond_band
+from invid.effects.laws.beyond_band import LEAST_DIFFERENCE, beyond_band, solve_beyond_band
 from invid.model.parameters import ChainStructure
 from invid.model.place import mass_places, spring_places
 
@@ -17,7 +17,7 @@ LAST, SAMPLES, STEP = 80, 512, 1.0 / 512.0
 
 
 class _View(SimpleNamespace):
-    def hide(self, pattern: Any, lines: np.ndarray | None) -> None:
+    def set_hidden_motion(self, pattern: Any, lines: np.ndarray | None) -> None:
         self.hidden = lines
 
 
@@ -71,7 +71,7 @@ def test_nothing_is_said_next_to_a_resonance() -> None:
     found = beyond_band(view, place)
     assert found is not None
     inertia = view.record.wave_omega**2 / (1 / MASSES[0] + 1 / MASSES[1])
-    near = np.abs(7e4 - inertia) < CLEAR * np.maximum(7e4, inertia)
+    near = np.abs(7e4 - inertia) < LEAST_DIFFERENCE * np.maximum(7e4, inertia)
     assert near.any()
     assert not found[near].any()
     assert np.isfinite(found).all()

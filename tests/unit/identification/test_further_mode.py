@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from invid.identification.further_mode import LOSS, MissingMode, _frequencies, with_mode
+from invid.identification.further_mode import LOSS_FACTORS, MissingMode, _frequency_grid, chains_with_mode
 from invid.model.chains import CoupledChains
 
 
@@ -19,7 +19,7 @@ def test_the_further_mode_stands_beside_those_of_the_smaller_chain() -> None:
         [np.array([4.0, 3.0, 5.0])], [np.array([9e4, 7e4])], [np.array([9.0, 7.0])], axes=["A1"]
     )
     at, share = 2 * np.pi * 31.0, 2e-3
-    (found,) = with_mode(chains, MissingMode(at, share, 1.0))
+    (found,) = chains_with_mode(chains, MissingMode(at, share, 1.0))
     before, weights = _modes(chains.masses[0], chains.springs[0])
     after, further = _modes(found.masses[0], found.springs[0])
     order = np.argsort(np.append(before, at))
@@ -31,8 +31,8 @@ def test_the_further_mode_stands_beside_those_of_the_smaller_chain() -> None:
 
 def test_no_mode_of_low_loss_falls_between_two_frequencies_that_are_tried() -> None:
     lines = 2 * np.pi * np.arange(1, 1400) / 10.0
-    for loss in LOSS:
-        tried = np.sort(_frequencies(lines, loss))
+    for loss in LOSS_FACTORS:
+        tried = np.sort(_frequency_grid(lines, loss))
         assert tried[0] <= lines[0]
         assert tried[-1] >= lines[-1] * (1 - 1e-9)
         apart = np.diff(tried)

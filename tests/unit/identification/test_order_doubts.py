@@ -1,16 +1,16 @@
 """The number of masses: what the motors cannot tell is said."""
 
-from invid.identification.model_facts import _order_doubts
-from invid.identification.model_order import _alike, _grown
+from invid.identification.model_facts import _doubts_of_order
+from invid.identification.model_order import _add_masses, _equivalent_structures
 
 
 def test_structures_with_as_many_masses_that_fit_alike_are_named() -> None:
     costs = {(2, 2): 9e5, (3, 3): 995.0, (3, 2): 1000.0, (2, 3): 1000.4, (4, 1): 1300.0}
     dofs = dict.fromkeys(costs, 1000)
-    assert _alike((3, 2), costs, dofs) == [(2, 3)]
-    (doubt,) = _order_doubts({"chosen": [3, 2], "alike": [[2, 3]]})
+    assert _equivalent_structures((3, 2), costs, dofs) == [(2, 3)]
+    (doubt,) = _doubts_of_order({"chosen": [3, 2], "alike": [[2, 3]]})
     assert "3,2 and 2,3" in doubt
-    assert _order_doubts({"chosen": [3, 3], "alike": []}) == []
+    assert _doubts_of_order({"chosen": [3, 3], "alike": []}) == []
 
 
 def test_a_mass_is_added_to_one_branch_where_more_on_all_did_not_pay() -> None:
@@ -19,4 +19,4 @@ def test_a_mass_is_added_to_one_branch_where_more_on_all_did_not_pay() -> None:
     def needed(small: tuple[int, ...], large: tuple[int, ...]) -> bool:
         return costs[small] > 2000 and costs[small] > 1.3 * costs.get(large, 1e9)
 
-    assert _grown((2, 2), needed, lambda n: costs.get(n, 1e9), 6) == (2, 3)
+    assert _add_masses((2, 2), needed, lambda n: costs.get(n, 1e9), 6) == (2, 3)

@@ -38,7 +38,7 @@ def test_a_further_mass_that_is_none_ends_the_growth(
 
     monkeypatch.setattr("invid.identification.model_order.fit_sizes", fit_sizes)
     monkeypatch.setattr("invid.identification.model_order.measured_frf", lambda _: None)
-    monkeypatch.setattr("invid.identification.model_order._from_hidden_mode", lambda *_: None)
+    monkeypatch.setattr("invid.identification.model_order._fit_with_hidden_mode", lambda *_: None)
     monkeypatch.setattr("invid.identification.model_order.missing_mode", lambda _: None)
     found = choose_order([], ("A1",))
     assert found.sizes == (chosen,)

@@ -13,10 +13,10 @@ from invid.numerics.anderson import Secants
 
 
 class _View(SimpleNamespace):
-    def respond(self, feedback: np.ndarray, jumps: np.ndarray | None = None) -> None:
+    def set_inner_motion(self, feedback: np.ndarray, jumps: np.ndarray | None = None) -> None:
         self.feedback = feedback
 
-    def closed(self, extra: np.ndarray) -> np.ndarray:
+    def closing_jumps(self, extra: np.ndarray) -> np.ndarray:
         return np.zeros(0)
 
 

@@ -12,7 +12,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from hidden.generator import make
 
 from invid.diagnosis.linear_fit import layout_of
-from invid.diagnosis.validation import split_records, unfolded
+from invid.diagnosis.validation import split_records, unfold_periods
 from invid.effects.registry import BY_CAUSE
 from invid.likelihood import evaluation
 from invid.likelihood.placed_effect import Candidate, PlacedEffect
@@ -42,7 +42,7 @@ def test_so_it_does_in_a_record_that_does_not_close(monkeypatch) -> None:
 def _both(monkeypatch, *, whole: bool) -> tuple[np.ndarray, np.ndarray]:
     """The Jacobian of free play beside friction, solved at once and by differences."""
     recording, truth = make(None, seed=21, masses=(2, 3), noise=0.003, drive="smooth", moves=False, periods=2)
-    recording = unfolded(recording) if whole else recording
+    recording = unfold_periods(recording) if whole else recording
     chains = truth.chains
     train, _, _ = split_records(recording, all_spectra(recording))
     assert train[0].transient == whole

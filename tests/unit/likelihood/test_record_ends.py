@@ -52,7 +52,7 @@ def excess(
     p[at["damper"]] = 0.5
     p[at["viscous"]] = rubbing
     p[structure.count] = 0.5 * record.step  # the torque is held over each sample
-    p[layout.stairs_at] = 1.0
+    p[layout.zoh_slice] = 1.0
     found = evaluate(layout, [record], p, candidate, jacobian=False)
     return float((found.cost - found.dof) / np.sqrt(2 * found.dof))
 

@@ -12,7 +12,7 @@ from invid.config import CellConfig, load_config
 from invid.errors import ConfigError
 from invid.planning.stopping_distance import (
     SETTLE_S,
-    STAMPS,
+    SPEED_TOLERANCE,
     StoppingCase,
     StoppingFacts,
     budget_of,
@@ -30,7 +30,7 @@ CASE = StoppingCase(
 def integrated(case: StoppingCase, speed: float, seconds: float, braking: float) -> float:
     """A mass under the planned torque, then under a braking one, stepped; what swings on comes after."""
     assert case.inertia is not None
-    x, v, t, step = 0.0, STAMPS * speed, 0.0, 1e-5
+    x, v, t, step = 0.0, SPEED_TOLERANCE * speed, 0.0, 1e-5
     swing = (v + case.planned / case.inertia * seconds) * SETTLE_S
     while v > 0 or t < seconds:
         v += step * (case.planned / case.inertia if t < seconds else -braking)
