@@ -1,7 +1,8 @@
 """The functions behind ``import invid``, the commands and the service.
 
 Recordings, models and diagnoses go in as they are and stay as they are; what comes out is immutable and can
-be pickled. Errors are ``invid.InvidError`` and its kinds. Each function loads what it needs when called.
+be pickled. Errors are ``invid.InvidError`` and its kinds; an argument of the wrong kind is an
+``InputError``. Each function loads what it needs when called.
 """
 
 from __future__ import annotations
@@ -13,6 +14,8 @@ from contextlib import AbstractContextManager, contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
+
+from invid import arguments
 
 if TYPE_CHECKING:
     import numpy as np
@@ -48,14 +51,14 @@ def read_recording(path: str | Path) -> Recording:
     from invid.numerics.immutable import immutable
     from invid.recording.hdf5 import read_recording as read
 
-    return immutable(read(path))
+    return immutable(read(arguments.a_path(path, "path")))
 
 
 def write_recording(recording: Recording, path: str | Path) -> None:
     """Write an ``invid-recording`` file (HDF5); RecordingError where that cannot be."""
     from invid.recording.hdf5 import write_recording as write
 
-    write(recording, Path(path))
+    write(arguments.a_recording(recording), arguments.a_path(path, "path"))
 
 
 def import_recording(
@@ -90,11 +93,12 @@ def import_recording(
     from invid.recording.import_map import ImportMap, load_map
     from invid.recording.import_source import import_source
 
-    given = [source] if isinstance(source, str | Path) else source
-    chart = map if map is None or isinstance(map, ImportMap) else load_map(Path(map))
-    beside = Path(map).parent if isinstance(map, str | Path) else None
+    given = arguments.paths(source, "source")
+    chart = map if map is None or isinstance(map, ImportMap) else load_map(arguments.a_path(map, "map"))
+    beside = None if map is None or isinstance(map, ImportMap) else Path(map).parent
+    arguments.a_time(created, "created")
     now = created or datetime.now(UTC).isoformat(timespec="seconds")
-    result = import_source([Path(s) for s in given], chart, created=now, beside=beside)
+    result = import_source(given, chart, created=now, beside=beside)
     for text in result.warnings:
         warnings.warn(text, stacklevel=2)
     return immutable(result.recording)
@@ -143,22 +147,24 @@ def identify(  # noqa: PLR0913 - the contract: each is one option of the command
     Raises
     ------
     InputError
-        An axis that is never excited; masses that do not match the axes.
+        An axis that moves and is never excited; masses that do not match the axes.
     NotIdentifiableError
         Data from which no such model can be drawn.
     """
     from invid.identification.identify import identify as identified
     from invid.numerics.immutable import immutable
 
+    one = _one(recording)
+    arguments.one_of(method, "method", ("refined", "paper"))
     with _using(effects), _limits(budget, progress):
         return immutable(
             identified(
-                _one(recording),
-                masses=_sizes(masses),
+                one,
+                masses=arguments.mass_counts(masses, one.axes),
                 method=method,
                 profile=profile,
-                bootstrap=bootstrap,
-                workers=workers,
+                bootstrap=arguments.a_count(bootstrap, "bootstrap", 0),
+                workers=arguments.a_count(workers, "workers", 1),
             )
         )
 
@@ -207,10 +213,13 @@ def diagnose(
     from invid.errors import InputError
     from invid.numerics.immutable import immutable
 
+    one = _one(recording)
     if model is not None and masses is not None:
         raise InputError("masses and model: the model says how many masses there are; give one of the two")
+    start = None if model is None else arguments.a_model(model)
+    sizes = arguments.mass_counts(masses, one.axes)
     with _using(effects), _limits(budget, progress):
-        return immutable(diagnosed(_one(recording), model=model, masses=_sizes(masses)))
+        return immutable(diagnosed(one, model=start, masses=sizes))
 
 
 def simulate(
@@ -245,8 +254,10 @@ def simulate(
     from invid.numerics.immutable import immutable
     from invid.simulation.run import simulate as simulated
 
+    arguments.a_generator(rng)
+    chosen = arguments.experiment_keys(only, arguments.a_recording(recording))
     with _using(effects):
-        return immutable(simulated(model, recording, rng=rng, only=only))
+        return immutable(simulated(arguments.a_model(model), recording, rng=rng, only=chosen))
 
 
 def compare(
@@ -281,6 +292,10 @@ def compare(
     from invid.comparison.compare import compare as compared
     from invid.numerics.immutable import immutable
 
+    for name, value in (("tolerance", tolerance), ("alpha", alpha), ("repeatability", repeatability)):
+        arguments.a_number(value, name, "give a number")
+    arguments.a_model(old, "old")
+    arguments.a_model(new, "new")
     return immutable(compared(old, new, tolerance=tolerance, alpha=alpha, repeatability=repeatability))
 
 
@@ -306,9 +321,11 @@ def export(model: Model, to: str, path: str | Path) -> Export:
     InputError
         A format that does not exist, a package that is missing, a file that cannot be written.
     """
-    from invid.exchange.export import export_model
+    from invid.exchange.export import FORMATS, export_model
 
-    return export_model(model, to, path)
+    if not isinstance(to, str):
+        arguments.one_of(to, "to", tuple(FORMATS))
+    return export_model(arguments.a_model(model), to, arguments.a_path(path, "path"))
 
 
 def load_model(path: str | Path) -> Model:
@@ -316,7 +333,7 @@ def load_model(path: str | Path) -> Model:
     from invid.model.document import load_model as load
     from invid.numerics.immutable import immutable
 
-    return immutable(load(path))
+    return immutable(load(arguments.a_path(path, "path")))
 
 
 def load_diagnosis(path: str | Path) -> Diagnosis:
@@ -324,7 +341,7 @@ def load_diagnosis(path: str | Path) -> Diagnosis:
     from invid.model.diagnosis_document import load_diagnosis as load
     from invid.numerics.immutable import immutable
 
-    return immutable(load(path))
+    return immutable(load(arguments.a_path(path, "path")))
 
 
 @contextmanager
@@ -332,11 +349,11 @@ def _limits(seconds: float | None, report: Callable[[Progress], None] | None) ->
     """Budget and progress of one call. Trial steps of a search may overflow: that is judged, not printed."""
     import numpy as np
 
-    from invid.errors import InputError
     from invid.numerics.budget import Budget, use_budget
 
-    if seconds is not None and not seconds > 0:
-        raise InputError(f"budget of {seconds:g} s: give a number of seconds above 0")
+    if seconds is not None:
+        arguments.a_number(seconds, "budget", "give a number of seconds above 0", above=0.0)
+    arguments.a_function(report, "progress")
     end = None if seconds == float("inf") else seconds
     own = None if end is None and report is None else Budget(end, time.monotonic, report)
     with use_budget(own), np.errstate(all="ignore"):
@@ -346,16 +363,11 @@ def _limits(seconds: float | None, report: Callable[[Progress], None] | None) ->
 def _using(effects: Effects) -> AbstractContextManager[None]:
     from invid.effects.registry import registered_effects
 
-    return registered_effects(list(effects))
-
-
-def _sizes(masses: Masses) -> Masses:
-    return masses if masses is None or isinstance(masses, str) else tuple(masses)
+    return registered_effects(arguments.effect_list(effects))
 
 
 def _one(recording: Recording | Sequence[Recording]) -> Recording:
     """One recording of all that are given."""
     from invid.recording.concatenation import concatenate_recordings
-    from invid.recording.model import Recording
 
-    return recording if isinstance(recording, Recording) else concatenate_recordings(recording)
+    return concatenate_recordings(arguments.recordings(recording))

@@ -162,6 +162,11 @@ def effects(old: Model, new: Model, common: Sequence[str], repeatability: float)
                 repeatability,
             )
             for parameter, value in term.parameters.items()
-            if parameter in now.parameters
+            if parameter in now.parameters and not _is_chosen(value, now.parameters[parameter])
         ]
     return changes
+
+
+def _is_chosen(was: Estimate, now: Estimate) -> bool:
+    """Whether a number is the same choice in both models, and no measurement (which spring drifts)."""
+    return was.std == now.std == 0.0 and was.value == now.value

@@ -136,9 +136,13 @@ def parameter_estimates(trial: CandidateEvidence, number: int, linear: bool) -> 
     variance[(jacobian[:, ~is_finite] != 0).any(axis=1)] = np.inf
     if term.effect.coefficients == ("sine", "cosine") and is_finite[:2].all():
         variance[0] = max(variance[0], _amplitude_variance(x[:2], covariance[:2, :2]))
+    # A number that no fit moves (which spring drifts) was chosen: it has no uncertainty.
+    fitted = {n for n, row in zip(values, jacobian, strict=True) if row.any()}
     out = {}
     for (name, value), v in zip(values.items(), variance, strict=True):
         std = float(np.sqrt(v)) if np.isfinite(v) and v > 0 else None
+        if name not in fitted:
+            std = 0.0
         if std is None and name == "time":
             std = _gap_length(trial, value) / float(np.sqrt(12.0))
         out[name] = Estimate(value, std, unit_of(term.effect.parameters[name], linear))
@@ -172,7 +176,7 @@ def effect_term(trial: CandidateEvidence, number: int, recording: Recording) -> 
     parameters = parameter_estimates(trial, number, recording.linear)
     if isinstance(term.effect, DryLaw) and term.effect.rounding > 0:
         unit = unit_of("velocity", recording.linear)
-        parameters[ROUNDING] = Estimate(term.effect.rounding, None, unit)
+        parameters[ROUNDING] = Estimate(term.effect.rounding, 0.0, unit)
     return EffectTerm(
         cause=term.effect.cause,
         axis=recording.axes[term.place.axis],

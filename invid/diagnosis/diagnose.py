@@ -31,6 +31,7 @@ from invid.model.diagnosis_document import Diagnosis, Verdict
 from invid.model.document import Model, model_to_json
 from invid.numerics import budget
 from invid.recording.model import Recording
+from invid.recording.still_axes import masses_of_moving, moving_part
 from invid.signals.encoder_glitches import remove_glitches
 from invid.signals.plausibility import check_units
 
@@ -66,6 +67,9 @@ def diagnose(
         Data from which no model can be drawn, or a model that does not fit the recording's axes.
     """
     recording, glitch_warnings = remove_glitches(recording)
+    whole = recording
+    recording, still = moving_part(recording, None if model is None else model.axes)
+    masses, glitch_warnings = masses_of_moving(masses, whole, recording), [*glitch_warnings, *still]
     # Steps far from the solution may overflow; the search sees it in their cost and takes them back.
     with use_context(current_context().fresh()) as context, np.errstate(all="ignore"):
         try:

@@ -11,6 +11,7 @@ from invid.diagnosis.context import apply_rule
 from invid.diagnosis.known_effects import known_effects_candidate
 from invid.diagnosis.tone import Tone
 from invid.diagnosis.validation import PLAIN, ValidationRequest
+from invid.identification.ground_springs import SIGNIFICANT
 from invid.likelihood.hypothesis import Layout
 from invid.likelihood.joint_fit import JointFit, evaluate_held_out, fit
 from invid.likelihood.nuisance.hold_share import InsideHold, find_inside_holds
@@ -81,6 +82,17 @@ def refit_without_effects(base: JointFit, train: Sequence[SpectralRecord]) -> Jo
     linear, rest = base.p[: layout.structure.count], base.p[base.layout.zoh_slice.start :]
     p = np.concatenate((linear, base.layout.delays(base.p), rest))
     return fit(layout, train, p, Candidate(), iterations=25)
+
+
+def idle_ground_springs(fitted: JointFit) -> tuple[int, ...]:
+    """Axes whose spring to ground, in a joint fit, is within three standard deviations of none."""
+    structure, part = fitted.layout.structure, fitted.layout.structure.slices["ground_spring"]
+    values = structure.physical(fitted.p[: structure.count])[part]
+    scale = np.where(structure.logarithmic[part], values, 1.0)
+    std = np.sqrt(np.maximum(np.diag(fitted.covariance)[part], 0.0)) * scale
+    return tuple(
+        i for i, v, s in zip(structure.grounded, values, std, strict=True) if not v > SIGNIFICANT * s
+    )
 
 
 def layout_of(

@@ -200,18 +200,34 @@ def assemble_diagnosis(
         sentences.append(consistent_sentence)
     if left is not None:
         sentences.append(left.sentence)
+    open_sizes = _unknown_sizes(findings)
     result = Diagnosis(
         verdict=verdict,
         residual=tuple(residual),
         explained_fraction=explained,
         findings=tuple(findings),
         unexplained=left,
-        model=model,
-        warnings=tuple(dict.fromkeys(warnings)),
+        model=replace(model, warnings=tuple(dict.fromkeys([*model.warnings, *open_sizes]))),
+        warnings=tuple(dict.fromkeys([*warnings, *open_sizes])),
         sentences=tuple(dict.fromkeys([*sentences, *closing])),
         details={} if details is None else details,
     )
     return _mark_untrusted(result, recording)
+
+
+def _unknown_sizes(findings: Sequence[Finding]) -> list[str]:
+    """What would tell the parameters of causes that the data do not."""
+    said = []
+    for f in findings:
+        names = [n.replace("_", " ") for n, p in f.effect.parameters.items() if p.std is None]
+        if names:
+            tells = (
+                BY_CAUSE[f.effect.cause].separating.text
+                or "measure longer, or with a larger amplitude"
+            )
+            where = f"{f.effect.cause.replace('_', ' ')} on {f.effect.axis}"
+            said.append(f"{where}: the data do not tell its {' and '.join(names)}; {tells}")
+    return said
 
 
 def describe_remainder(residual: Sequence[AxisResidual], explained: float | None) -> Unexplained:
@@ -275,7 +291,7 @@ def limit_unfinished_search(result: Diagnosis) -> Diagnosis:
         left = Unexplained(max(result.residual, key=floors_left).axis, (), (), "")
         left = replace(left, sentence=f"{left.axis}: {reason}")
     else:
-        left = replace(left, sentence=f"{left.sentence}; {reason}")
+        left = replace(left, sentence=f"{left.sentence.removesuffix('.')}; {reason}")
     replaced = {*result.sentences[-1:]} if result.unexplained is None else {result.unexplained.sentence}
     sentences = (*(s for s in result.sentences if s not in replaced), left.sentence)
     return replace(

@@ -26,7 +26,7 @@ from invid.numerics import budget
 from invid.numerics.arrays import Float64
 from invid.recording.model import Recording
 from invid.rigid_motion.analysis import Analysis, analyse, row_floor, sampling_error
-from invid.rigid_motion.effect_terms import term_of
+from invid.rigid_motion.effect_terms import place_of, term_of
 from invid.rigid_motion.figures import figures_of
 from invid.rigid_motion.model import model_of
 from invid.rigid_motion.regression import Fit, fit_terms
@@ -139,12 +139,7 @@ def _causes(a: Analysis, terms: list[Regressor], explained: float) -> list[Cause
         scores = np.array([costs.score(f) for f in (a.final, *near)])
         chance = max(training_p(bare, a.final), held_out_p(design, bare, a.final))
         alternatives = tuple(
-            Alternative(
-                f.terms[-1].cause,
-                a.recording.axes[term.axis],
-                "mass 1",
-                root_mean_square(f.held_out[axis_rows]),
-            )
+            _alternative(f.terms[-1], a, root_mean_square(f.held_out[axis_rows]))
             for f, score in zip(near, scores[1:], strict=True)
             if is_rival(score - scores[0], costs.of(f) - costs.of(a.final), costs.left)
         )
@@ -161,6 +156,11 @@ def _causes(a: Analysis, terms: list[Regressor], explained: float) -> list[Cause
             )
         )
     return found
+
+
+def _alternative(term: Regressor, a: Analysis, after: float) -> Alternative:
+    axis, element, other = place_of(term, a.recording.axes)
+    return Alternative(term.cause, axis, element, after, other)
 
 
 def _near_fits(a: Analysis, term: Regressor, rest: list[Regressor], costs: _Costs, most: float) -> list[Fit]:

@@ -9,7 +9,13 @@ from functools import partial
 from invid.diagnosis.context import apply_rule, current_context
 from invid.diagnosis.evidence import CandidateEvidence
 from invid.diagnosis.known_effects import fitted_friction
-from invid.diagnosis.linear_fit import find_tones, fit_linear_model, refit_without_effects, start_vector
+from invid.diagnosis.linear_fit import (
+    find_tones,
+    fit_linear_model,
+    idle_ground_springs,
+    refit_without_effects,
+    start_vector,
+)
 from invid.diagnosis.search import select_causes
 from invid.diagnosis.selection import Selection
 from invid.diagnosis.slow_move import find_slow_moves
@@ -24,12 +30,13 @@ from invid.diagnosis.validation import (
     unfold_periods,
 )
 from invid.errors import InputError
+from invid.identification.ground_springs import SIGNIFICANT
 from invid.likelihood.joint_fit import JointFit, evaluate_held_out
 from invid.likelihood.null_test import null_test
 from invid.likelihood.prepare_records import leave_out_sticking_axes
 from invid.model.document import Model
 from invid.numerics import budget
-from invid.numerics.arrays import Float64
+from invid.numerics.arrays import Float64, frozen_float
 from invid.recording.model import Recording, Role
 from invid.signals.plausibility import check_plausible
 from invid.signals.spectra import LineSpectra, all_spectra
@@ -70,7 +77,7 @@ def run_search_pass(recording: Recording, model: Model) -> SearchPass:
     causes that change with time alone. Or it moves less than the others and shows nothing of what they do,
     such as a torque limit that it does not reach: then a part of each of the others is kept out as well.
     """
-    result = _search_whole_or_periods(recording, model)
+    result = _off_the_ground(recording, _search_whole_or_periods(recording, model))
     fitted = {r.key for r in result.train} & {s.key for s in result.spectra if s.role is Role.VALIDATE}
     notes = [
         f"experiment {key} is for validation, but a period of it was fitted: nothing else shows the machine "
@@ -78,6 +85,27 @@ def run_search_pass(recording: Recording, model: Model) -> SearchPass:
         for key in sorted(fitted)
     ]
     return replace(result, warnings=[*result.warnings, *notes])
+
+
+def _off_the_ground(recording: Recording, result: SearchPass) -> SearchPass:
+    """The look through the same model without the springs to ground that the causes found have made idle.
+
+    Without a cause a weight that swings looks like such a spring, and the identification may have taken one
+    for it. Beside the cause nothing is left of the spring: kept in the fit, it would be a parameter that the
+    data do not tell, and blur the cause.
+    """
+    final = result.selection.final
+    idle = idle_ground_springs(final.fit)
+    if not idle or not result.selection.steps or budget.is_left_out("the machine without springs to ground"):
+        return result
+    springs = result.model.chains.ground_springs.copy()
+    springs[list(idle)] = 0.0
+    other = _search_whole_or_periods(
+        recording,
+        replace(result.model, chains=replace(result.model.chains, ground_springs=frozen_float(springs))),
+    )
+    worse = other.selection.final.cost - final.cost
+    return other if worse < SIGNIFICANT**2 * len(idle) * max(final.dispersion, 1.0) else result
 
 
 def _search_whole_or_periods(recording: Recording, model: Model) -> SearchPass:

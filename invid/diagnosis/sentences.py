@@ -49,6 +49,10 @@ def _rival_text(rival: Alternative, term: EffectTerm) -> str:
     """Title of an alternative; only its place where the cause is the same."""
     if rival.axis != term.axis:
         return f"{BY_CAUSE[rival.cause].title} on {rival.axis}"
+    if rival.cause == term.cause and rival.other_axis != term.other_axis:
+        if rival.other_axis is None:
+            return f"the same on {rival.axis} alone"
+        return f"the same{place_phrase(replace(term, other_axis=rival.other_axis), (), ())}".rstrip(",")
     if rival.cause == term.cause and rival.element is not None:
         return f"the same at {rival.element}"
     return BY_CAUSE[rival.cause].title

@@ -33,6 +33,7 @@ from invid.modes.pole_search import search_modes
 from invid.modes.settle import settled_frf
 from invid.numerics import budget
 from invid.recording.model import Recording, Role
+from invid.recording.still_axes import masses_of_moving, moving_part
 from invid.signals.drive_torque import replace_by_acting_torque
 from invid.signals.encoder_glitches import remove_glitches
 from invid.signals.frf import FrfMatrix
@@ -84,6 +85,9 @@ def identify(
         Data from which no such model can be drawn at all; an excitation that drowns in the noise.
     """
     recording, warnings = remove_glitches(recording)
+    whole = recording
+    recording, still = moving_part(recording)
+    masses, warnings = masses_of_moving(masses, whole, recording), [*warnings, *still]
     # Steps far from the solution may overflow; the search sees it in their cost and takes them back.
     with budget.use_share(TIME_TO_SEARCH), np.errstate(all="ignore"):
         try:

@@ -136,10 +136,10 @@ def refined_model(
             f"the torque is missed by {np.sqrt(fit.noise_chi2):.2g} times its noise: something acts that the "
             "model does not contain; standard deviations include it; invid diagnose names it where it can"
         )
-    for axis, std_of_mass in fit.facts["hold_timing"].items():
+    for axis in fit.facts["hold_timing"]:
         warnings.append(
             f"{axis}: a hold works while this axis is driven, and nothing tells whether it acts inside the "
-            f"drive or is held over the sample: its motor mass is known to ±{std_of_mass:.2g} only; record "
+            "drive or is held over the sample: the standard deviation of its motor mass covers both; record "
             "torque_demand, or an experiment in which the axis is held and not excited"
         )
     for axis, lag in fit.facts["torque_lag_s"].items():

@@ -31,7 +31,9 @@ MISSED = 0.5
 
 @dataclass(frozen=True)
 class Estimate:
-    """A value with one standard deviation (``None`` where the data cannot tell) and its unit.
+    """A value with one standard deviation and its unit.
+
+    ``std`` is ``None`` where the data cannot tell, 0 where the value was chosen and not fitted.
 
     ``name`` only where the value is the number of something that has a name: the ``parameter`` of
     ``parameter_drift`` ("A1.spring.2"; its value is 2).
@@ -380,7 +382,7 @@ def _effect_term(e: _EffectJson, source: str) -> EffectTerm:
                 f"{source}: effect {e.cause} on {e.axis}: element {element!r}, but parameter {given.value!r}"
             )
         element = place
-        parameters[key] = Estimate(float(found["number"]), None, given.unit, name)
+        parameters[key] = Estimate(float(found["number"]), 0.0, given.unit, name)
     return EffectTerm(e.cause, e.axis, parameters, element, e.other_axis)
 
 

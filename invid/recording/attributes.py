@@ -17,6 +17,8 @@ import numpy as np
 from invid.errors import RecordingError
 from invid.numerics.arrays import Float64, frozen_float
 
+_TEXTS = 'a list of texts, written as JSON: ["A1", "A2"]'
+
 
 class Attributes:
     """Typed access to the attributes of one HDF5 object; ``where`` names it in messages."""
@@ -49,50 +51,56 @@ class Attributes:
         if isinstance(value, list) and len(value) == 1 and _looks_like_json_list(value[0]):
             value = value[0]
         if isinstance(value, str):
-            value = self._json(name, value)
+            value = self._json(name, value, _TEXTS)
         if not isinstance(value, list) or not all(isinstance(v, str) for v in value):
-            raise self._wrong(name, value, 'a list of texts, written as JSON: ["A1", "A2"]')
+            raise self._wrong(name, value, _TEXTS)
         return tuple(value)
 
     def number(self, name: str) -> float:
         """A real number."""
-        values = self.numbers(name)
-        if values.size != 1:
-            raise self._wrong(name, values.tolist(), "one number")
-        return float(values[0])
+        return self._one(name, "one number")
 
     def whole(self, name: str) -> int:
         """A whole number."""
-        value = self.number(name)
+        value = self._one(name, "one whole number")
         if not np.isfinite(value) or value != int(value):
-            raise self._wrong(name, value, "a whole number")
+            raise self._wrong(name, value, "one whole number")
         return int(value)
 
-    def numbers(self, name: str) -> Float64:
-        """(n,) real numbers: scalar, any array (flattened), or JSON text; null dataspace is empty."""
+    def _one(self, name: str, needed: str) -> float:
+        values = self.numbers(name, needed)
+        if values.size != 1:
+            raise self._wrong(name, values.tolist(), needed)
+        return float(values[0])
+
+    def numbers(self, name: str, needed: str = "a list of numbers") -> Float64:
+        """(n,) real numbers: scalar, any array (flattened), or JSON text; null dataspace is empty.
+
+        ``needed`` says in words what the attribute must be.
+        """
         value = self._get(name)
         if isinstance(value, h5py.Empty):
             return frozen_float(np.zeros(0))
         value = _plain(value)
         if isinstance(value, str):
-            value = self._json(name, value)
+            value = self._json(name, value, needed)
         try:
             array = np.asarray(value)
             if array.dtype == bool or (array.dtype.kind not in "iuf" and array.size):
                 raise ValueError
             return frozen_float(np.ravel(array))
         except (ValueError, TypeError, OverflowError):
-            raise self._wrong(name, value, "a list of numbers") from None
+            raise self._wrong(name, value, needed) from None
 
     def rest(self, known: frozenset[str]) -> dict[str, Any]:
         """The attributes the contract does not name, as plain Python values where they can be."""
         return {k: _plain(v) for k, v in self._values.items() if k not in known and _is_plain(_plain(v))}
 
-    def _json(self, name: str, text: str) -> Any:
+    def _json(self, name: str, text: str, needed: str) -> Any:
         try:
             return json.loads(text)
         except (json.JSONDecodeError, RecursionError):
-            raise self._wrong(name, text, 'a JSON list such as ["A1", "A2"] or [1, 2]') from None
+            raise self._wrong(name, text, needed) from None
 
     def _wrong(self, name: str, value: Any, needed: str) -> RecordingError:
         shown = repr(value)

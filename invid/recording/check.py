@@ -118,17 +118,11 @@ def check_experiment(experiment: Experiment, axes: tuple[str, ...], *, source: s
             f"{where}: dataset 'time' {how} at sample {row} ({float(e.time[row - 1])!r} s, then "
             f"{float(e.time[row])!r} s); it must increase strictly, in seconds, as float64"
         )
-    _check_header(e, axes, where)
-    nominal = 1.0 / float(np.median(steps))
-    # A factor of two is far beyond jitter and dropped samples: it is a wrong unit (ms for s).
-    if not 0.5 <= nominal / e.sample_rate_hz <= 2.0:
-        raise RecordingError(
-            f"{where}: attribute 'sample_rate_hz' is {e.sample_rate_hz:g} but 'time' steps at {nominal:g} Hz "
-            f"(median); 'time' must be in seconds and agree with the rate"
-        )
+    _check_header(e, axes, where, 1.0 / float(np.median(steps)))
 
 
-def _check_header(e: Experiment, axes: tuple[str, ...], where: str) -> None:
+def _check_header(e: Experiment, axes: tuple[str, ...], where: str, nominal: float) -> None:
+    """``nominal``: the rate at which the times step [Hz]."""
     count = len(axes)
     if not -1 <= e.excited_axis < count:
         raise RecordingError(
@@ -152,7 +146,15 @@ def _check_header(e: Experiment, axes: tuple[str, ...], where: str) -> None:
             f"{where}: attribute 'period_samples' is {e.period_samples}; it must be ≥ 0 (0: not periodic)"
         )
     if not (np.isfinite(e.sample_rate_hz) and e.sample_rate_hz > 0):
-        raise RecordingError(f"{where}: attribute 'sample_rate_hz' is {e.sample_rate_hz}; it must be > 0")
+        raise RecordingError(
+            f"{where}: attribute 'sample_rate_hz' is {e.sample_rate_hz}; it must be a finite number > 0"
+        )
+    # A factor of two is far beyond jitter and dropped samples: it is a wrong unit (ms for s).
+    if not 0.5 <= nominal / e.sample_rate_hz <= 2.0:
+        raise RecordingError(
+            f"{where}: attribute 'sample_rate_hz' is {e.sample_rate_hz:g} but 'time' steps at {nominal:g} Hz "
+            f"(median); 'time' must be in seconds and agree with the rate"
+        )
     f = e.frequencies_hz
     if f.ndim != 1:
         raise RecordingError(f"{where}: attribute 'frequencies_hz' has shape {f.shape}; it must be a list")

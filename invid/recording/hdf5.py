@@ -161,9 +161,10 @@ def _torque_unit(text: str) -> str:
 
 
 def _wholes(a: Attributes, name: str, source: str) -> list[int]:
-    values = a.numbers(name)
+    needed = "a list of whole numbers"
+    values = a.numbers(name, needed)
     if not np.array_equal(values, np.round(values)) or (np.abs(values) > 1e9).any():
-        raise RecordingError(f"{source}: attribute {name!r} is {values.tolist()}; it must be whole numbers")
+        raise RecordingError(f"{source}: attribute {name!r} is {values.tolist()}; it must be {needed}")
     return [int(v) for v in values]
 
 

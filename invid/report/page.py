@@ -17,6 +17,7 @@ from invid.comparison.sentences import differing_number
 from invid.model.diagnosis_document import Diagnosis, Verdict
 from invid.model.document import EffectTerm, Model, linear_parameters
 from invid.recording.model import Recording
+from invid.recording.still_axes import moving_part
 from invid.report.branch_drawing import branch_drawing
 from invid.report.data import figure_data
 from invid.report.dependence import replay_data
@@ -45,7 +46,8 @@ def render_report(
     replaced by the reason. ``run`` is what is known of the run beyond its data (who started it, say): rows
     before all others of where the report comes from, and on the first line.
     """
-    data = figure_data(recording, model, diagnosis)
+    part, _ = moving_part(recording, model.axes)
+    data = figure_data(part, model, diagnosis)
     drawn, captions = draw(data), captions_of(data)
     first = [name for name in drawn if name == "residual" or name.startswith("cause-")]
     shown = model if diagnosis is None else diagnosis.model
@@ -54,7 +56,7 @@ def render_report(
     # Where it is comes before how much.
     pictures = {"branches": branch_drawing(shown, findings, lost)}
     pictures |= {name: drawn[name] for name in first}
-    for number, row in enumerate([] if diagnosis is None else replay_data(recording, diagnosis), 1):
+    for number, row in enumerate([] if diagnosis is None else replay_data(part, diagnosis), 1):
         pictures[f"replay-{number}"] = replay_picture(row, f"replay-{number}")
         captions[f"replay-{number}"] = replay_caption(row)
     pictures |= {name: picture for name, picture in drawn.items() if name not in pictures}
@@ -157,7 +159,7 @@ def _finding(f: Any) -> dict[str, Any]:
         "after": f"{f.after:.3g}",
         "fraction": f"{100 * f.fraction:.0f} %",
         "alternatives": [
-            f"{a.cause.replace('_', ' ')}, {a.axis}{', ' + a.element if a.element else ''} "
+            f"{', '.join(x for x in (a.cause.replace('_', ' '), a.axis, a.element, a.other_axis) if x)} "
             f"(would leave {a.after:.3g})"
             for a in f.alternatives
         ],

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from invid.model.diagnosis_document import Diagnosis
 from invid.model.document import dump_json
 from invid.recording.model import Recording
+from invid.recording.still_axes import moving_part
 from invid.report.branch_drawing import branch_drawing
 from invid.report.dependence import dependence_data, linear_model_of, replay_data
 from invid.report.figures import figures, plain_hz
@@ -30,6 +31,7 @@ def plot_files(recording: Recording, diagnosis: Diagnosis) -> dict[str, str]:
 
     Axis names are cut down to letters, digits and dashes for file names.
     """
+    recording, _ = moving_part(recording, diagnosis.model.axes)
     missing = dependence_data(recording, diagnosis.model)
     replayed = replay_data(recording, diagnosis)
     lost = diagnosis.unexplained

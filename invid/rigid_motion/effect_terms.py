@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from invid.effects.effect import Effect
@@ -51,11 +53,15 @@ def term_of(analysis: Analysis, term: Regressor) -> EffectTerm:
         )
     if term.exponent or "inertia_counts" in effect.parameters:
         power = "inertia_counts" if "inertia_counts" in effect.parameters else "exponent"
-        parameters[power] = Estimate(float(term.exponent), None, None)
-    axis = analysis.recording.axes[term.axis]
-    other = None if term.other is None else analysis.recording.axes[term.other]
-    element = {"axis": None, "spring": "spring 0"}.get(effect.home, "mass 1")
+        parameters[power] = Estimate(float(term.exponent), 0.0, None)  # tried, not fitted
+    axis, element, other = place_of(term, analysis.recording.axes)
     return EffectTerm(term.cause, axis, parameters, element, other)
+
+
+def place_of(term: Regressor, axes: Sequence[str]) -> tuple[str, str | None, str | None]:
+    """Axis, element and other axis of a term, as the contract names them."""
+    element = {"axis": None, "spring": "spring 0"}.get(BY_CAUSE[term.cause].home, "mass 1")
+    return axes[term.axis], element, None if term.other is None else axes[term.other]
 
 
 def _fit_value(effect: Effect, shape: float) -> float:

@@ -15,6 +15,7 @@ from invid.model.chains import add_link
 from invid.model.document import Model
 from invid.numerics.arrays import Float64
 from invid.recording.model import Experiment, Recording
+from invid.recording.still_axes import moving_part
 from invid.signals.plausibility import check_units
 from invid.simulation.kernel import march
 from invid.simulation.laws import Laws, law_table, laws_of, static_table
@@ -48,12 +49,17 @@ def simulate(
     so that records from rest and in steady state both start without a transient of the simulation's own.
     ``model.fit["time_offset_s"]``, the sampling offset of the torque found by identification, is applied.
 
-    Parameters, result and errors are those of ``invid.simulate``. The order of the axes may differ; the clock
+    Parameters, result and errors are those of ``invid.simulate``. The order of the axes may differ, and
+    axes that stand still throughout and that the model does not have are left out; the clock
     of effects that change with time is the whole recording's, also with ``only`` some of its experiments.
     """
+    recording, _ = moving_part(recording, model.axes)
     order = _axis_order(model, recording)
     if model.method == "trajectory":
-        return simulate_motion(model, recording)
+        moved = simulate_motion(model, recording)
+        return replace(
+            moved, experiments=tuple(e for e in moved.experiments if only is None or e.key in only)
+        )
     laws = laws_of(model.chains, model.effects)
     for i, offset in time_offsets(model).items():
         laws.delay[i] = laws.delay.get(i, 0.0) + offset

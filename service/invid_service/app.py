@@ -63,7 +63,7 @@ def create_app(settings: Settings, *, launcher: Launcher = launch_process, clock
         redoc_url=None,
     )
     app.state.service = service
-    problems.install(app)
+    problems.install(app, service.is_simulated)
     for router in (cells, series, identifications, drawing, recordings, health.router):
         app.include_router(router, prefix=API)
     app.include_router(export_router(), prefix=API)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Awaitable, Callable
 from http import HTTPStatus
 from typing import Any
 
@@ -121,12 +122,23 @@ EVERYWHERE = problem_responses(400, 401, 403, 404, 405, 413, 415, 422, 500, 503)
 """Failures that any request may meet."""
 
 
-def install(app: FastAPI) -> None:
-    """Map every exception to a problem document."""
+def install(app: FastAPI, is_simulated: Callable[[str, bool], Awaitable[bool]]) -> None:
+    """Map every exception to a problem document.
+
+    ``is_simulated``: whether a path names a cell, or a run of one, with no hardware behind it, and whether
+    the store may be asked; such problems say so as answers do. Who has no key for it learns nothing of it.
+    """
+
+    async def answer(request: Request, problem: Problem) -> JSONResponse:
+        path = request.url.path
+        open_question = problem.status not in (401, 403) and "simulated" not in problem.members
+        if open_question and await is_simulated(path, problem.kind != "store-unavailable"):
+            problem.members["simulated"] = True
+        return problem.response(path)
 
     @app.exception_handler(Problem)
     async def _problem(request: Request, error: Problem) -> JSONResponse:
-        return error.response(request.url.path)
+        return await answer(request, error)
 
     @app.exception_handler(RequestValidationError)
     async def _invalid(request: Request, error: RequestValidationError) -> JSONResponse:
@@ -137,10 +149,10 @@ def install(app: FastAPI) -> None:
         # A body of another type reaches us as bytes, and would be said to be no dictionary.
         if media and not media.endswith("json") and any(e["where"] == "body" for e in errors):
             detail = f"the body is sent as {media[:80]!r}; send JSON with Content-Type: application/json"
-            return Problem("unsupported-media-type", detail).response(request.url.path)
+            return await answer(request, Problem("unsupported-media-type", detail))
         first = errors[0] if errors else {"where": "request", "message": "cannot be read"}
         detail = f"{first['where']}: {first['message']}"
-        return Problem("invalid-request", detail, errors=errors[:20]).response(request.url.path)
+        return await answer(request, Problem("invalid-request", detail, errors=errors[:20]))
 
     @app.exception_handler(HTTPException)
     async def _http(request: Request, error: HTTPException) -> JSONResponse:
@@ -152,20 +164,20 @@ def install(app: FastAPI) -> None:
             405: f"{request.method} is not possible at {request.url.path}",
         }.get(error.status_code, str(error.detail))
         headers = dict(error.headers) if error.headers else None
-        return Problem(kind, detail, headers).response(request.url.path)
+        return await answer(request, Problem(kind, detail, headers))
 
     @app.exception_handler(InputError)
     async def _input(request: Request, error: InputError) -> JSONResponse:
-        return Problem("invalid-request", str(error)).response(request.url.path)
+        return await answer(request, Problem("invalid-request", str(error)))
 
     @app.exception_handler(SQLAlchemyError)
     async def _store(request: Request, error: SQLAlchemyError) -> JSONResponse:
         log.error("store: %s: %s", type(error).__name__, error)
         detail = "the store did not answer in time; a stop still works, try this again in a moment"
-        return Problem("store-unavailable", detail, {"Retry-After": "2"}).response(request.url.path)
+        return await answer(request, Problem("store-unavailable", detail, {"Retry-After": "2"}))
 
     @app.exception_handler(Exception)
     async def _internal(request: Request, error: Exception) -> JSONResponse:
         log.exception("internal error at %s %s", request.method, request.url.path)
         detail = f"{type(error).__name__}; the log of the service says where"
-        return Problem("internal-error", detail).response(request.url.path)
+        return await answer(request, Problem("internal-error", detail))

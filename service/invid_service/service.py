@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import re
 import secrets
 import time
 from collections import defaultdict
@@ -28,7 +29,7 @@ from invid_service.jobs.results import Results
 from invid_service.jobs.schema import view
 from invid_service.jobs.states import State
 from invid_service.keys import Keys
-from invid_service.links import set_root
+from invid_service.links import API, set_root
 from invid_service.metrics import Metrics
 from invid_service.problems import Problem
 from invid_service.settings import Settings
@@ -40,6 +41,8 @@ from invid_service.webhook import Webhook, open_webhook
 
 log = logging.getLogger(__name__)
 Clock = Callable[[], datetime]
+_NAMED = re.compile(rf"{API}/(cells|identifications)/([^/]+)")
+"""The cell, or the run, that a path is about."""
 _RETENTION_PERIOD_S = 3600.0
 _STORE_PROBE_S = 1.0
 _DRIVES_S = 5.0
@@ -189,6 +192,26 @@ class Service:
         if record is None:
             raise Problem("identification-not-found", f"no identification {run_id[:64]!r}")
         return record, self.jobs.live(run_id)
+
+    async def is_simulated(self, path: str, store_answers: bool) -> bool:
+        """Whether a path of the interface names a cell, or a run of one, with no hardware behind it.
+
+        ``store_answers``: runs that ended are looked up; without it, those in memory count alone.
+        """
+        named = _NAMED.search(path)
+        if named is None:
+            return False
+        kind, identity = named.groups()
+        if kind == "cells":
+            return identity in self.cells and self.cells[identity].simulated
+        live = self.jobs.live(identity)
+        if live is not None or not store_answers:
+            return live is not None and live.record.simulated
+        try:
+            record, _ = await self.run(identity)
+        except (Problem, SQLAlchemyError):
+            return False
+        return record.simulated
 
     def new_run(self, cell: Cell | None, mode: str, axes: list[str], caller: str) -> RunRecord:
         """A queued run with a fresh id that sorts by time."""

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from invid.diagnosis.confidence import parameter_estimates
 from invid.diagnosis.diagnose import diagnose
 from invid.diagnosis.search_pass import run_search_pass
 from invid.model.document import Model, std_by_name
@@ -29,6 +30,12 @@ def test_a_drift_of_two_periods_is_no_tone_between_two_lines() -> None:
     assert step.chosen.term.effect.cause == "parameter_drift"
     assert float(step.chosen.x[0]) == pytest.approx(-0.3, rel=0.01)
     assert step.chosen.cost < 1.2 * step.chosen.dof
+    sizes = parameter_estimates(step.chosen, 0, linear=False)
+    assert (sizes["parameter"].value, sizes["parameter"].std) == (
+        1.0,
+        0.0,
+    )  # which spring: chosen, not fitted
+    assert sizes["rate"].std
 
 
 def test_a_limit_that_the_validation_stays_below_is_named() -> None:

@@ -8,6 +8,7 @@ from typing import Any
 from invid.model.diagnosis_document import Diagnosis
 from invid.model.document import Model
 from invid.recording import Recording
+from invid.recording.still_axes import moving_part
 from invid.report.data import figure_data
 from invid.report.dependence import cause_views
 
@@ -16,6 +17,7 @@ _DIGITS = 5
 
 def plot_data(recording: Recording, model: Model, diagnosis: Diagnosis) -> dict[str, Any]:
     """``figure_data`` and ``cause_views``, five significant digits (a screen shows four), no NaN."""
+    recording, _ = moving_part(recording, diagnosis.model.axes)
     document: dict[str, Any] = _rounded(figure_data(recording, model, diagnosis))
     views: list[dict[str, Any]] = _rounded(cause_views(recording, model, diagnosis))
     return {"axes": list(recording.axes), **document, "views": views}

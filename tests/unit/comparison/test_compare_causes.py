@@ -178,3 +178,12 @@ def test_a_torque_scale_that_comes_nearer_to_one_shrank() -> None:
     c = compare(model(scale(0.9)), model(scale(0.99)))
     assert of(c, "A1.torque_gain").status is CauseStatus.SHRANK
     assert of(compare(model(), model(scale(0.9))), "A1.torque_gain").status is CauseStatus.APPEARED
+
+
+def test_a_number_that_was_chosen_and_stays_is_nothing_to_compare() -> None:
+    def drift(spring: float, rate: float) -> EffectTerm:
+        sizes = {"parameter": Estimate(spring, 0.0, "1"), "rate": Estimate(rate, 0.1, "N·m/(rad·s)")}
+        return EffectTerm("parameter_drift", "A1", sizes, "spring 1")
+
+    same = compare(model(drift(1.0, -4.0)), model(drift(1.0, -4.0)))
+    assert [p.name for p in same.effects] == ["A1.parameter_drift.spring 1.rate"]

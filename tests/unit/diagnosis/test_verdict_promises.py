@@ -22,15 +22,19 @@ from test_consequence_grades import term
 from invid.cli.app import run
 from invid.diagnosis.diagnose import diagnose
 from invid.diagnosis.outcome import Cause, assemble_diagnosis, finding_of
+from invid.diagnosis.sentences import finding_sentence
 from invid.model.diagnosis_document import (
     Alternative,
     AxisResidual,
     Verdict,
     diagnosis_to_json,
 )
+from invid.model.document import EffectTerm, Estimate
 from invid.numerics.arrays import frozen_float
 from invid.recording.hdf5 import write_recording
 from invid.recording.model import Recording, Role
+from invid.rigid_motion.effect_terms import place_of
+from invid.rigid_motion.regressors import Regressor
 
 
 def broken(document: dict, recording: Recording) -> list[str]:
@@ -46,6 +50,13 @@ def broken(document: dict, recording: Recording) -> list[str]:
             if r["after"] > 1.2 * r["noise_floor"] * (1 + 1e-9)
         ]
     for finding in document["findings"]:
+        said = [w for w in document["warnings"] if finding["cause"].replace("_", " ") in w]
+        unknown = [n for n, p in finding["parameters"].items() if p["std"] is None]
+        if unknown and not said:
+            out.append(f"{finding['cause']}: {unknown} are not known and no warning says what would tell")
+        place = ("cause", "axis", "element", "other_axis")
+        if [a for a in finding["alternatives"] if all(a.get(k) == finding.get(k) for k in place)]:
+            out.append(f"{finding['cause']} is its own alternative")
         if finding["alternatives"] and finding["confidence"] > 0.89:
             out.append(f"{finding['cause']} at {finding['confidence']} with alternatives")
     if document["verdict"] in ("consistent", "unexplained") and document["findings"]:
@@ -108,6 +119,35 @@ def test_nobody_is_certain_where_something_is_left_or_competes(own: bool) -> Non
     # Little is explained: a cause that stands on all of the evidence is less sure, one on its own is not.
     little = finding_of(alone, 0.9, (1,), ("A1",), at_noise=True, own=own).confidence
     assert little == pytest.approx(0.999 if own else 0.55, abs=1e-3)
+
+
+def test_a_size_that_the_data_do_not_tell_comes_with_what_would() -> None:
+    start = document_of(term("stribeck_friction", static=0.4, coulomb=0.2, velocity=1.0))
+    (finding,) = start.findings
+    open_speed = {**finding.effect.parameters, "velocity": Estimate(1.0, None, "rad/s")}
+    found = replace(finding, effect=replace(finding.effect, parameters=open_speed))
+    result = assemble_diagnosis(
+        plain_recording(), start.residual, [found], start.model, missing=True, complete=True, explained=1.0
+    )
+    assert broken(diagnosis_to_json(result), plain_recording()) == []
+    assert any("do not tell its velocity; slow constant-velocity moves" in w for w in result.warnings)
+    assert result.model.warnings == result.warnings
+
+
+def test_the_weight_of_a_carried_link_is_no_alternative_of_itself() -> None:
+    both = Regressor("gravity", 1, ("sine", "cosine"), other=0)
+    place = place_of(both, ("shoulder", "elbow"))
+    assert place == ("elbow", "mass 1", "shoulder")
+    alone = EffectTerm("gravity", "elbow", {"torque": Estimate(1.0, 0.1, "N·m")}, "mass 1")
+    axis, element, other = place
+    rival = Alternative("gravity", axis, element, 0.1, other)
+    said = finding_sentence(alone, 0.9, 0.8, (rival,), (1, 1), ("shoulder", "elbow"))
+    assert "cannot tell it from the same of the link that shoulder carries, felt on both:" in said
+    own = Alternative("gravity", axis, element, 0.1)
+    said = finding_sentence(
+        replace(alone, other_axis="shoulder"), 0.9, 0.8, (own,), (1, 1), ("shoulder", "elbow")
+    )
+    assert "cannot tell it from the same on elbow alone:" in said
 
 
 def test_a_document_that_broke_them_would_be_found() -> None:

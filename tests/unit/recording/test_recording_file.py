@@ -19,6 +19,7 @@ import pytest
 from invid.cli.app import run
 from invid.errors import InvidError, RecordingError
 from invid.recording import Outcome, read_recording, write_recording
+from invid.recording.hdf5 import EXPERIMENT_ATTRIBUTES, ROOT_ATTRIBUTES
 from invid.recording.spool import Spool
 
 
@@ -106,6 +107,63 @@ def test_a_violation_is_one_sentence_that_says_what_and_where(tmp_path, spoil, s
     with pytest.raises(RecordingError, match=said) as caught:
         read_recording(path)
     assert "\n" not in str(caught.value)
+
+
+TEXT, ONE, WHOLE = "a text", "one number", "one whole number"
+KINDS = {
+    "format": TEXT,
+    "format_version": WHOLE,
+    "created": TEXT,
+    "robot": TEXT,
+    "axes": 'a list of texts, written as JSON: ["A1", "A2"]',
+    "masses_per_axis": "a list of whole numbers",
+    "position_unit": TEXT,
+    "torque_unit": TEXT,
+    "rated_torque": "a list of numbers",
+    "encoder_resolution": "a list of numbers",
+    "config": TEXT,
+    "outcome": TEXT,
+    "kind": TEXT,
+    "excited_axis": WHOLE,
+    "role": TEXT,
+    "hold_gain": "a list of numbers",
+    "period_samples": WHOLE,
+    "frequencies_hz": "a list of numbers",
+    "sample_rate_hz": ONE,
+}
+NO_KIND = {
+    TEXT: [7, 2.5, True, [1.0, 2.0]],
+    ONE: ["fast", "", '["A"]', True, [1.0, 2.0]],
+    WHOLE: ["fast", "", '["A"]', True, [1.0, 2.0], 2.5, float("nan")],
+    KINDS["masses_per_axis"]: ["fast", "", '["A"]', True, [2.5, 2.0], [float("nan"), 1.0]],
+    KINDS["rated_torque"]: ["fast", "", '["A"]', True],
+    KINDS["axes"]: ["fast", "", 7, True, [1.0, 2.0], "{}", "[1, 2]"],
+}
+
+
+def test_the_kinds_of_attributes_here_are_those_of_the_whole_format() -> None:
+    assert set(KINDS) == ROOT_ATTRIBUTES | EXPERIMENT_ATTRIBUTES
+
+
+@pytest.mark.parametrize("name", sorted(KINDS))
+def test_an_attribute_of_another_kind_is_told_which_kind_it_must_be(tmp_path, name):
+    for value in NO_KIND[KINDS[name]]:
+        path = foreign(tmp_path / "r.h5")
+        with h5py.File(path, "r+") as f:
+            (f if name in ROOT_ATTRIBUTES else f["experiments/000"]).attrs[name] = value
+        with pytest.raises(RecordingError) as caught:
+            read_recording(path)
+        assert f"attribute '{name}' is " in str(caught.value)
+        assert str(caught.value).endswith(f"; it must be {KINDS[name]}"), value
+
+
+def test_a_wrong_rate_is_not_blamed_on_the_lines(tmp_path):
+    path = foreign(tmp_path / "r.h5")
+    with h5py.File(path, "r+") as f:
+        f["experiments/000"].attrs["frequencies_hz"] = [1.0, 20.0]
+        f["experiments/000"].attrs["sample_rate_hz"] = 7.0
+    with pytest.raises(RecordingError, match="'sample_rate_hz' is 7 but 'time' steps at"):
+        read_recording(path)
 
 
 def test_a_cut_file_is_called_truncated(tmp_path):

@@ -18,6 +18,7 @@ from invid.model.document import dump_json, load_model
 from invid.recording import Kind, write_recording
 from invid.rigid_motion.model import identify_trajectory
 from invid.rigid_motion.record_kind import is_trajectory
+from invid.simulation.run import simulate as simulated
 
 
 def causes(diagnosis: Diagnosis) -> set[str]:
@@ -161,6 +162,7 @@ def test_constant_speeds_show_stribeck_friction_and_say_that_the_inertia_is_unkn
     assert effect.value("static") == pytest.approx(3.2, rel=0.05)
     assert effect.value("coulomb") == pytest.approx(2.0, rel=0.05)
     assert effect.value("velocity") == pytest.approx(3.0, rel=0.2)
+    assert effect.parameters["exponent"].std == 0.0  # tried, not fitted
     assert np.isnan(diagnosis.model.std.masses[0][0])
     assert any("no inertia" in w for w in diagnosis.warnings)
 
@@ -224,3 +226,10 @@ def test_a_model_of_other_axes_is_refused():
     other = replace(data, axes=("elsewhere",))
     with pytest.raises(InputError, match="elsewhere"):
         diagnose(data, model=identify_trajectory(other))
+
+
+def test_a_rigid_model_simulates_the_experiments_asked_for_alone():
+    (one,) = recording(simulate(np.random.default_rng(0))).experiments
+    data = recording(one, replace(one, key="001"))
+    answer = simulated(identify_trajectory(data), data, only=["001"])
+    assert [e.key for e in answer.experiments] == ["001"]

@@ -1,0 +1,56 @@
+"""What is said of torque that no cause explains: what it goes with."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[2]))
+from hidden.generator import make
+from test_consequence_grades import diagnosis as document_of
+from test_consequence_grades import term
+
+from invid.diagnosis.diagnose import diagnose
+from invid.diagnosis.outcome import limit_unfinished_search
+from invid.model.diagnosis_document import Unexplained, Verdict
+from invid.numerics.arrays import Float64
+
+Torque = Callable[[Float64, Float64, Float64], Float64]
+
+
+@pytest.mark.parametrize(
+    ("torque", "character"),
+    [
+        (lambda time, position, velocity: np.exp(-time / 40.0), "time-dependent"),
+        (lambda time, position, velocity: np.tanh(time / 10.0 - 2.0), "time-dependent"),
+        (lambda time, position, velocity: velocity * np.abs(velocity), "velocity-dependent"),
+        (lambda time, position, velocity: np.cos(2.0 * position), "position-dependent"),
+    ],
+    ids=["cooling down", "a load that comes slowly", "drag", "a wave over the position"],
+)
+def test_torque_without_a_name_is_said_to_go_with_what_it_goes_with(torque: Torque, character: str) -> None:
+    recording, _ = make(None, seed=7, motors=1, masses=(2,), noise=0.003, moves=False)
+    experiments = []
+    for e in recording.experiments:
+        position = e.position[:, 0]
+        velocity = np.gradient(position, e.time)
+        extra = torque(e.time, position / position.std(), velocity / velocity.std())
+        size = 0.3 * e.torque.std()
+        experiments.append(replace(e, torque=e.torque + size * extra[:, None]))
+    found = diagnose(replace(recording, experiments=tuple(experiments))).unexplained
+    assert found is not None
+    said = {c for c in found.character if c not in ("odd", "even")}
+    assert said == {character}
+
+
+def test_a_sentence_that_ends_is_not_gone_on_with() -> None:
+    start = document_of(term("coulomb_friction", torque=0.4))
+    left = Unexplained("A1", (), (), "A1: torque is missing.")
+    cut = limit_unfinished_search(replace(start, findings=(), verdict=Verdict.UNEXPLAINED, unexplained=left))
+    assert cut.unexplained is not None
+    assert cut.unexplained.sentence.startswith("A1: torque is missing; the search for causes was cut short")

@@ -1,0 +1,104 @@
+"""An axis that stands still beside others that move: they are identified, and it is said to be unknown."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[2]))
+from hidden.generator import make
+
+import invid
+from invid.recording.still_axes import moving_part
+from invid.report import render_report
+
+
+def beside_a_still_axis(torque: float = 0.0, count: float | None = None) -> invid.Recording:
+    """An elastic axis with dry friction, and before it one that stands; ``count``: its encoder flickers."""
+    recording, _ = make("coulomb_friction", (0, 1), seed=5, masses=(2,), target_db=30.0, moves=False)
+    rng = np.random.default_rng(1)
+
+    def wider(values: np.ndarray, level: float) -> np.ndarray:
+        return np.concatenate((np.full_like(values, level), values), axis=1)
+
+    experiments = []
+    for e in recording.experiments:
+        position = wider(e.position, 0.7)
+        if count is not None:
+            position[:, 0] += count * rng.integers(0, 2, e.samples)
+        columns = {
+            name: wider(values, 0.0)
+            for name in ("torque_demand", "status", "position_reference", "torque_feedforward")
+            if (values := getattr(e, name)) is not None
+        }
+        experiments.append(
+            replace(
+                e,
+                position=position,
+                torque=wider(e.torque, torque),
+                hold_gain=np.array([0.0, *e.hold_gain]),
+                excited_axis=1 if e.excited_axis == 0 else -1,
+                **columns,
+            )
+        )
+    resolution = recording.encoder_resolution
+    return replace(
+        recording,
+        axes=("still", *recording.axes),
+        experiments=tuple(experiments),
+        masses_per_axis=None,
+        rated_torque=None if recording.rated_torque is None else np.array([5.0, *recording.rated_torque]),
+        encoder_resolution=None
+        if resolution is None
+        else np.array([resolution[0] if count is None else count, *resolution]),
+    )
+
+
+@pytest.mark.parametrize(("torque", "count"), [(0.0, None), (3.0, 1e-5)])
+def test_axes_that_move_are_diagnosed_as_if_the_still_one_were_not_there(
+    torque: float, count: float | None
+) -> None:
+    alone, _ = make("coulomb_friction", (0, 1), seed=5, masses=(2,), target_db=30.0, moves=False)
+    expected, both = invid.diagnose(alone), beside_a_still_axis(torque, count)
+    found = invid.diagnose(both)
+    assert [r.axis for r in found.residual] == list(alone.axes)
+    assert [f.cause for f in found.findings] == [f.cause for f in expected.findings] == ["coulomb_friction"]
+    assert found.findings[0].parameters["torque"].value == pytest.approx(
+        expected.findings[0].parameters["torque"].value, rel=1e-6
+    )
+    assert any(
+        w.startswith("still stands still in every experiment: nothing is known") for w in found.warnings
+    )
+    answer = invid.simulate(found.model, both)
+    assert answer.axes == alone.axes
+    assert "stands still" in render_report(both, found.model, found)
+
+
+def test_masses_are_given_for_every_axis_of_the_recording() -> None:
+    model = invid.identify(beside_a_still_axis(), masses=[3, 2])
+    assert model.chains.masses_per_branch == (2,)
+    assert any("stands still" in w for w in model.warnings)
+
+
+def test_an_axis_that_was_to_move_and_does_not_stays_in_the_recording() -> None:
+    """A stuck encoder, a brake that was not released: that is no axis to be left out quietly."""
+    both = beside_a_still_axis()
+    first, *others = both.experiments
+    meant = replace(both, experiments=(replace(first, excited_axis=0), *others))
+    assert moving_part(meant) == (meant, [])
+    with pytest.raises(invid.InputError, match=r"position of axis still never changes.*its brake is open"):
+        invid.identify(meant)
+
+
+def test_where_nothing_moves_or_a_model_has_the_axis_it_stays() -> None:
+    both = beside_a_still_axis()
+    assert moving_part(both, both.axes)[0] is both
+    rest = replace(
+        both,
+        experiments=tuple(replace(e, position=0 * e.position, excited_axis=-1) for e in both.experiments),
+    )
+    assert moving_part(rest)[0] is rest
