@@ -221,10 +221,7 @@ def _unknown_sizes(findings: Sequence[Finding]) -> list[str]:
     for f in findings:
         names = [n.replace("_", " ") for n, p in f.effect.parameters.items() if p.std is None]
         if names:
-            tells = (
-                BY_CAUSE[f.effect.cause].separating.text
-                or "measure longer, or with a larger amplitude"
-            )
+            tells = BY_CAUSE[f.effect.cause].separating.text or "measure longer, or with a larger amplitude"
             where = f"{f.effect.cause.replace('_', ' ')} on {f.effect.axis}"
             said.append(f"{where}: the data do not tell its {' and '.join(names)}; {tells}")
     return said

@@ -13,7 +13,7 @@ from invid.numerics.arrays import Float64
 from invid.recording.model import Recording
 from invid.rigid_motion.load_friction import load_terms
 from invid.rigid_motion.record_kind import grounded_axes
-from invid.rigid_motion.regression import Design, Fit, fit_terms
+from invid.rigid_motion.regression import Design, Fit, fit_terms, noise_of
 from invid.rigid_motion.regressors import Extent, Regressor, base_terms, candidate_terms, extent
 from invid.rigid_motion.selection import (
     Selection,
@@ -30,6 +30,16 @@ from invid.signals.motion_record import Band, Motion, find_band, prepare_rows
 RESOLUTION = 0.005
 """Share of the torque below which nothing counts as missing. Empirical: resampling, differentiation and held
 torque leave up to 0.2 % on simulated axes without a cause."""
+
+EXPLAINED = 0.9
+"""Share of what an axis misses that friction takes, or leaves nothing that depends on the velocity."""
+FRICTION = (
+    "viscous_friction",
+    "coulomb_friction",
+    "stribeck_friction",
+    "asymmetric_friction",
+    "load_dependent_friction",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,17 +85,19 @@ def analyse(recording: Recording) -> Analysis:
         design.bend(_fit_time_offsets(design, base, candidates))
     with budget.use_share(0.8, 0.1, 0.9):
         selection_made = select_terms(design, base, candidates)
-    terms, spread = list(selection_made.final.terms), dict[Regressor, float]()
+    terms = list(selection_made.final.terms)
     if not budget.is_left_out("shapes of laws between those of the grid"):
-        terms, spread = _refine_shapes(design, selection_made.final)
+        terms = _refine_shapes(design, terms)
     terms = _fit_delays(design, terms, max(m.step for m in motions))
     final, is_kept = fit_consistent_loads(design, terms)
     if len(is_kept) < len(terms):
         # What stood only beside what went goes as well.
         final, is_kept = prune_terms(design, is_kept)
-    terms = is_kept
+    final = _without_wrong_laws(design, final)
+    terms = list(final.terms)
     candidates += [t for t in load_terms(final, design) if not any(t.label == n.label for n in terms)]
     rigid = fit_terms(design, [t for t in final.terms if t.base])
+    final, spread = _with_shapes(design, final)
     return Analysis(
         recording,
         band,
@@ -118,10 +130,13 @@ def _fit_delays(design: Design, terms: list[Regressor], step: float) -> list[Reg
     current = fit_terms(design, terms)
     for term in [t for t in terms if t.cause == "time_offset"]:
         value, std = current.of(term)
-        if abs(value[0]) <= step + 2 * std[0]:
+        # Beyond a sample, and not to be told from none: it would only bend what the data do show.
+        lost = step < abs(value[0]) <= 2 * std[0]
+        if abs(value[0]) <= step + 2 * std[0] and not lost:
             continue
         without = fit_terms(design, [t for t in terms if t is not term])
-        is_believed = is_needed(design, without, current) and _explains_most(design, without, current)
+        sure = not lost and is_needed(design, without, current)
+        is_believed = sure and _explains_most(design, without, current)
         if is_believed and _is_late_in_motion(design, terms, term, step):
             terms = [replace(t, cause="torque_delay", base=False) if t is term else t for t in terms]
         else:
@@ -148,7 +163,7 @@ def _is_late_in_motion(design: Design, terms: list[Regressor], term: Regressor, 
     An axis that sticks before it reverses, where the model's friction follows the sign of the velocity, looks
     late by the time it sticks. That is friction, not the actuator.
     """
-    rows = design.far & ~design.validate if design.has_validation else design.far
+    rows = design.far & design.train
     if rows.sum() < 5 * sum(len(t.names) for t in terms):
         return False
     weight = design.weight.copy()
@@ -162,10 +177,9 @@ def _is_late_in_motion(design: Design, terms: list[Regressor], term: Regressor, 
     return bool(abs(value[0]) > step + 3 * std[0] / np.sqrt(share))
 
 
-def _refine_shapes(design: Design, result: Fit) -> tuple[list[Regressor], dict[Regressor, float]]:
-    """Shape parameters between the grid points, with standard deviations from the cost's curvature."""
-    terms = list(result.terms)
-    spread: dict[Regressor, float] = {}
+def _refine_shapes(design: Design, found: list[Regressor]) -> list[Regressor]:
+    """The terms with shape parameters between the grid points."""
+    terms = list(found)
     for i, term in enumerate(terms):
         if term.shape is None:
             continue
@@ -177,28 +191,72 @@ def _refine_shapes(design: Design, result: Fit) -> tuple[list[Regressor], dict[R
             return fit_fast(design, trial, 1.0).cost
 
         low, high = float(np.log(start / 3)), float(np.log(start * 3))
-        found = minimize_scalar(cost, bounds=(low, high), method="bounded", options={"xatol": 1e-3})
-        terms[i] = replace(term, shape=float(np.exp(found.x)))
-        h = 0.1
-        curvature = (cost(found.x + h) - 2 * found.fun + cost(found.x - h)) / h**2
-        variance = 2 * found.fun / max(curvature, 1e-300) / max(result.effective, 1.0)
-        spread[terms[i]] = (
-            float(terms[i].shape or 0.0) * float(np.sqrt(variance)) if curvature > 0 else np.inf
+        best = minimize_scalar(cost, bounds=(low, high), method="bounded", options={"xatol": 1e-3})
+        terms[i] = replace(term, shape=float(np.exp(best.x)))
+    return terms
+
+
+def _with_shapes(design: Design, result: Fit) -> tuple[Fit, dict[Regressor, float]]:
+    """The fit with what its shapes leave open in the covariance of all coefficients; the shapes' own std."""
+    shaped = [t for t in result.terms if t.shape is not None]
+    if not shaped:
+        return result, {}
+    h = 1e-3
+    slopes = []
+    for term in shaped:
+        up, down = (
+            design.columns(replace(term, shape=float(term.shape or 0.0) * np.exp(s))) for s in (h, -h)
         )
-    return terms, spread
+        slopes.append((up - down) @ result.of(term)[0] / (2 * h))
+    matrix = np.column_stack([design.matrix(result.terms), *slopes]) * design.weight[:, None]
+    matrix = matrix[design.train]
+    scale = np.sqrt((matrix**2).sum(axis=0))
+    scale[scale == 0] = 1.0
+    length = matrix.shape[0] / max(result.effective, 1.0)
+    spread = result.cost * length * matrix.shape[0] / max(matrix.shape[0] - matrix.shape[1] * length, 1.0)
+    inverse = np.linalg.pinv((matrix / scale).T @ (matrix / scale), rcond=1e-12) / np.outer(scale, scale)
+    covariance, count = inverse * spread, result.value.size
+    own = np.sqrt(np.diag(covariance)[count:])
+    return (
+        replace(result, covariance=covariance[:count, :count]),
+        {t: float(t.shape or 0.0) * float(s) for t, s in zip(shaped, own, strict=True)},
+    )
+
+
+def _without_wrong_laws(design: Design, final: Fit) -> Fit:
+    """The fit without friction on an axis where it leaves a tenth that still depends on the velocity.
+
+    Friction there is, by a law that none of them is: of a drag with the square of the speed viscous friction
+    takes most, at a size that means nothing.
+    """
+    rows = judged_rows(design)
+    bare = fit_terms(design, [t for t in final.terms if t.base])
+    wrong = set()
+    for i in range(design.axes):
+        mine = rows & (design.axis == i)
+        noise = float(np.mean(design.noise[mine])) if mine.any() else 0.0
+        before, after = (float(np.mean(f.held_out[mine] ** 2)) - noise for f in (bare, final))
+        velocity = design.on_axis([m.rows(m.velocity) for m in design.motions], i)
+        left = final.held_out[design.axis == i]
+        if after > (1 - EXPLAINED) * before and depends_on(left, velocity, final.effective / design.axes):
+            wrong.add(i)
+    kept = [t for t in final.terms if t.axis not in wrong or t.cause not in FRICTION]
+    return final if len(kept) == len(final.terms) else fit_consistent_loads(design, kept)[0]
+
+
+def depends_on(residual: Float64, driver: Float64, effective: float) -> bool:
+    """More than a tenth of the residual's power, and significant, in its mean over ten bins of ``driver``."""
+    edges = np.quantile(driver, np.linspace(0, 1, 11)[1:-1])
+    bins = np.searchsorted(edges, driver)
+    sums = np.bincount(bins, residual, 10)
+    counts = np.maximum(np.bincount(bins, minlength=10), 1)
+    share = float(np.sum(sums**2 / counts) / max(np.sum(residual**2), 1e-300))
+    return share > max(0.1, 20.0 / max(effective, 1.0))
 
 
 def row_floor(analysis: Analysis) -> Float64:
     """(rows,) variance that white noise of torque and position alone leaves in each row."""
-    design, band = analysis.design, analysis.band
-    variance = design.noise.copy()
-    for term in analysis.final.terms:
-        if term.cause != "inertia":
-            continue
-        mass = float(analysis.final.of(term)[0][0])
-        own_noise = design.axis == term.axis
-        variance[own_noise] += mass**2 * float(band.accelerating()[term.axis])
-    return variance
+    return noise_of(analysis.design, analysis.final)
 
 
 def sampling_error(analysis: Analysis) -> Float64:

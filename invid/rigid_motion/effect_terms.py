@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from invid.model.document import EffectTerm, Estimate
 from invid.model.place import Place
 from invid.numerics.arrays import Float64
 from invid.rigid_motion.analysis import Analysis
+from invid.rigid_motion.regression import fit_terms
 from invid.rigid_motion.regressors import Regressor
 
 
@@ -29,6 +31,12 @@ def term_of(analysis: Analysis, term: Regressor) -> EffectTerm:
 
     start = sum(len(t.names) for t in final.terms[: final.terms.index(term)])
     spread = final.covariance[start : start + count, start : start + count]
+    if term.held:  # how well a coefficient at its bound is known: as well as without the bound
+        free = replace(term, held=())
+        _, loose = fit_terms(analysis.design, [free if t is term else t for t in final.terms]).of(free)
+        at = [term.names.index(n) for n in term.held if n in term.names[:count]]
+        spread, std = spread.copy(), std.copy()
+        spread[at, at], std[at] = loose[at] ** 2, loose[at]
     step = np.where(std[:count] > 0, std[:count], 1.0) * 1e-3
     shifted = [
         {n: (up[n] - backward[n]) / (2 * h) for n in up}

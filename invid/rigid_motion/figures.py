@@ -13,7 +13,7 @@ from invid.numerics.arrays import Float64
 from invid.rigid_motion.analysis import Analysis
 from invid.rigid_motion.load_friction import load_terms
 from invid.rigid_motion.model import model_of
-from invid.rigid_motion.regression import Fit, fit_terms
+from invid.rigid_motion.regression import Design, Fit, fit_terms
 from invid.rigid_motion.regressors import Regressor
 from invid.rigid_motion.selection import judged_rows, root_mean_square
 from invid.simulation.rigid import errors_of
@@ -22,7 +22,7 @@ from invid.simulation.rigid import errors_of
 def figures_of(a: Analysis, extended: Model) -> dict[str, Any]:
     """Entries for ``details`` of a diagnosis."""
     design, rows = a.design, judged_rows(a.design)
-    train = ~design.validate if design.has_validation else rows
+    train = design.train
     relative = {}
     for i, name in enumerate(a.recording.axes):
         mine = design.axis == i
@@ -52,8 +52,9 @@ def _relative_error(residual: Float64, torque: Float64, rows: np.typing.NDArray[
 
 def _friction_models(a: Analysis) -> list[dict[str, Any]]:
     """Friction models of increasing size on every axis, whatever was selected, to compare with tables."""
-    design, rows = a.design, judged_rows(a.design)
-    train = ~design.validate if design.has_validation else rows
+    design = Design(a.motions, reversals=True)
+    rows = judged_rows(design)
+    train = design.train
     friction = {
         "viscous_friction",
         "coulomb_friction",

@@ -31,6 +31,8 @@ class Regressor:
         Coefficients, in the order of the columns.
     positive
         Coefficients that physics wants ≥ 0.
+    held
+        Those of them that are held at 0, where the data alone would have them below.
     shape
         The nonlinear parameter, found by search over ``grid``; ``None`` where the term is linear.
     replaces
@@ -56,6 +58,7 @@ class Regressor:
     base: bool = False
     tag: str = ""
     load: tuple[tuple[Regressor, tuple[float, ...]], ...] = ()
+    held: tuple[str, ...] = ()
 
     @property
     def label(self) -> tuple[str, int, int | None, str]:
@@ -88,6 +91,8 @@ def columns(term: Regressor, motion: Motion) -> Float64:
             own = effect.regressors(_place_motion(term, motion), _shape_of(term))
             for axis in (i,) if term.other is None else (i, term.other):
                 out[:, axis] = own
+    for name in term.held:
+        out[:, :, term.names.index(name)] = 0.0
     return out
 
 
@@ -225,7 +230,9 @@ def candidate_terms(axes: int, reach: Extent, springs: set[int]) -> list[Regress
         if reach.both_ways[i]:
             covered = ("coulomb_friction", "viscous_friction", "torque_offset", "stribeck_friction")
             dry = ("coulomb_friction", "stribeck_friction")
-            found.append(Regressor("asymmetric_friction", i, ASYMMETRIC, (), replaces=covered, needs=dry))
+            found.append(
+                Regressor("asymmetric_friction", i, ASYMMETRIC, ASYMMETRIC, replaces=covered, needs=dry)
+            )
             for exponent in (1, 2):
                 for speed in speeds:
                     found.append(
@@ -233,7 +240,7 @@ def candidate_terms(axes: int, reach: Extent, springs: set[int]) -> list[Regress
                             "asymmetric_friction",
                             i,
                             (*ASYMMETRIC, "low_speed_positive", "low_speed_negative"),
-                            (),
+                            ASYMMETRIC,
                             shape=speed,
                             exponent=exponent,
                             replaces=(*covered, "asymmetric_friction"),

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from scipy import fft
 from scipy.ndimage import minimum_filter1d
-from scipy.signal import periodogram, welch
+from scipy.signal import csd, periodogram, welch
 
 from invid.numerics.arrays import Bool, Float64
 from invid.recording.model import Experiment, Kind, Role
@@ -26,10 +26,20 @@ NOISE_MARGIN = 10.0
 TORQUE_BAND = 1.0
 """Rows reach as far as the torque does (the filter's roll-off adds a quarter). Empirical: on a measured
 two-link arm 1.0 to 1.5 give the same parameters within 5 %; from 2 up, where it only vibrates, not."""
-ROLL_OFF = 0.25
-"""Share of a cut-off over which its filter falls to nothing."""
+ROLL_OFF = (1.0, 1.25)
+"""Where the filter of the motion begins to fall and where it has, over its cut-off."""
+ROW_ROLL_OFF = (0.0, 2.0)
+"""The same of the filter of the rows: one half at the cut-off, and as short in time as a filter can be, so
+that what friction does at a reversal does not ring through the rows beside it."""
+REACH = 0.5
+"""Half the length of the rows' filter, in periods of its cut-off: a fortieth of its response lies beyond."""
 _NOISE_BAND = 0.75
 """The noise is read above this part of the Nyquist band."""
+BATCHES = 40
+"""Parts of a record of constant velocity whose speeds are compared."""
+STEADY = 0.05
+"""Part of its speed by which a steady axis may differ from it for a fortieth of the record, beyond noise: as
+cogging and a loop that settles do. The means stand for the whole record where friction is smooth so far."""
 LEAST_MOVING_SHARE = 0.9
 """Rows that move for less of their filter's length are left out: at standstill friction may be anything."""
 
@@ -85,7 +95,7 @@ class Motion:
     keep: Bool
     """(rows,) rows in which every axis moves enough."""
     far: Bool
-    """(rows kept,) rows with no standstill or reversal of any axis within their filter's reach."""
+    """(rows kept, M) rows with no standstill or reversal of the axis within their filter's reach."""
     row_noise: Float64
     """(rows kept, M) variance of the torque row that noise alone leaves (position noise excluded)."""
 
@@ -97,8 +107,10 @@ class Motion:
         return reduce_rate(columns, self.step, self.band.rows_hz)[self.keep]
 
 
-def derivative(values: Float64, step: float, cutoff_hz: float, order: int) -> Float64:
-    """Derivative along axis 0, low-passed without phase at ``cutoff_hz`` (cosine roll-off over a quarter).
+def derivative(
+    values: Float64, step: float, cutoff_hz: float, order: int, roll_off: tuple[float, float] = ROLL_OFF
+) -> Float64:
+    """Derivative along axis 0, low-passed without phase at ``cutoff_hz`` with a cosine roll-off.
 
     The record is continued at both ends by its point reflection, which keeps value and slope.
     """
@@ -111,7 +123,8 @@ def derivative(values: Float64, step: float, cutoff_hz: float, order: int) -> Fl
     long = np.concatenate((head, values, tail))
     ramp = np.linspace(long[0], long[-1], long.shape[0])
     frequency = fft.rfftfreq(long.shape[0], step)
-    roll = np.clip((frequency / cutoff_hz - 1.0) / ROLL_OFF, 0.0, 1.0)
+    first, last = roll_off
+    roll = np.clip((frequency / cutoff_hz - first) / (last - first), 0.0, 1.0)
     gain = 0.5 * (1 + np.cos(np.pi * roll)) * (2j * np.pi * frequency) ** order
     spectrum = fft.rfft(long - ramp, axis=0)
     result = fft.irfft(gain[:, None] * spectrum, long.shape[0], axis=0)
@@ -124,14 +137,12 @@ def derivative(values: Float64, step: float, cutoff_hz: float, order: int) -> Fl
 
 
 def passed_noise(power: int) -> float:
-    """Variance of noise ∝ f^power behind the roll-off of ``derivative``, over that behind a sharp cut-off.
-
-    A quarter beyond the cut-off adds 9 % to white noise, and half to that of an acceleration.
-    """
-    parts = 256
-    beyond = 1.0 + ROLL_OFF * (np.arange(parts) + 0.5) / parts
-    gain = 0.5 * (1.0 + np.cos(np.pi * (beyond - 1.0) / ROLL_OFF))
-    return 1.0 + (power + 1) * ROLL_OFF * float(np.mean(gain**2 * beyond**power))
+    """Variance of noise ∝ f^power behind the filter of the rows, over that behind a sharp cut-off."""
+    parts = 1024
+    first, last = ROW_ROLL_OFF
+    at = last * (np.arange(parts) + 0.5) / parts
+    gain = 0.5 * (1.0 + np.cos(np.pi * np.clip((at - first) / (last - first), 0.0, 1.0)))
+    return (power + 1) * last * float(np.mean(gain**2 * at**power))
 
 
 def reduce_rate(columns: Float64, step: float, cutoff_hz: Float64) -> Float64:
@@ -140,7 +151,7 @@ def reduce_rate(columns: Float64, step: float, cutoff_hz: Float64) -> Float64:
     parts = [
         flat[:, i]
         if cutoff >= 0.35 / step or not flat[:, i].any()
-        else derivative(flat[:, i], step, float(cutoff), 0)
+        else derivative(flat[:, i], step, float(cutoff), 0, ROW_ROLL_OFF)
         for i, cutoff in enumerate(cutoff_hz)
     ]
     filtered = np.stack(parts, axis=1).reshape(columns.shape)
@@ -184,14 +195,57 @@ def white_psd(values: Float64, step: float) -> tuple[Float64, Float64, Float64]:
     The second difference keeps the trend of a large motion from leaking over the whole spectrum.
     """
     second = np.diff(values, 2, axis=0)
-    length = int(min(2048, max(64, second.shape[0] // 8)))
-    length = min(length, second.shape[0])
+    length = _segment(second.shape[0])
     frequency, power = welch(second, 1 / step, nperseg=length, axis=0)
     shape = np.abs(1 - np.exp(-2j * np.pi * frequency * step)) ** 4
     power = power / np.maximum(shape, 1e-9)[:, None]
     upper = frequency > _NOISE_BAND * 0.5 / step
     # A median of chi-squared periodogram values lies below their mean; Welch averages enough to ignore it.
     return frequency, power, np.median(power[upper], axis=0)
+
+
+def _segment(samples: int) -> int:
+    """Samples of each of the segments that a spectrum is averaged over."""
+    return min(int(min(2048, max(64, samples // 8))), samples)
+
+
+def _bends(values: Float64, time: Float64) -> Float64:
+    """(n − 2, M) second differences at instants that may be uneven; of white noise six times its variance."""
+    early, late = np.diff(time)[:-1, None], np.diff(time)[1:, None]
+    near = late / (early + late)
+    between = near * values[:-2] + (1.0 - near) * values[2:]
+    bends: Float64 = np.sqrt(6.0 / (1.0 + near**2 + (1.0 - near) ** 2)) * (between - values[1:-1])
+    return bends
+
+
+def unanswered_level(experiment: Experiment) -> Float64:
+    """(M,) white noise of torque [unit²/Hz]: what at the top of the band is not coherent with position.
+
+    A loop answers the noise and the counts of its encoder with torque, more of it the higher the frequency.
+    That torque acts, and the axis follows it: it is no error of the record. Samples are taken as they are:
+    brought onto an even grid they would have lost noise.
+    """
+    time = np.asarray(experiment.time)
+    step = float(time[-1] - time[0]) / (time.size - 1)
+    both = [_bends(np.asarray(values), time) for values in (experiment.torque, experiment.position)]
+    length = _segment(both[0].shape[0])
+    frequency, power = csd(both[0].T, both[0].T, 1 / step, nperseg=length)
+    upper = frequency > _NOISE_BAND * 0.5 / step
+    shape = np.abs(1 - np.exp(-2j * np.pi * frequency[upper] * step)) ** 4
+    own = power.real[:, upper].T
+    answers, moves = (
+        np.array([[csd(q, x, 1 / step, nperseg=length)[1][upper] for x in part.T] for q in both[1].T])
+        for part in both
+    )
+    averages = max(2 * (both[0].shape[0] // length) - 1, 1)
+    count = both[1].shape[1]
+    if averages > 2 * count:
+        cross, among = answers.transpose(2, 0, 1), moves.transpose(2, 0, 1)
+        # Coherence of nothing is one over the averages for each position beside it.
+        answered = np.einsum("fqi,fqi->fi", cross.conj(), np.linalg.pinv(among, hermitian=True) @ cross).real
+        own = np.maximum(own - answered, 0.0) * averages / (averages - count)
+    level: Float64 = np.median(own / shape[:, None], axis=0)
+    return level
 
 
 def find_band(experiments: tuple[Experiment, ...]) -> Band:
@@ -217,7 +271,7 @@ def find_band(experiments: tuple[Experiment, ...]) -> Band:
         [e for e in experiments if e.kind is longest.kind], torque_floor
     )
     rows = np.clip(torque_limits, 8.0 / longest.duration, carried_bands)
-    return Band(motion, rows, floor, torque_floor, velocity_only)
+    return Band(motion, rows, floor, unanswered_level(longest), velocity_only)
 
 
 def _forward(position: Float64, step: float) -> Float64:
@@ -248,9 +302,11 @@ def _torque_bandwidth(experiments: list[Experiment], floor: Float64) -> Float64:
 
 
 def prepare_rows(experiment: Experiment, band: Band) -> Motion:
-    """The experiment as regression rows."""
+    """The experiment as regression rows; as one row of means where its velocity is one and the same."""
     if experiment.kind is Kind.CONSTANT_VELOCITY:
-        return _constant_velocity_row(experiment, band)
+        stretch = steady_stretch(experiment)
+        if stretch is not None:
+            return _constant_velocity_row(experiment, stretch, band)
     even = resample_uniformly(experiment)
     step, cutoff = even.step, band.motion_hz
     position = derivative(even.position, step, cutoff, 0)
@@ -272,8 +328,13 @@ def prepare_rows(experiment: Experiment, band: Band) -> Motion:
     share = reduce_rate(moving, step, band.rows_hz)
     keep: Bool = np.all(share > LEAST_MOVING_SHARE, axis=1)
     same = np.sign(velocity) == np.sign(np.roll(velocity, 1, axis=0))
-    reach = 2 * max(1, round(0.5 / (float(band.rows_hz.min()) * step))) + 1
-    steadily = minimum_filter1d(np.all(same & (moving > 0), axis=1).astype(np.int8), reach)
+    steadily = np.stack(
+        [
+            minimum_filter1d(one.astype(np.int8), 2 * max(1, round(REACH / (float(cut) * step))) + 1)
+            for one, cut in zip((same & (moving > 0)).T, band.rows_hz, strict=True)
+        ],
+        axis=1,
+    )
     far: Bool = (_cut_edges(steadily, step, band.rows_hz) > 0)[keep]
     row_noise = np.broadcast_to(
         band.torque_psd * band.rows_hz * passed_noise(0), (int(keep.sum()), position.shape[1])
@@ -318,9 +379,42 @@ def _without_jumps(acceleration: Float64, step: float, cutoff_hz: float) -> slic
     return slice(first, count - last)
 
 
-def _constant_velocity_row(experiment: Experiment, band: Band) -> Motion:
+def steady_stretch(experiment: Experiment) -> slice | None:
+    """Samples between run-in and run-out in which every axis keeps its speed; ``None`` if fewer than half do.
+
+    What reverses or changes its speed within the record is a motion as any other, whatever its kind is
+    called: of means over both directions friction is gone.
+    """
+    time, position = experiment.time, experiment.position
+    count = min(BATCHES, (time.size - 1) // 4)
+    if count < 4:
+        return slice(0, time.size)
+    edges = np.linspace(0, time.size - 1, count + 1).astype(int)
+    duration = np.diff(time[edges])[:, None]
+    speed = np.diff(position[edges], axis=0) / duration
+    usual = np.median(speed, axis=0)
+    # White noise of the velocity, from its changes between samples; counts of an encoder change it by steps.
+    velocity = np.diff(position, axis=0) / np.diff(time)[:, None]
+    scatter = np.median(np.abs(np.diff(velocity, axis=0)), axis=0) / (0.6745 * np.sqrt(2.0))
+    changes = np.abs(np.diff(position, axis=0))
+    counts = np.array([c[c > 0].min() if (c > 0).any() else 0.0 for c in changes.T])
+    noise = 4.0 * scatter / np.sqrt(np.diff(edges))[:, None] + 2.0 * counts / duration
+    even = np.all(np.abs(speed - usual) <= STEADY * np.abs(usual) + noise, axis=1)
+    ends = np.flatnonzero(np.diff(np.concatenate(([0], even.astype(np.int8), [0])))).reshape(-1, 2)
+    if ends.size == 0:
+        return None
+    first, last = ends[np.argmax(ends[:, 1] - ends[:, 0])]
+    if last - first < count // 2:
+        return None
+    # Of what runs in or out within a batch its mean speed shows little, and its torque much.
+    return slice(int(edges[first + 1]), int(edges[last - 1]) + 1)
+
+
+def _constant_velocity_row(experiment: Experiment, stretch: slice, band: Band) -> Motion:
     """Constant velocity: one row, the means; the noise of a mean from the spread of batch means."""
-    time, position, torque = experiment.time, experiment.position, experiment.torque
+    time, position, torque = (
+        part[stretch] for part in (experiment.time, experiment.position, experiment.torque)
+    )
     slope = np.diff(position, axis=0) / np.diff(time)[:, None]
     velocity = np.broadcast_to(slope.mean(axis=0), position.shape).copy()
     batches = np.array([b.mean(axis=0) for b in np.array_split(torque, 8)])
@@ -341,6 +435,6 @@ def _constant_velocity_row(experiment: Experiment, band: Band) -> Motion:
         steady=True,
         band=band,
         keep=np.ones(1, dtype=np.bool_),
-        far=np.ones(1, dtype=np.bool_),
+        far=np.ones((1, position.shape[1]), dtype=np.bool_),
         row_noise=variance[None, :],
     )
