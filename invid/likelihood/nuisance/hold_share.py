@@ -105,8 +105,7 @@ def unseen_holds(
         held, declared = driven_hold(recording, i)
         axis = recording.axes[i]
         inside = str(model.fit.get("holds", {}).get(axis, "")).startswith(INSIDE)
-        always = all(s.driven[i] for s in spectra)
-        if i in seen or not (always or inside or axis in model.fit.get("hold_timing", {})):
+        if i in seen or not (inside or axis in model.fit.get("hold_timing", {})):
             continue
         if not held or any(s.staircase[i] == 1.0 for s in spectra):
             continue
