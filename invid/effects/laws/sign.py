@@ -93,10 +93,8 @@ class DryLaw(ForceEffect):
             mean, _ = view.cached(key, lambda: self._balance(view, place, x))
         # A mean over the two intervals around each sample.
         spread = np.sinc(view.omega * view.record.wave_step / np.pi)
-        total = view.to_lines(centred(mean, view)[:, None])[:, 0] / spread
-        return view.condensed_force(pattern) * total[:, None], -view.inner_receptance(pattern) * total[
-            :, None
-        ]
+        force = view.to_lines(centred(mean, view)[:, None]) / spread[:, None]
+        return view.condensed_force(pattern) * force, -view.inner_receptance(pattern) * force
 
     def _balance(self, view: View, place: Place, x: Sequence[float]) -> tuple[Float64, Float64]:
         """(n,) mean friction over the interval after each sample, and (n,) the share in which it holds."""
