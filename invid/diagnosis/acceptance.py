@@ -53,7 +53,7 @@ def _axes_of_place(place: Place) -> set[int]:
     return {place.axis} if place.other < 0 else {place.axis, place.other}
 
 
-def is_accepted(
+def is_accepted(  # noqa: PLR0913 - the test's own terms
     current: CandidateEvidence,
     trial: CandidateEvidence,
     dispersion: tuple[float, float],

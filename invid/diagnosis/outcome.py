@@ -162,7 +162,7 @@ def verdict_of(
     )
 
 
-def assemble_diagnosis(
+def assemble_diagnosis(  # noqa: PLR0913 - the parts of a document
     recording: Recording,
     residual: Sequence[AxisResidual],
     findings: Sequence[Finding],

@@ -56,7 +56,7 @@ MOST_PER_AXIS = 8
 fewer (two of friction, a weight, four faults); it ends a search that is misled."""
 
 
-def select_causes(
+def select_causes(  # noqa: PLR0913 - what is known beside the records
     base: JointFit,
     train: Sequence[SpectralRecord],
     held: Sequence[SpectralRecord],
@@ -297,7 +297,7 @@ def _reconsider_causes(
     return found
 
 
-def _find_step(
+def _find_step(  # noqa: PLR0913 - what a step is judged by
     current: CandidateEvidence,
     train: Sequence[SpectralRecord],
     held: Sequence[SpectralRecord],
@@ -421,7 +421,7 @@ def _tempered(
     return list(map_candidates(temper, trials, here, [*train, *held]))
 
 
-def _fit_candidates(
+def _fit_candidates(  # noqa: PLR0913 - what a step is judged by
     here: JointFit,
     train: Sequence[SpectralRecord],
     held: Sequence[SpectralRecord],

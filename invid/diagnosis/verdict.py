@@ -34,7 +34,7 @@ from invid.recording.model import Recording
 from invid.signals.spectral_record import SpectralRecord
 
 
-def build_diagnosis(
+def build_diagnosis(  # noqa: PLR0913 - the parts of a document
     recording: Recording,
     model: Model,
     selection: Selection,

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -42,101 +43,134 @@ MOST_RELATIVE_STD = 0.5
 neither from a wall nor (two of them below it) from nothing."""
 
 
+Sizes = tuple[int, ...]
+"""Masses of each branch."""
+
+
+@dataclass(frozen=True, eq=False)
+class OrderTrial:
+    """One structure fitted to the records; ``fit`` is ``None`` where none was possible, at infinite cost."""
+
+    cost: float
+    dof: int
+    fit: Fit | None = None
+
+    @cached_property
+    def vanishing(self) -> list[str]:
+        """Masses that go to nothing."""
+        return [] if self.fit is None else _vanishing_masses(self.fit)
+
+    @cached_property
+    def standing(self) -> list[str]:
+        """Final masses that the data do not tell from a wall."""
+        return [] if self.fit is None else _fixed_masses(self.fit)
+
+
+class OrderSearch:
+    """Structures of increasing order, each fitted once."""
+
+    def __init__(self, spectra: Sequence[LineSpectra], axes: Sequence[str], most: int) -> None:
+        self.spectra, self.axes, self.most = spectra, axes, most
+        self.measured = measured_frf(spectra)
+        self.trials: dict[Sizes, OrderTrial] = {}
+        self._modes: dict[Sizes, MissingMode | None] = {}
+
+    def trial(self, sizes: Sizes, parent: Sizes = ()) -> OrderTrial:
+        """The structure fitted, from its own starts and from ``parent`` with its final masses split."""
+        if sizes not in self.trials:
+            try:
+                fit = self._fitted(sizes, parent)
+            except (InvidError, np.linalg.LinAlgError):
+                self.trials[sizes] = OrderTrial(np.inf, 1)
+            else:
+                self.trials[sizes] = OrderTrial(fit.noise_cost, max(fit.problem.dof, 1), fit)
+        return self.trials[sizes]
+
+    def _fitted(self, sizes: Sizes, parent: Sizes) -> Fit:
+        known = self.trials.get(parent)
+        split = _split_final_masses(None if known is None or known.fit is None else known.fit.chains, sizes)
+        hidden = None
+        if len(sizes) == 1:
+            smaller = (sizes[0] - 1,)
+            before = self.trials.get(smaller)
+            hidden = _fit_with_hidden_mode(
+                self.spectra, None if before is None else before.fit, self.mode_of(smaller)
+            )
+        if hidden is not None and hidden.noise_chi2 < AT_NOISE:
+            return hidden
+        fit = fit_sizes(self.spectra, sizes, self.axes, self.measured, thorough=False, further=split)
+        return hidden if hidden is not None and hidden.noise_cost < fit.noise_cost else fit
+
+    def cost(self, sizes: Sizes) -> float:
+        """χ² of the structure against the sensors' noise."""
+        return self.trial(sizes).cost
+
+    def mode_of(self, sizes: Sizes) -> MissingMode | None:
+        """The mode that the structure lacks, if one stands out of what it misses."""
+        if sizes not in self._modes:
+            known = self.trials.get(sizes)
+            self._modes[sizes] = None if known is None or known.fit is None else missing_mode(known.fit)
+        return self._modes[sizes]
+
+    def is_settled(self, small: Sizes) -> bool:
+        """Whether no further mass could be better by the factor asked for."""
+        before = self.trial(small)
+        if len(small) > 1 or small == (1,):
+            return before.cost < GAIN * before.dof  # already noise
+        # Not by the noise: a floor that is too high hides a mode. What one mode takes to first order, twice.
+        if before.cost >= NEAR_NOISE * before.dof:
+            return False
+        mode = self.mode_of(small)
+        gain = 0.0 if mode is None else mode.gain
+        return bool(2.0 * gain < (1.0 - 1.0 / GAIN) * before.cost)
+
+    def is_needed(self, small: Sizes, large: Sizes) -> bool:
+        """Whether the larger structure is better by more than its parameters may."""
+        before = self.trial(small)
+        if self.is_settled(small):
+            return False
+        if large not in self.trials and budget.is_left_out(f"{_label(large)} masses"):
+            return False
+        budget.tell(f"trying {_label(large)} masses", 0.3 * (1.0 - 0.8 ** len(self.trials)))
+        after = self.trial(large, small)
+        if after.fit is None or after.vanishing or after.standing:
+            return False  # a mass that goes to nothing, or stands still, is none: it fits something else
+        if before.fit is None:
+            return True
+        extra = 3 * (sum(large) - sum(small))
+        scale = max(after.cost / after.dof, 1.0)
+        significant = (before.cost - after.cost) / scale > chi2_isf(1e-6, extra)
+        return bool(significant and before.cost > GAIN * after.cost)
+
+    def equal_sizes(self) -> Sizes:
+        """Equal numbers for all branches, grown until χ² falls no further."""
+        count = len(self.axes)
+        best = (1,) * count
+        while best[0] < self.most:
+            # One order alone may not pay where two do (a pair of modes close together).
+            following = [(n,) * count for n in (best[0] + 1, best[0] + 2) if n <= self.most]
+            needed = next((sizes for sizes in following if self.is_needed(best, sizes)), None)
+            if needed is None:
+                break
+            best = needed
+        return best
+
+
 def choose_order(spectra: Sequence[LineSpectra], axes: Sequence[str], *, most: int = 6) -> OrderChoice:
     """The fewest masses that explain the data.
 
     Equal numbers for all branches grow until χ² falls no further; then masses are taken away branch
     by branch while it does not rise.
     """
-    count = len(axes)
-    measured = measured_frf(spectra)
-    costs: dict[tuple[int, ...], float] = {}
-    dofs: dict[tuple[int, ...], int] = {}
-    chains: dict[tuple[int, ...], CoupledChains] = {}
-    fits: dict[tuple[int, ...], Fit] = {}
-    modes: dict[tuple[int, ...], MissingMode | None] = {}
-    vanishing_by_sizes: dict[str, list[str]] = {}
-    fixed_by_sizes: dict[str, list[str]] = {}
-
-    def cost(sizes: tuple[int, ...], parent: tuple[int, ...] = ()) -> float:
-        if sizes not in costs:
-            split_start = _split_final_masses(chains.get(parent), sizes)
-            smaller = (sizes[0] - 1,)
-            hidden = (
-                _fit_with_hidden_mode(spectra, fits.get(smaller), mode_of(smaller)) if count == 1 else None
-            )
-            try:
-                if hidden is not None and hidden.noise_chi2 < AT_NOISE:
-                    fit = hidden
-                else:
-                    fit = fit_sizes(spectra, sizes, axes, measured, thorough=False, further=split_start)
-                    fit = hidden if hidden is not None and hidden.noise_cost < fit.noise_cost else fit
-            except (InvidError, np.linalg.LinAlgError):
-                costs[sizes], dofs[sizes] = np.inf, 1
-            else:
-                costs[sizes], dofs[sizes] = fit.noise_cost, max(fit.problem.dof, 1)
-                chains[sizes] = fit.chains
-                fits[sizes] = fit
-                vanished = _vanishing_masses(fit)
-                if vanished:
-                    vanishing_by_sizes[_label(sizes)] = vanished
-                fixed = _fixed_masses(fit)
-                if fixed:
-                    fixed_by_sizes[_label(sizes)] = fixed
-        return costs[sizes]
-
-    def mode_of(sizes: tuple[int, ...]) -> MissingMode | None:
-        if sizes not in modes:
-            modes[sizes] = missing_mode(fits[sizes]) if sizes in fits else None
-        return modes[sizes]
-
-    def is_settled(small: tuple[int, ...]) -> bool:
-        """Whether no further mass could be better by the factor asked for."""
-        before = cost(small)
-        if count > 1 or small == (1,):
-            return before < GAIN * dofs[small]  # already noise
-        # Not by the noise: a floor that is too high hides a mode. What one mode takes to first order, twice.
-        mode = mode_of(small) if before < NEAR_NOISE * dofs[small] else None
-        gain = np.inf if before >= NEAR_NOISE * dofs[small] else 0.0 if mode is None else mode.gain
-        return bool(2.0 * gain < (1.0 - 1.0 / GAIN) * before)
-
-    def is_needed(small: tuple[int, ...], large: tuple[int, ...]) -> bool:
-        """Whether the larger structure is better by more than its parameters may."""
-        before = cost(small)
-        if is_settled(small):
-            return False
-        if large not in costs and budget.is_left_out(f"{_label(large)} masses"):
-            return False
-        budget.tell(f"trying {_label(large)} masses", 0.3 * (1.0 - 0.8 ** len(costs)))
-        after = cost(large, small)
-        if not np.isfinite(after) or _label(large) in vanishing_by_sizes or _label(large) in fixed_by_sizes:
-            return False  # a mass that goes to nothing, or stands still, is none: it fits something else
-        if not np.isfinite(before):
-            return True
-        extra = 3 * (sum(large) - sum(small))
-        scale = max(after / dofs[large], 1.0)
-        significant = (before - after) / scale > chi2_isf(1e-6, extra)
-        return bool(significant and before > GAIN * after)
-
-    best = (1,) * count
-    while best[0] < most:
-        n = best[0] + 1
-        following = (n,) * count
-        if is_needed(best, following):
-            best = following
-            continue
-        # One order alone may not pay where two do (a pair of modes close together).
-        if n < most and is_needed(best, (n + 1,) * count):
-            best = (n + 1,) * count
-            continue
-        break
-    if count > 1 and not budget.is_left_out("masses more or less on single axes"):
-        best = _remove_masses(_add_masses(best, is_needed, cost, most), is_needed, cost)
-    alike = _equivalent_structures(best, costs, dofs)
+    search = OrderSearch(spectra, axes, most)
+    best = search.equal_sizes()
+    if len(axes) > 1 and not budget.is_left_out("masses more or less on single axes"):
+        best = _remove_masses(_add_masses(best, search), search)
+    alike = _equivalent_structures(best, search.trials)
     # Of those that the data cannot tell apart the most even one stands first.
-    best, *alike = sorted((best, *alike), key=lambda n: (max(n) - min(n), n != best, costs[n]))
+    best, *alike = sorted((best, *alike), key=lambda n: (max(n) - min(n), n != best, search.cost(n)))
     warnings = []
-    if count > 1 and not alike and max(best) > 1:
+    if len(axes) > 1 and not alike and max(best) > 1:
         warnings.append(
             f"order: {_label(best)} masses are the fewest that explain the data; where the ends of branches "
             "are coupled, motors cannot always tell on which branch a mass hangs: say the numbers if known "
@@ -146,17 +180,16 @@ def choose_order(spectra: Sequence[LineSpectra], axes: Sequence[str], *, most: i
         warnings.append(
             f"order: {most} masses a branch are the most that are tried, and the data ask for them"
         )
+    trials = {_label(sizes): trial for sizes, trial in search.trials.items()}
     evidence = {
         "chosen": list(best),
         "alike": [list(sizes) for sizes in alike],
-        "chi2_per_dof": {
-            _label(sizes): (value / dofs[sizes] if np.isfinite(value) else None)
-            for sizes, value in costs.items()
-        },
-        "vanishing": vanishing_by_sizes,
-        "standing": fixed_by_sizes,
+        "chi2_per_dof": {n: None if t.fit is None else t.cost / t.dof for n, t in trials.items()},
+        "vanishing": {n: t.vanishing for n, t in trials.items() if t.vanishing},
+        "standing": {n: t.standing for n, t in trials.items() if t.standing},
     }
-    return OrderChoice(best, evidence, warnings, chains.get(best))
+    chosen = search.trial(best).fit
+    return OrderChoice(best, evidence, warnings, None if chosen is None else chosen.chains)
 
 
 def _fit_with_hidden_mode(
@@ -178,51 +211,40 @@ def _fit_with_hidden_mode(
     return None if found is None or _vanishing_masses(found) or _fixed_masses(found) else found
 
 
-def _remove_masses(
-    best: tuple[int, ...],
-    is_needed: Callable[[tuple[int, ...], tuple[int, ...]], bool],
-    cost: Callable[[tuple[int, ...]], float],
-) -> tuple[int, ...]:
+def _remove_masses(best: Sizes, search: OrderSearch) -> Sizes:
     """Sizes with masses removed, cheapest first, as long as one is not needed."""
     while not budget.is_left_out("masses less on single axes"):
         smaller = [(*best[:i], n - 1, *best[i + 1 :]) for i, n in enumerate(best) if n > 1]
-        removable = [s for s in smaller if np.isfinite(cost(s)) and not is_needed(s, best)]
+        removable = [s for s in smaller if np.isfinite(search.cost(s)) and not search.is_needed(s, best)]
         if not removable:
             return best
-        best = min(removable, key=cost)
+        best = min(removable, key=search.cost)
     return best
 
 
-def _add_masses(
-    best: tuple[int, ...],
-    is_needed: Callable[[tuple[int, ...], tuple[int, ...]], bool],
-    cost: Callable[[tuple[int, ...]], float],
-    most: int,
-) -> tuple[int, ...]:
+def _add_masses(best: Sizes, search: OrderSearch) -> Sizes:
     """Sizes with masses added to single branches as long as one is needed."""
     while True:
-        larger = [(*best[:i], n + 1, *best[i + 1 :]) for i, n in enumerate(best) if n < most]
-        better = [s for s in larger if is_needed(best, s)]
+        larger = [(*best[:i], n + 1, *best[i + 1 :]) for i, n in enumerate(best) if n < search.most]
+        better = [s for s in larger if search.is_needed(best, s)]
         if not better:
             return best
-        best = min(better, key=cost)
+        best = min(better, key=search.cost)
 
 
-def _equivalent_structures(
-    best: tuple[int, ...], costs: dict[tuple[int, ...], float], dofs: dict[tuple[int, ...], int]
-) -> list[tuple[int, ...]]:
+def _equivalent_structures(best: Sizes, trials: dict[Sizes, OrderTrial]) -> list[Sizes]:
     """Other structures with as many masses that the data cannot tell from the best.
 
     Between two branches with coupled ends a mass may belong to the one or the other with the same motion of
     every motor, as long as all values stay positive.
     """
-    scale = max(costs[best] / dofs[best], 1.0)
+    scale = max(trials[best].cost / trials[best].dof, 1.0)
     # As good as the best up to what one parameter may gain by chance once in a thousand.
-    limit = costs[best] + chi2_isf(1e-3, 1) * scale
-    return [s for s, value in costs.items() if s != best and sum(s) == sum(best) and value < limit]
+    limit = trials[best].cost + chi2_isf(1e-3, 1) * scale
+    return [s for s, t in trials.items() if s != best and sum(s) == sum(best) and t.cost < limit]
 
 
-def _split_final_masses(chains: CoupledChains | None, sizes: tuple[int, ...]) -> list[CoupledChains]:
+def _split_final_masses(chains: CoupledChains | None, sizes: Sizes) -> list[CoupledChains]:
     """The smaller model with its final masses split by stiff springs: a start of equal cost."""
     if chains is None or any(n < m for n, m in zip(sizes, chains.masses_per_branch, strict=True)):
         return []
@@ -263,5 +285,5 @@ def _fixed_masses(fit: Fit) -> list[str]:
     return out
 
 
-def _label(sizes: tuple[int, ...]) -> str:
+def _label(sizes: Sizes) -> str:
     return ",".join(str(n) for n in sizes)

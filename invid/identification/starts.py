@@ -37,7 +37,7 @@ def measured_frf(spectra: Sequence[LineSpectra], *, misfit: float = MISFIT) -> F
     return replace(frf, variance=frf.variance + (misfit * np.abs(frf.frf)) ** 2)
 
 
-def fit_sizes(
+def fit_sizes(  # noqa: PLR0913 - where starts come from
     spectra: Sequence[LineSpectra],
     sizes: Sequence[int],
     axes: Sequence[str],
@@ -68,7 +68,7 @@ def fewer_masses(spectra: Sequence[LineSpectra], sizes: Sequence[int], axes: Seq
     return fit_fewer_masses(spectra, sizes, axes, starts_for)
 
 
-def chain_starts(
+def chain_starts(  # noqa: PLR0913 - where starts come from
     spectra: Sequence[LineSpectra],
     sizes: Sequence[int],
     axes: Sequence[str],

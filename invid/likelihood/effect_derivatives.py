@@ -16,7 +16,7 @@ from invid.likelihood.placed_effect import Candidate, PlacedEffect, contribution
 from invid.numerics.arrays import Complex128, Float64
 
 
-def response_columns(
+def response_columns(  # noqa: PLR0913 - the terms of the derivative
     view: View,
     candidate: Candidate,
     sp: Float64,

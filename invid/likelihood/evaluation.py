@@ -143,7 +143,7 @@ def record_views(
     return out
 
 
-def evaluate(
+def evaluate(  # noqa: PLR0913 - a fit's point and how it is taken
     layout: Layout,
     records: Sequence[SpectralRecord],
     p: Float64,
@@ -271,7 +271,7 @@ def _chi2_of(root: Complex128, basis: Float64, r: Complex128, extra: Complex128)
     return float(white @ white - along @ along)
 
 
-def _linear_columns(
+def _linear_columns(  # noqa: PLR0913 - the terms of the derivative
     layout: Layout,
     p: Float64,
     view: View,

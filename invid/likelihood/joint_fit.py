@@ -91,7 +91,7 @@ def unpack(layout: Layout, candidate: Candidate, v: Float64) -> tuple[Float64, C
     return v[: layout.count].copy(), Candidate(candidate.terms, tuple(xs))
 
 
-def fit(
+def fit(  # noqa: PLR0913 - a fit's point and how it is taken
     layout: Layout,
     records: Sequence[SpectralRecord],
     p: Float64,
