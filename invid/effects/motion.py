@@ -87,6 +87,7 @@ class View:
         images: Complex128,
         inertance: Float64,
         couplings: Float64,
+        grounds: Float64,
         late: Float64,
     ) -> None:
         self.record, self.structure = record, structure
@@ -98,6 +99,8 @@ class View:
         """(F, M) torque that images of held torque look like on the lines (``signals.spectral_record``)."""
         self.couplings = couplings
         """(M, M) inertia couplings of the end masses, zero on the diagonal."""
+        self.grounds = grounds
+        """(M,) stiffness of the springs from the motors to ground."""
         self.late = late
         """(M,) how much later than its samples the held torque of each axis steps [s]."""
         self.inertance = inertance

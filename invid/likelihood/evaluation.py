@@ -137,6 +137,7 @@ def record_views(
                 np.einsum("fij,fj->fi", stiffness, aliased_motion(record, layout, p, inertance)),
                 inertance,
                 structure.couplings(values),
+                structure.grounds(values),
                 step_times(record, layout, p),
             )
         )

@@ -13,9 +13,17 @@ from collections.abc import Sequence
 import numpy as np
 
 from invid.effects.effect import ImpedanceEffect
+from invid.effects.laws.sign import DryLaw
 from invid.effects.motion import View, along
 from invid.likelihood.law_slopes import ForceChange, LawSlope
-from invid.likelihood.placed_effect import Candidate, PlacedEffect, law_part, law_parts, sum_contributions
+from invid.likelihood.placed_effect import (
+    Candidate,
+    PlacedEffect,
+    law_part,
+    law_parts,
+    laws_beside_dry_friction,
+    sum_contributions,
+)
 from invid.numerics.anderson import Secants
 from invid.numerics.arrays import Complex128, Float64
 
@@ -203,10 +211,17 @@ def direct_effect_changes(
         moved = candidate.x[number].copy()
         moved[k] += h
         x = (*candidate.x[:number], moved, *candidate.x[number + 1 :])
-        # The contributions of the other laws are known: they do not change.
-        own = law_part(view, candidate.terms[number], moved)
-        changed = (*parts[:number], own, *parts[number + 1 :])
-        there = sum_contributions(view, Candidate(candidate.terms, x), changed)
+        there_candidate = Candidate(candidate.terms, x)
+        # The contributions of the other laws are known: they do not change, but for dry friction beside it.
+        changed = list(parts)
+        changed[number] = law_part(view, candidate.terms[number], moved)
+        known, view.beside = view.beside, laws_beside_dry_friction(there_candidate)
+        if view.beside != known:
+            for n, term in enumerate(candidate.terms):
+                if isinstance(term.effect, DryLaw) and term.place.axis == candidate.terms[number].place.axis:
+                    changed[n] = law_part(view, term, x[n])
+        view.beside = known
+        there = sum_contributions(view, there_candidate, changed)
         totals.append((there[0] - total) / h)
         backs.append((there[1] - back) / h)
     return np.stack(totals, axis=-1), np.stack(backs, axis=-1)

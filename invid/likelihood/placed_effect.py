@@ -175,7 +175,7 @@ class SizedMotorLaw:
         return out
 
 
-def _beside_dry_friction(candidate: Candidate) -> tuple[SizedMotorLaw, ...]:
+def laws_beside_dry_friction(candidate: Candidate) -> tuple[SizedMotorLaw, ...]:
     """The laws at motors that dry friction of the candidate feels; none where it has none."""
     if not any(isinstance(t.effect, DryLaw) for t in candidate.terms):
         return ()
@@ -191,7 +191,7 @@ def _beside_dry_friction(candidate: Candidate) -> tuple[SizedMotorLaw, ...]:
 
 def law_parts(view: View, candidate: Candidate) -> list[Part | None]:
     """Contribution of each law at the view's present inner motion; ``None`` for effects linear in motion."""
-    view.beside = _beside_dry_friction(candidate)
+    view.beside = laws_beside_dry_friction(candidate)
     return [law_part(view, t, x) for t, x in zip(candidate.terms, candidate.x, strict=True)]
 
 

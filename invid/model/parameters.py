@@ -147,8 +147,7 @@ class ChainStructure:
         masses = _split(values[s["mass"]], self.sizes)
         links = [n - 1 for n in self.sizes]
         couplings = self.couplings(values)
-        ground = np.zeros(self.motors)
-        ground[list(self.grounded)] = values[s["ground_spring"]]
+        ground = self.grounds(values)
         return CoupledChains.build(
             masses,
             _split(values[s["spring"]], links),
@@ -157,6 +156,12 @@ class ChainStructure:
             ground_springs=ground,
             axes=self.axes,
         )
+
+    def grounds(self, values: Float64) -> Float64:
+        """(M,) stiffness of the springs from the motors to ground, from values in physical units."""
+        out = np.zeros(self.motors)
+        out[list(self.grounded)] = values[self.slices["ground_spring"]]
+        return out
 
     def couplings(self, values: Float64) -> Float64:
         """(M, M) inertia couplings of the end masses, zero on the diagonal, from values in physical units."""

@@ -40,8 +40,10 @@ class Design:
         self.motions = motions
         self.axes = motions[0].position.shape[1]
         self._cache: dict[Regressor, Float64] = {}
-        far = np.concatenate([np.broadcast_to(m.far, (m.far.shape[0], self.axes)) for m in motions])
-        whole = (far.mean(axis=0) < ENOUGH) | reversals
+        whole = np.full(self.axes, reversals)
+        for role in {m.role for m in motions}:  # what is kept out has to keep rows of its own
+            far = [np.broadcast_to(m.far, (m.far.shape[0], self.axes)) for m in motions if m.role == role]
+            whole |= np.concatenate(far).mean(axis=0) < ENOUGH
         self._chosen: Bool = stacked([m.far | whole for m in motions])
         self.torque = self._stack([m.rows(m.torque) for m in motions])
         self.noise = self._stack([m.row_noise for m in motions])
@@ -182,7 +184,8 @@ def _scaled_lstsq(matrix: Float64, torque: Float64) -> Float64:
     scale = np.sqrt((matrix**2).sum(axis=0))
     scale[scale == 0] = 1.0
     solution: Float64 = np.linalg.lstsq(matrix / scale, torque, rcond=1e-10)[0] / scale
-    return solution
+    # A column of nothing (a coefficient held at zero) has rounding for a solution.
+    return np.where(np.any(matrix, axis=0), solution, 0.0)
 
 
 def fit_terms(design: Design, terms: list[Regressor], *, correlation: float | None = None) -> Fit:

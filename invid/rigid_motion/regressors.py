@@ -212,7 +212,8 @@ def candidate_terms(axes: int, reach: Extent, springs: set[int]) -> list[Regress
         found.append(Regressor("torque_offset", i, ("torque",)))
         # Nearer to standstill than twice the blur of the direction nobody sees how friction bends.
         slowest = max(reach.slow[i], 1e-3 * reach.speed[i], 2.0 * reach.rest[i])
-        speeds = [float(s) for s in np.geomspace(slowest, max(0.5 * reach.speed[i], 1.01 * slowest), 12)]
+        fastest = max(0.5 * reach.speed[i], 1.01 * slowest)
+        speeds = [float(s) for s in np.geomspace(slowest, fastest, 12)] if slowest > 0 else []
         for exponent in (1, 2):
             for speed in speeds:
                 found.append(

@@ -152,7 +152,7 @@ def is_needed(design: Design, without: Fit, current: Fit) -> bool:
 def is_physical(result: Fit, term: Regressor) -> bool:
     """Whether no coefficient that must be positive is negative."""
     value, _ = result.of(term)
-    return all(value[term.names.index(n)] >= 0 for n in term.positive)
+    return all(value[term.names.index(n)] >= 0 for n in term.positive if n not in term.held)
 
 
 def hold_at_bounds(design: Design, terms: list[Regressor], term: Regressor) -> Regressor | None:
@@ -165,7 +165,8 @@ def hold_at_bounds(design: Design, terms: list[Regressor], term: Regressor) -> R
         trial = fit_fast(design, [*rest, term], 1.0)
         value = trial.value[trial.value.size - len(term.names) :]
         size = value * np.sqrt(np.mean(design.columns(term) ** 2, axis=0))
-        below = [(size[k], n) for k, n in enumerate(term.names) if n in term.positive and value[k] < 0]
+        free = [(k, n) for k, n in enumerate(term.names) if n in term.positive and n not in term.held]
+        below = [(size[k], n) for k, n in free if value[k] < 0]
         if not below:
             return term
         if len(term.names) - len(term.held) <= 2:

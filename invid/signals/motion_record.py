@@ -379,6 +379,10 @@ def _without_jumps(acceleration: Float64, step: float, cutoff_hz: float) -> slic
     return slice(first, count - last)
 
 
+LEAST_SAMPLES = 8
+"""Samples from which on a mean has a scatter of its own."""
+
+
 def steady_stretch(experiment: Experiment) -> slice | None:
     """Samples between run-in and run-out in which every axis keeps its speed; ``None`` if fewer than half do.
 
@@ -407,7 +411,8 @@ def steady_stretch(experiment: Experiment) -> slice | None:
     if last - first < count // 2:
         return None
     # Of what runs in or out within a batch its mean speed shows little, and its torque much.
-    return slice(int(edges[first + 1]), int(edges[last - 1]) + 1)
+    inside = slice(int(edges[first + 1]), int(edges[last - 1]) + 1)
+    return inside if inside.stop - inside.start >= LEAST_SAMPLES else None
 
 
 def _constant_velocity_row(experiment: Experiment, stretch: slice, band: Band) -> Motion:
@@ -417,7 +422,7 @@ def _constant_velocity_row(experiment: Experiment, stretch: slice, band: Band) -
     )
     slope = np.diff(position, axis=0) / np.diff(time)[:, None]
     velocity = np.broadcast_to(slope.mean(axis=0), position.shape).copy()
-    batches = np.array([b.mean(axis=0) for b in np.array_split(torque, 8)])
+    batches = np.array([b.mean(axis=0) for b in np.array_split(torque, min(8, len(torque) // 2))])
     variance = batches.var(axis=0, ddof=1) / batches.shape[0]
     return Motion(
         key=experiment.key,

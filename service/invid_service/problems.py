@@ -164,7 +164,8 @@ def install(app: FastAPI, is_simulated: Callable[[str, bool], Awaitable[bool]]) 
             405: f"{request.method} is not possible at {request.url.path}",
         }.get(error.status_code, str(error.detail))
         headers = dict(error.headers) if error.headers else None
-        return await answer(request, Problem(kind, detail, headers))
+        # The router's own, before anybody was asked for a key: nothing of the cell is told.
+        return Problem(kind, detail, headers).response(request.url.path)
 
     @app.exception_handler(InputError)
     async def _input(request: Request, error: InputError) -> JSONResponse:

@@ -35,16 +35,16 @@ def fit_gradual_signs(
 ) -> list[CandidateEvidence]:
     """The trials, with a gradual sign where friction explains half of the excess and ends above the noise."""
 
-    def refine_trial(trial: CandidateEvidence) -> CandidateEvidence:
+    def refine_trial(trial: CandidateEvidence) -> CandidateEvidence | None:
         found = fit_sign_rounding(
             trial.fit,
             train,
             lambda new, old: (old.cost - new.cost) / new.dispersion > np.log(max(new.dof, 2)),
         )
         if found is trial.fit:
-            return trial
+            return None
         more = CandidateEvidence(found, evaluate_held_out(found, held))
-        return more if more.held.cost < trial.held.cost else trial
+        return more if more.held.cost < trial.held.cost else None
 
     is_worth = [t.cost <= 0.5 * current.cost and t.cost >= CLOSE * t.dof for t in trials]
     refined = iter(
@@ -55,7 +55,8 @@ def fit_gradual_signs(
             [*train, *held],
         )
     )
-    return [next(refined) if a else t for t, a in zip(trials, is_worth, strict=True)]
+    # What a forked helper leaves as it is comes back as a copy: the trial itself stays.
+    return [(next(refined) or t) if a else t for t, a in zip(trials, is_worth, strict=True)]
 
 
 def fit_sign_rounding(

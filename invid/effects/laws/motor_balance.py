@@ -79,7 +79,7 @@ def follow_motor(  # noqa: PLR0913 - a compiled kernel
                         break
                     resists = high if acting > high else low
                 else:
-                    at = min(abs(speed) * finer, forward.size - 1.001)
+                    at = min(abs(speed) * finer, forward.size - 1.001) if abs(speed) < np.inf else 0.0
                     j = int(at)
                     table = forward if speed > 0.0 else backward
                     resists = table[j] + (at - j) * (table[j + 1] - table[j])
@@ -110,18 +110,18 @@ def centred(mean: Float64, view: View) -> Float64:
 
 
 def torque_of_chain(view: View, axis: int) -> Float64:
-    """(n,) torque on a motor by its spring; by the inertia couplings of one that is its chain's only mass."""
+    """(n,) torque on a motor by its springs, or by the inertia couplings of its chain's only mass."""
     structure = view.structure
     at = structure.motor_dofs[axis]
+    out = -float(view.grounds[axis]) * view.wave(((at, 1.0),))
     if structure.sizes[axis] == 1:
-        out = np.zeros(view.record.samples)
         for j in np.flatnonzero(view.couplings[axis]):
             speed = view.velocity(((structure.end_dofs[j], 1.0),))
-            out -= view.couplings[axis, j] * np.gradient(speed, view.record.wave_step)
+            out = out - view.couplings[axis, j] * np.gradient(speed, view.record.wave_step)
         return out
     spring, pattern = structure.spring_pairs.index((at, at + 1)), ((at + 1, 1.0), (at, -1.0))
     k, d = float(view.springs[spring]), float(view.dampers[spring])
-    return k * view.wave(pattern) + d * view.velocity(pattern)
+    return out + k * view.wave(pattern) + d * view.velocity(pattern)
 
 
 __all__ = ["centred", "follow_motor", "torque_of_chain"]

@@ -96,16 +96,18 @@ def unseen_holds(
     """Holds that no record shows alone: they work whenever their axis is recorded, or rest while others move.
 
     ``seen``: axes of which a record shows it. Of the others those count whose hold the identification left
-    open or placed inside the drive. Their gains are read off the command where that is smooth over frequency;
-    else P is that of the recording or, where the hold is inside the drive, the stiffest plausible one, and D
-    that of a critically damped one.
+    open or placed inside the drive, or of which the model says nothing. Their gains are read off the command
+    where that is smooth over frequency; else P is that of the recording or, where the hold is inside the
+    drive, the stiffest plausible one, and D that of a critically damped one.
     """
     out = []
     for i in range(recording.axis_count):
         held, declared = driven_hold(recording, i)
         axis = recording.axes[i]
-        inside = str(model.fit.get("holds", {}).get(axis, "")).startswith(INSIDE)
-        if i in seen or not (inside or axis in model.fit.get("hold_timing", {})):
+        inside = str((model.fit.get("holds") or {}).get(axis, "")).startswith(INSIDE)
+        # A model that says nothing of its holds has not looked.
+        unknown = "hold_timing" not in model.fit and all(s.driven[i] for s in spectra)
+        if i in seen or not (unknown or inside or axis in (model.fit.get("hold_timing") or {})):
             continue
         if not held or any(s.staircase[i] == 1.0 for s in spectra):
             continue

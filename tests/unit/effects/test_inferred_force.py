@@ -15,7 +15,7 @@ def seen(push: Complex128, noise: float) -> View:
     """One record of one motor that feels a force by ``push`` (F,), with ``noise`` power of its torque."""
     view = View.__new__(View)
     view.record = SimpleNamespace(omega=np.arange(push.size) + 1.0)  # type: ignore[assignment]
-    view._pushes = {PATTERN: push[:, None]}
+    view._condensed_forces = {PATTERN: push[:, None]}
     view.certainty = np.full((push.size, 1, 1), 1.0 / noise, dtype=complex)
     return view
 
