@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
+import scipy
 
 from invid.errors import RecordingError
 from invid.numerics.arrays import Float64, Int64
@@ -72,7 +72,7 @@ def resample_uniformly(experiment: Experiment) -> UniformRecord:
     gaps = _gaps(index.astype(int))
 
     def resample(values: Float64) -> Float64:
-        result: Float64 = make_interp_spline(time, values, k=5)(grid)
+        result: Float64 = scipy.interpolate.make_interp_spline(time, values, k=5)(grid)
         for first, last in gaps:
             _fill_gap(result, first, last, gaps, experiment.period_samples)
         return result
