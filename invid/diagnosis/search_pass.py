@@ -129,7 +129,7 @@ def _search_whole_or_periods(recording: Recording, model: Model) -> SearchPass:
                 BESIDE_FRICTION,
                 partial(_search_beside_friction, recording, model)
                 if is_whole
-                else lambda: _beside_friction(recording, model, spectra, warnings, (base, None, train, held)),
+                else lambda: _beside_friction(recording, model, spectra, warnings, (base, train, held)),
                 None,
             )
     if first is not None:
@@ -142,10 +142,11 @@ def _search_whole_or_periods(recording: Recording, model: Model) -> SearchPass:
     second = _search_by_periods(recording, model)
     if first is None or second.tones:
         return second
-    one, other = first.selection.final, second.selection.final
+    one, other = (s.selection.final for s in (first, second))
+    if second.selection.is_cut_short or budget.is_spent():
+        return first if one.excess / one.dof < other.excess / other.dof else second
+    # The second has weighed more: the first has to be nearer by far, as between any two laws.
     is_nearer = one.excess / one.dof < (1.0 - NAMED_SHARE) * max(other.excess, other.dof) / other.dof
-    if not second.selection.steps and second.selection.is_cut_short:
-        return first
     return first if is_nearer and other.cost > CLOSE * other.dof else second
 
 
@@ -153,7 +154,7 @@ def _search_beside_friction(recording: Recording, model: Model) -> SearchPass | 
     """The pass over whole records beside the friction of every motor; ``None`` where it finds nothing."""
     whole = unfold_periods(recording)
     spectra, warnings, (base, _, train, held) = _fit_and_split(whole, model, ValidationRequest(whole=True))
-    return _beside_friction(whole, model, spectra, warnings, (base, None, train, held))
+    return _beside_friction(whole, model, spectra, warnings, (base, train, held))
 
 
 def _beside_friction(
@@ -161,11 +162,11 @@ def _beside_friction(
     model: Model,
     spectra: tuple[LineSpectra, ...],
     warnings: list[str],
-    fitted: tuple[JointFit, None, list[SpectralRecord], list[SpectralRecord]],
+    fitted: tuple[JointFit, list[SpectralRecord], list[SpectralRecord]],
 ) -> SearchPass | None:
     """The pass beside the friction of every motor over the records as they are."""
     current_context().searches += 1
-    base, _, train, held = fitted
+    base, train, held = fitted
     selection = apply_rule(
         "whole-records",
         CandidateEvidence(base, evaluate_held_out(base, held)),

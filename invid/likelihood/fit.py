@@ -139,14 +139,14 @@ def fit_structure(
         problem, solution = fit_reversal_lags(problem, solution)
     problem, solution, open_holds, early_holds = free_hold_locations(problem, solution, spectra, holds)
     budget.tell("identifying", 0.95 if thorough else 0.3)
-    free = physical_covariance(problem, solution)
+    unbounded = physical_covariance(problem, solution)
     is_bounded = bool(gains_beyond_range(problem, solution))
     problem, solution = _fit_within_bounds(problem, solution)
     # A hold that is kept in its range is known no better for that.
-    covariance = free if is_bounded else physical_covariance(problem, solution)
+    covariance = unbounded if is_bounded else physical_covariance(problem, solution)
     # A damper held at zero keeps the standard deviation it had when free.
     pinned = np.flatnonzero(~solution.free[: problem.structure.count])
-    covariance[pinned, pinned] = np.diag(free)[pinned]
+    covariance[pinned, pinned] = np.diag(unbounded)[pinned]
     timing = {
         axis: float(np.sqrt(covariance[dof, dof]))
         for axis, dof in zip(structure.axes, structure.motor_dofs, strict=True)
