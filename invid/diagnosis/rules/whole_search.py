@@ -13,7 +13,7 @@ from functools import partial
 
 import numpy as np
 
-from invid.diagnosis.candidates import REACH, screen_candidates
+from invid.diagnosis.candidates import REACH, is_smaller_model, screen_candidates
 from invid.diagnosis.evidence import (
     CandidateEvidence,
     Step,
@@ -160,7 +160,7 @@ def _add_cause(
         if score.gain < NEAR_BEST * scores[0].gain:
             continue
         trial = _refit_score(here, score, train, held)
-        if trial is not None and not is_at_bound(trial.fit):
+        if trial is not None and not is_at_bound(trial.fit) and not is_smaller_model(trial):
             trials.append(trial)
     if not trials:
         return None
@@ -351,7 +351,8 @@ def _exchange_cause(
     ]
     scores = [s for s in screen_candidates(Screen(rest.fit), terms) if s.gain > NEAR_BEST * lost_chi2]
     trials = [_refit_score(rest.fit, s, train, held) for s in scores[:MOST_FITS]]
-    fits = [own, *(t for t in trials if t is not None and not is_at_bound(t.fit))]
+    possible = [t for t in trials if t is not None and not is_at_bound(t.fit) and not is_smaller_model(t)]
+    fits = [own, *possible]
     least, rows = min(t.fit.dispersion for t in fits), here.dof
     ranked = sorted(
         ((t, t.fit.cost / least + schwarz_penalty(t, rows)) for t in fits),
