@@ -22,6 +22,7 @@ class Weighing:
     cause: str | None = None
     fraction: float = 0.0
     seconds_left: float | None = None
+    found: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         return f"{self.stage} {self.cause}, {self.axis}"
@@ -86,6 +87,13 @@ def test_a_stage_that_lasts_longer_than_ever_still_takes_some_time(analysis: Ana
     clock.now = 100.0
     progress.say()
     assert told[-1]["eta_s"] == pytest.approx(10.0)
+
+
+def test_what_is_found_is_told_while_the_search_goes_on(analysis: Analysis) -> None:
+    progress, _, told = analysis
+    progress.begin("diagnosing")
+    progress.weigh(Weighing("weighing", "A2", "backlash", 0.5, 12.0, ("friction A1 mass 1",)))
+    assert "found so far: friction A1 mass 1; still looking" in told[-1]["phase"]
 
 
 def test_a_stage_that_begins_is_told_however_short_the_one_before_was() -> None:
