@@ -175,6 +175,8 @@ def _beside_friction(
     )
     if selection is None or not selection.steps:
         return None
+    if selection.final.held.cost >= selection.base.held.cost:
+        return None  # worse on the records kept out than without causes
     bare = refit_without_effects(base, train)
     return SearchPass(recording, model, spectra, (), train, held, bare, selection, warnings)
 
