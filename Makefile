@@ -3,14 +3,15 @@
 # Nothing outside this folder is touched, except that tests install Debian's chromium, postgresql and nginx when they
 # run as root and these are missing (the page is tested in a real browser, the store on a real PostgreSQL).
 
-PYTHON  ?= python3
-VENV    := .venv
-BIN     := $(VENV)/bin
-PRODUCT := $(VENV)/.stamp-product
-DEV     := $(VENV)/.stamp-dev
-INSTALL  = $(BIN)/python -m pip install --quiet --disable-pip-version-check -c requirements.lock -e
+PYTHON   ?= python3
+VENV     := .venv
+BIN      := $(VENV)/bin
+PRODUCT  := $(VENV)/.stamp-product
+DEV      := $(VENV)/.stamp-dev
+COMPILED := $(VENV)/.stamp-compiled
+INSTALL   = $(BIN)/python -m pip install --quiet --disable-pip-version-check -c requirements.lock -e
 # Three workers on two cores: tests of the service and the bus wait for real time more than they compute.
-PYTEST   = $(BIN)/python -m pytest -n 3 --dist loadgroup --timeout 600
+PYTEST    = $(BIN)/python -m pytest -n 3 --dist loadgroup --timeout 600
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
@@ -20,15 +21,14 @@ demo: $(PRODUCT)
 	$(BIN)/invid demo --out invid-demo
 
 # What guards behaviour, before every commit: under five minutes on two quiet cores.
-test: $(DEV) system-packages
+test: $(COMPILED) system-packages
 	$(PYTEST) -m "not campaign"
 
-# What `make test` leaves out: campaigns of hidden cases, real time by the dozen, tours of the page.
-test-rest: $(DEV) system-packages
+# What `make test` leaves out (tests/campaign.csv): hidden cases, real time by the dozen, tours of the page.
+test-rest: $(COMPILED) system-packages
 	$(PYTEST) -m campaign
 
-test-all: $(DEV) system-packages
-	$(PYTEST)
+test-all: test test-rest
 
 check: $(DEV)
 	$(BIN)/ruff check .
@@ -69,6 +69,14 @@ $(PRODUCT): pyproject.toml requirements.lock | $(BIN)/python
 $(DEV): pyproject.toml requirements.lock | $(BIN)/python
 	$(INSTALL) ".[dev]"
 	@touch $(PRODUCT) $@
+
+# Compiled functions are kept on disk. Two tests that use nearly all of them run first: else each worker compiles.
+KERNELS := $(shell grep -rlE "^@(compiled|inlined)" invid drivers --include=*.py)
+$(COMPILED): $(DEV) $(KERNELS)
+	-$(BIN)/python -m pytest -n 2 \
+	  tests/unit/test_api.py::test_the_job_from_a_file_to_the_named_cause_and_back_to_files \
+	  tests/contract/test_stopping.py::test_a_run_keeps_the_speed_that_was_permitted
+	@touch $@
 
 # A test that cannot run for want of these says so in pytest's summary.
 system-packages:
