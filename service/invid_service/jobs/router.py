@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Annotated, Any
 from urllib.parse import urlencode
 
@@ -31,7 +32,7 @@ from invid_service.keys import Scope
 from invid_service.links import address
 from invid_service.problems import EVERYWHERE, Problem, problem_responses
 from invid_service.service import Service
-from invid_service.store.blobs import KINDS
+from invid_service.store.blobs import KINDS, Blob
 from invid_service.store.store import RunRecord
 
 router = APIRouter(tags=["identifications"], responses=EVERYWHERE)
@@ -248,9 +249,12 @@ def _file_responses(media: str) -> dict[int | str, dict[str, Any]]:
     }
 
 
-async def artefact(service: Service, identification: str, kind: str, request: Request) -> Response:
+async def stored_file(service: Service, record: RunRecord, kind: str) -> Path:
     """The stored file of a run; Problem 404 before it exists and 410 after its retention."""
-    record, _ = await service.run(identification)
+    return service.blobs.path((await _stored(service, record, kind)).path)
+
+
+async def _stored(service: Service, record: RunRecord, kind: str) -> Blob:
     blobs = await asyncio.to_thread(service.store.artefacts, record.id)
     if kind not in blobs:
         raise Problem(
@@ -262,9 +266,16 @@ async def artefact(service: Service, identification: str, kind: str, request: Re
     blob = blobs[kind]
     if blob is None:
         raise Problem("artefact-expired", f"the {kind} of {record.id} was deleted after its retention")
-    path = service.blobs.path(blob.path)
-    if not path.is_file():
+    if not service.blobs.path(blob.path).is_file():
         raise Problem("artefact-not-found", f"the {kind} of {record.id} is missing in the store")
+    return blob
+
+
+async def artefact(service: Service, identification: str, kind: str, request: Request) -> Response:
+    """The stored file of a run as an answer."""
+    record, _ = await service.run(identification)
+    blob = await _stored(service, record, kind)
+    path = service.blobs.path(blob.path)
     name, media = KINDS[kind]
     headers = {"ETag": f'"{blob.sha256}"', "Cache-Control": "private, max-age=3600"}
     if _has_already(request.headers.get("if-none-match", ""), headers["ETag"]):

@@ -221,10 +221,11 @@ def test_a_measurement_killed_in_the_middle_loses_at_most_the_last_second(tmp_pa
         written = int(process.stdout.readline())
     process.send_signal(signal.SIGKILL)
     process.wait()
-    assert not path.exists()
+    with pytest.raises(RecordingError, match=r"what it measured so far is in .*r\.h5\.rows"):
+        read_recording(path)
     assert run(["import", str(tmp_path / "r.h5.rows"), "-o", str(path)]) == 0
     recording = read_recording(path)
-    assert recording.outcome is None
+    assert recording.outcome is Outcome.FAILED
     kept = recording.experiments[0].samples
     assert written >= 3400
     assert kept >= written - 1000  # it may have gone on between its last word and its end
