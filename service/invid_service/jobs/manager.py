@@ -252,6 +252,7 @@ class JobManager:
                         message.get("axis"),
                         message.get("frequency"),
                         message.get("eta_s"),
+                        message.get("motion_left_s"),
                         message.get("cause"),
                     )
                 )

@@ -22,6 +22,7 @@ from invid_service.jobs.router import stored_file
 from invid_service.jobs.schema import RETRY_AFTER_S, Identification, view
 from invid_service.jobs.states import OCCUPYING, UPLOAD
 from invid_service.links import address
+from invid_service.openapi import ACCEPTED
 from invid_service.problems import EVERYWHERE, Problem, problem_responses
 from invid_service.recordings.claims import check_claims
 from invid_service.service import Service
@@ -55,10 +56,10 @@ _BODY: dict[str, Any] = {
     "/recordings",
     status_code=202,
     response_model=Identification,
-    responses=problem_responses(408, 415, 507),
+    responses={**ACCEPTED, **problem_responses(408, 415, 507)},
     openapi_extra=_BODY,
 )
-async def upload(
+async def upload_recording(
     request: Request,
     response: Response,
     service: Context,
@@ -110,9 +111,9 @@ async def upload(
     "/identifications/{identification}/analysis",
     status_code=202,
     response_model=Identification,
-    responses=problem_responses(409, 410, 507),
+    responses={**ACCEPTED, **problem_responses(409, 410, 507)},
 )
-async def analyse(
+async def analyse_identification(
     identification: str, response: Response, service: Context, caller: Runner
 ) -> Identification:
     """Identify and diagnose the recording of a run that has ended, as if it had been uploaded.
