@@ -11,10 +11,7 @@ from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, gene
 
 from invid import __version__
 from invid.model.diagnosis_document import Grade
-from invid_service.jobs.states import State
-
-IDLE = "idle"
-"""State of a cell that was never measured."""
+from invid_service.jobs.states import IDLE, State
 
 
 @dataclass(frozen=True)
