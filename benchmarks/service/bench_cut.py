@@ -1,6 +1,6 @@
 """kill -9 at random instants of a measurement: what was measured is there, readable and marked.
 
-    python benchmarks/service/bench_cut.py [--cuts 20] [--seed 0]
+    python benchmarks/service/bench_cut.py [--cuts 20] [--seed 0] [--work-out 1]
 
 Victims in turn: the runner of ``invid serve``; the service; both at once, as a power cut ends them;
 ``invid measure`` on the command line. The instant is any from the first rows on the disk to some seconds into
@@ -21,7 +21,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import h5py
@@ -83,7 +83,7 @@ def count(recording: Recording) -> int:
     return sum(e.samples for e in recording.experiments)
 
 
-def cut_service(folder: Path, victim: str, moment_s: float) -> Cut:
+def cut_service(folder: Path, victim: str, moment_s: float, work_out: bool) -> Cut:
     """Kill in mid-run, start again, look."""
     complaints: list[str] = []
     with serving(folder, cell=CELL) as service:
@@ -110,9 +110,10 @@ def cut_service(folder: Path, victim: str, moment_s: float) -> Cut:
                 time.sleep(0.05)
     complaints += consistent(folder)
     with serving(folder, cell=CELL) as service:
-        return look(
+        found = look(
             service, Cut(victim, moment_s, state, before, "", "", tuple(complaints)), location, folder
         )
+        return worked_out(service, found, location) if work_out and found.rows else found
 
 
 def look(service: Serving, cut: Cut, location: str, folder: Path) -> Cut:
@@ -124,24 +125,29 @@ def look(service: Serving, cut: Cut, location: str, folder: Path) -> Cut:
     answer = service.client.get(f"{location}/recording")
     if answer.status_code != 200:
         complaints.append(f"no recording: {answer.text}")
-        return Cut(cut.victim, cut.moment_s, cut.state, 0, "", "", tuple(complaints))
+        return replace(cut, rows=0, complaints=tuple(complaints))
     file = folder / "fetched.h5"
     file.write_bytes(answer.content)
     rows, outcome = judge(file, cut.rows, complaints)
+    return replace(cut, rows=rows, outcome=outcome, complaints=tuple(complaints))
+
+
+def worked_out(service: Serving, cut: Cut, location: str) -> Cut:
+    """What the analysis makes of what is left."""
+    complaints = list(cut.complaints)
     answer = service.client.post(f"{location}/analysis")
     end = time.monotonic() + 600.0
     while (body := service.client.get(answer.headers["Location"]).json())["state"] not in ENDED:
         if time.monotonic() > end:
             break
         time.sleep(0.2)
-    said = (
-        body["summary"]["verdict"] if body["state"] == "succeeded" else (body["error"] or {}).get("text", "")
-    )
+    error = body["error"] or {}
+    said = body["summary"]["verdict"] if body["state"] == "succeeded" else error.get("text", "")
     if body["state"] not in ("succeeded", "failed") or not said:
         complaints.append(f"the analysis is {body['state']}: {said}")
-    if (body["error"] or {}).get("code") in ("internal-error", "runner-died"):
+    if error.get("code") in ("internal-error", "runner-died"):
         complaints.append(f"the analysis broke: {said}")
-    return Cut(cut.victim, cut.moment_s, cut.state, rows, outcome, said, tuple(complaints))
+    return replace(cut, analysis=said, complaints=tuple(complaints))
 
 
 def judge(file: Path, before: int, complaints: list[str]) -> tuple[int, str]:
@@ -157,7 +163,7 @@ def judge(file: Path, before: int, complaints: list[str]) -> tuple[int, str]:
     return rows, str(recording.outcome)
 
 
-def cut_command(folder: Path, moment_s: float) -> Cut:
+def cut_command(folder: Path, moment_s: float, work_out: bool) -> Cut:
     """``invid measure`` killed, its rows looked at by ``invid identify``."""
     complaints: list[str] = []
     (folder / "cell.yaml").write_text(CELL)
@@ -177,23 +183,27 @@ def cut_command(folder: Path, moment_s: float) -> Cut:
     wanted = Outcome.COMPLETED if out.exists() and h5py.is_hdf5(out) else Outcome.FAILED
     if outcome != wanted:
         complaints.append(f"it is marked {outcome}")
-    done = subprocess.run(
-        [*INVID, "identify", left.name, "-o", "m.json"],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    said_last = (done.stderr.strip().splitlines() or [""])[-1]
-    if done.returncode not in (0, 2, 3) or "Traceback" in done.stderr:
-        complaints.append(f"identify ended with {done.returncode}: {said_last}")
     state = "ended" if ended else "measuring"
-    return Cut("command", moment_s, state, kept, outcome, f"exit {done.returncode}", tuple(complaints))
+    found = Cut("command", moment_s, state, kept, outcome, "", tuple(complaints))
+    return identified(left, found) if work_out else found
 
 
-def cut(victim: str, moment_s: float, folder: Path) -> Cut:
-    """One kill."""
-    return cut_command(folder, moment_s) if victim == "command" else cut_service(folder, victim, moment_s)
+def identified(left: Path, cut: Cut) -> Cut:
+    """What ``invid identify`` makes of what is left."""
+    command = [*INVID, "identify", left.name, "-o", "m.json"]
+    done = subprocess.run(command, cwd=left.parent, capture_output=True, text=True, check=False)
+    complaints = cut.complaints
+    if done.returncode not in (0, 2, 3) or "Traceback" in done.stderr:
+        last = (done.stderr.strip().splitlines() or [""])[-1]
+        complaints = (*complaints, f"identify ended with {done.returncode}: {last}")
+    return replace(cut, analysis=f"exit {done.returncode}", complaints=complaints)
+
+
+def cut(victim: str, moment_s: float, folder: Path, *, work_out: bool = True) -> Cut:
+    """One kill; ``work_out``: what is left is analysed, too."""
+    if victim == "command":
+        return cut_command(folder, moment_s, work_out)
+    return cut_service(folder, victim, moment_s, work_out)
 
 
 def main() -> None:
@@ -201,13 +211,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cuts", type=int, default=20)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--work-out", type=int, default=1, help="analyse every so many recordings")
     given = parser.parse_args()
     rng = random.Random(given.seed)
     cuts = []
     for n in range(given.cuts):
         victim, moment_s = VICTIMS[n % len(VICTIMS)], rng.uniform(0.0, WINDOW_S)
         with tempfile.TemporaryDirectory() as folder:
-            found = cut(victim, moment_s, Path(folder))
+            found = cut(victim, moment_s, Path(folder), work_out=n // len(VICTIMS) % given.work_out == 0)
         cuts.append(found)
         print(
             f"{n + 1}: {victim} {moment_s:.2f} s after the first rows ({found.state}): {found.rows} rows, "
