@@ -64,7 +64,9 @@ def test_rows_of_a_run_that_was_cut_off_are_its_recording_marked_failed(tmp_path
     scratch = cut_off(tmp_path, State.RUNNING).scratch(RUN)
     written(scratch / "recording.h5", 2500)
     with running(tmp_path) as (client, _):
-        assert client.get(PATH).json()["state"] == "interrupted"
+        body = client.get(PATH).json()
+        assert body["state"] == "interrupted"
+        assert "kept as this run's recording" in body["error"]["fix"]
         recording = fetched(client, tmp_path)
     assert recording.outcome is Outcome.FAILED
     assert recording.experiments[0].samples == 2500
