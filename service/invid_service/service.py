@@ -85,12 +85,25 @@ class Service:
         cut = await asyncio.to_thread(self.store.interrupt_unfinished, now)
         for record in cut:
             log.warning("identification %s was cut off by a restart: interrupted", record.id)
-            await asyncio.to_thread(self.results.keep, record, now)
-            self.blobs.clear_scratch(record.id)
+        await asyncio.to_thread(self._keep_leftovers, now)
         for record in await asyncio.to_thread(self.store.runs, state=State.AWAITING_ACCEPT, limit=500):
             self.jobs.restore(record, await asyncio.to_thread(self.store.events, record.id))
         self._housekeeping = asyncio.create_task(self._keep_house())
         self._key_watch = asyncio.create_task(self._watch_keys())
+
+    def _keep_leftovers(self, now: datetime) -> None:
+        """Into the store with all that runs before this start left in their folders.
+
+        Nothing runs yet, so whatever lies there is of a run that was cut off, or that the store did not take.
+        """
+        for folder in sorted(self.blobs.work.iterdir()):
+            try:
+                record = self.store.run(folder.name)
+                if record is not None:  # else an upload that was never taken
+                    self.results.keep(record, now)
+                self.results.clear(folder.name)
+            except (OSError, SQLAlchemyError) as error:
+                log.error("what run %s left stays in %s: %s", folder.name, folder, error)
 
     def begin_shutdown(self) -> None:
         """Stop motion and end the streams; called as soon as the signal is there."""
