@@ -106,7 +106,7 @@ class Identification(BaseModel):
     frequency: float | None
     """[Hz]"""
     eta_s: float | None
-    """Of the motion while it runs, then of the analysis [s]."""
+    """Until the result [s]; ``null`` where it is not known."""
     cause: str | None
     """What the analysis weighs now; its axis is ``axis``."""
     error: ErrorInfo | None
@@ -145,8 +145,7 @@ def view(record: RunRecord, live: LiveRun | None, *, trace: bool = True) -> Iden
     if live is not None:
         record, progress = live.record, live.progress
     else:
-        done = record.state in (State.SUCCEEDED, State.AWAITING_ACCEPT)
-        progress = Progress(1.0 if done else record.facts.get("progress", 0.0), str(record.state))
+        progress = Progress.of(record)
     base = address("identifications", record.id)
     stopped = record.facts.get("stopped")
     if stopped is not None and not trace:
