@@ -9,7 +9,7 @@ export function ask(place, { title, text = "", label = null, yes, least = 1, sec
     const field = label && el("input", { type: secret ? "password" : "text", autocomplete: "off", spellcheck: "false", maxlength: "500" });
     const go = el("button", { type: "submit" }, yes), done = (answer) => { form.remove(); resolve(answer); };
     const form = el("form", { class: "ask advice", "aria-label": title, tabindex: "-1" }, [el("p", {}, [el("b", {}, title), text && ` ${text}`]),
-      label && el("label", {}, [`${label} `, field]), el("p", { class: "actions" }, [go, button(t("ask.no"), () => done(null))])]);
+      label && el("label", {}, [`${label} `, field]), el("p", { class: "actions" }, [go, !secret && button(t("ask.no"), () => done(null))])]);
     form.addEventListener("submit", (event) => { event.preventDefault(); done(field ? field.value.trim() : "yes"); });
     if (field && least) {
       const judge = () => { go.disabled = field.value.trim().length < least; };

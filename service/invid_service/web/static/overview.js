@@ -18,7 +18,7 @@ export function rank(c) {
 }
 export function stateText(c) {
   if (blind()) return t("ready.unknown");
-  if (!busy(c) && troubled(c)) return `${named("state", c.run_state).split(":")[0]}, ${when(c.since)}`;
+  if (!busy(c) && troubled(c)) return named("state", c.run_state).split(":")[0];
   const text = c.state === "awaiting_accept" ? sentence(t("phase.awaiting_accept")) : named("state", c.state).split(":")[0];
   return c.moves ? `${text}, ${Math.round(100 * c.progress)} %` : text;
 }

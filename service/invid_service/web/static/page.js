@@ -58,6 +58,7 @@ function draw(news) {
   if (viewed() === "overview") showOverview(inCell);
   buttons();
   if (quiet) { $("ready-title").className = ""; $("ready-title").textContent = t("ready.unknown"); }
+  if (state.run) title();
   if (state.run && busy(c ?? {}) && c.run === state.run.id) showProgress(c);
   if (news) follow(c);
 }
@@ -181,7 +182,7 @@ function show(run) {
   if (before?.id !== run?.id) clearLive();
   if (!run) { $("result-card").hidden = true; refresh(); return; }
   $("start-card").hidden = $("ready-card").hidden = true;
-  $("run-title").textContent = `${t(`state.${run.state}`)}${run.simulated ? ` ${t("run.simulated")}` : ""}`;
+  title();
   showStopped(run, state.details, again);
   const box = $("run-error");
   box.hidden = !run.error;
@@ -199,6 +200,12 @@ function show(run) {
   if (isNew || find(state.cell)?.run !== run.id) showProgress({ ...run, run: run.id, run_state: run.state });
   if (result) { showResult(run).catch(say); showDecision(run); } else $("result-card").hidden = true;
   buttons();
+}
+
+function title() {
+  const { run } = state, what = `${t(`state.${run.state}`)}${run.simulated ? ` ${t("run.simulated")}` : ""}`;
+  const text = blind() && !ENDED.includes(run.state) ? t("run.then", { time: clock(known.heard), what }) : what;
+  if ($("run-title").textContent !== text) $("run-title").textContent = text;
 }
 
 // The button that was pressed may be gone: a keyboard goes on from the headline, not from the top of the page.

@@ -1,6 +1,6 @@
 // How far a run is: what is done or weighed now, what is left, and that it still looks.
-import { $, clock, fmt, seconds } from "./dom.js";
-import { age, blind, known } from "./store.js";
+import { $, fmt, seconds } from "./dom.js";
+import { age, blind } from "./store.js";
 import { named, phase, t } from "./texts.js";
 
 const LOOKING_S = 5;
@@ -14,10 +14,10 @@ export function showProgress(c) {
   $("bar").value = c.progress;
   const what = c.cause ? [t(c.axis ? "progress.weighing_on" : "progress.weighing", { cause: named("cause", c.cause), axis: c.axis })]
     : [phase(c.phase), c.axis && !c.phase.includes(c.axis) && t("progress.axis", { axis: c.axis }), c.frequency && `${fmt(c.frequency, 3)} Hz`];
-  const parts = [t("progress.percent", { n: Math.round(c.progress * 100), what: what.filter(Boolean).join(", ") })], left = c.eta_s == null ? 0 : c.eta_s - age();
-  if (blind()) parts.unshift(t("progress.then", { time: clock(known.heard) }));
-  else if (left > 0.5) parts.push(t("progress.left", { time: seconds(coarse(left)) }));
-  else if (c.run_state === "analysing" && now - seen.since > 1000 * LOOKING_S) parts.push(t("progress.looking", { time: seconds((now - seen.since) / 1000) }));
+  const parts = [t("progress.percent", { n: Math.round(c.progress * 100), what: what.filter(Boolean).join(", ") })];
+  const left = c.eta_s == null || blind() ? 0 : c.eta_s - age();
+  if (left > 0.5) parts.push(t("progress.left", { time: seconds(coarse(left)) }));
+  else if (!blind() && c.run_state === "analysing" && now - seen.since > 1000 * LOOKING_S) parts.push(t("progress.looking", { time: seconds((now - seen.since) / 1000) }));
   const text = parts.join(", ");
   if ($("phase").textContent !== text) $("phase").textContent = text;
 }
