@@ -178,10 +178,14 @@ def test_a_test_result_does_not_invite_and_is_accepted_for_a_reason(tmp_path: Pa
         assert "primary" not in (accept.get_attribute("class") or "")
         assert "small torques" in page.shown("untrusted").text
         page.press(accept)
-        assert "small torques" in page.shown("override-why").text
+        question = driver.find_element("css selector", "form.ask")
+        assert "small torques" in question.text
         assert page.barriers() == []
-        driver.find_element("id", "override").send_keys("only to see whether it turns")
-        driver.find_element("css selector", "#override-dialog [value=yes]").click()
+        yes = question.find_element("css selector", "[type=submit]")
+        assert not yes.is_enabled()
+        question.find_element("tag name", "input").send_keys("only to see whether it turns")
+        assert not page.stop_covered()
+        page.press(yes)
         page.wait_text("decision", "only to see whether it turns")
         assert service.client.get(location).json()["decision"]["override"] == "only to see whether it turns"
 

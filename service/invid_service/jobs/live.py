@@ -29,6 +29,12 @@ class Progress:
     cause: str | None = None
     """What the analysis weighs."""
 
+    @classmethod
+    def of(cls, record: RunRecord) -> Progress:
+        """Of a run in which nothing goes on any more."""
+        done = record.state in (State.SUCCEEDED, State.AWAITING_ACCEPT)
+        return cls(1.0 if done else record.facts.get("progress", 0.0), str(record.state))
+
     def to_json(self) -> dict[str, Any]:
         """As in the contract."""
         return {
@@ -51,7 +57,7 @@ class LiveRun:
 
     def __init__(self, record: RunRecord, stored: Iterable[StoredEvent] = ()) -> None:
         self.record = record
-        self.progress = Progress(phase=str(record.state))
+        self.progress = Progress.of(record)
         events = list(stored)
         self.events = EventLog(events)
         self.since = record.ended or (

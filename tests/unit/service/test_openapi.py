@@ -35,6 +35,8 @@ CONTRACT = {
     ("post", "/api/v1/identifications/{identification}/actions"),
     ("post", "/api/v1/cells/{cell}/stop"),
     ("get", "/api/v1/cells/{cell}/state"),
+    ("post", "/api/v1/stop"),
+    ("get", "/api/v1/state"),
     ("post", "/api/v1/recordings"),
     ("get", "/api/v1/cells/{cell}/model"),
     ("get", "/api/v1/cells/{cell}/models"),
@@ -133,8 +135,10 @@ def test_members_of_problems_that_are_sent_stand_in_the_schema(tmp_path: Path) -
 
 
 def test_stop_says_that_it_is_no_safety_function(tmp_path: Path) -> None:
-    stop = document(tmp_path)["paths"]["/api/v1/cells/{cell}/stop"]["post"]
-    assert "not a safety function" in stop["description"]
+    paths = document(tmp_path)["paths"]
+    for path in ("/api/v1/cells/{cell}/stop", "/api/v1/stop"):
+        said = " ".join(paths[path]["post"]["description"].replace("*", "").split())
+        assert "not a safety function" in said
 
 
 def test_problem_types_are_stable() -> None:

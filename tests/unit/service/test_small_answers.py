@@ -111,5 +111,5 @@ def test_the_state_fits_a_small_buffer_with_the_longest_names_that_there_are(tmp
         longest = LiveRun(record)
         for character in ("\U0001f916", "\x01"):  # four bytes; six where JSON escapes it
             longest.progress = Progress(1 / 3, character * 1000, "A" * 64, 1 / 3, 1e9 / 3, 1e9 / 3)
-            service.jobs._live["longest"] = longest
+            service.jobs._latest[cell["id"]] = longest
             assert state_of(client, cell["id"])["phase"] == character * 60
