@@ -1,7 +1,7 @@
 """What a cell does, in one small answer from memory: a poll waits for no store and no drive.
 
-``GET /cells/{cell}/state`` is small enough for a PLC's buffer; ``GET /state`` says more, of all cells at once,
-for the page.
+``GET /cells/{cell}/state`` is small enough for a PLC's buffer; ``GET /state`` says more, of all cells at once, for
+the page.
 """
 
 from __future__ import annotations
@@ -118,9 +118,7 @@ async def state_of(service: Service, cell: Cell) -> CellState:
             cause=run.progress.cause,
         )
     can_start = await service.can_start.of(cell.id, lambda: service.readiness(cell))
-    return CellState(
-        **now, status="unknown" if can_start is None else "ready" if can_start else "not_ready"
-    )
+    return CellState(**now, status="unknown" if can_start is None else "ready" if can_start else "not_ready")
 
 
 def _now(service: Service, cell: Cell) -> dict[str, Any]:
