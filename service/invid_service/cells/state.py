@@ -1,7 +1,7 @@
 """What a cell does, in one small answer from memory: a poll waits for no store and no drive.
 
-``GET /cells/{cell}/state`` is small enough for a PLC's buffer; ``GET /state`` says more, of all cells at once, for
-the page.
+``GET /cells/{cell}/state`` is small enough for a PLC's buffer; ``GET /state`` says more, of all cells at
+once, for the page.
 """
 
 from __future__ import annotations
