@@ -43,7 +43,9 @@ class CellState(BaseModel):
     """[Hz]"""
     cause: str | None = None
     eta_s: float | None = None
-    """Until the result [s]; ``null`` where it is not known."""
+    """As of the run [s]."""
+    motion_left_s: float | None = None
+    """Until the axes are at rest [s]."""
     grade: str | None = None
     """Of the run's result."""
 

@@ -46,8 +46,8 @@ class AnalysisProgress:
         self._began = clock()
         self._low, self._high = 0.0, 1.0
         self._share = 0.0
-        self._left: tuple[float, float, float] | None = None
-        """When the analysis said how long its stage still takes, what it said, and how much lay behind it."""
+        self._left: tuple[float, float] | None = None
+        """When the analysis said how long it still takes, and what it said."""
         self._phase, self._axis, self._cause = "", None, None
         self._lock = threading.Lock()
         self._over = threading.Event()
@@ -87,7 +87,7 @@ class AnalysisProgress:
             within = self._low + float(progress.fraction) * (self._high - self._low)
             self._share = max(self._share, within)
             if progress.seconds_left is not None:
-                self._left = self._clock(), float(progress.seconds_left), float(progress.fraction)
+                self._left = self._clock(), float(progress.seconds_left)
         self.say()
 
     def say(self, *, always: bool = False) -> None:
@@ -102,10 +102,9 @@ class AnalysisProgress:
         self._tell(fraction, phase, axis=axis, cause=cause, eta_s=eta, always=always)
 
     def _eta(self, elapsed: float) -> float:
-        before = min(self._expected - elapsed, (1.0 - self._share) * self._expected)
+        least = OVERDUE * elapsed
         if self._left is None:
-            return max(before, OVERDUE * elapsed)
-        # What a stage says of itself counts as far as it has come: from a first step it foretells anything.
-        said, left, behind = self._left
-        own = max(left - (self._clock() - said), 0.0) + (1.0 - self._high) * self._expected
-        return max(behind * own + (1.0 - behind) * before, OVERDUE * elapsed)
+            return max(self._expected - elapsed, least)
+        said, left = self._left
+        after = (1.0 - self._high) * self._expected
+        return max(left - (self._clock() - said), 0.0) + after

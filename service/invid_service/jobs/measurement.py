@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from typing import Any
 
 from invid.config import CellConfig
@@ -12,13 +11,9 @@ from invid.planning import Plan
 from invid.planning.belief import from_model
 from invid_drivers.measurement import ask_drives, measure_to_file
 from invid_drivers.readiness import loads_to_support, support_sentence
-from invid_service.jobs.analysis_progress import BEGINS, UNKNOWN_S
 from invid_service.jobs.line import Line, plain
 from invid_service.jobs.protocol import Job
 from invid_service.jobs.response import ResponseWatch
-
-_PACE_SEEN = 0.1
-"""Share of the motion from which its pace foretells the rest; before, the plan does. A guess."""
 
 
 def measure(job: Job, line: Line) -> dict[str, Any]:
@@ -46,13 +41,10 @@ def measure(job: Job, line: Line) -> dict[str, Any]:
     line.tell("running")
     target = job.folder / "recording.h5"
 
-    began, after = time.monotonic(), job.expected_analysis_s or UNKNOWN_S
-
     def progress(p: Any) -> None:
-        # A simulated robot moves faster than a real one, or slower on a busy machine.
-        done, took = float(p.fraction), time.monotonic() - began
-        left = took * (1.0 - done) / done if done > _PACE_SEEN else float(p.eta_s)
-        line.progress(done * BEGINS, str(p.phase), axis=p.axis, frequency=p.frequency, eta_s=left + after)
+        line.progress(
+            float(p.fraction) * 0.8, str(p.phase), axis=p.axis, frequency=p.frequency, eta_s=float(p.eta_s)
+        )
 
     with ResponseWatch(target, lambda response: line.tell("response", response=response)):
         result = measure_to_file(

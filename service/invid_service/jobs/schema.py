@@ -106,7 +106,7 @@ class Identification(BaseModel):
     frequency: float | None
     """[Hz]"""
     eta_s: float | None
-    """Until the result [s]; ``null`` where it is not known."""
+    """Of the motion while it runs, then of the analysis [s]."""
     cause: str | None
     """What the analysis weighs now; its axis is ``axis``."""
     error: ErrorInfo | None
