@@ -15,8 +15,8 @@ export function showProgress(c) {
   const what = c.cause ? [t(c.axis ? "progress.weighing_on" : "progress.weighing", { cause: named("cause", c.cause), axis: c.axis })]
     : [phase(c.phase), c.axis && !c.phase.includes(c.axis) && t("progress.axis", { axis: c.axis }), c.frequency && `${fmt(c.frequency, 3)} Hz`];
   const parts = [t("progress.percent", { n: Math.round(c.progress * 100), what: what.filter(Boolean).join(", ") })];
-  const left = c.eta_s == null || blind() ? 0 : c.eta_s - age();
-  if (left > 0.5) parts.push(t("progress.left", { time: seconds(coarse(left)) }));
+  const [of, known] = c.eta_s != null ? ["progress.left", c.eta_s] : ["progress.motion_left", c.motion_left_s], left = known == null || blind() ? 0 : known - age();
+  if (left > 0.5) parts.push(t(of, { time: seconds(coarse(left)) }));
   else if (!blind() && c.state === "analysing" && now - seen.since > 1000 * LOOKING_S) parts.push(t("progress.looking", { time: seconds((now - seen.since) / 1000) }));
   const text = parts.join(", ");
   if ($("phase").textContent !== text) $("phase").textContent = text;
