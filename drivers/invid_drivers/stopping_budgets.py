@@ -5,20 +5,30 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from invid.config import CellConfig
 from invid.errors import ConfigError, SafetyStop
 from invid.model.chains import CoupledChains
 from invid.planning import Plan, make_plan
 from invid.planning.belief import Belief
-from invid.planning.stopping_distance import StoppingBudget, budgets_of, permitted
+from invid.planning.forecast import lower_torque
+from invid.planning.stopping_distance import (
+    LEAST_EXCITATION,
+    Permitted,
+    StoppingBudget,
+    budgets_of,
+    permitted,
+    torque_shares,
+)
 from invid_drivers.cia402.axis import DriveReport
 from invid_drivers.cia402.limits import tighten, tightened_limits
 
 Budgets = tuple[StoppingBudget, ...]
 HALVINGS = 4
 """How finely the speed is sought that the torque needed for it permits: a sixteenth of what is left."""
-Measured = Callable[[Sequence[float | None], Sequence[float | None]], CellConfig]
-"""Measured inertias and hold torques to the config with permitted speeds; SafetyStop where one is none."""
+Measured = Callable[[Sequence[float | None], Sequence[float | None]], Permitted]
+"""Measured inertias and hold torques to permitted speeds and torque; SafetyStop where there is none."""
 
 
 @dataclass(frozen=True)
@@ -42,46 +52,70 @@ def plan_within(
     model: CoupledChains | Belief | None = None,
     plan: Plan | None = None,
 ) -> Budgeted:
-    """The plan under the effective limits and permitted speeds, or those of a given plan.
+    """The plan under the effective limits and permitted speeds, or a given plan lowered to them.
 
-    A lower speed never asks for more torque, so that the budgets made with the plan before it hold. It asks
-    for less, and a dead master then leaves the axis less torque to go on with: the speed is sought that the
-    torque planned for it permits.
+    Where the torque that goes on when nobody commands any more would alone take an axis too far, the plan has
+    less of it. A lower speed never asks for more torque, so that the budgets made with the plan before it
+    hold. It asks for less, and a dead master then leaves the axis less torque to go on with: the speed is
+    sought that the torque planned for it permits.
 
     Raises
     ------
     ConfigError
-        The plan cannot be made, and who limits; or an axis cannot come to rest within its room.
+        The plan cannot be made, and who limits; or an axis cannot come to rest within its room with the least
+        excitation.
     """
     tighter = tighten(config, reports)
+    facts = [r.stopping for r in reports]
     if plan is not None:
         require_torque(plan, reports)
     said = tightened_limits(config, reports)
 
-    def made(limits: CellConfig) -> Plan:
+    def made(limits: CellConfig, shares: Sequence[float] | None = None) -> Plan:
         if plan is not None:
-            return plan
+            return plan if shares is None else lower_torque(plan, np.asarray(shares))
         try:
-            found = make_plan(limits, axes=axes, amplitude_scale=amplitude_scale, model=model)
+            found = make_plan(limits, axes=axes, amplitude_scale=amplitude_scale, model=model, lowered=shares)
             require_torque(found, reports)
             return found
         except ConfigError as error:
             raise ConfigError("; ".join([str(error), *said])) from None
 
     def budgeted(found: Plan) -> Budgets:
-        facts = [r.stopping for r in reports]
         return budgets_of(tighter, facts, found.peak_torque.tolist(), _inertia(config, found))
 
     first = made(tighter)
+    asked = first.peak_torque
+    shares = torque_shares(tighter, facts, asked.tolist(), _inertia(config, first))
+    if min(shares) < 1.0:
+        first = made(tighter, shares)
     budgets = budgeted(first)
     limited = permitted(tighter, budgets)
-    found = first if limited is tighter else made(limited)
+    found = first if limited is tighter or plan is not None else made(limited, shares)
     if found is not first:
         fast = budgeted(found)
-        found, budgets = _fastest(found, budgets, fast, lambda b: made(permitted(tighter, b)), budgeted)
+        found, budgets = _fastest(
+            found, budgets, fast, lambda b: made(permitted(tighter, b), shares), budgeted
+        )
         limited = permitted(tighter, budgets)
-    said = (*said, *(text for b in budgets for text in b.said(linear=config.linear)))
+    said = (
+        *said,
+        *lowered_torque(config, shares, found.peak_torque.tolist()),
+        *(text for b in budgets for text in b.said(linear=config.linear)),
+    )
     return Budgeted(found, limited, budgets, said)
+
+
+def lowered_torque(config: CellConfig, shares: Sequence[float], peaks: Sequence[float]) -> tuple[str, ...]:
+    """Which axes are shaken less than was asked for so that they come to rest, in words."""
+    unit = "N" if config.linear else "N·m"
+    return tuple(
+        f"axis {a.name}: it is shaken with {share:.0%} of the torque that was asked for, {peak:.3g} {unit}, "
+        f"so that it comes to rest in its room when nobody commands it any more (not below "
+        f"{LEAST_EXCITATION:.0%} of the torque limit); what is found is less certain by as much"
+        for a, share, peak in zip(config.axes, shares, peaks, strict=True)
+        if share < 1.0
+    )
 
 
 def _fastest(
@@ -140,14 +174,15 @@ def _inertia(config: CellConfig, plan: Plan) -> list[float | None]:
 def measured_budgets(config: CellConfig, reports: Sequence[DriveReport], plan: Plan) -> Measured:
     """The budgets anew, when trials have measured what was stated."""
 
-    def permit(inertia: Sequence[float | None], loads: Sequence[float | None]) -> CellConfig:
+    facts, peaks = [r.stopping for r in reports], plan.peak_torque
+
+    def permit(inertia: Sequence[float | None], loads: Sequence[float | None]) -> Permitted:
         known = [m or stated for m, stated in zip(inertia, _inertia(config, plan), strict=True)]
+        shares = torque_shares(config, facts, peaks.tolist(), known, loads)
         try:
-            budgets = budgets_of(
-                config, [r.stopping for r in reports], plan.peak_torque.tolist(), known, loads
-            )
+            budgets = budgets_of(config, facts, (peaks * shares).tolist(), known, loads)
         except ConfigError as error:
             raise SafetyStop(f"by what the trials measured: {error}") from None
-        return permitted(config, budgets)
+        return Permitted(permitted(config, budgets), shares)
 
     return permit

@@ -6,11 +6,16 @@ import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from invid.config import CellConfig
 from invid.errors import InvidError
+from invid.numerics.arrays import Float64
+from invid.planning.forecast import lower_torque
 from invid.planning.hold_laws import master_hold
 from invid.planning.model import AxisForecast, PhasePlan, Plan, Step
 from invid.planning.phases import lowest_frequency
+from invid.planning.stopping_distance import Permitted
 from invid.recording.model import Kind
 from invid.sweep.motion import Motion
 from invid.sweep.ports import Cell, Sink
@@ -68,14 +73,15 @@ class Sweep:
     go_on: Callable[[int], bool | None] | None = None
     """Asked after each experiment but the last, with its number: True next one, False enough, ``None`` not
     known yet (the axes are held, and it is asked again)."""
-    permit: Callable[[Sequence[float | None], Sequence[float | None]], CellConfig] | None = None
-    """The limits anew, by the inertia and the hold torque of each axis as the trials of the signs measured
-    them: less speed is permitted to an axis that takes longer to stop than was stated."""
+    permit: Callable[[Sequence[float | None], Sequence[float | None]], Permitted] | None = None
+    """Limits and torque anew, by the inertia and the hold torque of each axis as the trials of the signs
+    measured them: less is permitted to an axis that takes longer to stop than was stated."""
 
     def __post_init__(self) -> None:
         self._motion = Motion(self.plan, self.config, self.cell, self.stop, self._report)
         self._rehearsal = Rehearsal(self._motion, self.warnings, self._stated_inertia())
         self._total_s = self.plan.duration_s
+        self._torque = np.ones(len(self.plan.axes))
         self._forecast = self.plan.forecast
 
     def _stated_inertia(self) -> list[tuple[float, str] | None]:
@@ -132,7 +138,7 @@ class Sweep:
         self._report()
         self.warnings += self._motion.watching.words.said()
         return SweepResult(
-            scale=float(self._rehearsal.scales.min()),
+            scale=float(self._rehearsal.scales.min() * self._torque.min()),
             inertia={self.plan.axes[i]: m for i, m in self._motion.inertia.items()},
             statistics=self._motion.watching.statistics,
             forecast=self._forecast,
@@ -161,7 +167,7 @@ class Sweep:
         return True
 
     def _permit(self) -> None:
-        """Limits by what was measured so far; never wider than before."""
+        """Limits and torque by what was measured so far; never more than before."""
         motion = self._motion
         if self.permit is None:
             return
@@ -169,7 +175,9 @@ class Sweep:
             b if a.gravity_loaded else None for a, b in zip(motion.config.axes, motion.bias, strict=True)
         ]
         measured = [motion.inertia.get(i) for i in range(motion.count)]
-        limits = self.permit(measured, loads)
+        found = self.permit(measured, loads)
+        limits = found.config
+        self._lower(np.minimum(self._torque, found.torque))
         for i, axis in enumerate(limits.axes):
             before, now = motion.config.axes[i].limits.velocity, axis.limits.velocity
             if now < before:
@@ -180,6 +188,18 @@ class Sweep:
                     f"axis {axis.name}: by the inertia and load that were measured, at most {now:.3g} {unit} "
                     f"are permitted, not {before:.3g}, so that it comes to rest in time"
                 )
+
+    def _lower(self, torque: Float64) -> None:
+        """The plan with a share (M,) of the torque of each axis that was planned at first."""
+        unit = "N" if self.config.linear else "N·m"
+        for i in np.flatnonzero(torque < WORTH_SAYING * self._torque):
+            peak = self.plan.peak_torque[i] * torque[i] / self._torque[i]
+            self.warnings.append(
+                f"axis {self.plan.axes[i]}: by the inertia and load that were measured, it is shaken with "
+                f"{torque[i]:.0%} of the planned torque, {peak:.3g} {unit}, so that it comes to rest in time"
+            )
+        self.plan = self._motion.plan = lower_torque(self.plan, torque / self._torque)
+        self._torque = torque
 
     def _experiment(self, phase: PhasePlan) -> None:
         experiment, scale = self.plan.experiments[phase.number], float(self._rehearsal.scales[phase.number])
