@@ -113,7 +113,7 @@ class StoppingCase:
         return self.inertia * 2 * room / (linear + math.sqrt(linear**2 + 4 * squared * room))
 
     def longest_watch(self) -> float:
-        """Time until the drive stops in which the torque that goes on takes all of the room, from rest [s]."""
+        """Time until the drive stops [s] in which the torque that goes on takes all of the room from rest."""
         low, high = 0.0, self.longest_s
         for _ in range(BISECTIONS):
             middle = (low + high) / 2

@@ -17,6 +17,7 @@ from invid.config import CellConfig
 from invid.errors import InvidError
 from invid.numerics.arrays import Float64
 from invid.planning import Plan
+from invid.planning.stopping_distance import StoppingBudget
 from invid.recording import Recording, read_recording
 from invid_drivers.measurement import MeasurementResult, ask_drives, run_measurement, start_measurement
 from invid_drivers.simulated import kernel
@@ -115,6 +116,7 @@ class Measured:
     plan: Plan | None = None
     limited: CellConfig | None = None
     """With the limits that the plan keeps."""
+    budgets: tuple[StoppingBudget, ...] = ()
     said: tuple[str, ...] = ()
     peaks: Float64 = field(default_factory=lambda: np.zeros((3, 0)))
     """(3, M) largest true travel, velocity and torque."""
@@ -138,7 +140,7 @@ def measure(config: CellConfig, folder: Path | None = None) -> Measured:
     """Dry run, then the whole run in virtual time."""
     found = Measured(config, peaks=np.zeros((3, len(config.axes))))
     try:
-        found.plan, found.limited, _, said = ask_drives(config)
+        found.plan, found.limited, found.budgets, said = ask_drives(config)
         found.said = (*found.plan.warnings, *said)
         plan, cell = start_measurement(config, None, 1.0, None)
         bus: Any = cell.link.bus
