@@ -217,7 +217,7 @@ def measured_budgets(config: CellConfig, reports: Sequence[DriveReport], plan: P
         try:
             budgets = budgets_of(config, facts, (played * peaks * shares).tolist(), known, loads)
         except ConfigError as error:
-            raise SafetyStop(f"by what the trials measured: {error}") from None
+            raise SafetyStop(f"by what the trials measured: {error.reason}", way_out=error.way_out) from None
         return Permitted(permitted(config, budgets), shares)
 
     return permit

@@ -385,7 +385,7 @@ def budgets_of(
     )
     for budget in found:
         if budget.permitted <= 0:
-            raise ConfigError(_refusal_text(budget, linear=config.linear))
+            raise _refusal(budget, linear=config.linear)
     return found
 
 
@@ -402,24 +402,22 @@ def permitted(config: CellConfig, budgets: Sequence[StoppingBudget]) -> CellConf
     return config.model_copy(update={"axes": axes})
 
 
-def _refusal_text(budget: StoppingBudget, *, linear: bool) -> str:
+def _refusal(budget: StoppingBudget, *, linear: bool) -> ConfigError:
     case, unit = budget.case, "m" if linear else "rad"
     torque = "N" if linear else "N·m"
     if case.deceleration is not None and case.deceleration <= 0:
-        return (
+        return ConfigError(
             f"axis {case.axis}: it could not be stopped: its torque limit of {case.torque:.3g} {torque} "
-            f"leaves nothing beside a load of {case.load:.3g}; unload the axis or raise its torque limit"
+            f"leaves nothing beside a load of {case.load:.3g}",
+            way_out="unload the axis or raise its torque limit",
         )
     still = replace(budget, permitted=0.0)
     way = max(still.stop or 0.0, still.dead_master or 0.0)
-    least = LEAST_EXCITATION * case.torque
-    lowered = f", the least excitation ({LEAST_EXCITATION:.0%} of its limit) among it" * (
-        case.planned <= 1.01 * FEEDBACK_FACTOR * least
-    )
-    return (
+    is_least = case.planned <= 1.01 * FEEDBACK_FACTOR * LEAST_EXCITATION * case.torque
+    least = f", the least excitation of {LEAST_EXCITATION:.0%} of its torque limit" * is_least
+    return ConfigError(
         f"axis {case.axis}: even from rest it may go {way:.3g} {unit} before it stands "
         f"({budget.blind_s * 1e3:.0f} ms until the drive stops without this computer, {case.facts.watch}, "
-        f"with up to {case.planned:.3g} {torque} meanwhile{lowered}), and {case.room:.3g} are allowed; "
-        + budget.way_out(linear=linear)
-        + f" to {math.ceil(100 * way) / 100:g}"
+        f"with up to {case.planned:.3g} {torque} meanwhile{least}), and {case.room:.3g} are allowed",
+        way_out=f"{still.way_out(linear=linear)} to {math.ceil(100 * way) / 100:g}",
     )
