@@ -113,11 +113,13 @@ class StoppingCase:
         return self.inertia * 2 * room / (linear + math.sqrt(linear**2 + 4 * squared * room))
 
     def longest_watch(self) -> float:
-        """Time until the drive stops [s] in which the torque that goes on takes all of the room from rest."""
+        """Time until the drive stops [s] in which the torque that goes on takes its share of the room."""
         low, high = 0.0, self.longest_s
         for _ in range(BISECTIONS):
             middle = (low + high) / 2
-            low, high = (middle, high) if self.fastest(middle) > 0 else (low, middle)
+            way = self.distance(0.0, middle)
+            fits = way is not None and way <= COASTING_SHARE * self.room
+            low, high = (middle, high) if fits else (low, middle)
         return low
 
     @property
