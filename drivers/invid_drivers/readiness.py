@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from invid.config import CellConfig
 from invid.errors import InvidError
-from invid.planning import Plan, make_plan
+from invid.planning import Plan
 from invid.planning.budget import RoundTrip
 from invid.planning.forecast import fit_to_limits
 from invid_drivers.cia402.bus import Cia402Cell
@@ -72,7 +72,6 @@ def foresee(config: CellConfig, wish: Wish = Wish()) -> Prepared:
     ConfigError, DriveError
         What ``prepare`` would refuse whatever the drives say; in virtual time, what it refuses.
     """
-    make_plan(config, axes=wish.axes, amplitude_scale=wish.amplitude_scale, model=wish.model)
     if is_virtual(config):
         cell = connect(config)
         try:
