@@ -111,7 +111,7 @@ class Watch:
         self._origin = list(position)
 
     def permit(self, axis: int, velocity: float) -> None:
-        """A lower limit for the velocity of one axis, from here on."""
+        """Another limit for the velocity of one axis, from here on."""
         self._limits[axis] = replace(self._limits[axis], velocity=velocity)
         self._speed[axis] = min(self._speed[axis], velocity)  # only what is faster than ever is looked at
 
