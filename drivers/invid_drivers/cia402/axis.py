@@ -283,13 +283,6 @@ class Drive(Access):
                 lacks.append("0x6072 max torque: only the master limits the torque")
         if not can_hold:
             lacks.append("cyclic synchronous position: the drive cannot hold the axis by itself")
-            if self.config.hold.mode == "drive" and self.config.gravity_loaded:
-                raise DriveError(
-                    f"{who}: gravity-loaded, but the drive cannot hold its place by itself (no cyclic "
-                    "synchronous "
-                    "position in 0x6502); it would fall when stopped. Use a drive that can, or unload "
-                    "the axis"
-                )
         return lacks
 
     # --- configuration -------------------------------------------------------------------------

@@ -14,7 +14,8 @@ import can
 
 from invid.config import CellConfig
 from invid.errors import BusError, DriveError, InvidError, SafetyStop
-from invid.sweep.ports import Clock, Mode, Sample, Severity
+from invid.sweep.bounds import Bounds, bounds_of
+from invid.sweep.ports import Clock, Mode, Sample
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402 import states
 from invid_drivers.cia402.axis import Drive, DriveReport
@@ -27,10 +28,10 @@ from invid_drivers.cia402.holding import (
 )
 from invid_drivers.cia402.jitter import Jitter
 from invid_drivers.cia402.journal import Journal
+from invid_drivers.cia402.limits import tighten
 from invid_drivers.cia402.link import NMT_PRE_OPERATIONAL, NMT_START, Link
 from invid_drivers.cia402.mode_change import CHANGE_S
 from invid_drivers.cia402.moving_cell import MovingCell
-from invid_drivers.cia402.relief import TorqueRelief
 from invid_drivers.cia402.states import DriveState, OperationMode, is_energised, state_of
 from invid_drivers.cia402.stop_test import StopTest
 from invid_drivers.cia402.takeover import find_powered, require_ours
@@ -53,10 +54,10 @@ class Cia402Cell:
         self._reports: list[DriveReport] = []
         self._cycle = Cycle(self._link, config)
         self._touched = False
-        self._listened = False
         self._stopped = True
         self._powered: dict[str, DriveState] = {}
-        self._relief: TorqueRelief | None = None
+        self.bounds: Bounds | None = None
+        """What no cycle may pass, from before the first axis is enabled to the last one off."""
         self._torque_off: dict[int, float] = {}
         """What each drive showed as torque without voltage [N·m or N]."""
         self.held_at_end: tuple[str, ...] = ()
@@ -118,10 +119,9 @@ class Cia402Cell:
         self._link.require_bus()
         for drive in self._drives:
             drive.refuse_declared()
-        if not self._listened:
+        if not self._link.gate.listened:
             self._link.listen()
-            self._listened = True
-        self._link.refuse_others("nothing was sent")
+        self._link.refuse_others()
         self._powered, silent = find_powered(self._drives, self.held.memory)
         self._pre_operational()
         self._powered |= {d.name: s for d in silent if (s := d.quiet_state()) and is_energised(s)}
@@ -133,11 +133,12 @@ class Cia402Cell:
         for drive in self._drives:
             self._refuse_owned(drive)
         self.held.find(self._reports, self._powered)
-        self._link.refuse_others("nothing was moved")
+        self._link.refuse_others()
         for i, r in enumerate(self._reports):
             position = r.scaling.direction * r.scaling.position_per_count
             most = r.scaling.most_permille(r.limits.torque.value)
             self._cycle.scale(i, position=position, torque=r.scaling.torque(1), most=most)
+        self.bounds = bounds_of(tighten(self._config, self._reports), self.resolution, self.rated_torque)
         return self.reports
 
     @property
@@ -148,7 +149,7 @@ class Cia402Cell:
     def _pre_operational(self) -> None:
         """But for drives under power: leaving operational may make one of them let go."""
         for drive in self._drives:
-            if drive.name not in self._powered:
+            if drive.name not in self._powered and self._link.gate.may_write(drive.node_id):
                 self._link.nmt(NMT_PRE_OPERATIONAL, drive.node_id)
         self._link.wait(0.02)
 
@@ -207,6 +208,9 @@ class Cia402Cell:
         for drive, holding in zip(self._drives, self.holdings, strict=True):
             if is_energised(holding.state):
                 require_ours(drive, holding)
+        for drive in self._drives:
+            self._link.gate.take(drive.node_id)
+            self._link.peers[drive.node_id].booted = False
         self._stopped = False
         self._touched = True
         self._link.beating = True
@@ -224,8 +228,14 @@ class Cia402Cell:
             if mode is Mode.HOLD or drive.by_offset:
                 drive.command(od.TARGET_POSITION, drive.read(od.POSITION))
             drive.set_mode(self._operation_mode(report, mode), CHANGE_S)
+        restarted = [p.name for p in self._link.peers.values() if p.booted]
+        if restarted:
+            raise DriveError(
+                f"axis {', '.join(restarted)} has restarted while its protection was written, and may have "
+                "lost it; look at its supply, then start again"
+            )
         self._link.events.clear()
-        self._link.refuse_others("nothing was moved")
+        self._link.refuse_others()
         for peer in self._link.peers.values():
             peer.last_heartbeat = None
         for drive in self._drives:
@@ -233,8 +243,7 @@ class Cia402Cell:
         self._link.wait(0.005)
         self._cycle.restart_slots()
         self._cycle.leaving = False
-        units = [(r.scaling.position_per_count, r.scaling.torque(1)) for r in self._reports]
-        self._relief = TorqueRelief(self._config, self._drives, self._cycle, units)
+        self._watch.resting = {i for i, mode in enumerate(modes) if mode is Mode.HOLD}
         self._enable()
         self._powered = {}
 
@@ -252,18 +261,17 @@ class Cia402Cell:
             states.QUICK_STOP if h.taken_over else states.DISABLE_VOLTAGE for h in self.holdings
         ]
         while True:
-            sample = self.exchange(zero)
-            for event in sample.events:
-                if event.severity is not Severity.NOTE:
-                    raise DriveError(f"{event.text} while it was being enabled")
+            sample = self._watched(zero)
             found = [state_of(s) for s in sample.status]
+            if self._watch.origin is None and all(sample.fresh):
+                self._watch.start(sample.position)  # nothing was enabled before that
             for i, state in enumerate(found):
                 if sample.fresh[i] and not is_energised(state):
                     self._torque_off[i] = sample.torque[i]
             if all(sample.fresh) and all(s is DriveState.OPERATION_ENABLED for s in found):
                 return
             for i, state in enumerate(found):
-                if sample.fresh[i]:
+                if sample.fresh[i] and self._watch.origin is not None:
                     resumes = self.holdings[i].taken_over and state is DriveState.QUICK_STOP_ACTIVE
                     self._cycle.control[i] = (
                         states.ENABLE_OPERATION if resumes else states.towards_enabled(state)
@@ -289,15 +297,27 @@ class Cia402Cell:
 
     def secure(self, loaded: Sequence[bool]) -> bool:
         """Axes that carry nothing may switch off after a stop, others are tested: whether any was."""
-        self.held.settle(loaded)
+        self._watch.pause()  # whoever made the cycles before may have watched them otherwise
+        self.held.settle(loaded, self._cycle.permille)
         self.held.refuse_dead_displays(self._cycle.sample, self._torque_off, self._reports)
-        self.held.set_options(self._cycle, self.clock, self.exchange)
-        tested = StopTest(self._moving(), self.holdings, self.held.memory, self.cancelled).run()
-        self._relief = None  # from here on torque at the limit is no weight
-        return tested
+        self.held.set_options(self._cycle, self.clock, self._watched)
+        moving, rated = self._moving(self._watched), self.rated_torque
+        return StopTest(moving, self.holdings, self.held.memory, self.cancelled, rated).run()
 
-    def _moving(self) -> MovingCell:
-        return MovingCell(self._config, self._link, self._drives, self._cycle, self.exchange, self.resolution)
+    def _moving(self, exchange: Callable[[Sequence[float]], Sample]) -> MovingCell:
+        config = self._config if self.bounds is None else self.bounds.tightened(self._config)
+        return MovingCell(config, self._link, self._drives, self._cycle, exchange, self.resolution)
+
+    @property
+    def asked(self) -> Sequence[float]:
+        """Torque that each axis in a torque mode was sent with the last SYNC [N·m or N]; the list stays."""
+        return self._cycle.asked
+
+    @property
+    def _watch(self) -> Bounds:
+        if self.bounds is None:
+            raise DriveError("the cell was not checked: nothing is known of its drives")
+        return self.bounds
 
     def set_modes(self, modes: Sequence[Mode]) -> None:
         """Ask for other modes while energised; the change goes on in the cycles to come (``changing``).
@@ -320,10 +340,15 @@ class Cia402Cell:
     # --- the cycle -----------------------------------------------------------------------------
     def exchange(self, torque: Sequence[float]) -> Sample:
         """Targets out, SYNC at its slot, samples in."""
+        return self._cycle.exchange(torque)
+
+    def _watched(self, torque: Sequence[float]) -> Sample:
+        """A cycle that the cell makes by itself: checked as the sweep checks those that it makes."""
         sample = self._cycle.exchange(torque)
-        if self._relief is not None:
-            # one whose weight was held within its limit before is pushed by something else
-            self._relief.look(sample, [h.loaded is not False and not h.seen.loaded for h in self.holdings])
+        if self._cycle.paused:
+            self._watch.pause()
+            self._cycle.paused = False
+        self._watch.check(sample, self.asked)
         return sample
 
     # --- the way out ---------------------------------------------------------------------------
@@ -339,7 +364,7 @@ class Cia402Cell:
                 self.held.set_options(self._cycle, self.clock, self.exchange)
         stays = [h.stays for h in self.holdings]
         weigh = partial(self.held.weigh_in_quick_stop, self._config, self.rated_torque)
-        way = WayOut(self._moving(), stays, self._ramp_s, self.held.doubted, weigh)
+        way = WayOut(self._moving(self.exchange), stays, self._ramp_s, self.held.doubted, weigh)
         self.not_off = way.take()
         self.held_at_end = tuple(
             h.config.name
@@ -389,6 +414,7 @@ class Cia402Cell:
 
     def _restore(self, complaints: list[str]) -> None:
         left = self._left_protected(complaints) | set(self._powered)
+        left |= {d.name for d in self._drives if not self._link.gate.may_write(d.node_id)}
         for drive in self._drives:
             if drive.name not in left:
                 self._link.nmt(NMT_PRE_OPERATIONAL, drive.node_id)

@@ -64,6 +64,10 @@ class Cycle:
         self.sample = Sample(
             position=[0.0] * count, torque=[0.0] * count, status=[0] * count, fresh=[False] * count
         )
+        self.asked = [0.0] * count
+        """Torque that each axis was sent with the last SYNC [N·m or N]; 0 where its drive holds it."""
+        self.paused = False
+        """No SYNC was sent on purpose, since somebody has looked."""
         self.skipped_slots = 0
         self.jitter = Jitter()
         self._rpdo_ids = [0x200 + n for n in nodes]
@@ -105,6 +109,11 @@ class Cycle:
         self._most[axis] = most
 
     @property
+    def permille(self) -> list[int]:
+        """Size of the torque that each drive showed last [‰ of rated]."""
+        return [round(abs(t / u)) for t, u in zip(self.sample.torque, self._torque_unit, strict=True)]
+
+    @property
     def changing(self) -> bool:
         """Whether a drive does not show yet the mode that it was asked for."""
         return bool(self._changes)
@@ -127,6 +136,7 @@ class Cycle:
     def restart_slots(self) -> None:
         """The next SYNC is at the next whole slot from now: SDO traffic took time of its own."""
         now = self._link.clock.now()
+        self.paused = True
         if self._slot < 0:
             self._started, self._slot = now, -1
         else:
@@ -145,6 +155,8 @@ class Cycle:
             value = 0 if self.modes[i] is hold else round(torque[i] * self._per_mille[i])
             if value > self._most[i] or value < -self._most[i]:
                 value = self._most[i] if value > 0 else -self._most[i]
+            by_torque = self.operation[i] is not OperationMode.CYCLIC_POSITION
+            self.asked[i] = value * self._torque_unit[i] if by_torque else 0.0
             put(
                 can.Message(arbitration_id=cob, data=_RPDO.pack(self.control[i], value), is_extended_id=False)
             )
@@ -304,7 +316,9 @@ class Cycle:
         sample = self.sample
         sample.position[axis] = (origin + moved) * self._position_unit[axis]
         sample.torque[axis] = permille * self._torque_unit[axis]
-        sample.status[axis] = status
+        if status != sample.status[axis]:
+            sample.status[axis] = status
+            self._link.gate.saw(self._nodes[axis], status)
         return True
 
     def _sort(self, message: can.Message) -> None:

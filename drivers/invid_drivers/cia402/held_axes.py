@@ -15,7 +15,7 @@ from invid.sweep.ports import Clock, Mode, Sample
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.axis import Drive, DriveReport
 from invid_drivers.cia402.cycle import Cycle
-from invid_drivers.cia402.hold_memory import HoldMemory, identity
+from invid_drivers.cia402.hold_memory import HoldMemory
 from invid_drivers.cia402.holding import (
     AxisHolding,
     Reason,
@@ -52,8 +52,7 @@ class HeldAxes:
         self.holdings, self._settled = [], False
         for drive, report in zip(self._drives, reports, strict=True):
             state = powered.get(drive.name, DriveState.SWITCH_ON_DISABLED)
-            name = identity(report.vendor_id, report.product_code, report.serial)
-            holding = found_holding(drive, state, self.memory, name)
+            holding = found_holding(drive, state, self.memory, report)
             if not holding.is_left_alone:
                 if holding.seen.left_held:
                     holding.note(self.memory, left_held=False)
@@ -127,10 +126,10 @@ class HeldAxes:
             self.holdings[i].loaded = self.holdings[i].taken_over = False
         return free
 
-    def settle(self, loaded: Sequence[bool]) -> None:
+    def settle(self, loaded: Sequence[bool], weights: Sequence[int]) -> None:
         """What the torque at rest said; DriveError where nothing will hold an axis that is loaded."""
         self._settled = True
-        settle(self.holdings, loaded, self.memory)
+        settle(self.holdings, loaded, weights, self.memory)
         for drive, holding in zip(self._drives, self.holdings, strict=True):
             if holding.loaded and holding.stays and not holding.can_stay:
                 require_holdable(drive, holding)

@@ -26,6 +26,8 @@ class Seen:
     """From voltage off to the last motion [s]."""
     brake_drop: float | None = None
     """How far it moved meanwhile [rad or m]."""
+    weight: int | None = None
+    """Thousandths of rated torque that held its load at rest."""
     left_held: bool = False
     """A run left it energised in quick stop active."""
     suspect: str = ""

@@ -1,0 +1,122 @@
+"""What the link promises from its first frame to its last, on drives of another author that enforce nothing.
+
+Judged on the plant: torque within the tightest limit, travel within window and what coasts, loads where they
+were, nodes that are somebody else's as they were.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from other_cell import LIMIT, WINDOW, OtherCell
+
+from invid.errors import DriveError, SafetyStop
+from invid.sweep import Mode
+
+NOTHING, LOADED = {"gravity_loaded": False}, {"gravity_loaded": True}
+LOAD = {"gravity": 3.0}
+TORQUE_ONLY = {"0x6502": 1 << 9}
+HELD = 0.02
+"""A loaded axis may be so far from where it stood [rad]."""
+
+
+def most_torque(cell: OtherCell) -> float:
+    return max(max(d.axis.commanded, d.axis.by_loop) for d in cell.drives)
+
+
+@pytest.mark.parametrize("follows", [True, False], ids=["following error enforced", "not enforced"])
+@pytest.mark.parametrize("slow", [0.0, 2.4])
+def test_opposed_wiring_of_an_unstated_load_gets_no_more_than_its_limit_and_is_cut_off_at_once(
+    tmp_path: Path, follows: bool, slow: float
+) -> None:
+    nodes: list[dict[str, Any]] = [{**LOAD, "opposed": True, "follows": follows}, {"enable": slow}]
+    cell = OtherCell(tmp_path, nodes, [{}, NOTHING])
+    motor = cell.drives[0].axis
+    error = cell.measure()
+    assert isinstance(error, SafetyStop)
+    assert most_torque(cell) <= 1.05 * LIMIT
+    assert cell.drives[0].state == "switch on disabled"
+    assert motor.travel < WINDOW
+    assert motor.powered_speed < 2.0
+
+
+@pytest.mark.parametrize("stated", [LOADED, {}], ids=["stated", "not stated"])
+def test_a_drive_that_cannot_hold_a_load_in_place_is_refused_before_it_is_enabled(
+    tmp_path: Path, stated: dict[str, Any]
+) -> None:
+    hold = {"mode": "master_pd", "gain_Nm_per_rad": 200, "damping_Nms_per_rad": 20}
+    cell = OtherCell(tmp_path, [{**LOAD, "values": TORQUE_ONLY}], [{**stated, "hold": hold}])
+    error = cell.measure()
+    assert isinstance(error, DriveError)
+    assert "cyclic synchronous position" in str(error)
+    cell.bus.advance(1.0)
+    assert cell.drives[0].axis.travel == 0.0
+
+
+def test_a_drive_that_accepts_a_quick_stop_option_and_coasts_is_caught_before_its_load_has_moved(
+    tmp_path: Path,
+) -> None:
+    cell = OtherCell(tmp_path, [{**LOAD, "stops_by": 0}], [LOADED])
+    axis = cell.drives[0].axis
+
+    def supported() -> None:  # a person who was told puts something under it
+        assert cell.drives[0].state == "operation enabled"
+        axis.gravity = 0.0
+
+    cell.bus.at.append((6.0, supported))
+    error = cell.measure()
+    cell.bus.advance(0.5)
+    assert isinstance(error, SafetyStop)
+    assert "let it fall" in str(error)
+    assert axis.travel < HELD
+
+
+def test_a_drive_that_lets_go_when_its_master_is_silent_is_caught_in_the_silence(tmp_path: Path) -> None:
+    cell = OtherCell(tmp_path, [LOAD], [LOADED])
+    drive = cell.drives[0]
+    drive.connection_lost = lambda: drive.enter("switch on disabled")  # type: ignore[method-assign]
+    cell.bus.at.append((8.0, lambda: setattr(drive.axis, "gravity", 0.0)))
+    error = cell.measure()
+    assert isinstance(error, SafetyStop)
+    assert drive.axis.travel < HELD
+
+
+@pytest.mark.parametrize(
+    "frame", [(0x080, b""), (0x201, b"\x0f\x00\x00\x00"), (0x601, bytes(8))], ids=["SYNC", "RPDO", "SDO"]
+)
+def test_check_sends_nothing_to_a_held_axis_while_another_master_speaks(
+    tmp_path: Path, frame: tuple[int, bytes]
+) -> None:
+    cell = OtherCell(tmp_path, [{**LOAD, "power_in_operational": True}], [LOADED])
+    assert cell.measure() is None
+    drive = cell.drives[0]
+    assert drive.state == "quick stop active"
+    drive.axis.mark()
+    cell.bus.sent.clear()
+    cell.bus.at.append((cell.bus.time + 0.5, lambda: cell.bus.arrive(*frame)))
+    assert "nothing was sent" in cell.check()
+    cell.bus.advance(1.0)
+    assert cell.bus.sent == []
+    assert drive.state == "quick stop active"
+    assert drive.axis.travel < HELD
+
+
+def test_the_journal_of_a_killed_run_gives_no_right_to_a_node_that_another_master_drives_now(
+    tmp_path: Path,
+) -> None:
+    cell = OtherCell(tmp_path, [{}], [NOTHING])
+    killed = cell.connect()
+    killed.check()
+    killed.energise([Mode.HOLD])
+    assert killed.journal.entries
+    drive = cell.drives[0]
+    cell.bus.advance(1.0)  # nobody restores, and the drive has stopped by itself
+    drive.enter("operation enabled")  # by its new master
+    cell.bus.sent.clear()
+    for k in range(20):
+        cell.bus.at.append((cell.bus.time + 0.1 * k, lambda: cell.bus.arrive(0x080, b"")))
+    assert "nothing was sent" in cell.check()
+    assert cell.bus.sent == []
+    assert drive.state == "operation enabled"
