@@ -6,6 +6,11 @@ were, nodes that are somebody else's as they were.
 
 from __future__ import annotations
 
+import os
+import pickle
+import re
+import threading
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +19,10 @@ from other_cell import LIMIT, WINDOW, OtherCell
 
 from invid.errors import DriveError, SafetyStop
 from invid.sweep import Mode
+from invid_drivers import cia402
+from invid_drivers.cia402.failures import WriteRefused
+from invid_drivers.cia402.hold_memory import HoldMemory, Seen
+from invid_drivers.cia402.objects import MAX_TORQUE
 
 NOTHING, LOADED = {"gravity_loaded": False}, {"gravity_loaded": True}
 LOAD = {"gravity": 3.0}
@@ -120,3 +129,73 @@ def test_the_journal_of_a_killed_run_gives_no_right_to_a_node_that_another_maste
     assert "nothing was sent" in cell.check()
     assert cell.bus.sent == []
     assert drive.state == "operation enabled"
+
+
+def test_no_disk_is_waited_for_while_an_axis_is_energised(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cell = OtherCell(tmp_path, [LOAD], [LOADED])
+    flushed: list[tuple[bool, bool]] = []
+    fsync = os.fsync
+
+    def slow(file: int) -> None:
+        energised = any(d.axis.energised for d in cell.drives)
+        flushed.append((threading.current_thread() is threading.main_thread(), energised))
+        fsync(file)
+
+    monkeypatch.setattr(os, "fsync", slow)
+    assert cell.measure() is None
+    assert HoldMemory.beside(tmp_path / "bus.journal").of_node(1) == replace(
+        Seen(1), loaded=True, holds=True, resumes=True, left_held=True, weight=300
+    )
+    assert any(energised for _, energised in flushed)
+    assert not any(main for main, _ in flushed)
+
+
+def test_a_drive_that_answers_no_request_under_power_is_named_and_its_axis_stays_watched(
+    tmp_path: Path,
+) -> None:
+    cell = OtherCell(tmp_path, [LOAD, {}], [{}, {}])
+    drive = cell.drives[1]
+
+    def deaf() -> None:
+        drive.port.subscriptions.pop(0x602)
+
+    cell.bus.at.append((2.0, deaf))  # enabled, not weighed yet
+    error = cell.measure()
+    assert isinstance(error, DriveError)
+    assert "A2" in str(error)
+    assert "does not answer (0x605A)" in str(error)
+    assert cell.drives[0].axis.travel < HELD
+
+
+@pytest.mark.parametrize("damage", ["", "{", "[]"])
+def test_with_a_damaged_memory_no_axis_is_enabled_until_a_person_has_cleared_it(
+    tmp_path: Path, damage: str
+) -> None:
+    cell = OtherCell(tmp_path, [{}], [NOTHING])
+    (tmp_path / "bus.holds.json").write_text(damage, encoding="utf-8")
+    error = cell.measure()
+    assert isinstance(error, DriveError)
+    assert "--cleared A1" in str(error)
+    assert not any(cob == 0x201 for _, cob, _ in cell.bus.sent)
+    cleared = cell.connect()
+    cleared.clear(["A1"])
+    cleared.close()
+    assert cell.measure() is None
+
+
+def test_nothing_branches_on_the_text_of_an_error() -> None:
+    folder = Path(cia402.__file__).parent
+    for path in folder.glob("*.py"):
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
+            assert not re.search(
+                r"\bin str\(error\)|str\(error\)\.(partition|split|starts|ends|find)", line
+            ), f"{path.name}:{number}"
+
+
+def test_a_failure_of_a_drive_says_which_object_of_which_node_and_survives_a_process_border() -> None:
+    error = WriteRefused.at("A1", 7, MAX_TORQUE, "0x6072 cannot be written", 0x06010002)
+    again = pickle.loads(pickle.dumps(error))
+    assert (again.axis, again.node_id, again.what, again.abort) == ("A1", 7, MAX_TORQUE, 0x06010002)
+    assert str(again) == "axis A1 (node 7): 0x6072 cannot be written"

@@ -14,6 +14,7 @@ from invid.planning.stopping_distance import StoppingFacts
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.access import Access
 from invid_drivers.cia402.declared import refusal
+from invid_drivers.cia402.failures import ReadRefused, WriteRefused, WrongMode
 from invid_drivers.cia402.journal import Journal
 from invid_drivers.cia402.limits import EffectiveLimits
 from invid_drivers.cia402.link import Link, SdoError
@@ -322,9 +323,7 @@ class Drive(Access):
                 if kind == "RPDO":
                     self._write_timer()
                 self.write(communication(1, 1), cob)
-            except DriveError as error:
-                if "does not answer" in str(error):
-                    raise
+            except (ReadRefused, WriteRefused) as error:
                 names = ", ".join(f"{o.address} {o.name}" for o in wanted)
                 raise DriveError(
                     f"{who}: {kind} 1 cannot be mapped to {names}: {error}; this drive cannot be run in "
@@ -337,8 +336,8 @@ class Drive(Access):
             return
         try:
             self.write(od.RPDO_EVENT_TIMER, self._timer)
-        except DriveError as error:
-            if "cannot be written" not in str(error) or self.vendor.rpdo_event_timer.certain:
+        except WriteRefused:
+            if self.vendor.rpdo_event_timer.certain:
                 raise
 
     def _pdos(self, kind: str) -> int:
@@ -358,11 +357,8 @@ class Drive(Access):
             if shown == int(mode):
                 return
             if clock.now() >= end:
-                raise DriveError(
-                    f"axis {self.name} (node {self.node_id}): mode {mode.name.lower()} was asked for, "
-                    "the drive shows "
-                    f"mode {shown} (0x6061)"
-                )
+                said = f"mode {mode.name.lower()} was asked for, the drive shows mode {shown} (0x6061)"
+                raise WrongMode.at(self.name, self.node_id, od.MODE_DISPLAY, said)
             self.link.wait(0.005)
 
     # --- on the way out ------------------------------------------------------------------------

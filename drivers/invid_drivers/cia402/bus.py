@@ -37,6 +37,8 @@ from invid_drivers.cia402.stop_test import StopTest
 from invid_drivers.cia402.takeover import find_powered, require_ours
 from invid_drivers.cia402.way_out import WayOut
 
+LEAVING_S = 0.1
+"""Longest wait on the way out for a setting that a loaded axis is better held with."""
 ENABLE_S = 3.0
 """Longest way to operation enabled: brakes take a few hundred milliseconds to open."""
 
@@ -221,6 +223,7 @@ class Cia402Cell:
             if not holding.taken_over:
                 drive.map_pdos()
                 tell_cycle(drive, self._config.bus.cycle_s)
+        self.held.foresee_options()
         for i, mode in enumerate(modes):
             self._now_in(i, mode)
         for drive, report, mode in zip(self._drives, self._reports, modes, strict=True):
@@ -243,6 +246,7 @@ class Cia402Cell:
         self._link.wait(0.005)
         self._cycle.restart_slots()
         self._cycle.leaving = False
+        self.held.memory.defer()  # from here on no cycle waits for a disk
         self._watch.resting = {i for i, mode in enumerate(modes) if mode is Mode.HOLD}
         self._enable()
         self._powered = {}
@@ -361,7 +365,7 @@ class Cia402Cell:
             return
         with contextlib.suppress(Exception):
             if self.held.weigh_at_once(self._cycle.sample, self.rated_torque, self._cycle.modes):
-                self.held.set_options(self._cycle, self.clock, self.exchange)
+                self.held.set_options(self._cycle, self.clock, self.exchange, LEAVING_S)
         stays = [h.stays for h in self.holdings]
         weigh = partial(self.held.weigh_in_quick_stop, self._config, self.rated_torque)
         way = WayOut(self._moving(self.exchange), stays, self._ramp_s, self.held.doubted, weigh)
@@ -401,6 +405,10 @@ class Cia402Cell:
         """Stop, restore every object that was written, close the bus; what could not be restored."""
         complaints: list[str] = []
         self.stop()
+        try:
+            self.held.memory.settle()
+        except BusError as error:
+            complaints.append(str(error))
         try:
             if self._touched or self.journal.entries:
                 self._restore(complaints)

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import can
 
 from invid.config import CellConfig
+from invid.errors import BusError
 from invid.sweep.ports import Event, Mode, Sample, Severity
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402 import states
@@ -38,6 +39,10 @@ LISTEN_EVERY_S = 1.0
 thousand at 1 kHz. A guess at what a record may lose."""
 MODE_POLL_S = 0.1
 """0x6061 of one axis after another is asked for at this interval during the cycle."""
+FLOOD_S, MOST_WAITING = 1.0, 50_000
+"""Longer than that nobody works off what has come, and more frames than two seconds of a full bus bring do
+not wait for a cycle: a node babbles."""
+FLOODED = "the bus is flooded: more frames come than this computer can look at; find the node that babbles"
 HEARTBEAT_PERIODS = 3.5
 """A drive's heartbeat is lost after this many periods: three missed ones and some jitter."""
 
@@ -130,7 +135,7 @@ class Cycle:
 
     def set_object(self, axis: int, what: Object, value: int) -> SettingWrite:
         """Write an object of a drive in the cycles to come, while ``changing``."""
-        write = self._changes[axis] = SettingWrite(what, value)
+        write = self._changes[axis] = SettingWrite(what, value, self._link.clock.now())
         return write
 
     def restart_slots(self) -> None:
@@ -259,10 +264,10 @@ class Cycle:
                 rest = end - self._link.clock.now()
                 message = self._link.get(max(rest, 0.0))
                 if message is None:
-                    if (
-                        rest <= 0
-                    ):  # what is there already was looked at too: this process may have been paused
+                    if rest <= 0:  # what is there already was looked at: this process may have been paused
                         break
+                elif rest <= -FLOOD_S:
+                    raise BusError(FLOODED)
                 elif (axis := self._tpdo_axis.get(message.arbitration_id)) is None:
                     self._sort(message)
                 else:
@@ -341,7 +346,11 @@ class Cycle:
 
     def _drain(self) -> None:
         """Before a SYNC: what is there belongs to an earlier one and would pass for this one's."""
+        left = MOST_WAITING
         while (message := self._link.get(0)) is not None:
+            left -= 1
+            if left < 0:
+                raise BusError(FLOODED)
             axis = self._tpdo_axis.get(message.arbitration_id)
             if axis is None:
                 self._sort(message)
@@ -354,11 +363,10 @@ class Cycle:
             why = change.failure(now)
             if self.leaving and change.operation is not None:
                 del self._changes[axis]
-            elif why is not None and change.operation is not None:
+            elif why is not None:
                 del self._changes[axis]
                 name = self._config.axes[axis].name
-                mode = change.operation.name.lower()
-                text = f"axis {name} (node {self._nodes[axis]}): mode {mode} was asked for, but {why}"
+                text = f"axis {name} (node {self._nodes[axis]}): {why}"
                 self._link.events.append(Event(Severity.DRIVE, text, name))
             elif change.done:
                 del self._changes[axis]

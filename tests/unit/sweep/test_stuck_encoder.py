@@ -9,8 +9,8 @@ from test_sweep import CYCLE, RigidCell, after, config, run
 from invid.errors import SafetyStop
 from invid.numerics.arrays import Float64
 from invid.sweep import Sample
-from invid.sweep.stuck_encoder import HALT_CYCLES, LIFE_CHANGES, STUCK_PERIODS, STUCK_S, Halting, Standing
 from invid.sweep.bounds import AxisLimits, Bounds
+from invid.sweep.stuck_encoder import HALT_CYCLES, LIFE_CHANGES, STUCK_PERIODS, STUCK_S, Halting, Standing
 from invid.sweep.watch import Watch
 
 

@@ -13,9 +13,9 @@ from invid.planning.hold_laws import least_damping, master_hold, require_stable_
 from invid.planning.model import PlannedExperiment
 from invid.signals.excitation import doublet
 from invid.sweep import Event, Mode, Progress, Sample, Severity, Sweep
+from invid.sweep.bounds import AxisLimits, Bounds
 from invid.sweep.recorder import Recorder, fill_gaps
 from invid.sweep.trials import response
-from invid.sweep.bounds import AxisLimits, Bounds
 from invid.sweep.watch import Watch
 
 CYCLE = 0.002
