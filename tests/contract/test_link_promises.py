@@ -185,6 +185,21 @@ def test_with_a_damaged_memory_no_axis_is_enabled_until_a_person_has_cleared_it(
     assert cell.measure() is None
 
 
+@pytest.mark.parametrize(("shows", "refused"), [(0.4, True), (0.85, False), (1.15, False), (2.0, True)])
+def test_a_drive_that_shows_another_torque_than_it_was_asked_for_is_refused_in_the_first_trial(
+    tmp_path: Path, shows: float, refused: bool
+) -> None:
+    cell = OtherCell(tmp_path, [{"shows": shows}], [NOTHING])
+    error = cell.measure()
+    assert (error is not None) is refused
+    if refused:
+        assert isinstance(error, SafetyStop)
+        assert f"is {shows:g} times the commanded one" in str(error)
+        assert "0x6076" in str(error)
+        assert "0x6075" in str(error)
+        assert cell.drives[0].axis.commanded <= 0.1 * LIMIT
+
+
 def test_nothing_branches_on_the_text_of_an_error() -> None:
     folder = Path(cia402.__file__).parent
     for path in folder.glob("*.py"):

@@ -18,7 +18,7 @@ from invid.sweep.bounds import Bounds, bounds_of
 from invid.sweep.ports import Clock, Mode, Sample
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402 import states
-from invid_drivers.cia402.axis import Drive, DriveReport
+from invid_drivers.cia402.axis import Drive, DriveReport, ModeSet
 from invid_drivers.cia402.cycle import Cycle
 from invid_drivers.cia402.cycle_time import tell_cycle
 from invid_drivers.cia402.held_axes import HeldAxes
@@ -224,13 +224,14 @@ class Cia402Cell:
                 drive.map_pdos()
                 tell_cycle(drive, self._config.bus.cycle_s)
         self.held.foresee_options()
+        unset: list[ModeSet] = []
         for i, mode in enumerate(modes):
             self._now_in(i, mode)
         for drive, report, mode in zip(self._drives, self._reports, modes, strict=True):
             drive.command(od.TORQUE_OFFSET if drive.by_offset else od.TARGET_TORQUE, 0)
             if mode is Mode.HOLD or drive.by_offset:
                 drive.command(od.TARGET_POSITION, drive.read(od.POSITION))
-            drive.set_mode(self._operation_mode(report, mode), CHANGE_S)
+            unset.append(drive.set_mode(self._operation_mode(report, mode), CHANGE_S))
         restarted = [p.name for p in self._link.peers.values() if p.booted]
         if restarted:
             raise DriveError(
@@ -248,7 +249,7 @@ class Cia402Cell:
         self._cycle.leaving = False
         self.held.memory.defer()  # from here on no cycle waits for a disk
         self._watch.resting = {i for i, mode in enumerate(modes) if mode is Mode.HOLD}
-        self._enable()
+        self._enable(modes, unset)
         self._powered = {}
 
     def _operation_mode(self, report: DriveReport, mode: Mode) -> OperationMode:
@@ -258,7 +259,8 @@ class Cia402Cell:
         self._cycle.modes[axis] = mode
         self._cycle.operation[axis] = self._operation_mode(self._reports[axis], mode)
 
-    def _enable(self) -> None:
+    def _enable(self, modes: Sequence[Mode], unset: list[ModeSet]) -> None:
+        """To operation enabled; ``unset``: what came of each mode, which is set and seen on the way."""
         zero = [0.0] * len(self._drives)
         end = self.clock.now() + ENABLE_S
         self._cycle.control[:] = [
@@ -272,10 +274,13 @@ class Cia402Cell:
             for i, state in enumerate(found):
                 if sample.fresh[i] and not is_energised(state):
                     self._torque_off[i] = sample.torque[i]
-            if all(sample.fresh) and all(s is DriveState.OPERATION_ENABLED for s in found):
+            enabled = all(sample.fresh) and all(s is DriveState.OPERATION_ENABLED for s in found)
+            if enabled and not self.changing and all(m is ModeSet.SHOWN for m in unset):
                 return
             for i, state in enumerate(found):
                 if sample.fresh[i] and self._watch.origin is not None:
+                    if not self._mode_follows(i, state, modes[i], unset):
+                        continue
                     resumes = self.holdings[i].taken_over and state is DriveState.QUICK_STOP_ACTIVE
                     self._cycle.control[i] = (
                         states.ENABLE_OPERATION if resumes else states.towards_enabled(state)
@@ -284,7 +289,7 @@ class Cia402Cell:
                 raise SafetyStop(
                     "stopped on request while the drives were being enabled; nothing was recorded yet"
                 )
-            if self.clock.now() >= end:
+            if self.clock.now() >= end and not enabled:  # a mode that does not come has an end of its own
                 i = next(
                     (
                         k
@@ -298,6 +303,16 @@ class Cia402Cell:
                     f"{ENABLE_S:g} s, the drive "
                     f"shows {seen}; check its supply, its enable input, safe torque off and the brake"
                 )
+
+    def _mode_follows(self, axis: int, state: DriveState, mode: Mode, unset: list[ModeSet]) -> bool:
+        """Ask for a mode that was not set without power, where the drive takes it; whether to go on."""
+        late = unset[axis]
+        due = {ModeSet.LATER: DriveState.SWITCHED_ON, ModeSet.TAKEN: DriveState.OPERATION_ENABLED}.get(late)
+        if state is due:
+            operation = self._operation_mode(self._reports[axis], mode)
+            self._cycle.change(axis, mode, operation, taken=late is ModeSet.TAKEN)
+            unset[axis] = ModeSet.SHOWN  # or the change ends the run
+        return self._cycle.has_taken(axis)
 
     def secure(self, loaded: Sequence[bool]) -> bool:
         """Axes that carry nothing may switch off after a stop, others are tested: whether any was."""

@@ -123,15 +123,20 @@ class Cycle:
         """Whether a drive does not show yet the mode that it was asked for."""
         return bool(self._changes)
 
-    def change(self, axis: int, mode: Mode, operation: OperationMode) -> None:
+    def change(self, axis: int, mode: Mode, operation: OperationMode, *, taken: bool = False) -> None:
         """Ask a drive for another mode, in the cycles to come.
 
         From now on until it shows its mode, an axis is sent torque: it follows that as soon as it is in
-        torque mode, and until it holds.
+        torque mode, and until it holds. ``taken``: it has the mode, and is only to show it.
         """
         self.modes[axis] = Mode.TORQUE
         held = mode is Mode.HOLD
-        self._changes[axis] = ModeChange(operation, self._link.clock.now(), held=held)
+        self._changes[axis] = ModeChange(operation, self._link.clock.now(), held=held, taken=taken)
+
+    def has_taken(self, axis: int) -> bool:
+        """Whether a drive has taken the mode that it was asked for in the cycle."""
+        change = self._changes.get(axis)
+        return not isinstance(change, ModeChange) or change.taken
 
     def set_object(self, axis: int, what: Object, value: int) -> SettingWrite:
         """Write an object of a drive in the cycles to come, while ``changing``."""

@@ -69,14 +69,20 @@ class SettingWrite:
 class ModeChange:
     """One axis on its way: its place as target where it is to be held, 0x6060, then 0x6061 until it shows."""
 
-    def __init__(self, operation: OperationMode, began: float, *, held: bool) -> None:
+    def __init__(self, operation: OperationMode, began: float, *, held: bool, taken: bool = False) -> None:
+        """``held``: at its place; ``taken``: 0x6060 is set, and 0x6061 is to show it."""
         self.operation = operation
         self._deadline = began + CHANGE_S
         self._next = began
-        self._steps = [od.TARGET_POSITION, od.MODE, od.MODE_DISPLAY] if held else [od.MODE, od.MODE_DISPLAY]
+        self._steps = [od.TARGET_POSITION] * held + [od.MODE] * (not taken) + [od.MODE_DISPLAY]
         self._shown: int | None = None
         self.refused: str | None = None
         """What the drive refused."""
+
+    @property
+    def taken(self) -> bool:
+        """Whether the drive has taken the mode, and may not show it yet."""
+        return od.MODE not in self._steps
 
     @property
     def done(self) -> bool:
