@@ -57,7 +57,6 @@ class Cia402Cell:
         self._cycle = Cycle(self._link, config)
         self._touched = False
         self._stopped = True
-        self._powered: dict[str, DriveState] = {}
         self.bounds: Bounds | None = None
         """What no cycle may pass, from before the first axis is enabled to the last one off."""
         self._torque_off: dict[int, float] = {}
@@ -124,9 +123,9 @@ class Cia402Cell:
         if not self._link.gate.listened:
             self._link.listen()
         self._link.refuse_others()
-        self._powered, silent = find_powered(self._drives, self.held.memory)
+        powered, silent = find_powered(self._drives, self.held.memory)
         self._pre_operational()
-        self._powered |= {d.name: s for d in silent if (s := d.quiet_state()) and is_energised(s)}
+        powered |= {d.name: s for d in silent if (s := d.quiet_state()) and is_energised(s)}
         left = [() if drive.left_alone else drive.restore() for drive in self._drives]
         try:
             self._reports = [d.check(found) for d, found in zip(self._drives, left, strict=True)]
@@ -134,7 +133,7 @@ class Cia402Cell:
             raise DriveError(". ".join([str(error), *(s for found in left for s in found)])) from None
         for drive in self._drives:
             self._refuse_owned(drive)
-        self.held.find(self._reports, self._powered)
+        self.held.find(self._reports, powered)
         self._link.refuse_others()
         for i, r in enumerate(self._reports):
             position = r.scaling.direction * r.scaling.position_per_count
@@ -151,7 +150,7 @@ class Cia402Cell:
     def _pre_operational(self) -> None:
         """But for drives under power: leaving operational may make one of them let go."""
         for drive in self._drives:
-            if drive.name not in self._powered and self._link.gate.may_write(drive.node_id):
+            if self._link.gate.may_let_go(drive.node_id):
                 self._link.nmt(NMT_PRE_OPERATIONAL, drive.node_id)
         self._link.wait(0.02)
 
@@ -250,7 +249,6 @@ class Cia402Cell:
         self.held.memory.defer()  # from here on no cycle waits for a disk
         self._watch.resting = {i for i, mode in enumerate(modes) if mode is Mode.HOLD}
         self._enable(modes, unset)
-        self._powered = {}
 
     def _operation_mode(self, report: DriveReport, mode: Mode) -> OperationMode:
         return report.torque_mode if mode is Mode.TORQUE else OperationMode.CYCLIC_POSITION
@@ -317,6 +315,7 @@ class Cia402Cell:
     def secure(self, loaded: Sequence[bool]) -> bool:
         """Axes that carry nothing may switch off after a stop, others are tested: whether any was."""
         self._watch.pause()  # whoever made the cycles before may have watched them otherwise
+        self._watch.resting = set()  # the tests let axes go
         self.held.settle(loaded, self._cycle.permille)
         self.held.refuse_dead_displays(self._cycle.sample, self._torque_off, self._reports)
         self.held.set_options(self._cycle, self.clock, self._watched)
@@ -391,7 +390,6 @@ class Cia402Cell:
             if h.stays and h.config.name not in self.not_off and not self._is_surely_off(i)
         )
         self.held.note_end(self.held_at_end)
-        self._powered |= dict.fromkeys(self.held_at_end, DriveState.QUICK_STOP_ACTIVE)
         self._stopped = True
 
     def _is_surely_off(self, axis: int) -> bool:
@@ -436,8 +434,8 @@ class Cia402Cell:
         return complaints
 
     def _restore(self, complaints: list[str]) -> None:
-        left = self._left_protected(complaints) | set(self._powered)
-        left |= {d.name for d in self._drives if not self._link.gate.may_write(d.node_id)}
+        left = self._left_protected(complaints)
+        left |= {d.name for d in self._drives if not self._link.gate.may_let_go(d.node_id)}
         for drive in self._drives:
             if drive.name not in left:
                 self._link.nmt(NMT_PRE_OPERATIONAL, drive.node_id)

@@ -133,10 +133,11 @@ class Gate:
         self.nodes[node_id].ours = True
         self._sync_ours = True
 
-    def may_write(self, node_id: int) -> bool:
-        """Whether settings and NMT commands would leave for a node."""
+    def may_let_go(self, node_id: int) -> bool:
+        """Whether a node may be set pre-operational and written to: no torque would be lost by it."""
         node = self.nodes[node_id]
-        return not node.why_not and (node.ours or not self.disputed)
+        off = node.state is None or not is_energised(node.state)
+        return off and not node.why_not and (node.ours or not self.disputed)
 
     @property
     def said(self) -> str:
