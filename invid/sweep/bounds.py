@@ -90,6 +90,8 @@ class Bounds:
         """Axes whose loops the master closes."""
         self.resting: set[int] = set()
         """Axes that their drives hold while nothing is shaken."""
+        self.weighed: set[int] = set()
+        """Resting axes of which the cell finds out why they yield."""
         self.speeds = [0.0] * count
         """Speed of each axis over the last cycles, less one count of the encoder; 0 where it is not known."""
         self.count_anew()
@@ -153,7 +155,7 @@ class Bounds:
             self._check_travel(i, limit, abs(sample.position[i] - origin[i]))
             self.speeds[i] = self._check_speed(i, limit, sample.time, sample.position[i])
             self._check_torque(i, limit, abs(sample.torque[i]))
-        self._yielding.check(sample, self.led, self.resting)
+        self._yielding.check(sample, self.led, self.resting - self.weighed)
         if asked is not None:
             self._signs.check(sample, asked)
 

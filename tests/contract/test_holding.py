@@ -278,18 +278,40 @@ def test_a_loaded_axis_at_which_a_run_ended_waits_for_a_person(tmp_path: Path) -
     assert abs(bench.place) < FALLS
 
 
+def wrongly_scaled(tmp_path: Path, **axis: Any) -> Bench:
+    """0x6076 says 100 N·m, the motor has 10: 5 N·m of the config are 50 ‰, 0.5 N·m; the load is 1 N·m."""
+    return Bench(tmp_path, {"objects": {"values": {"0x6076": 100_000}}}, **axis)
+
+
+def test_a_torque_limit_in_a_wrong_scale_does_not_drop_a_load_where_the_inertia_is_stated(
+    tmp_path: Path,
+) -> None:
+    bench = wrongly_scaled(tmp_path, inertia=1.0)
+    master = bench.connect()
+    master.check()
+    said = ""
+    try:
+        enabled_and_settled(master)
+    except (DriveError, SafetyStop) as error:
+        said = str(error)
+    assert "A1" in said
+    # true 0.5 N·m, less than half of what the config allows: seen by the axis' own motion
+    assert 100 < bench.drive.node.od.number(0x6072) <= 500
+    master.close()
+    bench.cell.plant.advance_to(bench.cell.now_ns)
+    assert abs(bench.place) < FALLS
+    assert bench.drive.state is State.QUICK_STOP_ACTIVE
+
+
 def test_a_load_beyond_the_torque_limit_ends_the_run_and_the_limit_is_not_raised(tmp_path: Path) -> None:
-    # 0x6076 says 100 N·m, the motor has 10: 5 N·m of the config are 50 ‰, 0.5 N·m
-    bench = Bench(tmp_path, {"objects": {"values": {"0x6076": 100_000}}})
+    bench = wrongly_scaled(tmp_path)
     master = bench.connect()
     master.check()
     with pytest.raises(SafetyStop, match=r"A1.*(torque limit|not held|to hold it at rest)"):
         enabled_and_settled(master)
-    lowered = bench.drive.node.od.number(0x6072)
-    assert lowered == 50
+    assert bench.drive.node.od.number(0x6072) == 50
     master.close()
     assert abs(bench.place) < 0.5  # half of its weight is held: it sinks, and the run says so
-    assert bench.drive.node.od.number(0x6072) <= 3000
 
 
 def enabled_and_settled(master: Cia402Cell) -> None:

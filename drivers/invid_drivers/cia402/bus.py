@@ -32,6 +32,7 @@ from invid_drivers.cia402.limits import tighten
 from invid_drivers.cia402.link import NMT_PRE_OPERATIONAL, NMT_START, Link
 from invid_drivers.cia402.mode_change import CHANGE_S
 from invid_drivers.cia402.moving_cell import MovingCell
+from invid_drivers.cia402.relief import WeightRelief
 from invid_drivers.cia402.states import DriveState, OperationMode, is_energised, state_of
 from invid_drivers.cia402.stop_test import StopTest
 from invid_drivers.cia402.takeover import find_powered, require_ours
@@ -57,6 +58,7 @@ class Cia402Cell:
         self._cycle = Cycle(self._link, config)
         self._touched = False
         self._stopped = True
+        self._relief: WeightRelief | None = None
         self.bounds: Bounds | None = None
         """What no cycle may pass, from before the first axis is enabled to the last one off."""
         self._torque_off: dict[int, float] = {}
@@ -246,6 +248,8 @@ class Cia402Cell:
         self._link.wait(0.005)
         self._cycle.restart_slots()
         self._cycle.leaving = False
+        units = [(r.scaling.position_per_count, r.scaling.torque(1)) for r in self._reports]
+        self._relief = WeightRelief(tighten(self._config, self._reports), self._drives, self._cycle, units)
         self.held.memory.defer()  # from here on no cycle waits for a disk
         self._watch.resting = {i for i, mode in enumerate(modes) if mode is Mode.HOLD}
         self._enable(modes, unset)
@@ -316,6 +320,7 @@ class Cia402Cell:
         """Axes that carry nothing may switch off after a stop, others are tested: whether any was."""
         self._watch.pause()  # whoever made the cycles before may have watched them otherwise
         self._watch.resting = set()  # the tests let axes go
+        self._relief = None
         self.held.settle(loaded, self._cycle.permille)
         self.held.refuse_dead_displays(self._cycle.sample, self._torque_off, self._reports)
         self.held.set_options(self._cycle, self.clock, self._watched)
@@ -358,11 +363,15 @@ class Cia402Cell:
     # --- the cycle -----------------------------------------------------------------------------
     def exchange(self, torque: Sequence[float]) -> Sample:
         """Targets out, SYNC at its slot, samples in."""
-        return self._cycle.exchange(torque)
+        sample = self._cycle.exchange(torque)
+        if self._relief is not None and not self._cycle.leaving:
+            self._relief.look(sample, [h.loaded is not False and not h.seen.loaded for h in self.holdings])
+            self._watch.weighed = self._relief.probing
+        return sample
 
     def _watched(self, torque: Sequence[float]) -> Sample:
         """A cycle that the cell makes by itself: checked as the sweep checks those that it makes."""
-        sample = self._cycle.exchange(torque)
+        sample = self.exchange(torque)
         if self._cycle.paused:
             self._watch.pause()
             self._cycle.paused = False
@@ -419,6 +428,7 @@ class Cia402Cell:
         complaints: list[str] = []
         self.stop()
         try:
+            self.journal.settle()
             self.held.memory.settle()
         except BusError as error:
             complaints.append(str(error))

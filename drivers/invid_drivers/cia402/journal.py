@@ -59,6 +59,15 @@ class Journal:
         if self.path is not None:
             self._disk.put(partial(_append, self.path, _line(entry)))
 
+    def note(self, entry: Entry) -> None:
+        """Record a write under power: on disk soon, for no cycle waits for it."""
+        self._disk.defer()
+        self.add(entry)
+
+    def settle(self) -> None:
+        """What was noted is on disk; BusError where it is not."""
+        self._disk.settle()
+
     def release(self) -> None:
         """The bus is free for the next."""
         if self.reservation is not None:
