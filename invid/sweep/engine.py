@@ -17,10 +17,10 @@ from invid.planning.model import AxisForecast, PhasePlan, Plan, Step
 from invid.planning.phases import lowest_frequency
 from invid.planning.stopping_distance import Permitted
 from invid.recording.model import Kind
+from invid.sweep.bounds import Statistics
 from invid.sweep.motion import Motion
 from invid.sweep.ports import Cell, Sink
 from invid.sweep.rehearsal import Rehearsal
-from invid.sweep.watch import Statistics
 
 WORTH_SAYING = 0.9
 """A permitted speed that the measured inertia lowers by less than a tenth needs no words."""
@@ -144,7 +144,7 @@ class Sweep:
         return SweepResult(
             scale=float(self._rehearsal.scales.min() * self._torque.min()),
             inertia={self.plan.axes[i]: m for i, m in self._motion.inertia.items()},
-            statistics=self._motion.watching.statistics,
+            statistics=self._motion.watching.bounds.statistics,
             forecast=self._forecast,
             warnings=tuple(self.warnings),
             measured_s=measured_s,

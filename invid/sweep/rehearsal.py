@@ -219,7 +219,7 @@ class Rehearsal:
             return plan.forecast
         bounds = self.bounds.copy()
         bounds[2] += READING_NOISE * np.array(self._motion.cell.rated_torque)
-        bounds = np.maximum(bounds, self._motion.watching.peaks)
+        bounds = np.maximum(bounds, self._motion.watching.bounds.peaks)
         for e in plan.experiments:
             if e.kind is Kind.CONSTANT_VELOCITY:  # follows its path, with what torque that takes
                 bounds[:, list(e.excited)] = told[:, list(e.excited)]

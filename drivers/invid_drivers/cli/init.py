@@ -38,7 +38,7 @@ def quiet_link(bus: can.BusABC) -> Link:
     """A link that has listened before it sends anything; BusError where another master is on the bus."""
     link = Link(bus, heartbeat_s=0.1)
     link.listen()
-    link.refuse_others("nothing was sent")
+    link.refuse_others()
     return link
 
 
