@@ -100,6 +100,10 @@ class TimeMap(Strict):
     column: str | int | None = None
     unit: str = "s"
     sample_rate_hz: float | None = Field(default=None, gt=0)
+    wraps_at: float | None = Field(default=None, gt=0)
+    """Where the counter starts over, in the column's unit; usual ones (2^32 µs, a minute, …) are known."""
+    differences: bool = False
+    """Each stamp is the time since the one before."""
 
     @model_validator(mode="after")
     def _one(self) -> TimeMap:
@@ -118,6 +122,8 @@ class Signal(Strict):
     type: Literal["int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "skip"]
     bits: int | None = Field(default=None, gt=0, le=64)
     """Length of a ``skip``."""
+    byte_order: Literal["little", "big"] | None = None
+    """Of numbers of more than one byte; little-endian as CANopen has them where nothing is said."""
 
 
 class Pdo(Strict):
@@ -127,6 +133,8 @@ class Pdo(Strict):
     direction: Literal["from_drive", "to_drive"] = "from_drive"
     """``to_drive``: the value acts from the next SYNC on, and is listed with that sample."""
     signals: list[Signal] = []
+    channel: str | int | None = None
+    """The log's name of the bus it is on, where that is not the source's ``channel``."""
 
 
 class Source(Strict):
@@ -135,6 +143,8 @@ class Source(Strict):
     kind: Literal["csv", "mat", "parquet", "hdf5", "can_log", "mdf", "mcap"] | None = None
     delimiter: str | None = Field(default=None, min_length=1, max_length=1)
     decimal: Literal[".", ","] | None = None
+    thousands: Literal[".", ",", " ", "'"] | None = None
+    """Sign between thousands, where numbers are written with one."""
     header_lines: int | None = Field(default=None, ge=0)
     """Lines before the first row of data, the line of names among them."""
     names: list[str] | None = None
@@ -142,6 +152,12 @@ class Source(Strict):
     encoding: str | None = None
     sync_id: int | None = 0x80
     """CAN identifier of SYNC; null: a sample is taken at each frame of the first PDO."""
+    channel: str | int | None = None
+    """The log's name of the bus (can0, 1) whose frames are read, where several carry the same identifiers."""
+    echo: Literal["received", "sent", "first"] | None = None
+    """Which to read of frames that were logged twice: by their direction, or the first of each pair."""
+    byte_order: Literal["little", "big"] | None = None
+    """Of all signals that do not say their own."""
     pdos: list[Pdo] = []
     eds: str | None = None
     """EDS file beside the map: the PDOs are read from it, for ``nodes``."""

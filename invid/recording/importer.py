@@ -17,6 +17,7 @@ from invid.errors import InputError
 from invid.numerics.arrays import Bool, Float64, frozen, frozen_float
 from invid.recording.binary_table import read_hdf5_table, read_mat_table, read_parquet_table
 from invid.recording.check import check_recording
+from invid.recording.clock import StampsRead, read_stamps
 from invid.recording.import_map import AxisMap, Channel, ExperimentMap, ImportMap, Source
 from invid.recording.mcap_table import read_mcap_table
 from invid.recording.mdf_table import read_mdf_table
@@ -32,7 +33,7 @@ _KINDS = {
     ".mat": "mat", ".parquet": "parquet", ".pq": "parquet",
     ".h5": "hdf5", ".hdf5": "hdf5", ".hdf": "hdf5",
     ".mf4": "mdf", ".mdf": "mdf", ".mcap": "mcap",
-    ".log": "can_log", ".asc": "can_log", ".blf": "can_log",
+    ".log": "can_log", ".asc": "can_log", ".blf": "can_log", ".trc": "can_log",
 }  # fmt: skip
 
 _STARTS = {b"\x89HDF\r\n\x1a\n": "hdf5", b"PAR1": "parquet", b"\x89MCAP0\r\n": "mcap", b"MDF     ": "mdf"}
@@ -93,25 +94,25 @@ def import_files(
     experiments: list[Experiment] = []
     broken: list[BrokenRow] = []
     warnings: list[str] = []
-    rows = 0
     tables: dict[Path, Table] = {}
-    read: dict[tuple[Path, tuple[str | int, ...]], tuple[Table, Bool]] = {}
+    read: dict[tuple[Path, tuple[str | int, ...], tuple[int, int]], _Rows] = {}
+    counted: dict[Path, int] = {}
     for entry, path in _assign(sources, chart.experiments):
         if path not in tables:
             tables[path] = read_table(path, chart.source, beside=beside)
         own = chart.read_for(entry)
         needed = tuple(own.columns())
-        if (path, needed) not in read:
-            table, moved = _on_one_clock(tables[path], own)
-            # A feedforward may be logged in some of the files only.
-            there = [n for n in needed if n not in _feedforward(own) or n in table.columns]
-            good, skipped = good_rows(table, there, own.time.column, path)
-            read[path, needed] = (table, good)
+        table, moved = _on_one_clock(tables[path], own)
+        span = _span(table, entry, own, f"{path}: experiment {len(experiments):03d}")
+        if (path, needed, span) not in read:
+            rows_read, skipped, remarks = _usable_rows(table, own, span, path)
+            read[path, needed, span] = rows_read
             broken += [b for b in skipped if b not in broken]
-            rows += max(good.size, 1)
-            warnings += [f"{path.name}: {m}" for m in moved]
-        table, good = read[path, needed]
-        experiment, remarks = _experiment(f"{len(experiments):03d}", entry, table, good, own, path)
+            warnings += [f"{path.name}: {m}" for m in (*moved, *remarks)]
+        counted[path] = max(counted.get(path, 0), read[path, needed, span].good.size)
+        experiment, remarks = _experiment(
+            f"{len(experiments):03d}", entry, read[path, needed, span], own, path
+        )
         experiments.append(experiment)
         warnings += remarks
     for path in sources:
@@ -131,7 +132,7 @@ def import_files(
         source=", ".join(str(s) for s in sources),
     )
     check_recording(recording)
-    return Import(recording, tuple(broken), rows, tuple(warnings))
+    return Import(recording, tuple(broken), max(sum(counted.values()), 1), tuple(dict.fromkeys(warnings)))
 
 
 def _every(values: Sequence[Any]) -> Any:
@@ -220,20 +221,54 @@ def _on_one_clock(table: Table, chart: ImportMap) -> tuple[Table, tuple[str, ...
     return on_clock(table, time, needed)
 
 
-def _experiment(
-    key: str, entry: ExperimentMap, table: Table, good: Bool, chart: ImportMap, path: Path
-) -> tuple[Experiment, list[str]]:
-    where = f"{path}: experiment {key}"
-    first, stop, _ = slice(*entry.rows).indices(good.size)
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """The rows of a table that one or more experiments take.
+
+    ``good`` is a mask of all rows, ``use`` their numbers; ``instants`` [s] of all rows count from ``origin``.
+    """
+
+    table: Table
+    good: Bool
+    use: np.typing.NDArray[np.intp]
+    asked: int
+    instants: Float64 | None
+    origin: float
+
+
+def _span(table: Table, entry: ExperimentMap, chart: ImportMap, where: str) -> tuple[int, int]:
+    """First row of an experiment and the one after its last."""
+    size = table.column(chart.columns()[0]).size
+    for edge in entry.rows:
+        if edge is not None and abs(edge) > size:
+            raise InputError(f"{where}: 'rows' is {list(entry.rows)}, but the file has {size} rows of data")
+    first, stop, _ = slice(*entry.rows).indices(size)
     first += entry.drop_periods * entry.period_samples
-    inside = np.zeros(good.size, dtype=np.bool_)
-    inside[first:stop] = True
-    use = np.flatnonzero(inside & good)
-    if use.size < 2:
+    if stop - first < 2:
         raise InputError(
-            f"{where}: rows {list(entry.rows)} leave {use.size} samples of the file's {good.size}; "
+            f"{where}: rows {list(entry.rows)} leave {max(stop - first, 0)} samples of the file's {size}; "
             f"at least 2 are needed"
         )
+    return first, stop
+
+
+def _usable_rows(
+    table: Table, chart: ImportMap, span: tuple[int, int], path: Path
+) -> tuple[_Rows, list[BrokenRow], tuple[str, ...]]:
+    # A feedforward may be logged in some of the files only.
+    needed = [n for n in chart.columns() if n not in _feedforward(chart) or n in table.columns]
+    inside = np.zeros(table.column(needed[0]).size, dtype=np.bool_)
+    inside[slice(*span)] = True
+    instants, origin, remarks = _instants(table, inside, chart, str(path))
+    good, skipped = good_rows(table, needed, instants, inside, path)
+    return _Rows(table, good, np.flatnonzero(good), int(inside.sum()), instants, origin), skipped, remarks
+
+
+def _experiment(
+    key: str, entry: ExperimentMap, rows: _Rows, chart: ImportMap, path: Path
+) -> tuple[Experiment, list[str]]:
+    where = f"{path}: experiment {key}"
+    table, use = rows.table, rows.use
     if entry.period_samples and use.size < entry.period_samples:
         raise InputError(
             f"{where}: 'period_samples' is {entry.period_samples}, but its rows leave {use.size} samples; a "
@@ -241,13 +276,13 @@ def _experiment(
         )
     remarks: list[str] = []
     period = entry.period_samples
-    if period and int(inside.sum()) != use.size:
+    if period and rows.asked != use.size:
         period = 0
         remarks.append(
             f"{path.name}: broken rows were skipped inside a periodic experiment, so it is no longer "
             f"periodic; choose rows without them"
         )
-    time, offset = _time(table, use, chart, where)
+    time, offset = _time(rows, chart)
 
     def columns(pick: Callable[[AxisMap], Channel | None], quantity: Quantity) -> list[Float64 | None]:
         """One channel of every axis, in SI units; ``None`` where an axis has none."""
@@ -325,21 +360,43 @@ def _rate(time: Float64) -> float:
     return mean if abs(mean / median - 1) < 0.01 else median
 
 
-def _time(
-    table: Table, use: np.typing.NDArray[np.intp], chart: ImportMap, where: str
-) -> tuple[Float64, float]:
-    if chart.time.column is None:
-        return frozen_float(use / (chart.time.sample_rate_hz or 1.0)), 0.0
-    if chart.time.column in table.stamped and chart.time.unit != "s":
+def _instants(
+    table: Table, inside: Bool, chart: ImportMap, where: str
+) -> tuple[Float64 | None, float, tuple[str, ...]]:
+    """Instants [s] of the rows ``inside`` from the origin [s], the origin, and what was done about them."""
+    said = chart.time
+    if said.column is None:
+        return None, 0.0, ()
+    if said.column in table.stamped and said.unit != "s":
         raise InputError(
-            f"{where}: time {chart.time.column!r} holds dates or times of day, which are read as seconds; "
-            f"its unit is {chart.time.unit!r}, write 's'"
+            f"{where}: time {said.column!r} holds dates or times of day, which are read as seconds; "
+            f"its unit is {said.unit!r}, write 's'"
         )
-    unit = factor("time", chart.time.unit, MachineConstants(), f"{where}: time")
-    time = table.column(chart.time.column)[use] * unit
-    # Seconds since 1970 leave 0.2 µs in a float64: take the start out before anything is computed.
-    offset = float(time[0]) if abs(time[0]) > 1e6 else 0.0
-    return frozen_float(time - offset), offset
+    unit = factor("time", said.unit, MachineConstants(), f"{where}: time")
+    raw = table.column(said.column)
+    first = raw[inside & np.isfinite(raw)][:1]
+    # Seconds since 1970 leave 0.2 µs in a float64: the start is taken out before anything is computed.
+    origin = float(first[0]) if first.size and abs(first[0] * unit) > 1e6 else 0.0
+    sums = table.sums.get(str(said.column))
+    how = StampsRead(
+        str(said.column),
+        unit,
+        None if said.wraps_at is None else said.wraps_at * unit,
+        said.differences,
+        None if sums is None else sums[inside] * unit,
+    )
+    stamps = read_stamps((raw[inside] - origin) * unit, how, where)
+    instants = np.full(raw.size, np.nan)
+    instants[inside] = stamps.instants
+    return instants, origin * unit, stamps.remarks
+
+
+def _time(rows: _Rows, chart: ImportMap) -> tuple[Float64, float]:
+    if rows.instants is None:
+        return frozen_float(rows.use / (chart.time.sample_rate_hz or 1.0)), 0.0
+    time = rows.instants[rows.use]
+    offset = float(time[0]) if rows.origin else 0.0
+    return frozen_float(time - offset), rows.origin + offset if rows.origin else 0.0
 
 
 def _values(table: Table, channel: Channel, axis: AxisMap, quantity: Quantity, where: str) -> Float64:
