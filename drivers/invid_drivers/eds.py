@@ -14,11 +14,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import canopen
-from canopen.objectdictionary import ObjectDictionary, ODVariable
-from canopen.objectdictionary.eds import import_eds
+from canopen.objectdictionary import ObjectDictionary, ODVariable, import_od
 
 from invid.errors import InputError
-from invid.recording.encoding import decode_text
+from invid.recording.text_format import decode_text
 
 
 @dataclass(frozen=True)
@@ -103,7 +102,8 @@ def load_dictionary(path: Path, node_id: int) -> ObjectDictionary:
         It does not parse, with the reason.
     """
     stream = io.StringIO(_LEADING_ZEROS.sub(r"\1\2", _text(path)))
-    stream.name = str(path)
+    # The ending decides what the library takes it for; a file that a map names is one whatever its ending.
+    stream.name = str(path) if path.suffix.lower() in (".eds", ".dcf") else f"{path}.eds"
     log = logging.getLogger("canopen.objectdictionary.eds")
 
     def named(record: logging.LogRecord) -> bool:
@@ -112,7 +112,7 @@ def load_dictionary(path: Path, node_id: int) -> ObjectDictionary:
 
     log.addFilter(named)
     try:
-        return import_eds(stream, node_id)
+        return import_od(stream, node_id)
     except (
         configparser.Error,
         canopen.ObjectDictionaryError,

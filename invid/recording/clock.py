@@ -37,8 +37,8 @@ REPEATED = 0.05
 """Share of stamps equal to the one before from which the stamps are too coarse to tell a lost row."""
 FAR = 3.0
 """Steps off the even clock beyond which a stamp out of order is a broken row, not a late one (empirical)."""
-LONGEST_STEP = 60.0
-"""Seconds between two rows up to which what is added up may be time: differences of dates are far above."""
+LONGEST_STEP = 1.0
+"""Seconds between two rows up to which what is added up may be time: a drive is logged ten times a second."""
 _POWERS = (16, 24, 31, 32)
 _TICKS = (1e-9, 1e-6, 1e-5, 1e-4, 1e-3)
 _ROUNDS = {1.0: "second", 60.0: "minute", 3600.0: "hour", 43200.0: "half day", 86400.0: "day"}
@@ -109,10 +109,14 @@ def _clock_step(time: Float64, run: int) -> float:
 
     Instants are means over ``run`` rows.
     """
-    span = float(time[-1] - time[0])
-    step = float(np.median(np.diff(time)))
-    if step <= 0.25 * span / (time.size - 1):
-        step = span / (time.size - 1)
+    apart = np.diff(time)
+    step = float(np.median(apart))
+    if np.mean(apart == 0) > REPEATED:
+        # Stamps coarser than the rows: their differences are none of a row's.
+        far = min(64, time.size // 2)
+        step = float(np.median(time[far:] - time[:-far])) / far
+    if step <= 0:
+        step = float(time[-1] - time[0]) / (time.size - 1)
     time, lag = uniform_filter1d(time, run), max(run, 2)
     while lag <= min(max(time.size // 16, 2), _BLOCK) and lag < time.size:
         apart = time[lag:] - time[:-lag]

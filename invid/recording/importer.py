@@ -5,7 +5,8 @@ from __future__ import annotations
 import fnmatch
 import json
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -22,6 +23,7 @@ from invid.recording.import_map import AxisMap, Channel, ExperimentMap, ImportMa
 from invid.recording.mcap_table import read_mcap_table
 from invid.recording.mdf_table import read_mdf_table
 from invid.recording.model import Experiment, Recording, nominal_sample_rate
+from invid.recording.plausibility import doubt_of_sides, doubts, doubts_of_signs, held_rows, with_sign
 from invid.recording.tables import BrokenRow, Table, good_rows, on_clock
 from invid.recording.text_table import read_text_table
 from invid.recording.units import BY_MACHINE, LINEAR, MachineConstants, Quantity, factor, normal_unit
@@ -38,6 +40,8 @@ _KINDS = {
 
 _STARTS = {b"\x89HDF\r\n\x1a\n": "hdf5", b"PAR1": "parquet", b"\x89MCAP0\r\n": "mcap", b"MDF     ": "mdf"}
 """First bytes of files whose name does not tell."""
+_CAN_TEXT = (b"Time Stamp,ID,Extended", b"***BUSMASTER", b";$FILEVERSION")
+"""First bytes of text logs of CAN frames, whatever their name: SavvyCAN, BUSMASTER, PEAK."""
 
 _READERS: dict[str, Callable[[Path], Table]] = {
     "mat": read_mat_table, "hdf5": read_hdf5_table, "parquet": read_parquet_table,
@@ -61,11 +65,13 @@ def read_table(path: Path, source: Source, *, beside: Path | None = None) -> Tab
     kind = source.kind or _KINDS.get(path.suffix.lower())
     try:
         with path.open("rb") as raw:
-            head = raw.read(8)
+            head = raw.read(32)
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
     if not head:
         raise InputError(f"{path}: the file is empty")
+    if source.kind is None and head.startswith(_CAN_TEXT):
+        kind = "can_log"
     if kind is None:
         kind = next((k for start, k in _STARTS.items() if head.startswith(start)), "csv")
     if kind in _READERS:
@@ -93,28 +99,33 @@ def import_files(
     linear = _is_linear(chart)
     experiments: list[Experiment] = []
     broken: list[BrokenRow] = []
-    warnings: list[str] = []
+    sources, left_out = named_files(sources, chart, beside)
+    warnings = [*left_out, *_unsaid(chart)]
     tables: dict[Path, Table] = {}
-    read: dict[tuple[Path, tuple[str | int, ...], tuple[int, int]], _Rows] = {}
+    read: dict[tuple[Path, tuple[str | int, ...], tuple[int, int, int]], _Rows] = {}
     counted: dict[Path, int] = {}
-    for entry, path in _assign(sources, chart.experiments):
-        if path not in tables:
-            tables[path] = read_table(path, chart.source, beside=beside)
-        own = chart.read_for(entry)
-        needed = tuple(own.columns())
-        table, moved = _on_one_clock(tables[path], own)
-        span = _span(table, entry, own, f"{path}: experiment {len(experiments):03d}")
-        if (path, needed, span) not in read:
-            rows_read, skipped, remarks = _usable_rows(table, own, span, path)
-            read[path, needed, span] = rows_read
-            broken += [b for b in skipped if b not in broken]
-            warnings += [f"{path.name}: {m}" for m in (*moved, *remarks)]
-        counted[path] = max(counted.get(path, 0), read[path, needed, span].good.size)
-        experiment, remarks = _experiment(
-            f"{len(experiments):03d}", entry, read[path, needed, span], own, path
-        )
-        experiments.append(experiment)
-        warnings += remarks
+    pairs = assign(sources, chart.experiments)
+    several = len({path for _, path in pairs}) > 1
+    for entry, path in pairs:
+        with _named_with_way_out(path, several=several):
+            if path not in tables:
+                tables[path] = read_table(path, chart.source, beside=beside)
+            own = chart.read_for(entry)
+            needed = tuple(own.columns())
+            table, moved = _on_one_clock(tables[path], own)
+            span = _span(table, entry, own, f"{path}: experiment {len(experiments):03d}")
+            if (path, needed, span) not in read:
+                rows_read, skipped, remarks = _usable_rows(table, own, span, path)
+                read[path, needed, span] = rows_read
+                broken += [b for b in skipped if b not in broken]
+                told = (*moved, *remarks, *_doubts_of_columns(rows_read, own))
+                warnings += [f"{path.name}: {m}" for m in told]
+            counted[path] = max(counted.get(path, 0), read[path, needed, span].good.size)
+            experiment, lost_period = _experiment(
+                f"{len(experiments):03d}", entry, read[path, needed, span], own, path
+            )
+            experiments.append(experiment)
+            warnings += lost_period
     for path in sources:
         if path.is_file() and path not in tables:
             raise InputError(f"{path}: no experiment of the map takes this file; see 'file' in the map")
@@ -132,7 +143,32 @@ def import_files(
         source=", ".join(str(s) for s in sources),
     )
     check_recording(recording)
+    warnings += doubts(recording)
     return Import(recording, tuple(broken), max(sum(counted.values()), 1), tuple(dict.fromkeys(warnings)))
+
+
+@contextmanager
+def _named_with_way_out(path: Path, *, several: bool) -> Iterator[None]:
+    """Errors of one file of several say how to do without it."""
+    try:
+        yield
+    except InputError as error:
+        if not several:
+            raise
+        raise InputError(
+            f"{error}; to read the others without this file, write 'skip: {{{path.name!r}: the reason}}' in "
+            f"the map"
+        ) from None
+
+
+def _unsaid(chart: ImportMap) -> list[str]:
+    """What the map leaves open and a diagnosis depends on."""
+    return [
+        f"axis {a.name}: the map does not say the 'meaning' of its torque; 'measured' is assumed (a torque "
+        "that was only asked for is 'demanded': the drive's delay then counts as the machine's)"
+        for a in chart.axes
+        if "meaning" not in a.torque.model_fields_set
+    ]
 
 
 def _every(values: Sequence[Any]) -> Any:
@@ -182,23 +218,58 @@ def _natural(path: Path) -> list[Any]:
     return [(int(p), "") if p.isdigit() else (-1, p) for p in re.split(r"(\d+)", str(path))]
 
 
-def _assign(sources: Sequence[Path], entries: Sequence[ExperimentMap]) -> list[tuple[ExperimentMap, Path]]:
-    pairs: list[tuple[ExperimentMap, Path]] = []
-    for source in sources:
+def named_files(
+    sources: Sequence[Path], chart: ImportMap, beside: Path | None
+) -> tuple[list[Path], tuple[str, ...]]:
+    """Files and folders to read: those given, else the map's ``files``; and a sentence for each left out.
+
+    Where ``skip`` leaves files out, folders are written out as their files.
+    """
+    found = list(sources)
+    for pattern in [] if sources else chart.files:
+        root = beside or Path()
+        matched = sorted(root.glob(pattern), key=_natural)
+        if not matched:
+            raise InputError(f"map: 'files': nothing matches {pattern!r} in {root}")
+        found += matched
+    if not found:
+        raise InputError("no file is named: give SOURCE, or 'files' in the map (names or patterns beside it)")
+    for source in found:
         if not source.exists():
             raise InputError(f"{source}: no such file or folder")
+    if not chart.skip:
+        return found, ()
+    every = [f for s in found for f in (_inside(s) if s.is_dir() else [s])]
+    reasons = {f: r for p, r in chart.skip.items() for f in every if _matches(f.as_posix(), p)}
+    unused = [p for p in chart.skip if not any(_matches(f.as_posix(), p) for f in every)]
+    if unused:
+        raise InputError(f"map: 'skip' names {unused[0]!r}, and no file is called so")
+    return [f for f in every if f not in reasons], tuple(
+        f"{f.name} is left out: {reason}" for f, reason in reasons.items()
+    )
+
+
+def _inside(folder: Path) -> list[Path]:
+    return sorted((p for p in folder.rglob("*") if p.is_file()), key=_natural)
+
+
+def _matches(name: str, pattern: str) -> bool:
+    return fnmatch.fnmatchcase(name, pattern) or fnmatch.fnmatchcase(name, f"*/{pattern}")
+
+
+def assign(sources: Sequence[Path], entries: Sequence[ExperimentMap]) -> list[tuple[ExperimentMap, Path]]:
+    """Each entry of the map with each file that it takes."""
+    pairs: list[tuple[ExperimentMap, Path]] = []
     for entry in entries:
         found = False
         for source in sources:
             if source.is_dir():
-                inside = sorted((p for p in source.rglob("*") if p.is_file()), key=_natural)
-                names = [(p, p.relative_to(source).as_posix()) for p in inside]
+                names = [(p, p.relative_to(source).as_posix()) for p in _inside(source)]
             else:
                 names = [(source, source.as_posix())]
-            for path, name in names:
-                if fnmatch.fnmatchcase(name, entry.file) or fnmatch.fnmatchcase(name, f"*/{entry.file}"):
-                    pairs.append((entry, path))
-                    found = True
+            taken = [(entry, path) for path, name in names if _matches(name, entry.file)]
+            pairs += taken
+            found = found or bool(taken)
         if not found and any(s.is_dir() for s in sources):
             raise InputError(f"map: no file matches {entry.file!r} below {', '.join(map(str, sources))}")
     if not pairs:
@@ -236,8 +307,8 @@ class _Rows:
     origin: float
 
 
-def _span(table: Table, entry: ExperimentMap, chart: ImportMap, where: str) -> tuple[int, int]:
-    """First row of an experiment and the one after its last."""
+def _span(table: Table, entry: ExperimentMap, chart: ImportMap, where: str) -> tuple[int, int, int]:
+    """First row of an experiment, the one after its last, and the step between them."""
     size = table.column(chart.columns()[0]).size
     for edge in entry.rows:
         if edge is not None and abs(edge) > size:
@@ -249,11 +320,15 @@ def _span(table: Table, entry: ExperimentMap, chart: ImportMap, where: str) -> t
             f"{where}: rows {list(entry.rows)} leave {max(stop - first, 0)} samples of the file's {size}; "
             f"at least 2 are needed"
         )
-    return first, stop
+    if entry.every > 1:
+        measured = [table.column(a.torque.column)[first:stop] for a in chart.axes]
+        hold = held_rows(np.stack(measured, axis=1))
+        first += hold.first % entry.every if hold is not None else 0
+    return first, stop, entry.every
 
 
 def _usable_rows(
-    table: Table, chart: ImportMap, span: tuple[int, int], path: Path
+    table: Table, chart: ImportMap, span: tuple[int, int, int], path: Path
 ) -> tuple[_Rows, list[BrokenRow], tuple[str, ...]]:
     # A feedforward may be logged in some of the files only.
     needed = [n for n in chart.columns() if n not in _feedforward(chart) or n in table.columns]
@@ -264,18 +339,34 @@ def _usable_rows(
     return _Rows(table, good, np.flatnonzero(good), int(inside.sum()), instants, origin), skipped, remarks
 
 
+def _doubts_of_columns(rows: _Rows, chart: ImportMap) -> list[str]:
+    """What the names and the bare numbers of the map's columns say against their reading."""
+    said, bare = [], []
+    for axis in chart.axes:
+        motion = axis.position or axis.velocity
+        names = [c.column for c in (axis.torque, motion) if c is not None and isinstance(c.column, str)]
+        doubt = doubt_of_sides(axis.name, *names) if len(names) == 2 else None
+        said += [doubt] if doubt else []
+        for field, channel in axis.channels().items():
+            # Positions that wrap are unwrapped where they are read.
+            if channel.read_as is None and not field.startswith("position") and _has(rows.table, channel):
+                numbers = rows.table.column(channel.column)[rows.use]
+                bare.append((f"{field} of {axis.name}", str(channel.column), numbers))
+    return [*said, *doubts_of_signs(bare)]
+
+
 def _experiment(
     key: str, entry: ExperimentMap, rows: _Rows, chart: ImportMap, path: Path
 ) -> tuple[Experiment, list[str]]:
     where = f"{path}: experiment {key}"
     table, use = rows.table, rows.use
-    if entry.period_samples and use.size < entry.period_samples:
+    period = entry.period_samples // entry.every
+    if period and use.size < period:
         raise InputError(
             f"{where}: 'period_samples' is {entry.period_samples}, but its rows leave {use.size} samples; a "
             f"periodic experiment holds at least one period (0: not periodic)"
         )
     remarks: list[str] = []
-    period = entry.period_samples
     if period and rows.asked != use.size:
         period = 0
         remarks.append(
@@ -406,7 +497,8 @@ def _values(table: Table, channel: Channel, axis: AxisMap, quantity: Quantity, w
         per_count=channel.per_count,
     )
     unit = factor(quantity, channel.unit, constants, f"{where}: {quantity} of {axis.name}")
-    raw = table.column(channel.column) - channel.offset
+    raw = table.column(channel.column)
+    raw = (raw if channel.read_as is None else with_sign(raw, channel.read_as)) - channel.offset
     if channel.remove_mean:
         raw = raw - float(np.mean(raw[np.isfinite(raw)]))
     values: Float64 = channel.sign * channel.scale * unit * raw
