@@ -22,9 +22,9 @@ most 0.43, instants without any clock 0.7 or more."""
 COHERENT = 0.2
 """Mean phasor of the stamps about the clock from which its slow wander can be followed; that of a thousand
 stamps spread over the whole step is 0.03."""
-INCOHERENT = 0.4
+INCOHERENT = 0.2
 """Robust spread of the differences, in steps, from which the stamps' phase is looked for in means over rows:
-a jitter of two tenths of a step."""
+a jitter of a tenth of a step."""
 _RUN = 8
 """Rows in such a mean: jitter over a whole step is then 0.1, and a lost row spoils eight means."""
 _BLOCK = 1024
@@ -32,7 +32,7 @@ _BLOCK = 1024
 LONGEST_WRAP = 100
 """Steps that may be missing where a counter wraps: a hundred rows lost at just that place."""
 DIFFERENCES = 0.2
-"""Share of stamps below the one before from which they are no instants: of differences it is a half."""
+"""Share of falls among all changes from which stamps are no instants: of differences it is a half."""
 REPEATED = 0.05
 """Share of stamps equal to the one before from which the stamps are too coarse to tell a lost row."""
 FAR = 3.0
@@ -279,11 +279,12 @@ def _rate_line(rate: float, doubt: float) -> str:
 
 def _refuse_no_instants(stamps: Float64, how: StampsRead, where: str) -> None:
     d = np.diff(stamps)
-    fall, same = float(np.mean(d < 0)), float(np.mean(d == 0))
+    same = float(np.mean(d == 0))
+    fall = float(np.sum(d < 0)) / max(int(np.sum(d != 0)), 1)
     name = f"{where}: the stamps in {how.column!r}"
     added = np.cumsum(stamps) if how.sums is None else how.sums
     step = float(added[-1] - added[0]) / (stamps.size - 1)
-    positive = how.sums is not None or (stamps.min() >= 0 and np.median(stamps) > 0)
+    positive = how.sums is not None or (np.median(stamps) > 0 and np.mean(stamps < 0) < 0.01)
     sums = positive and 0 < step < LONGEST_STEP
     rate = 1.0 / step if sums else 0.0
     doubt = 3e-3
@@ -302,7 +303,7 @@ def _refuse_no_instants(stamps: Float64, how: StampsRead, where: str) -> None:
         raise InputError(f"{name} fall as often as they rise: they are differences, not instants; {lines}")
     if fall > DIFFERENCES:
         raise InputError(
-            f"{name} fall after {fall:.0%} of the rows: it is no clock; name another column, or {lines}"
+            f"{name} fall at {fall:.0%} of their changes: it is no clock; name another column, or {lines}"
         )
     if same > REPEATED:
         raise InputError(f"{name} {_coarse(stamps, same)}")
@@ -310,7 +311,8 @@ def _refuse_no_instants(stamps: Float64, how: StampsRead, where: str) -> None:
 
 def _coarse(stamps: Float64, same: float) -> str:
     """What is said of stamps that repeat: they are coarser than the rows."""
-    slots = count_slots(stamps)
+    # Means over the rows of one tick are as even as the rows.
+    slots = count_slots(uniform_filter1d(stamps, max(round(1.0 / (1.0 - same)), 1)))
     d = np.diff(stamps)
     tick = float(np.min(d[d > 0]))
     gaps = np.flatnonzero(np.diff(slots.index) > 1)

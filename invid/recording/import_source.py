@@ -128,7 +128,8 @@ def check_files(
 def clock_time(e: Experiment) -> Float64:
     """(n,) [s] instants of the even clock that the rows keep, else their stamps: a late stamp is no speed."""
     slots = count_slots(e.time)
-    return slots.index * slots.step if slots.even else e.time - e.time[0]
+    time: Float64 = slots.index * slots.step if slots.even else e.time - e.time[0]
+    return time
 
 
 def describe_experiment(e: Experiment, recording: Recording) -> dict[str, Any]:
