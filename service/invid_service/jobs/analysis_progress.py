@@ -82,7 +82,8 @@ class AnalysisProgress:
     def weigh(self, progress: Any) -> None:
         """What identification and diagnosis say of themselves (``invid.numerics.budget.Progress``)."""
         with self._lock:
-            self._phase, self._axis, self._cause = str(progress), progress.axis, progress.cause
+            found = f" (found so far: {', '.join(progress.found)}; still looking)" if progress.found else ""
+            self._phase, self._axis, self._cause = f"{progress}{found}", progress.axis, progress.cause
             within = self._low + float(progress.fraction) * (self._high - self._low)
             self._share = max(self._share, within)
         self.say()
