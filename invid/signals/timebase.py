@@ -29,7 +29,8 @@ the amplitude at a tenth of the sampling rate and by a fifth at a fifth, with fi
 
 PENALTY = 1e-7
 """Weight of the squared sixth differences of the spline's coefficients: takes 2e-6 of the amplitude at
-a fifth of the sample rate, 2e-4 at three tenths, and keeps samples at nearly one instant from tearing the spline."""
+a fifth of the sample rate, 2e-4 at three tenths, and keeps samples at nearly one instant from tearing the
+spline."""
 
 STAMPS_RIGHT = 0.5
 """Standard deviation of the belief, before any look at the motion, that stamps are the instants of sampling

@@ -216,7 +216,7 @@ def test_the_motion_on_the_grid_is_the_one_that_was(tmp_path_factory, capsys, lo
     best = min(misses, key=lambda m: m[0])
     for wrong, truth in zip(best, (position, torque), strict=True):
         row = float(np.sqrt(np.mean(np.diff(truth) ** 2)))
-        # In rows, as if all were that far off: a twentieth; a quarter where losses lie in half a step of jitter.
+        # In rows, as if all were that far off: a twentieth; a quarter where losses lie in such jitter.
         assert wrong < row * (0.25 if log.jitter >= 0.35 and (log.loss or log.gap) else 0.05), wrong / row
 
 
