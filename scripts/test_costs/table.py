@@ -114,8 +114,9 @@ def main(arguments: list[str]) -> None:
     for entry in entries:
         names = under(entry, tests)
         alone = ran_by(names, tests, set_up) - ran_by(tests.keys() - moved, tests, set_up)
-        seconds = sum(tests[n].cpu for n in names)
-        rows.append({"processor_s": f"{seconds:.1f}", "blocks_alone": str(len(alone)), "test": entry})
+        seconds = f"{sum(tests[n].cpu for n in names):.1f}" if names else ""
+        told = str(len(alone)) if names else ""
+        rows.append({"processor_s": seconds, "blocks_alone": told, "test": entry})
     for row in rows:
         print(f"{row['processor_s']:>8} s {row['blocks_alone']:>5}  {row['test']}")
     if chosen.write:
