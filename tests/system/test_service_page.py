@@ -33,7 +33,7 @@ def test_a_person_sees_readiness_and_the_plan_arms_watches_and_accepts_on_the_pa
         assert "°" in page.text("plan-table")
         assert "unknown" not in page.text("plan-table")
         assert page.small_targets() == []
-        driver.find_element("id", "arm").click()
+        page.press(driver.find_element("id", "arm"))
         page.wait_text("run-title", "Measuring")
         assert not page.stop_covered()
         assert page.shown("live").find_elements("tag name", "canvas")

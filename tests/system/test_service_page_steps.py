@@ -103,7 +103,7 @@ def test_the_page_is_without_barriers_at_every_step(tmp_path: Path) -> None:
         page.press(page.shown("prepare"))
         page.shown("arm")
         look("plan")
-        driver.find_element("id", "arm").click()
+        page.press(driver.find_element("id", "arm"))
         page.shown("live")
         look("moving")
         page.shown("accept", 120)
@@ -202,7 +202,7 @@ def test_the_page_speaks_german_to_a_german_browser_and_english_when_told_to(tmp
         page.press(page.shown("prepare"))
         page.shown("arm")
         page.wait_text("plan-table", "Moment bis")
-        driver.find_element("id", "arm").click()
+        page.press(driver.find_element("id", "arm"))
         page.wait_text("run-title", "Es wird gemessen")
         assert not driver.find_element("id", "language").is_enabled(), "the stop button stays while it moves"
         page.shown("accept", 120)
