@@ -42,7 +42,7 @@ from invid.signals.plausibility import check_plausible
 from invid.signals.spectra import LineSpectra, all_spectra
 from invid.signals.spectral_record import SpectralRecord
 
-BESIDE_FRICTION = "causes beside the friction of every motor"
+WHOLE_RECORDS = "the records taken whole"
 BY_PERIODS = "every cause by itself, and what it may be mistaken for"
 """What a spent budget leaves out, in the words of the warning."""
 TIME_BESIDE_FRICTION = 0.9
@@ -125,13 +125,10 @@ def _search_whole_or_periods(recording: Recording, model: Model) -> SearchPass:
     if start.rejects([*train, *held]):
         is_whole = scatter > 0.0 and not any(r.alone for r in (*train, *held))
         with budget.use_share(TIME_BESIDE_FRICTION, 0.05, 0.6):
-            first = budget.or_else(
-                BESIDE_FRICTION,
-                partial(_search_beside_friction, recording, model)
-                if is_whole
-                else lambda: _beside_friction(recording, model, spectra, warnings, (base, train, held)),
-                None,
-            )
+            if is_whole and not budget.is_left_out(WHOLE_RECORDS):
+                first = _search_beside_friction(recording, model)
+            else:
+                first = _beside_friction(recording, model, spectra, warnings, (base, train, held))
     if first is not None:
         final = first.selection.final
         is_right = not final.rejects([*first.train, *first.held]) or final.cost < AT_FLOOR * final.dof
@@ -178,6 +175,8 @@ def _beside_friction(
     )
     if selection is None or not selection.steps:
         return None
+    if selection.final.held.cost >= selection.base.held.cost:
+        return None  # worse on the records kept out than without causes
     bare = refit_without_effects(base, train)
     return SearchPass(recording, model, spectra, (), train, held, bare, selection, warnings)
 

@@ -10,6 +10,7 @@ from invid.diagnosis.evidence import CandidateEvidence
 from invid.diagnosis.thresholds import CONTESTED, LEFT, REACHED
 from invid.identification.crosscheck import BEATEN, MOST_BEATEN
 from invid.identification.identifiability import blind_directions
+from invid.identification.model_facts import CUT_SHORT
 from invid.likelihood.evaluation import Evaluation
 from invid.likelihood.joint_fit import JointFit
 from invid.likelihood.nuisance.hold_share import HOLD_BAND, SHARES, driven_hold
@@ -67,7 +68,7 @@ def judge_linear_fit(
     doubts = [str(r) for r in model.fit.get("doubts", ()) if isinstance(r, str)]
     # A parameter that the linear fit could not determine makes no wrong model: a strong cause hides it from
     # the fit without effects, and what the extended fit cannot determine is in ``unseen``.
-    blind = model.fit.get("unseen", ())
+    blind = (*model.fit.get("unseen", ()), *model.fit.get(CUT_SHORT, ()))
     reasons = [r for r in doubts if r not in blind]
     if not doubts and model.fit.get("trustworthy", True) is False:
         reasons = list(model.warnings[:1]) or ["the identification does not trust its own fit"]

@@ -20,6 +20,7 @@ from invid.identification.identifiability import Unidentifiable, blind_direction
 from invid.inverse import PaperResult
 from invid.likelihood.fit import Fit
 from invid.model.document import EffectTerm, Estimate, Model, parameter_vector, std_by_name, units
+from invid.numerics import budget
 from invid.numerics.arrays import Float64, frozen_float
 from invid.recording.model import Recording, Role
 from invid.signals.frf import FrfMatrix
@@ -28,6 +29,10 @@ from invid.signals.spectra import LineSpectra
 EXPLAINED = 0.9
 """Share of the torque a trustworthy model explains. Empirical: real drives with friction stand above
 0.99, a wrong order or a torque that is none below 0.7 (flexible bench, case study)."""
+
+
+CUT_SHORT = "cut_short"
+"""Name of the doubts, among the facts of a fit, that a spent budget makes: nothing is concluded from them."""
 
 
 def _provenance(recording: Recording) -> dict[str, Any]:
@@ -110,10 +115,12 @@ def refined_model(
     blind = blind_directions(chains, names, values, covariance, (bottom, top))
     doubts: list[str] = []
     unseen: list[str] = []
+    cut_short: list[str] = []
     if fit.solution.result != "converged":
         doubts.append(
             f"the fit did not converge ({fit.solution.result} after {fit.solution.iterations} iterations)"
         )
+        cut_short = doubts[-1:] if budget.is_spent() else []
     if blind.unseen:
         std = np.where([n in blind.unseen for n in names], np.nan, std)
         unseen += blind.sentences or [f"{', '.join(sorted(blind.unseen))}: not known from these data"]
@@ -156,6 +163,7 @@ def refined_model(
         "trustworthy": not doubts,
         "doubts": doubts,
         "unseen": unseen,
+        **({CUT_SHORT: cut_short} if cut_short else {}),
         "chi2": fit.solution.chi2,
         "dof": fit.solution.dof,
         "noise_chi2_per_dof": fit.noise_chi2,

@@ -135,7 +135,7 @@ def _fit_with_friction(
         (shape,) = LAW.grid(base.fit.evaluation.views, place)
         candidate = candidate.plus(PlacedEffect(LAW, place), np.array([dry, wet, 0.0, 0.0, 0.0, 0.0, *shape]))
     starts = [p for p in (start, base.fit.p) if p.size == base.fit.p.size]
-    return evidence_if_finite(partial(fit, base.fit.layout, train, starts[0], candidate, iterations=60), held)
+    return _finished(partial(fit, base.fit.layout, train, starts[0], candidate, iterations=60), held)
 
 
 def _add_cause(

@@ -23,6 +23,7 @@ class Weighing:
     cause: str | None = None
     fraction: float = 0.0
     seconds_left: float | None = None
+    found: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         return f"{self.stage} {self.cause}, {self.axis}"
@@ -101,6 +102,13 @@ def test_time_left_of_a_motion_follows_the_pace_that_it_has(analysis: Analysis) 
     assert pace.left(30.0) == pytest.approx(3.0)  # ten seconds of the plan in one: a simulated cell
     clock.now = 5.0
     assert pace.left(36.0) == pytest.approx(45.0)  # a computer that is behind
+
+
+def test_what_is_found_is_told_while_the_search_goes_on(analysis: Analysis) -> None:
+    progress, _, told = analysis
+    progress.begin("diagnosing")
+    progress.weigh(Weighing("weighing", "A2", "backlash", 0.5, 12.0, ("friction A1 mass 1",)))
+    assert "found so far: friction A1 mass 1; still looking" in told[-1]["phase"]
 
 
 def test_a_stage_that_begins_is_told_however_short_the_one_before_was() -> None:
