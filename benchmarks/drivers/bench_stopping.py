@@ -24,8 +24,8 @@ import yaml
 from invid.config import CellConfig, parse_config
 from invid.errors import DriveError, SafetyStop
 from invid.planning.stopping_distance import FEEDBACK_FACTOR, SPEED_TOLERANCE, StoppingBudget, budgets_of
-from invid.sweep.ports import Mode
 from invid.sweep.bounds import AxisLimits, Bounds
+from invid.sweep.ports import Mode
 from invid.sweep.watch import Watch
 from invid_drivers.cia402.bus import Cia402Cell
 from invid_drivers.cia402.manuals import YES
