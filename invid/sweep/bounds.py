@@ -69,6 +69,7 @@ class Bounds:
         self, limits: list[AxisLimits], *, cycle_s: float, missed_tpdos: int, overrun_cycles: int
     ) -> None:
         self.limits = limits
+        self._fastest = [a.velocity for a in limits]
         self._cycle = cycle_s
         self._most_missed, self._most_skipped = missed_tpdos, overrun_cycles
         count = len(limits)
@@ -116,8 +117,8 @@ class Bounds:
         self._signs.forget()
 
     def permit(self, axis: int, velocity: float) -> None:
-        """A lower limit for the velocity of one axis, from here on; never a higher one."""
-        velocity = min(velocity, self.limits[axis].velocity)
+        """Another limit for the velocity of one axis, from here on; never above that of the config."""
+        velocity = min(velocity, self._fastest[axis])
         self.limits[axis] = replace(self.limits[axis], velocity=velocity)
         self._yielding.permit(axis, velocity)
         self._speed[axis] = min(self._speed[axis], velocity)  # only what is faster than ever is looked at

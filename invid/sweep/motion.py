@@ -144,7 +144,7 @@ class Motion:
         return bool(told) and told[axis]
 
     def permit(self, axis: int, velocity: float) -> None:
-        """A lower limit for the velocity of one axis, from here on."""
+        """Another limit for the velocity of one axis, from here on; never above what was announced."""
         axes = list(self.config.axes)
         limits = axes[axis].limits.model_copy(update={"velocity": velocity})
         axes[axis] = axes[axis].model_copy(update={"limits": limits})

@@ -57,6 +57,15 @@ def ask_all(link: Link, *, first: int = 1, last: int = 127) -> list[Found]:
             except SdoError:
                 return None
 
+        def has(what: Object, client: object = client) -> bool:
+            try:
+                client.upload(what.index, what.sub)  # type: ignore[attr-defined]
+            except SdoAbortedError:
+                return False
+            except SdoError:
+                return True  # no answer says nothing
+            return True
+
         def name(client: object = client) -> str:
             try:
                 said: bytes = client.upload(0x1008, 0)  # type: ignore[attr-defined]
@@ -79,6 +88,7 @@ def ask_all(link: Link, *, first: int = 1, last: int = 127) -> list[Found]:
                 name=name(),
                 increments=read(od.ENCODER_INCREMENTS) or 0,
                 revolutions=read(od.ENCODER_REVOLUTIONS) or 0,
+                watches=has(od.CONSUMER_HEARTBEAT),
             )
         )
     return found
