@@ -91,6 +91,7 @@ class Bounds:
         """Axes whose loops the master closes."""
         self.resting: set[int] = set()
         """Axes that their drives hold while nothing is shaken."""
+        self._all = set(range(count))
         self.weighed: set[int] = set()
         """Resting axes of which the cell finds out why they yield."""
         self.speeds = [0.0] * count
@@ -122,14 +123,6 @@ class Bounds:
         self._yielding.permit(axis, velocity)
         self._speed[axis] = min(self._speed[axis], velocity)  # only what is faster than ever is looked at
 
-    def tightened(self, config: CellConfig) -> CellConfig:
-        """The config with these limits."""
-        axes = []
-        for axis, own in zip(config.axes, self.limits, strict=True):
-            update = {"torque": own.torque, "position": own.position, "velocity": own.velocity}
-            axes.append(axis.model_copy(update={"limits": axis.limits.model_copy(update=update)}))
-        return config.model_copy(update={"axes": axes})
-
     @property
     def peaks(self) -> Float64:
         """(3, M) largest travel, velocity and torque so far."""
@@ -156,7 +149,7 @@ class Bounds:
             self._check_travel(i, limit, abs(sample.position[i] - origin[i]))
             self.speeds[i] = self._check_speed(i, limit, sample.time, sample.position[i])
             self._check_torque(i, limit, abs(sample.torque[i]))
-        self._yielding.check(sample, self.led, self.resting - self.weighed)
+        self._yielding.check(sample, self.led, self._all - self.led - self.weighed)
         if asked is not None:
             self._signs.check(sample, asked)
 

@@ -328,8 +328,10 @@ class Cia402Cell:
         return StopTest(moving, self.holdings, self.held.memory, self.cancelled, rated).run()
 
     def _moving(self, exchange: Callable[[Sequence[float]], Sample]) -> MovingCell:
-        config = self._config if self.bounds is None else self.bounds.tightened(self._config)
-        return MovingCell(config, self._link, self._drives, self._cycle, exchange, self.resolution)
+        permitted = [limit.velocity for limit in self._watch.limits] if self.bounds is not None else []
+        return MovingCell(
+            self._config, self._link, self._drives, self._cycle, exchange, self.resolution, permitted
+        )
 
     @property
     def asked(self) -> Sequence[float]:

@@ -21,7 +21,7 @@ from invid_drivers.cia402.jitter import Jitter
 from invid_drivers.cia402.link import Link
 from invid_drivers.cia402.mode_change import EVERY_CYCLES, ModeChange, SettingWrite, upload
 from invid_drivers.cia402.objects import Object
-from invid_drivers.cia402.states import OperationMode
+from invid_drivers.cia402.states import DriveState, OperationMode, state_of
 from invid_drivers.cia402.units import wrapped_difference
 
 UNCERTAIN_CYCLES = 0.2
@@ -344,7 +344,8 @@ class Cycle:
         elif len(data) == 8 and data[1:4] == _MODE_REQUEST[1:4] and data[0] & 0xE0 == 0x40:
             shown = int.from_bytes(data[4:5], "little", signed=True)
             wanted = self.operation[axis]
-            if shown != int(wanted):
+            enabled = state_of(self.sample.status[axis]) is DriveState.OPERATION_ENABLED
+            if shown != int(wanted) and (shown or enabled):  # some drives show none until they are enabled
                 name = self._config.axes[axis].name
                 text = f"axis {name}: the drive left mode {wanted.name.lower()} for mode {shown} (0x6061)"
                 self._link.events.append(Event(Severity.DRIVE, text, name))

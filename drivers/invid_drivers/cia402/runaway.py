@@ -12,6 +12,8 @@ RUNAWAY_GROWTH, RUNAWAY_SHARE = 1.2, 0.02
 does the opposite (empirical)."""
 NOISE_COUNTS = 4
 """Counts in a cycle that are no motion: both ends of a step, each with its last digit."""
+AT_LIMIT = 0.9
+"""Share of the torque limit that is all of it, with the noise of 0x6077."""
 LOADED_RUNAWAYS = 5
 """An axis that its drive must hold is cut off only after five samples in a row of growing speed."""
 
@@ -19,8 +21,16 @@ LOADED_RUNAWAYS = 5
 class RunawayGuard:
     """Compares the speed during a quick stop with the speed at its start."""
 
-    def __init__(self, config: CellConfig, held: Sequence[bool], counts: Sequence[float] = ()) -> None:
-        """``config`` with the permitted speeds; ``counts``: position of an encoder count of each axis."""
+    def __init__(
+        self,
+        config: CellConfig,
+        held: Sequence[bool],
+        counts: Sequence[float] = (),
+        permitted: Sequence[float] = (),
+    ) -> None:
+        """``counts``: position of an encoder count; ``permitted``: speed of each axis, within its limit."""
+        self._permitted = list(permitted)
+        self._torque = [AT_LIMIT * a.limits.torque for a in config.axes]
         # A loaded axis without brake falls when it is let go: only a certain runaway is worse. A person who
         # pushes makes it faster too, but not faster than it may be.
         self._least = [
@@ -56,6 +66,9 @@ class RunawayGuard:
             if self._entry[i] < 0:
                 self._entry[i] = speed
             fast = speed > RUNAWAY_GROWTH * self._entry[i] + self._least[i]
+            if self._permitted and abs(sample.torque[i]) >= self._torque[i]:
+                # all its torque does not slow it down: what drags it is stronger, or its own drive
+                fast = fast or speed > RUNAWAY_GROWTH * self._entry[i] + self._permitted[i]
             if self._needed[i] > 1:
                 fast = fast and speed > self._last[i]
             self._last[i] = speed

@@ -291,7 +291,8 @@ class StopTest:
 
     def _hold_here(self, axes: Sequence[int]) -> None:
         for i in axes:
-            self._cycle.change(i, Mode.HOLD, OperationMode.CYCLIC_POSITION)
+            if self._holdings[i].has_position_mode:  # another carries nothing, and is without torque
+                self._cycle.change(i, Mode.HOLD, OperationMode.CYCLIC_POSITION)
         while self._cycle.changing:
             self._exchange()
 

@@ -62,7 +62,7 @@ class WayOut:
         self._drives = cell.drives
         self._cycle = cell.cycle
         self._exchange = cell.exchange
-        self._stays, self._resolution = list(stays), cell.resolution
+        self._stays, self._resolution, self._permitted = list(stays), cell.resolution, cell.permitted
         self._doubted, self._weigh = tuple(doubted), weigh
         self._standstill = Standstill(tolerances(cell.config, cell.resolution, STILL_SHARE))
         self._given_up: set[int] = set()
@@ -76,7 +76,7 @@ class WayOut:
         self._cycle.leaving = True
         with contextlib.suppress(Exception):
             self._cycle.control[:] = [states.QUICK_STOP] * len(self._drives)
-            guard = RunawayGuard(self._config, self._stays, self._resolution)
+            guard = RunawayGuard(self._config, self._stays, self._resolution, self._permitted)
             self._drive_to(self._quick_stop_s, lambda s: self._cut_runaways(guard, s) or self._at_rest(s))
         with contextlib.suppress(Exception):
             self._weigh_doubted()
