@@ -8,6 +8,7 @@ import numpy as np
 
 from invid.diagnosis.evidence import CandidateEvidence
 from invid.diagnosis.thresholds import CONTESTED, LEFT, REACHED
+from invid.identification.crosscheck import BEATEN, MOST_BEATEN
 from invid.identification.identifiability import blind_directions
 from invid.likelihood.evaluation import Evaluation
 from invid.likelihood.joint_fit import JointFit
@@ -46,15 +47,22 @@ def judge_linear_fit(
     tests: tuple[NullTest, NullTest],
     recording: Recording,
 ) -> Trust:
-    """Doubts about the linear fit, judged with the causes in the model.
+    """Doubts about the model, judged with the causes in it on rows kept out.
 
     A strong cause makes a linear fit look wrong that is right once the cause is in the model. Where the
-    extended model comes down to the noise, only parameters that the data do not determine are reported.
+    extended model comes down to the noise, or predicts the rows kept out and no FRF without structure does
+    better by more than a factor of two, only parameters that the data do not determine are reported.
     """
     unseen = _unseen_parameters(extended, final, recording.linear)
     short = _short_experiments(recording)
     before, after = (t.chi2 / max(t.dof, 1) for t in tests)
-    if (after < REACHED or after - 1.0 < LEFT * (before - 1.0)) and not short:
+    left = max(after - 1.0, 0.0) / max(before - 1.0, 1e-300)
+    if (after < REACHED or left < LEFT) and not short:
+        return Trust(unseen=unseen)
+    share = _explained_share(final.held)
+    beaten = float(model.fit.get(BEATEN) or 0.0) * min(left, 1.0)
+    is_extended = final.fit is not base.fit
+    if is_extended and share >= LEAST_EXPLAINED and beaten <= MOST_BEATEN and not short:
         return Trust(unseen=unseen)
     doubts = [str(r) for r in model.fit.get("doubts", ()) if isinstance(r, str)]
     # A parameter that the linear fit could not determine makes no wrong model: a strong cause hides it from
@@ -64,12 +72,12 @@ def judge_linear_fit(
     if not doubts and model.fit.get("trustworthy", True) is False:
         reasons = list(model.warnings[:1]) or ["the identification does not trust its own fit"]
     reasons += short
-    if not base.fit.converged and not reasons:
+    if not is_extended and not base.fit.converged and not reasons:
         reasons.append("the linear fit did not converge")
-    share = min(_explained_share(base.fit.evaluation), _explained_share(final.fit.evaluation))
+    share = min(share, _explained_share(final.fit.evaluation))
     if share < LEAST_EXPLAINED and not any("of the torque only" in r for r in reasons):
         reasons.append(
-            f"the linear model accounts for {share:.0%} of the torque only: another number of masses, a "
+            f"the model accounts for {share:.0%} of the torque only: another number of masses, a "
             "torque channel that is not the motor torque, or axes that do not move freely"
         )
     return Trust(tuple(dict.fromkeys(reasons)), unseen, broken=bool(reasons))

@@ -9,7 +9,13 @@ from typing import Any
 import numpy as np
 
 from invid.errors import InvidError
-from invid.identification.crosscheck import compare_routes, missed_by_structure
+from invid.identification.crosscheck import (
+    BEATEN,
+    MOST_BEATEN,
+    SUSPECT,
+    compare_routes,
+    missed_by_structure,
+)
 from invid.identification.identifiability import Unidentifiable, blind_directions
 from invid.inverse import PaperResult
 from invid.likelihood.fit import Fit
@@ -19,11 +25,6 @@ from invid.recording.model import Recording, Role
 from invid.signals.frf import FrfMatrix
 from invid.signals.spectra import LineSpectra
 
-SUSPECT = 5.0
-"""χ²/ν against sensor noise above which the fit is compared with a rational FRF of no structure."""
-MOST_BEATEN = 4.0
-"""Missed mean square of the fit, over that of a rational FRF and over that of 1 % of the amplitudes, above
-which it is doubted (empirical): a factor of two in amplitude."""
 EXPLAINED = 0.9
 """Share of the torque a trustworthy model explains. Empirical: real drives with friction stand above
 0.99, a wrong order or a torque that is none below 0.7 (flexible bench, case study)."""
@@ -159,6 +160,7 @@ def refined_model(
         "dof": fit.solution.dof,
         "noise_chi2_per_dof": fit.noise_chi2,
         "explained": fit.explained,
+        BEATEN: missed_ratio if missed_power > MOST_BEATEN else 0.0,
         "band_hz": [bottom, top],
         "lines": {b.key: int(b.omega.size) for b in fit.problem.blocks},
         "periods": {s.key: s.periods for s in spectra},

@@ -12,9 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import BSpline
-from scipy.linalg import solveh_banded
-from scipy.sparse import diags_array
+import scipy
 
 from invid.errors import RecordingError
 from invid.numerics.arrays import Bool, Float64, Int64
@@ -30,9 +28,9 @@ LONGEST_GAP = 3
 the amplitude at a tenth of the sampling rate and by a fifth at a fifth, with five by 13 % and three times."""
 
 PENALTY = 1e-7
-"""Weight of the squared sixth differences of the spline's coefficients: takes 2e-6 of the amplitude at a
-fifth
-of the sample rate, 2e-4 at three tenths, and keeps samples at nearly one instant from tearing the spline."""
+"""Weight of the squared sixth differences of the spline's coefficients: takes 2e-6 of the amplitude at
+a fifth of the sample rate, 2e-4 at three tenths, and keeps samples at nearly one instant from tearing the
+spline."""
 
 STAMPS_RIGHT = 0.5
 """Standard deviation of the belief, before any look at the motion, that stamps are the instants of sampling
@@ -162,16 +160,16 @@ def _on_grid(at: Float64, values: Float64, count: int, gaps: list[tuple[int, int
         at = np.insert(at, row, inside)
         values = np.insert(values, row, ends[0] + weight * (ends[1] - ends[0]), axis=0)
     knots = np.arange(-5.0, count + 5.0)
-    design = BSpline.design_matrix(at, knots, 5)
+    design = scipy.interpolate.BSpline.design_matrix(at, knots, 5)
     size = count + 4
     sixth = [1.0, -6.0, 15.0, -20.0, 15.0, -6.0, 1.0]
-    rough = diags_array(sixth, offsets=range(7), shape=(max(size - 6, 1), size))
+    rough = scipy.sparse.diags_array(sixth, offsets=range(7), shape=(max(size - 6, 1), size))
     normal = (design.T @ design + PENALTY * (rough.T @ rough)).todia()
     bands = np.zeros((7, size))
     for k in range(7):
         bands[6 - k, k:] = normal.diagonal(k)
-    found = solveh_banded(bands, design.T @ values)
-    out: Float64 = BSpline.design_matrix(np.arange(float(count)), knots, 5) @ found
+    found = scipy.linalg.solveh_banded(bands, design.T @ values)
+    out: Float64 = scipy.interpolate.BSpline.design_matrix(np.arange(float(count)), knots, 5) @ found
     return out
 
 

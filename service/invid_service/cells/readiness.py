@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
+import time
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -9,9 +12,15 @@ from typing import Literal
 from pydantic import BaseModel
 
 from invid.config import CellConfig
+from invid.errors import InvidError
 from invid.planning.build import axes_left_out, subset_sentence
 from invid_drivers.cia402.holding import Reason as CellReason
 from invid_service.jobs.live import LiveRun
+
+_KEPT_S = 4.0
+"""An answer is asked for again after so long: asking may open the cell's bus."""
+_FIRST_S = 1.0
+"""The first answer is waited for so long."""
 
 
 class Reason(BaseModel):
@@ -27,6 +36,7 @@ class Reason(BaseModel):
         "axes_left_out",
         "axis_energised",
         "axis_suspect",
+        "check_refused",
     ]
     text: str
     fix: str
@@ -61,6 +71,29 @@ class Situation:
     """The axes to shake; ``None``: all."""
     drives: tuple[CellReason, ...] = ()
     """What ``invid check`` has against the drives."""
+    refusal: InvidError | None = None
+    """With what ``invid check`` and the run would refuse to plan."""
+
+
+class RecentAnswers:
+    """Whether cells can start, as they said a moment ago: a poll waits for no drive and no store."""
+
+    def __init__(self) -> None:
+        self._said: dict[str, bool] = {}
+        self._asked: dict[str, tuple[float, asyncio.Task[None]]] = {}
+
+    async def of(self, cell: str, ask: Callable[[], Awaitable[Readiness]]) -> bool | None:
+        """The last answer, ``None`` before the first; asks anew behind it where it is old."""
+        at, task = self._asked.get(cell, (0.0, None))
+        if task is None or (task.done() and time.monotonic() - at >= _KEPT_S):
+            task = asyncio.create_task(self._ask(cell, ask))
+            self._asked[cell] = time.monotonic(), task
+        if cell not in self._said:
+            await asyncio.wait({task}, timeout=_FIRST_S)
+        return self._said.get(cell)
+
+    async def _ask(self, cell: str, ask: Callable[[], Awaitable[Readiness]]) -> None:
+        self._said[cell] = (await ask()).can_start
 
 
 def readiness(s: Situation) -> Readiness:
@@ -123,6 +156,17 @@ def readiness(s: Situation) -> Readiness:
         )
     drives = () if s.mode == "simulate" else s.drives
     reasons += [_of_drive(d) for d in drives if not d.taken_over]
+    if s.refusal is not None:
+        text = s.refusal.reason or str(s.refusal)
+        reasons.append(
+            Reason(
+                code="check_refused",
+                text=text,
+                fix=s.refusal.way_out
+                or "change the config as it says; `invid check` tells whether it will do",
+                values={"text": str(s.refusal)},
+            )
+        )
     left_out = axes_left_out(s.config, s.axes)
     if left_out:
         reasons.append(

@@ -20,7 +20,7 @@ from invid_service.jobs.launcher import Launcher
 from invid_service.jobs.live import LiveRun, Progress, WrongStateError
 from invid_service.jobs.protocol import ErrorInfo, Job
 from invid_service.jobs.results import Results
-from invid_service.jobs.states import OCCUPYING, State
+from invid_service.jobs.states import OCCUPYING, UPLOAD, State
 from invid_service.jobs.stops import without_trace
 from invid_service.store.store import RunRecord, Store, StoredEvent
 
@@ -56,6 +56,7 @@ class JobManager:
         self._store, self._results, self._launch = store, results, launcher
         self._limits, self._clock = limits, clock
         self._live: dict[str, LiveRun] = {}
+        self._latest: dict[str, LiveRun] = {}
         self._tasks: set[asyncio.Task[None]] = set()
         self._uploads = asyncio.Semaphore(parallel_uploads)
         self.on_end: Callable[[LiveRun], None] = lambda run: None
@@ -72,11 +73,22 @@ class JobManager:
                 return run
         return None
 
+    def latest(self, cell: str) -> LiveRun | None:
+        """The last measurement of a cell that was started, in progress or ended; the store is not asked."""
+        return self._latest.get(cell)
+
+    def remember(self, record: RunRecord) -> None:
+        """Take up what was the last measurement of its cell before a restart, or until it ended."""
+        if record.cell is not None and record.mode != UPLOAD:
+            self._latest[record.cell] = LiveRun(record)
+
     def restore(self, record: RunRecord, stored: list[StoredEvent]) -> None:
         """Take up a result that awaits accept since before a restart."""
         run = LiveRun(record, stored)
-        run.progress = Progress(1.0, str(record.state))
         self._live[record.id] = run
+        latest = self._latest.get(record.cell or "")
+        if latest is not None and latest.record.id == record.id:
+            self._latest[record.cell or ""] = run
 
     # --- taking jobs ---------------------------------------------------------------------------
     def reserve(self, record: RunRecord) -> LiveRun:
@@ -91,6 +103,8 @@ class JobManager:
 
     def start(self, run: LiveRun, job: Job) -> None:
         """Run the job in the background."""
+        if run.record.cell is not None and run.record.mode != UPLOAD:
+            self._latest[run.record.cell] = run
         self._spawn(self._run(run, job))
 
     def _spawn(self, work: Any) -> None:
@@ -153,6 +167,8 @@ class JobManager:
     def _retire(self, run: LiveRun) -> None:
         """Forget an ended run; the store has it."""
         if run.ended and self._live.pop(run.record.id, None) is not None:
+            if self._latest.get(run.record.cell or "") is run:
+                self.remember(run.record)  # without its events
             self.on_end(run)
 
     def _end_early(self, run: LiveRun, wish: Any) -> None:
@@ -181,9 +197,10 @@ class JobManager:
     # --- the life of a run ---------------------------------------------------------------------
     async def _run(self, run: LiveRun, job: Job) -> None:
         guard = self._uploads if job.kind == "analyse" else contextlib.nullcontext()
+        kept = False
         try:
             async with guard:
-                await self._watch(run, job)
+                kept = await self._watch(run, job)
         except asyncio.CancelledError:
             raise
         except Exception:
@@ -191,13 +208,15 @@ class JobManager:
             await self._fail(run, "internal-error", "an error of the service", "the log says where")
         finally:
             run.motion_ended.set()
-            await asyncio.to_thread(self._results.clear, run.record.id)
+            if kept:  # else its folder waits for the next start of the service, which tries again
+                await asyncio.to_thread(self._results.clear, run.record.id)
             self._retire(run)
 
-    async def _watch(self, run: LiveRun, job: Job) -> None:
+    async def _watch(self, run: LiveRun, job: Job) -> bool:
+        """Whether all that it left is in the store."""
         if run.wish is not None:
             await self._finish_early(run)
-            return
+            return True
         await self._move(run, State.ANALYSING if job.kind == "analyse" else State.CHECKING)
         worker = await self._launch(job)
         run.worker = worker
@@ -216,7 +235,9 @@ class JobManager:
         finally:
             watchdog.cancel()
             worker.kill()
-        await self._conclude(run, job, verdict, status)
+        stored = await self._keep_results(run)
+        await self._conclude(run, job, verdict, status, stored or set())
+        return stored is not None
 
     async def _reap(self, run: LiveRun) -> int:
         worker = run.worker
@@ -247,6 +268,7 @@ class JobManager:
                         message.get("axis"),
                         message.get("frequency"),
                         message.get("eta_s"),
+                        message.get("motion_left_s"),
                         message.get("cause"),
                     )
                 )
@@ -294,8 +316,9 @@ class JobManager:
                     run.worker.kill()
                 return
 
-    async def _conclude(self, run: LiveRun, job: Job, verdict: dict[str, Any] | None, status: int) -> None:
-        stored = await self._keep_results(run)
+    async def _conclude(
+        self, run: LiveRun, job: Job, verdict: dict[str, Any] | None, status: int, stored: set[str]
+    ) -> None:
         self._note_stop(run, verdict)
         if run.wish is not None:
             await self._finish_early(run)
@@ -318,7 +341,7 @@ class JobManager:
                 run,
                 "store-unavailable",
                 "the results could not be stored",
-                "make room on the disk, run again",
+                "make room on the disk and start the service again: what was measured is kept; or run again",
             )
         else:
             await self._succeed(run, job, verdict.get("summary", {}))
@@ -334,12 +357,13 @@ class JobManager:
         if stopped is not None:
             run.record = replace(run.record, facts={**run.record.facts, "stopped": stopped})
 
-    async def _keep_results(self, run: LiveRun) -> set[str]:
+    async def _keep_results(self, run: LiveRun) -> set[str] | None:
+        """Kinds of files that are in the store now; ``None`` where it did not take them."""
         try:
             return await asyncio.to_thread(self._results.keep, run.record, self._clock())
         except (OSError, SQLAlchemyError) as error:
             log.error("run %s: results could not be stored: %s", run.record.id, error)
-            return set()
+            return None
 
     async def _succeed(self, run: LiveRun, job: Job, summary: dict[str, Any]) -> None:
         if run.record.cell is None or not job.acceptable:

@@ -16,6 +16,7 @@ from invid.comparison.compare import compare
 from invid.errors import InvidError
 from invid.model.document import Model, model_from_json
 from invid_service.cells.changes import changes_view
+from invid_service.jobs.leftovers import complete_recording
 from invid_service.settings import AutoAccept
 from invid_service.store.blobs import KINDS, Blobs
 from invid_service.store.store import RunRecord, Store, StoredModel
@@ -35,13 +36,14 @@ class Results:
         self._auto, self._unchanged = auto_accept, unchanged_percent
 
     def keep(self, run: RunRecord, now: datetime) -> set[str]:
-        """Move what the runner wrote into the store; kinds that are safe there."""
+        """Move what the runner wrote into the store; kinds that are safe there. Twice is no error."""
         folder = self._blobs.work / run.id
         blobs = {}
+        complete_recording(folder)
         for kind, (name, _media) in KINDS.items():
-            source = folder / name
-            if source.is_file() and source.stat().st_size > 0:
-                blobs[kind] = self._blobs.put(run.id, kind, source)
+            blob = self._blobs.put(run.id, kind, folder / name)
+            if blob is not None:
+                blobs[kind] = blob
         if blobs:
             self._store.add_artefacts(run.id, blobs, now)
         if run.cell is not None and "model" in blobs and "diagnosis" in blobs:

@@ -52,16 +52,17 @@ export async function showResult(run) {
   for (const id of ["axis-choice", "frf", "missing", "where", "numbers"]) $(id).hidden = true;
   $("numbers").open = $("notes").open = false;
   for (const id of ["causes", "parameters", "findings", "drawing"]) clear($(id));
-  let model, diagnosis;
+  let model, diagnosis, changes;
   try {
-    [model, diagnosis] = await Promise.all([get(run.links.model), get(run.links.diagnosis).catch(() => null)]);
+    const compared = summary.changes ? get(run.links.changes).catch(() => summary.changes) : null;
+    [model, diagnosis, changes] = await Promise.all([get(run.links.model), get(run.links.diagnosis).catch(() => null), compared]);
   } finally { if (!model) { settled = run.id; showDecision(latest); } }
   if (shown !== run.id) return;
   $("changes-sentence").textContent = changesLine(summary.changes, model);
   showFindings(run, diagnosis, model);
   diagnosed = diagnosis;
   $("numbers").hidden = false;
-  parameters(model, summary.changes);
+  parameters(model, changes);
   const drawn = drawing(run);
   await Promise.race([drawn, new Promise((resolve) => setTimeout(resolve, PATIENCE_MS))]);
   settled = run.id;
