@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 
 from invid.errors import InputError
-from invid.numerics.arrays import Float64
+from invid.numerics.arrays import Float64, frozen_float
 from invid.recording.clock import count_slots
 from invid.recording.hdf5 import FORMAT, read_recording
 from invid.recording.import_map import ImportMap, Source
@@ -128,8 +128,7 @@ def check_files(
 def clock_time(e: Experiment) -> Float64:
     """(n,) [s] instants of the even clock that the rows keep, else their stamps: a late stamp is no speed."""
     slots = count_slots(e.time)
-    time: Float64 = slots.index * slots.step if slots.even else e.time - e.time[0]
-    return time
+    return frozen_float(slots.index * slots.step if slots.even else e.time - e.time[0])
 
 
 def describe_experiment(e: Experiment, recording: Recording) -> dict[str, Any]:
