@@ -86,7 +86,7 @@ class Bounds:
             limits[0].unit,
             [a.position for a in limits],
         )
-        self._signs = TorqueSign(limits, cycle_s)
+        self._signs = TorqueSign([a.name for a in limits], [a.rated_torque for a in limits], cycle_s)
         self.led: set[int] = set()
         """Axes whose loops the master closes."""
         self.resting: set[int] = set()

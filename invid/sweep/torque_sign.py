@@ -4,13 +4,9 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 from invid.errors import SafetyStop
 from invid.sweep.ports import Sample
-
-if TYPE_CHECKING:
-    from invid.sweep.bounds import AxisLimits
 
 MEMORY_S, MEMORY_CYCLES = 0.05, 25
 """Time constant of what is remembered: a sign that turns is seen within one of it."""
@@ -26,11 +22,11 @@ SEEN = 0.02
 class TorqueSign:
     """Shown against asked torque of each axis, at each lag, over the last moments."""
 
-    def __init__(self, limits: Sequence[AxisLimits], cycle_s: float) -> None:
-        self._names = [a.name for a in limits]
-        self._least = [(SEEN * a.rated_torque) ** 2 for a in limits]
+    def __init__(self, names: Sequence[str], rated_torque: Sequence[float], cycle_s: float) -> None:
+        self._names = list(names)
+        self._least = [(SEEN * rated) ** 2 for rated in rated_torque]
         self._keep = 1.0 - cycle_s / max(MEMORY_S, MEMORY_CYCLES * cycle_s)
-        self._known: list[int | None] = [None] * len(limits)
+        self._known: list[int | None] = [None] * len(names)
         self.forget()
 
     def forget(self) -> None:
