@@ -10,8 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 from html import escape
 
-from invid.comparison.sentences import differing_number
-from invid.diagnosis.headline import cause_title
+from invid.diagnosis.clauses import cause_title
 from invid.diagnosis.sentences import format_estimate as size_of
 from invid.model.diagnosis_document import Finding, Unexplained
 from invid.model.document import EffectTerm, Model, units
@@ -35,6 +34,7 @@ from invid.report.branch_marks import (
     text_at,
 )
 from invid.report.labels import label, printable
+from invid.wording.figures import differing_number
 
 WORDS: Mapping[str, str] = {
     "title": "The drives: motors, springs with dampers, masses",
