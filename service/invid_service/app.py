@@ -13,6 +13,7 @@ from invid_service import health, problems
 from invid_service.cells.departures import departures_router
 from invid_service.cells.router import router as cells
 from invid_service.cells.series import router as series
+from invid_service.cells.state import router as state
 from invid_service.jobs.drawing import router as drawing
 from invid_service.jobs.export import export_router
 from invid_service.jobs.launcher import Launcher, launch_process
@@ -64,7 +65,7 @@ def create_app(settings: Settings, *, launcher: Launcher = launch_process, clock
     )
     app.state.service = service
     problems.install(app, service.is_simulated)
-    for router in (cells, series, identifications, drawing, recordings, health.router):
+    for router in (cells, state, series, identifications, drawing, recordings, health.router):
         app.include_router(router, prefix=API)
     app.include_router(export_router(), prefix=API)
     app.include_router(departures_router(), prefix=API)

@@ -7,12 +7,13 @@ one, everyone is asked for a key, loopback too: behind a reverse proxy every req
 from __future__ import annotations
 
 from datetime import UTC, datetime
+from http import HTTPStatus
 from typing import Annotated
 
 from fastapi import Depends, Request
 
 from invid.errors import ConfigError
-from invid_service.keys import LOCAL, Caller, KeyRefusedError, Keys, Scope
+from invid_service.keys import LOCAL, NOBODY, Caller, KeyRefusedError, Keys, Scope
 from invid_service.problems import Problem
 from invid_service.query import refuse_unknown_parameters
 from invid_service.settings import Settings, is_loopback
@@ -108,22 +109,20 @@ def _refuse_other_sites(request: Request) -> None:
 
 
 class Require:
-    """Dependency: the caller, who must have ``scope`` (``None``: any valid key)."""
+    """Dependency: the caller, who must have ``scope``."""
 
-    def __init__(self, scope: Scope | None) -> None:
+    def __init__(self, scope: Scope) -> None:
         self.scope = scope
 
     async def __call__(self, request: Request) -> Caller:
         caller = identify_caller(request)
-        if self.scope is None:
-            return caller
         if not caller.may(self.scope):
             raise Problem(
                 "scope-missing",
                 f"the key {caller.name!r} lacks the scope {self.scope}",
                 scope=str(self.scope),
             )
-        refuse_unknown_parameters(request)  # not of a stop: it is never refused for a detail
+        refuse_unknown_parameters(request)
         return caller
 
 
@@ -131,4 +130,16 @@ Reader = Annotated[Caller, Depends(Require(Scope.READ))]
 Runner = Annotated[Caller, Depends(Require(Scope.RUN))]
 Accepter = Annotated[Caller, Depends(Require(Scope.ACCEPT))]
 Admin = Annotated[Caller, Depends(Require(Scope.ADMIN))]
-Anyone = Annotated[Caller, Depends(Require(None))]
+
+
+async def _stopping_caller(request: Request) -> Caller:
+    """Whoever asks for a stop: a key that is missing, wrong or revoked stops as well."""
+    try:
+        return identify_caller(request)
+    except Problem as problem:
+        if problem.status != HTTPStatus.UNAUTHORIZED:
+            raise
+        return NOBODY
+
+
+Stopper = Annotated[Caller, Depends(_stopping_caller)]

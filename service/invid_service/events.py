@@ -48,11 +48,15 @@ class EventLog:
         self._news.set()
         self._news = asyncio.Event()
 
+    def behind(self, after: int) -> list[StoredEvent]:
+        """Events with ids above ``after``."""
+        return [e for e in self._events if e.id > after]
+
     async def follow(self, after: int, keep_alive_s: float) -> AsyncIterator[StoredEvent | None]:
         """Events with ids above ``after``; ``None`` where nothing happened for ``keep_alive_s``."""
         while True:
             news, closed = self._news, self._closed
-            for event in [e for e in self._events if e.id > after]:
+            for event in self.behind(after):
                 after = event.id
                 yield event
             if news.is_set():

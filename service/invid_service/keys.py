@@ -70,6 +70,8 @@ class Caller:
 
 
 LOCAL = Caller("local", frozenset(Scope))
+NOBODY = Caller("nobody", frozenset())
+"""Without a key: may stop, and nothing else."""
 
 
 class KeyRefusedError(Exception):

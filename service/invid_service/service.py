@@ -19,7 +19,7 @@ from invid_drivers.cia402.holding import Reason as CellReason
 from invid_drivers.readiness import not_ready
 from invid_service.audit import AuditLog
 from invid_service.auth import check_bind
-from invid_service.cells.readiness import Readiness, Situation, readiness
+from invid_service.cells.readiness import Readiness, RecentAnswers, Situation, readiness
 from invid_service.cells.registry import Cell, load_cells
 from invid_service.jobs.launcher import Launcher
 from invid_service.jobs.live import LiveRun
@@ -69,6 +69,7 @@ class Service:
     cells: dict[str, Cell]
     metrics: Metrics
     start_locks: dict[str, asyncio.Lock] = field(default_factory=lambda: defaultdict(asyncio.Lock))
+    can_start: RecentAnswers = field(default_factory=RecentAnswers)
     webhook: Webhook | None = None
     shutting_down: bool = False
     _asking: asyncio.Lock = field(default_factory=asyncio.Lock)
@@ -87,6 +88,9 @@ class Service:
             log.warning("identification %s was cut off by a restart: interrupted", record.id)
             await asyncio.to_thread(self.results.keep, record, now)
             self.blobs.clear_scratch(record.id)
+        for cell in self.cells:
+            for record in await asyncio.to_thread(self.store.runs, cell=cell, limit=1, measured=True):
+                self.jobs.remember(record)
         for record in await asyncio.to_thread(self.store.runs, state=State.AWAITING_ACCEPT, limit=500):
             self.jobs.restore(record, await asyncio.to_thread(self.store.events, record.id))
         self._housekeeping = asyncio.create_task(self._keep_house())

@@ -33,7 +33,7 @@ def test_a_person_sees_readiness_and_the_plan_arms_watches_and_accepts_on_the_pa
         assert "°" in page.text("plan-table")
         assert "unknown" not in page.text("plan-table")
         assert page.small_targets() == []
-        driver.find_element("id", "arm").click()
+        page.press(driver.find_element("id", "arm"))
         page.wait_text("run-title", "Measuring")
         assert not page.stop_covered()
         assert page.shown("live").find_elements("tag name", "canvas")
@@ -110,14 +110,15 @@ def test_the_stop_button_and_the_escape_key_stop_the_robot_at_once(tmp_path: Pat
         page = Page(driver)
         driver.get(service.url + "/")
         page.shown("stop").click()
-        page.wait_text("stop-note", "Nothing was moving")
+        page.wait_text("stop-note", "small cell: nothing was moving")
         location = service.start()
         page.wait_text("run-title", "Measuring")
         began = time.monotonic()
         driver.find_element("tag name", "body").send_keys(Keys.ESCAPE)
-        page.wait_text("stop-note", "STOP sent.")
+        page.wait_text("stop-note", "Stopping small cell")
         service.wait(location, "stopped", timeout=10)
         assert time.monotonic() - began < 5
+        page.wait_text("stop-note", "small cell: stopped")
         page.wait_text("run-title", "Stopped")
         # Beside where it stopped; before it had moved there is no such place, and it follows the reason.
         assert "What to do" in page.text("run-card")
@@ -130,12 +131,13 @@ def test_the_page_says_so_when_the_service_is_gone(tmp_path: Path) -> None:
         driver.get(service.url + "/")
         page.wait_text("ready-title", "Ready")
         service.kill()
-        assert "emergency stop" in page.shown("offline", 20).text
         driver.execute_script("window.scrollTo(0, 1e5)")
         driver.execute_script("document.getElementById('prepare').click()")
         assert "cannot be reached" in page.shown("problem").text
         top = driver.execute_script("return document.getElementById('problem').getBoundingClientRect().top")
         assert 0 <= top < 400, "a button that does nothing says nothing"
+        assert "emergency stop" in page.shown("offline", 20).text
+        assert not driver.find_element("id", "prepare").is_enabled()
         driver.find_element("id", "stop").click()
         page.wait_text("stop-note", "USE THE EMERGENCY STOP")
 
@@ -164,6 +166,6 @@ def test_everything_can_be_reached_by_keyboard_with_a_visible_focus(tmp_path: Pa
         page.shown("arm")
         # On from the headline: Enter pressed twice must not arm, and Tab need not begin at the top.
         page.wait_focus("run-title")
-        ActionChains(driver).send_keys(Keys.ENTER, Keys.TAB, Keys.TAB, Keys.TAB).perform()  # past two folds
+        ActionChains(driver).send_keys(Keys.ENTER, Keys.TAB, Keys.TAB).perform()  # past the fold
         page.wait_focus("arm")
         assert "Ready to move" in page.text("run-title")

@@ -103,7 +103,7 @@ def test_the_page_is_without_barriers_at_every_step(tmp_path: Path) -> None:
         page.press(page.shown("prepare"))
         page.shown("arm")
         look("plan")
-        driver.find_element("id", "arm").click()
+        page.press(driver.find_element("id", "arm"))
         page.shown("live")
         look("moving")
         page.shown("accept", 120)
@@ -178,10 +178,14 @@ def test_a_test_result_does_not_invite_and_is_accepted_for_a_reason(tmp_path: Pa
         assert "primary" not in (accept.get_attribute("class") or "")
         assert "small torques" in page.shown("untrusted").text
         page.press(accept)
-        assert "small torques" in page.shown("override-why").text
+        question = driver.find_element("css selector", "form.ask")
+        assert "small torques" in question.text
         assert page.barriers() == []
-        driver.find_element("id", "override").send_keys("only to see whether it turns")
-        driver.find_element("css selector", "#override-dialog [value=yes]").click()
+        yes = question.find_element("css selector", "[type=submit]")
+        assert not yes.is_enabled()
+        question.find_element("tag name", "input").send_keys("only to see whether it turns")
+        assert not page.stop_covered()
+        page.press(yes)
         page.wait_text("decision", "only to see whether it turns")
         assert service.client.get(location).json()["decision"]["override"] == "only to see whether it turns"
 
@@ -198,7 +202,7 @@ def test_the_page_speaks_german_to_a_german_browser_and_english_when_told_to(tmp
         page.press(page.shown("prepare"))
         page.shown("arm")
         page.wait_text("plan-table", "Moment bis")
-        driver.find_element("id", "arm").click()
+        page.press(driver.find_element("id", "arm"))
         page.wait_text("run-title", "Es wird gemessen")
         assert not driver.find_element("id", "language").is_enabled(), "the stop button stays while it moves"
         page.shown("accept", 120)

@@ -127,8 +127,9 @@ def test_the_page_asks_for_the_key_and_works_behind_the_proxy(tmp_path: Path) ->
     ):
         driver.get(f"{url}/")
         page = Page(driver)
-        page.shown("key").send_keys(key)
-        driver.find_element("css selector", "#key-dialog button").click()
+        page.wait_text("notices", "asks for a key")
+        driver.find_element("css selector", "form.ask input").send_keys(key)
+        driver.find_element("css selector", "form.ask button").click()
         page.shown("prepare")
         assert "small cell" in driver.find_element("tag name", "body").text
         page.shown("prepare").click()

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
+import time
+from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -12,6 +15,11 @@ from invid.config import CellConfig
 from invid.planning.build import axes_left_out, subset_sentence
 from invid_drivers.cia402.holding import Reason as CellReason
 from invid_service.jobs.live import LiveRun
+
+_KEPT_S = 4.0
+"""An answer is asked for again after so long: asking may open the cell's bus."""
+_FIRST_S = 1.0
+"""The first answer is waited for so long."""
 
 
 class Reason(BaseModel):
@@ -61,6 +69,27 @@ class Situation:
     """The axes to shake; ``None``: all."""
     drives: tuple[CellReason, ...] = ()
     """What ``invid check`` has against the drives."""
+
+
+class RecentAnswers:
+    """Whether cells can start, as they said a moment ago: a poll waits for no drive and no store."""
+
+    def __init__(self) -> None:
+        self._said: dict[str, bool] = {}
+        self._asked: dict[str, tuple[float, asyncio.Task[None]]] = {}
+
+    async def of(self, cell: str, ask: Callable[[], Awaitable[Readiness]]) -> bool | None:
+        """The last answer, ``None`` before the first; asks anew behind it where it is old."""
+        at, task = self._asked.get(cell, (0.0, None))
+        if task is None or (task.done() and time.monotonic() - at >= _KEPT_S):
+            task = asyncio.create_task(self._ask(cell, ask))
+            self._asked[cell] = time.monotonic(), task
+        if cell not in self._said:
+            await asyncio.wait({task}, timeout=_FIRST_S)
+        return self._said.get(cell)
+
+    async def _ask(self, cell: str, ask: Callable[[], Awaitable[Readiness]]) -> None:
+        self._said[cell] = (await ask()).can_start
 
 
 def readiness(s: Situation) -> Readiness:

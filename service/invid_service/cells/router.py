@@ -11,7 +11,7 @@ from fastapi.responses import JSONResponse
 
 from invid.errors import InputError
 from invid_drivers.simulated import truth
-from invid_service.auth import Accepter, Anyone, Reader, Require
+from invid_service.auth import Accepter, Reader, Require, Stopper
 from invid_service.cells.changes import changes_view
 from invid_service.cells.overview import overview
 from invid_service.cells.readiness import Readiness
@@ -27,10 +27,12 @@ from invid_service.cells.schema import (
     SimulationPatch,
     SimulationView,
     StopAnswer,
+    StopAnswers,
 )
 from invid_service.context import Context
 from invid_service.jobs.schema import view
-from invid_service.keys import Scope
+from invid_service.jobs.states import State
+from invid_service.keys import NOBODY, Caller, Scope
 from invid_service.links import address
 from invid_service.problems import EVERYWHERE, Problem, problem_responses
 from invid_service.service import Service
@@ -108,21 +110,40 @@ async def get_readiness(cell: str, service: Context, _caller: Reader) -> Readine
 
 
 @router.post("/cells/{cell}/stop", response_model=StopAnswer)
-async def stop(cell: str, service: Context, caller: Anyone) -> StopAnswer:
+async def stop(cell: str, service: Context, caller: Stopper) -> StopAnswer:
     """Stop motion at once. This is **not a safety function**: it goes through a network, an operating
     system and the drives' protocol. Use the emergency stop where people are in danger.
 
-    Any valid key may stop. The answer does not wait for the drives; the identification becomes
-    ``stopped``. Stopping what stands still is no error.
+    It needs no key: whoever reaches the service may stop. The answer does not wait for the drives; the
+    identification becomes ``stopped``. Stopping what stands still is no error: asked again until
+    ``stopping`` is false, a stop is confirmed.
     """
-    found = service.cell(cell)
-    run = service.jobs.stop_cell(found.id)
-    service.metrics.stopped(found.id)
+    return _stop(service, service.cell(cell), caller)
+
+
+@router.post("/stop", response_model=StopAnswers)
+async def stop_all(service: Context, caller: Stopper) -> StopAnswers:
+    """Stop motion of all cells at once, and say for each whether something moved. As of one cell: **not a
+    safety function**, and it needs no key.
+    """
+    answers = [_stop(service, cell, caller) for cell in service.cells.values()]
+    return StopAnswers(cells=answers, simulated=any(a.simulated for a in answers))
+
+
+def _stop(service: Service, cell: Cell, caller: Caller) -> StopAnswer:
+    run = service.jobs.stop_cell(cell.id)
+    service.metrics.stopped(cell.id)
     identification = None if run is None else run.record.id
-    # In a thread of its own, after the fact: a disk that hangs must not delay a stop.
-    _later(service, "stop", caller=caller.name, cell=found.id, identification=identification)
+    # In a thread of its own, after the fact: a disk that hangs must not delay a stop. And whoever has no key
+    # does not fill the disk with stops of what stands still.
+    if run is not None or caller is not NOBODY:
+        _later(service, "stop", caller=caller.name, cell=cell.id, identification=identification)
     return StopAnswer(
-        cell=found.id, stopping=run is not None, identification=identification, simulated=found.simulated
+        cell=cell.id,
+        stopping=run is not None,
+        moved=run is not None and run.record.state is State.RUNNING,
+        identification=identification,
+        simulated=cell.simulated,
     )
 
 

@@ -94,10 +94,19 @@ class StopAnswer(BaseModel):
 
     cell: str
     stopping: bool
-    """false: nothing was going on."""
+    """false: nothing was going on, or the run has ended: asked until then, a stop is confirmed by it."""
+    moved: bool
+    """The run had its drives enabled."""
     identification: str | None
     simulated: bool
     note: str = "this stops motion through the drives' protocol; it is not a safety function"
+
+
+class StopAnswers(BaseModel):
+    """What the stop of all cells met in each."""
+
+    cells: list[StopAnswer]
+    simulated: bool
 
 
 class ModelEntry(BaseModel):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from datetime import datetime
+from datetime import UTC, datetime
 from typing import Any, Literal
 
 from invid_service.events import EventLog
@@ -28,6 +28,12 @@ class Progress:
     cause: str | None = None
     """What the analysis weighs."""
 
+    @classmethod
+    def of(cls, record: RunRecord) -> Progress:
+        """Of a run in which nothing goes on any more."""
+        done = record.state in (State.SUCCEEDED, State.AWAITING_ACCEPT)
+        return cls(1.0 if done else record.facts.get("progress", 0.0), str(record.state))
+
     def to_json(self) -> dict[str, Any]:
         """As in the contract."""
         return {
@@ -49,8 +55,13 @@ class LiveRun:
 
     def __init__(self, record: RunRecord, stored: Iterable[StoredEvent] = ()) -> None:
         self.record = record
-        self.progress = Progress(phase=str(record.state))
-        self.events = EventLog(stored)
+        self.progress = Progress.of(record)
+        events = list(stored)
+        self.events = EventLog(events)
+        self.since = record.ended or (
+            datetime.fromtimestamp(events[-1].id / 1e3, UTC) if events else record.created
+        )
+        """When it came into its state; the ids of events are a clock."""
         self.worker: Worker | None = None
         self.wish: Wish | None = None
         self.motion_ended = asyncio.Event()
@@ -96,6 +107,7 @@ class LiveRun:
             **self.progress.to_json(),
             **{k: self.record.facts[k] for k in ("error", "decision", "summary") if k in self.record.facts},
         }
+        self.since = now
         event = self.events.append("state", data)
         self._wake()
         if state in ENDED:

@@ -20,7 +20,7 @@ from invid_service.jobs.launcher import Launcher
 from invid_service.jobs.live import LiveRun, Progress, WrongStateError
 from invid_service.jobs.protocol import ErrorInfo, Job
 from invid_service.jobs.results import Results
-from invid_service.jobs.states import OCCUPYING, State
+from invid_service.jobs.states import OCCUPYING, UPLOAD, State
 from invid_service.jobs.stops import without_trace
 from invid_service.store.store import RunRecord, Store, StoredEvent
 
@@ -56,6 +56,7 @@ class JobManager:
         self._store, self._results, self._launch = store, results, launcher
         self._limits, self._clock = limits, clock
         self._live: dict[str, LiveRun] = {}
+        self._latest: dict[str, LiveRun] = {}
         self._tasks: set[asyncio.Task[None]] = set()
         self._uploads = asyncio.Semaphore(parallel_uploads)
         self.on_end: Callable[[LiveRun], None] = lambda run: None
@@ -72,11 +73,22 @@ class JobManager:
                 return run
         return None
 
+    def latest(self, cell: str) -> LiveRun | None:
+        """The last measurement of a cell that was started, in progress or ended; the store is not asked."""
+        return self._latest.get(cell)
+
+    def remember(self, record: RunRecord) -> None:
+        """Take up what was the last measurement of its cell before a restart, or until it ended."""
+        if record.cell is not None and record.mode != UPLOAD:
+            self._latest[record.cell] = LiveRun(record)
+
     def restore(self, record: RunRecord, stored: list[StoredEvent]) -> None:
         """Take up a result that awaits accept since before a restart."""
         run = LiveRun(record, stored)
-        run.progress = Progress(1.0, str(record.state))
         self._live[record.id] = run
+        latest = self._latest.get(record.cell or "")
+        if latest is not None and latest.record.id == record.id:
+            self._latest[record.cell or ""] = run
 
     # --- taking jobs ---------------------------------------------------------------------------
     def reserve(self, record: RunRecord) -> LiveRun:
@@ -91,6 +103,8 @@ class JobManager:
 
     def start(self, run: LiveRun, job: Job) -> None:
         """Run the job in the background."""
+        if run.record.cell is not None and run.record.mode != UPLOAD:
+            self._latest[run.record.cell] = run
         self._spawn(self._run(run, job))
 
     def _spawn(self, work: Any) -> None:
@@ -153,6 +167,8 @@ class JobManager:
     def _retire(self, run: LiveRun) -> None:
         """Forget an ended run; the store has it."""
         if run.ended and self._live.pop(run.record.id, None) is not None:
+            if self._latest.get(run.record.cell or "") is run:
+                self.remember(run.record)  # without its events
             self.on_end(run)
 
     def _end_early(self, run: LiveRun, wish: Any) -> None:

@@ -210,6 +210,7 @@ async def events(
     last_event_id: Annotated[
         str | None, Header(alias="Last-Event-ID", max_length=20, pattern=r"^\d*$")
     ] = None,
+    follow: Annotated[bool, Query(description="false: what there is, then the end")] = True,
 ) -> StreamingResponse:
     """Server-sent events ``state``, ``plan``, ``progress``, ``response``; ends when the run has ended.
 
@@ -225,6 +226,10 @@ async def events(
 
     async def stream() -> AsyncIterator[bytes]:
         yield b"retry: 1000\n\n"
+        if not follow:
+            for known in log.behind(after):
+                yield sse(known)
+            return
         async for event in log.follow(after, service.settings.keep_alive_s):
             yield sse(event)
 

@@ -146,8 +146,7 @@ def view(record: RunRecord, live: LiveRun | None, *, trace: bool = True) -> Iden
     if live is not None:
         record, progress = live.record, live.progress
     else:
-        done = record.state in (State.SUCCEEDED, State.AWAITING_ACCEPT)
-        progress = Progress(1.0 if done else record.facts.get("progress", 0.0), str(record.state))
+        progress = Progress.of(record)
     base = address("identifications", record.id)
     stopped = record.facts.get("stopped")
     if stopped is not None and not trace:

@@ -46,7 +46,6 @@ def test_with_keys_configured_loopback_is_asked_for_one_too(tmp_path: Path) -> N
         for headers in ({}, {"X-Forwarded-For": "127.0.0.1"}, {"X-Forwarded-For": "10.0.0.7"}):
             assert kind(client.get(CELLS, headers=headers)) == "key-missing"
             assert kind(client.post(START, json={"mode": "full"}, headers=headers)) == "key-missing"
-            assert kind(client.post(STOP, headers=headers)) == "key-missing"
         assert director.workers == []
         assert client.get(CELLS, headers=bearer(key)).status_code == 200
 

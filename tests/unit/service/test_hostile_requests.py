@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import time
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -91,11 +92,22 @@ def test_wrong_expired_and_misplaced_keys_are_refused(tmp_path: Path, keys: dict
                 assert kind(client.get(path, params={"key": keys["read"]})) == "key-missing"
 
 
-def test_any_valid_key_may_stop_but_nobody_without_one(tmp_path: Path, keys: dict[str, str]) -> None:
+def test_a_stop_asks_for_no_key_and_a_web_site_of_others_cannot_ask_for_it(
+    tmp_path: Path, keys: dict[str, str]
+) -> None:
     with running(tmp_path, host="0.0.0.0", key_file=tmp_path / "keys.json") as (client, _):
-        stop = "/api/v1/cells/cell/stop"
-        assert client.post(stop, headers=bearer(keys["read"])).status_code == 200
-        assert kind(client.post(stop)) == "key-missing"
+        for stop in ("/api/v1/cells/cell/stop", "/api/v1/stop"):
+            for headers in ({}, bearer(keys["read"]), bearer(keys["old"]), bearer("invid_x_y")):
+                assert client.post(stop, headers=headers).status_code == 200
+            foreign = client.post(stop, headers={"Origin": "https://evil.example"})
+            assert kind(foreign) == "foreign-origin"
+        assert kind(client.get("/api/v1/state")) == "key-missing"
+        audit = client.app.state.service.audit  # type: ignore[attr-defined]
+        deadline = time.monotonic() + 5
+        while len(lines := audit.tail(100)) < 2 and time.monotonic() < deadline:
+            time.sleep(0.01)
+        # Whoever has no key fills no disk with stops of what stands still.
+        assert {line["caller"] for line in lines} == {"read"}
 
 
 def test_a_web_site_in_the_technicians_browser_cannot_move_the_robot(tmp_path: Path) -> None:

@@ -30,6 +30,8 @@ CONTRACT = {
     ("get", "/api/v1/identifications/{identification}/report"),
     ("post", "/api/v1/identifications/{identification}/actions"),
     ("post", "/api/v1/cells/{cell}/stop"),
+    ("post", "/api/v1/stop"),
+    ("get", "/api/v1/state"),
     ("post", "/api/v1/recordings"),
     ("get", "/api/v1/cells/{cell}/model"),
     ("get", "/api/v1/cells/{cell}/models"),
@@ -71,8 +73,10 @@ def test_every_call_says_which_problems_it_may_answer_with(tmp_path: Path) -> No
 
 
 def test_stop_says_that_it_is_no_safety_function(tmp_path: Path) -> None:
-    stop = document(tmp_path)["paths"]["/api/v1/cells/{cell}/stop"]["post"]
-    assert "not a safety function" in stop["description"]
+    paths = document(tmp_path)["paths"]
+    for path in ("/api/v1/cells/{cell}/stop", "/api/v1/stop"):
+        said = " ".join(paths[path]["post"]["description"].replace("*", "").split())
+        assert "not a safety function" in said
 
 
 def test_problem_types_are_stable() -> None:

@@ -35,7 +35,7 @@ export function historyChart(name, series) {
   const one = there.length === 1;
   const picture = frame(alt, s, one ? [[(BOX.left + BOX.right) / 2, first, "middle"]] : [[BOX.left, first, "start"], [BOX.right, when(last.created), "end"]]);
   if (band.length > 1) {
-    picture.append(el("polygon", { class: "band", points: path([...band.map((p) => [s.x(at(p)), s.y(p.value + 2 * p.std)]), ...band.toReversed().map((p) => [s.x(at(p)), s.y(p.value - 2 * p.std)])]) }));
+    picture.append(el("polygon", { class: "band", points: path([...band.map((p) => [s.x(at(p)), s.y(p.value + 2 * p.std)]), ...[...band].reverse().map((p) => [s.x(at(p)), s.y(p.value - 2 * p.std)])]) }));
   }
   // Where a cause was not there the line is broken.
   let piece = [];

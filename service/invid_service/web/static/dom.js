@@ -52,6 +52,7 @@ export function estimate(value, std) {
 const LOCALE = navigator.languages.find((l) => l.startsWith(LANGUAGE)) ?? LANGUAGE;
 export const time = (text) => (text ? new Date(text).toLocaleString(LOCALE, { dateStyle: "medium", timeStyle: "medium" }) : "");
 export const when = (text) => (text ? new Date(text).toLocaleString(LOCALE, { dateStyle: "medium", timeStyle: "short" }) : "");
+export const clock = (at) => new Date(at).toLocaleTimeString(LOCALE, { timeStyle: "medium" });
 export const seconds = (n) => (n < 100 ? t("time.seconds", { n: Math.ceil(n) })
   : t("time.minutes", { m: Math.floor(Math.ceil(n) / 60), s: Math.ceil(n) % 60 }));
 export const sentence = (text) => text.charAt(0).toUpperCase() + text.slice(1);

@@ -1,5 +1,6 @@
 // A cell's past: accepted models, measurements, every number and cause over time.
 import { get, post } from "./api.js";
+import { ask } from "./ask.js";
 import { historyChart } from "./charts.js";
 import { changesLine, headline, place, sizesOf } from "./findings.js";
 import { numbersOf } from "./result.js";
@@ -9,7 +10,11 @@ import { english, named, t } from "./texts.js";
 export async function showHistory(cell, guarded, open) {
   const { history } = await get(`/cells/${cell.id}/models`);
   const changes = $("history-changes");
-  const restore = (m) => guarded(async () => { await post(`/cells/${cell.id}/models/${m.id}/restore`); await showHistory(cell, guarded, open); });
+  const restore = (m) => guarded(async () => {
+    if (!await ask(changes, { title: t("history.restore.title", { time: time(m.accepted) }), text: t("history.restore.what"), yes: t("history.restore") })) return;
+    await post(`/cells/${cell.id}/models/${m.id}/restore`);
+    await showHistory(cell, guarded, open);
+  });
   const compare = (m) => guarded(async () => {
     // As the result does: either side is the mean of the accepted runs that agree with it.
     const answer = await get(`/cells/${cell.id}/changes?from=${m.id}&to=${history[0].id}&averaged=true`);

@@ -19,7 +19,7 @@ export function showPlan(run, cell) {
   // What the page says in its own words above is not said again.
   const said = (plan.warnings ?? []).filter((w) => w !== plan.purpose && !(plan.amplitude === "gentler" && w.startsWith("gentler:")));
   fill($("plan-warnings"), said.map((w) => el("li", { lang: "en" }, w)));
-  $("plan-notes").hidden = !said.length;
+  $("plan-notes").hidden = !said.length; // unfolded: what is said before arming is read before arming
   $("plan-notes-title").textContent = t("plan.notes", { n: said.length });
   $("plan-basis").hidden = !(plan.forecast ?? []).some((f) => f.basis === "limits");
   $("support").hidden = !plan.support || run.state !== "awaiting_arm";

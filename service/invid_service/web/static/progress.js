@@ -1,27 +1,23 @@
 // How far a run is: what is done or weighed now, what is left, and that it still looks.
 import { $, fmt, seconds } from "./dom.js";
+import { age, blind } from "./store.js";
 import { named, phase, t } from "./texts.js";
 
-const QUIET_S = 5;
-const seen = { run: null, text: "", since: 0, heard: 0, eta: null, state: "" };
+const LOOKING_S = 5;
+const seen = { key: "", since: 0 };
+// No more exact than it is known.
+const coarse = (s) => (s < 20 ? s : Math.ceil(s / (s < 100 ? 5 : 30)) * (s < 100 ? 5 : 30));
 
-export function showProgress(run) {
-  $("bar").value = run.progress;
-  const now = Date.now();
-  if (seen.run !== run.id || seen.state !== run.state) Object.assign(seen, { run: run.id, state: run.state, text: "", since: now });
-  const weighed = run.cause && t(run.axis ? "progress.weighing_on" : "progress.weighing", { cause: named("cause", run.cause), axis: run.axis });
-  const parts = weighed ? [weighed] : [phase(run.phase), run.axis && !run.phase.includes(run.axis) && t("progress.axis", { axis: run.axis }), run.frequency && `${fmt(run.frequency, 3)} Hz`];
-  Object.assign(seen, { heard: now, eta: run.eta_s, text: t("progress.percent", { n: Math.round(run.progress * 100), what: parts.filter(Boolean).join(", ") }) });
-  write();
-}
-
-// Between two events the clock goes on, so that nobody takes a long look for a hang.
-function write() {
-  const now = Date.now(), silent = (now - seen.heard) / 1000, parts = [seen.text];
-  const left = seen.eta == null ? null : seen.eta - silent;
-  if (left > 0.5) parts.push(t("progress.left", { time: seconds(left) }));
-  else if (seen.state === "analysing" && (now - seen.since) / 1000 > QUIET_S) parts.push(t("progress.looking", { time: seconds((now - seen.since) / 1000) }));
+export function showProgress(c) {
+  const key = `${c.run} ${c.run_state}`, now = Date.now();
+  if (seen.key !== key) Object.assign(seen, { key, since: now });
+  $("bar").value = c.progress;
+  const what = c.cause ? [t(c.axis ? "progress.weighing_on" : "progress.weighing", { cause: named("cause", c.cause), axis: c.axis })]
+    : [phase(c.phase), c.axis && !c.phase.includes(c.axis) && t("progress.axis", { axis: c.axis }), c.frequency && `${fmt(c.frequency, 3)} Hz`];
+  const parts = [t("progress.percent", { n: Math.round(c.progress * 100), what: what.filter(Boolean).join(", ") })];
+  const [of, known] = c.eta_s != null ? ["progress.left", c.eta_s] : ["progress.motion_left", c.motion_left_s], left = known == null || blind() ? 0 : known - age();
+  if (left > 0.5) parts.push(t(of, { time: seconds(coarse(left)) }));
+  else if (!blind() && c.run_state === "analysing" && now - seen.since > 1000 * LOOKING_S) parts.push(t("progress.looking", { time: seconds((now - seen.since) / 1000) }));
   const text = parts.join(", ");
   if ($("phase").textContent !== text) $("phase").textContent = text;
 }
-setInterval(() => { if (!$("progress").hidden) write(); }, 1000);

@@ -1,4 +1,5 @@
 // What the service says with a code: in the page's language where the catalogue has it, else as it is, in English.
+import { Problem } from "./api.js";
 import { el, sentence } from "./dom.js";
 import { and, english, has, t } from "./texts.js";
 
@@ -11,9 +12,14 @@ export function reasonItem(r, key = `reason.${r.code}`) {
   return el("li", { lang: known ? null : "en" }, [el("b", {}, text), t("ready.todo", { fix })]);
 }
 
-// A request that was refused.
+// A request that was refused, or one that got no answer, in a word.
+const keyOf = (problem) => `problem.${(problem.document.type ?? "").split(":").at(-1)}`;
+export function whyNot(error) {
+  if (!(error instanceof Problem)) return t("page.silent");
+  return has(keyOf(error)) ? t(keyOf(error)) : error.message;
+}
 export function refused(problem) {
-  const kind = (problem.document.type ?? "").split(":").at(-1), key = `problem.${kind}`;
+  const key = keyOf(problem);
   if (!ours(key)) return [problem.message];
   const reasons = (problem.document.reasons ?? []).filter((r) => ours(`reason.${r.code}`));
   if (reasons.length) return [`${t(key)}: ${reasons.map((r) => `${t(`reason.${r.code}`, r.values)} ${t("ready.todo", { fix: t(`reason.${r.code}.fix`, r.values) })}`).join(" ")}`];

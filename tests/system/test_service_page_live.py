@@ -1,0 +1,214 @@
+"""The page when something happens that it did not do itself: stops, restarts, silence, runs of others."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from page_browser import Page, browser, needs_browser
+from service_process import SMALL_CELL, Serving, serving
+
+from invid_service.keys import add_key, revoke_key
+
+pytestmark = [pytest.mark.browser, pytest.mark.xdist_group("service"), needs_browser]
+LONG = SMALL_CELL.replace("periods: 3}", "periods: 120}")
+
+
+@contextmanager
+def looking(folder: Path, service: Serving, width: int = 800, height: int = 1280) -> Iterator[Page]:
+    with browser(folder / "profile") as driver:
+        page = Page(driver)
+        page.resize(width, height)
+        driver.get(service.url + "/")
+        yield page
+
+
+def picture(page: Page, folder: Path, name: str) -> None:
+    """Kept where INVID_PICTURES says, to be looked at."""
+    kept = Path(os.environ.get("INVID_PICTURES", folder))
+    page.driver.save_screenshot(str(kept / f"{name}.png"))
+
+
+def start(service: Serving, cell: str, **body: Any) -> str:
+    given = {"mode": "full", "arm": True, **body}
+    answer = service.client.post(f"/api/v1/cells/{cell}/identifications", json=given)
+    assert answer.status_code == 202, answer.text
+    return str(answer.headers["Location"])
+
+
+def view(page: Page, name: str) -> None:
+    page.driver.find_element("css selector", f"[data-view={name}]").click()
+
+
+def test_stop_in_the_overview_stops_the_cell_that_moves_and_says_which(tmp_path: Path) -> None:
+    other = tmp_path / "other.yaml"
+    other.write_text(LONG.replace("small cell", "robot 02").replace("channel: small", "channel: two"))
+    with serving(tmp_path, str(other), cell=LONG) as service, looking(tmp_path, service) as page:
+        page.wait_text("stop", "small cell")
+        location = start(service, "other")
+        page.wait_text("moving", "robot 02")
+        # The button stops what stands on it, and says so; the other one is named.
+        page.shown("stop").click()
+        page.wait_text("stop-note", "small cell: nothing was moving")
+        assert "robot 02: Measuring" in page.text("moving")
+        view(page, "overview")
+        page.wait_text("counts", "1 moving")
+        assert "1 ready" in page.text("counts")
+        cards = [
+            c.get_attribute("data-cell") for c in page.driver.find_elements("css selector", "#cells article")
+        ]
+        assert cards == ["other", "small"], "worst first"
+        assert "all cells" in page.text("stop")
+        assert page.small_targets() == []
+        assert page.barriers() == []
+        picture(page, tmp_path, "overview-moving")
+        page.shown("stop").click()
+        service.wait(location, "stopped", timeout=10)
+        page.wait_text("stop-note", "robot 02: stopped")
+        page.wait_text("counts", "1 to look at")
+        card = page.driver.find_element("css selector", "[data-cell=other]")
+        assert "Stopped" in card.text, "not green after a stop"
+        picture(page, tmp_path, "overview-stopped")
+        # One button a card.
+        location = start(service, "other")
+        page.wait_text("counts", "1 moving")
+        card.find_element("css selector", "button.stop").click()
+        service.wait(location, "stopped", timeout=10)
+        assert page.mistakes() == []
+
+
+def test_a_stop_works_with_a_revoked_key_and_nothing_covers_it(tmp_path: Path) -> None:
+    keys = tmp_path / "keys.json"
+    mine, plc = add_key(keys, "tablet", ["read", "run", "accept"]), add_key(keys, "plc", ["read", "run"])
+    with serving(tmp_path, "--key-file", str(keys), cell=LONG) as service, looking(tmp_path, service) as page:
+        service.client.headers["Authorization"] = f"Bearer {plc}"
+        page.wait_text("notices", "asks for a key")
+        page.driver.find_element("css selector", "form.ask input").send_keys(mine)
+        page.driver.find_element("css selector", "form.ask button").click()
+        page.wait_text("ready-title", "Ready")
+        location = start(service, "small")
+        page.wait_text("run-title", "Measuring")
+        revoke_key(keys, "tablet")
+        page.wait_text("notices", "The key is not valid")
+        page.wait_text("offline", "nothing is known")
+        for width, height in ((800, 1280), (1280, 800), (390, 700)):
+            page.resize(width, height)
+            assert not page.stop_covered(), width
+        page.resize(800, 1280)
+        assert page.barriers() == []
+        picture(page, tmp_path, "key-revoked")
+        page.shown("stop").click()
+        service.wait(location, "stopped", timeout=10)
+        page.wait_text("stop-note", "small cell: stopped")
+
+
+def test_a_stop_that_could_not_be_sent_is_sent_when_the_service_is_back(tmp_path: Path) -> None:
+    with serving(tmp_path, cell=LONG) as service, looking(tmp_path, service) as page:
+        location = start(service, "small")
+        page.wait_text("run-title", "Measuring")
+        offline = {"offline": True, "latency": 0, "downloadThroughput": -1, "uploadThroughput": -1}
+        page.driver.execute_cdp_cmd("Network.enable", {})
+        page.driver.execute_cdp_cmd("Network.emulateNetworkConditions", offline)
+        page.shown("stop").click()
+        page.wait_text("stop-note", "STOP NOT CONFIRMED")
+        assert "USE THE EMERGENCY STOP" in page.text("stop-note")
+        page.wait_text("offline", "nothing is known of any cell")
+        assert service.client.get(location).json()["state"] == "running"
+        picture(page, tmp_path, "stop-offline")
+        page.driver.execute_cdp_cmd("Network.emulateNetworkConditions", {**offline, "offline": False})
+        service.wait(location, "stopped", timeout=10)
+        page.wait_text("stop-note", "small cell: stopped")
+        assert "NOT CONFIRMED" not in page.text("stop-note")
+        page.wait_text("run-title", "Stopped")
+        assert not page.driver.find_element("id", "offline").is_displayed()
+        picture(page, tmp_path, "stop-confirmed")
+
+
+def test_a_service_that_is_silent_is_said_after_five_seconds_and_the_time_left_stops(tmp_path: Path) -> None:
+    with serving(tmp_path, cell=LONG) as service, looking(tmp_path, service) as page:
+        start(service, "small")
+        page.wait_text("phase", "left")
+        os.kill(service.process.pid, signal.SIGSTOP)
+        try:
+            began = time.monotonic()
+            page.wait_text("offline", "nothing is known of any cell")
+            assert 4 < time.monotonic() - began < 8
+            page.wait_text("run-title", "Not known. At ")
+            frozen = page.text("phase")
+            assert "left" not in frozen
+            assert not page.driver.find_element("id", "cancel").is_enabled()
+            page.shown("stop").click()
+            page.wait_text("stop-note", "STOP NOT CONFIRMED")
+            assert page.text("phase") == frozen
+            assert page.barriers() == []
+            picture(page, tmp_path, "silent")
+        finally:
+            os.kill(service.process.pid, signal.SIGCONT)
+        page.wait_text("stop-note", "small cell: stopped")
+        page.wait_text("run-title", "Stopped")
+
+
+def test_after_a_restart_in_mid_run_the_page_says_interrupted(tmp_path: Path) -> None:
+    with serving(tmp_path, cell=LONG) as service, looking(tmp_path, service) as page:
+        start(service, "small")
+        page.wait_text("run-title", "Measuring")
+        port = service.url.rsplit(":", 1)[1]
+        service.kill()
+        began = time.monotonic()
+        with serving(tmp_path, "--port", port, cell=LONG) as second:
+            up = time.monotonic()
+            page.wait_text("run-title", "Interrupted by a restart", 3.0)
+            assert not page.driver.find_element("id", "progress").is_displayed()
+            assert second.url == service.url
+            picture(page, tmp_path, "restarted")
+            page.press(page.shown("retry"))
+            page.wait_text("ready-title", "Ready")
+        assert up - began < 60
+
+
+def test_a_run_that_another_one_starts_shows_at_once_over_an_old_result_and_the_history(
+    tmp_path: Path,
+) -> None:
+    with serving(tmp_path) as service, looking(tmp_path, service) as page:
+        service.run_to_result()
+        page.shown("accept", 20)
+        page.shown("where")
+        location = service.start(arm=False)
+        page.shown("run-title", 5.0)
+        assert not page.driver.find_element("id", "accept").is_displayed()
+        page.wait_text("run-title", "Ready to move")
+        assert not page.driver.find_element("id", "plan-warnings").find_elements(
+            "xpath", "ancestor::details[not(@open)]"
+        )
+        service.client.post(f"{location}/actions", json={"type": "arm"})
+        view(page, "history")
+        page.wait_text("moving", "small cell: Measuring", 5.0)
+        picture(page, tmp_path, "others-run")
+        service.wait(location, "awaiting_accept")
+        view(page, "work")
+        page.press(page.shown("accept"))
+        page.wait_text("decision", "accepted")
+        # A model is taken into force again only when that was meant.
+        service.run_to_result()
+        page.press(page.shown("accept"))
+        page.wait_text("decision", "accepted")
+        page.driver.execute_script("window.scrollTo(0, 0)")
+        view(page, "history")
+        page.wait_text("accepted", "Restore")
+        page.driver.find_elements("css selector", "#accepted .actions button")[1].click()
+        question = page.driver.find_element("css selector", "form.ask")
+        assert "into force again?" in question.text
+        assert len(service.client.get("/api/v1/cells/small/models").json()["history"]) == 2
+        picture(page, tmp_path, "restore")
+        question.find_element("css selector", "button[type=submit]").click()
+        deadline = time.monotonic() + 10
+        while len(service.client.get("/api/v1/cells/small/models").json()["history"]) < 3:
+            assert time.monotonic() < deadline
+            time.sleep(0.1)
+        assert page.mistakes() == []

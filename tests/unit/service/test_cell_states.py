@@ -1,0 +1,124 @@
+"""The state of every cell in one answer, and the stop of all: from memory, whatever store and drives do."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from service_doubles import CELL, Director, running, wait_for
+
+STATE, STOP = "/api/v1/state", "/api/v1/stop"
+
+
+def start(client: Any, cell: str = "cell", **body: Any) -> str:
+    answer = client.post(f"/api/v1/cells/{cell}/identifications", json={"mode": "full", "arm": True, **body})
+    return str(answer.headers["Location"])
+
+
+def of(client: Any, cell: str = "cell") -> dict[str, Any]:
+    return next(c for c in client.get(STATE).json()["cells"] if c["cell"] == cell)
+
+
+def two_cells(folder: Path) -> list[Path]:
+    paths = [folder / "one.yaml", folder / "two.yaml"]
+    for path in paths:
+        text = CELL.replace("channel: test", f"channel: {path.stem}")
+        path.write_text(text.replace("test robot", f"robot {path.stem}"))
+    return paths
+
+
+def test_a_cell_is_told_from_ready_through_motion_to_its_end_with_when(tmp_path: Path) -> None:
+    director = Director()
+    director.go.clear()
+    director.summary = {"grade": "watch"}
+    with running(tmp_path, director) as (client, _):
+        idle = of(client)
+        assert (idle["state"], idle["run"], idle["moves"]) == ("ready", None, False)
+        location = start(client)
+        run = wait_for(client, location, "running")
+        moving = of(client)
+        assert (moving["state"], moving["run"], moving["moves"]) == ("running", run["id"], True)
+        assert moving["since"] == run["started"]
+        assert len(client.get(STATE).content) < 1000
+        client.portal.call(director.go.set)
+        wait_for(client, location, "awaiting_accept")
+        waiting = of(client)
+        assert (waiting["state"], waiting["grade"], waiting["moves"]) == ("awaiting_accept", "watch", False)
+        client.post(f"{location}/actions", json={"type": "accept"})
+        done = of(client)
+        assert (done["state"], done["run_state"], done["run"]) == ("ready", "succeeded", run["id"])
+
+
+def test_what_was_known_of_the_last_run_is_known_after_a_restart(tmp_path: Path) -> None:
+    with running(tmp_path) as (client, _):
+        location = start(client)
+        wait_for(client, location, "awaiting_accept")
+        before = of(client)
+    with running(tmp_path) as (client, _):
+        after = of(client)
+        assert (after["run"], after["state"]) == (before["run"], "awaiting_accept")
+        assert after["since"][:19] == before["since"][:19]
+    director = Director()
+    director.go.clear()
+    with running(tmp_path, director) as (client, _):
+        location = start(client)
+        wait_for(client, location, "running")
+    with running(tmp_path) as (client, _):
+        after = of(client)
+        assert (after["run_state"], after["moves"]) == ("interrupted", False)
+        assert after["run"] == location.rsplit("/", 1)[1]
+
+
+def test_the_same_state_is_sent_once(tmp_path: Path) -> None:
+    with running(tmp_path) as (client, _):
+        first = client.get(STATE)
+        again = client.get(STATE, headers={"If-None-Match": first.headers["ETag"]})
+        assert (again.status_code, again.content) == (304, b"")
+        wait_for(client, start(client), "awaiting_accept")
+        assert client.get(STATE, headers={"If-None-Match": first.headers["ETag"]}).status_code == 200
+
+
+def test_a_store_that_hangs_keeps_no_state_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    director = Director()
+    director.go.clear()
+    with running(tmp_path, director) as (client, _):
+        wait_for(client, start(client), "running")
+        store = client.app.state.service.store  # type: ignore[attr-defined]
+        for name in ("run", "runs", "approvals", "model"):
+            monkeypatch.setattr(store, name, lambda *_, **__: time.sleep(3.0))
+        began = time.monotonic()
+        assert of(client)["moves"]
+        assert time.monotonic() - began < 1.0
+
+
+def test_a_stop_of_all_says_for_each_cell_whether_something_moved_until_nothing_does(tmp_path: Path) -> None:
+    director = Director()
+    director.go.clear()
+    with running(tmp_path, director, cells=two_cells(tmp_path)) as (client, _):
+        location = start(client, "two")
+        wait_for(client, location, "running")
+        first = {a["cell"]: a for a in client.post(STOP).json()["cells"]}
+        assert (first["one"]["stopping"], first["one"]["moved"]) == (False, False)
+        assert (first["two"]["stopping"], first["two"]["moved"]) == (True, True)
+        assert first["two"]["identification"] == location.rsplit("/", 1)[1]
+        assert "not a safety function" in first["two"]["note"]
+        deadline = time.monotonic() + 10
+        while any(a["stopping"] for a in client.post(STOP).json()["cells"]):
+            assert time.monotonic() < deadline
+        assert client.get(location).json()["state"] == "stopped"
+        assert of(client, "two")["moves"] is False
+
+
+def test_events_are_told_without_a_line_that_stays_open(tmp_path: Path) -> None:
+    director = Director()
+    director.go.clear()
+    with running(tmp_path, director) as (client, _):
+        location = start(client)
+        wait_for(client, location, "running")
+        text = client.get(f"{location}/events?follow=false").text
+        assert '"state":"running"' in text
+        last = [line for line in text.splitlines() if line.startswith("id: ")][-1].removeprefix("id: ")
+        rest = client.get(f"{location}/events?follow=false", headers={"Last-Event-ID": last}).text
+        assert '"state":"running"' not in rest
