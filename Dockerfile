@@ -1,4 +1,4 @@
-# The service in a container. Built in two stages: the first installs what requirements-runtime.lock pins, the
+# The service in a container. Built in two stages: the first installs what requirements.lock pins, the
 # second has Python, the packages and nothing else. Nothing is fetched when it runs.
 #
 #   docker build -t invid .
@@ -11,13 +11,12 @@
 
 FROM python:3.11-slim-bookworm AS build
 WORKDIR /src
-COPY requirements-runtime.lock pyproject.toml README.md LICENSE ./
-RUN python -m venv /opt/invid
-RUN /opt/invid/bin/python -m pip install --no-cache-dir --disable-pip-version-check -r requirements-runtime.lock
+COPY requirements.lock pyproject.toml README.md LICENSE ./
 COPY invid ./invid
 COPY drivers ./drivers
 COPY service ./service
-RUN /opt/invid/bin/python -m pip install --no-cache-dir --disable-pip-version-check --no-deps .
+RUN python -m venv /opt/invid
+RUN /opt/invid/bin/python -m pip install --no-cache-dir --disable-pip-version-check -c requirements.lock ".[postgres,parquet,slcan,gs-usb]"
 RUN /opt/invid/bin/invid --version
 
 FROM python:3.11-slim-bookworm

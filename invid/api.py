@@ -7,7 +7,6 @@ be pickled. Errors are ``invid.InvidError`` and its kinds; an argument of the wr
 
 from __future__ import annotations
 
-import time
 import warnings
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
@@ -130,8 +129,9 @@ def identify(  # noqa: PLR0913 - the contract: each is one option of the command
     profile, bootstrap, workers
         Profile-likelihood intervals; draws of a parametric bootstrap, on so many processes. Refined only.
     budget
-        Seconds after which the best answer so far is given, with a warning that says what was not looked at;
-        ``None``: as long as it takes, and the same data give the same answer.
+        Seconds of processor time, helper processes included (and at most twice as many that go by), after
+        which the best answer so far is given, with a warning that says what was not looked at; ``None``: as
+        long as it takes, and the same data give the same answer.
     progress
         Called with an ``invid.Progress`` (``stage``, ``axis``, ``cause``, ``fraction``, ``seconds_left``) as
         the work goes on.
@@ -357,12 +357,13 @@ def _limits(seconds: float | None, report: Callable[[Progress], None] | None) ->
     import numpy as np
 
     from invid.numerics.budget import Budget, use_budget
+    from invid.numerics.run_clock import RunClock
 
     if seconds is not None:
         arguments.a_number(seconds, "budget", "give a number of seconds above 0", above=0.0)
     arguments.a_function(report, "progress")
     end = None if seconds == float("inf") else seconds
-    own = None if end is None and report is None else Budget(end, time.monotonic, report)
+    own = None if end is None and report is None else Budget(end, RunClock(), report)
     with use_budget(own), np.errstate(all="ignore"):
         yield
 

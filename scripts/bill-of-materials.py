@@ -1,9 +1,10 @@
-"""Bill of materials (CycloneDX 1.5) and list of licences of what requirements-runtime.lock pins.
+"""Bill of materials (CycloneDX 1.5) and licences of what the product runs on, as requirements.lock pins it.
 
     python scripts/bill-of-materials.py [FOLDER]      (default: build; writes sbom.json and licences.md)
 
-Licences are what the installed packages say of themselves, so run it where the lock is installed. A package
-that is not installed here (another system's), or in another version, is listed without a licence and said.
+What it runs on, and the licences, are what the installed packages say of themselves: run it where the
+image's extras are installed. A package that is not installed here (another system's), or in another version,
+is listed without a licence and said.
 """
 
 from __future__ import annotations
@@ -16,8 +17,13 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
 ROOT = Path(__file__).parents[1]
-LOCK = ROOT / "requirements-runtime.lock"
+LOCK = ROOT / "requirements.lock"
+IMAGE = "invid[postgres,parquet,slcan,gs-usb]"
+"""What the Dockerfile installs."""
 _PIN = re.compile(r"^(?P<name>[A-Za-z0-9._-]+)==(?P<version>[^\s;]+)\s*(?:;\s*(?P<marker>.+))?$")
 
 
@@ -45,6 +51,30 @@ def packages(lock: str) -> list[Package]:
             Package(pin["name"], pin["version"], pin["marker"] or "", licence(pin["name"], pin["version"]))
         )
     return found
+
+
+def needed(wanted: str) -> set[str]:
+    """Return the canonical names of what ``wanted`` needs, at any depth, on whatever system."""
+    names: set[str] = set()
+    seen: set[tuple[str, str]] = set()
+    ahead = [Requirement(wanted)]
+    while ahead:
+        here = ahead.pop()
+        name = canonicalize_name(here.name)
+        names.add(name)
+        for extra in {"", *here.extras} - {e for n, e in seen if n == name}:
+            seen.add((name, extra))
+            try:
+                required = [Requirement(r) for r in metadata.requires(name) or []]
+            except metadata.PackageNotFoundError:
+                continue
+            ahead += [
+                r
+                for r in required
+                if ("extra" in str(r.marker) and r.marker is not None and r.marker.evaluate({"extra": extra}))
+                or (extra == "" and "extra" not in str(r.marker))
+            ]
+    return names
 
 
 def licence(name: str, version: str) -> str:
@@ -109,7 +139,8 @@ def main(arguments: list[str]) -> int:
     """Write both files; says what has no licence."""
     folder = Path(arguments[0] if arguments else "build")
     folder.mkdir(parents=True, exist_ok=True)
-    listed = packages(LOCK.read_text(encoding="utf-8"))
+    image = needed(IMAGE)
+    listed = [p for p in packages(LOCK.read_text(encoding="utf-8")) if canonicalize_name(p.name) in image]
     project = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
     version = re.search(r'^version = "(.+)"$', project, re.MULTILINE)
     document = bill_of_materials(listed, version[1] if version else "")

@@ -4,7 +4,7 @@ Reads the file itself, so that there is nothing to keep in step: COPY copies int
 runs with its paths put under that root, HEALTHCHECK and CMD are run at the end. What cannot be had
 without an engine (another user, another base system) is said and left out.
 
-    python scripts/run-dockerfile.py FOLDER      (downloads what requirements-runtime.lock pins)
+    python scripts/run-dockerfile.py FOLDER      (downloads what requirements.lock pins)
 """
 
 from __future__ import annotations

@@ -203,7 +203,7 @@ def _judge_record(
             complaints.append(f"the recording does not open: {error}")
         return 0, 0.0
     rows = sum(e.samples for e in recording.experiments)
-    wanted = None if victim == "parent" else Outcome.ABORTED if victim in QUICK_STOP_S else Outcome.FAILED
+    wanted = Outcome.ABORTED if victim in QUICK_STOP_S else Outcome.FAILED
     complete = rows >= ROWS
     if not ended and not complete and recording.outcome is not wanted:
         complaints.append(f"marked {recording.outcome}")

@@ -110,6 +110,9 @@ EXPECTED: dict[str, set[int]] = {
     "other sdo before": {0, 2, 4, 5},
     "other heartbeat before": {0, 2, 4, 5},
     "foreign heartbeat": {0, 2, 4, 5},
+    "torque only": {0, 2, 4, 5},
+    "slow enabling": {0, 2, 4},
+    "late mode": {0, 2, 4},
     **OLD,
     "corrupt": OLD["corrupt"] | {0},  # while the axes are only held, no drive follows what is corrupted
 }
@@ -249,6 +252,13 @@ def make_case(kind: str, rng: np.random.Generator) -> Case:
             case.faults = [{"kind": "torque_display", "axis": axis, "at_s": when, "value": value}]
         case "no servo":
             values["0x1000"] = int(rng.choice([0x000F0191, 0x00040192, 0x00000000]))
+        case "torque only":
+            values["0x6502"] = 1 << 9
+        case "slow enabling":
+            wrong["enable_s"] = float(rng.uniform(1.0, 2.0))
+        case "late mode":
+            wrong["mode_shown_enabled"] = bool(rng.random() < 0.7)
+            wrong["mode_from_switched_on"] = bool(rng.random() < 0.7)
         case "foreign heartbeat":
             case.simulation["foreign_heartbeat_s"] = 0.1
         case _:

@@ -24,8 +24,9 @@ import yaml
 from invid.config import CellConfig, parse_config
 from invid.errors import DriveError, SafetyStop
 from invid.planning.stopping_distance import FEEDBACK_FACTOR, SPEED_TOLERANCE, StoppingBudget, budgets_of
+from invid.sweep.bounds import AxisLimits, Bounds
 from invid.sweep.ports import Mode
-from invid.sweep.watch import AxisLimits, Watch
+from invid.sweep.watch import Watch
 from invid_drivers.cia402.bus import Cia402Cell
 from invid_drivers.cia402.manuals import YES
 from invid_drivers.cia402.vendors import VENDORS
@@ -158,8 +159,9 @@ class Run:
         master, clock = self.master, self.master.clock
         master.energise([Mode.TORQUE])
         limits = AxisLimits("A1", d.torque, FAR, d.speed, 2 * np.pi / COUNTS, d.torque, "rad", "N·m")
-        watch = Watch([limits], cycle_s=cycle, missed_tpdos=5, overrun_cycles=OVERRUN)
-        watch.start([self._motor[0]])
+        bounds = Bounds([limits], cycle_s=cycle, missed_tpdos=5, overrun_cycles=OVERRUN)
+        watch = Watch(bounds, cycle_s=cycle)
+        bounds.start([self._motor[0]])
         since, late = None, False
         while True:
             sample = master.exchange([FEEDBACK_FACTOR * d.planned - d.load + d.friction])

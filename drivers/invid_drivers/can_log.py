@@ -7,25 +7,27 @@ master sends (RPDO) acts from the next SYNC on and stands in that row, held unti
 from __future__ import annotations
 
 import math
-import re
 import struct
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import can
 import numpy as np
-from canopen.objectdictionary import import_od
 
 from invid.errors import InputError
 from invid.numerics.arrays import Float64
 from invid.recording.import_map import Pdo, Signal, Source
 from invid.recording.tables import BrokenRow, Table
-from invid_drivers.can_log_guess import Guess, guess_pdos
+from invid_drivers.can_log_guess import SMOOTH, Guess, guess_pdos, roughness
+from invid_drivers.can_log_lines import READ, Lines, is_text_log
+from invid_drivers.can_log_traffic import CLOSE, TWICE, Choice, Traffic, choose
+from invid_drivers.eds import load_dictionary
 
 MAX_FRAMES = 50_000_000
-MAX_BROKEN = 100_000
+ROUGH = 0.5
+"""Mean square of a step over the variance from which a signal leaps: twice what counts as smooth."""
 _TEXT = (".log", ".asc")
 _FORMATS = {
     "int8": ("b", 1), "uint8": ("B", 1), "int16": ("h", 2), "uint16": ("H", 2), "int32": ("i", 4),
@@ -56,7 +58,7 @@ def read_can_log(path: Path, source: Source, *, beside: Path | None = None) -> T
             f"{path}: a CAN log needs 'pdos' (or 'eds' and 'nodes') in the map's 'source': which identifier "
             f"carries which objects; the log has identifiers {_identifiers(path)}"
         )
-    layouts = {pdo.id: (pdo, _layout(pdo)) for pdo in pdos}
+    layouts = {pdo.id: (pdo, _layout(pdo, source.byte_order)) for pdo in pdos}
     names = [s.name for pdo in pdos for s in pdo.signals if s.type != "skip"]
     if len(set(names)) != len(names):
         raise InputError(f"{path}: signal names in 'pdos' must differ, found {names}")
@@ -69,150 +71,205 @@ def read_can_log(path: Path, source: Source, *, beside: Path | None = None) -> T
     return replace(table, notes={**table.notes, **said})
 
 
+@dataclass
+class _Cycles:
+    """Rows of a log as they grow: one a SYNC."""
+
+    names: list[str]
+    layouts: dict[int, tuple[Pdo, list[tuple[str, str, int]]]]
+    clock: int
+    file: str
+    broken: list[BrokenRow] = field(default_factory=list)
+    instants: list[float] = field(default_factory=list)
+    elapsed: list[float] = field(default_factory=list)
+    """Stamps of all frames so far, added up."""
+    numbers: list[int] = field(default_factory=list)
+    """Line of each SYNC; in a binary log the count of the frame."""
+    rows: list[Float64] = field(default_factory=list)
+
+    def read(self, path: Path, choice: Choice | None, *, once: float | None) -> Traffic:
+        """Fill the rows from the frames that ``choice`` takes (None: all) and return what was there.
+
+        ``once``: frames of one identifier with the same bytes nearer than this [s] are one.
+        """
+        traffic, total = Traffic(), 0.0
+        watched = {self.clock, *self.layouts}
+        column = {name: i for i, name in enumerate(self.names)}
+        held = np.full(len(self.names), math.nan)
+        row: Float64 | None = None
+        last: dict[int, tuple[float, bytes]] = {}
+        for number, frame in _frames(path, self.broken):
+            total += frame.timestamp
+            identifier = frame.arbitration_id
+            if identifier not in watched:
+                continue
+            traffic.add(frame)
+            if choice is not None and not choice.takes(frame):
+                continue
+            if once is not None:
+                before, data = last.get(identifier, (-math.inf, b""))
+                last[identifier] = frame.timestamp, bytes(frame.data)
+                if frame.timestamp - before < once and data == frame.data:
+                    continue
+            if identifier == self.clock:
+                row = held.copy()
+                self.instants.append(frame.timestamp)
+                self.elapsed.append(total)
+                self.numbers.append(number)
+                self.rows.append(row)
+            if identifier in self.layouts:
+                self._take(frame, number, held, row, column)
+        return traffic
+
+    def _take(
+        self, frame: Any, number: int, held: Float64, row: Float64 | None, column: dict[str, int]
+    ) -> None:
+        """Values of a PDO: what the master sends is held for the next row, a drive's are this row's."""
+        pdo, layout = self.layouts[frame.arbitration_id]
+        target = held if pdo.direction == "to_drive" else row
+        for name, code, offset in layout:
+            if offset + struct.calcsize(code) > len(frame.data):
+                reason = f"frame 0x{frame.arbitration_id:X} has {len(frame.data)} bytes only"
+                self.broken.append(BrokenRow(self.file, number, reason))
+                return
+            if target is not None:
+                target[column[name]] = float(struct.unpack_from(code, frame.data, offset)[0])
+
+
+def _read_cycles(path: Path, source: Source, cycles: _Cycles) -> _Cycles:
+    """Rows of the frames that the map means; a log that holds others of the same number is read twice."""
+    empty = _fresh(cycles)
+    traffic = cycles.read(path, None, once=None)
+    choice = choose(traffic, source, cycles.layouts, cycles.clock, path)
+    d = np.diff(cycles.instants)
+    mean = float(d.mean()) if d.size else 0.0
+    if choice.leaves_out(traffic):
+        cycles = empty
+        cycles.read(path, choice, once=None)
+    elif source.echo == "first":
+        cycles = empty
+        cycles.read(path, choice, once=CLOSE * mean)
+    elif d.size > 8 and _in_pairs(d, mean):
+        apart = 1e3 * float(np.median(np.sort(d)[: d.size // 2]))
+        raise InputError(
+            f"{path}: SYNC (0x{cycles.clock:X}) comes in pairs, {apart:.3g} ms apart: frames are logged "
+            f"twice, as "
+            "sent and as heard; say 'echo: first' in the map's 'source' to read the first of each pair"
+        )
+    return cycles
+
+
+def _in_pairs(apart: Float64, mean: float) -> bool:
+    """Whether about half of the distances are next to nothing and the others twice the mean."""
+    close = apart < CLOSE * mean
+    return bool(mean > 0 and close.mean() > TWICE and abs(np.median(apart[~close]) / mean - 2.0) < 0.5)
+
+
+def _fresh(cycles: _Cycles) -> _Cycles:
+    return _Cycles(cycles.names, cycles.layouts, cycles.clock, cycles.file)
+
+
 def _rows(
     path: Path, source: Source, layouts: dict[int, tuple[Pdo, list[tuple[str, str, int]]]], names: list[str]
 ) -> Table:
     clock = source.sync_id if source.sync_id is not None else next(iter(layouts))
-    column = {name: i for i, name in enumerate(names)}
-    held = np.full(len(names), math.nan)
-    row: Float64 | None = None
-    instants: list[float] = []
-    rows: list[Float64] = []
-    short: list[BrokenRow] = []
-    # Cut frames of a text log are found by line; of a binary log by the count of the frame.
-    numbers: list[int] = []
-    for number, frame in _frames(path, short):
-        identifier = frame.arbitration_id
-        if identifier == clock:
-            row = np.full(len(names), math.nan)
-            row[~np.isnan(held)] = held[~np.isnan(held)]
-            instants.append(frame.timestamp)
-            numbers.append(number)
-            rows.append(row)
-        if identifier not in layouts:
-            continue
-        pdo, layout = layouts[identifier]
-        for name, code, offset in layout:
-            if offset + struct.calcsize(code) > len(frame.data):
-                short.append(
-                    BrokenRow(path.name, number, f"frame 0x{identifier:X} has {len(frame.data)} bytes only")
-                )
-                break
-            value = float(struct.unpack_from("<" + code, frame.data, offset)[0])
-            if pdo.direction == "to_drive":
-                held[column[name]] = value
-            elif row is not None:
-                row[column[name]] = value
-    if len(instants) < 3:
+    cycles = _read_cycles(path, source, _Cycles(names, layouts, clock, path.name))
+    if len(cycles.instants) < 3:
         what = f"SYNC (0x{clock:X})" if source.sync_id is not None else f"frame 0x{clock:X}"
         raise InputError(
-            f"{path}: {what} comes {len(instants)} times in the log; the map's 'sync_id' may be wrong (the "
-            f"log has identifiers {_identifiers(path)}; null takes a sample at each frame of the first PDO)"
+            f"{path}: {what} comes {len(cycles.instants)} times in the log; the map's 'sync_id' may be wrong "
+            f"(the log has identifiers {_identifiers(path)}; null takes a sample at each frame of the first "
+            f"PDO)"
         )
-    data = np.array(rows)
+    data = np.array(cycles.rows)
     # The log starts and stops in the middle of things: cycles that no drive has answered yet are no fault.
     whole = np.flatnonzero(np.isfinite(data).all(axis=1))
     if whole.size == 0:
-        empty = [n for n in names if not np.isfinite(data[:, column[n]]).any()]
+        empty = [n for i, n in enumerate(names) if not np.isfinite(data[:, i]).any()]
         raise InputError(
             f"{path}: no cycle carries every signal of the map; never seen: {empty or 'all at once'}; the "
             f"log has identifiers {_identifiers(path)}"
         )
     first, last = int(whole[0]), int(whole[-1]) + 1
     # Epoch stamps keep 0.2 µs in a float64: counted from the first SYNC they keep all the log has.
-    time = (np.array(instants) - instants[first])[first:last]
-    columns = {"time": time, **{n: data[first:last, i].copy() for n, i in column.items()}}
+    instants = np.array(cycles.instants)
+    columns = {"time": (instants - instants[first])[first:last]}
+    columns |= {n: data[first:last, i].copy() for i, n in enumerate(names)}
+    _refuse_wrong_bytes(columns, layouts, path)
     return Table(
         name=str(path),
         columns=columns,
-        lines=np.array(numbers[first:last], dtype=np.int64),
-        line_word="line" if path.suffix.lower() in _TEXT else "frame",
+        lines=np.array(cycles.numbers[first:last], dtype=np.int64),
+        line_word="line" if _is_text(path) else "frame",
         notes={"sync_id": clock},
-        broken=tuple(short),
+        broken=tuple(cycles.broken),
         units={"time": "s"},
+        sums={"time": np.array(cycles.elapsed[first:last])},
     )
 
 
-_CANDUMP = re.compile(
-    r"\s*\(\d+(\.\d+)?\)\s+\S+\s+([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#"
-    r"(([0-9A-Fa-f]{2}){0,8}|R\d?|#[0-9A-Fa-f]([0-9A-Fa-f]{2}){0,64})(\s+[TRtr])?\s*$"
-)
-_CANDUMP_SHOWN = re.compile(
-    r"\s*(\(\d+(?:\.\d+)?\))\s+(\S+)\s+(?:[TR]X\s+)?(?:-\s+)*([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})"
-    r"\s+\[(\d)\]((?:\s+[0-9A-Fa-f]{2})*)\s*(?:'.*)?$"
-)
-"""What candump shows on the screen with -t a, as people pipe it into a file."""
-_ASC_FRAME = re.compile(r"\s*\d+\.\d+\s+\d+\s+[0-9A-Fa-f]+x?\s+[RT]x\s+d\b")
-_ASC_WHOLE = re.compile(
-    r"\s*\d+\.\d+\s+\d+\s+[0-9A-Fa-f]+x?\s+[RT]x\s+d\s+([0-9A-Fa-f])((\s+[0-9A-Fa-f]{1,3})*)(\s.*)?$"
-)
+def _refuse_wrong_bytes(
+    columns: dict[str, Float64], layouts: dict[int, tuple[Pdo, list[tuple[str, str, int]]]], path: Path
+) -> None:
+    """InputError where a signal leaps as it is read and moves smoothly with its bytes the other way round."""
+    for pdo, layout in layouts.values():
+        told = {s.name for s in pdo.signals if s.byte_order is not None}
+        for name, code, _ in layout:
+            if name in told:
+                continue
+            values = columns[name][np.isfinite(columns[name])]
+            kind = np.dtype(code)
+            if kind.kind == "f" or kind.itemsize == 1 or not roughness(values) > ROUGH:
+                continue
+            if roughness(values.astype(kind).byteswap().astype(float)) < SMOOTH:
+                now = "big" if code.startswith(">") else "little"
+                other = "little" if now == "big" else "big"
+                raise InputError(
+                    f"{path}: {name!r} leaps from row to row read as {now}-endian, and moves smoothly with "
+                    f"its "
+                    f"bytes the other way round; say 'byte_order: {other}' beside its 'type' (or for all in "
+                    f"the "
+                    f"map's 'source'), 'byte_order: {now}' there if it leaps indeed"
+                )
 
 
-class _Lines:
-    """Lines of a text log for python-can's reader, without those that are broken: they are kept with
-    their numbers."""
-
-    def __init__(self, path: Path, broken: list[BrokenRow]) -> None:
-        self._file = path.open(encoding="utf-8", errors="replace")
-        self._name, self._asc, self._broken = path.name, path.suffix.lower() == ".asc", broken
-        self.number = 0
-
-    def __iter__(self) -> Iterator[str]:
-        for line in self._file:
-            self.number += 1
-            whole = self._asc_line(line) if self._asc else self._candump_line(line)
-            if whole is not None:
-                yield whole
-            elif len(self._broken) < MAX_BROKEN:
-                self._broken.append(BrokenRow(self._name, self.number, "no whole CAN frame"))
-
-    @staticmethod
-    def _candump_line(line: str) -> str | None:
-        if not line.strip() or line.lstrip().startswith("#"):
-            return ""
-        if _CANDUMP.match(line):
-            return line
-        shown = _CANDUMP_SHOWN.match(line)
-        if shown is None:
-            return None
-        data = shown[5].split()
-        return f"{shown[1]} {shown[2]} {shown[3]}#{''.join(data)}\n" if len(data) == int(shown[4]) else None
-
-    @staticmethod
-    def _asc_line(line: str) -> str | None:
-        if not _ASC_FRAME.match(line):
-            # Header, comments, events of other kinds: the reader knows which of them matter.
-            return line
-        whole = _ASC_WHOLE.match(line)
-        return line if whole and len(whole[2].split()) >= int(whole[1], 16) else None
-
-    def close(self) -> None:
-        self._file.close()
-
-
-def _reader(path: Path, lines: _Lines | None) -> Any:
+def _reader(path: Path, lines: Lines | None) -> Any:
     if lines is None:
         return can.LogReader(path)
     kind = can.ASCReader if path.suffix.lower() == ".asc" else can.CanutilsLogReader
     return kind(lines)  # type: ignore[arg-type]
 
 
+def _is_text(path: Path) -> bool:
+    """Whether ``Lines`` reads it; python-can's readers take the others by their ending."""
+    ending = path.suffix.lower()
+    if ending in _TEXT:
+        return True
+    with path.open("rb") as raw:
+        head = raw.read(4096)
+    return b"\0" not in head and is_text_log(head.decode("utf-8", "replace"))
+
+
 def _frames(path: Path, broken: list[BrokenRow] | None = None) -> Iterator[tuple[int, Any]]:
     """Frames with the number of their line (in binary logs their own number, from 1)."""
+    seen, counted = 0, [] if broken is None else broken
     try:
         # A log truncated while it was written still has all frames before the cut.
-        lines = _Lines(path, [] if broken is None else broken) if path.suffix.lower() in _TEXT else None
+        lines = Lines(path, counted) if _is_text(path) else None
         with _reader(path, lines) as reader:
             for count, frame in enumerate(reader):
                 if count >= MAX_FRAMES:
                     raise InputError(f"{path}: more than {MAX_FRAMES} frames; cut the log")
                 if not (frame.is_error_frame or frame.is_remote_frame):
+                    seen += 1
                     yield (count + 1 if lines is None else lines.number), frame
     except InputError:
         raise
     except Exception as error:  # readers raise ValueError, IndexError, struct.error, BLFParseError by kind
         text = (str(error).splitlines() or [type(error).__name__])[0][:160]
-        raise InputError(f"{path}: cannot be read as a CAN log: {text}") from None
+        raise InputError(f"{path}: cannot be read as a CAN log: {text}; read are {READ}") from None
+    if seen == 0:
+        raise InputError(f"{path}: no line of it is a CAN frame of a kind known here; read are {READ}")
 
 
 def first_pdos(path: Path, sync_id: int | None) -> Guess:
@@ -236,7 +293,7 @@ def _identifiers(path: Path) -> str:
     return ", ".join(f"0x{i:X}" for i in sorted(most)) or "none"
 
 
-def _layout(pdo: Pdo) -> list[tuple[str, str, int]]:
+def _layout(pdo: Pdo, byte_order: str | None) -> list[tuple[str, str, int]]:
     """Name, struct code and byte offset of each signal; whole bytes only."""
     bits = 0
     layout = []
@@ -247,7 +304,8 @@ def _layout(pdo: Pdo) -> list[tuple[str, str, int]]:
         code, size = _FORMATS[signal.type]
         if bits % 8:
             raise InputError(f"map: PDO 0x{pdo.id:X}: {signal.name!r} starts at bit {bits}, not at a byte")
-        layout.append((signal.name, code, bits // 8))
+        order = signal.byte_order or byte_order
+        layout.append((signal.name, (">" if order == "big" else "<") + code, bits // 8))
         bits += 8 * size
     if bits > 64:
         raise InputError(f"map: PDO 0x{pdo.id:X}: its signals take {bits} bits; a frame has 64")
@@ -255,7 +313,7 @@ def _layout(pdo: Pdo) -> list[tuple[str, str, int]]:
 
 
 def _pdos_of_eds(path: Path, nodes: list[int]) -> list[Pdo]:
-    """Default PDO mappings of an EDS, for each node; columns ``n<node>_<object in hex>``."""
+    """PDO mappings of an EDS or DCF, configured or default; columns ``n<node>_<object in hex>``."""
     if not nodes:
         raise InputError("map: 'eds' needs 'nodes': the node numbers of the drives in the log")
     if not path.is_file():
@@ -263,16 +321,16 @@ def _pdos_of_eds(path: Path, nodes: list[int]) -> list[Pdo]:
     found: list[Pdo] = []
     for node in nodes:
         try:
-            dictionary = import_od(str(path), node_id=node)
-        except Exception as error:  # configparser and canopen raise by kind of damage
-            raise InputError(f"{path}: cannot be read as an EDS: {error}") from None
+            dictionary = load_dictionary(path, node)
+        except ValueError as error:
+            raise InputError(f"{path}: {error}") from None
         for mapping, communication, direction, base in (
             (0x1A00, 0x1800, "from_drive", 0x180),
             (0x1600, 0x1400, "to_drive", 0x200),
         ):
             for k in range(4):
                 signals = _mapped(dictionary, mapping + k, node)
-                identifier = _default(dictionary, communication + k, 1)
+                identifier = _value(dictionary, communication + k, 1)
                 if signals and not (identifier or 0) & 0x80000000:
                     number = (identifier & 0x7FF) if identifier else base + 0x100 * k + node
                     found.append(
@@ -283,18 +341,20 @@ def _pdos_of_eds(path: Path, nodes: list[int]) -> list[Pdo]:
     return found
 
 
-def _default(dictionary: Any, index: int, sub: int) -> int | None:
+def _value(dictionary: Any, index: int, sub: int) -> int | None:
+    """ParameterValue of a DCF, else DefaultValue."""
     try:
-        value = dictionary[index][sub].default
+        variable = dictionary[index][sub]
     except (KeyError, TypeError):
         return None
+    value = variable.default if variable.value is None else variable.value
     return int(value) if isinstance(value, int) else None
 
 
 def _mapped(dictionary: Any, index: int, node: int) -> list[Signal]:
     signals: list[Signal] = []
-    for sub in range(1, (_default(dictionary, index, 0) or 0) + 1):
-        entry = _default(dictionary, index, sub)
+    for sub in range(1, (_value(dictionary, index, 0) or 0) + 1):
+        entry = _value(dictionary, index, sub)
         if not entry:
             continue
         target, part, bits = entry >> 16, (entry >> 8) & 0xFF, entry & 0xFF

@@ -67,7 +67,7 @@ def _fields(data: np.ndarray, identifier: int) -> tuple[list[Signal], list[str]]
             moves = "constant"
         else:
             moves = f"{values.min():.0f} … {values.max():.0f}"
-            moves += ", smooth" if _rough(values) < SMOOTH else ", rough"
+            moves += ", smooth" if roughness(values) < SMOOTH else ", rough"
         said.append(f"{name} int{8 * size} {moves}")
         at += size
     return signals, said
@@ -82,12 +82,13 @@ def _is_long(four: np.ndarray) -> bool:
     low = four[:, :2].copy().view("<i2")[:, 0].astype(float)
     high = four[:, 2:].copy().view("<i2")[:, 0]
     sign = bool(np.all(high == np.where(low < 0, -1, 0)))
-    return _rough(whole) < SMOOTH and (sign or _rough(whole) < _rough(low))
+    return roughness(whole) < SMOOTH and (sign or roughness(whole) < roughness(low))
 
 
-def _rough(values: Float64) -> float:
+def roughness(values: Float64) -> float:
+    """Mean square of a step over the variance."""
     spread = float(np.var(values))
     return float(np.mean(np.diff(values) ** 2)) / spread if spread > 0 and values.size > 2 else 0.0
 
 
-__all__ = ["Guess", "guess_pdos"]
+__all__ = ["SMOOTH", "Guess", "guess_pdos", "roughness"]

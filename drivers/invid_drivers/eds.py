@@ -7,11 +7,17 @@ default); whoever reads one must expect that it does not parse.
 from __future__ import annotations
 
 import configparser
+import io
+import logging
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
 import canopen
-from canopen.objectdictionary import ODVariable, import_od
+from canopen.objectdictionary import ObjectDictionary, ODVariable, import_od
+
+from invid.errors import InputError
+from invid.recording.text_format import decode_text
 
 
 @dataclass(frozen=True)
@@ -63,22 +69,10 @@ def parse_eds(path: Path, node_id: int) -> Declared:
     ValueError
         It does not parse, with the reason.
     """
-    text = path.read_text(encoding="utf-8", errors="replace")
-    try:
-        od = import_od(str(path), node_id)
-        variables = [v for o in od.values() for v in ([o] if isinstance(o, ODVariable) else o.values())]
-        entries = tuple(_variable(v) for v in variables)
-    except (
-        configparser.Error,
-        canopen.ObjectDictionaryError,
-        ValueError,
-        LookupError,
-        TypeError,
-        AttributeError,
-    ) as error:
-        reason = " ".join(str(error).replace(f"While reading from {str(path)!r} ", "").split())
-        reason = reason or type(error).__name__
-        raise ValueError(f"does not parse ({reason})") from None
+    text = _text(path)
+    od = load_dictionary(path, node_id)
+    variables = [v for o in od.values() for v in ([o] if isinstance(o, ODVariable) else o.values())]
+    entries = tuple(_variable(v) for v in variables)
     objects = {(e.index, e.sub) for e in entries}
     if not any(index >= 0x1000 for index, _ in objects):
         raise ValueError("does not parse (it lists no objects)")
@@ -94,6 +88,60 @@ def parse_eds(path: Path, node_id: int) -> Declared:
     )
 
 
+def load_dictionary(path: Path, node_id: int) -> ObjectDictionary:
+    """What canopen reads of an EDS or DCF file; ``node_id`` stands for $NODEID in it.
+
+    Vendors write what the library takes no number from: other encodings than UTF-8, marks before the first
+    line, zeros before a decimal number. What it logs of the file carries the file's name.
+
+    Raises
+    ------
+    OSError
+        The file cannot be read.
+    ValueError
+        It does not parse, with the reason.
+    """
+    stream = io.StringIO(_LEADING_ZEROS.sub(r"\1\2", _text(path)))
+    # The ending decides what the library takes it for; a file that a map names is one whatever its ending.
+    stream.name = str(path) if path.suffix.lower() in (".eds", ".dcf") else f"{path}.eds"
+    log = logging.getLogger("canopen.objectdictionary.eds")
+
+    def named(record: logging.LogRecord) -> bool:
+        record.msg, record.args = f"{path}: {record.getMessage()}", ()
+        return True
+
+    log.addFilter(named)
+    try:
+        return import_od(stream, node_id)
+    except (
+        configparser.Error,
+        canopen.ObjectDictionaryError,
+        ValueError,
+        LookupError,
+        TypeError,
+        AttributeError,
+    ) as error:
+        reason = " ".join(str(error).replace(f"While reading from {str(path)!r} ", "").split())
+        reason = reason or type(error).__name__
+        raise ValueError(f"does not parse ({reason})") from None
+    finally:
+        log.removeFilter(named)
+
+
+_LEADING_ZEROS = re.compile(
+    r"^(\s*(?:DataType|ObjectType|SubNumber|PDOMapping|LowLimit|HighLimit|DefaultValue|ParameterValue|NrOf\w+|Lines"
+    r"|\w+Number|BaudRate_\d+|Dummy\d+|Baudrate|NodeID)\s*=\s*)0+([0-9]+\s*(?:;.*)?)$",
+    re.MULTILINE | re.IGNORECASE,
+)
+
+
+def _text(path: Path) -> str:
+    try:
+        return decode_text(path.read_bytes(), None, str(path))[0]
+    except InputError:
+        raise ValueError("does not parse (it is no text in a usual encoding)") from None
+
+
 def _variable(v: ODVariable) -> Variable:
     return Variable(
         index=v.index,
@@ -101,6 +149,6 @@ def _variable(v: ODVariable) -> Variable:
         data_type=int(v.data_type or 0),
         access=str(v.access_type),
         mappable=bool(v.pdo_mappable),
-        default=v.default if isinstance(v.default, int | str) else None,
+        default=value if isinstance(value := v.default if v.value is None else v.value, int | str) else None,
         high=v.max if isinstance(v.max, int) else None,
     )

@@ -32,6 +32,8 @@ class Found:
     increments: int = 0
     """Of the encoder in ``revolutions`` of the motor (0x608F)."""
     revolutions: int = 0
+    watches: bool = True
+    """Whether it has 0x1016, by which it notices that its master has died."""
 
     @property
     def is_drive(self) -> bool:
@@ -163,6 +165,22 @@ def _axis(name: str, node: Found, file: Match | None, beside: Path, asked: dict[
         lines.append(
             "    # 0x6502 does not list cyclic torque: `invid check` says which other way there is, if any"
         )
+    if not node.watches:
+        asked[f"{name} allow_missing_heartbeat"] = (
+            "it has no 0x1016 and does not notice when this computer dies: does another device stop it then?"
+        )
+        lines.append(
+            "    # allow_missing_heartbeat: true  # ASK: it has no 0x1016: only where another device "
+            "stops it when this computer dies"
+        )
+    asked[f"{name} inertia_kgm2"] = (
+        "motor and what it moves, roughly; without it how far, how fast and with how much torque the axis "
+        "may go is only known once the trial has weighed it"
+    )
+    lines.append(
+        "    # inertia_kgm2:         # ASK: motor and what it moves, roughly: the dry run then knows its way "
+        "to rest"
+    )
     asked[f"{name} gravity_loaded"] = "does it fall without torque? true or false"
     asked[f"{name} limits"] = "torque, travel and speed that the machine may see"
     torque = f"{0.1 * node.rated_torque:g}" if node.rated_torque > 0 else "0.1"

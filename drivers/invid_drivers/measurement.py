@@ -18,7 +18,6 @@ from invid.model.chains import CoupledChains
 from invid.numerics.arrays import frozen_float
 from invid.planning import AxisForecast, Plan, make_plan
 from invid.planning.belief import Belief
-from invid.planning.forecast import fit_to_limits
 from invid.planning.stopping_distance import StoppingBudget
 from invid.recording import Outcome, Recording, RecordingWriter
 from invid.sweep import Progress, Sink, Sweep, SweepResult
@@ -26,9 +25,9 @@ from invid.sweep.recorder import Recorder
 from invid_drivers.cia402.bus import Cia402Cell
 from invid_drivers.collecting import Judged
 from invid_drivers.connect import connect, is_virtual
+from invid_drivers.readiness import prepare
 from invid_drivers.relay import measure_in_process
-from invid_drivers.round_trip import probe, require
-from invid_drivers.stopping_budgets import measured_budgets, plan_within
+from invid_drivers.stopping_budgets import Wish, measured_budgets, plan_within
 
 __all__ = ["MeasurementResult", "Progress", "measure_to_file"]
 
@@ -150,11 +149,8 @@ def start_measurement(
         make_plan(config, axes=axes, amplitude_scale=amplitude_scale, model=model)
     cell = connect(config)
     try:
-        cell.check()
-        found = plan_within(
-            config, cell.reports, axes=axes, amplitude_scale=amplitude_scale, model=model, plan=plan
-        )
-        return fit_to_limits(found.plan, config, found.config), cell
+        # the adapter is probed where the measurement begins
+        return prepare(cell, config, Wish(axes, amplitude_scale, model, plan), probes=False).plan, cell
     except BaseException:
         cell.close()
         raise
@@ -169,21 +165,32 @@ def ask_drives(
 ) -> tuple[Plan, CellConfig, tuple[StoppingBudget, ...], list[str]]:
     """The plan within what the drives leave, the config with it, the budgets, and what is to be said of it.
 
-    Where nobody can be asked, the config's own limits, no budgets, and why.
+    Where nobody can be asked the drives are taken at their best, and why is said.
     """
-    plan = make_plan(config, axes=axes, amplitude_scale=amplitude_scale, model=model)
+    wish = Wish(axes, amplitude_scale, model)
+    make_plan(config, axes=axes, amplitude_scale=amplitude_scale, model=model)  # before a bus is opened
     try:
         cell = connect(config)
     except InvidError as error:
-        return plan, config, (), [f"the drives were not asked, the limits are the config's: {error}"]
+        return _unasked(config, wish, f"the drives were not asked, the limits are the config's: {error}")
     try:
         cell.check()
     except InvidError as error:
-        return plan, config, (), [f"the drives are not ready, the limits are the config's: {error}"]
+        cell.close()
+        return _unasked(config, wish, f"the drives are not ready, the limits are the config's: {error}")
+    try:
+        found = prepare(cell, config, wish)
     finally:
         cell.close()
-    found = plan_within(config, cell.reports, axes=axes, amplitude_scale=amplitude_scale, model=model)
     return found.plan, found.config, found.budgets, list(found.said)
+
+
+def _unasked(
+    config: CellConfig, wish: Wish, why: str
+) -> tuple[Plan, CellConfig, tuple[StoppingBudget, ...], list[str]]:
+    """The answer of drives that nobody could ask, taken at their best."""
+    found = plan_within(config, None, wish)
+    return found.plan, found.config, found.budgets, [why, *found.said]
 
 
 def _require_file(out: Path) -> None:
@@ -230,13 +237,9 @@ def run_measurement(  # noqa: PLR0913 - a run, and who is told, asked and may st
         _require_file(out)
         if stop is not None:
             cell.cancelled = stop.is_set
-        if not cell.reports:
-            cell.check()
-        found = plan_within(config, cell.reports, plan=plan)
-        plan = fit_to_limits(plan, config, found.config)
-        notes = [*notes, *found.said]
-        if not config.simulated:  # before anything is enabled: what would end with missing answers is refused
-            notes = [*notes, *require(probe(cell.link, config, plan, cell.cancelled), config)]
+        # before anything is enabled: what would end with missing answers is refused
+        found = prepare(cell, config, Wish(plan=plan), cancelled=cell.cancelled)
+        plan, notes = found.plan, [*notes, *found.said]
         header = _header(config, cell)
         if open_sink is not None:
             recorder = open_sink(header)

@@ -1,15 +1,85 @@
-"""Why a cell is not ready: one answer for ``invid check`` and for the service."""
+"""Whether a cell may be measured, and with what plan: one answer for check, dry run, run and service."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 from invid.config import CellConfig
 from invid.errors import InvidError
+from invid.planning import Plan
+from invid.planning.budget import RoundTrip
+from invid.planning.forecast import fit_to_limits
+from invid_drivers.cia402.bus import Cia402Cell
 from invid_drivers.cia402.hold_memory import HoldMemory
 from invid_drivers.cia402.holding import Reason, remembered, to_support
 from invid_drivers.cia402.journal import journal_path
 from invid_drivers.connect import connect, is_virtual
+from invid_drivers.round_trip import probe, require
+from invid_drivers.stopping_budgets import Budgets, Wish, plan_within
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What a measurement starts with: everything that is known before a drive is enabled."""
+
+    plan: Plan
+    config: CellConfig
+    """With the tightest limits of config, drives and EDS, and the permitted speeds."""
+    budgets: Budgets
+    said: tuple[str, ...]
+    """What a person must know of it beside the plan's own warnings."""
+    round_trip: RoundTrip | None = None
+    """Of the adapter, where it was probed."""
+
+
+def prepare(
+    cell: Cia402Cell,
+    config: CellConfig,
+    wish: Wish = Wish(),
+    *,
+    probes: bool | None = None,
+    cancelled: Callable[[], bool] = lambda: False,
+) -> Prepared:
+    """Ask the drives of a connected cell, plan within what they leave, and see that the adapter carries it.
+
+    Parameters
+    ----------
+    probes
+        Whether the adapter is probed; default: where hardware stands behind the config.
+
+    Raises
+    ------
+    ConfigError, DriveError, BusError
+        The first thing that keeps a measurement from starting.
+    """
+    if not cell.reports:
+        cell.check()
+    found = plan_within(config, cell.reports, wish)
+    plan = fit_to_limits(found.plan, config, found.config)
+    said, trip = found.said, None
+    if not config.simulated if probes is None else probes:
+        trip = probe(cell.link, config, plan, cancelled)
+        said = (*said, *require(trip, config))
+    return Prepared(plan, found.config, found.budgets, said, trip)
+
+
+def foresee(config: CellConfig, wish: Wish = Wish()) -> Prepared:
+    """The same without touching a bus that hardware may be on: its drives are taken at their best.
+
+    Raises
+    ------
+    ConfigError, DriveError
+        What ``prepare`` would refuse whatever the drives say; in virtual time, what it refuses.
+    """
+    if is_virtual(config):
+        cell = connect(config)
+        try:
+            return prepare(cell, config, wish)
+        finally:
+            cell.close()
+    found = plan_within(config, None, wish)
+    return Prepared(found.plan, found.config, found.budgets, found.said)
 
 
 def loads_to_support(config: CellConfig) -> tuple[str, ...]:

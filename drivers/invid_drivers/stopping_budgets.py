@@ -2,23 +2,37 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from invid.config import CellConfig
+import numpy as np
+
+from invid.config import AxisConfig, CellConfig
+from invid.config.frames import WATCH_BEATS
 from invid.errors import ConfigError, SafetyStop
 from invid.model.chains import CoupledChains
 from invid.planning import Plan, make_plan
 from invid.planning.belief import Belief
-from invid.planning.stopping_distance import StoppingBudget, budgets_of, permitted
+from invid.planning.forecast import lower_torque
+from invid.planning.stopping_distance import (
+    LEAST_EXCITATION,
+    Permitted,
+    StoppingBudget,
+    StoppingFacts,
+    budgets_of,
+    permitted,
+    torque_shares,
+)
 from invid_drivers.cia402.axis import DriveReport
 from invid_drivers.cia402.limits import tighten, tightened_limits
 
 Budgets = tuple[StoppingBudget, ...]
 HALVINGS = 4
 """How finely the speed is sought that the torque needed for it permits: a sixteenth of what is left."""
-Measured = Callable[[Sequence[float | None], Sequence[float | None]], CellConfig]
-"""Measured inertias and hold torques to the config with permitted speeds; SafetyStop where one is none."""
+Measured = Callable[[Sequence[float | None], Sequence[float | None], float], Permitted]
+"""Measured inertias, hold torques and the share of the torque that is played to permitted speeds and torque;
+SafetyStop where there is none."""
 
 
 @dataclass(frozen=True)
@@ -33,55 +47,110 @@ class Budgeted:
     """Which limits are tighter than the config's and why, in words."""
 
 
-def plan_within(
-    config: CellConfig,
-    reports: Sequence[DriveReport],
-    *,
-    axes: Sequence[str] | None = None,
-    amplitude_scale: float = 1.0,
-    model: CoupledChains | Belief | None = None,
-    plan: Plan | None = None,
-) -> Budgeted:
-    """The plan under the effective limits and permitted speeds, or those of a given plan.
+@dataclass(frozen=True)
+class Wish:
+    """What is to be measured."""
 
-    A lower speed never asks for more torque, so that the budgets made with the plan before it hold. It asks
-    for less, and a dead master then leaves the axis less torque to go on with: the speed is sought that the
-    torque planned for it permits.
+    axes: Sequence[str] | None = None
+    """Axes to excite; ``None``: as each experiment says."""
+    amplitude_scale: float = 1.0
+    model: CoupledChains | Belief | None = None
+    """The last accepted model."""
+    plan: Plan | None = None
+    """A plan made before; ``None``: one is made."""
+
+
+def plan_within(config: CellConfig, reports: Sequence[DriveReport] | None, wish: Wish = Wish()) -> Budgeted:
+    """The plan under the effective limits and permitted speeds, or a given plan lowered to them.
+
+    ``reports``: what the drives say; ``None``: they were not asked, and are taken at their best.
+
+    Where the torque that goes on when nobody commands any more would alone take an axis too far, the plan has
+    less of it. A lower speed never asks for more torque, so that the budgets made with the plan before it
+    hold. It asks for less, and a dead master then leaves the axis less torque to go on with: the speed is
+    sought that the torque planned for it permits.
 
     Raises
     ------
     ConfigError
-        The plan cannot be made, and who limits; or an axis cannot come to rest within its room.
+        The plan cannot be made, and who limits; or an axis cannot come to rest within its room with the least
+        excitation.
     """
-    tighter = tighten(config, reports)
+    if reports is None:
+        said: tuple[str, ...] = ()
+        tighter, facts = config, [unasked(a, config) for a in config.axes]
+    else:
+        said = tightened_limits(config, reports)
+        tighter = tighten(config, reports)
+        facts = [r.stopping for r in reports]
+    plan = wish.plan
     if plan is not None:
-        require_torque(plan, reports)
-    said = tightened_limits(config, reports)
+        require_torque(plan, reports or ())
 
-    def made(limits: CellConfig) -> Plan:
+    def made(limits: CellConfig, shares: Sequence[float] | None = None) -> Plan:
         if plan is not None:
-            return plan
+            return plan if shares is None else lower_torque(plan, np.asarray(shares))
         try:
-            found = make_plan(limits, axes=axes, amplitude_scale=amplitude_scale, model=model)
-            require_torque(found, reports)
+            found = make_plan(
+                limits,
+                axes=wish.axes,
+                amplitude_scale=wish.amplitude_scale,
+                model=wish.model,
+                lowered=shares,
+            )
+            require_torque(found, reports or ())
             return found
         except ConfigError as error:
             raise ConfigError("; ".join([str(error), *said])) from None
 
     def budgeted(found: Plan) -> Budgets:
-        facts = [r.stopping for r in reports]
         return budgets_of(tighter, facts, found.peak_torque.tolist(), _inertia(config, found))
 
     first = made(tighter)
+    asked = first.peak_torque
+    shares = torque_shares(tighter, facts, asked.tolist(), _inertia(config, first))
+    if min(shares) < 1.0:
+        first = made(tighter, shares)
     budgets = budgeted(first)
     limited = permitted(tighter, budgets)
-    found = first if limited is tighter else made(limited)
+    found = first if limited is tighter or plan is not None else made(limited, shares)
     if found is not first:
         fast = budgeted(found)
-        found, budgets = _fastest(found, budgets, fast, lambda b: made(permitted(tighter, b)), budgeted)
+        found, budgets = _fastest(
+            found, budgets, fast, lambda b: made(permitted(tighter, b), shares), budgeted
+        )
         limited = permitted(tighter, budgets)
-    said = (*said, *(text for b in budgets for text in b.said(linear=config.linear)))
+    said = (
+        *said,
+        *lowered_torque(config, shares, found.peak_torque.tolist()),
+        *(text for b in budgets for text in b.said(linear=config.linear)),
+    )
     return Budgeted(found, limited, budgets, said)
+
+
+def lowered_torque(config: CellConfig, shares: Sequence[float], peaks: Sequence[float]) -> tuple[str, ...]:
+    """Which axes are shaken less than was asked for so that they come to rest, in words."""
+    unit = "N" if config.linear else "N·m"
+    return tuple(
+        f"axis {a.name}: it is shaken with {share:.0%} of the torque that was asked for, {peak:.3g} {unit}, "
+        f"so that it comes to rest in its room when nobody commands it any more (not below "
+        f"{LEAST_EXCITATION:.0%} of the torque limit); what is found is less certain by as much"
+        for a, share, peak in zip(config.axes, shares, peaks, strict=True)
+        if share < 1.0
+    )
+
+
+def unasked(axis: AxisConfig, config: CellConfig) -> StoppingFacts:
+    """The stop of a drive that nobody has asked: as short as the config allows it to be."""
+    stated = axis.quick_stop_deceleration
+    watched = not axis.allow_missing_heartbeat
+    return StoppingFacts(
+        deceleration=math.inf if stated is None else stated,
+        ramp="the config's quick_stop_deceleration" if stated else "its torque limit; nobody asked it",
+        watch_s=WATCH_BEATS * config.safety.heartbeat_s if watched else None,
+        watch="0x1016" if watched else "allow_missing_heartbeat of the config",
+        by_torque=stated is None,
+    )
 
 
 def _fastest(
@@ -123,7 +192,7 @@ def _between(slow: Budgets, fast: Budgets, share: float) -> Budgets:
 
 def require_torque(plan: Plan, reports: Sequence[DriveReport]) -> None:
     """ConfigError where an axis is to follow a path whose drive holds it at its place meanwhile."""
-    for e in plan.experiments:
+    for e in plan.experiments if reports else ():
         led = [reports[i].axis for i in e.excited if reports[i].by_offset and e.reference is not None]
         if led:
             raise ConfigError(
@@ -140,14 +209,15 @@ def _inertia(config: CellConfig, plan: Plan) -> list[float | None]:
 def measured_budgets(config: CellConfig, reports: Sequence[DriveReport], plan: Plan) -> Measured:
     """The budgets anew, when trials have measured what was stated."""
 
-    def permit(inertia: Sequence[float | None], loads: Sequence[float | None]) -> CellConfig:
+    facts, peaks = [r.stopping for r in reports], plan.peak_torque
+
+    def permit(inertia: Sequence[float | None], loads: Sequence[float | None], played: float) -> Permitted:
         known = [m or stated for m, stated in zip(inertia, _inertia(config, plan), strict=True)]
+        shares = torque_shares(config, facts, peaks.tolist(), known, loads)
         try:
-            budgets = budgets_of(
-                config, [r.stopping for r in reports], plan.peak_torque.tolist(), known, loads
-            )
+            budgets = budgets_of(config, facts, (played * peaks * shares).tolist(), known, loads)
         except ConfigError as error:
-            raise SafetyStop(f"by what the trials measured: {error}") from None
-        return permitted(config, budgets)
+            raise SafetyStop(f"by what the trials measured: {error.reason}", way_out=error.way_out) from None
+        return Permitted(permitted(config, budgets), shares)
 
     return permit

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from invid.api import diagnose, load_model, read_recording
-from invid.cli.display import BUDGET, shown_progress
+from invid.cli.display import BUDGET, ends_on_interrupt, shown_progress
 from invid.cli.effects_option import Effects, use_effects
 from invid.cli.identify import parse_masses
 from invid.cli.language_option import SpokenLanguage
@@ -62,7 +62,8 @@ def register(app: typer.Typer) -> None:
         budget: Annotated[
             float,
             typer.Option(
-                min=1.0, help="Seconds after which the best answer so far is given; inf: as long as it takes."
+                min=1.0,
+                help="Seconds of processor time after which the best answer so far is given; inf: no end.",
             ),
         ] = BUDGET,
         effects: Effects = None,
@@ -92,7 +93,7 @@ def register(app: typer.Typer) -> None:
         data = concatenate_recordings([read_recording(p) for p in (*recording, *(further or ()))])
         given = None if model is None else load_model(model)
         try:
-            with shown_progress("diagnosing") as progress:
+            with ends_on_interrupt(), shown_progress("diagnosing") as progress:
                 diagnosis = diagnose(data, model=given, masses=wanted, budget=budget, progress=progress)
         except ModelError as error:  # an effect that this robot cannot have
             if given is None or not given.effects:

@@ -2,21 +2,45 @@
 
 from __future__ import annotations
 
+import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from types import FrameType
 from typing import TYPE_CHECKING
 
 from invid.cli.output import note
+from invid.numerics import budget
 
 if TYPE_CHECKING:
     from invid.numerics.budget import Progress
 
 BUDGET = 60.0
-"""Seconds that a command may take where nothing else is asked for: what a technician waits beside a robot."""
+"""Processor seconds that a command may take where nothing else is asked for: what a technician waits beside a
+robot."""
 EVERY_S = 5.0
 """Seconds between two plain lines."""
+
+
+@contextmanager
+def ends_on_interrupt() -> Iterator[None]:
+    """Inside, the first Ctrl-C ends a search with the best answer so far; the second ends the command."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def end(number: int, frame: FrameType | None) -> None:
+        if not budget.stop():
+            raise KeyboardInterrupt
+        note("ending with the best answer so far (once more: at once, with none)")
+
+    before = signal.signal(signal.SIGINT, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 @contextmanager
@@ -54,14 +78,16 @@ def shown_progress(title: str) -> Iterator[Callable[[Progress], None]]:
 
 def _plain(title: str) -> Callable[[Progress], None]:
     said, compiled = [time.monotonic()], list[str]()
+    found: list[tuple[str, ...]] = [()]
 
     def show(progress: Progress) -> None:
         now = time.monotonic()
         waits = (
             progress.stage.startswith("compiling") and not compiled
         )  # said at once: nothing else is for a while
-        if waits or now - said[0] >= EVERY_S:
-            said[0] = now
+        is_new = progress.found != found[0]
+        if waits or is_new or now - said[0] >= EVERY_S:
+            said[0], found[0] = now, progress.found
             compiled.extend(["said"] * waits)
             note(f"{title}: {progress.fraction:4.0%} {progress} {_left(progress)}".rstrip())
 
@@ -70,4 +96,6 @@ def _plain(title: str) -> Callable[[Progress], None]:
 
 def _left(progress: Progress) -> str:
     left = progress.seconds_left
-    return "" if left is None else f"(at most {left:.0f} s left)"
+    words = [] if left is None else [f"(about {left:.0f} s left)"]
+    words += [f"found so far, still looking: {', '.join(progress.found)}"] if progress.found else []
+    return " ".join(words)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from invid.api import identify, read_recording
-from invid.cli.display import BUDGET, shown_progress
+from invid.cli.display import BUDGET, ends_on_interrupt, shown_progress
 from invid.cli.effects_option import Effects, use_effects
 from invid.cli.output import EXIT_NOT_TRUSTWORTHY, EXIT_OK, emit, note
 from invid.errors import InputError, NotIdentifiableError
@@ -48,7 +48,8 @@ def register(app: typer.Typer) -> None:
         budget: Annotated[
             float,
             typer.Option(
-                min=1.0, help="Seconds after which the best answer so far is given; inf: as long as it takes."
+                min=1.0,
+                help="Seconds of processor time after which the best answer so far is given; inf: no end.",
             ),
         ] = BUDGET,
         effects: Effects = None,
@@ -67,7 +68,7 @@ def register(app: typer.Typer) -> None:
         wanted = parse_masses(masses)
         data = read_recording(recording)
         try:
-            with shown_progress("identifying") as progress:
+            with ends_on_interrupt(), shown_progress("identifying") as progress:
                 model = identify(
                     data,
                     masses=wanted,

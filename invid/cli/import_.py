@@ -21,9 +21,15 @@ def register(app: typer.Typer) -> None:
 
     @app.command("import")
     def import_command(
-        source: list[Path] = typer.Argument(..., help="Files, or a folder that the map picks files from."),
+        source: list[Path] = typer.Argument(
+            None, help="Files, or a folder that the map picks files from; else the map's 'files'."
+        ),
         out: Path | None = typer.Option(None, "-o", "--out", help="Recording to write (HDF5)."),
         map_file: Path | None = typer.Option(None, "--map", help="YAML map of columns, units and roles."),
+        check: Path | None = typer.Option(
+            None, "--check", help="Say what this map would read of each file; write nothing."
+        ),
+        plots: Path | None = typer.Option(None, "--plots", help="With --check: a picture of each file here."),
         propose: bool = typer.Option(False, "--suggest", help="Print a first map, with reasons, and stop."),
         as_json: bool = typer.Option(False, "--json", help="One JSON document on stdout."),
     ) -> None:
@@ -32,7 +38,13 @@ def register(app: typer.Typer) -> None:
         from invid.recording.import_map import load_map
         from invid.recording.import_source import import_source
 
+        source = source or []
+        if check is not None:
+            _check(source, check, plots, as_json=as_json)
+            return
         chart = load_map(map_file) if map_file is not None else None
+        if not source and (chart is None or propose):
+            raise InputError("import: name the files to read (SOURCE), or a map that names its 'files'")
         if propose:
             _print_suggestion(source, chart, as_json=as_json)
             return
@@ -52,6 +64,66 @@ def register(app: typer.Typer) -> None:
         for warning in document["warnings"]:
             note(f"warning: {warning}")
         emit(document, text, as_json=as_json)
+
+
+def _check(source: list[Path], map_file: Path, plots: Path | None, *, as_json: bool) -> None:
+    from invid.recording.import_map import load_map
+    from invid.recording.import_source import check_files, describe_experiment
+
+    created = datetime.now(UTC).isoformat(timespec="seconds")
+    checks, left_out = check_files(source, load_map(map_file), created=created, beside=map_file.parent)
+    files = [
+        {
+            "file": str(c.path),
+            "rows": c.rows,
+            "broken_rows": c.broken,
+            "experiments": []
+            if c.recording is None
+            else [describe_experiment(e, c.recording) for e in c.recording.experiments],
+            "warnings": list(c.warnings),
+            "error": c.error or None,
+        }
+        for c in checks
+    ]
+    units = {(c.recording.position_unit, c.recording.torque_unit) for c in checks if c.recording is not None}
+    position, torque = next(iter(units), ("rad", "N·m"))
+    document = {
+        "format": "invid-import-check",
+        "format_version": 1,
+        "units": {"position": position, "speed": f"{position}/s", "torque": torque},
+        "files": files,
+        "left_out": list(left_out),
+        "pictures": [],
+    }
+    if plots is not None:
+        from invid.report.import_pictures import draw_files
+
+        document["pictures"] = draw_files(checks, plots)
+    for remark in left_out:
+        note(remark)
+    emit(document, _check_text(files, position, torque), as_json=as_json)
+    if any(c.error for c in checks):
+        raise typer.Exit(2)
+
+
+def _check_text(files: list[dict[str, Any]], position: str, torque: str) -> str:
+    lines = []
+    for file in files:
+        lines.append(f"{file['file']}: {file['rows']} rows, {file['broken_rows']} broken")
+        for e in file["experiments"]:
+            clock = "even clock" if e["even"] else "rows at events"
+            clock += f", jitter {e['jitter_ms']:.3g} ms" if e["jitter_ms"] and e["jitter_ms"] > 1e-3 else ""
+            lines.append(
+                f"  {e['key']} {e['role']:8} {e['rows']:8d} rows  {e['rate_hz']:10.6g} Hz  "
+                f"{e['seconds']:9.3f} s  {e['missing_rows']} missing  {clock}"
+            )
+            for a in e["axes"]:
+                ranges = (("position", position), ("speed", f"{position}/s"), ("torque", torque))
+                shown = "  ".join(f"{n} {a[n][0]:.4g} … {a[n][1]:.4g} {u}" for n, u in ranges)
+                lines.append(f"      {a['axis']}: {shown}")
+        lines += [f"  warning: {w}" for w in file["warnings"]]
+        lines += [f"  error: {file['error']}"] if file["error"] else []
+    return "\n".join(lines)
 
 
 def _print_suggestion(source: list[Path], chart: ImportMap | None, *, as_json: bool) -> None:

@@ -63,7 +63,7 @@ def _beside(config: CellConfig, folder: Path) -> CellConfig:
 
 def parse_config(text: str, *, source: str = "config") -> CellConfig:
     """The config in a YAML text; ``source`` stands in messages."""
-    data, lines = _load_yaml(text, source)
+    data, lines = load_yaml(text, source)
     if not isinstance(data, Mapping):
         found = "nothing" if data is None else type(data).__name__
         raise ConfigError(
@@ -78,10 +78,10 @@ def parse_config(text: str, *, source: str = "config") -> CellConfig:
     try:
         return CellConfig.model_validate(data)
     except ValidationError as error:
-        raise ConfigError(_explain(error, source, lines)) from None
+        raise ConfigError(explain_errors(error, source, lines, "config")) from None
 
 
-def _load_yaml(text: str, source: str) -> tuple[Any, dict[Where, int]]:
+def load_yaml(text: str, source: str) -> tuple[Any, dict[Where, int]]:
     """Plain data and the line of every key and item."""
     lines: dict[Where, int] = {}
     try:
@@ -93,9 +93,14 @@ def _load_yaml(text: str, source: str) -> tuple[Any, dict[Where, int]]:
     def build(node: yaml.Node, where: Where, open_nodes: tuple[int, ...]) -> Any:
         budget[0] -= 1
         if budget[0] < 0:
-            raise ConfigError(f"{source}: more than {MAX_VALUES} values once its aliases are expanded")
+            raise ConfigError(
+                f"{source}: more than {MAX_VALUES} values once its aliases (references, *name) are expanded"
+            )
         if id(node) in open_nodes:
-            raise ConfigError(f"{source}:{node.start_mark.line + 1}: an alias contains itself")
+            raise ConfigError(
+                f"{source}:{node.start_mark.line + 1}: an alias contains itself: write its references "
+                f"(*name) out"
+            )
         inner = (*open_nodes, id(node))
         if isinstance(node, yaml.MappingNode):
             result: dict[Any, Any] = {}
@@ -120,6 +125,8 @@ def _load_yaml(text: str, source: str) -> tuple[Any, dict[Where, int]]:
     try:
         root = loader.get_single_node()
         return (None if root is None else build(root, (), ())), lines
+    except ConfigError:
+        raise
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         line = f":{mark.line + 1}" if mark is not None else ""
@@ -160,7 +167,8 @@ def _in_file(loc: tuple[str | int, ...], lines: dict[Where, int]) -> Where:
     return where
 
 
-def _explain(error: ValidationError, source: str, lines: dict[Where, int]) -> str:
+def explain_errors(error: ValidationError, source: str, lines: dict[Where, int], what: str) -> str:
+    """The first five problems of a document (``what``: config, map): file, line, field, value."""
     sentences = []
     for item in error.errors():
         where = _in_file(item["loc"], lines)
@@ -168,7 +176,7 @@ def _explain(error: ValidationError, source: str, lines: dict[Where, int]) -> st
         place = _at(source, lines, where)
         if item["type"] == "extra_forbidden":
             sentences.append(
-                f"{place}: {_field(where)} is no key of a config here (value {_short(item['input'])}); "
+                f"{place}: {_field(where)} is no key of a {what} here (value {_short(item['input'])}); "
                 "check its spelling, its place and its unit"
             )
         elif item["type"] == "missing":

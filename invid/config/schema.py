@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field, model_validator
 
 from invid.config.experiments import ExperimentSpec, Strict, with_units
+from invid.config.frames import LONGEST_HEARTBEAT_S, shortest_heartbeat
 
 
 class BusConfig(Strict):
@@ -176,9 +177,11 @@ class AxisConfig(Strict):
 class SafetyConfig(Strict):
     """What the master watches beside the limits of each axis."""
 
-    heartbeat_s: float = Field(default=0.1, gt=0, le=5)
+    heartbeat_s: float = Field(default=LONGEST_HEARTBEAT_S, gt=0, le=5)
     """Period of the master's heartbeat; a drive that misses three of them stops by itself. Until then it goes
-    on with its last torque, so that it is part of the way to rest of a cell whose master has died."""
+    on with its last torque, so that it is part of the way to rest of a cell whose master has died. Default:
+    the shortest whose watch outlasts what ``overrun_cycles`` and ``missed_tpdos`` forgive and that the bus
+    carries, at most this."""
     missed_tpdos: int = Field(default=5, ge=1, le=1000)
     """Cycles in a row without an axis's TPDO before everything stops."""
     overrun_cycles: int = Field(default=20, ge=1)
@@ -213,12 +216,28 @@ class CellConfig(Strict):
                 raise ValueError(
                     f"{what} {', '.join(twice)} is used by more than one axis; each needs its own"
                 )
+        if "heartbeat_s" not in self.safety.model_fields_set:
+            beat = {"heartbeat_s": self.shortest_heartbeat_s}
+            # the model is frozen for its users; this is still its making
+            self.__dict__["safety"] = self.safety.model_copy(update=beat)
         names = {a.name for a in self.axes}
         for i, experiment in enumerate(self.experiments):
             unknown = [n for n in experiment.axes or () if n not in names]
             if unknown:
                 raise ValueError(f"experiments[{i}].axes names {unknown[0]!r}; the axes are {sorted(names)}")
         return self
+
+    @property
+    def shortest_heartbeat_s(self) -> float:
+        """The shortest period of the master's heartbeat that cycle, bus and what is forgiven allow [s]."""
+        bus = self.bus
+        return shortest_heartbeat(
+            bus.cycle_s,
+            max(self.safety.overrun_cycles, self.safety.missed_tpdos),
+            drives=len(self.axes),
+            bitrate=bus.bitrate_bit_per_s,
+            max_load=bus.max_load,
+        )
 
     @property
     def linear(self) -> bool:

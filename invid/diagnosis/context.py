@@ -38,8 +38,9 @@ class Stage(StrEnum):
     """What is said of what is left."""
 
 
-CHEAP = (Stage.DATA, Stage.VERDICT)
-"""Stages whose rules are so cheap that they run even when the budget is spent."""
+CHEAP = (Stage.DATA, Stage.RESTART, Stage.VERDICT)
+"""Stages whose rules run even when the budget is spent: cheap ones, and the search beside friction, which
+then evaluates what the identification found and ends."""
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.optimize import nnls
+import scipy
 
 from invid.effects.effect import Effect
 from invid.effects.motion import View
@@ -208,7 +208,7 @@ def _regress(effect: Effect, columns: Float64, residual: Float64) -> tuple[float
         found = target / r[0]
         found = np.maximum(found, 0.0) if positive[0] else found
     elif positive.all():
-        found, _ = nnls(r, target)
+        found, _ = scipy.optimize.nnls(r, target)
     else:
         found = np.linalg.lstsq(r, target, rcond=1e-9)[0]
     coefficients[good] = found / scale[good]

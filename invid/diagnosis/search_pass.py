@@ -19,7 +19,7 @@ from invid.diagnosis.linear_fit import (
 from invid.diagnosis.search import select_causes
 from invid.diagnosis.selection import Selection
 from invid.diagnosis.slow_move import find_slow_moves
-from invid.diagnosis.thresholds import CLOSE, FAR, NAMED_SHARE
+from invid.diagnosis.thresholds import AT_FLOOR, CLOSE, NAMED_SHARE
 from invid.diagnosis.tone import Tone, remove_tones
 from invid.diagnosis.validation import (
     PLAIN,
@@ -42,8 +42,11 @@ from invid.signals.plausibility import check_plausible
 from invid.signals.spectra import LineSpectra, all_spectra
 from invid.signals.spectral_record import SpectralRecord
 
-WHOLE_RECORDS = "the records taken whole, against the friction of every motor"
+WHOLE_RECORDS = "the records taken whole"
+BY_PERIODS = "every cause by itself, and what it may be mistaken for"
 """What a spent budget leaves out, in the words of the warning."""
+TIME_BESIDE_FRICTION = 0.9
+"""Share of the search's time for the pass beside the friction of every motor (empirical)."""
 SAME_MACHINE = 5.0
 """Ratio of held-out and training χ²/ν from which the held-out record counts as another machine's. Empirical:
 twice the amplitude of an unknown law is four times the power."""
@@ -109,38 +112,58 @@ def _off_the_ground(recording: Recording, result: SearchPass) -> SearchPass:
 
 
 def _search_whole_or_periods(recording: Recording, model: Model) -> SearchPass:
-    """The pass over whole records beside the friction of every motor, or the one over mean periods.
+    """The pass beside the friction of every motor, or the one cause by cause over mean periods.
 
-    The first is taken where periods differ and its laws leave at most a tenth of that scatter, or at most a
-    tenth of the excess of the second.
+    The first comes first: every joint has friction, and one fit finds all of it. It takes the records whole
+    where periods differ in motion. The second weighs every cause of the catalogue at every place against its
+    rivals; it is left out where the first is at the noise of several motors, and else the better one counts.
     """
-    *_, (folded, _, train, held) = _fit_and_split(recording, model, PLAIN)
-    scatter = scatter_ratio(folded, held)
-    whole: SearchPass | None = None
-    search_whole = partial(_search_whole_records, recording, model)
-    if scatter and not any(r.alone for r in (*train, *held)):
-        with budget.use_share(0.5, 0.05, 0.4):  # the rest is for the other pass
-            whole = budget.or_else(WHOLE_RECORDS, search_whole, None)
-        if whole is not None and is_law_of_motion(whole.selection.final, scatter):
-            return whole
-    result = _search_by_periods(recording, model)
-    final = result.selection.final
-    if result.tones or final.cost < FAR * final.dof:
-        return result
-    if whole is None and not scatter:
-        whole = budget.or_else(WHOLE_RECORDS, search_whole, None)
-    if whole is None:
-        return result
-    other = whole.selection.final
-    is_nearer = other.excess / other.dof < (1.0 - NAMED_SHARE) * final.excess / final.dof
-    return whole if is_nearer else result
+    spectra, warnings, (base, _, train, held) = _fit_and_split(recording, model, PLAIN)
+    scatter = scatter_ratio(base, held)
+    start = CandidateEvidence(base, evaluate_held_out(base, held))
+    first: SearchPass | None = None
+    if start.rejects([*train, *held]):
+        is_whole = scatter > 0.0 and not any(r.alone for r in (*train, *held))
+        with budget.use_share(TIME_BESIDE_FRICTION, 0.05, 0.6):
+            if is_whole and not budget.is_left_out(WHOLE_RECORDS):
+                first = _search_beside_friction(recording, model)
+            else:
+                first = _beside_friction(recording, model, spectra, warnings, (base, train, held))
+    if first is not None:
+        final = first.selection.final
+        is_right = not final.rejects([*first.train, *first.held]) or final.cost < AT_FLOOR * final.dof
+        if scatter:
+            is_right = is_right or is_law_of_motion(final, scatter)
+        if (is_right and len(model.axes) > 1) or budget.is_left_out(BY_PERIODS):
+            return first
+    second = _search_by_periods(recording, model)
+    if first is None or second.tones:
+        return second
+    one, other = (s.selection.final for s in (first, second))
+    if second.selection.is_cut_short or budget.is_spent():
+        return first if one.excess / one.dof < other.excess / other.dof else second
+    # The second has weighed more: the first has to be nearer by far, as between any two laws.
+    is_nearer = one.excess / one.dof < (1.0 - NAMED_SHARE) * max(other.excess, other.dof) / other.dof
+    return first if is_nearer and other.cost > CLOSE * other.dof else second
 
 
-def _search_whole_records(recording: Recording, model: Model) -> SearchPass | None:
+def _search_beside_friction(recording: Recording, model: Model) -> SearchPass | None:
     """The pass over whole records beside the friction of every motor; ``None`` where it finds nothing."""
-    current_context().searches += 1
     whole = unfold_periods(recording)
     spectra, warnings, (base, _, train, held) = _fit_and_split(whole, model, ValidationRequest(whole=True))
+    return _beside_friction(whole, model, spectra, warnings, (base, train, held))
+
+
+def _beside_friction(
+    recording: Recording,
+    model: Model,
+    spectra: tuple[LineSpectra, ...],
+    warnings: list[str],
+    fitted: tuple[JointFit, list[SpectralRecord], list[SpectralRecord]],
+) -> SearchPass | None:
+    """The pass beside the friction of every motor over the records as they are."""
+    current_context().searches += 1
+    base, train, held = fitted
     selection = apply_rule(
         "whole-records",
         CandidateEvidence(base, evaluate_held_out(base, held)),
@@ -152,9 +175,10 @@ def _search_whole_records(recording: Recording, model: Model) -> SearchPass | No
     )
     if selection is None or not selection.steps:
         return None
-    return SearchPass(
-        whole, model, spectra, (), train, held, refit_without_effects(base, train), selection, warnings
-    )
+    if selection.final.held.cost >= selection.base.held.cost:
+        return None  # worse on the records kept out than without causes
+    bare = refit_without_effects(base, train)
+    return SearchPass(recording, model, spectra, (), train, held, bare, selection, warnings)
 
 
 def _search_by_periods(recording: Recording, model: Model) -> SearchPass:

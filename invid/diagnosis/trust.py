@@ -8,7 +8,9 @@ import numpy as np
 
 from invid.diagnosis.evidence import CandidateEvidence
 from invid.diagnosis.thresholds import CONTESTED, LEFT, REACHED
+from invid.identification.crosscheck import BEATEN, MOST_BEATEN
 from invid.identification.identifiability import blind_directions
+from invid.identification.model_facts import CUT_SHORT
 from invid.likelihood.evaluation import Evaluation
 from invid.likelihood.joint_fit import JointFit
 from invid.likelihood.nuisance.hold_share import HOLD_BAND, SHARES, driven_hold
@@ -52,27 +54,34 @@ def judge_linear_fit(
     tests: tuple[NullTest, NullTest],
     recording: Recording,
 ) -> Trust:
-    """Doubts about the linear fit, judged with the causes in the model.
+    """Doubts about the model, judged with the causes in it on rows kept out.
 
     A strong cause makes a linear fit look wrong that is right once the cause is in the model. Where the
-    extended model comes down to the noise, only parameters that the data do not determine are reported.
+    extended model comes down to the noise, or predicts the rows kept out and no FRF without structure does
+    better by more than a factor of two, only parameters that the data do not determine are reported.
     """
     unseen = _unseen_parameters(extended, final, recording.linear)
     short = _short_experiments(recording)
     before, after = (t.chi2 / max(t.dof, 1) for t in tests)
-    if (after < REACHED or after - 1.0 < LEFT * (before - 1.0)) and not short:
+    left = max(after - 1.0, 0.0) / max(before - 1.0, 1e-300)
+    if (after < REACHED or left < LEFT) and not short:
+        return Trust(unseen=unseen)
+    share = _explained_share(final.held)
+    beaten = float(model.fit.get(BEATEN) or 0.0) * min(left, 1.0)
+    is_extended = final.fit is not base.fit
+    if is_extended and share >= LEAST_EXPLAINED and beaten <= MOST_BEATEN and not short:
         return Trust(unseen=unseen)
     # A parameter that the linear fit could not determine makes no wrong model: a strong cause hides it from
     # the fit without effects, and what the extended fit cannot determine is in ``unseen``.
-    blind = set(model.fit.get("unseen", ()))
+    blind = {*model.fit.get("unseen", ()), *model.fit.get(CUT_SHORT, ())}
     reasons = [d for d in doubts_of(model.fit) if d.code is not DoubtCode.UNSEEN and d.text not in blind]
     reasons += short
-    if not base.fit.converged and not reasons:
+    if not is_extended and not base.fit.converged and not reasons:
         reasons.append(Doubt(DoubtCode.NOT_CONVERGED, "the linear fit did not converge"))
-    share = min(_explained_share(base.fit.evaluation), _explained_share(final.fit.evaluation))
+    share = min(share, _explained_share(final.fit.evaluation))
     if share < LEAST_EXPLAINED and not any(d.code is DoubtCode.LITTLE_EXPLAINED for d in reasons):
         said = (
-            f"the linear model accounts for {share:.0%} of the torque only: another number of masses, a "
+            f"the model accounts for {share:.0%} of the torque only: another number of masses, a "
             "torque channel that is not the motor torque, or axes that do not move freely"
         )
         reasons.append(Doubt(DoubtCode.LITTLE_EXPLAINED, said, {"share": share}))

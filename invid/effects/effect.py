@@ -28,6 +28,9 @@ from invid.model.parameters import ChainStructure
 from invid.model.place import Place
 from invid.numerics.arrays import Complex128, Float64
 
+KNOWN_LINES = 60
+"""Laws at motors whose lines a record keeps: a few shapes of each motor's friction and ripples."""
+
 
 @dataclass(frozen=True)
 class Experiment:
@@ -245,9 +248,19 @@ class ForceEffect(Effect):
         """(n, L) resistance for each coefficient at one."""
         raise NotImplementedError
 
+    of_motor_motion: ClassVar[bool] = False
+    """Whether its law at a motor follows from the measured motion alone, so that no fit changes its lines."""
+
     def force(self, view: View, place: Place, shape: Sequence[float]) -> Complex128:
         """(F, L) lines of the resistance for each coefficient at one."""
-        return view.to_lines(self.law(view, place, shape), smeared=self.smeared)
+        if not (self.of_motor_motion and view.is_measured(place.pattern(view.structure))):
+            return view.to_lines(self.law(view, place, shape), smeared=self.smeared)
+        known, key = view.record.law_lines, (self.cause, place, tuple(shape))
+        if key not in known:
+            known[key] = view.to_lines(self.law(view, place, shape), smeared=self.smeared)
+        if len(known) > KNOWN_LINES:
+            del known[next(iter(known))]
+        return known[key]
 
     def basis(self, view: View, place: Place, shape: Sequence[float]) -> Complex128:
         reached = view.condensed_force(place.pattern(view.structure))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -14,11 +15,13 @@ import numpy as np
 from invid.errors import InvidError, NotIdentifiableError
 from invid.inverse import PaperResult, identify_paper
 from invid.likelihood.fit import Fit
+from invid.likelihood.levenberg_marquardt import Solution
+from invid.likelihood.residual import MissingTorqueProblem
 from invid.model.chains import CoupledChains
 from invid.model.forward import frf
 from invid.modes import Modes
 from invid.modes.model import high_gain_pairs, modes_of_matrices, pairs
-from invid.modes.pole_search import unstructured
+from invid.modes.pole_search import Unstructured, unstructured
 from invid.numerics.arrays import Float64
 from invid.signals.frf import FrfMatrix, frf_matrix
 from invid.signals.spectra import LineSpectra
@@ -31,6 +34,13 @@ GRANTED_ERROR = 0.01
 below it does not matter)."""
 MOST_MODES = 100
 """Modes times motors squared up to which the second route is taken (empirical: a second or two)."""
+SUSPECT = 5.0
+"""χ²/ν against sensor noise above which the fit is compared with a rational FRF of no structure."""
+MOST_BEATEN = 4.0
+"""Missed mean square of the fit, over that of a rational FRF and over that of 1 % of the amplitudes, above
+which it is doubted (empirical): a factor of two in amplitude."""
+BEATEN = "missed_over_free_frf"
+"""Name of that ratio in the facts of a fit."""
 MORE_MODES = 2
 """Modes the rational FRF may have beyond the model's: one that the model lacks, and one for friction."""
 
@@ -43,27 +53,52 @@ def missed_by_structure(spectra: Sequence[LineSpectra], fit: Fit) -> tuple[float
     as unit. Both miss a machine that is not linear alike: the ratio stays near one. It is large for a fit in
     a wrong minimum, or a structure that cannot move as the machine does (springs to ground, masses too few).
     """
-    try:
-        with np.errstate(all="ignore"):
-            found = unstructured(spectra, fit.structure.sizes, further=MORE_MODES, model_error=GRANTED_ERROR)
-    except np.linalg.LinAlgError:  # a pole upon a line of the record: the search ended nowhere
-        found = None
-    if found is None:
-        return 0.0, 0.0
-    left, rows = 0.0, 0
-    for record, state in zip(found.records, fit.problem.states(fit.solution.p), strict=True):
-        omega, _, _, weight, _ = record
-        lines = np.searchsorted(state.block.omega, omega * (1.0 - 1e-9))
-        lines = np.minimum(lines, state.block.omega.size - 1)
-        shared = np.abs(state.block.omega[lines] / omega - 1.0) < 1e-6
-        lines = lines[shared]
-        # Missing torque as the acceleration error it stands for: ω²G r.
-        acceleration_error = np.linalg.solve(state.stiffness[lines], state.residual[lines][..., None])[..., 0]
-        error = np.abs((omega[shared] ** 2)[:, None] * acceleration_error * weight[shared])
-        left += float((error**2).sum())
-        rows += 2 * error.size
-    own = left / max(rows, 1)
-    return own / max(found.mean_square, 0.5), own
+    return FreeFrf(spectra, fit.structure.sizes).missed(fit.problem, fit.solution)
+
+
+class FreeFrf:
+    """A rational FRF of no structure, fitted once, and fits beside it."""
+
+    def __init__(self, spectra: Sequence[LineSpectra], sizes: Sequence[int]) -> None:
+        self._spectra, self._sizes = spectra, tuple(sizes)
+
+    @cached_property
+    def _found(self) -> Unstructured | None:
+        try:
+            with np.errstate(all="ignore"):
+                return unstructured(self._spectra, self._sizes, further=MORE_MODES, model_error=GRANTED_ERROR)
+        except np.linalg.LinAlgError:  # a pole upon a line of the record: the search ended nowhere
+            return None
+
+    def misses_too(self) -> bool:
+        """Whether it misses far more than noise and ``GRANTED_ERROR`` as well: no start of a linear structure
+        reaches either."""
+        return self._found is not None and self._found.mean_square > SUSPECT
+
+    def is_no_better(self, problem: MissingTorqueProblem, solution: Solution) -> bool:
+        """Whether it misses as much as a fit, to a factor of two in amplitude: what is missing is no other
+        start's."""
+        return 0.0 < self.missed(problem, solution)[0] <= MOST_BEATEN
+
+    def missed(self, problem: MissingTorqueProblem, solution: Solution) -> tuple[float, float]:
+        """As ``missed_by_structure``."""
+        found = self._found
+        if found is None:
+            return 0.0, 0.0
+        left, rows = 0.0, 0
+        for record, state in zip(found.records, problem.states(solution.p), strict=True):
+            omega, _, _, weight, _ = record
+            lines = np.searchsorted(state.block.omega, omega * (1.0 - 1e-9))
+            lines = np.minimum(lines, state.block.omega.size - 1)
+            shared = np.abs(state.block.omega[lines] / omega - 1.0) < 1e-6
+            lines = lines[shared]
+            # Missing torque as the acceleration error it stands for: ω²G r.
+            acceleration_error = np.linalg.solve(state.stiffness[lines], state.residual[lines][..., None])
+            error = np.abs((omega[shared] ** 2)[:, None] * acceleration_error[..., 0] * weight[shared])
+            left += float((error**2).sum())
+            rows += 2 * error.size
+        own = left / max(rows, 1)
+        return own / max(found.mean_square, 0.5), own
 
 
 def second_route(spectra: Sequence[LineSpectra], fit: Fit) -> PaperResult | InvidError:

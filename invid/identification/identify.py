@@ -10,6 +10,8 @@ import numpy as np
 
 from invid.errors import InputError, InvidError, NotIdentifiableError
 from invid.identification.crosscheck import (
+    MOST_BEATEN,
+    SUSPECT,
     compare_routes,
     missed_by_structure,
     second_route,
@@ -18,7 +20,7 @@ from invid.identification.crosscheck import (
 from invid.identification.fewer_masses import fewer_masses_warnings
 from invid.identification.ground_springs import fit_ground_springs
 from invid.identification.machine_kind import machine_kind, rigid_model
-from invid.identification.model_facts import MOST_BEATEN, SUSPECT, paper_model, refined_model
+from invid.identification.model_facts import paper_model, refined_model
 from invid.identification.model_order import choose_order
 from invid.identification.starts import chain_starts, fit_sizes, measured_frf
 from invid.identification.torque_timing import refit_with_late_torque

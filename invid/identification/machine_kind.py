@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from invid.errors import InvidError
+from invid.identification.model_order import CUT_SHORT
 from invid.likelihood.fit import Fit, fit_structure
 from invid.likelihood.nuisance.torque_lags import add_coulomb_columns
 from invid.likelihood.records import problem_from_spectra, transfer_parameters
@@ -83,12 +84,17 @@ def machine_kind(
             left = chains_missed_share(recording, model.chains)
     except (InvidError, np.linalg.LinAlgError):
         pass
+    is_single = model is not None and max(model.chains.masses_per_branch) == 1
+    if model is not None and is_single and model.fit.get("order", {}).get(CUT_SHORT):
+        # Nothing is concluded from orders that were not tried.
+        said = "whether the machine is elastic is open: the budget ended before further masses were tried"
+        if is_moved:
+            return MachineKind(True, sentence=said, analysis=analysis)
+        return MachineKind(False, replace(model, warnings=(*model.warnings, said)), said)
     if np.isinf(missed) and np.isinf(left):
         return MachineKind(is_moved and model is None, model)  # whoever fits it again says why
     sentence = f"rigid axes miss {_share_text(missed)} of the torque on rows kept out, " + (
-        "and no elasticity shows"
-        if model is not None and max(model.chains.masses_per_branch) == 1
-        else f"chains {_share_text(left)}"
+        "and no elasticity shows" if is_single else f"chains {_share_text(left)}"
     )
     # The better one wins; of what is moved and not shaken only where it is so clearly.
     if model is not None and left < (CLEAR_RATIO if is_moved else 1.0) * missed:

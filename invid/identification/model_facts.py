@@ -9,25 +9,31 @@ from typing import Any
 import numpy as np
 
 from invid.errors import InvidError
-from invid.identification.crosscheck import compare_routes, missed_by_structure
+from invid.identification.crosscheck import (
+    BEATEN,
+    MOST_BEATEN,
+    SUSPECT,
+    compare_routes,
+    missed_by_structure,
+)
 from invid.identification.identifiability import Unidentifiable, blind_directions
 from invid.inverse import PaperResult
 from invid.likelihood.fit import Fit
 from invid.model.document import EffectTerm, Estimate, Model, parameter_vector, std_by_name, units
 from invid.model.doubts import Doubt, DoubtCode, doubt_facts
+from invid.numerics import budget
 from invid.numerics.arrays import Float64, frozen_float
 from invid.recording.model import Recording, Role
 from invid.signals.frf import FrfMatrix
 from invid.signals.spectra import LineSpectra
 
-SUSPECT = 5.0
-"""χ²/ν against sensor noise above which the fit is compared with a rational FRF of no structure."""
-MOST_BEATEN = 4.0
-"""Missed mean square of the fit, over that of a rational FRF and over that of 1 % of the amplitudes, above
-which it is doubted (empirical): a factor of two in amplitude."""
 EXPLAINED = 0.9
 """Share of the torque a trustworthy model explains. Empirical: real drives with friction stand above
 0.99, a wrong order or a torque that is none below 0.7 (flexible bench, case study)."""
+
+
+CUT_SHORT = "cut_short"
+"""Name of the doubts, among the facts of a fit, that a spent budget makes: nothing is concluded from them."""
 
 
 def _provenance(recording: Recording) -> dict[str, Any]:
@@ -114,9 +120,11 @@ def refined_model(
     blind = blind_directions(chains, names, values, covariance, (bottom, top))
     doubts: list[Doubt] = []
     unseen: list[str] = []
+    cut_short: list[str] = []
     if fit.solution.result != "converged":
         said = f"the fit did not converge ({fit.solution.result} after {fit.solution.iterations} iterations)"
         doubts.append(Doubt(DoubtCode.NOT_CONVERGED, said))
+        cut_short = [said] if budget.is_spent() else []
     if blind.unseen:
         std = np.where([n in blind.unseen for n in names], np.nan, std)
         unseen += blind.sentences or [f"{', '.join(sorted(blind.unseen))}: not known from these data"]
@@ -161,10 +169,12 @@ def refined_model(
     facts = {
         **doubt_facts(doubts),
         "unseen": unseen,
+        **({CUT_SHORT: cut_short} if cut_short else {}),
         "chi2": fit.solution.chi2,
         "dof": fit.solution.dof,
         "noise_chi2_per_dof": fit.noise_chi2,
         "explained": fit.explained,
+        BEATEN: missed_ratio if missed_power > MOST_BEATEN else 0.0,
         "band_hz": [bottom, top],
         "lines": {b.key: int(b.omega.size) for b in fit.problem.blocks},
         "periods": {s.key: s.periods for s in spectra},

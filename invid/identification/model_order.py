@@ -31,6 +31,8 @@ class OrderChoice:
     """The plant found with those masses: a start."""
 
 
+CUT_SHORT = "cut_short"
+"""Name of the evidence that the budget ended the choice: orders that were not tried are not refuted."""
 GAIN = 1.3
 """Factor by which a further mass must lower χ². Empirical: coloured residuals (friction, ripple) let any
 extra parameter fit a few per cent of them, a missing mode leaves tens to thousands (case study: 26 000 for
@@ -188,6 +190,8 @@ def choose_order(spectra: Sequence[LineSpectra], axes: Sequence[str], *, most: i
         "vanishing": {n: t.vanishing for n, t in trials.items() if t.vanishing},
         "standing": {n: t.standing for n, t in trials.items() if t.standing},
     }
+    if budget.is_spent():
+        evidence[CUT_SHORT] = True
     chosen = search.trial(best).fit
     return OrderChoice(best, evidence, warnings, None if chosen is None else chosen.chains)
 

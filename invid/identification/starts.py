@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from invid.identification.crosscheck import FreeFrf
 from invid.identification.fewer_masses import FewerExplain, fit_fewer_masses
 from invid.identification.separate_branches import start_separate_branches
 from invid.inverse import starts
@@ -54,7 +55,8 @@ def fit_sizes(  # noqa: PLR0913 - where starts come from
     structure = ChainStructure(tuple(sizes), tuple(axes))
     attempts = chain_starts(spectra, sizes, axes, measured, further, thorough, declared)
     try:
-        return fit_structure(spectra, structure, attempts, thorough=thorough)
+        free = FreeFrf(spectra, sizes)
+        return fit_structure(spectra, structure, attempts, thorough=thorough, free=free)
     except FewerExplain as found:
         return found.fit
 

@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-import scipy.linalg
-import scipy.optimize
+import scipy
 
 from invid.errors import ModelError, NotIdentifiableError
 from invid.inverse.lanczos import lanczos

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -78,16 +78,30 @@ class Fit:
         return self.structure.physical(self.solution.p[: self.structure.count])
 
 
+class FreeAnswer(Protocol):
+    """What a linear model without structure reaches on the records."""
+
+    def misses_too(self) -> bool:
+        """Whether it misses far more than noise as well: something acts that no linear structure holds."""
+        ...
+
+    def is_no_better(self, problem: MissingTorqueProblem, solution: Solution) -> bool:
+        """Whether it misses as much as a fit."""
+        ...
+
+
 def fit_structure(
     spectra: Sequence[LineSpectra],
     structure: ChainStructure,
     starts: Iterable[CoupledChains],
     *,
     thorough: bool = True,
+    free: FreeAnswer | None = None,
 ) -> Fit:
     """Maximum-likelihood fit of ``structure`` from the best of several starts.
 
-    ``thorough=False`` stops after the first pass (for comparing structures).
+    ``thorough=False`` stops after the first pass (for comparing structures). ``free``: what an FRF without
+    structure reaches, asked where a start is far above the noise.
     """
     problem = add_coulomb_columns(problem_from_spectra(structure, spectra), spectra)
     if problem.dof <= 0:
@@ -98,7 +112,7 @@ def fit_structure(
         )
     # A large plant's further starts take longer than a search on from the first.
     patience = 1 if is_costly_to_start(structure.sizes) else 5 if thorough else 2
-    problem, solution = _fit_best_start(problem, starts, spectra, 80 if thorough else 30, patience)
+    problem, solution = _fit_best_start(problem, starts, spectra, 80 if thorough else 30, patience, free)
     holds: dict[str, str] = {}
     budget.tell("identifying", 0.6 if thorough else 0.3)
     if thorough and not budget.is_left_out("transients, holds, inner friction and lags of the model"):
@@ -125,14 +139,14 @@ def fit_structure(
         problem, solution = fit_reversal_lags(problem, solution)
     problem, solution, open_holds, early_holds = free_hold_locations(problem, solution, spectra, holds)
     budget.tell("identifying", 0.95 if thorough else 0.3)
-    free = physical_covariance(problem, solution)
+    unbounded = physical_covariance(problem, solution)
     is_bounded = bool(gains_beyond_range(problem, solution))
     problem, solution = _fit_within_bounds(problem, solution)
     # A hold that is kept in its range is known no better for that.
-    covariance = free if is_bounded else physical_covariance(problem, solution)
+    covariance = unbounded if is_bounded else physical_covariance(problem, solution)
     # A damper held at zero keeps the standard deviation it had when free.
     pinned = np.flatnonzero(~solution.free[: problem.structure.count])
-    covariance[pinned, pinned] = np.diag(free)[pinned]
+    covariance[pinned, pinned] = np.diag(unbounded)[pinned]
     timing = {
         axis: float(np.sqrt(covariance[dof, dof]))
         for axis, dof in zip(structure.axes, structure.motor_dofs, strict=True)
@@ -163,16 +177,18 @@ def _fit_best_start(
     spectra: Sequence[LineSpectra],
     iterations: int,
     patience: int,
+    free: FreeAnswer | None,
 ) -> tuple[MissingTorqueProblem, Solution]:
     """The problem, with the friction columns of its best fit, and the solution of lowest cost from all
     starts.
 
     Stops at the first start that reaches the noise, or where a second start leads to the same minimum as the
-    best one. The width of friction reversals is fitted after each: with a sign that is too sharp a mode hides
+    best one, or where ``free`` misses as much: that is no other start's. The width of
+    friction reversals is fitted after each: with a sign that is too sharp a mode hides
     behind what friction leaves, and no start would reach the noise.
     """
     best: Solution | None = None
-    for number, p in enumerate(_ordered_starts(problem, starts, patience)):
+    for number, p in enumerate(_ordered_starts(problem, starts, patience, free)):
         if best is not None and budget.is_left_out("further starts of the identification"):
             break
         budget.tell(f"identifying, start {number + 1}", 0.5 * (1.0 - 0.5**number))
@@ -184,7 +200,7 @@ def _fit_best_start(
         is_repeated = best is not None and abs(found.chi2 - best.chi2) < 1e-3 * best.chi2
         if best is None or found.chi2 < best.chi2:
             problem, best = with_reversals, found
-        if is_repeated or best.reduced < AT_NOISE:
+        if is_repeated or best.reduced < AT_NOISE or (free is not None and free.is_no_better(problem, best)):
             break
     if best is None:
         raise NotIdentifiableError(
@@ -195,13 +211,17 @@ def _fit_best_start(
 
 
 def _ordered_starts(
-    problem: MissingTorqueProblem, starts: Iterable[CoupledChains], patience: int
+    problem: MissingTorqueProblem,
+    starts: Iterable[CoupledChains],
+    patience: int,
+    free: FreeAnswer | None,
 ) -> Iterator[Float64]:
     """(n,) parameters from the starts, fitted with the largest ``NOISE_SHARES``; those that miss more than it
     come last.
 
     A further fit from those costs most, and nearly always ends in another minimum. After ``patience`` such
-    starts it is the machine and not the start: then the best of them comes first.
+    starts it is the machine and not the start: then the best of them comes first. So it is at once where an
+    FRF without structure misses as well.
     """
     tempered = _temper(problem, NOISE_SHARES[0])
     postponed: list[Solution] = []
@@ -215,7 +235,7 @@ def _ordered_starts(
             yield found.p
             continue
         postponed.append(found)
-        if len(postponed) == patience:
+        if len(postponed) == patience or (free is not None and free.misses_too()):
             yield from (s.p for s in sorted(postponed, key=lambda s: s.chi2))
             postponed, is_patience_spent = [], True
     yield from (s.p for s in sorted(postponed, key=lambda s: s.chi2))

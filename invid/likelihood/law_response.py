@@ -206,6 +206,9 @@ def direct_effect_changes(
     view.clear_cache()  # both sides from the same inner motion
     parts = law_parts(view, candidate)
     total, back = sum_contributions(view, candidate, parts)
+    is_sum = not any(
+        isinstance(t.effect, ImpedanceEffect) or t.depends_on_inner_motion(view) for t in candidate.terms
+    )
     totals, backs = [], []
     for number, k, h in steps:
         moved = candidate.x[number].copy()
@@ -216,11 +219,18 @@ def direct_effect_changes(
         changed = list(parts)
         changed[number] = law_part(view, candidate.terms[number], moved)
         known, view.beside = view.beside, laws_beside_dry_friction(there_candidate)
-        if view.beside != known:
+        is_felt_beside = view.beside != known
+        if is_felt_beside:
             for n, term in enumerate(candidate.terms):
                 if isinstance(term.effect, DryLaw) and term.place.axis == candidate.terms[number].place.axis:
                     changed[n] = law_part(view, term, x[n])
         view.beside = known
+        own, own_before = changed[number], parts[number]
+        if is_sum and not is_felt_beside and own is not None and own_before is not None:
+            totals.append((own[0] - own_before[0]) / h)  # the other laws feel nothing of it
+            moved_by = [np.zeros_like(back) if p[1] is None else p[1] for p in (own, own_before)]
+            backs.append((moved_by[0] - moved_by[1]) / h)
+            continue
         there = sum_contributions(view, there_candidate, changed)
         totals.append((there[0] - total) / h)
         backs.append((there[1] - back) / h)

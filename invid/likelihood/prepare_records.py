@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from scipy.fft import next_fast_len
+import scipy
 
 from invid.model.document import Model
 from invid.numerics.arrays import Complex128, Float64
@@ -71,7 +71,7 @@ def spectral_record(
     keep = np.where(power > 6.0 * noise_all, 1.0 - noise_all / np.maximum(power, 1e-300), 0.0)
     keep[0] = 1.0
     clean = spectrum * keep
-    grid = min(count, next_fast_len(max(SAMPLES_PER_PERIOD * int(index[-1]), 256), real=True))
+    grid = min(count, scipy.fft.next_fast_len(max(SAMPLES_PER_PERIOD * int(index[-1]), 256), real=True))
     bins = grid // 2 + 1
     coarse = clean[:bins] * (grid / count)
     if grid < count and grid % 2 == 0:

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
-import scipy.linalg
+import scipy
 
 from invid.numerics.arrays import Bool, Complex128, Float64
 

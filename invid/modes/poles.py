@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-import scipy.linalg
+import scipy
 
 from invid.modes.data import FrfData
 from invid.modes.least_squares import ModalFit

@@ -2,7 +2,8 @@
 
 The budget in force is a context variable: searches and fits are reached through thirty functions that
 neither know nor need it, and a forked helper has its parent's. No clock is read here; whoever sets a budget
-gives it one. Without a budget nothing is ever spent, and the same data give the same answer.
+gives it one (``run_clock``: processor time). Without a budget nothing is ever spent, and the same data give
+the same answer.
 """
 
 from __future__ import annotations
@@ -12,6 +13,8 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from typing import TypeVar
+
+from invid.numerics.run_clock import RunClock
 
 T = TypeVar("T")
 
@@ -40,6 +43,8 @@ class Progress:
     fraction: float = 0.0
     seconds_left: float | None = None
     element: str | None = None
+    found: tuple[str, ...] = ()
+    """Sentences about the causes found so far; the search still looks."""
 
     def __str__(self) -> str:
         """ "weighing backlash, A2 spring 1"."""
@@ -62,6 +67,9 @@ class Budget:
     """Shares of the whole between which the present part lies."""
     behind: float = 0.0
     left_out: list[str] = field(default_factory=list)
+    found: tuple[str, ...] = ()
+    is_stopped: bool = False
+    """Whether somebody asked for the best answer so far (``stop``)."""
 
     def __post_init__(self) -> None:
         self.began = self.clock()
@@ -107,7 +115,18 @@ def use_share(share: float, low: float = 0.0, high: float = 1.0) -> Iterator[Non
 def is_spent() -> bool:
     """Whether the budget in force, or that of the present part, is used up."""
     budget = _IN_FORCE.get()
-    return budget is not None and budget.seconds is not None and budget.clock() >= budget.end
+    return budget is not None and (
+        budget.is_stopped or (budget.seconds is not None and budget.clock() >= budget.end)
+    )
+
+
+def stop() -> bool:
+    """Spend the budget in force here and now, for the best answer so far; False where there is none."""
+    budget = _IN_FORCE.get()
+    if budget is None or budget.is_stopped:
+        return False
+    budget.is_stopped = True
+    return True
 
 
 def check() -> None:
@@ -154,11 +173,15 @@ def warning() -> str | None:
     budget = _IN_FORCE.get()
     if budget is None or not budget.left_out:
         return None
-    seconds = 0.0 if budget.seconds is None else budget.seconds
+    if budget.is_stopped or budget.seconds is None:
+        spent, way_out = f"{SPENT} this search was ended by whoever waited", "let it run to its end"
+    else:
+        spent = f"{SPENT} {budget.seconds:g} s of the processor was spent"
+        way_out = f"a larger --budget than {budget.seconds:g} lets the search end by itself"
     return (
-        f"{SPENT} {seconds:g} s was spent; this is the best answer so far, and these were not looked at: "
+        f"{spent}; this is the best answer so far, nothing is concluded from what was not looked at: "
         + "; ".join(budget.left_out)
-        + f" (a larger --budget than {seconds:g} lets the search end by itself)"
+        + f" ({way_out})"
     )
 
 
@@ -181,11 +204,37 @@ def tell(
     if budget.behind > SEEN:
         rest = (now - budget.began) * (1.0 - budget.behind) / budget.behind
         left = rest if left is None else min(left, rest)
-    budget.report(Progress(stage, axis, cause, budget.behind, left, element))
+    budget.report(Progress(stage, axis, cause, budget.behind, left, element, budget.found))
 
 
-def silence() -> None:
-    """Report no more: for a forked helper, whose parent does."""
+def tell_found(sentences: Sequence[str]) -> None:
+    """Report the causes found so far, in sentences, while the search still looks."""
+    budget = _IN_FORCE.get()
+    if budget is None:
+        return
+    budget.found = tuple(sentences)
+    tell("still looking", 0.0)
+
+
+@contextmanager
+def use_helpers(processes: int) -> Iterator[None]:
+    """Inside, so many processes work, this one among them."""
+    budget = _IN_FORCE.get()
+    clock = None if budget is None else budget.clock
+    if not isinstance(clock, RunClock):
+        yield
+        return
+    clock.begin_helpers(processes)
+    try:
+        yield
+    finally:
+        clock.end_helpers()
+
+
+def enter_helper() -> None:
+    """For a forked helper: its parent reports, and its clock goes on from its parent's."""
     budget = _IN_FORCE.get()
     if budget is not None:
         budget.report = None
+        if isinstance(budget.clock, RunClock):
+            budget.clock.enter_helper()

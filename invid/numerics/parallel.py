@@ -14,7 +14,7 @@ from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from typing import Any, TypeVar
 
-from invid.numerics.budget import silence
+from invid.numerics import budget
 
 A = TypeVar("A")
 B = TypeVar("B")
@@ -47,33 +47,34 @@ def parallel_map(run: Callable[[A], B], items: Sequence[A], known: Sequence[obje
         return [run(item) for item in items]
     caller = os.getpid()
     working: list[tuple[BaseProcess, Connection]] = []
-    try:
-        for _ in range(helpers):
-            try:
-                mine, theirs = context.Pipe(duplex=False)
-            except OSError:  # as below, where there are no more processes: with those that there are
-                break
-            # A helper with the caller's ends open would never learn that the caller is gone.
-            idle = [mine, *(m for _, m in working)]
-            arguments = (run, items, numbers, known, theirs, idle, caller)
-            process = context.Process(target=_help, args=arguments, daemon=True)
-            try:
-                process.start()
-            except OSError:
-                mine.close()
-                break
-            finally:
-                theirs.close()
-            working.append((process, mine))
-        done = _taken(run, items, numbers)
-        for _, answer in working:
-            done.update(_received(answer, known))
-    finally:
-        os.close(numbers)
-        for helper, answer in working:
-            helper.kill()
-            helper.join()
-            answer.close()
+    with budget.use_helpers(helpers + 1):
+        try:
+            for _ in range(helpers):
+                try:
+                    mine, theirs = context.Pipe(duplex=False)
+                except OSError:  # as below, where there are no more processes: with those that there are
+                    break
+                # A helper with the caller's ends open would never learn that the caller is gone.
+                idle = [mine, *(m for _, m in working)]
+                arguments = (run, items, numbers, known, theirs, idle, caller)
+                process = context.Process(target=_help, args=arguments, daemon=True)
+                try:
+                    process.start()
+                except OSError:
+                    mine.close()
+                    break
+                finally:
+                    theirs.close()
+                working.append((process, mine))
+            done = _taken(run, items, numbers)
+            for _, answer in working:
+                done.update(_received(answer, known))
+        finally:
+            os.close(numbers)
+            for helper, answer in working:
+                helper.kill()
+                helper.join()
+                answer.close()
     return [done[k] if k in done else run(items[k]) for k in range(len(items))]
 
 
@@ -118,9 +119,9 @@ def _help(  # noqa: PLR0913 - all that a forked helper knows
     caller: int,
 ) -> None:
     """What a helper does: it takes calls, and says nothing where it fails."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the caller, who ends the helper
+    signal.signal(signal.SIGINT, lambda *_: budget.stop())  # Ctrl-C: the caller wants what there is
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    silence()
+    budget.enter_helper()
     for end in idle:
         end.close()
     try:

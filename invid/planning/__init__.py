@@ -1,6 +1,7 @@
 """Experiments as data, limits, dry run, bus budget."""
 
-from invid.planning.budget import BusBudget, bus_budget, bus_load, frame_bits, require_budget
+from invid.config.frames import frame_bits
+from invid.planning.budget import BusBudget, bus_budget, bus_load, require_budget
 from invid.planning.build import default_experiments, make_plan
 from invid.planning.model import AxisForecast, Plan, PlannedExperiment
 

@@ -17,25 +17,11 @@ import numpy as np
 from scipy.stats import binom
 
 from invid.config import CellConfig
+from invid.config.frames import LONGEST_HEARTBEAT_S, cycle_bits, frame_bits
 from invid.errors import ConfigError
 
-RPDO_BYTES = 4
-"""0x6040 controlword and 0x6071 target torque."""
-TPDO_BYTES = 8
-"""0x6064 position, 0x6077 torque, 0x6041 statusword."""
 
-
-def frame_bits(data_bytes: int) -> int:
-    """Worst-case length of a frame with an 11-bit identifier, stuffing and inter-frame space [bit]."""
-    return 47 + 8 * data_bytes + (34 + 8 * data_bytes - 1) // 4
-
-
-def cycle_bits(drives: int) -> int:
-    """SYNC and the PDOs of every drive in one cycle [bit]."""
-    return frame_bits(0) + drives * (frame_bits(RPDO_BYTES) + frame_bits(TPDO_BYTES))
-
-
-def bus_load(drives: int, *, cycle_s: float, bitrate: int, heartbeat_s: float = 0.1) -> float:
+def bus_load(drives: int, *, cycle_s: float, bitrate: int, heartbeat_s: float = LONGEST_HEARTBEAT_S) -> float:
     """Share of the bus that cycle and heartbeats (master and drives) take in the worst case."""
     heartbeats = (drives + 1) * frame_bits(1) / heartbeat_s
     return (cycle_bits(drives) / cycle_s + heartbeats) / bitrate

@@ -18,8 +18,8 @@ from invid.errors import ConfigError, InputError
 from invid.model.chains import CoupledChains
 from invid.numerics.arrays import Float64, frozen_float
 from invid.planning.belief import Belief, rigid
-from invid.planning.budget import BusBudget, require_budget
-from invid.planning.forecast import fitted, limit_forecast, model_forecast, model_trials
+from invid.planning.budget import require_budget
+from invid.planning.forecast import fitted, limit_forecast, model_forecast, model_trials, scale_torque
 from invid.planning.model import Plan, PlannedExperiment
 from invid.planning.phases import FADE_S, REST_S, fade_s, phases_of, trials_of
 from invid.recording.model import Kind, Role
@@ -47,6 +47,7 @@ def make_plan(
     axes: Sequence[str] | None = None,
     amplitude_scale: float = 1.0,
     model: CoupledChains | Belief | None = None,
+    lowered: Sequence[float] | None = None,
 ) -> Plan:
     """The plan of a cell's experiments.
 
@@ -60,6 +61,8 @@ def make_plan(
         The last accepted model, with its friction where that is known: what is announced comes from it, and
         torque is planned so that it keeps the limits. Without one the limits are announced, and the trial
         of the sweep lowers the torque.
+    lowered
+        Share of that torque that each axis keeps so that it comes to rest in time.
 
     Raises
     ------
@@ -71,7 +74,7 @@ def make_plan(
         raise ConfigError(f"axes: none named; the config has {', '.join(names)}")
     if not 0 < amplitude_scale <= 1:
         raise ConfigError(f"amplitude scale is {amplitude_scale!r}; it must lie above 0 and be at most 1")
-    budget = require_budget(config)
+    require_budget(config)
     chosen = None if axes is None else {names.index(n) for n in axes}
     experiments: list[PlannedExperiment] = []
     for spec in config.experiments or default_experiments():
@@ -103,7 +106,8 @@ def make_plan(
     if not any(e.role is Role.VALIDATE for e in experiments):
         warnings.append("no experiment has role 'validate': a diagnosis will have to hold data out by itself")
     belief = model if isinstance(model, Belief) or model is None else _without_friction(model)
-    return assemble(config, experiments, belief, budget, share=amplitude_scale, warnings=warnings)
+    kept = np.ones(len(names)) if lowered is None else np.asarray(lowered, dtype=float)
+    return assemble(config, experiments, belief, share=amplitude_scale, lowered=kept, warnings=warnings)
 
 
 def require_known_axes(config: CellConfig, axes: Sequence[str] | None) -> tuple[str, ...]:
@@ -119,28 +123,30 @@ def assemble(
     config: CellConfig,
     experiments: Sequence[PlannedExperiment],
     belief: Belief | None,
-    budget: BusBudget,
     *,
     share: float,
+    lowered: Float64 | None = None,
     warnings: Sequence[str] = (),
 ) -> Plan:
     """Experiments with their trials, phases and forecast; torque lowered where the model leaves a limit.
 
-    ``share`` is the factor on every torque that was asked for.
+    ``share`` is the factor on every torque that was asked for, ``lowered`` (M,) what each axis keeps of it
+    so that it comes to rest in time.
     """
     known = belief is not None and not belief.guessed
-    experiments, sentences = tuple(experiments), list(warnings)
+    kept = np.ones(len(config.axes)) if lowered is None else lowered
+    experiments, sentences = scale_torque(experiments, kept), list(warnings)
     inertia: list[float | None] = [a.inertia for a in config.axes]
     if belief is not None and known:
         inertia = [a.inertia or float(m) for a, m in zip(config.axes, belief.inertia, strict=True)]
-        experiments, peaks, is_lowered = fitted(config, experiments, belief, share)
+        experiments, peaks, is_lowered = fitted(config, experiments, belief, share, kept)
         sentences += is_lowered
         trials = model_trials(config, trials_of(config, experiments), peaks, belief)
         expected = model_forecast(config, experiments, peaks, belief)
     else:
         rough_peaks = rigid(config) if belief is None else None
         if rough_peaks is not None:
-            experiments, _, is_lowered = fitted(config, experiments, rough_peaks, share)
+            experiments, _, is_lowered = fitted(config, experiments, rough_peaks, share, kept)
             sentences += is_lowered
         trials = trials_of(config, experiments)
         expected = limit_forecast(config, experiments, share)
@@ -150,7 +156,7 @@ def assemble(
         cycle_s=config.bus.cycle_s,
         experiments=experiments,
         rest_s=REST_S,
-        budget=budget,
+        budget=require_budget(config),
         forecast=expected,
         warnings=tuple(sentences),
         trials=trials,

@@ -204,15 +204,21 @@ QUANTITIES = ("travel", "velocity", "torque")
 
 
 def fitted(
-    config: CellConfig, experiments: Sequence[PlannedExperiment], belief: Belief, share: float = 1.0
+    config: CellConfig,
+    experiments: Sequence[PlannedExperiment],
+    belief: Belief,
+    share: float = 1.0,
+    lowered: Float64 | None = None,
 ) -> tuple[tuple[PlannedExperiment, ...], list[Peaks], list[str]]:
     """The experiments with as much torque as the limits allow by the model, their peaks, and what was done.
 
     Where an excited axis would leave a limit its own torque is lowered, in every experiment alike so that
     they go on complementing each other; where a held axis would, that of those which shake it. Experiments
     that have a ``share`` of their torque keep that share of what could be planned, unless they follow a path.
+    ``lowered`` (M,): what each axis keeps of it already, for the words.
     """
     count = len(config.axes)
+    kept = np.ones(count) if lowered is None else lowered
     most = usable(config)
     factor, binding = np.ones(count), dict[int, str]()
     peaks = [peaks_of(config, e, belief) for e in experiments]
@@ -238,8 +244,8 @@ def fitted(
         peaks = [p if e is None else peaks_of(config, e, belief) for e, p in zip(scaled, peaks, strict=True)]
     result = tuple(_scale_experiment(e, factor) for e in experiments)
     said = [
-        f"axis {config.axes[j].name}: its torque is planned at {share * factor[j]:.0%} of what the config "
-        f"asks for, so that the {why} stays within its limit by {belief.source}"
+        f"axis {config.axes[j].name}: its torque is planned at {share * kept[j] * factor[j]:.0%} of what the "
+        f"config asks for, so that the {why} stays within its limit by {belief.source}"
         for j, why in sorted(binding.items())
         if factor[j] < 1.0
     ]
@@ -294,12 +300,23 @@ def fit_to_limits(plan: Plan, planned: CellConfig, tighter: CellConfig) -> Plan:
     share = np.where(peak > new, np.minimum(new / old, new / np.maximum(peak, 1e-300)), 1.0)
     if np.all(share == 1.0):
         return plan
-    experiments = tuple(replace(e, torque=e.torque * share) for e in plan.experiments)
     forecast = tuple(
         replace(f, peak_torque=f.peak_torque * float(s), travel_limit=a.limits.position)
         for f, s, a in zip(plan.forecast, share, tighter.axes, strict=True)
     )
-    trials = tuple(
-        replace(t, experiment=replace(t.experiment, torque=t.experiment.torque * share)) for t in plan.trials
-    )
-    return replace(plan, experiments=experiments, trials=trials, forecast=forecast)
+    return replace(lower_torque(plan, share), forecast=forecast)
+
+
+def lower_torque(plan: Plan, share: Float64) -> Plan:
+    """The plan with a share (M,) of the torque of each axis; what is announced stays a bound."""
+    if share.min() >= 1.0:
+        return plan
+    trials = tuple(replace(t, experiment=scale_torque([t.experiment], share)[0]) for t in plan.trials)
+    return replace(plan, experiments=scale_torque(plan.experiments, share), trials=trials)
+
+
+def scale_torque(experiments: Sequence[PlannedExperiment], share: Float64) -> tuple[PlannedExperiment, ...]:
+    """The experiments with a share (M,) of the torque of each axis, their paths as they are."""
+    if share.min() >= 1.0:
+        return tuple(experiments)
+    return tuple(replace(e, torque=frozen_float(e.torque * share)) for e in experiments)

@@ -128,11 +128,11 @@ def plan_for_goal(  # noqa: PLR0913 - what is known of the cell, and what a pers
     known = require_known_axes(config, axes)
     excited = tuple(i for i, n in enumerate(known) if axes is None or n in axes)
     designer = BlockDesigner(config, belief, noise, excited, amplitude_scale, names, seed, band)
-    budget = require_budget(config)
+    require_budget(config)
 
     def plan_of(blocks: Sequence[PlannedExperiment]) -> Plan:
         numbered = tuple(replace(e, key=f"{k:03d}") for k, e in enumerate(blocks))
-        return assemble(config, numbered, belief, budget, share=amplitude_scale)
+        return assemble(config, numbered, belief, share=amplitude_scale)
 
     lengths = [t * max(1.0, 0.5 / designer.band[0]) for t in BLOCKS_S]
     lengths = [t for t in lengths if t + REST_S <= max_duration_s] or [max(max_duration_s - REST_S, 1.0)]

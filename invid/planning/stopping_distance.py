@@ -8,7 +8,9 @@ brakes with a: its ramp, or (T − L)/J, what its torque limit leaves beside the
 
 t_s is the time in which what is behind the motor swings on.
 
-The speed that may be permitted is the v at which the longer of the two ways is the room that there is.
+The speed that may be permitted is the v at which the longer of the two ways is the room that there is. Before
+that the torque is lowered until it takes at most half of the room from rest, so that the other half is left
+to speed; never below a stated least excitation.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from invid.config import AxisConfig, CellConfig
+from invid.config.frames import WATCH_BEATS
 from invid.errors import ConfigError
 
 SPEED_TOLERANCE = 1.05
@@ -30,6 +33,15 @@ FEEDBACK_FACTOR = 1.25
 """Torque beyond the planned excitation: the weak centring of an excited axis (as ``forecast.MARGIN``)."""
 LOAD_SHARE = 0.5
 """Load of a gravity-loaded axis as a share of its torque limit, before its hold torque has been measured."""
+COASTING_SHARE = 0.5
+"""Share of the room that the torque which goes on may take from rest. How fast an axis will be is not known
+before it has moved: the room is divided evenly between torque and speed."""
+LEAST_EXCITATION = 0.05
+"""Peak torque, as a share of its limit, below which no plan is lowered for the way to rest: the signs are
+tried with as much whatever is planned (``invid.planning.phases.sign_amplitude``)."""
+BISECTIONS = 30
+ROUNDING = 1 - 1e-6
+"""A plan that was lowered once is not lowered again by what rounding left."""
 SETTLE_S = 0.08
 """What is behind the motor swings on: half a period of a resonance of 6 Hz at the speed of the stop
 (empirical, ``bench_stopping.py``)."""
@@ -79,6 +91,36 @@ class StoppingCase:
     """How far beyond its window it may come to rest."""
     velocity: float
     """Limit that config and drive set."""
+    shortest_watch_s: float = 0.0
+    """The shortest watch that cycle, bus and what is forgiven allow."""
+
+    @property
+    def longest_s(self) -> float:
+        """From what happens to the quick stop, whichever takes longer: a stop or a dead master."""
+        watch = self.facts.watch_s
+        return max(self.reaction_s, 0.0 if watch is None else watch + self.sight_s)
+
+    @property
+    def strongest(self) -> float:
+        """Torque that may go on so that it takes a share of the room from rest; ∞ where that is not known."""
+        a, t = self.deceleration, self.longest_s
+        if a is None or self.inertia is None:
+            return math.inf
+        if a <= 0:
+            return 0.0
+        # k²·t²/(2a) + k·(t²/2 + t·t_s) = share·room, for the acceleration k
+        squared, linear, room = t**2 / (2 * a), t**2 / 2 + t * SETTLE_S, COASTING_SHARE * self.room
+        return self.inertia * 2 * room / (linear + math.sqrt(linear**2 + 4 * squared * room))
+
+    def longest_watch(self) -> float:
+        """Time until the drive stops [s] in which the torque that goes on takes its share of the room."""
+        low, high = 0.0, self.longest_s
+        for _ in range(BISECTIONS):
+            middle = (low + high) / 2
+            way = self.distance(0.0, middle)
+            fits = way is not None and way <= COASTING_SHARE * self.room
+            low, high = (middle, high) if fits else (low, middle)
+        return low
 
     @property
     def deceleration(self) -> float | None:
@@ -230,8 +272,12 @@ class StoppingBudget:
         case, facts = self.case, self.case.facts
         ways = []
         watch = facts.watch_s
-        if watch is not None and watch > case.reaction_s and case.fastest(case.reaction_s) > self.permitted:
-            ways.append("shorten safety.heartbeat_s")
+        if (
+            watch is not None
+            and watch > max(case.reaction_s, case.shortest_watch_s)
+            and case.fastest(case.reaction_s) > self.permitted
+        ):
+            ways.append("shorten safety.heartbeat_s" + self._heartbeat_clause())
         if case.deceleration == facts.deceleration and not facts.by_torque:
             ways.append("raise 0x6085 with the drive's tool")
         else:
@@ -239,6 +285,25 @@ class StoppingBudget:
         if case.planned:
             ways.append("lower the amplitude")
         return f"{', '.join(ways) or 'lower the load'}, or widen limits.stopping_room_{unit}"
+
+    def _heartbeat_clause(self) -> str:
+        """The longest heartbeat that would do, where no speed at all is permitted."""
+        case = self.case
+        longest = (case.longest_watch() - case.sight_s) / WATCH_BEATS
+        if self.permitted > 0 or longest <= 0:
+            return ""
+        most = math.floor(1e3 * longest) / 1e3
+        return f" to {most:g} at most" if WATCH_BEATS * most >= max(case.shortest_watch_s, 0.001) else ""
+
+
+@dataclass(frozen=True)
+class Permitted:
+    """What the ways to rest leave of a plan."""
+
+    config: CellConfig
+    """With the permitted speeds as limits."""
+    torque: tuple[float, ...]
+    """Share of its planned torque that each axis keeps."""
 
 
 def case_of(
@@ -272,6 +337,7 @@ def case_of(
         sight_s=SIGHT_CYCLES * cycle,
         room=axis.limits.stopping_room or axis.limits.position,
         velocity=axis.limits.velocity,
+        shortest_watch_s=WATCH_BEATS * config.shortest_heartbeat_s,
     )
 
 
@@ -281,6 +347,29 @@ def budget_of(case: StoppingCase) -> StoppingBudget:
     if case.facts.watch_s is not None:
         fastest = min(fastest, case.fastest(case.facts.watch_s + case.sight_s))
     return StoppingBudget(case, min(case.velocity, fastest))
+
+
+def torque_shares(
+    config: CellConfig,
+    facts: Sequence[StoppingFacts],
+    planned: Sequence[float],
+    inertia: Sequence[float | None],
+    loads: Sequence[float | None] | None = None,
+) -> tuple[float, ...]:
+    """Share of its planned torque with which each axis comes to rest in its room and has some left for speed.
+
+    Never less than ``LEAST_EXCITATION`` of the torque limit, where as much is planned: whether that is still
+    too much is for ``budgets_of`` to say.
+    """
+    shares = []
+    for a, f, p, m, x in zip(
+        config.axes, facts, planned, inertia, loads or [None] * len(config.axes), strict=True
+    ):
+        strongest = case_of(a, f, config, planned=p, inertia=m, load=x).strongest
+        share = strongest / (FEEDBACK_FACTOR * p) if p > 0 else 1.0
+        least = LEAST_EXCITATION * a.limits.torque / p if p > 0 else 1.0
+        shares.append(min(1.0, max(share, least)))
+    return tuple(s if s < ROUNDING else 1.0 for s in shares)
 
 
 def budgets_of(
@@ -298,7 +387,7 @@ def budgets_of(
     )
     for budget in found:
         if budget.permitted <= 0:
-            raise ConfigError(_refusal_text(budget, linear=config.linear))
+            raise _refusal(budget, linear=config.linear)
     return found
 
 
@@ -315,19 +404,22 @@ def permitted(config: CellConfig, budgets: Sequence[StoppingBudget]) -> CellConf
     return config.model_copy(update={"axes": axes})
 
 
-def _refusal_text(budget: StoppingBudget, *, linear: bool) -> str:
+def _refusal(budget: StoppingBudget, *, linear: bool) -> ConfigError:
     case, unit = budget.case, "m" if linear else "rad"
     torque = "N" if linear else "N·m"
     if case.deceleration is not None and case.deceleration <= 0:
-        return (
+        return ConfigError(
             f"axis {case.axis}: it could not be stopped: its torque limit of {case.torque:.3g} {torque} "
-            f"leaves nothing beside a load of {case.load:.3g}; unload the axis or raise its torque limit"
+            f"leaves nothing beside a load of {case.load:.3g}",
+            way_out="unload the axis or raise its torque limit",
         )
     still = replace(budget, permitted=0.0)
     way = max(still.stop or 0.0, still.dead_master or 0.0)
-    return (
+    is_least = case.planned <= 1.01 * FEEDBACK_FACTOR * LEAST_EXCITATION * case.torque
+    least = f", the least excitation of {LEAST_EXCITATION:.0%} of its torque limit" * is_least
+    return ConfigError(
         f"axis {case.axis}: even from rest it may go {way:.3g} {unit} before it stands "
         f"({budget.blind_s * 1e3:.0f} ms until the drive stops without this computer, {case.facts.watch}, "
-        f"with up to {case.planned:.3g} {torque} meanwhile), and {case.room:.3g} are allowed; "
-        + budget.way_out(linear=linear)
+        f"with up to {case.planned:.3g} {torque} meanwhile{least}), and {case.room:.3g} are allowed",
+        way_out=f"{still.way_out(linear=linear)} to {math.ceil(100 * way) / 100:g}",
     )

@@ -22,7 +22,7 @@ from invid.numerics.arrays import Float64, UInt16, frozen, frozen_float
 from invid.recording.attributes import Attributes, read_attributes
 from invid.recording.check import COLUMNS, check_recording
 from invid.recording.model import Experiment, Kind, Outcome, Recording, Role
-from invid.recording.spool import as_hdf5, is_spool
+from invid.recording.spool import SUFFIX, as_hdf5, is_spool
 
 FORMAT = "invid-recording"
 FORMAT_VERSION = 1
@@ -86,7 +86,7 @@ def read_recording(path: str | Path) -> Recording:
             raise RecordingError(f"{source}: is a directory; give the HDF5 file of a recording")
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        raise RecordingError(f"{source}: cannot be opened: {reason}") from None
+        raise RecordingError(f"{source}: cannot be opened: {reason}{_rows_beside(path)}") from None
     if size == 0:
         raise RecordingError(f"{source}: the file is empty; it is not a recording")
     try:
@@ -98,6 +98,14 @@ def read_recording(path: str | Path) -> Recording:
         raise RecordingError(_damage(path, source, error)) from None
     check_recording(recording)
     return recording
+
+
+def _rows_beside(path: Path) -> str:
+    """Where a measurement that was cut off left its rows; empty where none did."""
+    rows = path.with_name(path.name + SUFFIX)
+    if not is_spool(rows):
+        return ""
+    return f"; its measurement was cut off, or still goes on: what it measured so far is in {rows}"
 
 
 def _damage(path: Path, source: str, error: BaseException) -> str:

@@ -6,20 +6,17 @@ YAML, validated, unknown keys refused. The reference with examples is ``docs/ref
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
-import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from invid.errors import InputError
-from invid.model.document import describe_validation_error
+from invid.config.load import explain_errors, load_yaml
+from invid.errors import ConfigError, InputError
 from invid.recording.model import Kind, Role
+from invid.recording.text_format import decode_text
 
 FORMAT = "invid-import-map"
 MAX_BYTES = 1_000_000
-
-
-MAX_VALUES = 100_000
 
 
 class Strict(BaseModel):
@@ -41,6 +38,8 @@ class Channel(Strict):
     remove_mean: bool = False
     per_count: float | None = Field(default=None, gt=0)
     """SI value of one count, where the unit is counts."""
+    read_as: Literal["int8", "int16", "int24", "int32", "sign8", "sign16", "sign24", "sign32"] | None = None
+    """Whole numbers whose sign the file lost: two's complement, or a sign bit beside a magnitude."""
 
 
 class TorqueChannel(Channel):
@@ -100,6 +99,10 @@ class TimeMap(Strict):
     column: str | int | None = None
     unit: str = "s"
     sample_rate_hz: float | None = Field(default=None, gt=0)
+    wraps_at: float | None = Field(default=None, gt=0)
+    """Where the counter starts over, in the column's unit; usual ones (2^32 µs, a minute, …) are known."""
+    differences: bool = False
+    """Each stamp is the time since the one before."""
 
     @model_validator(mode="after")
     def _one(self) -> TimeMap:
@@ -118,6 +121,8 @@ class Signal(Strict):
     type: Literal["int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "skip"]
     bits: int | None = Field(default=None, gt=0, le=64)
     """Length of a ``skip``."""
+    byte_order: Literal["little", "big"] | None = None
+    """Of numbers of more than one byte; little-endian as CANopen has them where nothing is said."""
 
 
 class Pdo(Strict):
@@ -127,6 +132,8 @@ class Pdo(Strict):
     direction: Literal["from_drive", "to_drive"] = "from_drive"
     """``to_drive``: the value acts from the next SYNC on, and is listed with that sample."""
     signals: list[Signal] = []
+    channel: str | int | None = None
+    """The log's name of the bus it is on, where that is not the source's ``channel``."""
 
 
 class Source(Strict):
@@ -135,6 +142,8 @@ class Source(Strict):
     kind: Literal["csv", "mat", "parquet", "hdf5", "can_log", "mdf", "mcap"] | None = None
     delimiter: str | None = Field(default=None, min_length=1, max_length=1)
     decimal: Literal[".", ","] | None = None
+    thousands: Literal[".", ",", " ", "'"] | None = None
+    """Sign between thousands, where numbers are written with one."""
     header_lines: int | None = Field(default=None, ge=0)
     """Lines before the first row of data, the line of names among them."""
     names: list[str] | None = None
@@ -142,6 +151,12 @@ class Source(Strict):
     encoding: str | None = None
     sync_id: int | None = 0x80
     """CAN identifier of SYNC; null: a sample is taken at each frame of the first PDO."""
+    channel: str | int | None = None
+    """The log's name of the bus (can0, 1) whose frames are read, where several carry the same identifiers."""
+    echo: Literal["received", "sent", "first"] | None = None
+    """Which to read of frames that were logged twice: by their direction, or the first of each pair."""
+    byte_order: Literal["little", "big"] | None = None
+    """Of all signals that do not say their own."""
     pdos: list[Pdo] = []
     eds: str | None = None
     """EDS file beside the map: the PDOs are read from it, for ``nodes``."""
@@ -159,6 +174,9 @@ class ExperimentMap(Strict):
     kind: Kind = Kind.OTHER
     excited_axis: int = -1
     period_samples: int = Field(default=0, ge=0)
+    every: int = Field(default=1, ge=1)
+    """Rows that each value stands for: the one at which it is new is read, the others are left out. Other
+    numbers of rows here count rows of the file."""
     drop_periods: int = Field(default=0, ge=0)
     """Periods left out at the start, before steady state."""
     frequencies_hz: list[float] = []
@@ -172,6 +190,10 @@ class ExperimentMap(Strict):
     def _periods(self) -> ExperimentMap:
         if self.drop_periods and not self.period_samples:
             raise ValueError("'drop_periods' needs 'period_samples': how long one period is")
+        if self.period_samples % self.every:
+            raise ValueError(
+                f"'period_samples' ({self.period_samples}) must be a multiple of 'every' ({self.every})"
+            )
         return self
 
 
@@ -181,6 +203,10 @@ class ImportMap(Strict):
     format: Literal["invid-import-map"]
     format_version: Literal[1] = 1
     robot: str = "unnamed"
+    files: list[str] = []
+    """Files, folders or patterns, from the map's folder, where the command names none."""
+    skip: dict[str, str] = {}
+    """Pattern of files that are left out → the reason."""
     description: str = ""
     motion: Literal["rotary", "linear"] | None = None
     """Needed only where the units do not tell (counts, raw)."""
@@ -189,6 +215,16 @@ class ImportMap(Strict):
     axes: list[AxisMap] = Field(min_length=1, max_length=64)
     experiments: list[ExperimentMap] = Field(default=[ExperimentMap()], min_length=1, max_length=1000)
     attributes: dict[str, str | int | float | bool] = {}
+
+    @field_validator("skip")
+    @classmethod
+    def _reasons(cls, skip: dict[str, str]) -> dict[str, str]:
+        for pattern, reason in skip.items():
+            if not reason.strip():
+                raise ValueError(
+                    f"say why {pattern!r} is left out: a reason that somebody can read next year"
+                )
+        return skip
 
     @model_validator(mode="after")
     def _renamed(self) -> ImportMap:
@@ -246,32 +282,15 @@ def load_map(path: Path) -> ImportMap:
 
 def parse_map(text: str | bytes, *, source: str = "map") -> ImportMap:
     """The map in a YAML text."""
+    if isinstance(text, bytes):
+        text, _ = decode_text(text, None, source)
     try:
-        # References to references of references (*name) grow without bound when they are written out.
-        grown = _values(yaml.compose(text, Loader=yaml.SafeLoader), {}) > MAX_VALUES
-        document: Any = None if grown else yaml.safe_load(text)
-    except (yaml.YAMLError, RecursionError, ValueError) as error:
-        place = getattr(error, "problem_mark", None)
-        line = f" line {place.line + 1}" if place is not None else ""
-        raise InputError(f"{source}:{line} not YAML: {getattr(error, 'problem', None) or error}") from None
-    if grown:
-        raise InputError(
-            f"{source}: its YAML references (*name) stand for more than {MAX_VALUES} values; write them out"
-        )
+        document, lines = load_yaml(text, source)
+    except ConfigError as error:
+        raise InputError(str(error)) from None
     if not isinstance(document, dict):
         raise InputError(f"{source}: holds no mapping; a map starts with 'format: {FORMAT}'")
     try:
         return ImportMap.model_validate(document)
     except ValidationError as error:
-        raise InputError(describe_validation_error(error, source)) from None
-
-
-def _values(node: yaml.Node | None, known: dict[int, int]) -> int:
-    """Values below a YAML node, references written out."""
-    if not isinstance(node, yaml.CollectionNode):
-        return 1
-    if id(node) not in known:
-        known[id(node)] = MAX_VALUES  # a node within itself has no end
-        parts = [n for pair in node.value for n in (pair if isinstance(pair, tuple) else (pair,))]
-        known[id(node)] = 1 + sum(_values(n, known) for n in parts)
-    return known[id(node)]
+        raise InputError(explain_errors(error, source, lines, "map")) from None

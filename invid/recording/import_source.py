@@ -1,18 +1,22 @@
-"""Measured data from elsewhere, with a map, with a guessed one, or a recording as it is."""
+"""Measured data from elsewhere: with a map, a guessed one, or as it is; and what a map would read."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import h5py
+import numpy as np
 
 from invid.errors import InputError
+from invid.numerics.arrays import Float64
+from invid.recording.clock import count_slots
 from invid.recording.hdf5 import FORMAT, read_recording
 from invid.recording.import_map import ImportMap, Source
-from invid.recording.importer import Import, import_files, read_table
-from invid.recording.model import Recording
+from invid.recording.importer import Import, assign, import_files, named_files, read_table
+from invid.recording.model import Experiment, Recording
 from invid.recording.spool import is_spool
 from invid.recording.suggest import Suggestion, suggest
 
@@ -87,3 +91,74 @@ def suggest_map(sources: Sequence[Path], chart: ImportMap | None) -> tuple[Path,
             raise InputError(f"{path}: the folder is empty")
         path = files[0]
     return path, suggest(read_table(path, chart.source if chart else Source()), path)
+
+
+@dataclass(frozen=True, eq=False)
+class FileCheck:
+    """One file: the recording it would give alone, or why it gives none."""
+
+    path: Path
+    recording: Recording | None
+    rows: int
+    broken: int
+    warnings: tuple[str, ...]
+    error: str = ""
+
+
+def check_files(
+    sources: Sequence[Path], chart: ImportMap, *, created: str, beside: Path | None
+) -> tuple[tuple[FileCheck, ...], tuple[str, ...]]:
+    """Every file that the map takes, each read for itself, and a sentence for each that it leaves out."""
+    files, left_out = named_files(sources, chart, beside)
+    by_file: dict[Path, list[Any]] = {}
+    for entry, path in assign(files, chart.experiments):
+        by_file.setdefault(path, []).append(entry.model_copy(update={"file": "*"}))
+    checks = []
+    for path, entries in by_file.items():
+        alone = chart.model_copy(update={"experiments": entries, "files": [], "skip": {}})
+        try:
+            found = import_files([path], alone, created=created, beside=beside)
+        except InputError as error:
+            checks.append(FileCheck(path, None, 0, 0, (), str(error)))
+        else:
+            checks.append(FileCheck(path, found.recording, found.rows, len(found.broken), found.warnings))
+    return tuple(checks), left_out
+
+
+def clock_time(e: Experiment) -> Float64:
+    """(n,) [s] instants of the even clock that the rows keep, else their stamps: a late stamp is no speed."""
+    slots = count_slots(e.time)
+    time: Float64 = slots.index * slots.step if slots.even else e.time - e.time[0]
+    return time
+
+
+def describe_experiment(e: Experiment, recording: Recording) -> dict[str, Any]:
+    """Rows, rate, gaps and the ranges of every axis in SI units of one experiment, for a table or JSON."""
+    slots, time = count_slots(e.time), clock_time(e)
+    axes = []
+    for i, axis in enumerate(recording.axes):
+        speed = np.diff(e.position[:, i]) / np.diff(time)
+        axes.append(
+            {
+                "axis": axis,
+                "position": _range(e.position[:, i]),
+                # One row in a hundred may leap: a glitch is told elsewhere.
+                "speed": [float(q) for q in np.quantile(speed, (0.01, 0.99))],
+                "torque": _range(e.torque[:, i]),
+            }
+        )
+    return {
+        "key": e.key,
+        "role": str(e.role),
+        "rows": e.samples,
+        "rate_hz": 1.0 / slots.step,
+        "even": slots.even,
+        "seconds": float(e.time[-1] - e.time[0]),
+        "missing_rows": slots.lost if slots.even else 0,
+        "jitter_ms": 1e3 * slots.jitter * slots.step if slots.even else None,
+        "axes": axes,
+    }
+
+
+def _range(values: Float64) -> list[float]:
+    return [float(values.min()), float(values.max())]

@@ -5,7 +5,8 @@ from __future__ import annotations
 import fnmatch
 import json
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -17,10 +18,12 @@ from invid.errors import InputError
 from invid.numerics.arrays import Bool, Float64, frozen, frozen_float
 from invid.recording.binary_table import read_hdf5_table, read_mat_table, read_parquet_table
 from invid.recording.check import check_recording
+from invid.recording.clock import StampsRead, read_stamps
 from invid.recording.import_map import AxisMap, Channel, ExperimentMap, ImportMap, Source
 from invid.recording.mcap_table import read_mcap_table
 from invid.recording.mdf_table import read_mdf_table
 from invid.recording.model import Experiment, Recording, nominal_sample_rate
+from invid.recording.plausibility import doubt_of_sides, doubts, doubts_of_signs, held_rows, with_sign
 from invid.recording.tables import BrokenRow, Table, good_rows, on_clock
 from invid.recording.text_table import read_text_table
 from invid.recording.units import BY_MACHINE, LINEAR, MachineConstants, Quantity, factor, normal_unit
@@ -32,11 +35,13 @@ _KINDS = {
     ".mat": "mat", ".parquet": "parquet", ".pq": "parquet",
     ".h5": "hdf5", ".hdf5": "hdf5", ".hdf": "hdf5",
     ".mf4": "mdf", ".mdf": "mdf", ".mcap": "mcap",
-    ".log": "can_log", ".asc": "can_log", ".blf": "can_log",
+    ".log": "can_log", ".asc": "can_log", ".blf": "can_log", ".trc": "can_log",
 }  # fmt: skip
 
 _STARTS = {b"\x89HDF\r\n\x1a\n": "hdf5", b"PAR1": "parquet", b"\x89MCAP0\r\n": "mcap", b"MDF     ": "mdf"}
 """First bytes of files whose name does not tell."""
+_CAN_TEXT = (b"Time Stamp,ID,Extended", b"***BUSMASTER", b";$FILEVERSION")
+"""First bytes of text logs of CAN frames, whatever their name: SavvyCAN, BUSMASTER, PEAK."""
 
 _READERS: dict[str, Callable[[Path], Table]] = {
     "mat": read_mat_table, "hdf5": read_hdf5_table, "parquet": read_parquet_table,
@@ -60,11 +65,13 @@ def read_table(path: Path, source: Source, *, beside: Path | None = None) -> Tab
     kind = source.kind or _KINDS.get(path.suffix.lower())
     try:
         with path.open("rb") as raw:
-            head = raw.read(8)
+            head = raw.read(32)
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
     if not head:
         raise InputError(f"{path}: the file is empty")
+    if source.kind is None and head.startswith(_CAN_TEXT):
+        kind = "can_log"
     if kind is None:
         kind = next((k for start, k in _STARTS.items() if head.startswith(start)), "csv")
     if kind in _READERS:
@@ -92,28 +99,33 @@ def import_files(
     linear = _is_linear(chart)
     experiments: list[Experiment] = []
     broken: list[BrokenRow] = []
-    warnings: list[str] = []
-    rows = 0
+    sources, left_out = named_files(sources, chart, beside)
+    warnings = [*left_out, *_unsaid(chart)]
     tables: dict[Path, Table] = {}
-    read: dict[tuple[Path, tuple[str | int, ...]], tuple[Table, Bool]] = {}
-    for entry, path in _assign(sources, chart.experiments):
-        if path not in tables:
-            tables[path] = read_table(path, chart.source, beside=beside)
-        own = chart.read_for(entry)
-        needed = tuple(own.columns())
-        if (path, needed) not in read:
+    read: dict[tuple[Path, tuple[str | int, ...], tuple[int, int, int]], _Rows] = {}
+    counted: dict[Path, int] = {}
+    pairs = assign(sources, chart.experiments)
+    several = len({path for _, path in pairs}) > 1
+    for entry, path in pairs:
+        with _named_with_way_out(path, several=several):
+            if path not in tables:
+                tables[path] = read_table(path, chart.source, beside=beside)
+            own = chart.read_for(entry)
+            needed = tuple(own.columns())
             table, moved = _on_one_clock(tables[path], own)
-            # A feedforward may be logged in some of the files only.
-            there = [n for n in needed if n not in _feedforward(own) or n in table.columns]
-            good, skipped = good_rows(table, there, own.time.column, path)
-            read[path, needed] = (table, good)
-            broken += [b for b in skipped if b not in broken]
-            rows += max(good.size, 1)
-            warnings += [f"{path.name}: {m}" for m in moved]
-        table, good = read[path, needed]
-        experiment, remarks = _experiment(f"{len(experiments):03d}", entry, table, good, own, path)
-        experiments.append(experiment)
-        warnings += remarks
+            span = _span(table, entry, own, f"{path}: experiment {len(experiments):03d}")
+            if (path, needed, span) not in read:
+                rows_read, skipped, remarks = _usable_rows(table, own, span, path)
+                read[path, needed, span] = rows_read
+                broken += [b for b in skipped if b not in broken]
+                told = (*moved, *remarks, *_doubts_of_columns(rows_read, own))
+                warnings += [f"{path.name}: {m}" for m in told]
+            counted[path] = max(counted.get(path, 0), read[path, needed, span].good.size)
+            experiment, lost_period = _experiment(
+                f"{len(experiments):03d}", entry, read[path, needed, span], own, path
+            )
+            experiments.append(experiment)
+            warnings += lost_period
     for path in sources:
         if path.is_file() and path not in tables:
             raise InputError(f"{path}: no experiment of the map takes this file; see 'file' in the map")
@@ -131,7 +143,32 @@ def import_files(
         source=", ".join(str(s) for s in sources),
     )
     check_recording(recording)
-    return Import(recording, tuple(broken), rows, tuple(warnings))
+    warnings += doubts(recording)
+    return Import(recording, tuple(broken), max(sum(counted.values()), 1), tuple(dict.fromkeys(warnings)))
+
+
+@contextmanager
+def _named_with_way_out(path: Path, *, several: bool) -> Iterator[None]:
+    """Errors of one file of several say how to do without it."""
+    try:
+        yield
+    except InputError as error:
+        if not several:
+            raise
+        raise InputError(
+            f"{error}; to read the others without this file, write 'skip: {{{path.name!r}: the reason}}' in "
+            f"the map"
+        ) from None
+
+
+def _unsaid(chart: ImportMap) -> list[str]:
+    """What the map leaves open and a diagnosis depends on."""
+    return [
+        f"axis {a.name}: the map does not say the 'meaning' of its torque; 'measured' is assumed (a torque "
+        "that was only asked for is 'demanded': the drive's delay then counts as the machine's)"
+        for a in chart.axes
+        if "meaning" not in a.torque.model_fields_set
+    ]
 
 
 def _every(values: Sequence[Any]) -> Any:
@@ -181,23 +218,58 @@ def _natural(path: Path) -> list[Any]:
     return [(int(p), "") if p.isdigit() else (-1, p) for p in re.split(r"(\d+)", str(path))]
 
 
-def _assign(sources: Sequence[Path], entries: Sequence[ExperimentMap]) -> list[tuple[ExperimentMap, Path]]:
-    pairs: list[tuple[ExperimentMap, Path]] = []
-    for source in sources:
+def named_files(
+    sources: Sequence[Path], chart: ImportMap, beside: Path | None
+) -> tuple[list[Path], tuple[str, ...]]:
+    """Files and folders to read: those given, else the map's ``files``; and a sentence for each left out.
+
+    Where ``skip`` leaves files out, folders are written out as their files.
+    """
+    found = list(sources)
+    for pattern in [] if sources else chart.files:
+        root = beside or Path()
+        matched = sorted(root.glob(pattern), key=_natural)
+        if not matched:
+            raise InputError(f"map: 'files': nothing matches {pattern!r} in {root}")
+        found += matched
+    if not found:
+        raise InputError("no file is named: give SOURCE, or 'files' in the map (names or patterns beside it)")
+    for source in found:
         if not source.exists():
             raise InputError(f"{source}: no such file or folder")
+    if not chart.skip:
+        return found, ()
+    every = [f for s in found for f in (_inside(s) if s.is_dir() else [s])]
+    reasons = {f: r for p, r in chart.skip.items() for f in every if _matches(f.as_posix(), p)}
+    unused = [p for p in chart.skip if not any(_matches(f.as_posix(), p) for f in every)]
+    if unused:
+        raise InputError(f"map: 'skip' names {unused[0]!r}, and no file is called so")
+    return [f for f in every if f not in reasons], tuple(
+        f"{f.name} is left out: {reason}" for f, reason in reasons.items()
+    )
+
+
+def _inside(folder: Path) -> list[Path]:
+    return sorted((p for p in folder.rglob("*") if p.is_file()), key=_natural)
+
+
+def _matches(name: str, pattern: str) -> bool:
+    return fnmatch.fnmatchcase(name, pattern) or fnmatch.fnmatchcase(name, f"*/{pattern}")
+
+
+def assign(sources: Sequence[Path], entries: Sequence[ExperimentMap]) -> list[tuple[ExperimentMap, Path]]:
+    """Each entry of the map with each file that it takes."""
+    pairs: list[tuple[ExperimentMap, Path]] = []
     for entry in entries:
         found = False
         for source in sources:
             if source.is_dir():
-                inside = sorted((p for p in source.rglob("*") if p.is_file()), key=_natural)
-                names = [(p, p.relative_to(source).as_posix()) for p in inside]
+                names = [(p, p.relative_to(source).as_posix()) for p in _inside(source)]
             else:
                 names = [(source, source.as_posix())]
-            for path, name in names:
-                if fnmatch.fnmatchcase(name, entry.file) or fnmatch.fnmatchcase(name, f"*/{entry.file}"):
-                    pairs.append((entry, path))
-                    found = True
+            taken = [(entry, path) for path, name in names if _matches(name, entry.file)]
+            pairs += taken
+            found = found or bool(taken)
         if not found and any(s.is_dir() for s in sources):
             raise InputError(f"map: no file matches {entry.file!r} below {', '.join(map(str, sources))}")
     if not pairs:
@@ -220,34 +292,88 @@ def _on_one_clock(table: Table, chart: ImportMap) -> tuple[Table, tuple[str, ...
     return on_clock(table, time, needed)
 
 
-def _experiment(
-    key: str, entry: ExperimentMap, table: Table, good: Bool, chart: ImportMap, path: Path
-) -> tuple[Experiment, list[str]]:
-    where = f"{path}: experiment {key}"
-    first, stop, _ = slice(*entry.rows).indices(good.size)
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """The rows of a table that one or more experiments take.
+
+    ``good`` is a mask of all rows, ``use`` their numbers; ``instants`` [s] of all rows count from ``origin``.
+    """
+
+    table: Table
+    good: Bool
+    use: np.typing.NDArray[np.intp]
+    asked: int
+    instants: Float64 | None
+    origin: float
+
+
+def _span(table: Table, entry: ExperimentMap, chart: ImportMap, where: str) -> tuple[int, int, int]:
+    """First row of an experiment, the one after its last, and the step between them."""
+    size = table.column(chart.columns()[0]).size
+    for edge in entry.rows:
+        if edge is not None and abs(edge) > size:
+            raise InputError(f"{where}: 'rows' is {list(entry.rows)}, but the file has {size} rows of data")
+    first, stop, _ = slice(*entry.rows).indices(size)
     first += entry.drop_periods * entry.period_samples
-    inside = np.zeros(good.size, dtype=np.bool_)
-    inside[first:stop] = True
-    use = np.flatnonzero(inside & good)
-    if use.size < 2:
+    if stop - first < 2:
         raise InputError(
-            f"{where}: rows {list(entry.rows)} leave {use.size} samples of the file's {good.size}; "
+            f"{where}: rows {list(entry.rows)} leave {max(stop - first, 0)} samples of the file's {size}; "
             f"at least 2 are needed"
         )
-    if entry.period_samples and use.size < entry.period_samples:
+    if entry.every > 1:
+        measured = [table.column(a.torque.column)[first:stop] for a in chart.axes]
+        hold = held_rows(np.stack(measured, axis=1))
+        first += hold.first % entry.every if hold is not None else 0
+    return first, stop, entry.every
+
+
+def _usable_rows(
+    table: Table, chart: ImportMap, span: tuple[int, int, int], path: Path
+) -> tuple[_Rows, list[BrokenRow], tuple[str, ...]]:
+    # A feedforward may be logged in some of the files only.
+    needed = [n for n in chart.columns() if n not in _feedforward(chart) or n in table.columns]
+    inside = np.zeros(table.column(needed[0]).size, dtype=np.bool_)
+    inside[slice(*span)] = True
+    instants, origin, remarks = _instants(table, inside, chart, str(path))
+    good, skipped = good_rows(table, needed, instants, inside, path)
+    return _Rows(table, good, np.flatnonzero(good), int(inside.sum()), instants, origin), skipped, remarks
+
+
+def _doubts_of_columns(rows: _Rows, chart: ImportMap) -> list[str]:
+    """What the names and the bare numbers of the map's columns say against their reading."""
+    said, bare = [], []
+    for axis in chart.axes:
+        motion = axis.position or axis.velocity
+        names = [c.column for c in (axis.torque, motion) if c is not None and isinstance(c.column, str)]
+        doubt = doubt_of_sides(axis.name, *names) if len(names) == 2 else None
+        said += [doubt] if doubt else []
+        for field, channel in axis.channels().items():
+            # Positions that wrap are unwrapped where they are read.
+            if channel.read_as is None and not field.startswith("position") and _has(rows.table, channel):
+                numbers = rows.table.column(channel.column)[rows.use]
+                bare.append((f"{field} of {axis.name}", str(channel.column), numbers))
+    return [*said, *doubts_of_signs(bare)]
+
+
+def _experiment(
+    key: str, entry: ExperimentMap, rows: _Rows, chart: ImportMap, path: Path
+) -> tuple[Experiment, list[str]]:
+    where = f"{path}: experiment {key}"
+    table, use = rows.table, rows.use
+    period = entry.period_samples // entry.every
+    if period and use.size < period:
         raise InputError(
             f"{where}: 'period_samples' is {entry.period_samples}, but its rows leave {use.size} samples; a "
             f"periodic experiment holds at least one period (0: not periodic)"
         )
     remarks: list[str] = []
-    period = entry.period_samples
-    if period and int(inside.sum()) != use.size:
+    if period and rows.asked != use.size:
         period = 0
         remarks.append(
             f"{path.name}: broken rows were skipped inside a periodic experiment, so it is no longer "
             f"periodic; choose rows without them"
         )
-    time, offset = _time(table, use, chart, where)
+    time, offset = _time(rows, chart)
 
     def columns(pick: Callable[[AxisMap], Channel | None], quantity: Quantity) -> list[Float64 | None]:
         """One channel of every axis, in SI units; ``None`` where an axis has none."""
@@ -325,21 +451,43 @@ def _rate(time: Float64) -> float:
     return mean if abs(mean / median - 1) < 0.01 else median
 
 
-def _time(
-    table: Table, use: np.typing.NDArray[np.intp], chart: ImportMap, where: str
-) -> tuple[Float64, float]:
-    if chart.time.column is None:
-        return frozen_float(use / (chart.time.sample_rate_hz or 1.0)), 0.0
-    if chart.time.column in table.stamped and chart.time.unit != "s":
+def _instants(
+    table: Table, inside: Bool, chart: ImportMap, where: str
+) -> tuple[Float64 | None, float, tuple[str, ...]]:
+    """Instants [s] of the rows ``inside`` from the origin [s], the origin, and what was done about them."""
+    said = chart.time
+    if said.column is None:
+        return None, 0.0, ()
+    if said.column in table.stamped and said.unit != "s":
         raise InputError(
-            f"{where}: time {chart.time.column!r} holds dates or times of day, which are read as seconds; "
-            f"its unit is {chart.time.unit!r}, write 's'"
+            f"{where}: time {said.column!r} holds dates or times of day, which are read as seconds; "
+            f"its unit is {said.unit!r}, write 's'"
         )
-    unit = factor("time", chart.time.unit, MachineConstants(), f"{where}: time")
-    time = table.column(chart.time.column)[use] * unit
-    # Seconds since 1970 leave 0.2 µs in a float64: take the start out before anything is computed.
-    offset = float(time[0]) if abs(time[0]) > 1e6 else 0.0
-    return frozen_float(time - offset), offset
+    unit = factor("time", said.unit, MachineConstants(), f"{where}: time")
+    raw = table.column(said.column)
+    first = raw[inside & np.isfinite(raw)][:1]
+    # Seconds since 1970 leave 0.2 µs in a float64: the start is taken out before anything is computed.
+    origin = float(first[0]) if first.size and abs(first[0] * unit) > 1e6 else 0.0
+    sums = table.sums.get(str(said.column))
+    how = StampsRead(
+        str(said.column),
+        unit,
+        None if said.wraps_at is None else said.wraps_at * unit,
+        said.differences,
+        None if sums is None else sums[inside] * unit,
+    )
+    stamps = read_stamps((raw[inside] - origin) * unit, how, where)
+    instants = np.full(raw.size, np.nan)
+    instants[inside] = stamps.instants
+    return instants, origin * unit, stamps.remarks
+
+
+def _time(rows: _Rows, chart: ImportMap) -> tuple[Float64, float]:
+    if rows.instants is None:
+        return frozen_float(rows.use / (chart.time.sample_rate_hz or 1.0)), 0.0
+    time = rows.instants[rows.use]
+    offset = float(time[0]) if rows.origin else 0.0
+    return frozen_float(time - offset), rows.origin + offset if rows.origin else 0.0
 
 
 def _values(table: Table, channel: Channel, axis: AxisMap, quantity: Quantity, where: str) -> Float64:
@@ -349,7 +497,8 @@ def _values(table: Table, channel: Channel, axis: AxisMap, quantity: Quantity, w
         per_count=channel.per_count,
     )
     unit = factor(quantity, channel.unit, constants, f"{where}: {quantity} of {axis.name}")
-    raw = table.column(channel.column) - channel.offset
+    raw = table.column(channel.column)
+    raw = (raw if channel.read_as is None else with_sign(raw, channel.read_as)) - channel.offset
     if channel.remove_mean:
         raw = raw - float(np.mean(raw[np.isfinite(raw)]))
     values: Float64 = channel.sign * channel.scale * unit * raw

@@ -3,7 +3,8 @@
 libhdf5 that meets a full or failing disk loses its file and takes the process with it, when the objects it
 could not write out are closed again at the interpreter's exit. So HDF5 never writes to the disk here: rows go
 by plain ``write`` into this file, and become HDF5 in memory when the measurement has ended. What was written
-before a cut is readable, whatever cut it: a frame that is not whole ends the reading.
+before a cut is readable, whatever cut it: a frame that is not whole ends the reading. A killed process loses
+what it had not written yet; a power cut what came after the last ``fdatasync`` besides.
 
 A frame is its kind (1 byte), length and CRC-32 of its content (4 bytes each, little-endian), and the content:
 JSON for the header, the beginning of an experiment and the outcome; for rows their number and then each
@@ -26,6 +27,7 @@ import numpy as np
 import numpy.typing as npt
 
 from invid.errors import RecordingError
+from invid.recording.model import Outcome
 
 MAGIC = b"invid-rows 1\n"
 SUFFIX = ".rows"
@@ -34,6 +36,9 @@ _COUNT = struct.Struct("<I")
 _HEADER, _BEGIN, _ROWS, _END, _OUTCOME = range(1, 6)
 _LARGEST = 1 << 28
 """No frame is longer: a damaged length is not believed before memory is taken for it."""
+_SYNC_S = 5.0
+"""Data after which the disk is asked to keep the rows for good [s]: what a power cut may cost. A guess; it
+costs a write of its own, which an old disk takes a tenth of a second for."""
 _CHUNK_ROWS = 1024
 _GROWTH_BYTES = 4 << 20
 
@@ -46,9 +51,12 @@ class Spool:
         target.parent.mkdir(parents=True, exist_ok=True)
         self.path, self._file = _free_file(target)
         self.size = 0
+        self._synced_s: float | None = None
         try:
             self._write(MAGIC)
             self._frame(_HEADER, content)
+            self._sync()
+            sync_folder(target.parent)
         except OSError:
             self.close()
             self.remove()
@@ -63,10 +71,17 @@ class Spool:
         parts = [_COUNT.pack(columns[0].shape[0])]
         parts += [np.ascontiguousarray(c, c.dtype.newbyteorder("<")).tobytes() for c in columns]
         self._frame(_ROWS, b"".join(parts))
+        last = float(columns[0][-1])
+        if self._synced_s is None:
+            self._synced_s = float(columns[0][0])
+        if abs(last - self._synced_s) >= _SYNC_S:
+            self._sync()
+            self._synced_s = last
 
     def end(self) -> None:
         """The experiment is over."""
         self._frame(_END, b"")
+        self._sync()
 
     def outcome(self, outcome: str) -> None:
         """How the measurement ended."""
@@ -82,6 +97,9 @@ class Spool:
         """The rows are safe elsewhere."""
         with contextlib.suppress(OSError):
             self.path.unlink()
+
+    def _sync(self) -> None:
+        os.fdatasync(self._file)
 
     def _frame(self, kind: int, content: bytes) -> None:
         self._write(_FRAME.pack(kind, len(content), zlib.crc32(content)) + content)
@@ -110,6 +128,16 @@ def _free_file(target: Path) -> tuple[Path, int]:
             number += 1
 
 
+def sync_folder(folder: Path) -> None:
+    """Have the disk keep the names in a folder for good, where its file system can."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        with contextlib.suppress(OSError):
+            os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
 def is_spool(path: Path) -> bool:
     """Whether a file holds the rows of a measurement."""
     try:
@@ -132,8 +160,13 @@ def finished_experiments(path: Path) -> int:
     return found
 
 
+def has_rows(path: Path) -> bool:
+    """Whether any row reached the disk."""
+    return any(kind == _ROWS for kind, _ in _frames(path))
+
+
 def as_hdf5(path: Path) -> h5py.File:
-    """The rows of a file as HDF5 in memory; the caller closes it.
+    """The rows of a file as HDF5 in memory; the caller closes it. Rows that nobody ended are marked "failed".
 
     Raises
     ------
@@ -157,7 +190,7 @@ def _fill(file: h5py.File, path: Path) -> None:
     for kind, content in _frames(path):
         if kind == _HEADER:
             headed = True
-            _set(file, _parsed(content))
+            _set(file, {**_parsed(content), "outcome": str(Outcome.FAILED)})
         elif kind == _BEGIN:
             group, begun = None, _parsed(content)
         elif kind == _OUTCOME:

@@ -44,6 +44,8 @@ class Table:
         Column → the time column it was sampled by, where a file has several; else empty.
     reasons
         What the reader found out about the file, in words, for ``--suggest``.
+    sums
+        Time column → its stamps added up over everything the file stamps, where rows are only some of it.
     """
 
     name: str
@@ -56,6 +58,7 @@ class Table:
     stamped: frozenset[str] = frozenset()
     clocks: Mapping[str, str] = field(default_factory=dict)
     reasons: tuple[str, ...] = ()
+    sums: Mapping[str, Float64] = field(default_factory=dict)
 
     def column(self, key: str | int) -> Float64:
         """One column by name or index; InputError lists what there is."""
@@ -83,27 +86,30 @@ BROKEN_LIMIT = 0.01
 
 
 def good_rows(
-    table: Table, needed: Sequence[str | int], time: str | int | None, path: Path
+    table: Table, needed: Sequence[str | int], instants: Float64 | None, inside: Bool, path: Path
 ) -> tuple[Bool, list[BrokenRow]]:
-    """Mask of usable rows and the others with their reason; InputError beyond one per cent."""
+    """Mask of usable rows among those ``inside`` and the others with their reason.
+
+    ``instants`` [s] are those of all rows, None where rows are counted. InputError beyond one per cent.
+    """
     columns = {name: table.column(name) for name in needed}
     sizes = {c.size for c in columns.values()}
     if len(sizes) != 1:
         found = ", ".join(f"{n!r} {c.size}" for n, c in columns.items())
         raise InputError(f"{path}: the columns of the map differ in length: {found}")
-    count = sizes.pop()
-    good: Bool = np.ones(count, dtype=np.bool_)
+    good: Bool = inside.copy()
+    count = int(inside.sum())
     reasons: dict[int, str] = {}
     for name, column in columns.items():
         for row in np.flatnonzero(~np.isfinite(column) & good).tolist():
             good[row] = False
             reasons[row] = f"column {name!r} holds no number"
-    if time is not None:
-        for row in _out_of_order(columns[time], good):
+    if instants is not None:
+        for row in _out_of_order(instants, good):
             good[row] = False
             reasons[row] = "time does not increase"
     known = {b.line: b.reason for b in table.broken}
-    numbers: Int64 = np.arange(count, dtype=np.int64) if table.lines is None else table.lines
+    numbers: Int64 = np.arange(good.size, dtype=np.int64) if table.lines is None else table.lines
     skipped = [
         BrokenRow(path.name, int(numbers[row]), known.get(int(numbers[row]), reason))
         for row, reason in sorted(reasons.items())
@@ -120,10 +126,16 @@ def good_rows(
         shown = "; ".join(f"{table.line_word} {b.line}: {b.reason}" for b in skipped[:5])
         raise InputError(
             f"{path}: {worst} of {count} rows are broken, more than {BROKEN_LIMIT:.0%} ({shown}"
-            f"{'; …' if len(skipped) > 5 else ''}); check the map's columns, 'delimiter' and 'decimal', "
-            f"or repair the file"
+            f"{'; …' if len(skipped) > 5 else ''}); check the map's {_keys(table)}, or repair the file"
         )
     return good, skipped
+
+
+def _keys(table: Table) -> str:
+    """The keys of a map that decide how such a file is read."""
+    if "delimiter" in table.notes:
+        return "columns, 'delimiter', 'decimal' and 'thousands'"
+    return "'pdos' and 'sync_id'" if "sync_id" in table.notes else "columns"
 
 
 def _out_of_order(time: Float64, good: Bool) -> list[int]:

@@ -6,6 +6,7 @@ import csv
 import math
 import re
 from collections import Counter
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -16,20 +17,22 @@ from invid.numerics.arrays import Float64
 from invid.recording.import_map import Source
 from invid.recording.scope_export import is_scope_export, read_scope_export
 from invid.recording.tables import BrokenRow, Table
+from invid.recording.text_format import NUMBER, NumberFormat, decode_text, find_number_format, is_numeral
 from invid.recording.units import BY_MACHINE, FACTORS, normal_unit
 
 MAX_BYTES = 2_000_000_000
 _DELIMITERS = (";", "\t", ",", "|", " ")
-_NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eEdD][+-]?\d+)?$")
+_FAILED = 1000
+"""Cells that could not be read and are kept to find out why."""
 _NOT_A_NUMBER = {"nan", "inf", "+inf", "-inf", "na", "n/a", "null", "none", ""}
 
 
 def read_text_table(path: Path, source: Source) -> Table:
     """Columns of a text file; what ``source`` leaves open is found out and noted."""
-    text = _decode(path, source.encoding)
+    text, encoding = _read(path, source.encoding)
     lines = text.splitlines()
     if source.header_lines is None and source.names is None and is_scope_export(lines):
-        return read_scope_export(str(path), lines, _split, _number)
+        return read_scope_export(str(path), lines, _split, _scope_number)
     numbered = [(i + 1, line) for i, line in enumerate(lines) if line.strip()]
     if source.header_lines is not None:
         numbered = [(n, line) for n, line in numbered if n > source.header_lines]
@@ -38,43 +41,52 @@ def read_text_table(path: Path, source: Source) -> Table:
     if not numbered:
         raise InputError(f"{path}: holds no row of data; is it the right file?")
     delimiter = source.delimiter or _find_delimiter([line for _, line in numbered], source.decimal)
-    decimal = source.decimal or _find_decimal([line for _, line in numbered], delimiter)
-    rows = [(n, _cells(line, delimiter)) for n, line in numbered]
-    width = Counter(len(cells) for _, cells in rows[-5000:]).most_common(1)[0][0]
+    width = Counter(len(_cells(line, delimiter)) for _, line in numbered[-5000:]).most_common(1)[0][0]
+    sample = [_cells(line, delimiter) for _, line in (*numbered[:400], *_middle(numbered))]
+    form = find_number_format(
+        zip(*(row for row in sample if len(row) == width), strict=True),
+        source.decimal, source.thousands, str(path),
+    )  # fmt: skip
     if source.header_lines is not None:
         header, start = lines[: source.header_lines], 0
     else:
-        start = _first_data_row(rows, width, decimal, path)
-        header = lines[: rows[start][0] - 1]
+        start = _first_data_row(numbered, delimiter, width, form, path)
+        header = lines[: numbered[start][0] - 1]
     names, units = _names(header, delimiter, width, source.names, path)
-    data, numbers, broken = _parse(rows[start:], width, decimal, path.name)
-    stamped = _timestamps(data, rows[start : start + 5])
+    body = _Body(numbered[start:], delimiter, width)
+    data, broken, form = body.parse(form, source, path)
+    stamped = _timestamps(data, [_cells(line, delimiter) for _, line in body.lines[:5]])
     units |= {names[i]: "s" for i in stamped}
+    said = {"delimiter": delimiter, "decimal": form.decimal, "header_lines": numbered[start][0] - 1}
+    said |= {"thousands": form.thousands} if form.thousands else {}
+    said |= {"encoding": encoding} if encoding != "utf-8" else {}
     return Table(
         name=str(path),
         columns={name: np.ascontiguousarray(data[:, i]) for i, name in enumerate(names)},
-        lines=numbers,
+        lines=np.array([n for n, _ in body.lines], dtype=np.int64),
         line_word="line",
-        notes={"delimiter": delimiter, "decimal": decimal, "header_lines": rows[start][0] - 1},
+        notes=said,
         broken=broken,
         units=units,
         stamped=frozenset(names[i] for i in stamped),
     )
 
 
-def _timestamps(data: Float64, sample: list[tuple[int, list[str]]]) -> list[int]:
-    """Columns that hold instants, already seconds; times of day are made to go on after midnight."""
+def _middle(numbered: list[tuple[int, str]]) -> list[tuple[int, str]]:
+    return numbered[400:][len(numbered) // 2 :][:400]
+
+
+def _timestamps(data: Float64, sample: list[list[str]]) -> list[int]:
+    """Columns that hold instants, already seconds."""
     found = []
     for i in range(data.shape[1]):
-        cells = [row[i] for _, row in sample if i < len(row)]
-        if any(not _NUMBER.match(c) and not math.isnan(seconds_of(c)) for c in cells):
+        cells = [row[i] for row in sample if i < len(row)]
+        if any(not is_numeral(c) and not math.isnan(seconds_of(c)) for c in cells):
             found.append(i)
-            if np.nanmax(data[:, i], initial=0.0) <= DAY:
-                data[:, i] = past_midnight(data[:, i])
     return found
 
 
-def _decode(path: Path, encoding: str | None) -> str:
+def _read(path: Path, encoding: str | None) -> tuple[str, str]:
     try:
         if path.stat().st_size > MAX_BYTES:
             raise InputError(f"{path}: {path.stat().st_size} bytes of text are more than this program reads")
@@ -83,20 +95,7 @@ def _decode(path: Path, encoding: str | None) -> str:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from None
     if not raw.strip():
         raise InputError(f"{path}: the file is empty")
-    guesses = (
-        [encoding] if encoding else ["utf-16"] * raw.startswith((b"\xff\xfe", b"\xfe\xff")) + ["utf-8-sig"]
-    )
-    for guess in [*guesses, *([] if encoding else ["latin-1"])]:
-        try:
-            text = raw.decode(guess)
-        except (UnicodeDecodeError, LookupError):
-            continue
-        if "\0" in text[:10_000]:
-            break
-        return text
-    raise InputError(
-        f"{path}: is no text that can be read as {encoding or 'UTF-8 or Latin-1'}; name its kind in the map"
-    )
+    return decode_text(raw, encoding, str(path))
 
 
 def _cells(line: str, delimiter: str) -> list[str]:
@@ -122,26 +121,18 @@ def _split(line: str, delimiter: str) -> list[str]:
     return [cell.strip().strip('"').strip() for cell in line.split(delimiter)]
 
 
-def _number(cell: str, comma: bool) -> float:
+def _value(cell: str, form: NumberFormat) -> float:
     """A number, or an instant as seconds; NaN where the cell holds neither."""
-    try:
-        return math.nan if "_" in cell else float(cell.replace(",", ".") if comma else cell)
-    except ValueError:
-        pass
-    if cell and cell[-1].isdigit() and ("D" in cell or "d" in cell) and _NUMBER.match(cell):
-        # Fortran's double precision.
-        return float(re.sub("[dD]", "e", cell).replace(",", "."))
-    return seconds_of(cell)
+    value = form.number(cell)
+    return seconds_of(cell) if math.isnan(value) else value
+
+
+def _scope_number(cell: str, comma: bool) -> float:
+    return _value(cell, NumberFormat("," if comma else "."))
 
 
 def _is_value(cell: str) -> bool:
-    return bool(_NUMBER.match(cell)) or not math.isnan(seconds_of(cell))
-
-
-def _is_number(cell: str, decimal: str) -> bool:
-    if not math.isnan(seconds_of(cell)):
-        return True
-    return bool(_NUMBER.match(cell)) and (decimal in ",." and not ("," in cell and decimal == "."))
+    return is_numeral(cell) or not math.isnan(seconds_of(cell))
 
 
 def _find_delimiter(lines: list[str], decimal: str | None) -> str:
@@ -162,32 +153,28 @@ def _find_delimiter(lines: list[str], decimal: str | None) -> str:
     return best
 
 
-def _find_decimal(lines: list[str], delimiter: str) -> str:
-    body = lines[len(lines) // 2 :][:400]
-    commas = sum("," in c and bool(_NUMBER.match(c)) for line in body for c in _cells(line, delimiter))
-    points = sum("." in c and bool(_NUMBER.match(c)) for line in body for c in _cells(line, delimiter))
-    return "," if commas > points else "."
-
-
-def _first_data_row(rows: list[tuple[int, list[str]]], width: int, decimal: str, path: Path) -> int:
-    for i, (_, cells) in enumerate(rows):
-        if (
-            len(cells) == width
-            and all(_is_number(c, decimal) or c.lower() in _NOT_A_NUMBER for c in cells)
-            and any(_is_number(c, decimal) for c in cells)
-        ):
+def _first_data_row(
+    numbered: list[tuple[int, str]], delimiter: str, width: int, form: NumberFormat, path: Path
+) -> int:
+    for i, (_, line) in enumerate(numbered):
+        cells = _cells(line, delimiter)
+        if len(cells) != width:
+            continue
+        values = [not math.isnan(_value(c, form)) for c in cells]
+        if any(values) and all(v or c.lower() in _NOT_A_NUMBER for v, c in zip(values, cells, strict=True)):
             # Rows above it that are half numbers are broken rows of data, not header.
-            while i > 0 and len(rows[i - 1][1]) == width and _half_numbers(rows[i - 1][1], decimal):
+            while i > 0 and _half_numbers(_cells(numbered[i - 1][1], delimiter), width, form):
                 i -= 1
             return i
     raise InputError(
-        f"{path}: no row of numbers found; give 'delimiter', 'decimal' and 'header_lines' in the map's "
-        f"'source'"
+        f"{path}: no row of numbers found; give 'delimiter', 'decimal', 'thousands' and 'header_lines' in "
+        f"the "
+        f"map's 'source' (dates and times of day are read as instants, with AM or PM where they say so)"
     )
 
 
-def _half_numbers(cells: list[str], decimal: str) -> bool:
-    return 2 * sum(_is_number(c, decimal) for c in cells) >= len(cells)
+def _half_numbers(cells: list[str], width: int, form: NumberFormat) -> bool:
+    return len(cells) == width and 2 * sum(not math.isnan(_value(c, form)) for c in cells) >= width
 
 
 def _names(
@@ -203,7 +190,7 @@ def _names(
         # Keep a leading separator: an unnamed first column is common (it is the time).
         cells = line.lstrip("#%/ ").split() if delimiter == " " else _split(line.lstrip("#%"), delimiter)
         cells = cells[:-1] if len(cells) == width + 1 and cells[-1] == "" else cells
-        if len(cells) == width and any(c and not _NUMBER.match(c) for c in cells):
+        if len(cells) == width and any(c and not NUMBER.match(c) for c in cells):
             candidates.append(cells)
     units: list[str] = []
     if len(candidates) >= 2 and _all_units(candidates[-1]):
@@ -229,66 +216,112 @@ def _all_units(cells: list[str]) -> bool:
     return all(normal_unit(c.strip("[]()")) in known for c in cells)
 
 
-def _parse(
-    rows: list[tuple[int, list[str]]], width: int, decimal: str, name: str
-) -> tuple[Float64, np.typing.NDArray[np.int64], tuple[BrokenRow, ...]]:
-    """(n, width) numbers; NaN where a cell holds none. Rows of another width are broken at once."""
-    kept: list[list[float]] = []
-    numbers: list[int] = []
-    broken: list[BrokenRow] = []
-    comma = decimal == ","
-    for number, cells in rows:
-        if len(cells) != width:
+@dataclass(frozen=True)
+class _Body:
+    """The lines of data, with their numbers."""
+
+    lines: list[tuple[int, str]]
+    delimiter: str
+    width: int
+
+    def parse(
+        self, form: NumberFormat, source: Source, path: Path
+    ) -> tuple[Float64, tuple[BrokenRow, ...], NumberFormat]:
+        """(n, width) numbers; NaN where a cell holds none. Rows of another width are broken at once."""
+        at_once = self._evenly(form)
+        if at_once is not None:
+            return at_once, (), form
+        data, broken, failed = self._cell_by_cell(form, path.name)
+        if failed and form.thousands is None:
+            # Thousands may come first where the sample did not look.
+            own = find_number_format([failed], form.decimal, source.thousands, str(path))
+            if own != form:
+                form = own
+                data, broken, _ = self._cell_by_cell(form, path.name)
+        return data, broken, form
+
+    def _evenly(self, form: NumberFormat) -> Float64 | None:
+        """The numbers of a file without an empty cell, a date or a broken row; ``None`` for another file."""
+        if form.thousands is not None or (form.decimal == "," and self.delimiter == ","):
+            return None
+        lines = (line.replace(",", ".") if form.decimal == "," else line for _, line in self.lines)
+        try:
+            data = np.loadtxt(
+                lines, delimiter=None if self.delimiter == " " else self.delimiter, comments=None, ndmin=2
+            )
+        except ValueError:
+            return None
+        return data if data.shape == (len(self.lines), self.width) else None
+
+    def _cell_by_cell(
+        self, form: NumberFormat, name: str
+    ) -> tuple[Float64, tuple[BrokenRow, ...], list[str]]:
+        data = np.full((len(self.lines), self.width), np.nan)
+        broken: list[BrokenRow] = []
+        failed: list[str] = []
+        for row, (number, line) in enumerate(self.lines):
+            cells = _cells(line, self.delimiter)
             # A missing last cell was taken for a separator at the end of the line.
-            if len(cells) == width - 1:
-                cells = [*cells, ""]
-            else:
-                broken.append(BrokenRow(name, number, f"{len(cells)} cells instead of {width}"))
-                cells = [""] * width
-        kept.append([_number(cell, comma) for cell in cells])
-        numbers.append(number)
-    data = np.array(kept, dtype=np.float64).reshape(len(kept), width)
-    return data, np.array(numbers, dtype=np.int64), tuple(broken)
+            if len(cells) not in (self.width, self.width - 1):
+                broken.append(BrokenRow(name, number, f"{len(cells)} cells instead of {self.width}"))
+                continue
+            for i, cell in enumerate(cells):
+                data[row, i] = _value(cell, form)
+                if math.isnan(data[row, i]) and len(failed) < _FAILED and is_numeral(cell):
+                    failed.append(cell)
+        return data, tuple(broken), failed
 
 
-_CLOCK = r"(?P<h>\d{1,2}):(?P<m>\d{2})(:(?P<s>\d{2})([.,](?P<f>\d{1,9}))?)?"
+_CLOCK = r"(?P<h>\d{1,2}):(?P<m>\d{2})(:(?P<s>\d{2})([.,:](?P<f>\d{1,9}))?)?(\s*(?P<half>[AaPp])\.?[Mm]\.?)?"
+_MONTHS = ["jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec"]
 _DATE = (
     r"((?P<Y>\d{4})[-/.](?P<M>\d{1,2})[-/.](?P<D>\d{1,2})"
-    r"|(?P<d1>\d{1,2})(?P<sep>[./])(?P<d2>\d{1,2})[./](?P<Y2>\d{4}))"
+    r"|(?P<d1>\d{1,2})(?P<sep>[./])(?P<d2>\d{1,2})[./](?P<Y2>\d{4})"
+    r"|(?P<d3>\d{1,2})[- ](?P<word>[A-Za-z]{3})[a-z]*[- ](?P<Y3>\d{4}))"
 )
 _ZONE = r"\s*(?P<z>Z|UTC|[+-]\d{2}:?\d{2})?"
 _INSTANT = re.compile(rf"({_DATE}[T ]\s*)?{_CLOCK}{_ZONE}$|{_DATE.replace('?P<', '?P<o')}$")
-DAY = 86400.0
 
 
 def seconds_of(cell: str) -> float:
     """Seconds since 1970 of a date with time (or a date alone), since midnight of a time of day; NaN else.
 
     An instant without zone counts as UTC: only differences matter. 1.2.2026 is the first of February,
-    1/2/2026 the second of January.
+    1/2/2026 the second of January. After 12:59 PM comes 1:00 PM.
     """
-    if ":" not in cell and cell.count(".") + cell.count("/") + cell.count("-") < 2:
+    if ":" not in cell and cell.count(".") + cell.count("/") + cell.count("-") + cell.count(" ") < 2:
         return math.nan
     found = _INSTANT.match(cell)
     if found is None:
         return math.nan
     part = found.groupdict()
-    prefix = "o" if part["oY"] or part["oY2"] else ""
-    clock = int(part["h"] or 0) * 3600.0 + int(part["m"] or 0) * 60.0 + int(part["s"] or 0)
+    hours = int(part["h"] or 0)
+    if part["half"]:
+        if not 1 <= hours <= 12:
+            return math.nan
+        hours = hours % 12 + 12 * (part["half"] in "Pp")
+    clock = hours * 3600.0 + int(part["m"] or 0) * 60.0 + int(part["s"] or 0)
     clock += float(f"0.{part['f']}") if part["f"] else 0.0
-    if not (part[prefix + "Y"] or part[prefix + "Y2"]):
-        return clock
-    if part[prefix + "Y"]:
-        year, month, day = (int(part[prefix + k]) for k in "YMD")
-    else:
-        first, second = int(part[prefix + "d1"]), int(part[prefix + "d2"])
-        year = int(part[prefix + "Y2"])
-        month, day = (first, second) if part[prefix + "sep"] == "/" and first <= 12 else (second, first)
+    own = {k: part[k] or part["o" + k] for k in ("Y", "M", "D", "d1", "sep", "d2", "Y2", "d3", "word", "Y3")}
     try:
-        midnight = datetime(year, month, day, tzinfo=UTC).timestamp()
+        day = _day(own)
     except ValueError:
         return math.nan
-    return midnight + clock - _zone(part["z"])
+    return clock if day is None else day + clock - _zone(part["z"])
+
+
+def _day(part: dict[str, str]) -> float | None:
+    """Seconds since 1970 at the start of a date; ``None`` without one, ValueError for no such day."""
+    if part["Y"]:
+        year, month, day = int(part["Y"]), int(part["M"]), int(part["D"])
+    elif part["Y2"]:
+        first, second, year = int(part["d1"]), int(part["d2"]), int(part["Y2"])
+        month, day = (first, second) if part["sep"] == "/" and first <= 12 else (second, first)
+    elif part["Y3"]:
+        year, month, day = int(part["Y3"]), _MONTHS.index(part["word"].lower()) + 1, int(part["d3"])
+    else:
+        return None
+    return datetime(year, month, day, tzinfo=UTC).timestamp()
 
 
 def _zone(text: str | None) -> float:
@@ -296,12 +329,3 @@ def _zone(text: str | None) -> float:
         return 0.0
     digits = text[1:].replace(":", "")
     return (-1.0 if text[0] == "-" else 1.0) * (int(digits[:2]) * 3600.0 + int(digits[2:]) * 60.0)
-
-
-def past_midnight(seconds: Float64) -> Float64:
-    """Times of day that go on after midnight instead of starting over."""
-    known = np.isfinite(seconds)
-    turned = np.diff(seconds[known], prepend=seconds[known][:1]) < -0.5 * DAY
-    out = seconds.copy()
-    out[known] += DAY * np.cumsum(turned)
-    return out

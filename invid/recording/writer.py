@@ -3,13 +3,14 @@
 Rows are gathered in memory and go to disk in one write for every second of data, into a file of their own
 beside the recording (``.rows``, see ``invid.recording.spool``). ``close`` makes the HDF5 file of them, in
 memory and then in one piece. A process killed at any instant leaves the rows, which lack at most the last
-second; ``read_recording`` and ``invid import`` read them. A recording without the attribute ``outcome`` is
-such a cut-off one.
+second (after a power cut the last six); ``read_recording`` and ``invid import`` read them as a recording
+whose ``outcome`` is "failed", ``put_in_place`` makes its file.
 """
 
 from __future__ import annotations
 
 import contextlib
+import os
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -23,13 +24,47 @@ from invid.errors import RecordingError, SafetyStop
 from invid.numerics.arrays import frozen_float
 from invid.recording.hdf5 import experiment_attributes, root_attributes
 from invid.recording.model import Experiment, Kind, Outcome, Recording, Role
-from invid.recording.spool import Spool, as_hdf5
+from invid.recording.spool import Spool, as_hdf5, sync_folder
 
 _FLUSH_S = 0.9
 """Data gathered before a burst [s]; below the promised second by one slow append."""
 ROOM_BYTES = 8 << 20
 """Kept free on the disk beside what closing needs, which is at most as much again as the rows take. A guess
 at what others may write in a second; 50 s of rows of six axes at 1 kHz."""
+
+
+def put_in_place(rows: Path, target: Path, outcome: Outcome | None = None) -> None:
+    """Make the recording ``target`` of the rows of a measurement, then remove them; a cut at any instant
+    leaves one of the two.
+
+    ``outcome`` is how it ended; ``None``: as the rows say.
+
+    Raises
+    ------
+    OSError
+        The disk does not take it; the rows stay.
+    RecordingError
+        The rows were cut off before their header was whole.
+    """
+    part = target.with_name(target.name + ".part")
+    try:
+        with as_hdf5(rows) as file:
+            if outcome is not None:
+                file.attrs["outcome"] = str(outcome)
+            file.flush()
+            image = file.id.get_file_image()
+        with part.open("wb") as written:
+            written.write(image)
+            written.flush()
+            os.fsync(written.fileno())
+        part.replace(target)
+        sync_folder(target.parent)
+    except OSError:
+        with contextlib.suppress(OSError):
+            part.unlink(missing_ok=True)
+        raise
+    with contextlib.suppress(OSError):
+        rows.unlink()
 
 
 class RecordingWriter:
@@ -212,22 +247,13 @@ class RecordingWriter:
         with contextlib.suppress(OSError):
             spool.outcome(str(Outcome(outcome)))
         spool.close()
-        part = self.path.with_name(self.path.name + ".part")
         try:
-            with as_hdf5(spool.path) as file:
-                file.attrs["outcome"] = str(Outcome(outcome))
-                file.flush()
-                image = file.id.get_file_image()
-            part.write_bytes(image)
-            part.replace(self.path)
+            put_in_place(spool.path, self.path, Outcome(outcome))
         except OSError as error:
-            with contextlib.suppress(OSError):
-                part.unlink(missing_ok=True)
             raise RecordingError(
                 f"{self.path}: cannot be written ({error.strerror or error}). What was measured is in "
                 f"{spool.path}: free some space, then `invid import {spool.path} -o {self.path}`"
             ) from None
-        spool.remove()
         if refused is not None:
             raise refused
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import minimize_scalar
+import scipy
 
 from invid.errors import NotIdentifiableError
 from invid.numerics import budget
@@ -191,7 +191,9 @@ def _refine_shapes(design: Design, found: list[Regressor]) -> list[Regressor]:
             return fit_fast(design, trial, 1.0).cost
 
         low, high = float(np.log(start / 3)), float(np.log(start * 3))
-        best = minimize_scalar(cost, bounds=(low, high), method="bounded", options={"xatol": 1e-3})
+        best = scipy.optimize.minimize_scalar(
+            cost, bounds=(low, high), method="bounded", options={"xatol": 1e-3}
+        )
         terms[i] = replace(term, shape=float(np.exp(best.x)))
     return terms
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.signal import csd, find_peaks, welch
+import scipy
 
 from invid.errors import InvidError
 from invid.numerics.arrays import Float64
@@ -131,15 +131,15 @@ def rigid_torque_share(recording: Recording) -> float:
 def _peak_frequencies(torque: Float64, acceleration: Float64, step: float, length: int = 0) -> Float64:
     """Frequencies [Hz] of the peaks that stand out of the response where it is coherent."""
     length = length or acceleration.size // 8
-    frequency, cross = csd(torque, acceleration, 1 / step, nperseg=length)
-    _, pa = welch(acceleration, 1 / step, nperseg=length)
-    _, pt = welch(torque, 1 / step, nperseg=length)
+    frequency, cross = scipy.signal.csd(torque, acceleration, 1 / step, nperseg=length)
+    _, pa = scipy.signal.welch(acceleration, 1 / step, nperseg=length)
+    _, pt = scipy.signal.welch(torque, 1 / step, nperseg=length)
     coherence = np.abs(cross) ** 2 / np.maximum(pa * pt, 1e-300)
     response = np.log(np.maximum(np.abs(cross) / np.maximum(pt, 1e-300), 1e-300))
     coherent = (coherence > LEAST_COHERENCE) & (frequency > 0)
     if coherent.sum() < 8:
         return np.zeros(0)
-    peaks = find_peaks(response[coherent], prominence=PROMINENCE, width=2)[0]
+    peaks = scipy.signal.find_peaks(response[coherent], prominence=PROMINENCE, width=2)[0]
     inner = peaks[(peaks > 2) & (peaks < int(coherent.sum()) - 3)]
     found: Float64 = frequency[coherent][inner]
     return found

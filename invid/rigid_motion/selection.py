@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from scipy import stats
+import scipy
 
 from invid.numerics import budget
 from invid.numerics.arrays import Bool, Float64
@@ -75,10 +75,10 @@ def held_out_p(design: Design, before: Fit, after: Fit, rows: Bool | None = None
     spread = float(difference.std(ddof=1)) if count > 1 else 0.0
     if count >= TELLING and spread > 0:
         t = float(difference.mean() / (spread / np.sqrt(count)))
-        chances.append(float(stats.t.sf(t, count - 1)))
+        chances.append(float(scipy.stats.t.sf(t, count - 1)))
         # Gains are skewed over pieces (a few hold all the reversals): a sign test sees what the t misses.
         win_count = int((difference > 0).sum())
-        chances.append(float(stats.binomtest(win_count, count, 0.5, alternative="greater").pvalue))
+        chances.append(float(scipy.stats.binomtest(win_count, count, 0.5, alternative="greater").pvalue))
     return min(1.0, len(chances) * min(chances))
 
 
@@ -95,7 +95,7 @@ def _gain_p(design: Design, old: Float64, new: Float64, after: Fit, asked: int) 
     length = seen / max(after.effective, 1.0)
     scatter = (after.cost * seen + float(new.sum())) / (seen + asked)
     free = max((seen + asked) / length - after.value.size, 1.0)
-    return float(stats.f.sf(gain / length / max(scatter, 1e-300), 1, free))
+    return float(scipy.stats.f.sf(gain / length / max(scatter, 1e-300), 1, free))
 
 
 def training_p(before: Fit, after: Fit) -> float:
@@ -105,7 +105,7 @@ def training_p(before: Fit, after: Fit) -> float:
     if free <= 1 or after.cost <= 0:
         return 0.0 if after.cost < before.cost else 1.0
     ratio = max(before.cost / after.cost - 1.0, 0.0) * free / added
-    return float(stats.f.sf(ratio, added, free))
+    return float(scipy.stats.f.sf(ratio, added, free))
 
 
 def held_out_cost(design: Design, result: Fit, rows: Bool | None = None) -> float:
@@ -135,7 +135,7 @@ def axes_at_noise(design: Design, result: Fit) -> Bool:
         mine = rows & (design.axis == i)
         count = float(mine.sum()) / length
         if count > 0:
-            most = float(stats.chi2.isf(FALSE_ALARM, count)) / count
+            most = float(scipy.stats.chi2.isf(FALSE_ALARM, count)) / count
             out[i] = float(np.mean(result.held_out[mine] ** 2)) <= most * float(np.mean(floor[mine]))
     return out
 

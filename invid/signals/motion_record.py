@@ -12,9 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import fft
-from scipy.ndimage import minimum_filter1d
-from scipy.signal import csd, periodogram, welch
+import scipy
 
 from invid.numerics.arrays import Bool, Float64
 from invid.recording.model import Experiment, Kind, Role
@@ -117,17 +115,17 @@ def derivative(
     n = values.shape[0]
     pad = min(n - 1, int(np.ceil(4.0 / (cutoff_hz * step))) + 16)
     # A length with small factors keeps the transform fast.
-    extra = min(fft.next_fast_len(n + 2 * pad, real=True) - n - pad, n - 1)
+    extra = min(scipy.fft.next_fast_len(n + 2 * pad, real=True) - n - pad, n - 1)
     head = 2 * values[:1] - values[pad:0:-1]
     tail = 2 * values[-1:] - values[-2 : -extra - 2 : -1]
     long = np.concatenate((head, values, tail))
     ramp = np.linspace(long[0], long[-1], long.shape[0])
-    frequency = fft.rfftfreq(long.shape[0], step)
+    frequency = scipy.fft.rfftfreq(long.shape[0], step)
     first, last = roll_off
     roll = np.clip((frequency / cutoff_hz - first) / (last - first), 0.0, 1.0)
     gain = 0.5 * (1 + np.cos(np.pi * roll)) * (2j * np.pi * frequency) ** order
-    spectrum = fft.rfft(long - ramp, axis=0)
-    result = fft.irfft(gain[:, None] * spectrum, long.shape[0], axis=0)
+    spectrum = scipy.fft.rfft(long - ramp, axis=0)
+    result = scipy.fft.irfft(gain[:, None] * spectrum, long.shape[0], axis=0)
     if order == 0:
         result = result + ramp
     elif order == 1:
@@ -196,7 +194,7 @@ def white_psd(values: Float64, step: float) -> tuple[Float64, Float64, Float64]:
     """
     second = np.diff(values, 2, axis=0)
     length = _segment(second.shape[0])
-    frequency, power = welch(second, 1 / step, nperseg=length, axis=0)
+    frequency, power = scipy.signal.welch(second, 1 / step, nperseg=length, axis=0)
     shape = np.abs(1 - np.exp(-2j * np.pi * frequency * step)) ** 4
     power = power / np.maximum(shape, 1e-9)[:, None]
     upper = frequency > _NOISE_BAND * 0.5 / step
@@ -229,12 +227,14 @@ def unanswered_level(experiment: Experiment) -> Float64:
     step = float(time[-1] - time[0]) / (time.size - 1)
     both = [_bends(np.asarray(values), time) for values in (experiment.torque, experiment.position)]
     length = _segment(both[0].shape[0])
-    frequency, power = csd(both[0].T, both[0].T, 1 / step, nperseg=length)
+    frequency, power = scipy.signal.csd(both[0].T, both[0].T, 1 / step, nperseg=length)
     upper = frequency > _NOISE_BAND * 0.5 / step
     shape = np.abs(1 - np.exp(-2j * np.pi * frequency[upper] * step)) ** 4
     own = power.real[:, upper].T
     answers, moves = (
-        np.array([[csd(q, x, 1 / step, nperseg=length)[1][upper] for x in part.T] for q in both[1].T])
+        np.array(
+            [[scipy.signal.csd(q, x, 1 / step, nperseg=length)[1][upper] for x in part.T] for q in both[1].T]
+        )
         for part in both
     )
     averages = max(2 * (both[0].shape[0] // length) - 1, 1)
@@ -286,7 +286,9 @@ def _torque_bandwidth(experiments: list[Experiment], floor: Float64) -> Float64:
     pieces = []
     for experiment in experiments:
         even = resample_uniformly(experiment)
-        frequency, power = periodogram(even.torque, 1 / even.step, window="hann", detrend="linear", axis=0)
+        frequency, power = scipy.signal.periodogram(
+            even.torque, 1 / even.step, window="hann", detrend="linear", axis=0
+        )
         clean = np.maximum(power - floor, 0.0) * frequency[1] * experiment.duration
         pieces.append((np.repeat(frequency[:, None], clean.shape[1], axis=1), clean))
     edges = []
@@ -330,7 +332,9 @@ def prepare_rows(experiment: Experiment, band: Band) -> Motion:
     same = np.sign(velocity) == np.sign(np.roll(velocity, 1, axis=0))
     steadily = np.stack(
         [
-            minimum_filter1d(one.astype(np.int8), 2 * max(1, round(REACH / (float(cut) * step))) + 1)
+            scipy.ndimage.minimum_filter1d(
+                one.astype(np.int8), 2 * max(1, round(REACH / (float(cut) * step))) + 1
+            )
             for one, cut in zip((same & (moving > 0)).T, band.rows_hz, strict=True)
         ],
         axis=1,

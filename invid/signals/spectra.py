@@ -15,6 +15,7 @@ import numpy as np
 
 from invid.numerics.arrays import Bool, Complex128, Float64, frozen, frozen_float
 from invid.recording.model import Experiment, Kind, Recording, Role
+from invid.recording.plausibility import held_sentence
 from invid.signals.lines import band_of, driven_axes, excited_lines, held_torque, highest_excited
 from invid.signals.noise import (
     ENOUGH,
@@ -157,6 +158,13 @@ def spectra_of(
     """
     data = resample_uniformly(experiment)
     warnings: list[str] = []
+    held = held_sentence(experiment)
+    if held is not None:
+        warnings.append(
+            f"experiment {experiment.key}: {held}; keep one row of each ('every' in an import map), else "
+            f"masses "
+            "come out far too small"
+        )
     if data.lost:
         warnings.append(
             f"experiment {experiment.key}: {data.lost} of {data.samples} samples are missing"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -132,6 +133,11 @@ class SpectralRecord(SpectralLines):
         return out
 
     to_waves = to_wave
+
+    @cached_property
+    def law_lines(self) -> dict[Hashable, Complex128]:
+        """Lines of laws at motors that follow from the measured motion alone, whatever the plant."""
+        return {}
 
     @cached_property
     def standing(self) -> tuple[bool, ...]:

@@ -6,16 +6,21 @@ import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from invid.config import CellConfig
 from invid.errors import InvidError
+from invid.numerics.arrays import Float64
+from invid.planning.forecast import lower_torque
 from invid.planning.hold_laws import master_hold
 from invid.planning.model import AxisForecast, PhasePlan, Plan, Step
 from invid.planning.phases import lowest_frequency
+from invid.planning.stopping_distance import Permitted
 from invid.recording.model import Kind
+from invid.sweep.bounds import Statistics
 from invid.sweep.motion import Motion
 from invid.sweep.ports import Cell, Sink
 from invid.sweep.rehearsal import Rehearsal
-from invid.sweep.watch import Statistics
 
 WORTH_SAYING = 0.9
 """A permitted speed that the measured inertia lowers by less than a tenth needs no words."""
@@ -68,14 +73,19 @@ class Sweep:
     go_on: Callable[[int], bool | None] | None = None
     """Asked after each experiment but the last, with its number: True next one, False enough, ``None`` not
     known yet (the axes are held, and it is asked again)."""
-    permit: Callable[[Sequence[float | None], Sequence[float | None]], CellConfig] | None = None
-    """The limits anew, by the inertia and the hold torque of each axis as the trials of the signs measured
-    them: less speed is permitted to an axis that takes longer to stop than was stated."""
+    permit: Callable[[Sequence[float | None], Sequence[float | None], float], Permitted] | None = None
+    """Speeds and torque by the inertia and the hold torque of each axis as the trials of the signs measured
+    them, for a share of the torque that is played: less is permitted to an axis that takes longer to stop
+    than was stated, and more speed to less torque, which goes on when the master dies."""
 
     def __post_init__(self) -> None:
         self._motion = Motion(self.plan, self.config, self.cell, self.stop, self._report)
-        self._rehearsal = Rehearsal(self._motion, self.warnings, self._stated_inertia())
+        self._rehearsal = Rehearsal(
+            self._motion, self.warnings, self._stated_inertia(), self._permitted_velocity
+        )
         self._total_s = self.plan.duration_s
+        self._torque = np.ones(len(self.plan.axes))
+        self._slower: set[int] = set()
         self._forecast = self.plan.forecast
 
     def _stated_inertia(self) -> list[tuple[float, str] | None]:
@@ -109,11 +119,11 @@ class Sweep:
                     case Step.SIGNS:
                         self._rehearsal.try_signs(phase.number)
                     case Step.TRIAL:
-                        self._permit()
+                        self._lower_torque()
                         self._rehearsal.try_amplitude(self.plan.trials[phase.number])
                         self._forecast = self._rehearsal.forecast()
                     case Step.EXPERIMENT:
-                        self._permit()
+                        self._lower_torque()
                         self._experiment(phase)
                         more = phase.number + 1 < len(self.plan.experiments)
                         if more and self._enough(phase.number):
@@ -132,9 +142,9 @@ class Sweep:
         self._report()
         self.warnings += self._motion.watching.words.said()
         return SweepResult(
-            scale=float(self._rehearsal.scales.min()),
+            scale=float(self._rehearsal.scales.min() * self._torque.min()),
             inertia={self.plan.axes[i]: m for i, m in self._motion.inertia.items()},
-            statistics=self._motion.watching.statistics,
+            statistics=self._motion.watching.bounds.statistics,
             forecast=self._forecast,
             warnings=tuple(self.warnings),
             measured_s=measured_s,
@@ -160,31 +170,53 @@ class Sweep:
         )
         return True
 
-    def _permit(self) -> None:
-        """Limits by what was measured so far; never wider than before."""
+    def _permitted(self, played: float) -> Permitted:
+        """Speeds and torque by what was measured so far, for a share of the torque that is played."""
         motion = self._motion
         if self.permit is None:
-            return
+            return Permitted(self.config, (1.0,) * motion.count)
         loads = [
             b if a.gravity_loaded else None for a, b in zip(motion.config.axes, motion.bias, strict=True)
         ]
-        measured = [motion.inertia.get(i) for i in range(motion.count)]
-        limits = self.permit(measured, loads)
-        for i, axis in enumerate(limits.axes):
-            before, now = motion.config.axes[i].limits.velocity, axis.limits.velocity
-            if now < before:
-                motion.permit(i, now)
-            if now < WORTH_SAYING * before:
-                unit = "m/s" if limits.linear else "rad/s"
+        return self.permit([motion.inertia.get(i) for i in range(motion.count)], loads, played)
+
+    def _permitted_velocity(self, played: float) -> Float64:
+        """(M,) speed that is permitted while so much of the torque is played, never more than announced."""
+        limits = [a.limits.velocity for a in self._permitted(played).config.axes]
+        return np.minimum(limits, [a.limits.velocity for a in self.config.axes])
+
+    def _lower_torque(self) -> None:
+        """The plan with as much of the torque as the axes, as heavy as they were measured, can come to rest
+        with; never more than before."""
+        torque = np.minimum(self._torque, self._permitted(1.0).torque)
+        unit = "N" if self.config.linear else "N·m"
+        for i in np.flatnonzero(torque < WORTH_SAYING * self._torque):
+            peak = self.plan.peak_torque[i] * torque[i] / self._torque[i]
+            self.warnings.append(
+                f"axis {self.plan.axes[i]}: by the inertia and load that were measured, it is shaken with "
+                f"{torque[i]:.0%} of the planned torque, {peak:.3g} {unit}, so that it comes to rest in time"
+            )
+        self.plan = self._motion.plan = lower_torque(self.plan, torque / self._torque)
+        self._torque = torque
+
+    def _limit_velocity(self, played: float) -> None:
+        """Watch the speeds that are permitted from here on; say which are much lower than announced."""
+        unit = "m/s" if self.config.linear else "rad/s"
+        for i, now in enumerate(self._permitted_velocity(played).tolist()):
+            before = self.config.axes[i].limits.velocity
+            self._motion.permit(i, now)
+            if now < WORTH_SAYING * before and i not in self._slower:
+                self._slower.add(i)
                 self.warnings.append(
-                    f"axis {axis.name}: by the inertia and load that were measured, at most {now:.3g} {unit} "
-                    f"are permitted, not {before:.3g}, so that it comes to rest in time"
+                    f"axis {self.plan.axes[i]}: by the inertia and load that were measured, at most "
+                    f"{now:.3g} {unit} are permitted, not {before:.3g}, so that it comes to rest in time"
                 )
 
     def _experiment(self, phase: PhasePlan) -> None:
         experiment, scale = self.plan.experiments[phase.number], float(self._rehearsal.scales[phase.number])
         self._motion.phase = phase.name
         self._motion.experiment = experiment
+        self._limit_velocity(scale)
         path = experiment.kind is Kind.CONSTANT_VELOCITY
         excited = set(experiment.excited)
         self._motion.rest(excited)
@@ -195,8 +227,9 @@ class Sweep:
             gains[f.axis] = float("nan") if self._motion.by_offset(f.axis) else f.gains.stiffness
         self.sink.begin(experiment, gains, scale)
         # a path is followed with what torque that takes; a share that friction may hide moves nobody surely
-        sure = not path and scale >= self._rehearsal.sure[phase.number]
-        self._motion.must_move = excited if sure else set()
+        if not path:
+            played = scale * np.abs(experiment.torque).max(axis=0, initial=0.0)
+            self._motion.must_move = excited & self._rehearsal.moved_by(played)
         self._motion.watching.standing.slowest(lowest_frequency([experiment]))
         try:
             self._motion.play(

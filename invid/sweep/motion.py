@@ -15,10 +15,11 @@ from invid.numerics.arrays import Bool, Float64
 from invid.planning.hold_laws import Gains, centring, following, least_damping, master_hold
 from invid.planning.model import Plan, PlannedExperiment
 from invid.planning.phases import CATCH_HZ, SETTLE_S
+from invid.sweep.bounds import Bounds, Statistics, bounds_of
 from invid.sweep.loads import CONFIRM_S, Load, judge_loads
 from invid.sweep.moment import TRACE_S, Moment
 from invid.sweep.ports import Cell, Mode, Sample, Sink
-from invid.sweep.watch import AxisLimits, Statistics, Watch
+from invid.sweep.watch import Watch
 
 FADE_S = 0.1
 """A stop on request fades the torque out in this time before the quick stop."""
@@ -120,7 +121,7 @@ class Motion:
     @property
     def statistics(self) -> Statistics:
         """What was seen so far."""
-        return self._watch.statistics if self._watch is not None else Statistics()
+        return self._watch.bounds.statistics if self._watch is not None else Statistics()
 
     @property
     def place(self) -> list[float]:
@@ -143,12 +144,12 @@ class Motion:
         return bool(told) and told[axis]
 
     def permit(self, axis: int, velocity: float) -> None:
-        """A lower limit for the velocity of one axis, from here on."""
+        """Another limit for the velocity of one axis, from here on; never above what was announced."""
         axes = list(self.config.axes)
         limits = axes[axis].limits.model_copy(update={"velocity": velocity})
         axes[axis] = axes[axis].model_copy(update={"limits": limits})
         self.config = self.config.model_copy(update={"axes": axes})
-        self.watching.permit(axis, velocity)
+        self.watching.bounds.permit(axis, velocity)
 
     def resting_modes(self) -> list[Mode]:
         """Held by its drive whatever can be."""
@@ -165,6 +166,11 @@ class Motion:
                 "stopped on request before any drive was enabled; nothing was recorded yet", code="asked"
             )
         self._modes = self.resting_modes()
+        # A cell that makes cycles of its own has the bounds that it checks there: one watch over all of them.
+        own: Bounds | None = getattr(cell, "bounds", None)
+        self._bounds = own or bounds_of(self.config, cell.resolution, cell.rated_torque)
+        for i, axis in enumerate(self.config.axes):
+            self._bounds.permit(i, axis.limits.velocity)
         cell.energise(self._modes)
         self._begin()
         self._settle(first=True)
@@ -173,31 +179,15 @@ class Motion:
             self._settle()
 
     def _begin(self) -> None:
-        """Watch every axis around where it stands now."""
-        cell, config = self.cell, self.config
-        unit = "m" if config.linear else "rad"
-        self._watch = Watch(
-            [
-                AxisLimits(
-                    a.name,
-                    a.limits.torque,
-                    a.limits.position,
-                    a.limits.velocity,
-                    cell.resolution[i],
-                    cell.rated_torque[i],
-                    unit,
-                    "N" if config.linear else "N·m",
-                )
-                for i, a in enumerate(config.axes)
-            ],
-            cycle_s=self.plan.cycle_s,
-            missed_tpdos=config.safety.missed_tpdos,
-            overrun_cycles=config.safety.overrun_cycles,
-        )
-        sample = cell.exchange(self._zero)
+        """Watch every axis; its feedback is around where it stands now."""
+        bounds = self._bounds
+        self._watch = Watch(bounds, cycle_s=self.plan.cycle_s)
+        sample = self.cell.exchange(self._zero)
         self.origin = list(sample.position)
         self._last, self._last_time = list(sample.position), [sample.time] * self.count
-        self.watching.start(self.origin)
+        if bounds.origin is None:
+            bounds.start(self.origin)
+        bounds.count_anew()
         self.watching.held = set(range(self.count))
 
     def _settle(self, *, first: bool = False) -> None:
@@ -208,7 +198,7 @@ class Motion:
         self.phase = "settling"
         held = [mode is Mode.HOLD for mode in self._modes]
         rated = self.cell.rated_torque
-        self.watching.resting = {i for i in range(self.count) if first and held[i]}
+        self.watching.bounds.resting = {i for i in range(self.count) if first and held[i]}
         rows = self.play(None, round(SETTLE_S / self.plan.cycle_s))
         self.watching.words.learn_rest()
         half = len(rows.torque) // 2
@@ -221,7 +211,7 @@ class Motion:
                 rows = self.play(None, round(CONFIRM_S / self.plan.cycle_s))
                 self.loads = judge_loads(self.config, rows.torque, rows.fresh, held, rated)
             self.done_s = done  # no part of the plan
-        self.watching.resting = set()
+        self.watching.bounds.resting = set()
         for i, load in enumerate(self.loads):
             # What the drive needs to hold an axis is what it needs when the master takes over; only a
             # loaded axis is believed to need any, friction held at rest can be anything. A drive that is
@@ -249,6 +239,7 @@ class Motion:
         cycle = self.plan.cycle_s
         feedback, origin, velocity = self.feedback, self.origin, self._velocity
         demand = self._demand
+        asked: Sequence[float] | None = getattr(cell, "asked", None)
         first, last = rows
         edge = round(0.5 / cycle)
         acting = cycles if torque is None else int(np.flatnonzero(torque.any(axis=1)).max(initial=-1)) + 1
@@ -287,7 +278,7 @@ class Motion:
                 )
                 self.expect_life(first <= k < last and not fading)
             recent.append((sample.time, tuple(sample.position), tuple(sample.torque)))
-            watch.check(sample)
+            watch.check(sample, asked)
             self._differentiate(sample)
             if sink is not None and first <= k < last:
                 self._recorded = True
@@ -353,7 +344,7 @@ class Motion:
             self.watching.halting.pause()
             self.watching.words.resume()
         self.feedback, self._demand = feedback, demand
-        self.watching.led = {f.axis for f in feedback}
+        self.watching.bounds.led = {f.axis for f in feedback}
         self.watching.settle()
 
     def centre(self, excited: set[int], *, lowest: float, path: bool = False) -> None:

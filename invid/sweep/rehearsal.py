@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,6 +32,8 @@ CLIMB, SHORT = 5.0, 3.0
 """A step of a trial has at most five times the torque of the one before, whose motion friction may have
 hidden wholly; where a third of what is allowed is not reached in the second, and its torque is still below
 the usual, there is another."""
+BISECTIONS = 12
+"""A scale is sought to a four-thousandth."""
 MOST_GROWTH = 1.6
 """A straight line through zero at a tenth of the amplitude and the motion at a third rises so much; one that
 begins later has stuck there, and nothing more can be said."""
@@ -60,17 +62,23 @@ class Rehearsal:
     """What is tried before anything is recorded."""
 
     def __init__(
-        self, motion: Motion, warnings: list[str], stated: Sequence[tuple[float, str] | None]
+        self,
+        motion: Motion,
+        warnings: list[str],
+        stated: Sequence[tuple[float, str] | None],
+        permitted: Callable[[float], Float64],
     ) -> None:
         self._motion = motion
         self._stated = stated
         """Inertia of each axis and who says it."""
+        self._permitted = permitted
+        """(M,) speed that is permitted while a share of the plan's torque is played."""
         self.warnings = warnings
         self.scales = np.ones(len(motion.plan.experiments))
         """Factor on the torque of every experiment; below 1 where a limit would be near."""
-        self.sure = np.zeros(len(motion.plan.experiments))
-        """Least factor at which an axis of an experiment must move: friction may hold one that is shaken with
-        less, where the trial did not get so far."""
+        self._sure: Float64 = np.zeros(motion.count)
+        """(M,) least torque with which an axis must move: friction may hold one that is shaken with less than
+        it was tried with."""
         self.bounds: Float64 = np.zeros((3, motion.count))
         """(3, M) travel, velocity and torque of the experiments, by the trials."""
 
@@ -85,15 +93,19 @@ class Rehearsal:
         plan is scaled down where that bound lies beyond the announced figures or 95 % of a limit.
         """
         experiment, config = trial.experiment, self._motion.config
+        peak = np.abs(experiment.torque).max(axis=0, initial=0.0)
         self._motion.phase, self._motion.experiment = "trying the amplitude", experiment
         lowest = lowest_frequency([experiment])
         self._motion.rest(set(experiment.excited))
         self._motion.watching.standing.slowest(lowest)
         self._motion.watching.standing.forget()
         sure, second = trial_shares(config, experiment)
-        allowed = self._allowed(experiment)
+        # the speed that is permitted to all of the second step's torque is permitted to less
+        allowed = self._allowed(experiment, second)
 
         def tried(step: int, share: float) -> Seen:
+            for i, velocity in enumerate(self._permitted(share).tolist()):
+                self._motion.permit(i, velocity)
             # Less than what friction surely lets through says nothing of an encoder that stands.
             return self._try_share(excerpt(config, trial, step), share, moves=share >= sure)
 
@@ -110,8 +122,7 @@ class Rehearsal:
         path = experiment.reference
         led = 0.0 if path is None else np.abs(path).max(axis=0)
 
-        if share < sure:
-            self.sure[list(trial.covers)] = sure
+        self._sure = np.maximum(self._sure, np.where(peak > 0, sure * peak, 0.0))
 
         def bound(spread: Float64) -> Float64:
             most: Float64 = linear * spread
@@ -119,7 +130,7 @@ class Rehearsal:
             most[0] += led
             return most
 
-        scale = self._scale_down(bound(trial.usual), allowed)
+        scale = self._scale_down(bound(trial.usual), experiment)
         self.scales[list(trial.covers)] = scale
         most = bound(trial.spread)
         most[2] = np.maximum(most[2], self._led(experiment, linear[2], trial.spread[0]))
@@ -156,11 +167,19 @@ class Rehearsal:
                 share = min(share, GENTLE * float(travel[i]) * inertia * omega**2 / peak)
         return max(share, LEAST_SHARE)
 
-    def _allowed(self, experiment: PlannedExperiment) -> Float64:
-        """(3, M) what was announced, or the plan's share of 95 % of the limits where that is less."""
+    def moved_by(self, torque: Float64) -> set[int]:
+        """Axes that so much torque (M,) must move."""
+        return {i for i in range(torque.size) if torque[i] >= (1 - 1e-9) * self._sure[i]}
+
+    def _allowed(self, experiment: PlannedExperiment, played: float) -> Float64:
+        """(3, M) what was announced, or the plan's share of 95 % of the limits where that is less.
+
+        ``played``: share of the torque, on which the permitted speed depends.
+        """
         plan, config = self._motion.plan, self._motion.config
         told = _announced(plan.forecast)
         most = USABLE_SHARE * limits_of(config)
+        most[1] = USABLE_SHARE * self._permitted(played)
         if experiment.reference is None:
             rest = np.zeros_like(most)
             rest[2] = np.minimum(np.abs(self._motion.bias), most[2])
@@ -168,19 +187,29 @@ class Rehearsal:
         allowed: Float64 = np.minimum(told, most)
         return allowed
 
-    def _scale_down(self, bound: Float64, allowed: Float64) -> float:
+    def _scale_down(self, bound: Float64, experiment: PlannedExperiment) -> float:
         """The largest scale at which the bounds are allowed; what it is for becomes a warning."""
-        share = allowed / np.maximum(bound, 1e-300)
-        if share.min() >= 1.0:
+
+        def share(played: float) -> Float64:
+            over: Float64 = self._allowed(experiment, played) / np.maximum(bound, 1e-300)
+            return over
+
+        if share(1.0).min() >= 1.0:
             return 1.0
-        k, i = np.unravel_index(int(np.argmin(share)), share.shape)
+        # less torque may be faster: the largest scale that is permitted to the torque that it leaves
+        low, high = float(share(1.0).min()), 1.0
+        for _ in range(BISECTIONS):
+            middle = (low + high) / 2
+            low, high = (middle, high) if share(middle).min() >= middle else (low, middle)
+        found = share(low)
+        k, i = np.unravel_index(int(np.argmin(found)), found.shape)
         units = ("m", "m/s", "N") if self._motion.config.linear else ("rad", "rad/s", "N·m")
         self.warnings.append(
             f"axis {self._motion.plan.axes[i]}: at the planned amplitude the {QUANTITIES[k]} could be "
-            f"{bound[k, i]:.3g} {units[k]} by the trial, {allowed[k, i]:.3g} is allowed; every torque is "
-            f"scaled by {share[k, i]:.2f}"
+            f"{bound[k, i]:.3g} {units[k]} by the trial, {found[k, i] * bound[k, i]:.3g} is allowed; every "
+            f"torque is scaled by {low:.2f}"
         )
-        return float(share[k, i])
+        return low
 
     def forecast(self) -> tuple[AxisForecast, ...]:
         """What is announced after the trials: never more than before them."""
@@ -190,7 +219,7 @@ class Rehearsal:
             return plan.forecast
         bounds = self.bounds.copy()
         bounds[2] += READING_NOISE * np.array(self._motion.cell.rated_torque)
-        bounds = np.maximum(bounds, self._motion.watching.peaks)
+        bounds = np.maximum(bounds, self._motion.watching.bounds.peaks)
         for e in plan.experiments:
             if e.kind is Kind.CONSTANT_VELOCITY:  # follows its path, with what torque that takes
                 bounds[:, list(e.excited)] = told[:, list(e.excited)]

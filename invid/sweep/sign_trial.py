@@ -110,6 +110,9 @@ class SignTrial:
         self._require_torque(last.response, amplitude)
         self._require_motion(last.response, amplitude, length)
         self._require_signs(last.response, amplitude)
+        if not motion.by_offset(axis):
+            name, rated, unit = self._settings.name, self._rated, self._torque_unit
+            trials.judge_scale(name, self._seen, rated=rated, torque_unit=unit)
         branch = self._weigh(last, amplitude, length)
         self._compare(branch, last.response)
         known = self._stated[0] if self._stated is not None else last.response.inertia

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+import math
+from collections.abc import Collection, Sequence
 
 from invid.errors import SafetyStop
 from invid.sweep.ports import Sample
@@ -197,20 +198,34 @@ YIELD_S = 0.02
 FASTER, SPEED_SHARE = 1.2, 0.05
 """Speed over that at which the limit was reached, beyond this share of the speed limit: what brakes with all
 its torque slows down. A spring may pull as hard for a moment, but it does not hold out (empirical)."""
+AWAY = 0.002
+"""Of the window: so far goes an axis that its drive is to hold at rest and cannot."""
 
 
 class Yielding:
     """Speed of each axis since its torque came to the limit against its motion."""
 
-    def __init__(self, names: list[str], torque: list[float], velocity: list[float], unit: str) -> None:
-        """``torque``, ``velocity``: limits of each axis."""
+    def __init__(
+        self,
+        names: list[str],
+        torque: list[float],
+        velocity: list[float],
+        unit: str,
+        window: Sequence[float] = (),
+    ) -> None:
+        """``torque``, ``velocity``: limits of each axis; ``window``: half of its way."""
         self._names, self._torque, self._velocity, self._unit = names, torque, velocity, unit
+        self._away = [AWAY * w for w in window] or [math.inf] * len(names)
         count = len(names)
         self._last: list[tuple[float, float] | None] = [None] * count
-        self._since: list[tuple[float, float] | None] = [None] * count
+        self._since: list[tuple[float, float, float] | None] = [None] * count
 
-    def check(self, sample: Sample, led: Collection[int]) -> None:
-        """SafetyStop where an axis yields whose loop the master closes (``led``)."""
+    def permit(self, axis: int, velocity: float) -> None:
+        """Another speed limit of one axis."""
+        self._velocity[axis] = velocity
+
+    def check(self, sample: Sample, led: Collection[int], resting: Collection[int] = ()) -> None:
+        """SafetyStop where an axis yields whose loop the master closes (``led``), or that is to rest."""
         for i, fresh in enumerate(sample.fresh):
             if not fresh:
                 continue
@@ -220,19 +235,25 @@ class Yielding:
                 continue
             speed = (position - last[1]) / (sample.time - last[0])
             torque = sample.torque[i]
-            if abs(torque) < AT_LIMIT * self._torque[i] or torque * speed >= 0.0 or i not in led:
+            if (
+                abs(torque) < AT_LIMIT * self._torque[i]
+                or torque * speed >= 0.0
+                or not (i in led or i in resting)
+            ):
                 self._since[i] = None
                 continue
             since = self._since[i]
             if since is None:
-                self._since[i] = sample.time, abs(speed)
+                self._since[i] = sample.time, abs(speed), position
                 continue
             fast = FASTER * since[1] + SPEED_SHARE * self._velocity[i]
-            if sample.time - since[0] >= YIELD_S and abs(speed) > fast:
+            gives_way = i in resting and abs(position - since[2]) > self._away[i]
+            if sample.time - since[0] >= YIELD_S and (gives_way or abs(speed) > fast):
                 raise SafetyStop(
                     f"axis {self._names[i]}: gets faster against the torque limit: {abs(speed):.3g} "
                     f"{self._unit}/s, {since[1]:.3g} {1e3 * (sample.time - since[0]):.0f} ms before",
-                    way_out="somebody pushes it, or a sign is wrong in the drive",
+                    way_out="somebody pushes it, a sign is wrong in the drive, or its load is beyond the "
+                    "limit: compare 0x6076 with the motor's plate, or raise the limit",
                     code="yields",
                     axis=self._names[i],
                 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -21,6 +22,10 @@ OPPOSITE = -0.2
 """Measured torque per demanded torque below which the two have opposite signs. A drive that obeys shows 1,
 one with a wrong sign -1, one that shows nothing 0; the noise of 0x6077 (0.5 % of rated on 20 samples at 1 %
 of rated) is 0.1. A wrong sign must show twice."""
+SETTLED_ROWS, SCALE = 16, 0.25
+"""Samples of a step of torque in which it settles, and how far what is shown may be from what is asked there:
+plates and currents of a motor's rated point differ by a tenth, torque and current of a saturated one by a
+fifth; a wrong unit or rated value is further off (empirical)."""
 SIDE_ROWS = 4
 """Samples that an edge needs on each side: a cubic and a bend have five coefficients."""
 PAUSE = 1.5
@@ -50,6 +55,10 @@ class Response:
     """Edges of torque that were judged: enough samples came around them, and no slot was skipped there."""
     late_edges: int = 0
     """Edges that were not, because the computer or an answer was late."""
+    settled_slope: float = float("nan")
+    """Measured torque per demanded torque where the demand has stood for a while; NaN where it never did."""
+    settled_std: float = float("inf")
+    """Its standard deviation."""
 
     @property
     def opposed(self) -> bool:
@@ -101,10 +110,12 @@ def response(  # noqa: PLR0913 - the columns of one record, and the steps of its
     """
     came = np.ones(demand.size, dtype=bool) if fresh is None else fresh
     late, follow = _lateness(demand, torque, came)
+    settled, settled_std = _settled_slope(demand, torque, came, late, rated / 1000)
     amplitude = float(np.abs(demand).max(initial=0.0))
     # 0x6077 steps in thousandths and carries noise of several: below 1 % of rated the slope says nothing
     if amplitude < 0.01 * rated:
         late, follow = 0, float("nan")
+        settled, settled_std = float("nan"), float("inf")
     displacement = float(np.abs(position[came]).max(initial=0.0))
     acting = time[demand != 0]
     length = float(acting[-1] - acting[0]) if acting.size > 1 else 0.0
@@ -118,6 +129,8 @@ def response(  # noqa: PLR0913 - the columns of one record, and the steps of its
         stood=_stood(demand, position, came),
         edges=edges,
         late_edges=missed,
+        settled_slope=settled,
+        settled_std=settled_std,
     )
 
 
@@ -159,6 +172,32 @@ def _lateness(demand: Float64, torque: Float64, came: Bool) -> tuple[int, float]
         slopes.append(float(asked @ seen[k:]) / power if power > 0 else 0.0)
     late = int(np.argmax(np.abs(slopes)))
     return late, slopes[late] if slopes[late] != 0 else float("nan")
+
+
+def _settled_slope(
+    demand: Float64, torque: Float64, came: Bool, late: int, step: float
+) -> tuple[float, float]:
+    """Slope of the torque over the demand and its standard deviation, in the last half of each step.
+
+    There a current loop or a torque slope has done what it does, and only scales are left. ``step`` of
+    0x6077 [N·m or N].
+    """
+    rows: list[int] = []
+    edges = [0, *(np.flatnonzero(np.diff(demand) != 0) + 1).tolist(), demand.size]
+    for first, end in pairwise(edges):
+        if demand[first] != 0 and end - first >= SETTLED_ROWS:
+            rows += range((first + end) // 2, end)
+    held = np.array(rows, dtype=int)
+    held = held[held + late < torque.size]
+    held = held[came[held + late]]
+    if held.size < SETTLED_ROWS:
+        return float("nan"), float("inf")
+    asked, shown = demand[held], torque[held + late]
+    power = float(asked @ asked)
+    slope = float(asked @ shown) / power
+    rest = shown - slope * asked
+    variance = max(float(rest @ rest) / (held.size - 1), step**2 / 12)
+    return slope, float(np.sqrt(variance / power))
 
 
 def _windows(
@@ -241,6 +280,27 @@ def too_late(axis: str, found: Sequence[Response]) -> SafetyStop:
         way_out="nothing was recorded yet. Stop other programs on this computer, let it have SCHED_FIFO, or "
         "lengthen bus.cycle_s; then measure again",
         code="computer_late",
+        axis=axis,
+    )
+
+
+def judge_scale(axis: str, found: Sequence[Response], *, rated: float, torque_unit: str) -> None:
+    """SafetyStop where asked and shown torque do not count in the same unit, over several trials."""
+    told = [r for r in found if np.isfinite(r.settled_std)]
+    if not told:
+        return
+    weights = [1.0 / r.settled_std**2 for r in told]
+    slope = sum(w * r.settled_slope for w, r in zip(weights, told, strict=True)) / sum(weights)
+    if abs(slope - 1.0) <= SCALE + DECISIVE * sum(weights) ** -0.5:
+        return
+    raise SafetyStop(
+        f"axis {axis}: the measured torque (0x6077) is {slope:.3g} times the commanded one (0x6071), and "
+        f"both count in thousandths of the rated torque, {rated:.4g} {torque_unit} (0x6076): either the "
+        f"drive gives {slope:.3g} times what it is asked for, or one of them counts in the rated current "
+        f"(0x6075), as if rated were {rated * slope:.4g} or {rated / slope:.4g} {torque_unit}",
+        way_out="compare rated torque and rated current with the motor's plate and correct the wrong one in "
+        "the drive",
+        code="torque_scale",
         axis=axis,
     )
 

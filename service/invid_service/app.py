@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from typing import Any
 
 from fastapi import FastAPI
 
@@ -20,7 +19,7 @@ from invid_service.jobs.launcher import Launcher, launch_process
 from invid_service.jobs.router import router as identifications
 from invid_service.links import API
 from invid_service.middleware import Guard
-from invid_service.problems import ProblemDocument
+from invid_service.openapi import complete_schema, operation_id
 from invid_service.recordings.router import router as recordings
 from invid_service.service import Clock, build, utc_now
 from invid_service.settings import Settings
@@ -62,6 +61,7 @@ def create_app(settings: Settings, *, launcher: Launcher = launch_process, clock
         openapi_url=f"{API}/openapi.json",
         docs_url=None,  # Swagger's page comes from a CDN; cells are offline
         redoc_url=None,
+        generate_unique_id_function=operation_id,
     )
     app.state.service = service
     problems.install(app, service.is_simulated)
@@ -74,26 +74,5 @@ def create_app(settings: Settings, *, launcher: Launcher = launch_process, clock
     app.include_router(pages, include_in_schema=False)
     app.mount("/static", static_files(), name="static")
     app.add_middleware(Guard, settings=settings, metrics=service.metrics)
-    _complete_schema(app)
+    complete_schema(app)
     return app
-
-
-def _complete_schema(app: FastAPI) -> None:
-    """Problems instead of FastAPI's own validation error; how keys travel."""
-    plain = app.openapi
-
-    def schema() -> dict[str, Any]:
-        document = plain()
-        schemas = document.setdefault("components", {}).setdefault("schemas", {})
-        schemas["ProblemDocument"] = ProblemDocument.model_json_schema()
-        for unused in ("HTTPValidationError", "ValidationError"):
-            schemas.pop(unused, None)
-        document["components"]["securitySchemes"] = {
-            "key": {"type": "http", "scheme": "bearer"},
-            "keyHeader": {"type": "apiKey", "in": "header", "name": "X-API-Key"},
-        }
-        # The empty one: bound to loopback the service asks for no key.
-        document["security"] = [{"key": []}, {"keyHeader": []}, {}]
-        return document
-
-    app.openapi = schema  # type: ignore[method-assign]

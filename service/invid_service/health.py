@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Response
@@ -12,8 +13,14 @@ from sqlalchemy.exc import SQLAlchemyError
 from invid import __version__
 from invid_service.auth import Admin, Reader
 from invid_service.context import Context
+from invid_service.metrics import CellFacts
 from invid_service.problems import EVERYWHERE, Problem, problem_responses
+from invid_service.service import Service
 
+_STORE_S = 1.0
+"""Longest wait for the store."""
+_LOOKED_AT = 20
+"""Runs of a cell among which its last result is."""
 router = APIRouter(tags=["operations"], responses=EVERYWHERE)
 
 
@@ -41,17 +48,17 @@ class Version(BaseModel):
 
 
 @router.get("/health/live", response_model=Live)
-async def live() -> Live:
+async def get_liveness() -> Live:
     """Answers while the process does; needs no key and no store."""
     return Live()
 
 
 @router.get("/health/ready", response_model=Ready, responses=problem_responses(507))
-async def ready(service: Context) -> Ready:
+async def get_service_readiness(service: Context) -> Ready:
     """503 while the store does not answer, the disk is full, or the service is going down."""
     free = service.blobs.free_bytes()
     try:
-        async with asyncio.timeout(1.0):
+        async with asyncio.timeout(_STORE_S):
             await asyncio.to_thread(service.store.ping)
     except (TimeoutError, SQLAlchemyError):
         raise Problem("store-unavailable", "the store does not answer", {"Retry-After": "2"}) from None
@@ -68,13 +75,30 @@ async def ready(service: Context) -> Ready:
     response_class=Response,
     responses={200: {"content": {"text/plain": {"schema": {"type": "string"}}}}},
 )
-async def metrics(service: Context, _caller: Reader) -> Response:
-    """Prometheus text format."""
-    return Response(service.metrics.text(), media_type="text/plain; version=0.0.4; charset=utf-8")
+async def get_metrics(service: Context, _caller: Reader) -> Response:
+    """Prometheus text format. Cells are left out while the store does not answer."""
+    cells: list[CellFacts] = []
+    with contextlib.suppress(TimeoutError, SQLAlchemyError):
+        async with asyncio.timeout(_STORE_S):
+            cells = [await asyncio.to_thread(_facts, service, cell) for cell in service.cells]
+    return Response(service.metrics.text(cells), media_type="text/plain; version=0.0.4; charset=utf-8")
+
+
+def _facts(service: Service, cell: str) -> CellFacts:
+    """What supervision is told of a cell's last measurements."""
+    runs = service.store.runs(cell=cell, limit=_LOOKED_AT, measured=True)
+    runs = [run.record if (run := service.jobs.live(r.id)) is not None else r for r in runs]
+    grades = [grade for r in runs if (grade := (r.facts.get("summary") or {}).get("grade")) is not None]
+    return CellFacts(
+        cell=cell,
+        state=runs[0].state if runs else None,
+        age_s=(service.clock() - runs[0].created).total_seconds() if runs else None,
+        grade=grades[0] if grades else None,
+    )
 
 
 @router.get("/version", response_model=Version)
-async def version() -> Version:
+async def get_version() -> Version:
     """Version of the program, the interface and the file formats."""
     return Version(
         version=__version__, formats={"invid-recording": 1, "invid-model": 1, "invid-diagnosis": 1}
@@ -82,7 +106,7 @@ async def version() -> Version:
 
 
 @router.get("/audit", response_model=list[dict[str, Any]])
-async def audit(
+async def list_audit(
     service: Context, _caller: Admin, limit: Annotated[int, Query(ge=1, le=1000)] = 100
 ) -> list[dict[str, Any]]:
     """The newest lines of the audit log."""

@@ -2,9 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import platform
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from threading import Lock
 
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
+
+from invid import __version__
+from invid.model.diagnosis_document import Grade
+from invid_service.jobs.states import IDLE, State
+
+
+@dataclass(frozen=True)
+class CellFacts:
+    """What is told of one cell: its last measurement, in progress or ended."""
+
+    cell: str
+    state: State | None
+    age_s: float | None
+    """Since it was started."""
+    grade: str | None
+    """Of the last result."""
 
 
 class Metrics:
@@ -28,6 +47,21 @@ class Metrics:
         )
         gauge = Gauge("invid_cells_busy", "Cells with a run in progress", registry=self.registry)
         gauge.set_function(active)
+        self._state = self._gauge(
+            "invid_cell_state", "1 for the state of the cell's last measurement, else 0", "state"
+        )
+        self._grade = self._gauge(
+            "invid_cell_grade", "1 for the grade of the cell's last result, else 0", "grade"
+        )
+        self._age = self._gauge("invid_cell_last_run_age_seconds", "Since the cell's last measurement began")
+        build = Gauge(
+            "invid_build_info", "Always 1; what runs here", ["version", "python"], registry=self.registry
+        )
+        build.labels(__version__, platform.python_version()).set(1)
+        self._looking = Lock()
+
+    def _gauge(self, name: str, text: str, *labels: str) -> Gauge:
+        return Gauge(name, text, ["cell", *labels], registry=self.registry)
 
     def ended(self, state: str, mode: str) -> None:
         """Count an ended run."""
@@ -42,6 +76,16 @@ class Metrics:
         known = method if method in ("GET", "POST", "PATCH", "HEAD") else "other"
         self._seconds.labels(known, str(status)).observe(seconds)
 
-    def text(self) -> bytes:
-        """The exposition."""
-        return generate_latest(self.registry)
+    def text(self, cells: Sequence[CellFacts]) -> bytes:
+        """The exposition, with what is known of the cells now."""
+        with self._looking:
+            for gauge in (self._state, self._grade, self._age):
+                gauge.clear()
+            for facts in cells:
+                for state in (IDLE, *State):
+                    self._state.labels(facts.cell, state).set(state == (facts.state or IDLE))
+                for grade in Grade:
+                    self._grade.labels(facts.cell, grade).set(grade == facts.grade)
+                if facts.age_s is not None:
+                    self._age.labels(facts.cell).set(facts.age_s)
+            return generate_latest(self.registry)

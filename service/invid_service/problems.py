@@ -10,7 +10,7 @@ from typing import Any
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.exceptions import HTTPException
 
@@ -70,15 +70,38 @@ _BY_STATUS = {
 log = logging.getLogger(__name__)
 
 
+class Refusal(BaseModel):
+    """One reason why a cell cannot start."""
+
+    code: str
+    text: str
+    fix: str
+
+
+class WrongValue(BaseModel):
+    """One value of the request that cannot be used."""
+
+    where: str
+    message: str
+
+
 class ProblemDocument(BaseModel):
-    """RFC 9457 with further members by type."""
+    """RFC 9457 with further members by type; each is left out where it says nothing."""
 
     model_config = ConfigDict(extra="allow")
-    type: str
+    type: str = Field(description=f"`{URN}` and one of: {', '.join(CATALOGUE)}; more may come")
     title: str
     status: int
-    detail: str
-    instance: str | None = None
+    detail: str = Field(description="What, where, the value found, the way out")
+    instance: str | None = Field(default=None, description="The path that was asked for")
+    simulated: bool | None = Field(default=None, description="true: of a cell with no hardware behind it")
+    state: str | None = Field(default=None, description="wrong-state, artefact-not-found, …: of the run")
+    identification: str | None = Field(default=None, description="run-in-progress: the run's id")
+    location: str | None = Field(default=None, description="run-in-progress: the run's address")
+    reasons: list[Refusal] | None = Field(default=None, description="not-ready, run-in-progress")
+    errors: list[WrongValue] | None = Field(default=None, description="invalid-request: at most twenty")
+    scope: str | None = Field(default=None, description="scope-missing: the scope that the key lacks")
+    limit: int | None = Field(default=None, description="too-large: bytes that are taken")
 
 
 class Problem(Exception):
@@ -107,15 +130,34 @@ class Problem(Exception):
         return JSONResponse(document, status_code=status, media_type=MEDIA_TYPE, headers=self.headers)
 
 
+RETRY_AFTER: dict[str, Any] = {
+    "Retry-After": {
+        "schema": {"type": "integer"},
+        "description": "Seconds until it is worth while to ask again",
+    }
+}
+"""OpenAPI ``headers`` of an answer that has it."""
+_HEADERS: dict[int, dict[str, Any]] = {
+    401: {"WWW-Authenticate": {"schema": {"type": "string"}, "description": "Bearer"}},
+    409: RETRY_AFTER,
+    503: RETRY_AFTER,
+}
+
+
 def problem_responses(*statuses: int) -> dict[int | str, dict[str, Any]]:
-    """OpenAPI ``responses`` for these statuses."""
+    """OpenAPI ``responses`` for these statuses, with the types of problem that have them."""
     return {
         status: {
-            "description": HTTPStatus(status).phrase,
+            "description": f"{HTTPStatus(status).phrase}: {', '.join(_kinds(status))}",
             "content": {MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/ProblemDocument"}}},
+            **({"headers": _HEADERS[status]} if status in _HEADERS else {}),
         }
         for status in statuses
     }
+
+
+def _kinds(status: int) -> list[str]:
+    return [kind for kind, (code, _) in CATALOGUE.items() if code == status]
 
 
 EVERYWHERE = problem_responses(400, 401, 403, 404, 405, 413, 415, 422, 500, 503)

@@ -15,8 +15,12 @@ from datetime import UTC, datetime, timedelta
 
 from sqlalchemy.exc import SQLAlchemyError
 
+from invid.config import CellConfig
+from invid.errors import InvidError, ModelError
+from invid.planning.belief import from_model
 from invid_drivers.cia402.holding import Reason as CellReason
-from invid_drivers.readiness import not_ready
+from invid_drivers.readiness import foresee, not_ready
+from invid_drivers.stopping_budgets import Wish
 from invid_service.audit import AuditLog
 from invid_service.auth import check_bind
 from invid_service.cells.readiness import Readiness, RecentAnswers, Situation, readiness
@@ -25,7 +29,7 @@ from invid_service.jobs.launcher import Launcher
 from invid_service.jobs.live import LiveRun
 from invid_service.jobs.manager import JobManager, Limits
 from invid_service.jobs.orphans import settle
-from invid_service.jobs.results import Results
+from invid_service.jobs.results import Results, load
 from invid_service.jobs.schema import view
 from invid_service.jobs.states import State
 from invid_service.keys import Keys
@@ -36,7 +40,7 @@ from invid_service.settings import Settings
 from invid_service.store.blobs import Blobs
 from invid_service.store.database import open_engine, upgrade
 from invid_service.store.lock import DataLock
-from invid_service.store.store import RunRecord, Store
+from invid_service.store.store import RunRecord, Store, StoredModel
 from invid_service.webhook import Webhook, open_webhook
 
 log = logging.getLogger(__name__)
@@ -73,6 +77,8 @@ class Service:
     webhook: Webhook | None = None
     shutting_down: bool = False
     _asking: asyncio.Lock = field(default_factory=asyncio.Lock)
+    _planning: asyncio.Lock = field(default_factory=asyncio.Lock)
+    _refusals: dict[tuple[object, ...], InvidError | None] = field(default_factory=dict)
     _asked: dict[str, tuple[float, tuple[CellReason, ...]]] = field(default_factory=dict)
     _housekeeping: asyncio.Task[None] | None = None
     _key_watch: asyncio.Task[None] | None = None
@@ -86,8 +92,7 @@ class Service:
         cut = await asyncio.to_thread(self.store.interrupt_unfinished, now)
         for record in cut:
             log.warning("identification %s was cut off by a restart: interrupted", record.id)
-            await asyncio.to_thread(self.results.keep, record, now)
-            self.blobs.clear_scratch(record.id)
+        await asyncio.to_thread(self._keep_leftovers, now)
         for cell in self.cells:
             for record in await asyncio.to_thread(self.store.runs, cell=cell, limit=1, measured=True):
                 self.jobs.remember(record)
@@ -95,6 +100,20 @@ class Service:
             self.jobs.restore(record, await asyncio.to_thread(self.store.events, record.id))
         self._housekeeping = asyncio.create_task(self._keep_house())
         self._key_watch = asyncio.create_task(self._watch_keys())
+
+    def _keep_leftovers(self, now: datetime) -> None:
+        """Into the store with all that runs before this start left in their folders.
+
+        Nothing runs yet, so whatever lies there is of a run that was cut off, or that the store did not take.
+        """
+        for folder in sorted(self.blobs.work.iterdir()):
+            try:
+                record = self.store.run(folder.name)
+                if record is not None:  # else an upload that was never taken
+                    self.results.keep(record, now)
+                self.results.clear(folder.name)
+            except (OSError, SQLAlchemyError) as error:
+                log.error("what run %s left stays in %s: %s", folder.name, folder, error)
 
     def begin_shutdown(self) -> None:
         """Stop motion and end the streams; called as soon as the signal is there."""
@@ -154,10 +173,10 @@ class Service:
         """Whether the cell can start, judged now."""
         occupied = self.jobs.occupying(cell.id)
         drives = () if mode == "simulate" or occupied is not None else await self._drives(cell)
-        answers, has_model = True, False
+        answers, in_force = True, None
         try:
             async with asyncio.timeout(_STORE_PROBE_S):
-                has_model = await asyncio.to_thread(self.results.in_force, cell.id) is not None
+                in_force = await asyncio.to_thread(self.results.in_force, cell.id)
         except (TimeoutError, SQLAlchemyError):
             answers = False
         return readiness(
@@ -168,12 +187,32 @@ class Service:
                 needed_bytes=self.settings.min_free_bytes,
                 store_answers=answers,
                 shutting_down=self.shutting_down,
-                has_model=has_model,
+                has_model=in_force is not None,
                 mode=mode,  # type: ignore[arg-type]
                 axes=axes,
                 drives=drives,
+                refusal=await self._refusal(cell, mode, axes, in_force),
             )
         )
+
+    async def _refusal(
+        self, cell: Cell, mode: str | None, axes: tuple[str, ...] | None, in_force: StoredModel | None
+    ) -> InvidError | None:
+        """With what check and run would refuse to plan; judged once for each model and wish.
+
+        Hardware is not asked for it: whoever reads a page sends nothing to drives. A real cell that is
+        simulated with its model plans within other drives.
+        """
+        if mode == "simulate" and not cell.simulated:
+            return None
+        amplitude = cell.config.safety.test_amplitude if mode == "test" else 1.0
+        key = (cell.id, amplitude, axes, None if in_force is None else in_force.id)
+        async with self._planning:
+            if key not in self._refusals:
+                self._refusals[key] = await asyncio.to_thread(
+                    _refusal_of, cell.config, amplitude, axes, in_force
+                )
+            return self._refusals[key]
 
     async def _drives(self, cell: Cell) -> tuple[CellReason, ...]:
         """What ``invid check`` has against the drives of a cell in which nothing runs."""
@@ -233,6 +272,20 @@ class Service:
             created=now,
             requested_by=caller,
         )
+
+
+def _refusal_of(
+    config: CellConfig, amplitude: float, axes: tuple[str, ...] | None, in_force: StoredModel | None
+) -> InvidError | None:
+    belief = None
+    if in_force is not None:
+        with contextlib.suppress(ModelError):  # of other axes, or damaged: the run does without it too
+            belief = from_model(load(in_force), config, source="the accepted model")
+    try:
+        foresee(config, Wish(axes, amplitude, belief))
+    except InvidError as error:
+        return error
+    return None
 
 
 def utc_now() -> datetime:

@@ -278,23 +278,47 @@ def test_a_loaded_axis_at_which_a_run_ended_waits_for_a_person(tmp_path: Path) -
     assert abs(bench.place) < FALLS
 
 
-def test_a_torque_limit_lowered_below_the_load_does_not_drop_it(tmp_path: Path) -> None:
-    # 0x6076 says 100 N·m, the motor has 10: 5 N·m of the config are 50 ‰, 0.5 N·m
-    bench = Bench(tmp_path, {"objects": {"values": {"0x6076": 100_000}}})
+def wrongly_scaled(tmp_path: Path, **axis: Any) -> Bench:
+    """0x6076 says 100 N·m, the motor has 10: 5 N·m of the config are 50 ‰, 0.5 N·m; the load is 1 N·m."""
+    return Bench(tmp_path, {"objects": {"values": {"0x6076": 100_000}}}, **axis)
+
+
+def test_a_torque_limit_in_a_wrong_scale_does_not_drop_a_load_where_the_inertia_is_stated(
+    tmp_path: Path,
+) -> None:
+    bench = wrongly_scaled(tmp_path, inertia=1.0)
     master = bench.connect()
     master.check()
     said = ""
     try:
-        master.energise(held(master))
-        while not said and master.clock.now() < 10.0:
-            said = "".join(e.text for e in master.exchange(zero(master)).events)
-    except DriveError as error:
+        enabled_and_settled(master)
+    except (DriveError, SafetyStop) as error:
         said = str(error)
-    assert "50 ‰" in said
+    assert "A1" in said
+    # true 0.5 N·m, less than half of what the config allows: seen by the axis' own motion
+    assert 100 < bench.drive.node.od.number(0x6072) <= 500
     master.close()
+    bench.cell.plant.advance_to(bench.cell.now_ns)
     assert abs(bench.place) < FALLS
-    assert bench.drive.node.od.number(0x6072) <= 3000
     assert bench.drive.state is State.QUICK_STOP_ACTIVE
+
+
+def test_a_load_beyond_the_torque_limit_ends_the_run_and_the_limit_is_not_raised(tmp_path: Path) -> None:
+    bench = wrongly_scaled(tmp_path)
+    master = bench.connect()
+    master.check()
+    with pytest.raises(SafetyStop, match=r"A1.*(torque limit|not held|to hold it at rest)"):
+        enabled_and_settled(master)
+    assert bench.drive.node.od.number(0x6072) == 50
+    master.close()
+    assert abs(bench.place) < 0.5  # half of its weight is held: it sinks, and the run says so
+
+
+def enabled_and_settled(master: Cia402Cell) -> None:
+    """As the sweep does it: every cycle is watched."""
+    master.energise(held(master))
+    while master.clock.now() < 10.0:
+        master.bounds.check(master.exchange(zero(master)))  # type: ignore[union-attr]
 
 
 def test_a_load_that_was_held_within_the_lowered_limit_gets_no_more_torque_when_a_sign_turns(

@@ -107,15 +107,6 @@ def test_shell_blocks_outside_those_that_are_run_are_at_least_shell() -> None:
         assert done.returncode == 0, f"{block.page}: {done.stderr}\n{block.text}"
 
 
-def test_every_script_that_the_docs_name_is_there() -> None:
-    script = r"python3? ((?:benchmarks|docs|scripts)/[\w/-]+\.py)"
-    named = {w for b in blocks() for w in re.findall(script, b.text)}
-    pages = "".join(p.read_text(encoding="utf-8") for p in (ROOT / "docs").rglob("*.md"))
-    named |= set(re.findall("`" + script, pages))
-    assert len(named) > 10
-    assert sorted(n for n in named if not (ROOT / n).is_file()) == []
-
-
 @pytest.mark.parametrize(
     "block", [b for b in blocks() if b.language in ("yaml", "yml")], ids=lambda b: b.page
 )

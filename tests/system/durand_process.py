@@ -8,7 +8,10 @@ What truly happened is printed as one JSON line for every line read: ``mark`` be
 
 CELL.json: ``socket``; ``nodes``, each with ``node_id``, ``masses`` (one or two), ``spring``, ``gravity``
 (torque on the last mass), ``brake_delay`` (null: no brake), ``lacks`` (indices), ``values`` (index to value),
-``enable`` (seconds until torque); ``foreign`` (node ids that are somebody else's, operational).
+``enable`` (seconds until torque), ``opposed`` (the encoder counts against the motor), ``shows`` (0x6077 per
+torque), ``stops_by`` (0x605A that is carried out, whatever was written), ``power_in_operational`` (torque is
+gone in any other NMT state), ``follows`` (0x6065 counts); ``foreign`` (node ids that are somebody else's,
+operational).
 """
 
 from __future__ import annotations
@@ -109,7 +112,7 @@ class Axis:
 
     def mark(self) -> None:
         self.origin = self.x[0]
-        self.travel = self.commanded = self.by_loop = 0.0
+        self.travel = self.speed = self.powered_speed = self.commanded = self.by_loop = 0.0
 
     def energise(self, on: bool, now: float) -> None:
         if on and not self.energised:
@@ -138,6 +141,9 @@ class Axis:
             self.v[k] += h * force[k] / mass
             self.x[k] += h * self.v[k]
         self.travel = max(self.travel, abs(self.x[0] - self.origin))
+        self.speed = max(self.speed, abs(self.v[0]))
+        if self.energised:
+            self.powered_speed = max(self.powered_speed, abs(self.v[0]))
 
 
 class Drive:
@@ -155,6 +161,13 @@ class Drive:
         self.ends_in: str | None = None
         self.heard: float | None = None
         self.now = 0.0
+        self.sign = -1.0 if spec.get("opposed") else 1.0
+        self.turned = 1.0
+        """-1 after a wire of the motor has changed its place."""
+        self.frozen: float | None = None
+        self.shows, self.stops_by = spec.get("shows", 1.0), spec.get("stops_by")
+        self.power_in_operational = spec.get("power_in_operational", False)
+        self.follows, self.lost = spec.get("follows", False), 0.0
         lacks = set(spec.get("lacks", ()))
         values = {int(k, 0): v for k, v in spec.get("values", {}).items()}
         od = self.od = self.node.object_dictionary
@@ -175,13 +188,18 @@ class Drive:
     def number(self, index: int, sub: int = 0, missing: int = 0) -> int:
         return int(self.od.read(index, sub)) if index in self.od else missing
 
+    @property
+    def seen(self) -> float:
+        """What the encoder shows [rad]."""
+        return self.sign * self.axis.x[0] if self.frozen is None else self.frozen
+
     # --- commands ------------------------------------------------------------------------------
     def mode(self, mode: int) -> None:
         self.od.write(0x6061, 0, mode)
         self.here()
 
     def here(self) -> None:
-        self.reference, self.speed, self.ramp = self.axis.x[0], 0.0, 0.0
+        self.reference, self.speed, self.ramp = self.seen, 0.0, 0.0
 
     def control(self, word: int) -> None:
         before, self.before = self.before, word
@@ -220,7 +238,7 @@ class Drive:
             self.axis.torque = 0.0
 
     def quick_stop(self) -> None:
-        option = self.number(0x605A, missing=2)
+        option = self.number(0x605A, missing=2) if self.stops_by is None else self.stops_by
         if option == 0:
             self.enter("switch on disabled")
             return
@@ -230,7 +248,7 @@ class Drive:
 
     def stop_on(self, ramp: int) -> None:
         self.here()
-        self.speed = self.axis.v[0]
+        self.speed = self.sign * self.axis.v[0] if self.frozen is None else 0.0
         self.ramp = max(self.number(ramp, missing=round(10 * PER_RAD)) / PER_RAD, 1e-3)
 
     def connection_lost(self) -> None:
@@ -248,6 +266,8 @@ class Drive:
 
     def nmt(self, state: StateEnum) -> None:
         if state is not StateEnum.OPERATIONAL:
+            if self.power_in_operational:
+                self.enter("switch on disabled")
             self.connection_lost()
 
     def hear(self, can_id: int, data: bytes) -> None:
@@ -275,7 +295,7 @@ class Drive:
             mode = self.number(0x6061)
             if mode == 10:
                 loop = False
-                axis.torque = RATED * self.number(0x6071) / 1000
+                axis.torque = self.turned * RATED * self.number(0x6071) / 1000
                 axis.commanded = max(axis.commanded, abs(axis.torque))
             elif mode == 8:
                 self.reference = self.number(0x607A) / PER_RAD
@@ -290,15 +310,27 @@ class Drive:
                 change = self.ramp * h
                 self.speed -= math.copysign(min(change, abs(self.speed)), self.speed)
             total = sum(axis.masses)
-            wanted = total * LOOP**2 * (self.reference - axis.x[0]) + 1.4 * total * LOOP * (
-                self.speed - axis.v[0]
+            speed = self.sign * axis.v[0] if self.frozen is None else 0.0
+            wanted = total * LOOP**2 * (self.reference - self.seen) + 1.4 * total * LOOP * (
+                self.speed - speed
             )
             most = RATED * self.number(0x6072, missing=3000) / 1000
-            axis.torque = max(-most, min(most, wanted))
+            axis.torque = self.turned * max(-most, min(most, wanted))
             axis.by_loop = max(axis.by_loop, abs(axis.torque))
             if self.ends_in is not None and self.speed == 0.0 and abs(axis.v[0]) < 0.005:
                 self.enter(self.ends_in)
+            self.watch_following(h)
         axis.step(h, now)
+
+    def watch_following(self, h: float) -> None:
+        """0x6065 over 0x6066, in position mode."""
+        window = self.number(0x6065)
+        away = abs(self.reference - self.seen) * PER_RAD
+        self.lost = self.lost + h if self.follows and away > window else 0.0
+        if self.state == "operation enabled" and self.lost and self.lost >= self.number(0x6066) / 1000:
+            self.enter("fault reaction")
+            self.stop_on(0x6085)
+            self.ends_in = "fault"
 
     def publish(self) -> None:
         od, word = self.od, 0x0010 | BITS[self.state]
@@ -307,13 +339,15 @@ class Drive:
         if self.state == "operation enabled":
             word |= 0x1000
         od.write(0x6041, 0, word)
-        od.write(0x6064, 0, round(self.axis.x[0] * PER_RAD))
-        od.write(0x6077, 0, max(-32768, min(32767, round(self.axis.torque / RATED * 1000))))
+        od.write(0x6064, 0, round(self.seen * PER_RAD))
+        shown = self.shows * self.turned * self.axis.torque / RATED
+        od.write(0x6077, 0, max(-32768, min(32767, round(shown * 1000))))
 
     def truth(self) -> dict[str, Any]:
         return {
             "node_id": self.node.node_id, "state": self.state, "position": self.axis.x[0],
-            "travel": self.axis.travel, "commanded": self.axis.commanded, "by_loop": self.axis.by_loop,
+            "travel": self.axis.travel, "speed": self.axis.speed, "commanded": self.axis.commanded,
+            "by_loop": self.axis.by_loop,
             "max_torque": self.number(0x6072, missing=-1),
         }  # fmt: skip
 

@@ -105,7 +105,13 @@ def test_gentler_shakes_with_half_of_the_torque_and_the_analysis_tells_its_time_
             assert all(t["simulated"] for t in told)
             weighed = [t for t in told if t["state"] == "analysing"]
             assert len(weighed) >= 3
-            assert all(t["eta_s"] > 0 for t in weighed)
+            if amplitude == "planned":  # the first of its cell: nobody knows
+                assert {t["eta_s"] for t in told} == {None}
+                left = [t["motion_left_s"] for t in told if t["motion_left_s"]]
+                assert left[0] <= plan["duration_s"]
+                assert left[-1] < left[0]
+            else:
+                assert told[0]["eta_s"] > weighed[0]["eta_s"] > 0
             assert weighed[0]["progress"] < weighed[-1]["progress"] < 1.0
         # 0.5 % of rated torque is noise of the reading
         assert peaks["gentler"]["torque"] == pytest.approx(0.5 * peaks["planned"]["torque"], abs=1.0)

@@ -6,6 +6,14 @@ from invid.config import AxisConfig
 from invid.errors import DriveError
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.declared import declared_of
+from invid_drivers.cia402.failures import (
+    NoAnswer,
+    ObjectError,
+    ProtocolError,
+    ReadRefused,
+    WriteRefused,
+    abort_in_words,
+)
 from invid_drivers.cia402.journal import Entry, Journal
 from invid_drivers.cia402.link import Link, SdoAbortedError, SdoCommunicationError, SdoError
 from invid_drivers.cia402.objects import Object
@@ -40,7 +48,7 @@ class Access:
         link.add_peer(self.node_id, self.name)
 
     def read(self, what: Object) -> int:
-        """Value of an object; DriveError where there is no answer or the drive refuses."""
+        """Value of an object; NoAnswer or ReadRefused where the drive does not give it."""
         return what.unpack(self.upload(what))
 
     def find(self, what: Object) -> int | None:
@@ -60,7 +68,7 @@ class Access:
             raise self.silence(what, error) from None
 
     def write(self, what: Object, value: int) -> None:
-        """Write, journal first; DriveError where the drive refuses."""
+        """Write, journal first; WriteRefused where the drive does not take it."""
         data = what.pack(value)
         before = self.peek(what)
         if before == data:
@@ -86,26 +94,24 @@ class Access:
             raise self.silence(what, error) from None
 
     def upload(self, what: Object) -> bytes:
-        """Bytes of an object as they came; DriveError where there is no answer or the drive refuses."""
+        """Bytes of an object as they came; NoAnswer or ReadRefused where the drive does not give it."""
         try:
             return bytes(self.link.sdo(self.node_id).upload(what.index, what.sub))
         except SdoAbortedError as error:
-            raise DriveError(
-                f"axis {self.name} (node {self.node_id}): {what.address} {what.name} cannot be read: "
-                f"{abort_in_words(error)}"
-            ) from None
+            code = int(error.code)
+            said = f"{what.address} {what.name} cannot be read: {abort_in_words(code)}"
+            raise ReadRefused.at(self.name, self.node_id, what, said, code) from None
         except SdoError as error:
             raise self.silence(what, error) from None
 
     def download(self, what: Object, data: bytes) -> None:
-        """Write without journal; DriveError where the drive refuses."""
+        """Write without journal; WriteRefused where the drive does not take it."""
         try:
             self.link.sdo(self.node_id).download(what.index, what.sub, data)
         except SdoAbortedError as error:
-            raise DriveError(
-                f"axis {self.name} (node {self.node_id}): {what.address} {what.name} cannot be written "
-                f"(0x{data[::-1].hex()}): {abort_in_words(error)}"
-            ) from None
+            code, value = int(error.code), f"0x{data[::-1].hex()}"
+            said = f"{what.address} {what.name} cannot be written ({value}): {abort_in_words(code)}"
+            raise WriteRefused.at(self.name, self.node_id, what, said, code) from None
         except SdoError as error:
             raise self.silence(what, error) from None
 
@@ -113,30 +119,13 @@ class Access:
         """Write an object that is part of running (controlword, mode, targets): not journalled."""
         self.download(what, what.pack(value))
 
-    def silence(self, what: Object, error: Exception) -> DriveError:
+    def silence(self, what: Object, error: Exception) -> ObjectError:
         """The error of a drive that does not answer, or not as SDO has it."""
         if isinstance(error, SdoCommunicationError):
-            return DriveError(
-                f"axis {self.name}: node {self.node_id} does not answer ({what.address} {what.name}); check "
-                "that the drive has power, node_id and bit rate, and the cable"
+            said = (
+                f"node {self.node_id} does not answer ({what.address} {what.name}); check that the drive has "
+                "power, node_id and bit rate, and the cable"
             )
-        return DriveError(f"axis {self.name} (node {self.node_id}): {what.address} {what.name}: {error}")
-
-
-_ABORTS = {
-    0x06020000: "the object does not exist",
-    0x06090011: "the subindex does not exist",
-    0x06010002: "it is read-only",
-    0x06010001: "it is write-only",
-    0x06040041: "it cannot be mapped into a PDO",
-    0x06040042: "the PDO would be too long",
-    0x06090030: "the value is out of range",
-    0x06090031: "the value is too high",
-    0x06090032: "the value is too low",
-    0x08000022: "not in the drive's present state",
-}
-
-
-def abort_in_words(error: SdoAbortedError) -> str:
-    code = int(error.code)
-    return f"{_ABORTS.get(code, 'refused')} (SDO abort 0x{code:08X})"
+            return NoAnswer.at(self.name, self.node_id, what, said)
+        said = f"{what.address} {what.name}: {error}"
+        return ProtocolError.at(self.name, self.node_id, what, said)

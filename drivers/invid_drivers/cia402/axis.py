@@ -6,6 +6,7 @@ import contextlib
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import Enum
 from typing import Any
 
 from invid.config import AxisConfig, CellConfig
@@ -14,6 +15,7 @@ from invid.planning.stopping_distance import StoppingFacts
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.access import Access
 from invid_drivers.cia402.declared import refusal
+from invid_drivers.cia402.failures import ReadRefused, WriteRefused, WrongMode
 from invid_drivers.cia402.journal import Journal
 from invid_drivers.cia402.limits import EffectiveLimits
 from invid_drivers.cia402.link import Link, SdoError
@@ -27,6 +29,8 @@ from invid_drivers.cia402.units import Scaling
 
 INVALID = 1 << 31
 """Bit of a COB-ID that switches a PDO off."""
+NO_RTR = 1 << 30
+"""Bit of a COB-ID: a TPDO is not sent on request. Drives that answer no such requests insist on it."""
 PROFILE = 402
 PROFILES = {
     401: "an I/O module (profile 401)",
@@ -42,6 +46,23 @@ OTHER_KINDS = {0x01: "a frequency converter", 0x04: "a stepper drive", 0x08: "an
 """0x1000, bits 16 to 23."""
 SYNCHRONOUS = 1
 """Transmission type: with every SYNC."""
+
+
+class ModeSet(Enum):
+    """What came of a mode that was set without power."""
+
+    SHOWN = "0x6061 shows it"
+    TAKEN = "taken, and 0x6061 shows none yet: some drives show it when they are enabled"
+    LATER = "not taken in this state: some drives take it from switched on"
+
+
+NOT_NOW = 0x08000022
+"""SDO abort: not in the present state of the device."""
+NOT_KNOWN = frozenset({0x06090030, 0x06090031, 0x06090032})
+"""SDO aborts of a drive that does not have the mode that it is asked for."""
+BLANK_S = 1.0
+"""So long a drive may show no mode at all before it is believed that it does so until it is enabled: slow
+ones take 0.8 s."""
 
 
 @dataclass(frozen=True)
@@ -226,8 +247,8 @@ class Drive(Access):
     def _modes(self, who: str, warnings: list[str]) -> tuple[OperationMode, bool]:
         supported = self.find(od.SUPPORTED_MODES)
         if supported is None:
-            warnings.append(f"{who}: 0x6502 is missing; cyclic synchronous torque and position are assumed")
-            return OperationMode.CYCLIC_TORQUE, True
+            supported = self._tried_modes()
+            warnings.append(f"{who}: 0x6502 is missing; its modes are those that it takes in 0x6060")
         can_hold = bool(supported & OperationMode.CYCLIC_POSITION.supported_bit)
         if self.by_offset:
             warnings.append(
@@ -248,6 +269,24 @@ class Drive(Access):
             "synchronous position and a torque offset (0x60B2), or record with its own tool and use "
             "`invid import`"
         )
+
+    def _tried_modes(self) -> int:
+        """0x6502 of a drive that lacks it: each mode is set without power; what it does not refuse counts."""
+        state = state_of(self.read(od.STATUSWORD))
+        found = self.find(od.MODE)
+        supported = 0
+        for mode in OperationMode:
+            known = True
+            if not is_energised(state) and not self.left_alone and found is not None:
+                try:
+                    self.command(od.MODE, int(mode))
+                except WriteRefused as error:
+                    known = error.abort not in NOT_KNOWN
+            supported |= mode.supported_bit if known else 0
+        if not is_energised(state) and not self.left_alone and found is not None:
+            with contextlib.suppress(WriteRefused):
+                self.command(od.MODE, found)
+        return supported
 
     def _lacks(self, can_hold: bool) -> list[str]:
         who = f"axis {self.name} (node {self.node_id})"
@@ -283,13 +322,6 @@ class Drive(Access):
                 lacks.append("0x6072 max torque: only the master limits the torque")
         if not can_hold:
             lacks.append("cyclic synchronous position: the drive cannot hold the axis by itself")
-            if self.config.hold.mode == "drive" and self.config.gravity_loaded:
-                raise DriveError(
-                    f"{who}: gravity-loaded, but the drive cannot hold its place by itself (no cyclic "
-                    "synchronous "
-                    "position in 0x6502); it would fall when stopped. Use a drive that can, or unload "
-                    "the axis"
-                )
         return lacks
 
     # --- configuration -------------------------------------------------------------------------
@@ -328,10 +360,8 @@ class Drive(Access):
                 self.write(communication(1, 2), SYNCHRONOUS)
                 if kind == "RPDO":
                     self._write_timer()
-                self.write(communication(1, 1), cob)
-            except DriveError as error:
-                if "does not answer" in str(error):
-                    raise
+                self.write(communication(1, 1), cob | present & NO_RTR)
+            except (ReadRefused, WriteRefused) as error:
                 names = ", ".join(f"{o.address} {o.name}" for o in wanted)
                 raise DriveError(
                     f"{who}: {kind} 1 cannot be mapped to {names}: {error}; this drive cannot be run in "
@@ -344,8 +374,8 @@ class Drive(Access):
             return
         try:
             self.write(od.RPDO_EVENT_TIMER, self._timer)
-        except DriveError as error:
-            if "cannot be written" not in str(error) or self.vendor.rpdo_event_timer.certain:
+        except WriteRefused:
+            if self.vendor.rpdo_event_timer.certain:
                 raise
 
     def _pdos(self, kind: str) -> int:
@@ -355,21 +385,28 @@ class Drive(Access):
             return 8
         return min(8, declared.rpdos if kind == "RPDO" else declared.tpdos)
 
-    def set_mode(self, mode: OperationMode, clock_wait: float = 0.5) -> None:
-        """0x6060, and wait until 0x6061 shows it."""
-        self.command(od.MODE, int(mode))
+    def set_mode(self, mode: OperationMode, longest_s: float) -> ModeSet:
+        """0x6060 without power, and wait until 0x6061 shows it; what came of it.
+
+        WrongMode where it shows another one.
+        """
+        try:
+            self.command(od.MODE, int(mode))
+        except WriteRefused as error:
+            if error.abort != NOT_NOW:
+                raise
+            return ModeSet.LATER
         clock = self.link.clock
-        end = clock.now() + clock_wait
+        began = clock.now()
         while True:
             shown = self.read(od.MODE_DISPLAY)
             if shown == int(mode):
-                return
-            if clock.now() >= end:
-                raise DriveError(
-                    f"axis {self.name} (node {self.node_id}): mode {mode.name.lower()} was asked for, "
-                    "the drive shows "
-                    f"mode {shown} (0x6061)"
-                )
+                return ModeSet.SHOWN
+            if shown == 0 and clock.now() >= began + BLANK_S:
+                return ModeSet.TAKEN
+            if clock.now() >= began + longest_s:
+                said = f"mode {mode.name.lower()} was asked for, the drive shows mode {shown} (0x6061)"
+                raise WrongMode.at(self.name, self.node_id, od.MODE_DISPLAY, said)
             self.link.wait(0.005)
 
     # --- on the way out ------------------------------------------------------------------------

@@ -14,10 +14,11 @@ import can
 
 from invid.config import CellConfig
 from invid.errors import BusError, DriveError, InvidError, SafetyStop
-from invid.sweep.ports import Clock, Mode, Sample, Severity
+from invid.sweep.bounds import Bounds, bounds_of
+from invid.sweep.ports import Clock, Mode, Sample
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402 import states
-from invid_drivers.cia402.axis import Drive, DriveReport
+from invid_drivers.cia402.axis import Drive, DriveReport, ModeSet
 from invid_drivers.cia402.cycle import Cycle
 from invid_drivers.cia402.cycle_time import tell_cycle
 from invid_drivers.cia402.held_axes import HeldAxes
@@ -27,15 +28,18 @@ from invid_drivers.cia402.holding import (
 )
 from invid_drivers.cia402.jitter import Jitter
 from invid_drivers.cia402.journal import Journal
+from invid_drivers.cia402.limits import tighten
 from invid_drivers.cia402.link import NMT_PRE_OPERATIONAL, NMT_START, Link
 from invid_drivers.cia402.mode_change import CHANGE_S
 from invid_drivers.cia402.moving_cell import MovingCell
-from invid_drivers.cia402.relief import TorqueRelief
+from invid_drivers.cia402.relief import WeightRelief
 from invid_drivers.cia402.states import DriveState, OperationMode, is_energised, state_of
 from invid_drivers.cia402.stop_test import StopTest
 from invid_drivers.cia402.takeover import find_powered, require_ours
 from invid_drivers.cia402.way_out import WayOut
 
+LEAVING_S = 0.1
+"""Longest wait on the way out for a setting that a loaded axis is better held with."""
 ENABLE_S = 3.0
 """Longest way to operation enabled: brakes take a few hundred milliseconds to open."""
 
@@ -53,10 +57,10 @@ class Cia402Cell:
         self._reports: list[DriveReport] = []
         self._cycle = Cycle(self._link, config)
         self._touched = False
-        self._listened = False
         self._stopped = True
-        self._powered: dict[str, DriveState] = {}
-        self._relief: TorqueRelief | None = None
+        self._relief: WeightRelief | None = None
+        self.bounds: Bounds | None = None
+        """What no cycle may pass, from before the first axis is enabled to the last one off."""
         self._torque_off: dict[int, float] = {}
         """What each drive showed as torque without voltage [N·m or N]."""
         self.held_at_end: tuple[str, ...] = ()
@@ -118,13 +122,12 @@ class Cia402Cell:
         self._link.require_bus()
         for drive in self._drives:
             drive.refuse_declared()
-        if not self._listened:
+        if not self._link.gate.listened:
             self._link.listen()
-            self._listened = True
-        self._link.refuse_others("nothing was sent")
-        self._powered, silent = find_powered(self._drives, self.held.memory)
+        self._link.refuse_others()
+        powered, silent = find_powered(self._drives, self.held.memory)
         self._pre_operational()
-        self._powered |= {d.name: s for d in silent if (s := d.quiet_state()) and is_energised(s)}
+        powered |= {d.name: s for d in silent if (s := d.quiet_state()) and is_energised(s)}
         left = [() if drive.left_alone else drive.restore() for drive in self._drives]
         try:
             self._reports = [d.check(found) for d, found in zip(self._drives, left, strict=True)]
@@ -132,12 +135,13 @@ class Cia402Cell:
             raise DriveError(". ".join([str(error), *(s for found in left for s in found)])) from None
         for drive in self._drives:
             self._refuse_owned(drive)
-        self.held.find(self._reports, self._powered)
-        self._link.refuse_others("nothing was moved")
+        self.held.find(self._reports, powered)
+        self._link.refuse_others()
         for i, r in enumerate(self._reports):
             position = r.scaling.direction * r.scaling.position_per_count
             most = r.scaling.most_permille(r.limits.torque.value)
             self._cycle.scale(i, position=position, torque=r.scaling.torque(1), most=most)
+        self.bounds = bounds_of(tighten(self._config, self._reports), self.resolution, self.rated_torque)
         return self.reports
 
     @property
@@ -148,7 +152,7 @@ class Cia402Cell:
     def _pre_operational(self) -> None:
         """But for drives under power: leaving operational may make one of them let go."""
         for drive in self._drives:
-            if drive.name not in self._powered:
+            if self._link.gate.may_let_go(drive.node_id):
                 self._link.nmt(NMT_PRE_OPERATIONAL, drive.node_id)
         self._link.wait(0.02)
 
@@ -207,6 +211,9 @@ class Cia402Cell:
         for drive, holding in zip(self._drives, self.holdings, strict=True):
             if is_energised(holding.state):
                 require_ours(drive, holding)
+        for drive in self._drives:
+            self._link.gate.take(drive.node_id)
+            self._link.peers[drive.node_id].booted = False
         self._stopped = False
         self._touched = True
         self._link.beating = True
@@ -217,15 +224,23 @@ class Cia402Cell:
             if not holding.taken_over:
                 drive.map_pdos()
                 tell_cycle(drive, self._config.bus.cycle_s)
+        self.held.foresee_options()
+        unset: list[ModeSet] = []
         for i, mode in enumerate(modes):
             self._now_in(i, mode)
         for drive, report, mode in zip(self._drives, self._reports, modes, strict=True):
             drive.command(od.TORQUE_OFFSET if drive.by_offset else od.TARGET_TORQUE, 0)
             if mode is Mode.HOLD or drive.by_offset:
                 drive.command(od.TARGET_POSITION, drive.read(od.POSITION))
-            drive.set_mode(self._operation_mode(report, mode), CHANGE_S)
+            unset.append(drive.set_mode(self._operation_mode(report, mode), CHANGE_S))
+        restarted = [p.name for p in self._link.peers.values() if p.booted]
+        if restarted:
+            raise DriveError(
+                f"axis {', '.join(restarted)} has restarted while its protection was written, and may have "
+                "lost it; look at its supply, then start again"
+            )
         self._link.events.clear()
-        self._link.refuse_others("nothing was moved")
+        self._link.refuse_others()
         for peer in self._link.peers.values():
             peer.last_heartbeat = None
         for drive in self._drives:
@@ -234,9 +249,10 @@ class Cia402Cell:
         self._cycle.restart_slots()
         self._cycle.leaving = False
         units = [(r.scaling.position_per_count, r.scaling.torque(1)) for r in self._reports]
-        self._relief = TorqueRelief(self._config, self._drives, self._cycle, units)
-        self._enable()
-        self._powered = {}
+        self._relief = WeightRelief(tighten(self._config, self._reports), self._drives, self._cycle, units)
+        self.held.memory.defer()  # from here on no cycle waits for a disk
+        self._watch.resting = {i for i, mode in enumerate(modes) if mode is Mode.HOLD}
+        self._enable(modes, unset)
 
     def _operation_mode(self, report: DriveReport, mode: Mode) -> OperationMode:
         return report.torque_mode if mode is Mode.TORQUE else OperationMode.CYCLIC_POSITION
@@ -245,25 +261,28 @@ class Cia402Cell:
         self._cycle.modes[axis] = mode
         self._cycle.operation[axis] = self._operation_mode(self._reports[axis], mode)
 
-    def _enable(self) -> None:
+    def _enable(self, modes: Sequence[Mode], unset: list[ModeSet]) -> None:
+        """To operation enabled; ``unset``: what came of each mode, which is set and seen on the way."""
         zero = [0.0] * len(self._drives)
         end = self.clock.now() + ENABLE_S
         self._cycle.control[:] = [
             states.QUICK_STOP if h.taken_over else states.DISABLE_VOLTAGE for h in self.holdings
         ]
         while True:
-            sample = self.exchange(zero)
-            for event in sample.events:
-                if event.severity is not Severity.NOTE:
-                    raise DriveError(f"{event.text} while it was being enabled")
+            sample = self._watched(zero)
             found = [state_of(s) for s in sample.status]
+            if self._watch.origin is None and all(sample.fresh):
+                self._watch.start(sample.position)  # nothing was enabled before that
             for i, state in enumerate(found):
                 if sample.fresh[i] and not is_energised(state):
                     self._torque_off[i] = sample.torque[i]
-            if all(sample.fresh) and all(s is DriveState.OPERATION_ENABLED for s in found):
+            enabled = all(sample.fresh) and all(s is DriveState.OPERATION_ENABLED for s in found)
+            if enabled and not self.changing and all(m is ModeSet.SHOWN for m in unset):
                 return
             for i, state in enumerate(found):
-                if sample.fresh[i]:
+                if sample.fresh[i] and self._watch.origin is not None:
+                    if not self._mode_follows(i, state, modes[i], unset):
+                        continue
                     resumes = self.holdings[i].taken_over and state is DriveState.QUICK_STOP_ACTIVE
                     self._cycle.control[i] = (
                         states.ENABLE_OPERATION if resumes else states.towards_enabled(state)
@@ -272,7 +291,7 @@ class Cia402Cell:
                 raise SafetyStop(
                     "stopped on request while the drives were being enabled; nothing was recorded yet"
                 )
-            if self.clock.now() >= end:
+            if self.clock.now() >= end and not enabled:  # a mode that does not come has an end of its own
                 i = next(
                     (
                         k
@@ -287,17 +306,43 @@ class Cia402Cell:
                     f"shows {seen}; check its supply, its enable input, safe torque off and the brake"
                 )
 
+    def _mode_follows(self, axis: int, state: DriveState, mode: Mode, unset: list[ModeSet]) -> bool:
+        """Ask for a mode that was not set without power, where the drive takes it; whether to go on."""
+        late = unset[axis]
+        due = {ModeSet.LATER: DriveState.SWITCHED_ON, ModeSet.TAKEN: DriveState.OPERATION_ENABLED}.get(late)
+        if state is due:
+            operation = self._operation_mode(self._reports[axis], mode)
+            self._cycle.change(axis, mode, operation, taken=late is ModeSet.TAKEN)
+            unset[axis] = ModeSet.SHOWN  # or the change ends the run
+        return self._cycle.has_taken(axis)
+
     def secure(self, loaded: Sequence[bool]) -> bool:
         """Axes that carry nothing may switch off after a stop, others are tested: whether any was."""
-        self.held.settle(loaded)
+        self._watch.pause()  # whoever made the cycles before may have watched them otherwise
+        self._watch.resting = set()  # the tests let axes go
+        self._relief = None
+        self.held.settle(loaded, self._cycle.permille)
         self.held.refuse_dead_displays(self._cycle.sample, self._torque_off, self._reports)
-        self.held.set_options(self._cycle, self.clock, self.exchange)
-        tested = StopTest(self._moving(), self.holdings, self.held.memory, self.cancelled).run()
-        self._relief = None  # from here on torque at the limit is no weight
-        return tested
+        self.held.set_options(self._cycle, self.clock, self._watched)
+        moving, rated = self._moving(self._watched), self.rated_torque
+        return StopTest(moving, self.holdings, self.held.memory, self.cancelled, rated).run()
 
-    def _moving(self) -> MovingCell:
-        return MovingCell(self._config, self._link, self._drives, self._cycle, self.exchange, self.resolution)
+    def _moving(self, exchange: Callable[[Sequence[float]], Sample]) -> MovingCell:
+        permitted = [limit.velocity for limit in self._watch.limits] if self.bounds is not None else []
+        return MovingCell(
+            self._config, self._link, self._drives, self._cycle, exchange, self.resolution, permitted
+        )
+
+    @property
+    def asked(self) -> Sequence[float]:
+        """Torque that each axis in a torque mode was sent with the last SYNC [N·m or N]; the list stays."""
+        return self._cycle.asked
+
+    @property
+    def _watch(self) -> Bounds:
+        if self.bounds is None:
+            raise DriveError("the cell was not checked: nothing is known of its drives")
+        return self.bounds
 
     def set_modes(self, modes: Sequence[Mode]) -> None:
         """Ask for other modes while energised; the change goes on in the cycles to come (``changing``).
@@ -321,9 +366,18 @@ class Cia402Cell:
     def exchange(self, torque: Sequence[float]) -> Sample:
         """Targets out, SYNC at its slot, samples in."""
         sample = self._cycle.exchange(torque)
-        if self._relief is not None:
-            # one whose weight was held within its limit before is pushed by something else
+        if self._relief is not None and not self._cycle.leaving:
             self._relief.look(sample, [h.loaded is not False and not h.seen.loaded for h in self.holdings])
+            self._watch.weighed = self._relief.probing
+        return sample
+
+    def _watched(self, torque: Sequence[float]) -> Sample:
+        """A cycle that the cell makes by itself: checked as the sweep checks those that it makes."""
+        sample = self.exchange(torque)
+        if self._cycle.paused:
+            self._watch.pause()
+            self._cycle.paused = False
+        self._watch.check(sample, self.asked)
         return sample
 
     # --- the way out ---------------------------------------------------------------------------
@@ -336,10 +390,10 @@ class Cia402Cell:
             return
         with contextlib.suppress(Exception):
             if self.held.weigh_at_once(self._cycle.sample, self.rated_torque, self._cycle.modes):
-                self.held.set_options(self._cycle, self.clock, self.exchange)
+                self.held.set_options(self._cycle, self.clock, self.exchange, LEAVING_S)
         stays = [h.stays for h in self.holdings]
         weigh = partial(self.held.weigh_in_quick_stop, self._config, self.rated_torque)
-        way = WayOut(self._moving(), stays, self._ramp_s, self.held.doubted, weigh)
+        way = WayOut(self._moving(self.exchange), stays, self._ramp_s, self.held.doubted, weigh)
         self.not_off = way.take()
         self.held_at_end = tuple(
             h.config.name
@@ -347,7 +401,6 @@ class Cia402Cell:
             if h.stays and h.config.name not in self.not_off and not self._is_surely_off(i)
         )
         self.held.note_end(self.held_at_end)
-        self._powered |= dict.fromkeys(self.held_at_end, DriveState.QUICK_STOP_ACTIVE)
         self._stopped = True
 
     def _is_surely_off(self, axis: int) -> bool:
@@ -377,6 +430,11 @@ class Cia402Cell:
         complaints: list[str] = []
         self.stop()
         try:
+            self.journal.settle()
+            self.held.memory.settle()
+        except BusError as error:
+            complaints.append(str(error))
+        try:
             if self._touched or self.journal.entries:
                 self._restore(complaints)
         except InvidError as error:
@@ -388,7 +446,8 @@ class Cia402Cell:
         return complaints
 
     def _restore(self, complaints: list[str]) -> None:
-        left = self._left_protected(complaints) | set(self._powered)
+        left = self._left_protected(complaints)
+        left |= {d.name for d in self._drives if not self._link.gate.may_let_go(d.node_id)}
         for drive in self._drives:
             if drive.name not in left:
                 self._link.nmt(NMT_PRE_OPERATIONAL, drive.node_id)

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import can
 
 from invid.config import CellConfig
+from invid.errors import BusError
 from invid.sweep.ports import Event, Mode, Sample, Severity
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402 import states
@@ -20,7 +21,7 @@ from invid_drivers.cia402.jitter import Jitter
 from invid_drivers.cia402.link import Link
 from invid_drivers.cia402.mode_change import EVERY_CYCLES, ModeChange, SettingWrite, upload
 from invid_drivers.cia402.objects import Object
-from invid_drivers.cia402.states import OperationMode
+from invid_drivers.cia402.states import DriveState, OperationMode, state_of
 from invid_drivers.cia402.units import wrapped_difference
 
 UNCERTAIN_CYCLES = 0.2
@@ -38,6 +39,10 @@ LISTEN_EVERY_S = 1.0
 thousand at 1 kHz. A guess at what a record may lose."""
 MODE_POLL_S = 0.1
 """0x6061 of one axis after another is asked for at this interval during the cycle."""
+FLOOD_S, MOST_WAITING = 1.0, 50_000
+"""Longer than that nobody works off what has come, and more frames than two seconds of a full bus bring do
+not wait for a cycle: a node babbles."""
+FLOODED = "the bus is flooded: more frames come than this computer can look at; find the node that babbles"
 HEARTBEAT_PERIODS = 3.5
 """A drive's heartbeat is lost after this many periods: three missed ones and some jitter."""
 
@@ -64,6 +69,10 @@ class Cycle:
         self.sample = Sample(
             position=[0.0] * count, torque=[0.0] * count, status=[0] * count, fresh=[False] * count
         )
+        self.asked = [0.0] * count
+        """Torque that each axis was sent with the last SYNC [N·m or N]; 0 where its drive holds it."""
+        self.paused = False
+        """No SYNC was sent on purpose, since somebody has looked."""
         self.skipped_slots = 0
         self.jitter = Jitter()
         self._rpdo_ids = [0x200 + n for n in nodes]
@@ -105,28 +114,39 @@ class Cycle:
         self._most[axis] = most
 
     @property
+    def permille(self) -> list[int]:
+        """Size of the torque that each drive showed last [‰ of rated]."""
+        return [round(abs(t / u)) for t, u in zip(self.sample.torque, self._torque_unit, strict=True)]
+
+    @property
     def changing(self) -> bool:
         """Whether a drive does not show yet the mode that it was asked for."""
         return bool(self._changes)
 
-    def change(self, axis: int, mode: Mode, operation: OperationMode) -> None:
+    def change(self, axis: int, mode: Mode, operation: OperationMode, *, taken: bool = False) -> None:
         """Ask a drive for another mode, in the cycles to come.
 
         From now on until it shows its mode, an axis is sent torque: it follows that as soon as it is in
-        torque mode, and until it holds.
+        torque mode, and until it holds. ``taken``: it has the mode, and is only to show it.
         """
         self.modes[axis] = Mode.TORQUE
         held = mode is Mode.HOLD
-        self._changes[axis] = ModeChange(operation, self._link.clock.now(), held=held)
+        self._changes[axis] = ModeChange(operation, self._link.clock.now(), held=held, taken=taken)
+
+    def has_taken(self, axis: int) -> bool:
+        """Whether a drive has taken the mode that it was asked for in the cycle."""
+        change = self._changes.get(axis)
+        return not isinstance(change, ModeChange) or change.taken
 
     def set_object(self, axis: int, what: Object, value: int) -> SettingWrite:
         """Write an object of a drive in the cycles to come, while ``changing``."""
-        write = self._changes[axis] = SettingWrite(what, value)
+        write = self._changes[axis] = SettingWrite(what, value, self._link.clock.now())
         return write
 
     def restart_slots(self) -> None:
         """The next SYNC is at the next whole slot from now: SDO traffic took time of its own."""
         now = self._link.clock.now()
+        self.paused = True
         if self._slot < 0:
             self._started, self._slot = now, -1
         else:
@@ -145,6 +165,8 @@ class Cycle:
             value = 0 if self.modes[i] is hold else round(torque[i] * self._per_mille[i])
             if value > self._most[i] or value < -self._most[i]:
                 value = self._most[i] if value > 0 else -self._most[i]
+            by_torque = self.operation[i] is not OperationMode.CYCLIC_POSITION
+            self.asked[i] = value * self._torque_unit[i] if by_torque else 0.0
             put(
                 can.Message(arbitration_id=cob, data=_RPDO.pack(self.control[i], value), is_extended_id=False)
             )
@@ -247,10 +269,10 @@ class Cycle:
                 rest = end - self._link.clock.now()
                 message = self._link.get(max(rest, 0.0))
                 if message is None:
-                    if (
-                        rest <= 0
-                    ):  # what is there already was looked at too: this process may have been paused
+                    if rest <= 0:  # what is there already was looked at: this process may have been paused
                         break
+                elif rest <= -FLOOD_S:
+                    raise BusError(FLOODED)
                 elif (axis := self._tpdo_axis.get(message.arbitration_id)) is None:
                     self._sort(message)
                 else:
@@ -304,7 +326,9 @@ class Cycle:
         sample = self.sample
         sample.position[axis] = (origin + moved) * self._position_unit[axis]
         sample.torque[axis] = permille * self._torque_unit[axis]
-        sample.status[axis] = status
+        if status != sample.status[axis]:
+            sample.status[axis] = status
+            self._link.gate.saw(self._nodes[axis], status)
         return True
 
     def _sort(self, message: can.Message) -> None:
@@ -320,14 +344,19 @@ class Cycle:
         elif len(data) == 8 and data[1:4] == _MODE_REQUEST[1:4] and data[0] & 0xE0 == 0x40:
             shown = int.from_bytes(data[4:5], "little", signed=True)
             wanted = self.operation[axis]
-            if shown != int(wanted):
+            enabled = state_of(self.sample.status[axis]) is DriveState.OPERATION_ENABLED
+            if shown != int(wanted) and (shown or enabled):  # some drives show none until they are enabled
                 name = self._config.axes[axis].name
                 text = f"axis {name}: the drive left mode {wanted.name.lower()} for mode {shown} (0x6061)"
                 self._link.events.append(Event(Severity.DRIVE, text, name))
 
     def _drain(self) -> None:
         """Before a SYNC: what is there belongs to an earlier one and would pass for this one's."""
+        left = MOST_WAITING
         while (message := self._link.get(0)) is not None:
+            left -= 1
+            if left < 0:
+                raise BusError(FLOODED)
             axis = self._tpdo_axis.get(message.arbitration_id)
             if axis is None:
                 self._sort(message)
@@ -340,11 +369,10 @@ class Cycle:
             why = change.failure(now)
             if self.leaving and change.operation is not None:
                 del self._changes[axis]
-            elif why is not None and change.operation is not None:
+            elif why is not None:
                 del self._changes[axis]
                 name = self._config.axes[axis].name
-                mode = change.operation.name.lower()
-                text = f"axis {name} (node {self._nodes[axis]}): mode {mode} was asked for, but {why}"
+                text = f"axis {name} (node {self._nodes[axis]}): {why}"
                 self._link.events.append(Event(Severity.DRIVE, text, name))
             elif change.done:
                 del self._changes[axis]

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from invid.errors import DriveError
+import contextlib
+
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.axis import Drive
+from invid_drivers.cia402.failures import WriteRefused
 
 
 def tell_cycle(drive: Drive, cycle_s: float) -> None:
@@ -17,11 +19,8 @@ def tell_cycle(drive: Drive, cycle_s: float) -> None:
     for what, number in values:
         if drive.find(what) is None:
             continue
-        try:
+        with contextlib.suppress(WriteRefused):
             drive.write(what, number)
-        except DriveError as error:
-            if "does not answer" in str(error):
-                raise
 
 
 def interpolation_time(cycle_s: float) -> tuple[int, int] | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import replace
+from itertools import pairwise
 
 from invid.config import CellConfig
 from invid.errors import BusError, SafetyStop
@@ -15,7 +15,7 @@ from invid.sweep.ports import Clock, Mode, Sample
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.axis import Drive, DriveReport
 from invid_drivers.cia402.cycle import Cycle
-from invid_drivers.cia402.hold_memory import HoldMemory, identity
+from invid_drivers.cia402.hold_memory import HoldMemory
 from invid_drivers.cia402.holding import (
     AxisHolding,
     Reason,
@@ -52,8 +52,7 @@ class HeldAxes:
         self.holdings, self._settled = [], False
         for drive, report in zip(self._drives, reports, strict=True):
             state = powered.get(drive.name, DriveState.SWITCH_ON_DISABLED)
-            name = identity(report.vendor_id, report.product_code, report.serial)
-            holding = found_holding(drive, state, self.memory, name)
+            holding = found_holding(drive, state, self.memory, report)
             if not holding.is_left_alone:
                 if holding.seen.left_held:
                     holding.note(self.memory, left_held=False)
@@ -77,10 +76,9 @@ class HeldAxes:
 
     def clear(self, names: Sequence[str]) -> None:
         """A person has found the cause: these axes may be enabled again."""
-        nodes = {d.node_id for d in self._drives if d.name in names}
-        for name, seen in list(self.memory.seen.items()):
-            if seen.node_id in nodes and seen.suspect:
-                self.memory.keep(name, replace(seen, suspect=""))
+        for drive in self._drives:
+            if drive.name in names:
+                self.memory.clear(drive.node_id)
 
     def suspect(self, why: str) -> None:
         """A run ended for a reason that names axes: remembered where any axis carries a load.
@@ -127,10 +125,10 @@ class HeldAxes:
             self.holdings[i].loaded = self.holdings[i].taken_over = False
         return free
 
-    def settle(self, loaded: Sequence[bool]) -> None:
+    def settle(self, loaded: Sequence[bool], weights: Sequence[int]) -> None:
         """What the torque at rest said; DriveError where nothing will hold an axis that is loaded."""
         self._settled = True
-        settle(self.holdings, loaded, self.memory)
+        settle(self.holdings, loaded, weights, self.memory)
         for drive, holding in zip(self._drives, self.holdings, strict=True):
             if holding.loaded and holding.stays and not holding.can_stay:
                 require_holdable(drive, holding)
@@ -147,19 +145,33 @@ class HeldAxes:
                     "drive was switched on and shows it while it holds a load: it is not its torque"
                 )
 
-    def set_options(self, cycle: Cycle, clock: Clock, exchange: Callable[[Sequence[float]], Sample]) -> None:
-        """0x605A as what each axis carries asks for; written between two SYNCs."""
+    def foresee_options(self) -> None:
+        """Before power: both values that 0x605A may come to have are in the journal."""
         what = od.QUICK_STOP_OPTION
+        for drive, holding in zip(self._drives, self.holdings, strict=True):
+            shown = drive.find(what) if holding.can_stay and holding.option_writable else None
+            if shown is None:
+                continue
+            values = [shown, SWITCH_OFF if drive.protection.quick_stop_option == STAY else STAY, shown]
+            for before, after in pairwise(what.pack(v).hex() for v in values):
+                self._journal.add(Entry(drive.node_id, drive.serial, what.index, what.sub, before, after))
+
+    def set_options(
+        self,
+        cycle: Cycle,
+        clock: Clock,
+        exchange: Callable[[Sequence[float]], Sample],
+        longest_s: float = CHANGE_S,
+    ) -> None:
+        """0x605A as what each axis carries asks for; written between two SYNCs."""
         for i, (drive, holding) in enumerate(zip(self._drives, self.holdings, strict=True)):
             wanted = STAY if holding.stays or holding.needs_brake_test else SWITCH_OFF
-            before = drive.protection.quick_stop_option
-            if before == wanted or not holding.can_stay or not holding.option_writable:
+            if drive.protection.quick_stop_option == wanted:
                 continue
-            drive.protection.quick_stop_option = wanted
-            pack = (what.pack(before).hex(), what.pack(wanted).hex())
-            self._journal.add(Entry(drive.node_id, drive.serial, what.index, what.sub, *pack))
-            cycle.set_object(i, what, wanted)
-        end = clock.now() + CHANGE_S
+            if holding.can_stay and holding.option_writable:
+                drive.protection.quick_stop_option = wanted
+                cycle.set_object(i, od.QUICK_STOP_OPTION, wanted)
+        end = clock.now() + longest_s
         while cycle.changing and clock.now() < end:
             exchange([0.0] * len(self._drives))
 

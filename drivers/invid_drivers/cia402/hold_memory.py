@@ -1,4 +1,4 @@
-"""What was seen of each drive that carries a load, remembered by its serial number beside the journal."""
+"""What was seen of each drive that carries a load and of its place, remembered beside the journal."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ import json
 import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from invid.errors import BusError
+from invid_drivers.cia402.disk import Disk, open_folder
 
 
 @dataclass(frozen=True)
@@ -26,18 +28,28 @@ class Seen:
     """From voltage off to the last motion [s]."""
     brake_drop: float | None = None
     """How far it moved meanwhile [rad or m]."""
+    weight: int | None = None
+    """Thousandths of rated torque that held its load at rest."""
     left_held: bool = False
     """A run left it energised in quick stop active."""
     suspect: str = ""
     """Why a run ended at this axis beside a load or under one: not enabled again until a person says so."""
 
 
+LOST = "unreadable"
+"""Name of what stands for every node that is not listed, where the memory could not be read."""
+
+
 class HoldMemory:
-    """Drives of one bus; ``path`` ``None`` keeps them in memory."""
+    """Drives and places of one bus; ``path`` ``None`` keeps them in memory.
+
+    Where it is there and cannot be read, every axis waits for a person until that one has cleared it.
+    """
 
     def __init__(self, path: Path | None) -> None:
         self.path = path
         self._seen: dict[str, Seen] = {} if path is None else _read(path)
+        self._disk = Disk()
 
     @classmethod
     def beside(cls, journal: Path | None) -> HoldMemory:
@@ -46,38 +58,58 @@ class HoldMemory:
 
     @property
     def seen(self) -> Mapping[str, Seen]:
-        """By identity of the drive."""
+        """By identity of the drive, or by node where it has none."""
         return self._seen
 
     def of(self, identity: str, node_id: int) -> Seen:
-        """What is known of a drive; one without a serial number is a stranger each time."""
-        return replace(self._seen.get(identity, Seen(node_id)), node_id=node_id)
+        """What is known of a drive and of its place.
+
+        What a drive does is known of that drive alone, one without a serial number is a stranger each time;
+        what its place carries, and that it waits for a person, is known whichever drive is there.
+        """
+        place = self.of_node(node_id) or Seen(node_id)
+        drive = self._seen.get(identity)
+        if drive is not None and drive.node_id == node_id:
+            return drive
+        return replace(
+            drive or Seen(node_id),
+            node_id=node_id,
+            loaded=place.loaded if drive is None else drive.loaded or place.loaded,
+            left_held=place.left_held,
+            suspect=place.suspect,
+        )
 
     def of_node(self, node_id: int) -> Seen | None:
         """The drive last seen at a node, for whoever has not asked it who it is."""
-        return next((s for s in self._seen.values() if s.node_id == node_id), None)
+        lost = self._seen.get(LOST)
+        unknown = None if lost is None else replace(lost, node_id=node_id)
+        return next((s for s in self._seen.values() if s.node_id == node_id), unknown)
+
+    def clear(self, node_id: int) -> None:
+        """A person has found the cause of what is remembered against a node."""
+        seen = self.of_node(node_id)
+        if seen is not None and seen.suspect:
+            name = next((k for k, s in self._seen.items() if s.node_id == node_id), "")
+            self.keep(name, replace(seen, suspect=""))
 
     def keep(self, identity: str, seen: Seen) -> None:
-        """Note what was seen; written to disk at once. BusError where that fails."""
-        if not identity or self._seen.get(identity) == seen:
+        """Note what was seen: on disk at once, or soon where axes are energised; BusError where it fails."""
+        name = identity or f"node {seen.node_id}"
+        if self._seen.get(name) == seen:
             return
-        others = {k: v for k, v in self._seen.items() if v.node_id != seen.node_id or k == identity}
-        self._seen = {**others, identity: seen}
-        if self.path is None:
-            return
-        part = self.path.with_suffix(".part")
-        try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            with part.open("w", encoding="utf-8") as file:
-                json.dump({k: asdict(v) for k, v in self._seen.items()}, file, indent=1)
-                file.flush()
-                os.fsync(file.fileno())
-            part.replace(self.path)
-        except OSError as error:
-            raise BusError(
-                f"{self.path}: cannot be written ({error.strerror}), and how a loaded axis is held would be "
-                "forgotten; set XDG_STATE_HOME to a writable folder"
-            ) from None
+        others = {k: v for k, v in self._seen.items() if v.node_id != seen.node_id or k == name}
+        self._seen = {**others, name: seen}
+        if self.path is not None:
+            text = json.dumps({k: asdict(v) for k, v in self._seen.items()}, indent=1)
+            self._disk.put(partial(_write, self.path, text))
+
+    def defer(self) -> None:
+        """From here on nobody waits for the disk: axes are energised."""
+        self._disk.defer()
+
+    def settle(self) -> None:
+        """What was noted is on disk; BusError where it is not."""
+        self._disk.settle()
 
 
 def identity(vendor_id: int, product_code: int, serial: int) -> str:
@@ -85,10 +117,30 @@ def identity(vendor_id: int, product_code: int, serial: int) -> str:
     return f"{vendor_id:08X}-{product_code:08X}-{serial}" if serial else ""
 
 
+def _write(path: Path, text: str) -> None:
+    part = path.with_suffix(".part")
+    try:
+        open_folder(path.parent)
+        with part.open("w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        part.chmod(0o666)  # whoever measures next is to know it
+        part.replace(path)
+    except OSError as error:
+        raise BusError(
+            f"{path}: cannot be written ({error.strerror}), and how a loaded axis is held would be "
+            "forgotten; make it writable, or set XDG_STATE_HOME to a folder that is"
+        ) from None
+
+
 def _read(path: Path) -> dict[str, Seen]:
-    """What cannot be read was never seen: every drive is tested again."""
+    """By name."""
     try:
         document: Any = json.loads(path.read_text(encoding="utf-8"))
         return {str(k): Seen(**v) for k, v in document.items()}
-    except (OSError, ValueError, TypeError, AttributeError):
+    except FileNotFoundError:
         return {}
+    except (OSError, ValueError, TypeError, AttributeError) as error:
+        why = error.strerror if isinstance(error, OSError) else "it is damaged"
+        return {LOST: Seen(0, suspect=f"what was remembered of it cannot be read: {path}, {why}")}

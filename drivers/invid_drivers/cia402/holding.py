@@ -14,8 +14,8 @@ from invid.config import AxisConfig, CellConfig
 from invid.errors import DriveError
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.access import Access
-from invid_drivers.cia402.axis import Drive
-from invid_drivers.cia402.hold_memory import HoldMemory, Seen
+from invid_drivers.cia402.axis import Drive, DriveReport
+from invid_drivers.cia402.hold_memory import HoldMemory, Seen, identity
 from invid_drivers.cia402.link import SdoAbortedError, SdoError
 from invid_drivers.cia402.protection import READ_ONLY, STAY, STAYING, SWITCH_OFF
 from invid_drivers.cia402.states import DriveState, is_energised
@@ -35,6 +35,9 @@ class AxisHolding:
     option: int | None
     """0x605A as found; ``None``: the drive has none."""
     option_writable: bool
+    has_position_mode: bool = True
+    limit: int = 32767
+    """Thousandths of rated torque that its drive will be permitted."""
     watched: bool = True
     """The drive notices that its master is gone (0x1016)."""
 
@@ -90,7 +93,7 @@ class AxisHolding:
         """A loaded axis that its drive must hold and was not seen to hold."""
         return bool(self.loaded) and self.stays and self.seen.holds is not True
 
-    def note(self, memory: HoldMemory, **seen: bool | float | str) -> None:
+    def note(self, memory: HoldMemory, **seen: bool | float | str | None) -> None:
         """Remember what was seen."""
         self.seen = replace(self.seen, **seen)  # type: ignore[arg-type]
         memory.keep(self.identity, self.seen)
@@ -146,19 +149,22 @@ class AxisHolding:
         )
 
 
-def found_holding(drive: Drive, state: DriveState, memory: HoldMemory, identity: str) -> AxisHolding:
+def found_holding(drive: Drive, state: DriveState, memory: HoldMemory, report: DriveReport) -> AxisHolding:
     """What stands in the drive and in the memory; writes nothing under power."""
+    name = identity(report.vendor_id, report.product_code, report.serial)
     option = drive.find(od.QUICK_STOP_OPTION)
     writable = option is not None and (
         is_energised(state) or drive.left_alone or option in STAYING or _writable(drive, option)
     )
     return AxisHolding(
         drive.config,
-        identity,
-        memory.of(identity, drive.node_id),
+        name,
+        memory.of(name, drive.node_id),
         state,
         option,
         writable,
+        report.can_hold,
+        report.scaling.most_permille(report.limits.torque.value),
         drive.find(od.CONSUMER_HEARTBEAT) is not None,
     )
 
@@ -181,18 +187,35 @@ def _writable(drive: Access, option: int) -> bool:
 def require_holdable(drive: Access, holding: AxisHolding) -> None:
     """DriveError where nothing would hold an axis that is or may be loaded."""
     h = holding
-    if h.loaded is False or h.can_stay or (h.config.brake == "drive" and h.brake_in_time is not False):
+    if h.loaded is False:
+        return
+    if not h.has_position_mode:
+        raise DriveError(
+            f"{drive.who}: {_load(h)}, and the drive has no cyclic synchronous position (0x6502): it would "
+            "begin without torque and fall, brake or not. Use a drive that can hold its place by itself, or "
+            "unload the axis"
+            + ("" if h.loaded else "; where it does not fall without torque, set gravity_loaded: false")
+        )
+    if h.seen.weight is not None and h.seen.weight > h.limit:
+        raise DriveError(
+            f"{drive.who}: it took {h.seen.weight} ‰ of rated torque to hold its load, and the limit is "
+            f"{h.limit} ‰ now: it would fall. Compare 0x6076 with the motor's plate, or raise the limit"
+        )
+    if h.can_stay or (h.config.brake == "drive" and h.brake_in_time is not False):
         return
     why = "it has no 0x605A" if h.option is None else f"its 0x605A is {h.option} and cannot be written"
-    load = "loaded" if h.loaded else "perhaps loaded (gravity_loaded is not stated)"
     late = "; its brake was seen to close too late" if h.brake_in_time is False else ""
     way_out = "use a drive that can, give the axis a brake that its drive closes (brake: drive), or unload it"
     if not h.loaded:
         way_out = f"where it does not fall without torque, set gravity_loaded: false; else {way_out}"
     raise DriveError(
-        f"{drive.who}: {load}, and it is not known that its drive holds it after a quick stop or without its "
-        f"master: {why}{late}. It would fall; {way_out}"
+        f"{drive.who}: {_load(h)}, and it is not known that its drive holds it after a quick stop or without "
+        f"its master: {why}{late}. It would fall; {way_out}"
     )
+
+
+def _load(holding: AxisHolding) -> str:
+    return "loaded" if holding.loaded else "perhaps loaded (gravity_loaded is not stated)"
 
 
 @dataclass(frozen=True)
@@ -278,10 +301,17 @@ def _late(axis: AxisConfig, seen: Seen) -> bool:
     return seen.brake_drop is not None and seen.brake_drop > DROP_SHARE * axis.limits.position
 
 
-def settle(holdings: Sequence[AxisHolding], loaded: Sequence[bool], memory: HoldMemory) -> None:
-    """What the torque at rest said: from now on it is known which axes are loaded."""
-    for h, carries in zip(holdings, loaded, strict=True):
+def settle(
+    holdings: Sequence[AxisHolding], loaded: Sequence[bool], weights: Sequence[int], memory: HoldMemory
+) -> None:
+    """What the torque at rest said: from now on it is known which axes are loaded.
+
+    ``weights``: thousandths of rated torque that hold each axis.
+    """
+    for h, carries, weight in zip(holdings, loaded, weights, strict=True):
         h.loaded = bool(carries)
         h.taken_over = False
-        if carries or h.seen.loaded:
-            h.note(memory, loaded=bool(carries))
+        if carries:
+            h.note(memory, loaded=True, weight=weight)
+        elif h.seen.loaded:
+            h.note(memory, loaded=False, weight=None)

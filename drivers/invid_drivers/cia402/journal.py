@@ -11,9 +11,11 @@ import json
 import os
 from collections.abc import Collection
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 
 from invid.errors import BusError
+from invid_drivers.cia402.disk import Disk, open_folder, shared_folder
 from invid_drivers.cia402.reservation import Reservation
 
 
@@ -36,6 +38,7 @@ class Journal:
     def __init__(self, path: Path | None) -> None:
         self.path = path
         self._entries: list[Entry] = []
+        self._disk = Disk()
         self.reservation: Reservation | None = None
         """Held as long as the bus is this process's."""
         if path is not None and path.exists():
@@ -53,22 +56,17 @@ class Journal:
     def add(self, entry: Entry) -> None:
         """Record a write before it is made."""
         self._entries.append(entry)
-        if self.path is None:
-            return
-        try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            with self.path.open("a+b") as file:
-                # A line that a power cut left half written must not take this one with it.
-                file.seek(max(0, file.seek(0, os.SEEK_END) - 1))
-                torn = file.read(1) not in (b"", b"\n")
-                file.write(b"\n" * torn + _line(entry))
-                file.flush()
-                os.fsync(file.fileno())
-        except OSError as error:
-            raise BusError(
-                f"journal {self.path}: cannot be written ({error.strerror}); nothing is written into a drive "
-                "that could not be restored after a power cut; set XDG_STATE_HOME to a writable folder"
-            ) from None
+        if self.path is not None:
+            self._disk.put(partial(_append, self.path, _line(entry)))
+
+    def note(self, entry: Entry) -> None:
+        """Record a write under power: on disk soon, for no cycle waits for it."""
+        self._disk.defer()
+        self.add(entry)
+
+    def settle(self) -> None:
+        """What was noted is on disk; BusError where it is not."""
+        self._disk.settle()
 
     def release(self) -> None:
         """The bus is free for the next."""
@@ -83,23 +81,44 @@ class Journal:
         """Of a node, only these entries are not undone yet."""
         kept = set(map(id, entries))  # a value may be written twice: equal entries are two
         self._entries = [e for e in self._entries if e.node_id != node_id or id(e) in kept]
-        if self.path is None:
+        if self.path is not None:
+            self._disk.put(partial(_replace, self.path, b"".join(map(_line, self._entries))))
+
+
+def _append(path: Path, line: bytes) -> None:
+    try:
+        open_folder(path.parent)
+        with path.open("a+b") as file:
+            # A line that a power cut left half written must not take this one with it.
+            file.seek(max(0, file.seek(0, os.SEEK_END) - 1))
+            torn = file.read(1) not in (b"", b"\n")
+            file.write(b"\n" * torn + line)
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError as error:
+        raise BusError(
+            f"journal {path}: cannot be written ({error.strerror}); nothing is written into a drive "
+            "that could not be restored after a power cut; set XDG_STATE_HOME to a writable folder"
+        ) from None
+
+
+def _replace(path: Path, text: bytes) -> None:
+    try:
+        if not text:
+            path.unlink(missing_ok=True)
             return
-        try:
-            if not self._entries:
-                self.path.unlink(missing_ok=True)
-                return
-            part = self.path.with_suffix(".part")
-            with part.open("wb") as file:
-                file.write(b"".join(map(_line, self._entries)))
-                file.flush()
-                os.fsync(file.fileno())  # before it takes the old one's place: a power cut leaves one of them
-            part.replace(self.path)
-        except OSError as error:
-            raise BusError(
-                f"journal {self.path}: cannot be written ({error.strerror}); what it says of settings that "
-                "are restored is compared with the drive at the next start, and left as it is"
-            ) from None
+        part = path.with_suffix(".part")
+        with part.open("wb") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())  # before it takes the old one's place: a power cut leaves one of them
+        part.chmod(0o666)
+        part.replace(path)
+    except OSError as error:
+        raise BusError(
+            f"journal {path}: cannot be written ({error.strerror}); what it says of settings that "
+            "are restored is compared with the drive at the next start, and left as it is"
+        ) from None
 
 
 def _line(entry: Entry) -> bytes:
@@ -127,6 +146,5 @@ def _read(path: Path) -> list[Entry]:
 
 def journal_path(interface: str, channel: str) -> Path:
     """Where the journal of a bus stands."""
-    base = Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state")
     safe = "".join(c if c.isalnum() else "-" for c in f"{interface}-{channel}")
-    return base / "invid" / f"{safe}.journal"
+    return shared_folder() / f"{safe}.journal"

@@ -17,6 +17,7 @@ from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError, SdoEr
 
 from invid.errors import BusError
 from invid.sweep.ports import Clock, Event, Severity
+from invid_drivers.cia402.gate import Gate, Known
 from invid_drivers.cia402.others import LISTEN_BEATS, LISTEN_S, MASTER_ID, Foreign, foreign
 
 SHORTEST_WAIT_S = 1e-6
@@ -71,6 +72,7 @@ class Link:
 
     def __init__(self, bus: can.BusABC, *, heartbeat_s: float) -> None:
         self.bus = bus
+        self.gate = Gate()
         self.clock: Clock = getattr(bus, "clock", None) or RealClock()
         self.network = canopen.Network(bus)
         self.peers: dict[int, Peer] = {}
@@ -97,7 +99,8 @@ class Link:
         self.put(can.Message(arbitration_id=cob_id, data=data, is_extended_id=False))
 
     def put(self, message: can.Message) -> None:
-        """One frame; BusError where the bus does not take it."""
+        """One frame; BusError where the bus does not take it, or the gate keeps it back."""
+        self.gate.pass_out(message)
         if self._echoing is not False:
             self._expect_echo(message)
         try:
@@ -153,6 +156,8 @@ class Link:
             return
         self._look_for_others(message)
         node = self.peers.get(cob & 0x7F)
+        if cob & 0x780 in (0x580, 0x700):
+            self.gate.heard(cob, data)
         if cob & 0x780 == 0x580:
             self.answered(cob & 0x7F)
             self.network.notify(cob, bytearray(data), message.timestamp)
@@ -164,14 +169,15 @@ class Link:
             self._emergency(node, data)
 
     def listen(self) -> None:
-        """Send nothing, and hear who is there."""
+        """Send nothing, and hear who is there; then the gate opens."""
         self.wait(max(LISTEN_S, LISTEN_BEATS * self._heartbeat_s))
+        self.gate.listened = True
 
-    def refuse_others(self, done: str) -> None:
-        """BusError where another master was heard; ``done``: what became of the axes."""
+    def refuse_others(self) -> None:
+        """BusError where another master was heard; what was sent until then is said from the gate's log."""
         heard = [f.text for f in self.others.values() if f.master]
         if heard:
-            raise BusError(_another(", ".join(heard[:5]), done))
+            raise BusError(_another(", ".join(heard[:5]), self.gate.said))
 
     def _look_for_others(self, message: can.Message) -> None:
         found = foreign(message, self._names)
@@ -179,7 +185,8 @@ class Link:
             return
         self.others[found.text] = found
         if found.master:
-            self.events.append(Event(Severity.BUS, _another(found.text, "the axes were stopped")))
+            self.gate.disputed = True
+            self.events.append(Event(Severity.BUS, _another(found.text, self.gate.said)))
 
     def _expect_echo(self, message: can.Message) -> None:
         if len(self._echoes) > MOST_ECHOES:
@@ -250,6 +257,7 @@ class Link:
     def add_peer(self, node_id: int, name: str) -> Peer:
         """Listen to a node."""
         self._names[node_id] = name
+        self.gate.nodes.setdefault(node_id, Known(name))
         return self.peers.setdefault(node_id, Peer(node_id, name))
 
     def nmt(self, command: int, node_id: int) -> None:

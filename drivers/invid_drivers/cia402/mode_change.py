@@ -39,8 +39,9 @@ class SettingWrite:
 
     operation: OperationMode | None = None
 
-    def __init__(self, what: Object, value: int) -> None:
+    def __init__(self, what: Object, value: int, began: float) -> None:
         self._what, self._value = what, value
+        self._deadline = began + CHANGE_S
         self.done = False
         self.refused: str | None = None
         """What the drive refused."""
@@ -59,21 +60,29 @@ class SettingWrite:
             self.done = True
 
     def failure(self, now: float) -> str | None:
-        """Nothing depends on it."""
-        return None
+        """Why it will not come about; ``None`` while it may."""
+        if now < self._deadline:
+            return None
+        return f"the drive does not answer ({self._what.address}) for {CHANGE_S:g} s"
 
 
 class ModeChange:
     """One axis on its way: its place as target where it is to be held, 0x6060, then 0x6061 until it shows."""
 
-    def __init__(self, operation: OperationMode, began: float, *, held: bool) -> None:
+    def __init__(self, operation: OperationMode, began: float, *, held: bool, taken: bool = False) -> None:
+        """``held``: at its place; ``taken``: 0x6060 is set, and 0x6061 is to show it."""
         self.operation = operation
         self._deadline = began + CHANGE_S
         self._next = began
-        self._steps = [od.TARGET_POSITION, od.MODE, od.MODE_DISPLAY] if held else [od.MODE, od.MODE_DISPLAY]
+        self._steps = [od.TARGET_POSITION] * held + [od.MODE] * (not taken) + [od.MODE_DISPLAY]
         self._shown: int | None = None
         self.refused: str | None = None
         """What the drive refused."""
+
+    @property
+    def taken(self) -> bool:
+        """Whether the drive has taken the mode, and may not show it yet."""
+        return od.MODE not in self._steps
 
     @property
     def done(self) -> bool:
@@ -109,9 +118,11 @@ class ModeChange:
     def failure(self, now: float) -> str | None:
         """Why it will not come about; ``None`` while it may."""
         if self.refused is not None:
-            return self.refused
-        if now < self._deadline:
+            why = self.refused
+        elif now < self._deadline:
             return None
-        if self._shown is None:
-            return f"the drive does not answer ({self._steps[0].address}) for {CHANGE_S:g} s"
-        return f"the drive shows mode {self._shown} (0x6061) after {CHANGE_S:g} s"
+        elif self._shown is None:
+            why = f"the drive does not answer ({self._steps[0].address}) for {CHANGE_S:g} s"
+        else:
+            why = f"the drive shows mode {self._shown} (0x6061) after {CHANGE_S:g} s"
+        return f"mode {self.operation.name.lower()} was asked for, but {why}"

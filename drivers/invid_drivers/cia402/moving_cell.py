@@ -17,7 +17,7 @@ class MovingCell:
     """The drives of a cell, the bus they are on, and the cycle that commands them.
 
     ``exchange`` is one cycle of the cell: torque (M,) out, sample in. ``resolution`` (M,) is the position of
-    one encoder count [rad or m].
+    one encoder count [rad or m], ``permitted`` (M,) the speed of each axis [rad/s or m/s].
     """
 
     config: CellConfig
@@ -26,3 +26,4 @@ class MovingCell:
     cycle: Cycle
     exchange: Callable[[Sequence[float]], Sample]
     resolution: Sequence[float]
+    permitted: Sequence[float]

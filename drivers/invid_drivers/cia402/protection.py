@@ -8,6 +8,7 @@ from invid.errors import DriveError
 from invid.planning.stopping_distance import StoppingFacts
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.access import Access
+from invid_drivers.cia402.failures import WriteRefused
 from invid_drivers.cia402.limits import (
     EffectiveLimits,
     Limit,
@@ -327,9 +328,7 @@ class Protection:
                 drive.write(what, wanted)
                 if what is od.MAX_TORQUE and wanted < found:
                     self.torque_lowered = wanted, found
-            except DriveError as error:
-                if "cannot be written" not in str(error):
-                    raise
+            except WriteRefused:
                 self.notes += (f"axis {drive.name}: {_only_the_master(what, found, wanted)}",)
 
     def _write_quick_stop_option(self) -> None:
@@ -340,8 +339,8 @@ class Protection:
             return
         try:
             drive.write(what, wanted)
-        except DriveError as error:
-            if "cannot be written" not in str(error) or wanted == STAY:
+        except WriteRefused:
+            if wanted == STAY:
                 raise
             self.notes += (f"axis {drive.name}: {what.address} is {found} and cannot be written",)
 
@@ -352,9 +351,7 @@ class Protection:
             return
         try:
             self._drive.write(*stop.write)
-        except DriveError as error:
-            if "cannot be written" not in str(error):
-                raise
+        except WriteRefused:
             self.notes += (
                 f"axis {self._drive.name}: {stop.write[0].address} {stop.write[0].name} cannot be written: "
                 "it may take longer to stop than was stated",

@@ -1,12 +1,17 @@
-"""A torque limit lowered below what a load takes would drop it: the drive's own comes back, in steps.
+"""A weight beyond a torque limit that is written in a wrong scale: found out by less torque, then held.
 
-Never more than the drive was found with is written. Torque is compared in the drive's own thousandths,
-so that a wrong scale, the likely reason, does not matter.
+A drive that yields at its limit has a load beyond it, or a sign is wrong and it drives what it is to hold.
+With half the torque a load falls faster, and by how much says, with the stated inertia, what the limit truly
+is; what a wrong sign drives gets slower. Only a load is given more, up to the config's limit by that scale.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
 
 from invid.config import CellConfig
 from invid.sweep.ports import Event, Mode, Sample, Severity
@@ -14,94 +19,132 @@ from invid_drivers.cia402.axis import Drive
 from invid_drivers.cia402.cycle import Cycle
 from invid_drivers.cia402.journal import Entry
 from invid_drivers.cia402.objects import MAX_TORQUE
-from invid_drivers.cia402.standstill import tolerances
 from invid_drivers.cia402.states import DriveState, state_of
 
-AT_LIMIT, SAMPLES = 0.9, 3
-"""Share of the limit that a loop which is held back shows, with the noise of its sensor; samples in a row."""
-STEP, SURE_S = 2, 0.3
-"""The limit is doubled until the axis yields no more; said when that has lasted so long."""
-STILL_SHARE = 0.002
-"""It gives way: as a share of the window."""
-HELD_S, CARRIED_S, CARRIES = 0.5, 0.1, 0.05
-"""An axis that its drive has held still for so long, below the limit, has a limit that holds its weight: what
-drives it to the limit later is a wrong sign or a person, and gets no more torque. Brakes of servo motors open
-within 0.3 s, and until then nothing weighs on the drive: one that gives more than this share of its limit
-carries it."""
+AT_LIMIT, HALVED = 0.9, 0.6
+"""Share of the limit that a drive shows which is held back by it, and by half of it."""
+SAMPLES, LONG_S = 6, 0.03
+"""Of each of the two accelerations, at least: short against what a load falls, and long against the counts of
+an encoder."""
+DECISIVE = 5.0
+"""Standard deviations of what the counts of the encoder leave of their difference."""
+PROBE_S, SURE_S = 0.15, 0.3
+"""Longest wait for the halved torque; and the run is ended when the axis has been held for so long."""
 
 
-class TorqueRelief:
-    """Watches axes that their drives hold; made when they are enabled."""
+@dataclass
+class _Axis:
+    """One axis whose limit was lowered: thousandths as written and as found."""
+
+    wrote: int
+    found: int
+    rows: list[tuple[float, float]] = field(default_factory=list)
+    """(time, position) while its torque was what is looked at."""
+    before: float | None = None
+    """Acceleration at the limit, once that is known; from then on the limit is halved."""
+    since: float = 0.0
+    held: int | None = None
+    """Thousandths that it was given."""
+
+
+class WeightRelief:
+    """Looks at axes that their drives hold at rest; made before they are enabled."""
 
     def __init__(
         self, config: CellConfig, drives: Sequence[Drive], cycle: Cycle, units: Sequence[tuple[float, float]]
     ) -> None:
         """``units``: position of a count [rad or m] and torque of a thousandth [N·m or N] of each axis."""
         self._config, self._drives, self._cycle = config, drives, cycle
-        self._limits = [d.protection.torque_lowered for d in drives]
+        self._counts = [abs(count) for count, _ in units]
         self._torque = [abs(torque) for _, torque in units]
-        self._still = tolerances(config, [count for count, _ in units], STILL_SHARE)
-        self._start: list[float | None] = [None] * len(drives)
-        self._seen = [0] * len(drives)
-        self._stood: list[tuple[float, float] | None] = [None] * len(drives)
-        """Instant and place from which each axis has stood below its limit."""
-        self._given: dict[int, tuple[float, int]] = {}
+        self._axes = {
+            i: _Axis(*d.protection.torque_lowered)
+            for i, d in enumerate(drives)
+            if d.protection.torque_lowered is not None and config.axes[i].inertia is not None
+        }
+
+    @property
+    def probing(self) -> set[int]:
+        """Axes that are being looked at."""
+        return {i for i, a in self._axes.items() if a.rows or a.before is not None}
 
     def look(self, sample: Sample, doubted: Sequence[bool]) -> None:
-        """Give an axis that yields at its limit more, up to what was found; ``doubted``: may be loaded."""
-        for i, limit in enumerate(self._limits):
-            if limit is None or not doubted[i] or not sample.fresh[i]:
+        """One cycle; ``doubted``: axes that may be loaded and were not seen to be held."""
+        for i, axis in list(self._axes.items()):
+            if axis.held is not None:
+                self._report(i, axis, sample)
                 continue
-            held = self._cycle.modes[i] is Mode.HOLD and not self._cycle.changing
-            wrote, found = limit
-            start = self._start[i]
-            if self._is_held(i, sample, held, wrote * self._torque[i]):
-                self._limits[i] = None
+            held = self._cycle.modes[i] is Mode.HOLD and doubted[i]
+            if not held or not sample.fresh[i] or state_of(sample.status[i]) != DriveState.OPERATION_ENABLED:
+                axis.rows.clear()
                 continue
-            if start is None or not held or abs(sample.torque[i]) < AT_LIMIT * wrote * self._torque[i]:
-                self._start[i], self._seen[i] = sample.position[i], 0
-                self._report(i, sample)
-                continue
-            self._seen[i] += 1
-            if self._seen[i] < SAMPLES or wrote >= found or abs(sample.position[i] - start) < self._still[i]:
-                self._report(i, sample)
-                continue
-            self._given.setdefault(i, (sample.time, wrote))
-            self._limits[i] = min(STEP * wrote, found), found
-            self._start[i], self._seen[i] = sample.position[i], 0
-            self._write(i, wrote, min(STEP * wrote, found))
+            share = abs(sample.torque[i]) / (axis.wrote * self._torque[i])
+            if axis.before is None:
+                self._at_limit(i, axis, sample, share)
+            else:
+                self._at_half(i, axis, sample, share)
 
-    def _is_held(self, axis: int, sample: Sample, held: bool, limit: float) -> bool:
-        """Whether its drive has been seen to hold it within the limit."""
-        enabled = state_of(sample.status[axis]) is DriveState.OPERATION_ENABLED
-        if not held or not enabled or abs(sample.torque[axis]) >= AT_LIMIT * limit:
-            self._stood[axis] = None
-            return False
-        stood, place = self._stood[axis], sample.position[axis]
-        if stood is None or abs(place - stood[1]) >= self._still[axis]:
-            self._stood[axis] = sample.time, place
-            return False
-        carries = abs(sample.torque[axis]) > CARRIES * limit
-        return sample.time - stood[0] >= (CARRIED_S if carries else HELD_S)
-
-    def _write(self, axis: int, before: int, value: int) -> None:
-        drive = self._drives[axis]
-        was, is_now = MAX_TORQUE.pack(before).hex(), MAX_TORQUE.pack(value).hex()
-        address = (drive.node_id, drive.serial, MAX_TORQUE.index, MAX_TORQUE.sub)
-        drive.journal.add(Entry(*address, was, is_now))
-        self._cycle.set_object(axis, MAX_TORQUE, value)
-
-    def _report(self, axis: int, sample: Sample) -> None:
-        """Once the drive holds: a stop before that would be made with a limit that drops the axis."""
-        limit = self._limits[axis]
-        if axis not in self._given or limit is None or sample.time - self._given[axis][0] < SURE_S:
+    def _at_limit(self, i: int, axis: _Axis, sample: Sample, share: float) -> None:
+        if share < AT_LIMIT:
+            axis.rows.clear()
             return
-        _, first = self._given.pop(axis)
-        self._limits[axis] = None
-        name = self._config.axes[axis].name
+        axis.rows.append((sample.time, sample.position[i]))
+        if not _is_long(axis.rows):
+            return
+        away = axis.rows[-1][1] - axis.rows[0][1]
+        if away * sample.torque[i] >= 0 or abs(away) < SAMPLES * self._counts[i]:
+            axis.rows.pop(0)
+            return
+        axis.before, axis.since = math.copysign(1.0, away) * _acceleration(axis.rows), sample.time
+        axis.rows.clear()
+        self._write(i, axis.wrote, max(1, axis.wrote // 2))
+
+    def _at_half(self, i: int, axis: _Axis, sample: Sample, share: float) -> None:
+        if sample.time - axis.since > PROBE_S:
+            del self._axes[i]  # it stays at half: nothing is known of what drives it
+        elif share <= HALVED:
+            axis.rows.append((sample.time, sample.position[i]))
+        if not _is_long(axis.rows) or i not in self._axes or axis.before is None:
+            return
+        inertia = self._config.axes[i].inertia or 0.0
+        span = axis.rows[-1][0] - axis.rows[0][0]
+        noise = self._counts[i] / math.sqrt(12) * math.sqrt(2 * 720 / len(axis.rows)) / span**2
+        away = math.copysign(1.0, axis.rows[-1][1] - axis.rows[0][1])
+        faster = away * _acceleration(axis.rows) - axis.before
+        limit = self._config.axes[i].limits.torque
+        if faster < -DECISIVE * noise:
+            del self._axes[i]  # a sign is wrong: with less torque it does less harm
+        elif faster > DECISIVE * noise:
+            # what the config allows, by the scale of its motion; never less than was written by its own
+            allowed = max(axis.wrote, math.floor(axis.wrote * limit / (2 * faster * inertia)))
+            axis.held, axis.since = min(axis.found, allowed), sample.time
+            self._write(i, axis.wrote // 2, axis.held)
+
+    def _write(self, i: int, before: int, value: int) -> None:
+        drive = self._drives[i]
+        was, is_now = MAX_TORQUE.pack(before).hex(), MAX_TORQUE.pack(value).hex()
+        drive.journal.note(Entry(drive.node_id, drive.serial, MAX_TORQUE.index, MAX_TORQUE.sub, was, is_now))
+        drive.link.gate.permit(drive.node_id, MAX_TORQUE, value)
+        self._cycle.set_object(i, MAX_TORQUE, value)
+
+    def _report(self, i: int, axis: _Axis, sample: Sample) -> None:
+        """Once the drive holds: a stop before that would be made with a limit that drops the axis."""
+        if sample.time - axis.since < SURE_S:
+            return
+        del self._axes[i]
+        name = self._config.axes[i].name
         text = (
-            f"axis {name}: its drive could not hold it within {first} ‰ of rated torque, as the config "
-            f"limits it; 0x6072 is {limit[0]} ‰ now, {limit[1]} ‰ was found. Compare 0x6076 with the motor's "
-            "plate, or raise the limit"
+            f"axis {name}: its drive could not hold it within {axis.wrote} ‰ of rated torque, as the config "
+            f"limits it, and by its inertia that is less than the limit; 0x6072 is {axis.held} ‰ now, "
+            f"{axis.found} ‰ was found. Compare 0x6076 with the motor's plate"
         )
         sample.events = [*sample.events, Event(Severity.DRIVE, text, name)]
+
+
+def _is_long(rows: Sequence[tuple[float, float]]) -> bool:
+    return len(rows) >= SAMPLES and rows[-1][0] - rows[0][0] >= LONG_S
+
+
+def _acceleration(rows: Sequence[tuple[float, float]]) -> float:
+    time, position = np.array(rows).T
+    return 2.0 * float(np.polyfit(time - time.mean(), position, 2)[0])

@@ -9,9 +9,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
-from invid.errors import DriveError
 from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402.access import Access
+from invid_drivers.cia402.failures import WriteRefused
 from invid_drivers.cia402.journal import Entry
 from invid_drivers.cia402.objects import Object
 from invid_drivers.cia402.states import is_energised, state_of
@@ -150,13 +150,10 @@ def _undo(drive: Access, group: Group) -> tuple[str, tuple[Entry, ...]]:
         for n, step in enumerate(group.undo):
             try:
                 drive.download(_object_of(step), bytes.fromhex(step.before))
-            except DriveError as error:
-                if "does not answer" in str(error):
-                    raise
+            except WriteRefused as error:
                 undone = set(map(id, group.undo[:n]))
                 rest = tuple(x for x in group.entries if id(x) not in undone)
-                # the sentence begins with axis and node, as the one it becomes part of
-                return f"{str(error).partition('): ')[2]}; restored at the next start", rest
+                return f"{error.said}; restored at the next start", rest
         return "", ()
     if group.culprit is None:
         return "", ()

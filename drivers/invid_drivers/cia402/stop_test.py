@@ -10,14 +10,17 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from invid.errors import BusError, DriveError, SafetyStop
+from invid.sweep.loads import LOAD_SHARE
 from invid.sweep.ports import Mode, Sample, Severity
+from invid_drivers.cia402 import objects as od
 from invid_drivers.cia402 import states
 from invid_drivers.cia402.hold_memory import HoldMemory
 from invid_drivers.cia402.holding import AxisHolding
 from invid_drivers.cia402.link import NMT_START
+from invid_drivers.cia402.mode_change import upload
 from invid_drivers.cia402.moving_cell import MovingCell
 from invid_drivers.cia402.standstill import Standstill, tolerances
-from invid_drivers.cia402.states import DriveState, OperationMode, state_of
+from invid_drivers.cia402.states import DriveState, OperationMode, is_energised, state_of
 
 HOLD_S = 0.4
 """Watched after a quick stop: longer than the ramp from rest, and than a drive takes to switch itself off."""
@@ -27,6 +30,10 @@ SETTLE_S = 2.0
 """What the axis did before has died away by then."""
 RESUME_S = 3.0
 """Longest way back to operation enabled."""
+SUPPORT_S, SUPPORTED_S = 30.0, 0.5
+"""Longest wait for a person to support a load that its drive let go; and how long it must rest on it."""
+LOOK_S = 0.005
+"""Between two looks at a drive whose master is silent."""
 ANSWER_S = 1.0
 """Waited for an answer that does not come, before the bus is called broken."""
 SILENCE_S = 0.2
@@ -47,10 +54,13 @@ class StopTest:
         holdings: Sequence[AxisHolding],
         memory: HoldMemory,
         cancelled: Callable[[], bool],
+        rated: Sequence[float],
     ) -> None:
+        """``rated`` torque of each axis [N·m or N]."""
         self._config, self._link, self._drives, self._cycle = cell.config, cell.link, cell.drives, cell.cycle
         self._holdings, self._memory = holdings, memory
         self._cell_exchange, self._cancelled = cell.exchange, cancelled
+        self._rated = rated
         self._zero = [0.0] * len(cell.drives)
         self._still = tolerances(cell.config, cell.resolution, STILL_SHARE)
 
@@ -148,6 +158,7 @@ class StopTest:
         silent = set(axes)
         while silent and sample.time < end + ANSWER_S:
             sample = self._exchange()
+            self._require_power(sample, axes, when)
             self._require_place(sample, axes, start, when)
             for i in silent.copy():
                 if sample.time < end or not sample.fresh[i]:
@@ -159,6 +170,32 @@ class StopTest:
         if silent:
             names = ", ".join(self._name(i) for i in sorted(silent))
             raise BusError(f"axis {names}: no answer for {ANSWER_S:g} s {when}, in the stop test")
+
+    def _require_power(self, sample: Sample, axes: Sequence[int], when: str) -> None:
+        """A drive that lets go is seen in the cycle in which it does, before its load has got anywhere."""
+        for i in axes:
+            state = state_of(sample.status[i])
+            if sample.fresh[i] and not is_energised(state):
+                self._catch(i)
+                self._lets_go(i, f"{when} its drive is in {state.words}")
+
+    def _catch(self, axis: int) -> None:
+        """Enabled again at once, where it stood, and held until the load is seen to be supported.
+
+        The sign of that is the torque that holds it falling to what an axis without load takes. Whoever does
+        not support it in time has a load that nothing holds.
+        """
+        self._note(axis, holds=False)
+        if not self._until_enabled([axis]):
+            return
+        sample = self._exchange()
+        end, since = sample.time + SUPPORT_S, None
+        while sample.time < end and (since is None or sample.time - since < SUPPORTED_S):
+            if abs(sample.torque[axis]) > LOAD_SHARE * self._rated[axis]:
+                since = None
+            elif since is None:
+                since = sample.time
+            sample = self._exchange()
 
     def _require_place(self, sample: Sample, axes: Sequence[int], start: Sequence[float], when: str) -> None:
         for i in axes:
@@ -179,7 +216,10 @@ class StopTest:
         link.beating = False
         watch = 3 * self._config.safety.heartbeat_s
         began = link.clock.now()
-        link.wait(1.5 * watch + SILENCE_S)
+        while link.clock.now() < began + 1.5 * watch + SILENCE_S and not self._lost(axes):
+            for i in axes:  # a question is no sign of life of a master
+                link.ask(self._drives[i].node_id, upload(od.STATUSWORD))
+            link.wait(LOOK_S)
         link.beating = True
         for peer in link.peers.values():
             for said, code in peer.emcy:
@@ -192,6 +232,12 @@ class StopTest:
         for drive in self._drives:
             link.nmt(NMT_START, drive.node_id)  # a drive may leave operational when its master is gone
         link.wait(0.005)
+        lost = self._lost(axes)
+        if lost:
+            self._cycle.restart_slots()
+            for i in lost:
+                self._catch(i)
+            self._lets_go(lost[0], f"without its master for {watch:.2g} s at most its drive switched off")
         for i in axes:  # asked before it is commanded anything: what it did by itself
             state = self._state_of(i)
             if state is not DriveState.QUICK_STOP_ACTIVE:
@@ -199,6 +245,11 @@ class StopTest:
             self._cycle.control[i] = states.QUICK_STOP
         self._cycle.restart_slots()
         self._watch(HOLD_S / 2, axes, start, "without its master")
+
+    def _lost(self, axes: Sequence[int]) -> list[int]:
+        """Axes whose drives were last seen without power."""
+        known = [self._link.gate.nodes[self._drives[i].node_id].state for i in axes]
+        return [i for i, s in zip(axes, known, strict=True) if s is not None and not is_energised(s)]
 
     def _state_of(self, axis: int) -> DriveState:
         """By SDO; BusError where no answer comes, which says nothing of its hold."""
@@ -240,7 +291,8 @@ class StopTest:
 
     def _hold_here(self, axes: Sequence[int]) -> None:
         for i in axes:
-            self._cycle.change(i, Mode.HOLD, OperationMode.CYCLIC_POSITION)
+            if self._holdings[i].has_position_mode:  # another carries nothing, and is without torque
+                self._cycle.change(i, Mode.HOLD, OperationMode.CYCLIC_POSITION)
         while self._cycle.changing:
             self._exchange()
 

@@ -37,6 +37,7 @@ def find_powered(drives: Sequence[Drive], memory: HoldMemory) -> tuple[dict[str,
     for drive in drives:
         state, seen = state_before_nmt(drive), memory.of_node(drive.node_id)
         drive.left_alone = seen is not None and bool(seen.suspect)
+        drive.link.gate.nodes[drive.node_id].left_alone = drive.left_alone
         if state is None:
             silent.append(drive)
         elif drive.left_alone or is_energised(state):

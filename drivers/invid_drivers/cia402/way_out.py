@@ -62,7 +62,7 @@ class WayOut:
         self._drives = cell.drives
         self._cycle = cell.cycle
         self._exchange = cell.exchange
-        self._stays = list(stays)
+        self._stays, self._resolution, self._permitted = list(stays), cell.resolution, cell.permitted
         self._doubted, self._weigh = tuple(doubted), weigh
         self._standstill = Standstill(tolerances(cell.config, cell.resolution, STILL_SHARE))
         self._given_up: set[int] = set()
@@ -76,7 +76,7 @@ class WayOut:
         self._cycle.leaving = True
         with contextlib.suppress(Exception):
             self._cycle.control[:] = [states.QUICK_STOP] * len(self._drives)
-            guard = RunawayGuard(self._config, self._stays)
+            guard = RunawayGuard(self._config, self._stays, self._resolution, self._permitted)
             self._drive_to(self._quick_stop_s, lambda s: self._cut_runaways(guard, s) or self._at_rest(s))
         with contextlib.suppress(Exception):
             self._weigh_doubted()
@@ -192,14 +192,10 @@ class WayOut:
     def _drive_to(self, seconds: float, reached: Callable[[Sample], bool]) -> None:
         zero = [0.0] * len(self._drives)
         end = self._link.clock.now() + seconds
-        missing = 0
         while self._link.clock.now() < end:
             try:
                 sample = self._exchange(zero)
-            except BusError:
-                missing += 1
-                if missing > 3:
-                    raise
+            except BusError:  # a queue that is full has room again
                 self._link.wait(self._config.bus.cycle_s)
                 continue
             if reached(sample):

@@ -16,14 +16,13 @@ from invid.planning import make_plan
 from invid.planning.hold_laws import master_hold
 from invid_drivers.cli.measure import budget_lines, plan_text
 from invid_drivers.connect import connect, is_virtual
-from invid_drivers.round_trip import probe, require
-from invid_drivers.stopping_budgets import Budgeted, plan_within
+from invid_drivers.readiness import Prepared, prepare
 from invid_drivers.timing import timing_of
 
 IN_TIME = "the way that the axis needs to come to rest"
 
 
-def preflight(config: CellConfig, cleared: Sequence[str] = ()) -> tuple[Budgeted, dict[str, Any]]:
+def preflight(config: CellConfig, cleared: Sequence[str] = ()) -> tuple[Prepared, dict[str, Any]]:
     """Config, holds, plan, bus budget, every drive's capabilities, safety objects and limits.
 
     ``cleared``: axes at which an earlier run ended and of which a person has found the cause.
@@ -36,22 +35,17 @@ def preflight(config: CellConfig, cleared: Sequence[str] = ()) -> tuple[Budgeted
     """
     for axis in config.axes:
         master_hold(axis, config.bus.cycle_s)
-    plan = make_plan(config)  # refused before a bus is opened
+    make_plan(config)  # refused before a bus is opened
     cell = connect(config)
     try:
         cell.clear(cleared)
-        reports = cell.check()
-        found = None if is_virtual(config) else probe(cell.link, config, plan)
+        within = prepare(cell, config, probes=not is_virtual(config))
     finally:
         complaints = cell.close()
-    reasons = cell.not_ready
-    within = plan_within(config, reports)
+    reports, reasons, found = cell.reports, cell.not_ready, within.round_trip
     plan, tighter = within.plan, within.config
-    warnings = [*plan.warnings, *complaints, *cell.notes, *within.said]
     timing = timing_of(config)
-    warnings += timing.warnings(plan)
-    if found is not None:
-        warnings += require(found, config)
+    warnings = [*plan.warnings, *complaints, *cell.notes, *within.said, *timing.warnings(plan)]
     for r in reports:
         warnings += r.warnings
     return within, {
@@ -91,7 +85,7 @@ def preflight(config: CellConfig, cleared: Sequence[str] = ()) -> tuple[Budgeted
     }
 
 
-def _text(config: CellConfig, within: Budgeted, document: dict[str, Any]) -> str:
+def _text(config: CellConfig, within: Prepared, document: dict[str, Any]) -> str:
     plan = within.plan
     bus = document["bus"]
     ready = "ready" if document["ready"] else "NOT READY"

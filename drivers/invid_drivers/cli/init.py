@@ -38,7 +38,7 @@ def quiet_link(bus: can.BusABC) -> Link:
     """A link that has listened before it sends anything; BusError where another master is on the bus."""
     link = Link(bus, heartbeat_s=0.1)
     link.listen()
-    link.refuse_others("nothing was sent")
+    link.refuse_others()
     return link
 
 
@@ -56,6 +56,15 @@ def ask_all(link: Link, *, first: int = 1, last: int = 127) -> list[Found]:
                 return 0
             except SdoError:
                 return None
+
+        def has(what: Object, client: object = client) -> bool:
+            try:
+                client.upload(what.index, what.sub)  # type: ignore[attr-defined]
+            except SdoAbortedError:
+                return False
+            except SdoError:
+                return True  # no answer says nothing
+            return True
 
         def name(client: object = client) -> str:
             try:
@@ -79,6 +88,7 @@ def ask_all(link: Link, *, first: int = 1, last: int = 127) -> list[Found]:
                 name=name(),
                 increments=read(od.ENCODER_INCREMENTS) or 0,
                 revolutions=read(od.ENCODER_REVOLUTIONS) or 0,
+                watches=has(od.CONSUMER_HEARTBEAT),
             )
         )
     return found

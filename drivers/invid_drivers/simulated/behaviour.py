@@ -26,6 +26,10 @@ class Behaviour:
     """From 0x6060 to the new mode acting; the old one acts meanwhile."""
     mode_display_ns: int = 0
     """From the mode acting to 0x6061 showing it."""
+    mode_shown_enabled: bool = False
+    """Whether 0x6061 is 0 until the drive is enabled."""
+    mode_from_switched_on: bool = False
+    """Whether 0x6060 is only taken in switched on and above."""
     sync_timeout_ns: int = 0
     """Longest gap between two SYNCs in a cyclic mode before error 0x8700; 0: any."""
     ramp_counts: float = 1.0

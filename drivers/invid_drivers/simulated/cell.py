@@ -170,6 +170,8 @@ class SimulatedCell:
                 enable_ns=round(settings.enable_s * _NS),
                 mode_change_ns=round(settings.mode_change_s * _NS),
                 mode_display_ns=round(settings.mode_display_s * _NS),
+                mode_shown_enabled=settings.mode_shown_enabled,
+                mode_from_switched_on=settings.mode_from_switched_on,
                 sync_timeout_ns=round(settings.sync_timeout_s * _NS),
                 ramp_counts=ramp_counts,
                 own_ramp=ramps[1],

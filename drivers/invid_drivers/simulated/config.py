@@ -180,6 +180,10 @@ class AxisSimulation(Strict):
     """From 0x6060 to the mode acting."""
     mode_display_s: float = Field(default=0.0, ge=0, le=10)
     """From the mode acting to 0x6061 showing it."""
+    mode_shown_enabled: bool = False
+    """0x6061 is 0 until the drive is enabled."""
+    mode_from_switched_on: bool = False
+    """0x6060 is refused below switched on."""
     objects: ObjectsConfig = ObjectsConfig()
 
 

@@ -22,6 +22,7 @@ from invid_drivers.simulated.state_machine import Command, State, command_of, tr
 PROFILE_TORQUE, CYCLIC_POSITION, CYCLIC_TORQUE = 4, 8, 10
 _MODE_BITS = {PROFILE_TORQUE: 1 << 3, CYCLIC_POSITION: 1 << 7, CYCLIC_TORQUE: 1 << 9}
 _ENERGISED = (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE)
+_MODE_STATES = (*_ENERGISED, State.SWITCHED_ON)
 
 _UNLIMITED = 0xFFFF
 """Thousandths: twice what 0x6071 can ask for."""
@@ -127,8 +128,15 @@ class Drive:
         self._enter(State.SWITCH_ON_DISABLED)
 
     def _check_mode(self, value: int) -> None:
-        if value and not self.node.od.number(0x6502) & _MODE_BITS.get(value, 0):
+        if value and not self._modes & _MODE_BITS.get(value, 0):
             raise SdoAbort(SdoAbort.RANGE)
+        if self._behaviour.mode_from_switched_on and self.state not in _MODE_STATES:
+            raise SdoAbort(SdoAbort.STATE)
+
+    @property
+    def _modes(self) -> int:
+        """0x6502; a drive that lacks it has its modes all the same."""
+        return self.node.od.number(0x6502, missing=sum(_MODE_BITS.values()))
 
     def _enter(self, state: State) -> None:
         self._steady = False
@@ -244,7 +252,7 @@ class Drive:
             self._wanted_mode, self._mode_due_ns = wanted, now_ns + self._behaviour.mode_change_ns
         if wanted != self.mode and now_ns >= self._mode_due_ns:
             self._steady = False
-            if wanted == 0 or self.node.od.number(0x6502) & _MODE_BITS.get(wanted, 0):
+            if wanted == 0 or self._modes & _MODE_BITS.get(wanted, 0):
                 self.mode = wanted
                 self._shown_due_ns = now_ns + self._behaviour.mode_display_ns
                 self._target_counts = None
@@ -469,4 +477,6 @@ class Drive:
             elif self.mode == PROFILE_TORQUE and self._demand == self._e_target_torque.value:
                 word |= 0x400
         self._e_statusword.value = word if self.statusword_lie is None else self.statusword_lie
-        self._e_display.value = self._shown_mode if self.mode_lie is None else self.mode_lie
+        blank = self._behaviour.mode_shown_enabled and state not in _ENERGISED
+        shown = 0 if blank else self._shown_mode
+        self._e_display.value = shown if self.mode_lie is None else self.mode_lie

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from invid_drivers.simulated.object_dictionary import Entry, ObjectDictionary, SdoAbort
 
-INVALID = 0x80000000
+INVALID, NO_RTR = 0x80000000, 0x40000000
 
 
 class ReceivePdo:
@@ -120,6 +120,8 @@ class _ConfigurationGuard:
         if not value & INVALID:
             if self._is_valid() and (value ^ int(cob.value)) & 0x3FFFFFFF:
                 raise SdoAbort(SdoAbort.RANGE)
+            if int(cob.value) & NO_RTR and not value & NO_RTR:
+                raise SdoAbort(SdoAbort.RANGE)  # it answers no remote requests, and says so
             if value & 0x20000000 or not 0x80 < value & 0x7FF < 0x700:
                 raise SdoAbort(SdoAbort.RANGE)
             mapped_entries(self.od, self.mapping, self.way)

@@ -7,13 +7,13 @@ are searched in what that leaves. At the end the parts of the friction that are 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
-from invid.diagnosis.candidates import REACH, screen_candidates
+from invid.diagnosis.candidates import REACH, is_smaller_model, screen_candidates
 from invid.diagnosis.evidence import (
     CandidateEvidence,
     Step,
@@ -31,7 +31,7 @@ from invid.effects.laws.joint import JointFriction
 from invid.effects.laws.sign import DryLaw
 from invid.effects.registry import BY_CAUSE
 from invid.likelihood.evaluation import evaluate
-from invid.likelihood.joint_fit import JointFit, fit, reorder_effects
+from invid.likelihood.joint_fit import JointFit, evaluate_held_out, fit, reorder_effects
 from invid.likelihood.null_test import null_test
 from invid.likelihood.placed_effect import Candidate, PlacedEffect
 from invid.model.place import Place
@@ -45,6 +45,9 @@ MOST_FITS = 3
 """Most candidates of a screen that are fitted (empirical)."""
 NEAR_BEST = 0.5
 """Share of the best one's gain from which a candidate is fitted (empirical)."""
+TIME_TO_FIND = 0.75
+"""Share of the time for causes; the rest is for their parts, and for what they may be mistaken for
+(empirical)."""
 OTHER_FRICTION = ("presliding_friction",)
 """Friction of a motor that the joint's law replaces."""
 TIMING = ("torque_delay", "torque_lag")
@@ -68,16 +71,41 @@ def search_beside_friction(
     if null is None:
         return None
     found = SearchState(null, ())
+    tell_causes(null)
     cut = False
     try:
-        while null_test(found.trial.fit.cost, found.trial.fit.dof, train).rejects:
-            more = _add_cause(found, train, held, linear_axes)
-            if more is None:
-                break
-            found = more
+        with budget.use_share(TIME_TO_FIND, 0.1, 0.7):
+            while null_test(found.trial.fit.cost, found.trial.fit.dof, train).rejects:
+                more = _add_cause(found, train, held, linear_axes)
+                if more is None:
+                    break
+                found = more
+                tell_causes(found.trial)
     except budget.BudgetSpent:
+        budget.leave_out(f"causes beside {len(found.steps)} found and the friction of every motor")
         cut = True
-    return replace(_name_friction(base, null, found, train, held, linear_axes), is_cut_short=cut)
+    named = _name_friction(base, null, found, train, held, linear_axes)
+    return replace(named, is_cut_short=cut or named.is_cut_short)
+
+
+def tell_causes(found: CandidateEvidence) -> None:
+    """Report the causes of a fit while the search goes on."""
+    axes = found.fit.layout.structure.axes
+    budget.tell_found(
+        [
+            " ".join(
+                word
+                for word in (
+                    "friction" if t.effect is LAW else t.effect.cause.replace("_", " "),
+                    axes[t.place.axis],
+                    None if t.place.other < 0 else axes[t.place.other],
+                    t.place.element,
+                )
+                if word
+            )
+            for t in found.fit.candidate.terms
+        ]
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +135,7 @@ def _fit_with_friction(
         (shape,) = LAW.grid(base.fit.evaluation.views, place)
         candidate = candidate.plus(PlacedEffect(LAW, place), np.array([dry, wet, 0.0, 0.0, 0.0, 0.0, *shape]))
     starts = [p for p in (start, base.fit.p) if p.size == base.fit.p.size]
-    return evidence_if_finite(partial(fit, base.fit.layout, train, starts[0], candidate, iterations=60), held)
+    return _finished(partial(fit, base.fit.layout, train, starts[0], candidate, iterations=60), held)
 
 
 def _add_cause(
@@ -124,13 +152,15 @@ def _add_cause(
     ]
     scores = screen_candidates(Screen(here), terms)
     least_gain = chi2_isf(SIGNIFICANCE / len(terms), 1) * min(here.dispersion, 1.0)
+    # No refit of what could not be accepted at three times its prediction.
+    least_gain = max(least_gain, SHARE * (here.cost - here.dof))
     scores = [s for s in scores if REACH * s.gain >= least_gain]
     trials = []
     for score in scores[:MOST_FITS]:
         if score.gain < NEAR_BEST * scores[0].gain:
             continue
         trial = _refit_score(here, score, train, held)
-        if trial is not None and not is_at_bound(trial.fit):
+        if trial is not None and not is_at_bound(trial.fit) and not is_smaller_model(trial):
             trials.append(trial)
     if not trials:
         return None
@@ -238,21 +268,24 @@ def _name_friction(
     for k in rest:
         candidate = candidate.plus(final.fit.candidate.terms[k], final.fit.candidate.x[k])
     layout = final.fit.layout
-    whole = evidence_if_finite(partial(fit, layout, train, final.fit.p, candidate, iterations=30), held)
+    whole = _finished(partial(fit, layout, train, final.fit.p, candidate, iterations=30), held)
     if whole is None:
         return Selection(base, base)
     all_steps = [*[Step(base, null, ((null, null.cost),)) for _ in friction], *steps]
     while all_steps:
-        sizes = [_wald_ratio(whole.fit, known + n) for n in range(len(all_steps))]
-        weakest = int(np.argmin(sizes))
-        if sizes[weakest] > 1.0:
+        sizes = np.array([_wald_ratio(whole.fit, known + n) for n in range(len(all_steps))])
+        # One after the other, for each is judged beside the others; all at once where time is spent.
+        weak = np.flatnonzero(sizes <= 1.0) if budget.is_spent() else np.array([int(np.argmin(sizes))])
+        weak = weak[sizes[weak] <= 1.0]
+        if not weak.size:
             break
-        fewer = whole.fit.candidate.without(known + weakest)
-        other = evidence_if_finite(partial(fit, layout, train, whole.fit.p, fewer, iterations=20), held)
+        kept = [n for n in range(len(all_steps)) if n not in weak]
+        fewer = whole.fit.candidate.only([*range(known), *(known + n for n in kept)])
+        other = _finished(partial(fit, layout, train, whole.fit.p, fewer, iterations=20), held)
         if other is None:
             break
-        whole, all_steps = other, [*all_steps[:weakest], *all_steps[weakest + 1 :]]
-    out = []
+        whole, all_steps = other, [all_steps[n] for n in kept]
+    out, cut = [], False
     for n, step in enumerate(all_steps):
         if step.chosen is null:
             own = _move_to_end(whole, known + n)
@@ -260,9 +293,24 @@ def _name_friction(
         elif step.chosen.term.effect.family == "position" and step.chosen.term.place.kind == "mass":
             out.append(step)  # a weight or a ripple is read from its own motor's motion
         else:
-            whole, step = _exchange_cause(whole, known + n, step, train, held, linear_axes)
+            try:
+                whole, step = _exchange_cause(whole, known + n, step, train, held, linear_axes)
+            except budget.BudgetSpent:
+                cut = True
             out.append(step)
-    return Selection(base, whole, tuple(out))
+    if cut:
+        budget.leave_out("what the causes found may be mistaken for")
+    return Selection(base, whole, tuple(out), is_cut_short=cut)
+
+
+def _finished(run: Callable[[], JointFit], held: Sequence[SpectralRecord]) -> CandidateEvidence | None:
+    """What ``run`` fits, with its held-out records, however little time is left: what was found is said."""
+    with np.errstate(all="ignore"):
+        try:
+            found = run()
+        except np.linalg.LinAlgError:
+            return None
+    return CandidateEvidence(found, evaluate_held_out(found, held)) if np.isfinite(found.cost) else None
 
 
 def _move_to_end(trial: CandidateEvidence, at: int) -> CandidateEvidence:
@@ -285,8 +333,7 @@ def _exchange_cause(
 
     It was chosen while some of the others were missing.
     """
-    if budget.is_spent():
-        return whole, step
+    budget.check()
     own, here = _move_to_end(whole, at), whole.fit
     run = partial(fit, here.layout, train, here.p, here.candidate.without(at), iterations=10, quick=True)
     rest = evidence_if_finite(run, held)
@@ -304,7 +351,8 @@ def _exchange_cause(
     ]
     scores = [s for s in screen_candidates(Screen(rest.fit), terms) if s.gain > NEAR_BEST * lost_chi2]
     trials = [_refit_score(rest.fit, s, train, held) for s in scores[:MOST_FITS]]
-    fits = [own, *(t for t in trials if t is not None and not is_at_bound(t.fit))]
+    possible = [t for t in trials if t is not None and not is_at_bound(t.fit) and not is_smaller_model(t)]
+    fits = [own, *possible]
     least, rows = min(t.fit.dispersion for t in fits), here.dof
     ranked = sorted(
         ((t, t.fit.cost / least + schwarz_penalty(t, rows)) for t in fits),

@@ -39,6 +39,7 @@ class Cogging(ForceEffect):
     lower, upper = (-np.inf,) * 2, (np.inf,) * 2
     shapes, logarithmic = ("cycles_per_rev",), (True,)
     main = "torque"
+    of_motor_motion = True
 
     def places(self, structure: ChainStructure) -> list[Place]:
         return motor_places(structure)

@@ -40,6 +40,7 @@ class Gravity(ForceEffect):
     lower, upper = (-np.inf,) * 2, (np.inf,) * 2
     rotary = True
     main = "torque"
+    of_motor_motion = True
 
     def places(self, structure: ChainStructure) -> list[Place]:
         # A motor that carries weight itself (a counterweight, a pulley) before its springs.

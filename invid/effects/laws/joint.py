@@ -36,6 +36,7 @@ class JointFriction(ForceEffect):
     lower, upper = (0.0, 0.0, 0.0, -np.inf, -np.inf, -np.inf), (np.inf,) * 6
     shapes, logarithmic = ("velocity", "width"), (True, True)
     smeared = True
+    of_motor_motion = True
 
     def grid(self, views: Sequence[View], place: Place) -> list[tuple[float, ...]]:
         size = _rms_speed(views, place)
@@ -51,9 +52,7 @@ class JointFriction(ForceEffect):
         v = view.velocity(place.pattern(view.structure))
         slow, width = float(np.exp(shape[0])), float(np.exp(shape[1]))
         soft = max(sign_threshold(v, float(view.record.velocity_noise[place.axis])), width)
-        out: Float64 = view.cached(
-            ("joint", place, soft, slow), lambda: _mean_parts(np.ascontiguousarray(v), soft, slow)
-        )
+        out: Float64 = _mean_parts(np.ascontiguousarray(v), soft, slow)
         return out
 
 

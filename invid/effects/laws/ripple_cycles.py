@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.fft import next_fast_len
+import scipy
 
 from invid.effects.motion import View, rms
 from invid.model.place import Pattern
@@ -50,7 +50,7 @@ def ripples(views: Sequence[View], coordinate: Pattern, force: Pattern) -> list[
         return []
     width = max(2 * np.pi / (8.0 * top), span / BINS)
     bins = int(span / width) + 1
-    length = next_fast_len(4 * bins, real=True)
+    length = scipy.fft.next_fast_len(4 * bins, real=True)
     power = np.zeros(length // 2 + 1)
     for view, angle, remaining in readable:
         lines = view.distributed_force(force, remaining)

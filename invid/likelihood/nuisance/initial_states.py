@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy.optimize import minimize_scalar
+import scipy
 
 from invid.effects.motion import View
 from invid.likelihood.placed_effect import Candidate, contributions
@@ -56,7 +56,7 @@ def _best_start(
         known = min(START_GRID, key=lambda s: cost(contributions_at(s)))
         around = max(known - SEARCH_RADIUS, -1.0), min(known + SEARCH_RADIUS, 1.0)
         options = {"maxiter": MOST_TRIALS, "xatol": 0.1 * DIFFERENCE}
-        found = minimize_scalar(
+        found = scipy.optimize.minimize_scalar(
             lambda s: cost(contributions_at(s)), bounds=around, method="bounded", options=options
         )
         known = float(found.x)

@@ -61,7 +61,7 @@ def departures_router() -> APIRouter:
     one_at_a_time = asyncio.Semaphore(1)
 
     @router.get("/departures", response_model=Departures)
-    async def fleet_departures(
+    async def list_departures(
         service: Context,
         _caller: Reader,
         last: Annotated[int, Query(ge=2, le=200, description="Runs of each cell, the newest")] = 60,

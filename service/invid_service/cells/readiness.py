@@ -12,6 +12,7 @@ from typing import Literal
 from pydantic import BaseModel
 
 from invid.config import CellConfig
+from invid.errors import InvidError
 from invid.planning.build import axes_left_out, subset_sentence
 from invid_drivers.cia402.holding import Reason as CellReason
 from invid_service.jobs.live import LiveRun
@@ -35,6 +36,7 @@ class Reason(BaseModel):
         "axes_left_out",
         "axis_energised",
         "axis_suspect",
+        "check_refused",
     ]
     text: str
     fix: str
@@ -69,6 +71,8 @@ class Situation:
     """The axes to shake; ``None``: all."""
     drives: tuple[CellReason, ...] = ()
     """What ``invid check`` has against the drives."""
+    refusal: InvidError | None = None
+    """With what ``invid check`` and the run would refuse to plan."""
 
 
 class RecentAnswers:
@@ -152,6 +156,17 @@ def readiness(s: Situation) -> Readiness:
         )
     drives = () if s.mode == "simulate" else s.drives
     reasons += [_of_drive(d) for d in drives if not d.taken_over]
+    if s.refusal is not None:
+        text = s.refusal.reason or str(s.refusal)
+        reasons.append(
+            Reason(
+                code="check_refused",
+                text=text,
+                fix=s.refusal.way_out
+                or "change the config as it says; `invid check` tells whether it will do",
+                values={"text": str(s.refusal)},
+            )
+        )
     left_out = axes_left_out(s.config, s.axes)
     if left_out:
         reasons.append(

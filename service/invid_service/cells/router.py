@@ -158,7 +158,7 @@ def _later(service: Service, action: str, **facts: Any) -> None:
     responses={200: {"content": {"application/json": {"schema": {"type": "object"}}}}},
     response_class=JSONResponse,
 )
-async def accepted_model(cell: str, service: Context, _caller: Reader) -> JSONResponse:
+async def get_accepted_model(cell: str, service: Context, _caller: Reader) -> JSONResponse:
     """The model in force."""
     found = service.cell(cell)
     model = await asyncio.to_thread(service.results.in_force, found.id)
@@ -176,7 +176,7 @@ def _document(cell: Cell, model: StoredModel) -> JSONResponse:
 
 
 @router.get("/cells/{cell}/models", response_model=ModelList)
-async def models(cell: str, service: Context, _caller: Reader) -> ModelList:
+async def list_models(cell: str, service: Context, _caller: Reader) -> ModelList:
     """Every model identified on the cell, and the history of those in force."""
     found = service.cell(cell)
     stored = await asyncio.to_thread(service.store.models, found.id)
@@ -211,14 +211,14 @@ async def _stored_model(service: Service, cell: Cell, identity: str) -> StoredMo
     responses={200: {"content": {"application/json": {"schema": {"type": "object"}}}}},
     response_class=JSONResponse,
 )
-async def one_model(cell: str, model: str, service: Context, _caller: Reader) -> JSONResponse:
+async def get_model(cell: str, model: str, service: Context, _caller: Reader) -> JSONResponse:
     """One model of the cell, accepted or not."""
     found = service.cell(cell)
     return _document(found, await _stored_model(service, found, model))
 
 
 @router.post("/cells/{cell}/models/{model}/restore", response_model=ModelList)
-async def restore(cell: str, model: str, service: Context, caller: Accepter) -> ModelList:
+async def restore_model(cell: str, model: str, service: Context, caller: Accepter) -> ModelList:
     """Take an earlier model into force again; the history keeps both."""
     found = service.cell(cell)
     stored = await _stored_model(service, found, model)
@@ -235,7 +235,7 @@ async def restore(cell: str, model: str, service: Context, caller: Accepter) -> 
         await asyncio.to_thread(
             service.store.approve, found.id, stored.id, by=caller.name, how="restore", now=service.clock()
         )
-    return await models(cell, service, caller)
+    return await list_models(cell, service, caller)
 
 
 @router.get(
@@ -243,7 +243,7 @@ async def restore(cell: str, model: str, service: Context, caller: Accepter) -> 
     response_model=dict[str, Any],
     responses=problem_responses(409),
 )
-async def changes(
+async def get_changes(
     cell: str,
     service: Context,
     _caller: Reader,
@@ -289,7 +289,7 @@ async def changes(
 
 
 @router.get("/cells/{cell}/simulation", response_model=SimulationView, responses=problem_responses(409))
-async def simulation(cell: str, service: Context, _caller: Reader) -> SimulationView:
+async def get_simulation(cell: str, service: Context, _caller: Reader) -> SimulationView:
     """A simulated cell as it is now, with the truth to compare with."""
     # In a thread: the first use loads the simulated drives, and a stop must not wait for that.
     return await asyncio.to_thread(_simulation, _simulated(service, cell))

@@ -77,7 +77,7 @@ def sizes_of(model: Model) -> dict[str, Estimate]:
     response_model=Series,
     responses={200: {"content": {"text/csv": {"schema": {"type": "string"}}}}},
 )
-async def series(
+async def get_series(
     cell: str,
     service: Context,
     _caller: Reader,

@@ -1,10 +1,15 @@
-"""What every cell does, in one small answer from memory: a poll waits for no store and no drive."""
+"""What a cell does, in one small answer from memory: a poll waits for no store and no drive.
+
+``GET /cells/{cell}/state`` is small enough for a PLC's buffer; ``GET /state`` says more, of all cells at
+once, for the page.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import hashlib
 from datetime import datetime
+from typing import Any
 
 from fastapi import APIRouter, Request, Response
 from pydantic import BaseModel, Field
@@ -12,42 +17,53 @@ from pydantic import BaseModel, Field
 from invid_service.auth import Reader
 from invid_service.cells.registry import Cell
 from invid_service.context import Context
-from invid_service.jobs.states import OCCUPYING, State
-from invid_service.problems import EVERYWHERE
+from invid_service.jobs.schema import polling_headers
+from invid_service.jobs.states import IDLE, OCCUPYING, State
+from invid_service.problems import EVERYWHERE, RETRY_AFTER
 from invid_service.service import Service
 
 router = APIRouter(tags=["cells"], responses=EVERYWHERE)
 _GOING_ON = OCCUPYING | {State.AWAITING_ACCEPT}
+_PHASE = 60
+"""Characters of a phase: it may name an effect that somebody else wrote."""
 
 
-class CellState(BaseModel):
-    """One cell now."""
+class CellNow(BaseModel):
+    """The last measurement of a cell, in progress or ended, in less than 1 kB."""
 
     cell: str
-    name: str
-    simulated: bool
     state: str
+    """Of ``run``, as there; ``idle`` where the cell was never measured."""
+    run: str | None = None
+    since: datetime | None = None
+    """When it came into this state."""
+    phase: str = Field(default="", max_length=_PHASE)
+    progress: float = Field(default=0.0, ge=0, le=1)
+    eta_s: float | None = None
+    """As of the run [s]."""
+    motion_left_s: float | None = None
+    """As of the run [s]."""
+    error: str | None = None
+    """The code of why it ended early."""
+    grade: str | None = None
+    """Of its result: ``as_expected``, ``watch`` or ``act``."""
+    simulated: bool
+
+
+class CellState(CellNow):
+    """One cell now, as the page draws it."""
+
+    name: str
+    status: str
     """Of the run in progress, or ``awaiting_accept``; else ``ready``, ``not_ready`` (see readiness), or
     ``unknown`` while drives or store have not said."""
     moves: bool = False
     """A run has its drives enabled."""
-    run: str | None = None
-    """The last measurement that was started, in progress or ended."""
-    run_state: State | None = None
-    since: datetime | None = None
-    """When the run came into ``run_state``."""
-    progress: float = Field(default=0.0, ge=0, le=1)
-    phase: str | None = None
     axis: str | None = None
     frequency: float | None = None
     """[Hz]"""
     cause: str | None = None
-    eta_s: float | None = None
-    """As of the run [s]."""
-    motion_left_s: float | None = None
-    """Until the axes are at rest [s]."""
-    grade: str | None = None
-    """Of the run's result."""
+    """What the analysis weighs now."""
 
 
 class CellStates(BaseModel):
@@ -58,12 +74,28 @@ class CellStates(BaseModel):
 
 
 @router.get(
+    "/cells/{cell}/state",
+    response_model=CellNow,
+    responses={200: {"description": "As it is now", "headers": RETRY_AFTER}},
+)
+async def get_cell_state(cell: str, service: Context, _caller: Reader) -> Response:
+    """State of the cell's last measurement: which run, how far, since when. Less than 1 kB, made for a PLC
+    that asks every second.
+    """
+    found = service.cell(cell)
+    run = service.jobs.latest(found.id)
+    headers = {} if run is None else polling_headers(run.record)
+    body = CellNow(**_now(service, found)).model_dump_json()
+    return Response(body, media_type="application/json", headers=headers)
+
+
+@router.get(
     "/state",
     response_model=CellStates,
     responses={304: {"description": "Not changed since the ETag given in If-None-Match"}},
 )
 async def all_states(request: Request, service: Context, _caller: Reader) -> Response:
-    """What every cell does, made to be asked every second: 0.4 kB a cell, with an `ETag`."""
+    """What every cell does, made to be asked every second: 0.5 kB a cell, with an `ETag`."""
     cells = await asyncio.gather(*(state_of(service, cell) for cell in service.cells.values()))
     body = CellStates(cells=cells, simulated=any(c.simulated for c in cells)).model_dump_json()
     headers = {"ETag": f'"{hashlib.sha256(body.encode()).hexdigest()[:16]}"', "Cache-Control": "no-cache"}
@@ -75,20 +107,36 @@ async def all_states(request: Request, service: Context, _caller: Reader) -> Res
 async def state_of(service: Service, cell: Cell) -> CellState:
     """The cell now, from memory."""
     run = service.jobs.latest(cell.id)
+    now = {**_now(service, cell), "name": cell.config.robot}
     if run is not None and run.record.state in _GOING_ON:
-        state = str(run.record.state)
-    else:
-        can_start = await service.can_start.of(cell.id, lambda: service.readiness(cell))
-        state = "unknown" if can_start is None else "ready" if can_start else "not_ready"
-    common = {"cell": cell.id, "name": cell.config.robot, "simulated": cell.simulated, "state": state}
+        return CellState(
+            **now,
+            status=str(run.record.state),
+            moves=run.record.state is State.RUNNING,
+            axis=run.progress.axis,
+            frequency=run.progress.frequency,
+            cause=run.progress.cause,
+        )
+    can_start = await service.can_start.of(cell.id, lambda: service.readiness(cell))
+    return CellState(**now, status="unknown" if can_start is None else "ready" if can_start else "not_ready")
+
+
+def _now(service: Service, cell: Cell) -> dict[str, Any]:
+    """The members of ``CellNow``."""
+    run = service.jobs.latest(cell.id)
     if run is None:
-        return CellState(**common)
-    return CellState(
-        **common,
-        moves=run.record.state is State.RUNNING,
-        run=run.record.id,
-        run_state=run.record.state,
-        since=run.since,
-        grade=(run.record.facts.get("summary") or {}).get("grade"),
-        **run.progress.to_json(),
-    )
+        return {"cell": cell.id, "state": IDLE, "simulated": cell.simulated}
+    facts, progress = run.record.facts, run.progress
+    return {
+        "cell": cell.id,
+        "state": str(run.record.state),
+        "run": run.record.id,
+        "since": run.since,
+        "phase": progress.phase[:_PHASE],
+        "progress": progress.fraction,
+        "eta_s": None if progress.eta_s is None else round(progress.eta_s, 1),
+        "motion_left_s": None if progress.motion_left_s is None else round(progress.motion_left_s, 1),
+        "error": (facts.get("error") or {}).get("code"),
+        "grade": (facts.get("summary") or {}).get("grade"),
+        "simulated": cell.simulated,
+    }

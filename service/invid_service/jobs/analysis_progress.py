@@ -1,4 +1,4 @@
-"""How far an analysis is and how long it will take: by what it tells itself, and by what it took before."""
+"""How far an analysis is, by what it tells itself, and how long it will take, by what it took before."""
 
 from __future__ import annotations
 
@@ -18,10 +18,8 @@ STAGES = {
 }
 """Shares of the analysis. Empirical: the case study and cells of one to six axes (``bench_service.py``)."""
 EVERY_S = 1.0
-OVERDUE = 0.1
-"""What takes longer than it did before still takes a tenth of what it took so far."""
-UNKNOWN_S = 40.0
-"""Of the first run of a cell, until the analysis itself says more: the case study on two cores."""
+PACE_S = 40.0
+"""Over which the bar moves in a cell's first run: the case study on two cores. No time is promised by it."""
 
 Tell = Callable[..., None]
 
@@ -29,25 +27,26 @@ Tell = Callable[..., None]
 class AnalysisProgress:
     """Tells every second, and whenever the analysis says what it weighs, until closed.
 
+    Time left is by what the cell's last analyses took. What an analysis says of itself is none: its steps are
+    not alike, and most of its budget is never used. Where it is the first, or takes longer, no time is told.
+
     Parameters
     ----------
     tell
         Called with ``fraction``, ``phase`` and the keywords ``axis``, ``cause``, ``eta_s``, ``always`` (never
         to be left out).
     expected_s
-        What the analysis of such a run took before [s]; ``None``: it is the first.
+        What the analysis of such runs took before [s]; ``None``: it is the first.
     """
 
     def __init__(
         self, tell: Tell, expected_s: float | None, *, clock: Callable[[], float] = time.monotonic
     ) -> None:
         self._tell, self._clock = tell, clock
-        self._expected = expected_s or UNKNOWN_S
+        self._expected = expected_s
         self._began = clock()
         self._low, self._high = 0.0, 1.0
         self._share = 0.0
-        self._left: tuple[float, float] | None = None
-        """When the analysis said how long it still takes, and what it said."""
         self._phase, self._axis, self._cause = "", None, None
         self._lock = threading.Lock()
         self._over = threading.Event()
@@ -76,18 +75,17 @@ class AnalysisProgress:
         """The next stage."""
         with self._lock:
             self._low, self._high = STAGES[stage]
-            self._share, self._left = self._low, None
+            self._share = self._low
             self._phase, self._axis, self._cause = stage, None, None
         self.say(always=True)
 
     def weigh(self, progress: Any) -> None:
         """What identification and diagnosis say of themselves (``invid.numerics.budget.Progress``)."""
         with self._lock:
-            self._phase, self._axis, self._cause = str(progress), progress.axis, progress.cause
+            found = f" (found so far: {', '.join(progress.found)}; still looking)" if progress.found else ""
+            self._phase, self._axis, self._cause = f"{progress}{found}", progress.axis, progress.cause
             within = self._low + float(progress.fraction) * (self._high - self._low)
             self._share = max(self._share, within)
-            if progress.seconds_left is not None:
-                self._left = self._clock(), float(progress.seconds_left)
         self.say()
 
     def say(self, *, always: bool = False) -> None:
@@ -95,16 +93,9 @@ class AnalysisProgress:
         with self._lock:
             elapsed = self.elapsed_s
             # a stage that tells nothing moves on by the clock, up to its end
-            share = max(self._share, min(elapsed / max(self._expected, 1e-9), self._high))
-            eta = self._eta(elapsed)
+            share = max(self._share, min(elapsed / (self._expected or PACE_S), self._high))
+            left = None if self._expected is None else self._expected - elapsed
+            eta = None if left is None or left <= 0.0 else left
             phase, axis, cause = self._phase, self._axis, self._cause
         fraction = BEGINS + share * (ENDS - BEGINS)
         self._tell(fraction, phase, axis=axis, cause=cause, eta_s=eta, always=always)
-
-    def _eta(self, elapsed: float) -> float:
-        least = OVERDUE * elapsed
-        if self._left is None:
-            return max(self._expected - elapsed, least)
-        said, left = self._left
-        after = (1.0 - self._high) * self._expected
-        return max(left - (self._clock() - said), 0.0) + after

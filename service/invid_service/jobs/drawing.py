@@ -34,7 +34,7 @@ router = APIRouter(
         200: {"description": "SVG", "content": {"image/svg+xml": {"schema": {"type": "string"}}}},
     },
 )
-async def drawing(
+async def get_drawing(
     identification: str,
     service: Context,
     _caller: Reader,

@@ -49,7 +49,7 @@ def export_router() -> APIRouter:
             },
         },
     )
-    async def export(
+    async def export_model(
         identification: str,
         request: Request,
         service: Context,

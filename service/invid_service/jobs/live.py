@@ -25,6 +25,7 @@ class Progress:
     axis: str | None = None
     frequency: float | None = None
     eta_s: float | None = None
+    motion_left_s: float | None = None
     cause: str | None = None
     """What the analysis weighs."""
 
@@ -42,6 +43,7 @@ class Progress:
             "axis": self.axis,
             "frequency": self.frequency,
             "eta_s": self.eta_s,
+            "motion_left_s": self.motion_left_s,
             "cause": self.cause,
         }
 
@@ -95,9 +97,7 @@ class LiveRun:
             self.progress = Progress(1.0 if done else self.progress.fraction, str(state))
         else:
             # What belongs to the last state alone does not outlive it.
-            self.progress = replace(
-                self.progress, phase=str(state), eta_s=None, axis=None, frequency=None, cause=None
-            )
+            self.progress = Progress(self.progress.fraction, str(state))
         if state in ENDED:
             facts = {**self.record.facts, "progress": self.progress.fraction}
             self.record = replace(self.record, facts=facts)

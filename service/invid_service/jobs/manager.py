@@ -197,9 +197,10 @@ class JobManager:
     # --- the life of a run ---------------------------------------------------------------------
     async def _run(self, run: LiveRun, job: Job) -> None:
         guard = self._uploads if job.kind == "analyse" else contextlib.nullcontext()
+        kept = False
         try:
             async with guard:
-                await self._watch(run, job)
+                kept = await self._watch(run, job)
         except asyncio.CancelledError:
             raise
         except Exception:
@@ -207,13 +208,15 @@ class JobManager:
             await self._fail(run, "internal-error", "an error of the service", "the log says where")
         finally:
             run.motion_ended.set()
-            await asyncio.to_thread(self._results.clear, run.record.id)
+            if kept:  # else its folder waits for the next start of the service, which tries again
+                await asyncio.to_thread(self._results.clear, run.record.id)
             self._retire(run)
 
-    async def _watch(self, run: LiveRun, job: Job) -> None:
+    async def _watch(self, run: LiveRun, job: Job) -> bool:
+        """Whether all that it left is in the store."""
         if run.wish is not None:
             await self._finish_early(run)
-            return
+            return True
         await self._move(run, State.ANALYSING if job.kind == "analyse" else State.CHECKING)
         worker = await self._launch(job)
         run.worker = worker
@@ -232,7 +235,9 @@ class JobManager:
         finally:
             watchdog.cancel()
             worker.kill()
-        await self._conclude(run, job, verdict, status)
+        stored = await self._keep_results(run)
+        await self._conclude(run, job, verdict, status, stored or set())
+        return stored is not None
 
     async def _reap(self, run: LiveRun) -> int:
         worker = run.worker
@@ -263,6 +268,7 @@ class JobManager:
                         message.get("axis"),
                         message.get("frequency"),
                         message.get("eta_s"),
+                        message.get("motion_left_s"),
                         message.get("cause"),
                     )
                 )
@@ -310,8 +316,9 @@ class JobManager:
                     run.worker.kill()
                 return
 
-    async def _conclude(self, run: LiveRun, job: Job, verdict: dict[str, Any] | None, status: int) -> None:
-        stored = await self._keep_results(run)
+    async def _conclude(
+        self, run: LiveRun, job: Job, verdict: dict[str, Any] | None, status: int, stored: set[str]
+    ) -> None:
         self._note_stop(run, verdict)
         if run.wish is not None:
             await self._finish_early(run)
@@ -334,7 +341,7 @@ class JobManager:
                 run,
                 "store-unavailable",
                 "the results could not be stored",
-                "make room on the disk, run again",
+                "make room on the disk and start the service again: what was measured is kept; or run again",
             )
         else:
             await self._succeed(run, job, verdict.get("summary", {}))
@@ -350,12 +357,13 @@ class JobManager:
         if stopped is not None:
             run.record = replace(run.record, facts={**run.record.facts, "stopped": stopped})
 
-    async def _keep_results(self, run: LiveRun) -> set[str]:
+    async def _keep_results(self, run: LiveRun) -> set[str] | None:
+        """Kinds of files that are in the store now; ``None`` where it did not take them."""
         try:
             return await asyncio.to_thread(self._results.keep, run.record, self._clock())
         except (OSError, SQLAlchemyError) as error:
             log.error("run %s: results could not be stored: %s", run.record.id, error)
-            return set()
+            return None
 
     async def _succeed(self, run: LiveRun, job: Job, summary: dict[str, Any]) -> None:
         if run.record.cell is None or not job.acceptable:

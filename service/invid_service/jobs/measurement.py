@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from typing import Any
 
 from invid.config import CellConfig
@@ -11,9 +13,30 @@ from invid.planning import Plan
 from invid.planning.belief import from_model
 from invid_drivers.measurement import ask_drives, measure_to_file
 from invid_drivers.readiness import loads_to_support, support_sentence
+from invid_service.jobs.analysis_progress import BEGINS
 from invid_service.jobs.line import Line, plain
 from invid_service.jobs.protocol import Job
 from invid_service.jobs.response import ResponseWatch
+
+_SETTLED_S = 2.0
+"""Robot time after which the pace of the motion so far says how long the rest takes."""
+
+
+class Pace:
+    """Time left by the clock of what the plan has left: a simulated cell runs ahead, a busy one behind."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._first: tuple[float, float] | None = None
+
+    def left(self, planned_s: float) -> float:
+        """``planned_s`` is what the plan has left [s]; so much is left by the clock [s]."""
+        now = self._clock()
+        if self._first is None:
+            self._first = now, planned_s
+        began, whole = self._first
+        done = whole - planned_s
+        return planned_s * (now - began) / done if done > _SETTLED_S else planned_s
 
 
 def measure(job: Job, line: Line) -> dict[str, Any]:
@@ -41,9 +64,18 @@ def measure(job: Job, line: Line) -> dict[str, Any]:
     line.tell("running")
     target = job.folder / "recording.h5"
 
+    pace = Pace()
+
     def progress(p: Any) -> None:
+        left = pace.left(float(p.eta_s))
+        after = job.expected_analysis_s
         line.progress(
-            float(p.fraction) * 0.8, str(p.phase), axis=p.axis, frequency=p.frequency, eta_s=float(p.eta_s)
+            float(p.fraction) * BEGINS,
+            str(p.phase),
+            axis=p.axis,
+            frequency=p.frequency,
+            eta_s=None if after is None else left + after,
+            motion_left_s=left,
         )
 
     with ResponseWatch(target, lambda response: line.tell("response", response=response)):

@@ -21,6 +21,7 @@ from invid.model.doubts import DoubtCode
 from invid.model.named_change import NamedChange
 from invid_service.cells.changes import changes_view
 from invid_service.jobs.doubts import doubt_view, doubts_against
+from invid_service.jobs.leftovers import complete_recording
 from invid_service.settings import AutoAccept
 from invid_service.store.blobs import KINDS, Blobs
 from invid_service.store.store import RunRecord, Store, StoredModel
@@ -40,13 +41,14 @@ class Results:
         self._auto, self._unchanged = auto_accept, unchanged_percent
 
     def keep(self, run: RunRecord, now: datetime) -> set[str]:
-        """Move what the runner wrote into the store; kinds that are safe there."""
+        """Move what the runner wrote into the store; kinds that are safe there. Twice is no error."""
         folder = self._blobs.work / run.id
         blobs = {}
+        complete_recording(folder)
         for kind, (name, _media) in KINDS.items():
-            source = folder / name
-            if source.is_file() and source.stat().st_size > 0:
-                blobs[kind] = self._blobs.put(run.id, kind, source)
+            blob = self._blobs.put(run.id, kind, folder / name)
+            if blob is not None:
+                blobs[kind] = blob
         if blobs:
             self._store.add_artefacts(run.id, blobs, now)
         if run.cell is not None and "model" in blobs and "diagnosis" in blobs:
@@ -159,7 +161,9 @@ class Results:
         text = dump_json({**diagnosis_to_json(diagnosis), "simulated": run.simulated})
         source = self._blobs.scratch(run.id) / KINDS["diagnosis"][0]
         save_text(source, text)
-        self._store.add_artefacts(run.id, {"diagnosis": self._blobs.put(run.id, "diagnosis", source)}, now)
+        blob = self._blobs.put(run.id, "diagnosis", source)
+        if blob is not None:
+            self._store.add_artefacts(run.id, {"diagnosis": blob}, now)
 
     def may_auto_accept(self, summary: dict[str, Any]) -> bool:
         """True where the configured bounds allow acceptance without a person.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Annotated, Any
 from urllib.parse import urlencode
 
@@ -17,6 +18,7 @@ from invid_service.events import EventLog, sse
 from invid_service.jobs.doubts import why_untrusted
 from invid_service.jobs.live import LiveRun, WrongStateError
 from invid_service.jobs.schema import (
+    PARTS,
     RETRY_AFTER_S,
     ActionBody,
     Identification,
@@ -25,13 +27,14 @@ from invid_service.jobs.schema import (
     polling_headers,
     view,
 )
-from invid_service.jobs.start import start_identification
+from invid_service.jobs.start import begin_identification
 from invid_service.jobs.states import ENDED, State
 from invid_service.keys import Scope
 from invid_service.links import address
-from invid_service.problems import EVERYWHERE, Problem, problem_responses
+from invid_service.openapi import ACCEPTED
+from invid_service.problems import EVERYWHERE, RETRY_AFTER, Problem, problem_responses
 from invid_service.service import Service
-from invid_service.store.blobs import KINDS
+from invid_service.store.blobs import KINDS, Blob
 from invid_service.store.store import RunRecord
 
 router = APIRouter(tags=["identifications"], responses=EVERYWHERE)
@@ -41,9 +44,9 @@ router = APIRouter(tags=["identifications"], responses=EVERYWHERE)
     "/cells/{cell}/identifications",
     status_code=202,
     response_model=Identification,
-    responses=problem_responses(409, 507),
+    responses={**ACCEPTED, **problem_responses(409, 507)},
 )
-async def start(
+async def start_identification(
     cell: str,
     body: StartBody,
     request: Request,
@@ -58,7 +61,7 @@ async def start(
     The same ``Idempotency-Key`` with the same body answers with the run it started the first time.
     """
     caller = await Require(Scope.RUN)(request)
-    record = await start_identification(service, cell, body, caller.name, idempotency_key)
+    record = await begin_identification(service, cell, body, caller.name, idempotency_key)
     response.headers["Location"] = address("identifications", record.id)
     response.headers["Retry-After"] = str(RETRY_AFTER_S)
     return view(record, service.jobs.live(record.id))
@@ -110,7 +113,11 @@ def _in_utc(instant: datetime | None) -> datetime | None:
     return instant if instant is None or instant.tzinfo else instant.replace(tzinfo=UTC)
 
 
-@router.get("/identifications/{identification}", response_model=Identification)
+@router.get(
+    "/identifications/{identification}",
+    response_model=Identification,
+    responses={200: {"description": "As it is now", "headers": RETRY_AFTER}},
+)
 async def get_identification(identification: str, service: Context, _caller: Reader) -> Response:
     """State, progress, phase: plain polling is enough."""
     record, live = await service.run(identification)
@@ -119,12 +126,48 @@ async def get_identification(identification: str, service: Context, _caller: Rea
     return Response(content, media_type="application/json", headers=polling_headers(record))
 
 
+async def _part(service: Service, identification: str, name: str) -> dict[str, Any]:
+    """One of the large parts of a run, whole; Problem 404 where the run has none."""
+    record, _ = await service.run(identification)
+    found = PARTS[name](record.facts)
+    if found is None:
+        raise Problem(
+            "artefact-not-found",
+            f"identification {record.id} is {record.state} and has no {name}",
+            state=str(record.state),
+            simulated=record.simulated,
+        )
+    return {**found, "simulated": record.simulated}
+
+
+@router.get("/identifications/{identification}/plan", response_model=dict[str, Any])
+async def get_plan(identification: str, service: Context, _caller: Reader) -> dict[str, Any]:
+    """What was to move and how far; before and while it moves `plan` of the run has it, too."""
+    return await _part(service, identification, "plan")
+
+
+@router.get("/identifications/{identification}/measurement", response_model=dict[str, Any])
+async def get_measurement(identification: str, service: Context, _caller: Reader) -> dict[str, Any]:
+    """What was seen while it moved, the drives and what they lack, how late the SYNCs were."""
+    return await _part(service, identification, "measurement")
+
+
+@router.get("/identifications/{identification}/changes", response_model=dict[str, Any])
+async def get_changes_of_identification(
+    identification: str, service: Context, _caller: Reader
+) -> dict[str, Any]:
+    """The result against the model that was in force then: every parameter, changed or not."""
+    return await _part(service, identification, "changes")
+
+
 @router.post(
     "/identifications/{identification}/actions",
     response_model=Identification,
     responses=problem_responses(409, 507),
 )
-async def act(identification: str, body: ActionBody, request: Request, service: Context) -> Identification:
+async def act_on_identification(
+    identification: str, body: ActionBody, request: Request, service: Context
+) -> Identification:
     """Arm, cancel, accept or reject. Repeating what was already done is no error.
 
     A result that is not to be trusted (its ``untrusted`` says why) is accepted only with ``override``, a
@@ -203,7 +246,7 @@ async def _apply(
         }
     },
 )
-async def events(
+async def follow_identification(
     identification: str,
     service: Context,
     _caller: Reader,
@@ -254,9 +297,12 @@ def _file_responses(media: str) -> dict[int | str, dict[str, Any]]:
     }
 
 
-async def artefact(service: Service, identification: str, kind: str, request: Request) -> Response:
+async def stored_file(service: Service, record: RunRecord, kind: str) -> Path:
     """The stored file of a run; Problem 404 before it exists and 410 after its retention."""
-    record, _ = await service.run(identification)
+    return service.blobs.path((await _stored(service, record, kind)).path)
+
+
+async def _stored(service: Service, record: RunRecord, kind: str) -> Blob:
     blobs = await asyncio.to_thread(service.store.artefacts, record.id)
     if kind not in blobs:
         raise Problem(
@@ -268,9 +314,16 @@ async def artefact(service: Service, identification: str, kind: str, request: Re
     blob = blobs[kind]
     if blob is None:
         raise Problem("artefact-expired", f"the {kind} of {record.id} was deleted after its retention")
-    path = service.blobs.path(blob.path)
-    if not path.is_file():
+    if not service.blobs.path(blob.path).is_file():
         raise Problem("artefact-not-found", f"the {kind} of {record.id} is missing in the store")
+    return blob
+
+
+async def artefact(service: Service, identification: str, kind: str, request: Request) -> Response:
+    """The stored file of a run as an answer."""
+    record, _ = await service.run(identification)
+    blob = await _stored(service, record, kind)
+    path = service.blobs.path(blob.path)
     name, media = KINDS[kind]
     headers = {"ETag": f'"{blob.sha256}"', "Cache-Control": "private, max-age=3600"}
     if _has_already(request.headers.get("if-none-match", ""), headers["ETag"]):
@@ -289,7 +342,7 @@ async def artefact(service: Service, identification: str, kind: str, request: Re
     response_class=FileResponse,
     responses=_file_responses(KINDS["recording"][1]),
 )
-async def recording(identification: str, request: Request, service: Context, _caller: Reader) -> Response:
+async def get_recording(identification: str, request: Request, service: Context, _caller: Reader) -> Response:
     """The measured data, HDF5; also what was measured before a stop."""
     return await artefact(service, identification, "recording", request)
 
@@ -299,7 +352,9 @@ async def recording(identification: str, request: Request, service: Context, _ca
     response_class=FileResponse,
     responses=_file_responses("application/json"),
 )
-async def model(identification: str, request: Request, service: Context, _caller: Reader) -> Response:
+async def get_identified_model(
+    identification: str, request: Request, service: Context, _caller: Reader
+) -> Response:
     """The identified model, with its effects."""
     return await artefact(service, identification, "model", request)
 
@@ -309,7 +364,7 @@ async def model(identification: str, request: Request, service: Context, _caller
     response_class=FileResponse,
     responses=_file_responses("application/json"),
 )
-async def diagnosis(identification: str, request: Request, service: Context, _caller: Reader) -> Response:
+async def get_diagnosis(identification: str, request: Request, service: Context, _caller: Reader) -> Response:
     """What the simulation gets wrong."""
     return await artefact(service, identification, "diagnosis", request)
 
@@ -319,7 +374,7 @@ async def diagnosis(identification: str, request: Request, service: Context, _ca
     response_class=FileResponse,
     responses=_file_responses("text/html"),
 )
-async def report(identification: str, request: Request, service: Context, _caller: Reader) -> Response:
+async def get_report(identification: str, request: Request, service: Context, _caller: Reader) -> Response:
     """One self-contained HTML file."""
     return await artefact(service, identification, "report", request)
 
@@ -329,6 +384,6 @@ async def report(identification: str, request: Request, service: Context, _calle
     response_class=FileResponse,
     responses=_file_responses("application/json"),
 )
-async def plots(identification: str, request: Request, service: Context, _caller: Reader) -> Response:
+async def get_plots(identification: str, request: Request, service: Context, _caller: Reader) -> Response:
     """The numbers behind the page's pictures."""
     return await artefact(service, identification, "plots", request)

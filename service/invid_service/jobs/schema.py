@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from datetime import datetime
 from typing import Any, Literal
 
@@ -16,6 +17,16 @@ from invid_service.links import address
 from invid_service.store.store import RunRecord
 
 RETRY_AFTER_S = 1
+_PLANNED = {State.CHECKING, State.AWAITING_ARM, State.RUNNING}
+_DETAILS = {"drives", "jitter_histogram"}
+"""Of a measurement: at its own address."""
+_PARAMETERS = ("parameters", "effects")
+PARTS: dict[str, Callable[[Mapping[str, Any]], dict[str, Any] | None]] = {
+    "plan": lambda facts: facts.get("plan"),
+    "measurement": lambda facts: facts.get("measurement"),
+    "changes": lambda facts: (facts.get("summary") or {}).get("changes"),
+}
+"""What a run has whole at an address of its own: a poll need not carry it."""
 
 
 class StartBody(BaseModel):
@@ -98,6 +109,8 @@ class Identification(BaseModel):
     amplitude: Literal["planned", "gentler"]
     separates: str | None
     """The identification whose causes this run separates."""
+    analyses: str | None
+    """The identification whose recording this run works out (again)."""
     axes: list[str]
     state: State
     simulated: bool
@@ -107,7 +120,10 @@ class Identification(BaseModel):
     frequency: float | None
     """[Hz]"""
     eta_s: float | None
-    """Of the motion while it runs, then of the analysis [s]."""
+    """Until the result, as the cell's last runs took [s]; ``null`` where that is not known: it is the first,
+    or it takes longer than they did."""
+    motion_left_s: float | None
+    """Until the axes are at rest, by the plan; ``null`` where nothing moves [s]."""
     cause: str | None
     """What the analysis weighs now; its axis is ``axis``."""
     error: ErrorInfo | None
@@ -118,13 +134,14 @@ class Identification(BaseModel):
     ended: datetime | None
     requested_by: str
     plan: dict[str, Any] | None
-    """What will move and how far, once checked."""
+    """What will move and how far, once checked and until it has moved; then at its link."""
     measurement: dict[str, Any] | None
-    """What was seen while it moved, once measured: peaks, skipped SYNC slots, missed samples, how late the
-    SYNCs were (in real time), the drives and what they lack, warnings."""
+    """What was seen while it moved, once measured: peaks, skipped SYNC slots, missed samples, warnings.
+    Whole, with the drives and how late the SYNCs were, at its link."""
     decision: dict[str, Any] | None
     summary: dict[str, Any] | None
-    """verdict, sentences, warnings and changes against the accepted model."""
+    """verdict, sentences, warnings and ``changes`` against the accepted model: those that there are; every
+    parameter at their link."""
     untrusted: str | None
     """Why the result is accepted only with an ``override``; ``null`` where it needs none."""
     separating: Separating | None
@@ -151,7 +168,9 @@ def view(record: RunRecord, live: LiveRun | None, *, trace: bool = True) -> Iden
     stopped = record.facts.get("stopped")
     if stopped is not None and not trace:
         stopped = {**stopped, "trace": EMPTY}
-    names = ["events", "recording", "model", "diagnosis", "report", "plots"]
+    names = ["events", "recording", "model", "diagnosis", "report", "plots", "analysis", *PARTS]
+    measurement = record.facts.get("measurement")
+    summary = record.facts.get("summary")
     return Identification(
         id=record.id,
         cell=record.cell,
@@ -159,6 +178,7 @@ def view(record: RunRecord, live: LiveRun | None, *, trace: bool = True) -> Iden
         mode=record.mode,
         amplitude=record.facts.get("amplitude", "planned"),
         separates=record.facts.get("separates"),
+        analyses=record.facts.get("analyses"),
         axes=list(record.axes),
         state=record.state,
         simulated=record.simulated,
@@ -167,6 +187,7 @@ def view(record: RunRecord, live: LiveRun | None, *, trace: bool = True) -> Iden
         axis=progress.axis,
         frequency=progress.frequency,
         eta_s=progress.eta_s,
+        motion_left_s=progress.motion_left_s,
         cause=progress.cause,
         error=record.facts.get("error"),
         stopped=stopped,
@@ -174,14 +195,25 @@ def view(record: RunRecord, live: LiveRun | None, *, trace: bool = True) -> Iden
         started=record.started,
         ended=record.ended,
         requested_by=record.requested_by,
-        plan=record.facts.get("plan"),
-        measurement=record.facts.get("measurement"),
+        plan=record.facts.get("plan") if record.state in _PLANNED else None,
+        measurement=None
+        if measurement is None
+        else {k: v for k, v in measurement.items() if k not in _DETAILS},
         decision=record.facts.get("decision"),
-        summary=record.facts.get("summary"),
-        untrusted=why_untrusted(record.mode, record.facts.get("summary")),
-        separating=(record.facts.get("summary") or {}).get("separating"),
+        summary=None if summary is None else _news(summary),
+        untrusted=why_untrusted(record.mode, summary),
+        separating=(summary or {}).get("separating"),
         links={"self": base, **{name: f"{base}/{name}" for name in names}},
     )
+
+
+def _news(summary: dict[str, Any]) -> dict[str, Any]:
+    """A summary without the parameters that did not change."""
+    changes = summary.get("changes")
+    if changes is None:
+        return summary
+    lists = {n: [e for e in changes[n] if e["status"] == "changed"] for n in _PARAMETERS if n in changes}
+    return {**summary, "changes": {**changes, **lists}}
 
 
 def polling_headers(record: RunRecord) -> dict[str, str]:

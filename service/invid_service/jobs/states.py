@@ -29,6 +29,8 @@ OCCUPYING = frozenset({State.QUEUED, State.CHECKING, State.AWAITING_ARM, State.R
 """A runner process works for these: one of them per cell, and a restart cuts them off. A result that
 awaits accept has everything it needs in the store: it outlives a restart and blocks nobody."""
 
+IDLE: Final = "idle"
+"""Said of a cell that was never measured."""
 UPLOAD: Final = "upload"
 """Mode of a run whose recording came from elsewhere."""
 

@@ -18,9 +18,11 @@ from invid_service.auth import Runner
 from invid_service.cells.registry import Cell
 from invid_service.context import Context
 from invid_service.jobs.protocol import Job
+from invid_service.jobs.router import stored_file
 from invid_service.jobs.schema import RETRY_AFTER_S, Identification, view
-from invid_service.jobs.states import UPLOAD
+from invid_service.jobs.states import OCCUPYING, UPLOAD
 from invid_service.links import address
+from invid_service.openapi import ACCEPTED
 from invid_service.problems import EVERYWHERE, Problem, problem_responses
 from invid_service.recordings.claims import check_claims
 from invid_service.service import Service
@@ -54,10 +56,10 @@ _BODY: dict[str, Any] = {
     "/recordings",
     status_code=202,
     response_model=Identification,
-    responses=problem_responses(408, 415, 507),
+    responses={**ACCEPTED, **problem_responses(408, 415, 507)},
     openapi_extra=_BODY,
 )
-async def upload(
+async def upload_recording(
     request: Request,
     response: Response,
     service: Context,
@@ -103,6 +105,57 @@ async def upload(
     response.headers["Location"] = address("identifications", record.id)
     response.headers["Retry-After"] = str(RETRY_AFTER_S)
     return view(record, service.jobs.live(record.id))
+
+
+@router.post(
+    "/identifications/{identification}/analysis",
+    status_code=202,
+    response_model=Identification,
+    responses={**ACCEPTED, **problem_responses(409, 410, 507)},
+)
+async def analyse_identification(
+    identification: str, response: Response, service: Context, caller: Runner
+) -> Identification:
+    """Identify and diagnose the recording of a run that has ended, as if it had been uploaded.
+
+    For a run that was stopped, failed or was interrupted: what it measured until then is worked out, or the
+    new run's ``error`` says what is missing.
+    """
+    earlier, _ = await service.run(identification)
+    if earlier.state in OCCUPYING:
+        raise Problem(
+            "wrong-state",
+            f"identification {earlier.id} is {earlier.state}; its recording is analysed once it has ended",
+            state=str(earlier.state),
+            simulated=earlier.simulated,
+        )
+    source = await stored_file(service, earlier, "recording")
+    if service.blobs.free_bytes() < service.settings.min_free_bytes:
+        raise Problem("disk-full", "there is not enough room on the service's disk for an analysis")
+    record = service.new_run(None, UPLOAD, list(earlier.axes), caller.name)
+    facts = {"analyses": earlier.id}
+    record = replace(record, cell=earlier.cell, robot=earlier.robot, simulated=earlier.simulated, facts=facts)
+    folder = service.blobs.scratch(record.id)
+    try:
+        await asyncio.to_thread(_same_file, source, folder / "recording.h5")
+        await _queue(service, record, folder, service.cells.get(earlier.cell or ""))
+    except BaseException:
+        service.blobs.clear_scratch(record.id)
+        raise
+    response.headers["Location"] = address("identifications", record.id)
+    response.headers["Retry-After"] = str(RETRY_AFTER_S)
+    return view(record, service.jobs.live(record.id))
+
+
+def _same_file(source: Path, target: Path) -> None:
+    """A second name of a file that nobody changes any more, or a copy."""
+    try:
+        target.hardlink_to(source)
+    except OSError:
+        try:
+            shutil.copyfile(source, target)
+        except OSError as error:
+            raise Problem("disk-full", f"the recording cannot be copied: {error.strerror}") from None
 
 
 async def _receive_raw(request: Request, target: Path) -> None:

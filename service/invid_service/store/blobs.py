@@ -8,6 +8,8 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
+from invid.recording.spool import sync_folder
+
 KINDS: dict[str, tuple[str, str]] = {
     "recording": ("recording.h5", "application/x-hdf5"),
     "model": ("model.json", "application/json"),
@@ -42,25 +44,32 @@ class Blobs:
         folder.mkdir(parents=True, exist_ok=True)
         return folder
 
-    def put(self, run: str, kind: str, source: Path) -> Blob:
-        """Move ``source`` into the store: flushed, then renamed, so that no half file has its name."""
+    def put(self, run: str, kind: str, source: Path) -> Blob | None:
+        """Move ``source`` into the store: flushed, then renamed, so that no half file has its name.
+
+        Where it is not there (any more), what an earlier try moved; ``None`` where there is neither.
+        """
         target = self.root / run / KINDS[kind][0]
+        if not (source.is_file() and source.stat().st_size > 0):
+            return self._blob(target) if target.is_file() else None
         target.parent.mkdir(parents=True, exist_ok=True)
         with source.open("rb") as file:
-            digest = hashlib.file_digest(file, "sha256").hexdigest()
             os.fsync(file.fileno())
         if source.stat().st_dev == target.parent.stat().st_dev:
             source.replace(target)
         else:
             part = target.with_name(target.name + ".part")
             shutil.copyfile(source, part)
+            with part.open("rb") as file:
+                os.fsync(file.fileno())
             part.replace(target)
             source.unlink()
-        folder = os.open(target.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
+        sync_folder(target.parent)
+        return self._blob(target)
+
+    def _blob(self, target: Path) -> Blob:
+        with target.open("rb") as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
         return Blob(str(target.relative_to(self.root)), target.stat().st_size, digest)
 
     def path(self, relative: str) -> Path:

@@ -274,10 +274,12 @@ class Store:
                 last = session.scalars(
                     select(EventRow.id).where(EventRow.run == row.id).order_by(EventRow.id.desc()).limit(1)
                 ).first()
+                moved = row.state in (State.RUNNING, State.ANALYSING)
+                kept = "; what was measured until then is kept as this run's recording" if moved else ""
                 error = {
                     "code": "interrupted",
                     "text": f"the service ended while this run was {row.state}; it was not run again",
-                    "fix": "look at the robot, then start a new identification",
+                    "fix": f"look at the robot, then start a new identification{kept}",
                 }
                 row.facts = {**row.facts, "error": error}
                 row.state, row.ended = str(State.INTERRUPTED), now

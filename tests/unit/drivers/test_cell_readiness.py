@@ -101,8 +101,26 @@ def test_an_axis_at_which_a_run_ended_names_the_command_that_clears_it(cell: Cel
     assert "invid check --cleared A3" in reason.fix
 
 
-def test_a_memory_that_cannot_be_read_knows_nothing(tmp_path: Path) -> None:
+def test_with_a_memory_that_cannot_be_read_every_axis_waits_for_a_person(tmp_path: Path) -> None:
     path = tmp_path / "holds.json"
     for text in ("", "[]", '{"x": 1}', '{"x": {"nobody": 1}}', "\x00"):
         path.write_text(text, encoding="utf-8")
-        assert dict(HoldMemory(path).seen) == {}
+        memory = HoldMemory(path)
+        for node in (1, 2):
+            seen = memory.of("drive", node)
+            assert "cannot be read" in seen.suspect
+            assert seen.holds is None
+        memory.clear(1)
+        again = HoldMemory(path)
+        assert again.of("drive", 1).suspect == ""
+        assert "cannot be read" in again.of("drive", 2).suspect
+
+
+def test_what_waits_for_a_person_is_remembered_without_a_serial_number_and_of_the_next_drive_too(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "holds.json"
+    HoldMemory(path).keep("", Seen(1, loaded=True, holds=True, suspect="axis A1: the encoder is stuck"))
+    for name in ("", "another drive"):
+        seen = HoldMemory(path).of(name, 1)
+        assert (seen.suspect, seen.loaded, seen.holds) == ("axis A1: the encoder is stuck", True, None)

@@ -66,7 +66,9 @@ class SlowBus(can.BusABC):
 def slow(nodes: tuple[int, ...], adapter_s: float, **sdo: Any) -> Iterator[Link]:
     bus = SlowBus(nodes, adapter_s, **sdo)
     try:
-        yield Link(bus, heartbeat_s=0.1)
+        link = Link(bus, heartbeat_s=0.1)
+        link.gate.listened = True
+        yield link
     finally:
         bus.shutdown()
 

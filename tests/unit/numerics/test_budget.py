@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -20,6 +21,7 @@ from invid.diagnosis.diagnose import diagnose
 from invid.identification.identify import identify
 from invid.numerics import budget
 from invid.numerics.budget import Budget, Progress, use_budget
+from invid.numerics.run_clock import RunClock
 
 
 class Ticks:
@@ -68,7 +70,7 @@ def test_a_part_ends_before_the_whole_and_what_is_left_out_is_told_once() -> Non
             assert budget.or_else("the rest", lambda: 1, 2) == 2
         assert not budget.is_spent()
         assert budget.left_out() == ("the rest",)
-        assert "10 s" in str(budget.warning())
+        assert "10 s of the processor" in str(budget.warning())
     assert not budget.is_spent()
     assert budget.warning() is None
 
@@ -145,26 +147,55 @@ def test_the_interface_takes_seconds_and_a_callback(recording: invid.Recording) 
         invid.identify(recording, budget=0.0)
 
 
-def test_ctrl_c_during_an_analysis_ends_in_one_line(
+@pytest.mark.parametrize("presses", [1, 2])
+def test_ctrl_c_hands_out_the_best_answer_so_far_and_twice_ends_at_once(
     recording: invid.Recording,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
+    presses: int,
 ) -> None:
     invid.write_recording(recording, tmp_path / "rec.h5")
-    looks = iter(range(21))
+    looks = iter(range(10**9))
 
-    def clock() -> float:
-        if next(looks) == 20:
-            raise KeyboardInterrupt
+    def monotonic() -> float:
+        if next(looks) in range(20, 20 + presses):
+            signal.raise_signal(signal.SIGINT)
         return 0.0
 
-    monkeypatch.setattr("invid.api.time.monotonic", clock)
-    assert run(["diagnose", str(tmp_path / "rec.h5"), "--json"]) == INTERRUPTED
+    monkeypatch.setattr("invid.numerics.run_clock.time.monotonic", monotonic)
+    result = run(["diagnose", str(tmp_path / "rec.h5"), "--json"])
     out, err = capsys.readouterr()
-    assert out == ""
-    assert err.splitlines()[-1] == "invid: interrupted"
     assert "Traceback" not in err
+    if presses == 2:
+        assert result == INTERRUPTED
+        assert out == ""
+        assert err.splitlines()[-1] == "invid: interrupted"
+        return
+    assert result in (0, 3)
+    document = json.loads(out)
+    assert document["format"] == "invid-diagnosis"
+    assert any("ended by whoever waited" in w for w in document["warnings"])
+
+
+def test_a_budget_counts_processor_time_and_that_of_helpers_and_waits_no_longer_than_twice(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now, used = [100.0], [5.0, 1.0, 0.5, 0.5, 0.0]
+    monkeypatch.setattr("invid.numerics.run_clock.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("invid.numerics.run_clock.os.times", lambda: tuple(used))
+    clock = RunClock()
+    assert clock() == 0.0
+    used[0] += 3.0
+    assert clock() == pytest.approx(3.0)
+    with use_budget(Budget(60.0, clock)):
+        with budget.use_helpers(2):
+            used[0] += 1.0  # a helper that lives works as much as this process
+            assert clock() == pytest.approx(5.0)
+            used[2] += 0.8
+        assert clock() == pytest.approx(4.8)  # and is counted exactly when it is gone
+    now[0] += 20.0
+    assert clock() == pytest.approx(10.0)
 
 
 def test_json_stays_alone_on_stdout_and_the_budget_ends_the_command(
@@ -205,4 +236,4 @@ def test_plain_lines_say_at_once_that_it_compiles_and_then_now_and_again(
             show(Progress("weighing", "A2", "backlash", 0.5, 20.0, "spring 1"))
     lines = capsys.readouterr().err.splitlines()
     assert "compiling" in lines[0]
-    assert lines[1:] == ["diagnosing:  50% weighing backlash, A2 spring 1 (at most 20 s left)"] * 2
+    assert lines[1:] == ["diagnosing:  50% weighing backlash, A2 spring 1 (about 20 s left)"] * 2

@@ -11,13 +11,18 @@ import pytest
 from invid.config import CellConfig, load_config
 from invid.errors import ConfigError
 from invid.planning.stopping_distance import (
+    COASTING_SHARE,
+    FEEDBACK_FACTOR,
+    LEAST_EXCITATION,
     SETTLE_S,
     SPEED_TOLERANCE,
     StoppingCase,
     StoppingFacts,
     budget_of,
     budgets_of,
+    case_of,
     permitted,
+    torque_shares,
 )
 
 FACTS = StoppingFacts(deceleration=10.0, ramp="0x6085", watch_s=0.3, watch="0x1016")
@@ -76,6 +81,44 @@ def test_a_master_that_is_missed_too_late_is_refused_with_the_way_out() -> None:
     facts = replace(FACTS, watch_s=1.5)
     with pytest.raises(ConfigError, match=r"A1.*even from rest.*1505 ms.*0x1016.*shorten safety.heartbeat_s"):
         budgets_of(cell(), [facts], [17.0], [5.7])
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_torque_that_is_kept_takes_half_of_the_room_from_rest_unless_it_is_the_least(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    facts = replace(FACTS, deceleration=rng.uniform(1, 50), watch_s=rng.uniform(0.03, 0.5))
+    planned, inertia = rng.uniform(1, 25), float(10 ** rng.uniform(-0.5, 1))
+    config = cell(inertia=inertia)
+    (share,) = torque_shares(config, [facts], [planned], [inertia])
+    (whole,) = (case_of(config.axes[0], facts, config, planned=p, inertia=inertia) for p in [planned])
+    kept = replace(whole, planned=FEEDBACK_FACTOR * share * planned)
+    assert kept.deceleration is not None
+    way = integrated(kept, 0.0, kept.longest_s, kept.deceleration)
+    least = share * planned == pytest.approx(LEAST_EXCITATION * 25)
+    if share == 1.0:
+        assert way <= COASTING_SHARE * kept.room * 1.01
+    elif not least:
+        assert way == pytest.approx(COASTING_SHARE * kept.room, rel=5e-3)
+    else:
+        assert way >= COASTING_SHARE * kept.room * 0.99
+
+
+def test_an_axis_of_unknown_inertia_keeps_its_torque_until_the_trial_has_weighed_it() -> None:
+    assert torque_shares(cell(inertia=None), [FACTS], [17.0], [None]) == (1.0,)
+
+
+def test_the_refusal_of_the_least_excitation_says_the_heartbeat_and_the_room_that_would_do() -> None:
+    config, facts = cell(inertia=0.5), replace(FACTS, watch_s=1.5)
+    planned = LEAST_EXCITATION * 25
+    with pytest.raises(ConfigError) as refused:
+        budgets_of(config, [facts], [planned], [0.5])
+    said = str(refused.value)
+    assert "the least excitation of 5% of its torque limit" in said
+    heartbeat = float(said.split("heartbeat_s to ")[1].split(" at most")[0])
+    budgets_of(config, [replace(facts, watch_s=3 * heartbeat)], [planned], [0.5])
+    limits = config.axes[0].limits.model_copy(update={"stopping_room": float(said.split()[-1]) * 1.01})
+    wide = config.model_copy(update={"axes": [config.axes[0].model_copy(update={"limits": limits})]})
+    budgets_of(wide, [facts], [planned], [0.5])
 
 
 def test_a_lower_speed_says_why_and_what_would_make_the_way_shorter() -> None:

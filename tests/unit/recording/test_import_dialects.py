@@ -16,7 +16,7 @@ import yaml
 from invid.cli.app import run
 from invid.recording import read_recording
 from invid.recording.importer import integrated
-from invid.recording.text_table import past_midnight, seconds_of
+from invid.recording.text_table import seconds_of
 from invid.recording.units import MachineConstants, factor
 
 COUNT = 60
@@ -78,8 +78,6 @@ def test_an_instant_is_seconds_and_what_is_none_is_no_number():
     assert seconds_of("2.1.1970 00:00") == seconds_of("1/2/1970 00:00") == 86400.0
     for text in ("", "paused", "1.5", "12-3", "2026-13-01T00:00:00", "2026-02-30", "::", "-1:00"):
         assert np.isnan(seconds_of(text)), text
-    over = past_midnight(np.array([86399.0, np.nan, 0.5, 1.0]))
-    assert over[[0, 2, 3]].tolist() == [86399.0, 86400.5, 86401.0]
 
 
 def test_a_stamped_column_in_another_unit_is_refused(tmp_path, capsys):

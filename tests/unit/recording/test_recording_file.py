@@ -18,7 +18,14 @@ import pytest
 
 from invid.cli.app import run
 from invid.errors import InvidError, RecordingError
-from invid.recording import Outcome, read_recording, write_recording
+from invid.recording import (
+    Kind,
+    Outcome,
+    Recording,
+    RecordingWriter,
+    read_recording,
+    write_recording,
+)
 from invid.recording.hdf5 import EXPERIMENT_ATTRIBUTES, ROOT_ATTRIBUTES
 from invid.recording.spool import Spool
 
@@ -221,10 +228,11 @@ def test_a_measurement_killed_in_the_middle_loses_at_most_the_last_second(tmp_pa
         written = int(process.stdout.readline())
     process.send_signal(signal.SIGKILL)
     process.wait()
-    assert not path.exists()
+    with pytest.raises(RecordingError, match=r"what it measured so far is in .*r\.h5\.rows"):
+        read_recording(path)
     assert run(["import", str(tmp_path / "r.h5.rows"), "-o", str(path)]) == 0
     recording = read_recording(path)
-    assert recording.outcome is None
+    assert recording.outcome is Outcome.FAILED
     kept = recording.experiments[0].samples
     assert written >= 3400
     assert kept >= written - 1000  # it may have gone on between its last word and its end
@@ -304,6 +312,30 @@ def test_rows_cut_anywhere_are_read_up_to_the_cut_and_never_raise_anything_else(
         path.write_bytes(bytes(raw))
         with contextlib.suppress(RecordingError):
             read_recording(path)
+
+
+def test_a_power_cut_costs_six_seconds_of_rows_and_no_experiment_that_has_ended(tmp_path, monkeypatch):
+    """What the disk was asked to keep for good is all that is sure to be there afterwards."""
+    sure = [0]
+
+    def keep(handle):
+        sure[0] = os.fstat(handle).st_size
+
+    monkeypatch.setattr(os, "fdatasync", keep)
+    head = Recording(robot="r", axes=("A1",), position_unit="rad", torque_unit="N·m",
+                     created="2026-01-01T00:00:00Z", experiments=())  # fmt: skip
+    rows, cut = tmp_path / "r.h5.rows", tmp_path / "cut.rows"
+    writer = RecordingWriter(tmp_path / "r.h5", head)
+    for k in range(2):
+        writer.begin(kind=Kind.OTHER, excited_axis=0, sample_rate_hz=100.0, demand=False, status=False)
+        for n in range(0, 1700, 25):  # a quarter of a second at once, as the recorder
+            writer.append(20.0 * k + np.arange(n, n + 25) / 100, np.ones((25, 1)), np.ones((25, 1)))
+            cut.write_bytes(rows.read_bytes()[: sure[0]])
+            kept = read_recording(cut).experiments[k].samples if n >= 600 else 0
+            assert n + 25 - kept <= 600
+        writer.end()
+        cut.write_bytes(rows.read_bytes()[: sure[0]])
+        assert [e.samples for e in read_recording(cut).experiments] == [1700] * (k + 1)
 
 
 def test_rows_that_an_earlier_cut_left_are_not_overwritten(tmp_path):

@@ -11,6 +11,7 @@ import pytest
 
 from invid_service.jobs.analysis_progress import BEGINS, ENDS, STAGES, AnalysisProgress
 from invid_service.jobs.line import Line
+from invid_service.jobs.measurement import Pace
 
 
 @dataclass
@@ -22,6 +23,7 @@ class Weighing:
     cause: str | None = None
     fraction: float = 0.0
     seconds_left: float | None = None
+    found: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         return f"{self.stage} {self.cause}, {self.axis}"
@@ -60,10 +62,10 @@ def test_an_analysis_that_says_nothing_moves_on_by_the_clock(analysis: Analysis)
     assert fractions == sorted(fractions)
     assert fractions[0] >= BEGINS
     assert fractions[-1] < ENDS
-    assert [t["eta_s"] for t in told] == pytest.approx([40, 35, 35, 20, 10, 6])
+    assert [t["eta_s"] for t in told] == pytest.approx([40, 35, 35, 20, 10, None])
 
 
-def test_what_is_weighed_is_told_with_cause_axis_and_the_time_that_the_analysis_names(
+def test_what_is_weighed_is_told_with_cause_and_axis_and_no_time_but_that_of_earlier_runs(
     analysis: Analysis,
 ) -> None:
     progress, clock, told = analysis
@@ -72,20 +74,41 @@ def test_what_is_weighed_is_told_with_cause_axis_and_the_time_that_the_analysis_
     progress.weigh(Weighing("weighing", "A2", "backlash", 0.5, 12.0))
     assert told[-1]["phase"] == "weighing backlash, A2"
     assert (told[-1]["axis"], told[-1]["cause"]) == ("A2", "backlash")
-    assert told[-1]["eta_s"] == pytest.approx(12.0 + 0.07 * 40)  # the report comes after it
+    assert told[-1]["eta_s"] == pytest.approx(30.0)
     clock.now = 14.0
     progress.say()
-    assert told[-1]["eta_s"] == pytest.approx(8.0 + 0.07 * 40)
+    assert told[-1]["eta_s"] == pytest.approx(26.0)
     progress.weigh(Weighing("weighing", "A1", "cogging", 0.3))
     assert told[-1]["fraction"] >= told[-2]["fraction"]
 
 
-def test_a_stage_that_lasts_longer_than_ever_still_takes_some_time(analysis: Analysis) -> None:
+def test_an_analysis_that_takes_longer_than_ever_or_is_the_first_promises_no_time(analysis: Analysis) -> None:
     progress, clock, told = analysis
     progress.begin("diagnosing")
     clock.now = 100.0
     progress.say()
-    assert told[-1]["eta_s"] == pytest.approx(10.0)
+    assert told[-1]["eta_s"] is None
+    first = AnalysisProgress(lambda *_, **members: told.append(members), None, clock=clock)
+    first.begin("diagnosing")
+    first.weigh(Weighing("weighing", "A1", "cogging", 0.5, 480.0))
+    assert told[-1]["eta_s"] is None
+
+
+def test_time_left_of_a_motion_follows_the_pace_that_it_has(analysis: Analysis) -> None:
+    _, clock, _ = analysis
+    pace = Pace(clock)
+    assert pace.left(40.0) == pytest.approx(40.0)
+    clock.now = 1.0
+    assert pace.left(30.0) == pytest.approx(3.0)  # ten seconds of the plan in one: a simulated cell
+    clock.now = 5.0
+    assert pace.left(36.0) == pytest.approx(45.0)  # a computer that is behind
+
+
+def test_what_is_found_is_told_while_the_search_goes_on(analysis: Analysis) -> None:
+    progress, _, told = analysis
+    progress.begin("diagnosing")
+    progress.weigh(Weighing("weighing", "A2", "backlash", 0.5, 12.0, ("friction A1 mass 1",)))
+    assert "found so far: friction A1 mass 1; still looking" in told[-1]["phase"]
 
 
 def test_a_stage_that_begins_is_told_however_short_the_one_before_was() -> None:

@@ -35,7 +35,7 @@ def test_a_cell_is_told_from_ready_through_motion_to_its_end_with_when(tmp_path:
     director.summary = {"grade": "watch"}
     with running(tmp_path, director) as (client, _):
         idle = of(client)
-        assert (idle["state"], idle["run"], idle["moves"]) == ("ready", None, False)
+        assert (idle["status"], idle["run"], idle["moves"]) == ("ready", None, False)
         location = start(client)
         run = wait_for(client, location, "running")
         moving = of(client)
@@ -48,7 +48,7 @@ def test_a_cell_is_told_from_ready_through_motion_to_its_end_with_when(tmp_path:
         assert (waiting["state"], waiting["grade"], waiting["moves"]) == ("awaiting_accept", "watch", False)
         client.post(f"{location}/actions", json={"type": "accept"})
         done = of(client)
-        assert (done["state"], done["run_state"], done["run"]) == ("ready", "succeeded", run["id"])
+        assert (done["status"], done["state"], done["run"]) == ("ready", "succeeded", run["id"])
 
 
 def test_what_was_known_of_the_last_run_is_known_after_a_restart(tmp_path: Path) -> None:
@@ -67,7 +67,7 @@ def test_what_was_known_of_the_last_run_is_known_after_a_restart(tmp_path: Path)
         wait_for(client, location, "running")
     with running(tmp_path) as (client, _):
         after = of(client)
-        assert (after["run_state"], after["moves"]) == ("interrupted", False)
+        assert (after["state"], after["moves"]) == ("interrupted", False)
         assert after["run"] == location.rsplit("/", 1)[1]
 
 

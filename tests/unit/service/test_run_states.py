@@ -10,9 +10,12 @@ from typing import Any
 
 import pytest
 from fastapi.testclient import TestClient
-from service_doubles import Director, model_document, running, wait_for
+from service_doubles import CELL, Director, model_document, running, wait_for
 from sqlalchemy.exc import OperationalError
 
+from invid.config import load_config
+from invid.errors import ConfigError
+from invid_drivers.measurement import ask_drives
 from invid_service.store.blobs import Blobs
 
 START = "/api/v1/cells/cell/identifications"
@@ -167,6 +170,43 @@ def test_readiness_and_the_conflict_of_a_start_give_the_same_reasons(
         assert [r["code"] for r in ready["reasons"]] == ["disk_full"]
         assert refused["reasons"] == ready["reasons"]
         assert all(r["text"] and r["fix"] for r in ready["reasons"])
+
+
+SLOW = "safety: {heartbeat_s: 2.0}\n"
+INERTIA = {"    rated_torque_Nm: 50\n": "    rated_torque_Nm: 50\n    inertia_kgm2: 0.5\n"}
+
+
+@pytest.mark.parametrize(("safety", "ready"), [("", True), (SLOW, False)])
+def test_what_the_check_would_refuse_is_not_ready_on_the_page_nor_for_a_start_and_what_is_ready_passes(
+    tmp_path: Path, safety: str, ready: bool
+) -> None:
+    text = CELL + safety
+    for old, new in INERTIA.items():
+        text = text.replace(old, new)
+    (tmp_path / "cell.yaml").write_text(text)
+    config = load_config(tmp_path / "cell.yaml")
+    try:
+        ask_drives(config)
+        refusal = ""
+    except ConfigError as error:
+        refusal = str(error)
+    assert (refusal == "") is ready
+    with running(tmp_path) as (client, director):
+        found = client.get("/api/v1/cells/cell/readiness").json()
+        assert found["can_start"] is ready
+        assert client.get("/api/v1/cells/cell").json()["overview"]["state"] == (
+            "ready" if ready else "not_ready"
+        )
+        if ready:
+            assert client.post(START, json={"mode": "full"}).status_code == 202
+            return
+        (reason,) = found["reasons"]
+        assert reason["code"] == "check_refused"
+        assert f"{reason['text']}; {reason['fix']}" == refusal
+        assert "shorten safety.heartbeat_s to 0." in reason["fix"]
+        refused = problem(client.post(START, json={"mode": "full"}), 409, "not-ready")
+        assert refused["reasons"] == found["reasons"]
+        assert not director.workers
 
 
 def test_a_start_on_some_axes_only_is_refused_before_anything_moves_and_says_why(tmp_path: Path) -> None:

@@ -9,8 +9,9 @@ from test_sweep import CYCLE, RigidCell, after, config, run
 from invid.errors import SafetyStop
 from invid.numerics.arrays import Float64
 from invid.sweep import Sample
+from invid.sweep.bounds import AxisLimits, Bounds
 from invid.sweep.stuck_encoder import HALT_CYCLES, LIFE_CHANGES, STUCK_PERIODS, STUCK_S, Halting, Standing
-from invid.sweep.watch import AxisLimits, Watch
+from invid.sweep.watch import Watch
 
 
 def trembling(cell: RigidCell, sample: Sample) -> None:
@@ -132,14 +133,15 @@ def test_an_encoder_that_changed_too_rarely_is_not_expected_to_go_on() -> None:
 def test_a_gap_in_the_samples_is_no_leap_of_the_velocity() -> None:
     """Four cycles' way over the time of one would be four times the speed."""
     limits = AxisLimits("A1", 10, 10, 1.1, 1e-6, 10, "rad", "N·m")
-    watch = Watch([limits], cycle_s=CYCLE, missed_tpdos=100, overrun_cycles=100)
-    watch.start([0.0])
+    bounds = Bounds([limits], cycle_s=CYCLE, missed_tpdos=100, overrun_cycles=100)
+    watch = Watch(bounds, cycle_s=CYCLE)
+    bounds.start([0.0])
     for slot in range(500):
         lost = slot % 50 in range(20, 40)
         at = slot * CYCLE if not lost else (slot - slot % 50 + 19) * CYCLE  # 1 rad/s; the last one repeated
         watch.check(sample(at, fresh=not lost, slot=slot))
-    assert watch.statistics.peak_velocity is not None
-    assert watch.statistics.peak_velocity[0] == pytest.approx(1.0, abs=0.01)
+    assert bounds.statistics.peak_velocity is not None
+    assert bounds.statistics.peak_velocity[0] == pytest.approx(1.0, abs=0.01)
 
 
 def test_a_stuck_encoder_of_an_excited_axis_is_found_within_three_times_its_longest_stand() -> None:

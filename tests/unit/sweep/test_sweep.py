@@ -13,9 +13,10 @@ from invid.planning.hold_laws import least_damping, master_hold, require_stable_
 from invid.planning.model import PlannedExperiment
 from invid.signals.excitation import doublet
 from invid.sweep import Event, Mode, Progress, Sample, Severity, Sweep
+from invid.sweep.bounds import AxisLimits, Bounds
 from invid.sweep.recorder import Recorder, fill_gaps
 from invid.sweep.trials import response
-from invid.sweep.watch import AxisLimits, Watch
+from invid.sweep.watch import Watch
 
 CYCLE = 0.002
 EXPERIMENT = (
@@ -516,8 +517,9 @@ def test_a_torque_that_follows_late_is_not_taken_for_one_of_the_wrong_sign(late:
 def watched(position: float, torque: float, speed: float) -> None:
     """Forty cycles of one axis with limits of 1 rad/s and 10 N·m (rated 20) at a torque and a speed."""
     limits = AxisLimits("A1", 10.0, 1.0, 1.0, 1e-9, 20.0, "rad", "N·m")
-    watch = Watch([limits], cycle_s=CYCLE, missed_tpdos=5, overrun_cycles=5)
-    watch.start([0.0])
+    bounds = Bounds([limits], cycle_s=CYCLE, missed_tpdos=5, overrun_cycles=5)
+    watch = Watch(bounds, cycle_s=CYCLE)
+    bounds.start([0.0])
     for slot in range(40):
         at = position + speed * slot * CYCLE
         watch.check(Sample(slot, slot * CYCLE, [at], [torque], [0x27], [True], []))
@@ -566,9 +568,10 @@ def test_in_a_skipped_slot_the_drive_went_on_with_the_demand_before_it() -> None
 
 def test_samples_that_do_not_come_are_not_a_still_encoder() -> None:
     limits = AxisLimits("A1", 10.0, 1.0, 1.0, 1e-6, 10.0, "rad", "N·m")
-    watch = Watch([limits], cycle_s=0.01, missed_tpdos=1000, overrun_cycles=10)
+    bounds = Bounds([limits], cycle_s=0.01, missed_tpdos=1000, overrun_cycles=10)
+    watch = Watch(bounds, cycle_s=0.01)
     watch.standing.excited = {0}
-    watch.start([0.0])
+    bounds.start([0.0])
     sample = Sample(0, 0.0, [0.0], [0.0], [0x27], [True], [])
 
     def play(slots: range, fresh: bool) -> None:

@@ -1,10 +1,10 @@
 // All cells at a glance, worst first, as the poll tells; what the last run found is asked for when a run has ended.
 import { get } from "./api.js";
-import { changesLine, gradeBadge, headline } from "./findings.js";
+import { gradeBadge, headline, spokenHeadline } from "./findings.js";
 import { $, button, el, fill, sentence, when } from "./dom.js";
 import { blind, busy, known, troubled } from "./store.js";
 import { stop } from "./stop.js";
-import { english, named, t } from "./texts.js";
+import { named, t } from "./texts.js";
 
 const SHAPES = { trouble: "▲", moves: "►", waits: "◆", busy: "…", ready: "●" }, RANKS = Object.keys(SHAPES);
 const found = { key: "", cells: new Map(), order: [] };
@@ -12,30 +12,29 @@ const found = { key: "", cells: new Map(), order: [] };
 // Worst first. A cell whose last run was stopped or failed is no cell in order until another one went well.
 export function rank(c) {
   if (c.moves) return "moves";
-  if (["awaiting_arm", "awaiting_accept"].includes(c.run_state)) return "waits";
+  if (["awaiting_arm", "awaiting_accept"].includes(c.state)) return "waits";
   if (busy(c)) return "busy";
-  return troubled(c) || c.state !== "ready" || c.grade === "act" ? "trouble" : "ready";
+  return troubled(c) || c.status !== "ready" || c.grade === "act" ? "trouble" : "ready";
 }
 export function stateText(c) {
   if (blind()) return t("ready.unknown");
-  if (!busy(c) && troubled(c)) return named("state", c.run_state).split(":")[0];
-  const text = c.state === "awaiting_accept" ? sentence(t("phase.awaiting_accept")) : named("state", c.state).split(":")[0];
+  if (!busy(c) && troubled(c)) return named("state", c.state).split(":")[0];
+  const text = c.status === "awaiting_accept" ? sentence(t("phase.awaiting_accept")) : named("state", c.status).split(":")[0];
   return c.moves ? `${text}, ${Math.round(100 * c.progress)} %` : text;
 }
 
 // The last run in the page's language, where it is told in full; else the service's own sentences.
-function said({ last_identification: full, overview: { last_run: last, changed } }) {
+function said({ last_identification: full, overview: { last_run: last } }) {
   const same = full && full.id === last?.id ? full : null, summary = same?.summary;
-  const own = (text, ours) => text && el("p", { lang: ours || english ? null : "en" }, text);
+  const text = summary ? headline(summary) : same?.stopped?.reason ?? last?.headline;
   return [
     last ? el("p", {}, [el("small", { class: "quiet" }, t("overview.last", { time: when(last.ended ?? full?.started ?? full?.created) })), " ", last.grade && gradeBadge(last.grade)]) : el("p", { class: "quiet" }, t("overview.never")),
-    own(summary ? headline(summary) : same?.stopped?.reason ?? last?.headline, summary),
-    last?.verdict && (changed ? el("p", { class: "changed", lang: english || summary?.changes ? null : "en" }, summary?.changes ? changesLine(summary.changes, null) : changed) : el("p", { class: "quiet" }, t("overview.unchanged"))),
+    text && el("p", { lang: summary ? spokenHeadline(summary) : "en" }, text),
   ];
 }
 
 export function showOverview(open, fresh) {
-  const key = known.cells.map((c) => `${c.cell} ${c.run} ${c.run_state}`).join();
+  const key = known.cells.map((c) => `${c.cell} ${c.run} ${c.state}`).join();
   if ((fresh || found.key !== key) && !blind()) {
     found.key = key;
     get("/cells").then(({ cells }) => { found.cells = new Map(cells.map((c) => [c.id, c])); draw(open); }, () => { found.key = ""; });

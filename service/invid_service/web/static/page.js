@@ -73,16 +73,16 @@ function buttons() {
 // the last one, where it waits for a decision or ended as it should not.
 function wanted(c) {
   if (busy(c)) state.opened = c.run;
-  const calls = (c.run_state === "awaiting_accept" || troubled(c)) && c.run !== state.dismissed;
+  const calls = (c.state === "awaiting_accept" || troubled(c)) && c.run !== state.dismissed;
   return state.opened ?? (calls ? c.run : null);
 }
 function follow(c) {
   if (!c) return;
-  const id = wanted(c), { run } = state, of = `${c.cell} ${c.run} ${c.run_state}`;
+  const id = wanted(c), { run } = state, of = `${c.cell} ${c.run} ${c.state}`;
   if (state.details?.of !== of) details(c.cell, of);
-  if (!id) { if (run) show(null); } else if (run?.id !== id || (c.run === id ? run.state !== c.run_state : MOVING.includes(run.state))) fetchRun(id);
+  if (!id) { if (run) show(null); } else if (run?.id !== id || (c.run === id ? run.state !== c.state : MOVING.includes(run.state))) fetchRun(id);
   if (!state.run && Date.now() - state.at > READY_EVERY_MS) refresh();
-  if (run && run.id === c.run && ["running", "analysing"].includes(c.run_state) && viewed() === "work") showLive(run, state.details?.axes ?? []);
+  if (run && run.id === c.run && ["running", "analysing"].includes(c.state) && viewed() === "work") showLive(run, state.details?.axes ?? []);
 }
 
 const once = new Set();
@@ -197,7 +197,7 @@ function show(run) {
   if (isNew) $("plan").open = run.state === "awaiting_arm";
   $("run-note").hidden = true;
   if (run.plan) showPlan(run, state.details);
-  if (isNew || find(state.cell)?.run !== run.id) showProgress({ ...run, run: run.id, run_state: run.state });
+  if (isNew || find(state.cell)?.run !== run.id) showProgress({ ...run, run: run.id });
   if (result) { showResult(run).catch(say); showDecision(run); } else $("result-card").hidden = true;
   buttons();
 }

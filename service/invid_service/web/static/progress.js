@@ -9,7 +9,7 @@ const seen = { key: "", since: 0 };
 const coarse = (s) => (s < 20 ? s : Math.ceil(s / (s < 100 ? 5 : 30)) * (s < 100 ? 5 : 30));
 
 export function showProgress(c) {
-  const key = `${c.run} ${c.run_state}`, now = Date.now();
+  const key = `${c.run} ${c.state}`, now = Date.now();
   if (seen.key !== key) Object.assign(seen, { key, since: now });
   $("bar").value = c.progress;
   const what = c.cause ? [t(c.axis ? "progress.weighing_on" : "progress.weighing", { cause: named("cause", c.cause), axis: c.axis })]
@@ -17,7 +17,7 @@ export function showProgress(c) {
   const parts = [t("progress.percent", { n: Math.round(c.progress * 100), what: what.filter(Boolean).join(", ") })];
   const [of, known] = c.eta_s != null ? ["progress.left", c.eta_s] : ["progress.motion_left", c.motion_left_s], left = known == null || blind() ? 0 : known - age();
   if (left > 0.5) parts.push(t(of, { time: seconds(coarse(left)) }));
-  else if (!blind() && c.run_state === "analysing" && now - seen.since > 1000 * LOOKING_S) parts.push(t("progress.looking", { time: seconds((now - seen.since) / 1000) }));
+  else if (!blind() && c.state === "analysing" && now - seen.since > 1000 * LOOKING_S) parts.push(t("progress.looking", { time: seconds((now - seen.since) / 1000) }));
   const text = parts.join(", ");
   if ($("phase").textContent !== text) $("phase").textContent = text;
 }

@@ -5,8 +5,8 @@ const EVERY_MS = 1000, BUSY_MS = 400, PATIENCE_MS = 3000, QUIET_S = 5;
 const BUSY = ["queued", "checking", "awaiting_arm", "running", "analysing"], TROUBLE = ["stopped", "failed", "interrupted"];
 export const known = { cells: [], heard: Date.now(), failure: null };
 export const find = (cell) => known.cells.find((c) => c.cell === cell);
-export const busy = (c) => BUSY.includes(c.run_state);
-export const troubled = (c) => TROUBLE.includes(c.run_state);
+export const busy = (c) => BUSY.includes(c.state);
+export const troubled = (c) => TROUBLE.includes(c.state);
 export const age = () => (Date.now() - known.heard) / 1000;
 // Beyond this nothing is known of any cell.
 export const blind = () => age() > QUIET_S;

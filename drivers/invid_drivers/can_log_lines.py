@@ -1,0 +1,120 @@
+"""Lines of text logs of CAN traffic, brought into the one form that python-can reads (candump -L).
+
+python-can reads candump's log and Vector's ASC; what candump shows on the screen, the CSV of SavvyCAN
+(GVRET) and BUSMASTER's log no kept library reads.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+from invid.recording.tables import BrokenRow
+
+MAX_BROKEN = 100_000
+READ = (
+    "candump (-L, or its screen with -t a, z, d), Vector ASC, SavvyCAN/GVRET CSV, BUSMASTER, and the binary "
+    "BLF and "
+    "PEAK TRC"
+)
+_CANDUMP = re.compile(
+    r"\s*\(\d+(\.\d+)?\)\s+\S+\s+([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#"
+    r"(([0-9A-Fa-f]{2}){0,8}|R\d?|#[0-9A-Fa-f]([0-9A-Fa-f]{2}){0,64})(\s+[TRtr])?\s*$"
+)
+_SHOWN = re.compile(
+    r"\s*\((?P<t>\d+(?:\.\d+)?)\)\s+(?P<channel>\S+)\s+(?:(?P<way>[TR])X\s+)?(?:-\s+)*"
+    r"(?P<id>[0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})\s+\[(?P<length>\d)\](?P<data>(?:\s+[0-9A-Fa-f]{2})*)\s*(?:'.*)?$"
+)
+_GVRET = re.compile(
+    r"\s*(?P<us>\d+),\s*(?P<id>[0-9A-Fa-f]+),\s*(?P<extended>true|false|0|1),\s*(?:(?P<way>[RT])x,\s*)?"
+    r"(?P<channel>\d+),\s*(?P<length>\d+)(?P<data>(?:,\s*[0-9A-Fa-f]{0,2})*)\s*$",
+    re.IGNORECASE,
+)
+_BUSMASTER = re.compile(
+    r"\s*(?P<h>\d+):(?P<m>\d+):(?P<s>\d+):(?P<tenth>\d{4})\s+(?P<way>[RT])x\s+(?P<channel>\d+)\s+(?P<id>0x[0-9A-Fa-f]+|\d+)"
+    r"\s+(?P<kind>[sx])r?\s+(?P<length>\d)(?P<data>(?:\s+[0-9A-Fa-f]{1,3})*)\s*$"
+)
+_FOREIGN = (_SHOWN, _GVRET, _BUSMASTER)
+_ASIDE = re.compile(r"\s*$|\s*#|\s*\*\*\*|\s*Time ?Stamp\b")
+"""Empty lines, comments, and the headers of BUSMASTER and SavvyCAN."""
+_ASC_FRAME = re.compile(r"\s*\d+\.\d+\s+\d+\s+[0-9A-Fa-f]+x?\s+[RT]x\s+d\b")
+_ASC_WHOLE = re.compile(
+    r"\s*\d+\.\d+\s+\d+\s+[0-9A-Fa-f]+x?\s+[RT]x\s+d\s+([0-9A-Fa-f])((\s+[0-9A-Fa-f]{1,3})*)(\s.*)?$"
+)
+
+
+def is_text_log(head: str) -> bool:
+    """Whether one of a file's first lines is a CAN frame or a header that only such logs have."""
+    if head.startswith("***BUSMASTER"):
+        return True
+    return any(
+        _CANDUMP.match(line) or any(k.match(line) for k in _FOREIGN) for line in head.splitlines()[:20]
+    )
+
+
+class Lines:
+    """Lines of a text log for python-can's reader, without those that are broken: they are kept with
+    their numbers."""
+
+    def __init__(self, path: Path, broken: list[BrokenRow]) -> None:
+        self._file = path.open(encoding="utf-8", errors="replace")
+        self._name, self._asc, self._broken = path.name, path.suffix.lower() == ".asc", broken
+        self.number = 0
+        self._base = 16
+        """Of BUSMASTER's numbers, which its header states."""
+
+    def __iter__(self) -> Iterator[str]:
+        for line in self._file:
+            self.number += 1
+            whole = _asc_line(line) if self._asc else self._candump_line(line)
+            if whole is not None:
+                yield whole
+            elif len(self._broken) < MAX_BROKEN:
+                self._broken.append(BrokenRow(self._name, self.number, "no whole CAN frame"))
+
+    def _candump_line(self, line: str) -> str | None:
+        if _CANDUMP.match(line):
+            return line
+        found = next((m for kind in _FOREIGN if (m := kind.match(line))), None)
+        if found is not None:
+            return self._rewritten(found)
+        if line.startswith("***DEC"):
+            self._base = 10
+        return "" if _ASIDE.match(line) else None
+
+    def _rewritten(self, found: re.Match[str]) -> str | None:
+        part = found.groupdict()
+        cells = part["data"].replace(",", " ").split()
+        length = int(part["length"])
+        if len(cells) < length:
+            return None
+        if found.re is _BUSMASTER:
+            seconds = (int(part["h"]) * 60 + int(part["m"])) * 60 + int(part["s"])
+            stamp, long = f"{seconds}.{part['tenth']}", part["kind"] == "x"
+            identifier = int(part["id"], 16 if part["id"].startswith("0x") else self._base)
+            data = [int(c, self._base) for c in cells[:length]]
+        else:
+            identifier, data = int(part["id"], 16), [int(c, 16) for c in cells[:length]]
+            if found.re is _GVRET:
+                stamp = f"{int(part['us']) // 10**6}.{int(part['us']) % 10**6:06d}"
+                long = part["extended"].lower() in ("true", "1")
+            else:
+                stamp, long = part["t"], len(part["id"]) == 8
+        way = f" {part['way'].upper()}" if part["way"] else ""
+        return f"({stamp}) {part['channel']} {identifier:0{8 if long else 3}X}#{bytes(data).hex()}{way}\n"
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+
+def _asc_line(line: str) -> str | None:
+    if not _ASC_FRAME.match(line):
+        # Header, comments, events of other kinds: the reader knows which of them matter.
+        return line
+    whole = _ASC_WHOLE.match(line)
+    return line if whole and len(whole[2].split()) >= int(whole[1], 16) else None
+
+
+__all__ = ["READ", "Lines", "is_text_log"]

@@ -1,0 +1,87 @@
+"""Writes to disk that no cycle waits for, and the folder that every user of this computer shares."""
+
+from __future__ import annotations
+
+import os
+import queue
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+from invid.errors import BusError
+
+PATIENCE_S = 10.0
+"""Longest wait for a disk while no axis is energised."""
+SERVICES, SHARED = Path("/var/lib/invid"), Path("/var/tmp/invid")
+"""Folders for what every user must know: the service's, where there is one, else one that is everybody's."""
+
+
+class Disk:
+    """Does one write after another in a thread of its own."""
+
+    def __init__(self) -> None:
+        self._todo: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._failed: list[BusError] = []
+        self._idle = threading.Event()
+        self._idle.set()
+        self._left = 0
+        self._lock = threading.Lock()
+        self._deferred = False
+
+    def put(self, write: Callable[[], None]) -> None:
+        """A write, in turn; waited for unless deferred. BusError where it failed or takes too long."""
+        with self._lock:
+            if not self._left:
+                threading.Thread(target=self._work, name="disk", daemon=True).start()
+            self._left += 1
+            self._idle.clear()
+        self._todo.put(write)
+        if not self._deferred:
+            self.settle()
+
+    def defer(self) -> None:
+        """From here on nobody waits until ``settle``."""
+        self._deferred = True
+
+    def settle(self) -> None:
+        """Every write is done; BusError where one failed or takes too long. Later ones are waited for."""
+        self._deferred = False
+        if not self._idle.wait(PATIENCE_S):
+            raise BusError(
+                f"the disk has not taken what is to be remembered of this bus for {PATIENCE_S:g} s; look at "
+                "it before anything is enabled"
+            )
+        if self._failed:
+            raise self._failed.pop()
+
+    def _work(self) -> None:
+        while True:
+            write = self._todo.get()
+            try:
+                write()
+            except BusError as error:
+                self._failed.append(error)
+            with self._lock:
+                self._left -= 1
+                if not self._left:
+                    self._idle.set()
+                    return
+
+
+def shared_folder() -> Path:
+    """Where the journal and the memory of a bus stand, whoever measures on it.
+
+    ``XDG_STATE_HOME`` overrides it.
+    """
+    own = os.environ.get("XDG_STATE_HOME")
+    if own:
+        return Path(own) / "invid"
+    return SERVICES if SERVICES.is_dir() else SHARED
+
+
+def open_folder(folder: Path) -> None:
+    """Make a folder; the shared one for every user."""
+    if not folder.is_dir():
+        folder.mkdir(parents=True, exist_ok=True)
+        if folder == SHARED:
+            folder.chmod(0o777)

@@ -1,0 +1,202 @@
+"""The one gate: whatever leaves for the bus passes it, and what is not permitted now stays here.
+
+Until others were listened for, nothing leaves. A node that was not read in this session is only asked. Under
+power a node hears its own master and nobody else, and nothing of what is written then permits it more.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import can
+
+from invid.errors import BusError
+from invid_drivers.cia402.objects import (
+    ABORT_CONNECTION,
+    CONSUMER_HEARTBEAT,
+    CONTROLWORD,
+    FOLLOWING_TIME,
+    FOLLOWING_WINDOW,
+    KNOWN,
+    MAX_CURRENT,
+    MAX_MOTOR_SPEED,
+    MAX_TORQUE,
+    MAX_VELOCITY,
+    MODE,
+    POSITION_LIMIT_HIGH,
+    POSITION_LIMIT_LOW,
+    PRODUCER_HEARTBEAT,
+    PROFILE_DECELERATION,
+    QUICK_STOP_DECELERATION,
+    QUICK_STOP_OPTION,
+    RPDO_EVENT_TIMER,
+    STATUSWORD,
+    TARGET_POSITION,
+    TARGET_TORQUE,
+    TORQUE_OFFSET,
+    Object,
+)  # fmt: skip
+from invid_drivers.cia402.states import DriveState, is_energised, state_of
+
+NMT, SYNC, SDO_ANSWER, RPDO, SDO, HEARTBEAT = 0x000, 0x080, 0x580, 0x200, 0x600, 0x700
+FUNCTION, NODE = 0x780, 0x07F
+DOWNLOAD, SEGMENT, UPLOAD = 1, 0, 2
+"""SDO requests by their command specifier (CiA 301); all others but these two only ask."""
+NMT_STOPPED = 4
+"""In a heartbeat: the node answers no SDO until it is set pre-operational."""
+COMMANDS = frozenset(
+    what.index
+    for what in (CONTROLWORD, MODE, QUICK_STOP_OPTION, TARGET_POSITION, TARGET_TORQUE, TORQUE_OFFSET)
+)
+"""Objects that command an energised drive: none of them is a limit."""
+UPPER = frozenset(
+    (what.index, what.sub)
+    for what in (
+        MAX_TORQUE, MAX_CURRENT, POSITION_LIMIT_HIGH, MAX_VELOCITY, MAX_MOTOR_SPEED, FOLLOWING_WINDOW,
+        FOLLOWING_TIME, CONSUMER_HEARTBEAT, PRODUCER_HEARTBEAT, RPDO_EVENT_TIMER,
+    )
+)  # fmt: skip
+LOWER = frozenset(
+    (what.index, what.sub)
+    for what in (POSITION_LIMIT_LOW, ABORT_CONNECTION, QUICK_STOP_DECELERATION, PROFILE_DECELERATION)
+)
+"""Objects that permit the less the smaller, and the larger, they are; written under power only that way."""
+ZERO_IS_NONE = frozenset({0x1016, 0x1017, 0x1400, 0x607D})
+"""Of these 0 limits nothing."""
+
+
+class NotPermitted(BusError):
+    """A frame that the gate kept back."""
+
+
+@dataclass
+class Known:
+    """What is known of one node in this session."""
+
+    name: str
+    state: DriveState | None = None
+    """As last read; ``None``: never."""
+    stopped: bool = False
+    """Its heartbeat says NMT stopped: nothing can be read of it before it is set pre-operational."""
+    ours: bool = False
+    """Commanded by this master, which also brings it to rest."""
+    left_alone: bool = False
+    """What it shows may not be believed: it waits for a person."""
+    found: dict[tuple[int, int], int] = field(default_factory=dict)
+    """Limits by index and subindex, as it last showed them."""
+
+    @property
+    def why_not(self) -> str:
+        """Why it may be sent no NMT command and no setting; empty where it may."""
+        if self.ours:
+            return ""
+        if self.left_alone:
+            return "it waits for a person"
+        if self.state is None:
+            return "" if self.stopped else "it was not read in this session"
+        return f"it is under power, in {self.state.words}" if is_energised(self.state) else ""
+
+
+class Gate:
+    """What may leave now, and what has left."""
+
+    def __init__(self) -> None:
+        self.nodes: dict[int, Known] = {}
+        self.listened = False
+        self.disputed = False
+        """Another master was heard: what is not ours by now is its."""
+        self._asked = self._told = False
+        self._sync_ours = False
+
+    # --- what is known -------------------------------------------------------------------------
+    def heard(self, cob: int, data: bytes) -> None:
+        """An SDO answer or a heartbeat came."""
+        node = self.nodes.get(cob & NODE)
+        if node is None or not data:
+            return
+        if cob & FUNCTION == HEARTBEAT:
+            node.stopped = data[0] & 0x7F == NMT_STOPPED
+            if data[0] & 0x7F == 0:
+                node.state = None  # it has restarted
+        elif data[0] >> 5 == UPLOAD and len(data) == 8:
+            at = int.from_bytes(data[1:3], "little"), data[3]
+            if at == (STATUSWORD.index, STATUSWORD.sub):
+                node.state = state_of(int.from_bytes(data[4:6], "little"))
+            elif at in UPPER or at in LOWER:
+                node.found[at] = KNOWN[at].unpack(data[4:8])
+
+    def saw(self, node_id: int, status: int) -> None:
+        """A statusword came in the cycle."""
+        self.nodes[node_id].state = state_of(status)
+
+    def take(self, node_id: int) -> None:
+        """This master commands the node from here on."""
+        self.nodes[node_id].ours = True
+        self._sync_ours = True
+
+    def permit(self, node_id: int, what: Object, value: int) -> None:
+        """A weight was told from a runaway: the limit may be that much."""
+        self.nodes[node_id].found[what.index, what.sub] = value
+
+    def may_let_go(self, node_id: int) -> bool:
+        """Whether a node may be set pre-operational and written to: no torque would be lost by it."""
+        node = self.nodes[node_id]
+        off = node.state is None or not is_energised(node.state)
+        return off and not node.why_not and (node.ours or not self.disputed)
+
+    @property
+    def said(self) -> str:
+        """What has left so far, for a person."""
+        if self._sync_ours:
+            return "the axes were stopped"
+        if self._told:
+            return "nothing was moved"
+        return "nothing but questions was sent" if self._asked else "nothing was sent"
+
+    # --- what leaves ---------------------------------------------------------------------------
+    def pass_out(self, message: can.Message) -> None:
+        """NotPermitted where a frame may not leave now."""
+        cob = message.arbitration_id
+        function = cob & FUNCTION
+        if function == RPDO:
+            node = self.nodes.get(cob & NODE)
+            if node is not None and node.ours:
+                return
+        why = self._why_not(function, cob & NODE, bytes(message.data))
+        if why:
+            raise NotPermitted(f"frame 0x{cob:03X} was kept back: {why}")
+
+    def _why_not(self, function: int, node_id: int, data: bytes) -> str:
+        if not self.listened:
+            return "nothing is sent before it is known who else is on the bus"
+        if function == HEARTBEAT or (function == SYNC and self._sync_ours):
+            return ""
+        if function == SDO and data[0] >> 5 not in (DOWNLOAD, SEGMENT):
+            self._asked = True
+            return ""
+        node = self.nodes.get(data[1] if function == NMT and len(data) == 2 else node_id)
+        if node is None or function not in (NMT, SDO):
+            return "nobody of this cell is meant by it"
+        why = node.why_not or ("another master was heard" if self.disputed and not node.ours else "")
+        if why:
+            return f"axis {node.name}: {why}"
+        powered = node.state is not None and is_energised(node.state)
+        if function == SDO and data[0] >> 5 == DOWNLOAD and powered and not _tightens(node, data):
+            at = f"0x{int.from_bytes(data[1:3], 'little'):04X}:{data[3]}"
+            return f"axis {node.name}: {at} is not widened under power"
+        self._told = True
+        return ""
+
+
+def _tightens(node: Known, data: bytes) -> bool:
+    """Whether what is written commands, or permits at most what was found."""
+    at = int.from_bytes(data[1:3], "little"), data[3]
+    if at[0] in COMMANDS:
+        return True
+    found = node.found.get(at)
+    if found is None:
+        return False
+    value = KNOWN[at].unpack(data[4:8])
+    if found == 0 and at[0] in ZERO_IS_NONE:
+        return True
+    return value >= found if at in LOWER else value <= found

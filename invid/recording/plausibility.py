@@ -1,0 +1,177 @@
+"""Data that read without an error and cannot be meant: what is wrong, the map's line to change, what it
+would do.
+
+Each test says what it rests on; a doubt is a sentence and stops nothing.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from invid.numerics.arrays import Bool, Float64, Int64
+from invid.recording.model import Experiment, Recording
+
+PEAK_OVER_RATED = 10.0
+"""Peak torque over rated torque from which the unit is wrong: servo motors give three to five."""
+FASTEST = {"rad": 2000.0, "m": 20.0}
+"""Speed [rad/s or m/s] that no drive reaches: 19,000 rev/min, and a fast gantry's four times over."""
+COHERENT = 0.7
+"""Mean phasor of the rows at which a value changes, about a period of p rows, from which it changes every p
+rows; n changes at random have 1/√n. Rounding to whole rows leaves 0.83 at two and a half rows, more above."""
+FEW_CHANGES = 30
+"""Changes from which that is more than chance: 0.7 has then a probability of 4e-7."""
+SMALLER = 0.25
+"""Range of numbers as they would be with a sign over that as read, below which a sign is missing."""
+_SIDES = {
+    "motor": r"(^|[^a-z])(mot|motor|m|rotor|drive)([^a-z]|$)",
+    "load": r"(^|[^a-z])(load|link|abtrieb|lastseitig|arm|second|secondary|joint|out|output)([^a-z]|$)",
+}
+
+
+@dataclass(frozen=True)
+class Hold:
+    """A value that stands for several rows: on the mean ``rows``, new at rows ``first`` + k · rows."""
+
+    rows: float
+    first: int
+
+    @property
+    def whole(self) -> int | None:
+        """The rows, where they are a whole number."""
+        return round(self.rows) if abs(self.rows - round(self.rows)) < 0.02 else None
+
+
+def held_rows(values: Float64) -> Hold | None:
+    """For how many rows each of (n, C) values stands; ``None`` where they change at any row.
+
+    A slow signal of coarse steps repeats too, but at no period: what is asked is whether the changes keep
+    one.
+    """
+    changed: Int64 = np.flatnonzero((np.diff(values, axis=0) != 0).any(axis=1)) + 1
+    if changed.size < FEW_CHANGES:
+        return None
+    runs = np.diff(changed)
+    usual = runs[runs <= 1.5 * np.median(runs)]
+    rows = float(usual.mean())
+    if rows < 1.5:
+        return None
+    # A period known from four hundred runs holds for as many.
+    turning = np.exp(2j * np.pi * changed[:400] / rows)
+    if abs(turning.mean()) < COHERENT:
+        return None
+    return Hold(rows, int(np.bincount(changed % round(rows)).argmax()))
+
+
+def _hold_of(e: Experiment) -> Hold | None:
+    return held_rows(np.concatenate((e.position, e.torque), axis=1))
+
+
+def held_sentence(experiment: Experiment) -> str | None:
+    """What is said of a record whose rows repeat, every value standing for several of them."""
+    hold = _hold_of(experiment)
+    if hold is None:
+        return None
+    rate = experiment.sample_rate_hz / hold.rows
+    return f"every value stands for {hold.rows:.3g} rows: it was taken at {rate:.4g} Hz"
+
+
+def missing_sign(raw: Float64) -> str | None:
+    """How whole numbers ``raw`` (n,) have to be read so that they keep their sign; ``None`` where they do.
+
+    Two's complement read without a sign leaps by a power of two at zero, and so does a sign bit beside a
+    magnitude: read rightly the range is a fraction.
+    """
+    values = raw[np.isfinite(raw)]
+    if values.size < 8 or np.any(values != np.round(values)):
+        return None
+    span = float(np.ptp(values))
+    for bits in (8, 16, 24, 32):
+        if span >= 2.0 ** (bits - 1) and values.max() < 2.0**bits and values.min() >= -(2.0 ** (bits - 1)):
+            for kind in (f"int{bits}", f"sign{bits}"):
+                if np.ptp(with_sign(values, kind)) < SMALLER * span:
+                    return kind
+    return None
+
+
+def with_sign(values: Float64, read_as: str) -> Float64:
+    """Numbers with their sign: ``read_as`` int8 … int32 in two's complement, sign8 … by a sign bit."""
+    bits = int(re.sub(r"\D", "", read_as))
+    code = np.mod(values, 2.0**bits)
+    top = 2.0 ** (bits - 1)
+    negative: Bool = code >= top
+    out: Float64 = np.where(negative, code - 2 * top if read_as.startswith("int") else top - code, code)
+    return out
+
+
+def doubts(recording: Recording) -> list[str]:
+    """Sentences on what a recording holds that its axes cannot have done."""
+    said = []
+    for i, axis in enumerate(recording.axes):
+        torque = max(float(np.abs(e.torque[:, i]).max()) for e in recording.experiments)
+        rated = None if recording.rated_torque is None else float(recording.rated_torque[i])
+        if rated is not None and torque > PEAK_OVER_RATED * rated:
+            said.append(
+                f"axis {axis}: torque reaches {torque:.4g} {recording.torque_unit}, {torque / rated:.3g} "
+                f"times its "
+                f"rated torque; see 'unit', 'scale' and 'rated_torque' of the axis in the map: masses and "
+                f"springs "
+                f"come out by the same factor"
+            )
+        fastest = max(_speed(e, i) for e in recording.experiments)
+        limit = FASTEST[recording.position_unit]
+        if fastest > limit:
+            unit = recording.position_unit
+            said.append(
+                f"axis {axis}: its position moves at {fastest:.4g} {unit}/s, faster than any drive "
+                f"({limit:g} "
+                f"{unit}/s); see 'unit' and 'per_count' of its position in the map, and the unit of 'time': "
+                f"masses and springs come out by the square of the factor"
+            )
+    for e in recording.experiments:
+        hold = _hold_of(e)
+        if hold is not None:
+            cure = "log at the drive's own rate" if hold.whole is None else f"write 'every: {hold.whole}'"
+            said.append(
+                f"{held_sentence(e)}; {cure} in the experiment: the repeats would be taken for motion that "
+                "stands still between leaps, and masses come out far too small"
+            )
+    return said
+
+
+def _speed(e: Experiment, axis: int) -> float:
+    """Speed that one row in a hundred exceeds: single leaps are glitches, and are told elsewhere."""
+    speed = np.abs(np.diff(e.position[:, axis]) / np.diff(e.time))
+    return float(np.quantile(speed, 0.99))
+
+
+def doubt_of_sides(axis: str, torque: str, motion: str) -> str | None:
+    """A sentence where the names put torque and motion on two sides of the transmission."""
+    sides = [{s for s, words in _SIDES.items() if re.search(words, n.lower())} for n in (torque, motion)]
+    if any(len(s) != 1 for s in sides) or sides[0] == sides[1]:
+        return None
+    return (
+        f"axis {axis}: {torque!r} is by its name of the {min(sides[0])} side and {motion!r} of the "
+        f"{min(sides[1])} "
+        f"side; torque and motion must be of one side (in the map 'column' of position or torque, or "
+        f"'scale' with "
+        f"the gear ratio where it is a name only): across a spring there is no mass to be found"
+    )
+
+
+def doubts_of_signs(raw: Sequence[tuple[str, str, Float64]]) -> list[str]:
+    """Sentences on columns (axis and field, column, its numbers) whose sign is lost."""
+    said = []
+    for where, column, numbers in raw:
+        kind = missing_sign(numbers)
+        if kind is not None:
+            bits = int(re.sub(r"\D", "", kind))
+            lost = "signed number read as unsigned" if kind[0] == "i" else "sign bit beside a magnitude"
+            said.append(
+                f"{where}: {column!r} reaches {np.nanmax(np.abs(numbers)):.0f}: a {lost}; write 'read_as: "
+                f"{kind}' beside 'column' in the map: else every change of sign is a leap of {2**bits}"
+            )
+    return said

@@ -1,0 +1,724 @@
+"""Files as other people log them: read right, or refused in words that help.
+
+Each kind stands with the field file where it was met (``../shared/data/field``, left out loudly where
+that is missing) and with two more made here, from a motion that is known, never from the code under test.
+"""
+
+from __future__ import annotations
+
+import json
+import lzma
+import re
+import struct
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+import yaml
+
+from invid.cli.app import run
+from invid.recording.hdf5 import read_recording
+from invid_drivers.eds import parse_eds
+
+ROOT = Path(__file__).resolve().parents[3]
+FIELD = next(
+    (p for p in (ROOT.parent / "shared/data/field", ROOT.parents[1] / "shared/data/field") if p.is_dir()),
+    ROOT.parent / "shared/data/field",
+)
+COUNT = 1.1984224905356572e-05
+N = 1200
+ROW = np.arange(N)
+POSITION = np.round(
+    (0.03 * np.sin(2 * np.pi * ROW / 300) + 0.004 * np.sin(2 * np.pi * ROW / 37)) / COUNT
+).astype(int)
+TORQUE = np.round(180 * np.sin(2 * np.pi * ROW / 300 + 0.4) + 90 * np.sin(2 * np.pi * ROW / 37)).astype(int)
+PDO = [
+    {
+        "id": 0x181,
+        "signals": [
+            {"name": "status", "type": "uint16"},
+            {"name": "torque", "type": "int16"},
+            {"name": "position", "type": "int32"},
+        ],
+    }
+]
+CAN_MAP = {
+    "format": "invid-import-map",
+    "motion": "rotary",
+    "source": {"kind": "can_log", "pdos": PDO},
+    "time": {"column": "time"},
+    "axes": [
+        {
+            "name": "A1",
+            "rated_torque": 50,
+            "position": {"column": "position", "unit": "counts", "per_count": COUNT},
+            "torque": {"column": "torque", "unit": "permille", "meaning": "measured"},
+        }
+    ],
+}
+CSV_MAP = {
+    "format": "invid-import-map",
+    "time": {"column": 0},
+    "axes": [
+        {
+            "name": "A1",
+            "rated_torque": 50,
+            "position": {"column": 1, "unit": "rad"},
+            "torque": {"column": 2, "unit": "Nm", "meaning": "measured"},
+        }
+    ],
+}
+
+
+def field_file(name: str, folder: Path) -> Path:
+    if not FIELD.is_dir():
+        pytest.skip(f"{FIELD} is missing: the field files are not checked here")
+    if not name.endswith(".xz"):
+        return FIELD / name
+    out = folder / name.removesuffix(".xz")
+    out.write_bytes(lzma.decompress((FIELD / name).read_bytes()))
+    return out
+
+
+def field_map(name: str) -> dict:
+    """The field file's own map; two seconds are less than its period."""
+    chart = yaml.safe_load((FIELD / name).read_text(encoding="utf-8"))
+    chart["experiments"] = [{"role": "identify"}]
+    return chart
+
+
+def taken(folder: Path, source: Path, chart: dict, capsys, status: int = 0):
+    """The one experiment of an import and what was said; for a refusal the message alone."""
+    path = folder / "map.yaml"
+    path.write_text(yaml.safe_dump(chart), encoding="utf-8")
+    capsys.readouterr()
+    assert run(["import", str(source), "--map", str(path), "-o", str(folder / "r.h5")]) == status, (
+        capsys.readouterr().err
+    )
+    said = capsys.readouterr().err
+    if status:
+        assert len(said.strip().splitlines()) == 1, said
+        return said
+    return read_recording(folder / "r.h5").experiments[0], said
+
+
+def with_time(chart: dict, **time) -> dict:
+    return {**chart, "time": time}
+
+
+def with_source(chart: dict, **source) -> dict:
+    return {**chart, "source": {**chart.get("source", {}), **source}}
+
+
+def payload(k: int, order: str = "<", torque=TORQUE, position=POSITION) -> bytes:
+    return struct.pack(order + "Hhi", 0x1237, int(torque[k]), int(position[k]))
+
+
+def candump(folder: Path, stamps, *, channel="can0", name="c.log", order="<", apart=2e-4) -> Path:
+    lines = []
+    for k, t in enumerate(stamps):
+        lines.append(f"({t:.6f}) {channel} 080#")
+        lines.append(f"({t + apart:.6f}) {channel} 181#{payload(k, order).hex().upper()}")
+    path = folder / name
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def csv(folder: Path, stamps, name="t.csv") -> Path:
+    lines = ["time,position_rad,torque_Nm"]
+    rows = zip(stamps, POSITION * COUNT, TORQUE * 0.05, strict=True)
+    lines += [f"{t},{p:.9f},{m:.4f}" for t, p, m in rows]
+    path = folder / name
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def whole(e, samples: int = N) -> None:
+    """The rows are those of the motion, in SI units, each once."""
+    assert abs(e.samples - samples) <= 1
+    skipped = N - e.samples if samples == N else 0
+    np.testing.assert_allclose(e.position[:, 0], POSITION[skipped:] * COUNT, atol=1e-8)
+    np.testing.assert_allclose(e.torque[:, 0], TORQUE[skipped:] * 0.05, atol=1e-6)
+
+
+# --- time ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("tick", "at"),
+    [(1e-6, 2**32), (1e-3, 2**16), (1e-3, 60_000), (1e-6, 7_000_000)],
+    ids=["2^32 µs", "16-bit ms", "a minute of ms", "a number that only the map tells"],
+)
+def test_a_counter_that_wraps_goes_on_with_a_warning(tmp_path, capsys, tick, at):
+    known = at != 7_000_000
+    counter = (at - 400_000e-6 / tick + ROW * 1e-3 / tick) % at
+    log = csv(tmp_path, [f"{c:.0f}" for c in counter])
+    unit = {1e-6: "us", 1e-3: "ms"}[tick]
+    chart = with_time(CSV_MAP, column=0, unit=unit)
+    if not known:
+        refused = taken(tmp_path, log, chart, capsys, 2)
+        assert "'wraps_at'" in refused
+        chart["time"]["wraps_at"] = at
+    e, said = taken(tmp_path, log, chart, capsys)
+    assert "starts over" in said
+    whole(e)
+    np.testing.assert_allclose(np.diff(e.time), 1e-3, atol=1e-9)
+
+
+def test_a_wrapping_counter_of_a_can_log_is_unwrapped(tmp_path, capsys):
+    log = candump(tmp_path, (4294.6 + ROW * 1e-3) % (2**32 * 1e-6))
+    e, said = taken(tmp_path, log, CAN_MAP, capsys)
+    assert "2^32 µs" in said
+    whole(e)
+    np.testing.assert_allclose(np.diff(e.time), 1e-3, atol=2e-6)
+
+
+@pytest.mark.parametrize(("name", "chart"), [("us32_wrap.log", "map.yaml"), ("micros_wrap.csv", "v4.yaml")])
+def test_the_wraps_of_the_field_are_read(tmp_path, capsys, name, chart):
+    e, said = taken(tmp_path, field_file(name, tmp_path), field_map(chart), capsys)
+    assert "starts over" in said
+    assert e.samples in (1999, 2000)
+    np.testing.assert_allclose(np.diff(e.time), 1e-3, atol=2e-6)
+
+
+@pytest.mark.parametrize(
+    "kind", ["zero", "frozen", "differences", "differences of frames", "two a tick", "three a tick"]
+)
+def test_stamps_that_are_no_instants_are_named_with_the_line_that_reads_the_file(tmp_path, capsys, kind):
+    rate = 1000.0
+    if kind in ("zero", "frozen"):
+        stamp = 0.0 if kind == "zero" else 1.7e9
+        log, chart = candump(tmp_path, np.full(N, stamp), apart=0.0), CAN_MAP
+    elif kind == "differences":
+        steps = 1e-3 + 1e-5 * np.random.default_rng(1).normal(size=N)
+        log, chart = csv(tmp_path, [f"{s:.6f}" for s in steps]), CSV_MAP
+    elif kind == "differences of frames":
+        lines = []
+        for k in range(N):
+            lines += ["(0.000800) can0 080#", f"(0.000200) can0 181#{payload(k).hex()}"]
+        log, chart = tmp_path / "d.log", CAN_MAP
+        log.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    else:
+        rate = 2000.0 if kind == "two a tick" else 3000.0
+        log = csv(tmp_path, [f"{np.floor(1e3 * k / rate) * 1e-3:.3f}" for k in range(N)])
+        chart = CSV_MAP
+    said = taken(tmp_path, log, chart, capsys, 2)
+    line = re.search(r"sample_rate_hz: ([\d.]+|…)", said)
+    assert line is not None
+    if line[1] != "…":
+        assert float(line[1]) == pytest.approx(rate, rel=1e-3)
+    e, _ = taken(tmp_path, log, with_time(chart, sample_rate_hz=rate), capsys)
+    whole(e)
+    if kind.startswith("differences"):
+        assert "'differences: true'" in said
+        e, _ = taken(tmp_path, log, with_time(chart, **chart["time"], differences=True), capsys)
+        whole(e)
+        assert e.time[-1] - e.time[0] == pytest.approx((e.samples - 1) * 1e-3, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "chart"),
+    [("zero_stamps.log", "map.yaml"), ("candump_td.log", "map.yaml"), ("ms_stamps_2kHz.csv", "v2.yaml")],
+)
+def test_the_stamps_of_the_field_that_are_none_are_refused_with_the_way_out(tmp_path, capsys, name, chart):
+    source, plan = field_file(name, tmp_path), field_map(chart)
+    assert "sample_rate_hz" in taken(tmp_path, source, plan, capsys, 2)
+    e, _ = taken(tmp_path, source, with_time(plan, sample_rate_hz=1000), capsys)
+    assert e.samples > 1990
+
+
+@pytest.mark.parametrize(
+    "pattern", ["%m/%d/%Y %I:%M:%S.%f %p", "%I:%M:%S.%f %p", "%d-%b-%Y %H:%M:%S.%f", "%H:%M:%S:%f"]
+)
+def test_wall_clocks_of_half_days_and_of_month_names_are_instants(tmp_path, capsys, pattern):
+    # The hour turns from 12 to 1, and the day over.
+    for start in (datetime(2026, 2, 3, 12, 59, 59, 500_000), datetime(2026, 2, 3, 23, 59, 59, 500_000)):
+        stamps = [f"{start + timedelta(milliseconds=int(k)):{pattern}}" for k in ROW]
+        e, _ = taken(tmp_path, csv(tmp_path, stamps), CSV_MAP, capsys)
+        whole(e)
+        np.testing.assert_allclose(np.diff(e.time), 1e-3, atol=1e-6)
+
+
+def test_the_half_days_of_the_field_are_read(tmp_path, capsys):
+    e, _ = taken(tmp_path, field_file("ampm.csv", tmp_path), field_map("v14.yaml"), capsys)
+    assert e.samples == 2000
+    np.testing.assert_allclose(np.diff(e.time), 1e-3, atol=1e-6)
+
+
+def test_a_wall_clock_set_back_an_hour_goes_on(tmp_path, capsys):
+    start = datetime(2026, 10, 25, 2, 59, 59, 500_000)
+    back = [timedelta(hours=1) if k >= 500 else timedelta() for k in ROW]
+    stamps = [
+        f"{start + timedelta(milliseconds=int(k)) - b:%Y-%m-%d %H:%M:%S.%f}"
+        for k, b in zip(ROW, back, strict=True)
+    ]
+    e, said = taken(tmp_path, csv(tmp_path, stamps), CSV_MAP, capsys)
+    assert "hour" in said
+    np.testing.assert_allclose(np.diff(e.time), 1e-3, atol=1e-6)
+
+
+def test_two_records_in_one_file_are_said_to_be_two_and_read_so(tmp_path, capsys):
+    stamps = np.where(ROW < 700, ROW * 1e-3, 5000.0 + ROW * 1e-3)
+    log = csv(tmp_path, [f"{t:.4f}" for t in stamps])
+    said = taken(tmp_path, log, CSV_MAP, capsys, 2)
+    assert "rows: [0, 700]" in said
+    assert "rows: [700, null]" in said
+    chart = {**CSV_MAP, "experiments": [{"rows": [0, 700]}, {"rows": [700, None]}]}
+    taken(tmp_path, log, chart, capsys)
+    assert [e.samples for e in read_recording(tmp_path / "r.h5").experiments] == [700, 500]
+
+
+# --- channels, echoes, bytes
+# ----------------------------------------------------------------------------------
+
+
+def two_robots(folder: Path, ending: str) -> Path:
+    path = folder / f"two.{ending}"
+    with can.Logger(str(path)) as log:
+        for k in range(N):
+            for channel, shift in ((0, 0.0), (1, 3e-4)):
+                t = 1e9 + k * 1e-3 + shift
+                position = POSITION if channel == 0 else 2 * POSITION
+                for number, data in ((0x80, b""), (0x181, payload(k, position=position))):
+                    log(
+                        can.Message(
+                            timestamp=t,
+                            arbitration_id=number,
+                            data=data,
+                            channel=channel,
+                            is_extended_id=False,
+                        )
+                    )
+                    t += 1e-4
+    return path
+
+
+@pytest.mark.parametrize("ending", ["log", "blf", "asc"])
+def test_two_robots_in_one_log_are_refused_until_the_channel_is_said(tmp_path, capsys, ending):
+    log = two_robots(tmp_path, ending)
+    said = taken(tmp_path, log, CAN_MAP, capsys, 2)
+    named = re.findall(r"(\S+) \(1200 frames\)", said)
+    assert len(named) == 2
+    assert "channel:" in said
+    e, _ = taken(tmp_path, log, with_source(CAN_MAP, channel=sorted(named)[0]), capsys)
+    whole(e)
+    e, _ = taken(tmp_path, log, with_source(CAN_MAP, channel=sorted(named)[1]), capsys)
+    np.testing.assert_allclose(e.position[:, 0], 2 * POSITION * COUNT, atol=1e-8)
+
+
+def test_sync_of_a_bus_without_the_drive_clocks_nobody(tmp_path, capsys):
+    log = candump(tmp_path, 10.0 + ROW * 1e-3)
+    other = [f"({10.0005 + k * 1e-3:.6f}) can7 080#" for k in ROW]
+    lines = sorted([*log.read_text(encoding="utf-8").splitlines(), *other])
+    log.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    e, _ = taken(tmp_path, log, CAN_MAP, capsys)
+    whole(e)
+
+
+def test_the_two_buses_of_the_field_are_refused(tmp_path, capsys):
+    source = field_file("two_buses.log.xz", tmp_path)
+    said = taken(tmp_path, source, field_map("map.yaml"), capsys, 2)
+    assert "can0" in said
+    assert "can1" in said
+    assert "channel" in said
+
+
+@pytest.mark.parametrize("flagged", [True, False])
+def test_frames_logged_twice_are_asked_for(tmp_path, capsys, flagged):
+    lines = []
+    for k in ROW:
+        t = 5.0 + k * 1e-3
+        for shift, way in ((0.0, " T"), (4e-5, " R")):
+            lines.append(f"({t + shift:.6f}) can0 080#{way if flagged else ''}")
+        for shift in (2e-4, 2.4e-4) if not flagged else (2e-4,):
+            lines.append(f"({t + shift:.6f}) can0 181#{payload(k).hex()}{' R' if flagged else ''}")
+    log = tmp_path / "echo.log"
+    log.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    said = taken(tmp_path, log, CAN_MAP, capsys, 2)
+    value = re.search(r"echo: (\w+)", said)
+    assert value is not None
+    e, _ = taken(tmp_path, log, with_source(CAN_MAP, echo=value[1]), capsys)
+    whole(e)
+    np.testing.assert_allclose(np.diff(e.time), 1e-3, atol=2e-6)
+
+
+@pytest.mark.parametrize("whole_source", [True, False])
+def test_bytes_the_other_way_round_are_asked_for(tmp_path, capsys, whole_source):
+    log = candump(tmp_path, ROW * 1e-3, order=">")
+    said = taken(tmp_path, log, CAN_MAP, capsys, 2)
+    assert "byte_order: big" in said
+    if whole_source:
+        chart = with_source(CAN_MAP, byte_order="big")
+    else:
+        signals = [{**s, "byte_order": "big"} for s in PDO[0]["signals"]]
+        chart = with_source(CAN_MAP, pdos=[{**PDO[0], "signals": signals}])
+    e, _ = taken(tmp_path, log, chart, capsys)
+    whole(e)
+
+
+# --- formats
+# --------------------------------------------------------------------------------------------------
+
+
+def gvret(folder: Path, *, way: bool) -> Path:
+    lines = ["Time Stamp,ID,Extended," + ("Dir," if way else "") + "Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8"]
+    for k in ROW:
+        for shift, number, data in ((0, 0x80, b""), (200, 0x181, payload(k))):
+            cells = "".join(f"{b:02X}," for b in data)
+            head = f"{170_000_000 + 1000 * k + shift},{number:08X},false,{'Rx,' if way else ''}"
+            lines.append(f"{head}0,{len(data)},{cells}")
+    path = folder / f"g{way}.csv"
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def busmaster(folder: Path, *, base: str) -> Path:
+    lines = ["***BUSMASTER Ver 3.2.2***", f"***{base}***"]
+    for k in ROW:
+        for shift, number, data in ((0, 0x80, b""), (2, 0x181, payload(k))):
+            tenth = 10 * int(k) + shift
+            clock = (
+                f"23:59:{59 + tenth // 10000:02d}:{tenth % 10000:04d}"
+                if tenth < 10000
+                else f"00:00:00:{tenth - 10000:04d}"
+            )
+            name, cells = (f"0x{number:03X}", "{:02X}") if base == "HEX" else (f"{number:03d}", "{:03d}")
+            lines.append(
+                f"{clock} Rx 1 {name} s {len(data)} " + " ".join(cells.format(b) for b in data) + " "
+            )
+    path = folder / f"b{base}.log"
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    "kind", ["gvret", "gvret without direction", "busmaster", "busmaster in decimals", "trc"]
+)
+def test_can_logs_of_other_tools_are_read(tmp_path, capsys, kind):
+    if kind.startswith("gvret"):
+        log = gvret(tmp_path, way=kind == "gvret")
+    elif kind.startswith("busmaster"):
+        log = busmaster(tmp_path, base="HEX" if kind == "busmaster" else "DEC")
+    else:
+        log = tmp_path / "t.trc"
+        with can.Logger(str(log)) as writer:
+            for k in ROW:
+                for shift, number, data in ((0.0, 0x80, b""), (2e-4, 0x181, payload(k))):
+                    t = 1e9 + k * 1e-3 + shift
+                    writer(
+                        can.Message(
+                            timestamp=t, arbitration_id=number, data=data, channel=1, is_extended_id=False
+                        )
+                    )
+    e, _ = taken(tmp_path, log, CAN_MAP, capsys)
+    whole(e)
+
+
+@pytest.mark.parametrize("name", ["savvycan_gvret.csv", "busmaster.log", "pcan.trc"])
+def test_can_logs_of_the_field_are_read_and_a_first_map_is_suggested(tmp_path, capsys, name):
+    source = field_file(name, tmp_path)
+    e, _ = taken(tmp_path, source, field_map("map.yaml"), capsys)
+    assert e.samples > 1990
+    assert run(["import", str(source), "--suggest", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["map"]["source"]["pdos"]
+
+
+@pytest.mark.parametrize("text", ["nothing of a bus\n" * 50, "1;2;3\n" * 50, "12:00:01 hello 0x181\n" * 50])
+def test_a_log_that_holds_no_frame_is_told_which_kinds_are_read(tmp_path, capsys, text):
+    log = tmp_path / "x.log"
+    log.write_text(text, encoding="utf-8")
+    said = taken(tmp_path, log, CAN_MAP, capsys, 2)
+    assert "no line of it is a CAN frame" in said
+    assert "candump" in said
+    assert "BUSMASTER" in said
+
+
+# --- numbers and encodings
+# ------------------------------------------------------------------------------------
+
+
+def grouped(value: float, decimals: int, group: str, sign: str) -> str:
+    return f"{value:,.{decimals}f}".replace(",", "~").replace(".", sign).replace("~", group)
+
+
+@pytest.mark.parametrize(
+    ("group", "sign", "delimiter"),
+    [(".", ",", ";"), (",", ".", ";"), ("'", ".", "\t"), ("\u202f", ",", ";"), (",", ".", ",")],
+)
+def test_thousands_are_read(tmp_path, capsys, group, sign, delimiter):
+    rows = [delimiter.join(["Zeit [ms]", "Position", "Moment"])]
+    for k in ROW:
+        cells = [
+            grouped(float(k), 1, group, sign),
+            grouped(POSITION[k], 0, group, sign),
+            grouped(50.0 * TORQUE[k], 1, group, sign),
+        ]
+        rows.append(delimiter.join(f'"{c}"' if delimiter == "," else c for c in cells))
+    path = tmp_path / "n.csv"
+    path.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    axis = {**CAN_MAP["axes"][0]}
+    axis["position"] = {"column": 1, "unit": "counts", "per_count": COUNT}
+    axis["torque"] = {"column": 2, "unit": "mNm", "meaning": "measured"}
+    chart = {**CSV_MAP, "motion": "rotary", "time": {"column": 0, "unit": "ms"}, "axes": [axis]}
+    e, _ = taken(tmp_path, path, chart, capsys)
+    whole(e)
+
+
+def test_a_sign_that_may_be_either_is_asked_for(tmp_path, capsys):
+    rows = ["t_ms;x;m"]
+    # Whole counts with points between thousands look like three decimals.
+    rows += [f"{k};{grouped(POSITION[k], 0, '.', ',')};{TORQUE[k]}" for k in ROW]
+    path = tmp_path / "n.csv"
+    path.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    axis = {**CAN_MAP["axes"][0]}
+    axis["position"] = {"column": 1, "unit": "counts", "per_count": COUNT}
+    axis["torque"] = {"column": 2, "unit": "permille", "meaning": "measured"}
+    chart = {**CSV_MAP, "motion": "rotary", "time": {"column": 0, "unit": "ms"}, "axes": [axis]}
+    said = taken(tmp_path, path, chart, capsys, 2)
+    assert "'thousands: '.''" in said
+    e, _ = taken(tmp_path, path, with_source(chart, thousands="."), capsys)
+    whole(e)
+
+
+@pytest.mark.parametrize("name", ["thousands_de.csv", "thousands_us.csv"])
+def test_the_thousands_of_the_field_are_read(tmp_path, capsys, name):
+    e, _ = taken(tmp_path, field_file(name, tmp_path), field_map("v6.yaml"), capsys)
+    np.testing.assert_allclose(e.torque[:3, 0], [-0.2, 1.65, 3.1])
+
+
+@pytest.mark.parametrize("encoding", ["cp1252", "utf-16", "utf-16-le", "utf-8-sig"])
+def test_names_in_any_usual_encoding_are_found(tmp_path, capsys, encoding):
+    path = csv(tmp_path, [f"{k * 1e-3:.3f}" for k in ROW])
+    text = (
+        path.read_text(encoding="utf-8")
+        .replace("position_rad", "Größe für die Öffnung")
+        .replace("torque_Nm", "Drehmoment über alles")
+    )
+    path.write_bytes(text.encode(encoding))
+    axis = {**CSV_MAP["axes"][0], "position": {"column": "Größe für die Öffnung", "unit": "rad"}}
+    axis["torque"] = {"column": "Drehmoment über alles", "unit": "Nm", "meaning": "measured"}
+    e, _ = taken(tmp_path, path, {**CSV_MAP, "axes": [axis]}, capsys)
+    whole(e)
+
+
+# --- EDS and DCF
+# ----------------------------------------------------------------------------------------------
+
+
+def eds_map(name: str) -> dict:
+    axis = {**CAN_MAP["axes"][0], "position": {"column": "n1_6064", "unit": "counts", "per_count": COUNT}}
+    axis["torque"] = {"column": "n1_6077", "unit": "permille", "meaning": "measured"}
+    return {**CAN_MAP, "source": {"kind": "can_log", "eds": name, "nodes": [1]}, "axes": [axis]}
+
+
+EDS = """[DeviceInfo]
+VendorName={vendor}
+VendorNumber={number}
+ProductNumber=0x7
+{rest}"""
+
+
+def eds(*, vendor="Müller Antriebe für Größen", zeros="0x", configured=False) -> str:
+    """A TPDO of statusword, torque and position, in the default or in the value configured."""
+
+    def entry(section: str, kind: int, value: str, default: str) -> str:
+        chosen = f"DefaultValue={default}\nParameterValue={value}" if configured else f"DefaultValue={value}"
+        number = f"0x{kind:04X}" if zeros == "0x" else f"{kind:04d}"
+        head = f"[{section}]\nParameterName=x\nObjectType=0x7\nDataType={number}\nAccessType=rw"
+        return f"{head}\nPDOMapping=1\n{chosen}\n"
+
+    record = "[{0}]\nParameterName=r\nObjectType=0x9\nSubNumber=4\n"
+    count = "3" if zeros == "0x" else "003"
+    rest = entry("6041", 6, "0", "0") + entry("6077", 3, "0", "0") + entry("6064", 4, "0", "0")
+    rest += record.format("1800") + entry("1800sub1", 7, "$NODEID+0x180", "$NODEID+0x80000180")
+    rest += record.format("1A00") + entry("1A00sub0", 5, count, "1")
+    for sub, value in ((1, "0x60410010"), (2, "0x60770010"), (3, "0x60640020")):
+        rest += entry(f"1A00sub{sub}", 7, value, "0x60400010" if sub == 1 else "0")
+    number = "0x1" if zeros == "0x" else "0000001"
+    return EDS.format(vendor=vendor, number=number, rest=rest)
+
+
+@pytest.mark.parametrize(
+    ("ending", "encoding", "zeros", "configured"),
+    [
+        ("eds", "cp1252", "0x", False),
+        ("eds", "utf-8-sig", "0x", False),
+        ("eds", "utf-16", "0x", False),
+        ("eds", "latin-1", "00", False),
+        ("dcf", "utf-8", "0x", True),
+        ("dcf", "cp1252", "00", True),
+    ],
+)
+def test_eds_and_dcf_of_vendors_are_read_as_they_are(tmp_path, capsys, ending, encoding, zeros, configured):
+    (tmp_path / f"drive.{ending}").write_bytes(eds(zeros=zeros, configured=configured).encode(encoding))
+    log = candump(tmp_path, ROW * 1e-3)
+    e, _ = taken(tmp_path, log, eds_map(f"drive.{ending}"), capsys)
+    whole(e)
+
+
+@pytest.mark.parametrize("name", ["axis1_l1.eds", "b_cp1252.eds", "d_bom.eds"])
+def test_the_eds_of_the_field_in_other_encodings_are_read_whole(tmp_path, name):
+    plain = parse_eds(field_file("axis1.eds", tmp_path), 1)
+    assert len(parse_eds(FIELD / name, 1).variables) == len(plain.variables)
+
+
+@pytest.mark.parametrize("name", ["axis1.dcf", "axis1.eds", "axis1_l1.eds"])
+def test_the_eds_and_dcf_of_the_field_map_the_log_of_the_field(tmp_path, capsys, name):
+    source = field_file("base.log", tmp_path)
+    (tmp_path / name).write_bytes((FIELD / name).read_bytes())
+    chart = field_map("mdcf.yaml")
+    chart["source"]["eds"] = name
+    found, _ = taken(tmp_path, source, chart, capsys)
+    plain, _ = taken(tmp_path, source, field_map("map.yaml"), capsys)
+    np.testing.assert_array_equal(found.position, plain.position)
+    np.testing.assert_array_equal(found.torque, plain.torque)
+
+
+# --- plausibility
+# ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("held", [2, 3, 4, 2.5])
+def test_values_that_stand_for_several_rows_are_told_with_their_rate(tmp_path, capsys, held):
+    fresh = np.floor(np.floor(ROW / held) * held).astype(int)
+    path = csv(tmp_path, [f"{k * 1e-3:.3f}" for k in ROW])
+    lines = path.read_text(encoding="utf-8").splitlines()
+    cells = [line.split(",") for line in lines[1:]]
+    path.write_text(
+        "\n".join(
+            [lines[0], *(f"{c[0]},{cells[f][1]},{cells[f][2]}" for c, f in zip(cells, fresh, strict=True))]
+        )
+        + "\n"
+    )
+    _, said = taken(tmp_path, path, CSV_MAP, capsys)
+    assert f"stands for {held:.3g} rows" in said
+    assert f"{1000 / held:.4g} Hz" in said
+    if held == int(held):
+        assert f"every: {held}" in said
+        e, said = taken(tmp_path, path, {**CSV_MAP, "experiments": [{"every": held}]}, capsys)
+        assert "stands for" not in said
+        np.testing.assert_allclose(e.position[:, 0], POSITION[:: int(held)] * COUNT, atol=1e-8)
+
+
+def test_a_slow_motion_of_coarse_counts_is_not_called_held(tmp_path, capsys):
+    rng = np.random.default_rng(3)
+    path = tmp_path / "slow.csv"
+    slow = np.round(20 * np.sin(2 * np.pi * ROW / 700) + 6 * np.sin(2 * np.pi * ROW / 90)) * 1e-3
+    torque = np.round(3 * np.sin(ROW / 60) + 0.2 * rng.normal(size=N), 0)
+    rows = [f"{k * 1e-3:.3f},{p:.4f},{m}" for k, p, m in zip(ROW, slow, torque, strict=True)]
+    path.write_text("\n".join(["time,position_rad,torque_Nm", *rows]) + "\n", encoding="utf-8")
+    _, said = taken(tmp_path, path, CSV_MAP, capsys)
+    assert "stands for" not in said
+
+
+@pytest.mark.parametrize("kind", ["int16", "sign16", "int32"])
+def test_a_sign_lost_on_the_way_is_told_with_the_key_that_gives_it_back(tmp_path, capsys, kind):
+    bits = int(kind[-2:])
+    raw = np.where(TORQUE < 0, TORQUE + 2**bits if kind[0] == "i" else 2 ** (bits - 1) - TORQUE, TORQUE)
+    path = tmp_path / "u.csv"
+    rows = [f"{k * 1e-3:.3f},{POSITION[k] * COUNT:.9f},{raw[k]}" for k in ROW]
+    path.write_text("\n".join(["time,position_rad,torque", *rows]) + "\n", encoding="utf-8")
+    axis = {**CSV_MAP["axes"][0], "torque": {"column": 2, "unit": "permille", "meaning": "measured"}}
+    chart = {**CSV_MAP, "axes": [axis]}
+    _, said = taken(tmp_path, path, chart, capsys)
+    assert f"read_as: {kind}" in said
+    assert "times its rated torque" in said
+    axis["torque"]["read_as"] = kind
+    e, said = taken(tmp_path, path, chart, capsys)
+    assert "rated torque" not in said
+    whole(e)
+
+
+@pytest.mark.parametrize(
+    ("name", "chart", "said"),
+    [
+        ("torque_uint16.csv.xz", "v8.yaml", "a signed number read as unsigned"),
+        ("stale4ms.csv.xz", "v10.yaml", "every value stands for 4 rows: it was taken at 250 Hz"),
+    ],
+)
+def test_what_the_field_cannot_mean_is_told_at_import(tmp_path, capsys, name, chart, said):
+    _, told = taken(tmp_path, field_file(name, tmp_path), field_map(chart), capsys)
+    assert said in told
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"position": {"column": 1, "unit": "rev", "scale": 1e5}}, "faster than any drive"),
+        ({"torque": {"column": 2, "unit": "kNm", "meaning": "measured"}}, "times its rated torque"),
+        ({"torque": {"column": 2, "unit": "Nm"}}, "'meaning'"),
+    ],
+)
+def test_numbers_that_no_axis_reaches_name_the_line_of_the_map(tmp_path, capsys, change, said):
+    log = csv(tmp_path, [f"{k * 1e-3:.3f}" for k in ROW])
+    _, told = taken(tmp_path, log, {**CSV_MAP, "axes": [{**CSV_MAP["axes"][0], **change}]}, capsys)
+    assert said in told
+
+
+@pytest.mark.parametrize(
+    ("torque", "motion", "doubted"),
+    [
+        ("motor_torque", "link_position", True),
+        ("tau_m", "q_load", True),
+        ("motor_torque", "motor_position", False),
+        ("torque", "position", False),
+    ],
+)
+def test_torque_of_one_side_with_motion_of_the_other_is_doubted(tmp_path, capsys, torque, motion, doubted):
+    path = csv(tmp_path, [f"{k * 1e-3:.3f}" for k in ROW])
+    text = path.read_text(encoding="utf-8").replace("position_rad", motion).replace("torque_Nm", torque)
+    path.write_text(text, encoding="utf-8")
+    axis = {**CSV_MAP["axes"][0], "position": {"column": motion, "unit": "rad"}}
+    axis["torque"] = {"column": torque, "unit": "Nm", "meaning": "measured"}
+    _, told = taken(tmp_path, path, {**CSV_MAP, "axes": [axis]}, capsys)
+    assert ("must be of one side" in told) is doubted
+
+
+# --- maps
+# -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"experiments": [{"rows": [0, 99_999]}]}, "1200 rows of data"),
+        ({"skip": {"t.csv": " "}}, "say why 't.csv'"),
+        ({"time": {"colum": 0}}, "time.colum is no key of a map"),
+        ({"axes": []}, "axes"),
+    ],
+)
+def test_a_map_that_is_wrong_is_told_with_its_line_and_no_words_of_a_library(tmp_path, capsys, change, said):
+    log = csv(tmp_path, [f"{k * 1e-3:.3f}" for k in ROW])
+    path = tmp_path / "map.yaml"
+    path.write_text(yaml.safe_dump({**CSV_MAP, **change}), encoding="utf-8")
+    assert run(["import", str(log), "--map", str(path), "-o", str(tmp_path / "r.h5")]) == 2
+    told = capsys.readouterr().err
+    assert said in told
+    assert "Value error" not in told
+    assert "more)" not in told
+
+
+def test_a_map_names_its_files_and_what_it_leaves_out_and_why(tmp_path, capsys):
+    for number in range(3):
+        csv(tmp_path, [f"{k * 1e-3:.3f}" for k in ROW], name=f"run{number}.csv")
+    (tmp_path / "run1.csv").write_text("no numbers\n", encoding="utf-8")
+    chart = {**CSV_MAP, "files": ["run*.csv"]}
+    path, out = tmp_path / "map.yaml", tmp_path / "r.h5"
+    path.write_text(yaml.safe_dump(chart), encoding="utf-8")
+    assert run(["import", "--map", str(path), "-o", str(out)]) == 2
+    assert "skip: {'run1.csv'" in capsys.readouterr().err
+    assert run(["import", "--check", str(path), "--json", "--plots", str(tmp_path / "plots")]) == 2
+    document = json.loads(capsys.readouterr().out)
+    assert [f["error"] is None for f in document["files"]] == [True, False, True]
+    shown = document["files"][0]["experiments"][0]
+    assert shown["rows"] == N
+    assert shown["rate_hz"] == pytest.approx(1000.0)
+    assert shown["axes"][0]["torque"][1] == pytest.approx(TORQUE.max() * 0.05)
+    assert len(list((tmp_path / "plots").glob("*.png"))) == 2
+    assert not out.exists()
+    path.write_text(yaml.safe_dump({**chart, "skip": {"run1.csv": "the logger was off"}}), encoding="utf-8")
+    assert run(["import", "--map", str(path), "-o", str(out)]) == 0
+    assert "the logger was off" in capsys.readouterr().err
+    assert len(read_recording(out).experiments) == 2

@@ -1,0 +1,144 @@
+"""What is left of a run whose process, or whose service, was killed: rows become its recording."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from fastapi.testclient import TestClient
+from service_doubles import Director, running, settings_in, wait_for
+
+from invid.recording import Kind, Outcome, Recording, RecordingWriter, read_recording
+from invid_service.app import create_app
+from invid_service.jobs.states import State
+from invid_service.store.blobs import Blobs
+from invid_service.store.store import RunRecord
+
+RUN = "20261125T142221-0a1b2c3d"
+PATH = f"/api/v1/identifications/{RUN}"
+AXES = ("A1", "A2", "A3")
+
+
+def written(path: Path, rows: int) -> RecordingWriter:
+    """A recording in the making, as a killed process leaves it: its rows flushed, nobody to close it."""
+    head = Recording(
+        robot="test robot", axes=AXES, position_unit="rad", torque_unit="N·m",
+        created="2026-01-01T00:00:00Z", experiments=(), attributes={"simulated": True},
+    )  # fmt: skip
+    writer = RecordingWriter(path, head)
+    writer.begin(kind=Kind.OTHER, excited_axis=0, sample_rate_hz=1000.0, demand=False, status=False)
+    values = np.arange(3.0 * rows).reshape(rows, 3)
+    writer.append(np.arange(rows) / 1000, values, values)
+    writer.flush()
+    return writer
+
+
+def cut_off(folder: Path, state: State, name: str = RUN) -> Blobs:
+    """A store in which a run is going on, and nobody who works for it."""
+    app = create_app(settings_in(folder), launcher=Director().launch)
+    service = app.state.service
+    now = datetime.now(UTC)
+    record = RunRecord(
+        id=name, cell="cell", robot="test robot", mode="full", axes=AXES, simulated=True, state=state,
+        created=now, started=now, requested_by="local",
+    )  # fmt: skip
+    service.store.add_run(record)
+    service.store.close()
+    service.lock.release()
+    blobs: Blobs = service.blobs
+    return blobs
+
+
+def fetched(client: TestClient, folder: Path) -> Recording:
+    answer = client.get(f"{PATH}/recording")
+    assert answer.status_code == 200, answer.text
+    file = folder / "fetched.h5"
+    file.write_bytes(answer.content)
+    return read_recording(file)
+
+
+def test_rows_of_a_run_that_was_cut_off_are_its_recording_marked_failed(tmp_path: Path) -> None:
+    scratch = cut_off(tmp_path, State.RUNNING).scratch(RUN)
+    written(scratch / "recording.h5", 2500)
+    with running(tmp_path) as (client, _):
+        body = client.get(PATH).json()
+        assert body["state"] == "interrupted"
+        assert "kept as this run's recording" in body["error"]["fix"]
+        recording = fetched(client, tmp_path)
+    assert recording.outcome is Outcome.FAILED
+    assert recording.experiments[0].samples == 2500
+    assert recording.experiments[0].position[-1].tolist() == [7497.0, 7498.0, 7499.0]
+    assert not scratch.exists()
+
+
+def test_a_cut_between_file_and_store_loses_nothing(tmp_path: Path) -> None:
+    """The file has been moved to its place, its row was not written yet."""
+    blobs = cut_off(tmp_path, State.RUNNING)
+    scratch = blobs.scratch(RUN)
+    written(scratch / "recording.h5", 1000).close(Outcome.ABORTED)
+    assert blobs.put(RUN, "recording", scratch / "recording.h5") is not None
+    with running(tmp_path) as (client, _):
+        assert fetched(client, tmp_path).outcome is Outcome.ABORTED
+
+
+def test_a_cut_before_the_first_row_says_that_there_is_no_recording(tmp_path: Path) -> None:
+    written(cut_off(tmp_path, State.RUNNING).scratch(RUN) / "recording.h5", 0)
+    with running(tmp_path) as (client, _):
+        assert client.get(PATH).json()["state"] == "interrupted"
+        answer = client.get(f"{PATH}/recording")
+        assert (answer.status_code, answer.json()["state"]) == (404, "interrupted")
+        answer = client.post(f"{PATH}/analysis")
+        assert (answer.status_code, answer.json()["type"]) == (404, "urn:invid:problem:artefact-not-found")
+
+
+def test_an_upload_that_was_never_taken_leaves_nothing(tmp_path: Path) -> None:
+    scratch = cut_off(tmp_path, State.RUNNING).scratch("20261125T142221-ffffffff")
+    (scratch / "recording.h5").write_bytes(b"half")
+    with running(tmp_path):
+        assert not scratch.exists()
+
+
+def test_the_recording_of_a_cut_off_run_is_analysed_as_a_run_of_its_own(tmp_path: Path) -> None:
+    written(cut_off(tmp_path, State.RUNNING).scratch(RUN) / "recording.h5", 2500)
+    with running(tmp_path) as (client, director):
+        answer = client.post(f"{PATH}/analysis")
+        assert answer.status_code == 202, answer.text
+        assert answer.json()["analyses"] == RUN
+        done = wait_for(client, answer.headers["Location"], "succeeded")
+        assert done["mode"] == "upload"
+        assert (done["cell"], done["simulated"]) == ("cell", True)
+        (worker,) = director.workers
+        assert worker.job.kind == "analyse"
+        assert client.get(PATH).json()["state"] == "interrupted"
+        assert fetched(client, tmp_path).experiments[0].samples == 2500  # it has its recording still
+
+
+def test_a_run_in_progress_is_not_analysed_before_its_end(tmp_path: Path) -> None:
+    director = Director()
+    director.go.clear()
+    with running(tmp_path, director) as (client, _):
+        body = {"mode": "full", "arm": True}
+        location = client.post("/api/v1/cells/cell/identifications", json=body).headers["Location"]
+        wait_for(client, location, "running")
+        answer = client.post(f"{location}/analysis")
+        assert (answer.status_code, answer.json()["type"]) == (409, "urn:invid:problem:wrong-state")
+
+
+def test_what_the_store_does_not_take_waits_for_the_next_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    with running(tmp_path) as (client, _), monkeypatch.context() as patched:
+        patched.setattr(Blobs, "put", full)
+        body = {"mode": "full", "arm": True}
+        location = client.post("/api/v1/cells/cell/identifications", json=body).headers["Location"]
+        assert wait_for(client, location, "failed")["error"]["code"] == "store-unavailable"
+        assert client.get(f"{location}/recording").status_code == 404
+    with running(tmp_path) as (client, _):
+        assert client.get(location).json()["state"] == "failed"
+        assert client.get(f"{location}/recording").status_code == 200
