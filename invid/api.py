@@ -187,7 +187,8 @@ def diagnose(
         causes, each experiment with its own noise. A load or an offset that differs between them is not
         told apart yet: it is one cause for all, or is left unexplained.
     model
-        Where to start; default: what ``identify`` makes of the recording with ``masses``.
+        Where to start, and, where it comes from another recording, the accepted model with which the result
+        is compared; default: what ``identify`` makes of the recording with ``masses``.
     budget, progress
         As for ``identify``. A search that the budget ended calls nothing ``consistent`` and no finding surer
         than 0.89; ``details["cut_short"]`` is then True.
@@ -200,7 +201,7 @@ def diagnose(
     Diagnosis
         ``verdict``, ``findings`` (``cause``, ``axis``, ``element``, ``parameters["torque"].value`` and
         ``.std``, ``confidence``, ``alternatives``), ``residual`` of each axis [N·m or N], ``model`` (with the
-        causes as its effects), ``warnings``.
+        causes as its effects), ``changes`` since the model given, ``headline``, ``warnings``.
 
     Raises
     ------
@@ -209,6 +210,8 @@ def diagnose(
     NotIdentifiableError
         Data from which no model can be drawn.
     """
+    from invid.comparison.compare import compare as compared
+    from invid.comparison.news import with_changes
     from invid.diagnosis.diagnose import diagnose as diagnosed
     from invid.errors import InputError
     from invid.numerics.immutable import immutable
@@ -219,7 +222,11 @@ def diagnose(
     start = None if model is None else arguments.a_model(model)
     sizes = arguments.mass_counts(masses, one.axes)
     with _using(effects), _limits(budget, progress):
-        return immutable(diagnosed(one, model=start, masses=sizes))
+        result = diagnosed(one, model=start, masses=sizes)
+        other = start is not None and start.provenance.get("recorded") != one.created
+        if start is not None and other and start.linear == result.model.linear:
+            result = with_changes(result, compared(start, result.model))
+        return immutable(result)
 
 
 def simulate(

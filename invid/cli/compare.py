@@ -7,6 +7,7 @@ from pathlib import Path
 import typer
 
 from invid.api import compare, load_model
+from invid.cli.language_option import SpokenLanguage
 from invid.cli.output import EXIT_NOT_TRUSTWORTHY, EXIT_OK, emit, note
 
 
@@ -24,6 +25,7 @@ def register(app: typer.Typer) -> None:
         repeatability: float = typer.Option(
             0.0, help="Standard deviation in per cent between measurements of an unchanged robot."
         ),
+        language: SpokenLanguage = "en",
         as_json: bool = typer.Option(False, "--json", help="One JSON document on stdout."),
     ) -> int:
         """Which parameters changed beyond their uncertainty, in words and numbers."""
@@ -48,7 +50,15 @@ def register(app: typer.Typer) -> None:
             ]
         emit(
             document,
-            "\n".join([*result.sentences, "", table(result.parameters + result.effects)]),
+            "\n".join(
+                [
+                    result.headlines[language],
+                    "",
+                    *result.sentences_in(language),
+                    "",
+                    table(result.parameters + result.effects),
+                ]
+            ),
             as_json=as_json,
         )
         return EXIT_OK if result.told else EXIT_NOT_TRUSTWORTHY

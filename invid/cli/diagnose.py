@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,12 +11,12 @@ from invid.api import diagnose, load_model, read_recording
 from invid.cli.display import BUDGET, ends_on_interrupt, shown_progress
 from invid.cli.effects_option import Effects, use_effects
 from invid.cli.identify import parse_masses
+from invid.cli.language_option import SpokenLanguage
 from invid.cli.output import EXIT_NOT_TRUSTWORTHY, EXIT_OK, emit, note
 from invid.errors import InputError, ModelError
 
 if TYPE_CHECKING:
     from invid.model.diagnosis_document import Diagnosis
-    from invid.model.document import Model
     from invid.recording.model import Recording
 
 
@@ -35,7 +34,11 @@ def register(app: typer.Typer) -> None:
         ],
         model: Annotated[
             Path | None,
-            typer.Option("--model", metavar="MODEL.json", help="Start here instead of identifying first."),
+            typer.Option(
+                "--model",
+                metavar="MODEL.json",
+                help="Start here instead of identifying first; of another recording: say what changed since.",
+            ),
         ] = None,
         further: Annotated[
             list[Path] | None,
@@ -70,6 +73,7 @@ def register(app: typer.Typer) -> None:
                 "--without-rule", metavar="NAME", hidden=True, help="A special rule of the search off."
             ),
         ] = None,
+        language: SpokenLanguage = "en",
         as_json: Annotated[bool, typer.Option("--json", help="Print the diagnosis as JSON.")] = False,
     ) -> int:
         """Name what the model gets wrong, with the extended model and the gain on held-out data."""
@@ -95,8 +99,6 @@ def register(app: typer.Typer) -> None:
             if given is None or not given.effects:
                 raise
             raise ModelError(f"{model}: {error}") from None
-        if given is not None and given.provenance.get("recorded") != data.created:
-            diagnosis = since(diagnosis, given)
         document = diagnosis_to_json(diagnosis)
         if output is not None:
             diagnosis.save(output)
@@ -113,21 +115,9 @@ def register(app: typer.Typer) -> None:
                 note(f"warning: {warning}")
         seen = [f"report: {report}"] if report is not None else []
         seen += [f"picture: {p}" for p in pictures if p.suffix == ".svg"]
-        emit(document, "\n".join([diagnosis_text(diagnosis), *seen]), as_json=as_json)
+        emit(document, "\n".join([diagnosis_text(diagnosis, language), *seen]), as_json=as_json)
         trustworthy = bool(diagnosis.model.fit.get("trustworthy", True))
         return EXIT_OK if trustworthy else EXIT_NOT_TRUSTWORTHY
-
-
-def since(diagnosis: Diagnosis, before: Model) -> Diagnosis:
-    """The diagnosis whose headline says which causes are new since an earlier model, or have grown."""
-    from invid.comparison.causes import new_since
-    from invid.comparison.compare import compare
-
-    if before.linear != diagnosis.model.linear:
-        return diagnosis
-    when = str(before.provenance.get("recorded") or "the model given")
-    said = new_since(compare(before, diagnosis.model).causes, when[:10] if when[:4].isdigit() else when)
-    return replace(diagnosis, headline=f"{diagnosis.headline} {said}".strip())
 
 
 def _write(path: Path, text: str) -> None:
@@ -152,11 +142,15 @@ def _write_plots(folder: Path, recording: Recording, diagnosis: Diagnosis) -> li
     return [folder / name for name in files]
 
 
-def diagnosis_text(diagnosis: Diagnosis) -> str:
-    """The headline, the sentences, then the residuals, the competing causes and the warnings."""
+def diagnosis_text(diagnosis: Diagnosis, language: str = "en") -> str:
+    """The headline, the sentences, then the residuals, the competing causes and the warnings.
+
+    ``language`` is that of the headline.
+    """
     from invid.planning.separating_experiments import is_measurable
 
-    lines = [diagnosis.headline, ""] if diagnosis.headline else []
+    headline = diagnosis.headlines.get(language, diagnosis.headline)
+    lines = [headline, ""] if headline else []
     lines += diagnosis.sentences
     lines.append("")
     lines.append(f"verdict: {diagnosis.verdict}")

@@ -23,11 +23,15 @@ from scipy import special
 
 from invid.comparison.changes import CauseChange, CauseStatus, Change, Repeatability, Status
 from invid.comparison.joint_test import two_sided
+from invid.comparison.named import named_cause
 from invid.comparison.pairs import describe, name_of
-from invid.comparison.sentences import differing_number, percent
+from invid.comparison.sentences import bound_phrase
+from invid.diagnosis.clauses import cause_check, cause_name, label, parameter_name, size_text
 from invid.effects.registry import BY_CAUSE
 from invid.model.document import EffectTerm, Estimate, Model
 from invid.numerics.distributions import chi2_isf, normal_isf
+from invid.wording.figures import differing_number, percent
+from invid.wording.statement import Figure, Listed, Statement, Value
 
 NAMED_FROM = math.sqrt(chi2_isf(1e-5, 1))
 """Size, in standard deviations, from which a diagnosis names a cause: a chance of one in a thousand over
@@ -102,11 +106,11 @@ def _paired(
         CauseStatus.CANNOT_TELL,
     )
     if twin is not None:
-        return replace(change, reason=f"it was described as {twin.cause.replace('_', ' ')} before")
+        return replace(change, why=Statement("why.described", {"cause": cause_name(twin.cause)}))
     if any(e is not None and not (e.std is not None and e.std > 0) for e in (a, b)) or (
         a is None and b is None
     ):
-        return replace(change, reason="a model gives no uncertainty for it")
+        return replace(change, why=Statement("why.cause_no_std"))
     if a is not None and b is not None:
         spread = [math.hypot(e.std or 0.0, scatter.relative * e.value) for e in (a, b)]
         std = scatter.factor * math.hypot(*spread)
@@ -131,7 +135,7 @@ def _one_sided(change: CauseChange, models: tuple[Model, Model], scatter: Repeat
     doubt = _not_looked_for(models[other], which)
     ratio = None if doubt else noise_ratio(models[mine], models[other], change.axis)
     if ratio is None:
-        return replace(change, reason=doubt or f"what the {which} run could have seen is not known")
+        return replace(change, why=doubt or Statement(f"why.sight_unknown_{which}"))
     own = scatter.factor * math.hypot(found.std, scatter.relative * found.value)
     theirs = max(ratio, 1e-9) * scatter.factor * found.std
     size = abs(found.value - _nothing(change.parameter))
@@ -143,14 +147,12 @@ def _one_sided(change: CauseChange, models: tuple[Model, Model], scatter: Repeat
     )
 
 
-def _not_looked_for(model: Model, which: str) -> str:
-    """Why a cause may be missing in a model without being absent; empty where nothing says so."""
+def _not_looked_for(model: Model, which: str) -> Statement | None:
+    """Why a cause may be missing in a model without being absent; ``None`` where nothing says so."""
     verdict = model.fit.get("verdict")
     if verdict in ("consistent", "explained") or (verdict is None and model.effects):
-        return ""
-    if verdict is None:
-        return f"the {which} model does not say that causes were looked for"
-    return f"something in the {which} run had no name; it may have been this"
+        return None
+    return Statement(f"why.not_looked_{which}" if verdict is None else f"why.nameless_{which}")
 
 
 def noise_ratio(mine: Model, other: Model, axis: str) -> float | None:
@@ -203,15 +205,17 @@ def _status(c: CauseChange, significant: bool, alpha: float, tolerance: float) -
         which = "old" if c.old is None else "new"
         size = differing_number(c.detectable or 0.0, (c.detectable or 0.0) / 20)
         unit = f" {c.unit}" if c.unit and c.unit != "1" else ""
-        return replace(c, reason=f"the {which} run would have seen it from {size}{unit} on")
+        return replace(c, why=Statement(f"why.would_see_{which}", {"size": Figure(f"{size}{unit}")}))
     if significant:
         return replace(c, status=CauseStatus.GREW if c.difference >= 0 else CauseStatus.SHRANK)
     scale = abs(c.old.value)
     bound = (abs(c.difference) + normal_isf(alpha) * c.std) / scale if scale > 0 else None
     if bound is not None and bound <= tolerance:
         return replace(c, status=CauseStatus.UNCHANGED, bound=bound)
-    reason = "it was 0" if bound is None else f"a change of up to {percent(bound)} would not be seen"
-    return replace(c, reason=reason, bound=bound)
+    why = Statement("why.cause_was_zero")
+    if bound is not None:
+        why = Statement("why.unseen", {"bound": bound_phrase(bound)})
+    return replace(c, why=why, bound=bound)
 
 
 def with_cause_verdicts(effects: Sequence[Change], causes: Sequence[CauseChange]) -> tuple[Change, ...]:
@@ -229,7 +233,7 @@ def with_cause_verdicts(effects: Sequence[Change], causes: Sequence[CauseChange]
             replace(
                 e,
                 status=status,
-                reason=c.reason,
+                why=c.why,
                 std=c.std,
                 bound=c.bound,
                 p_value=c.p_value,
@@ -240,71 +244,31 @@ def with_cause_verdicts(effects: Sequence[Change], causes: Sequence[CauseChange]
 
 
 # --- words ------------------------------------------------------------------------------------------
-_WORDS = {CauseStatus.GREW: "grew", CauseStatus.SHRANK: "shrank", CauseStatus.GONE: "is no longer found"}
-
-
-def cause_sentences(causes: Sequence[CauseChange]) -> list[str]:
+def cause_sentences(causes: Sequence[CauseChange]) -> list[Statement]:
     """What became of the causes, those that changed first, each with the size that was or is."""
     said = [sentence_of(c) for c in causes if c.status in CHANGED]
     same = [c for c in causes if c.status is CauseStatus.UNCHANGED]
     if same:
         worst = percent(max(c.bound or 0.0 for c in same))
-        said.append(f"{_and([c.label.replace(': ', ' ') for c in same])} unchanged within ±{worst}.")
+        labels = Listed(tuple(label(named_cause(c), plain=True) for c in same))
+        code = "told.causes_same_one" if len(same) == 1 else "told.causes_same"
+        said.append(Statement(code, {"labels": labels, "bound": Figure(worst)}))
     said += [
-        f"{c.label}: cannot tell whether it changed: {c.reason}."
+        Statement("told.cause_open", {"label": label(named_cause(c)), "why": c.why or ""})
         for c in causes
         if c.status is CauseStatus.CANNOT_TELL
     ]
     return said
 
 
-def sentence_of(c: CauseChange) -> str:
-    """ "A2: backlash at spring 1 is new: gap 0.0003 ± 0.00002 rad. Check …"."""
-    check = BY_CAUSE[c.cause].check if c.cause in BY_CAUSE else ""
+def sentence_of(c: CauseChange) -> Statement:
+    """ "A2: free play in the transmission at spring 1 is new: free play 0.30 ± 0.01 mrad. Check …"."""
+    was, now = (Figure(size_text(e, c.unit)) for e in (c.old, c.new))
+    values: dict[str, Value] = {"label": label(named_cause(c)), "old": was, "new": now}
+    check: Value = cause_check(c.cause) or ""
     if c.status is CauseStatus.APPEARED:
-        return f"{c.label} is new: {c.parameter.replace('_', ' ')} {_size(c.new, c.unit)}. {check}".rstrip()
+        values |= {"parameter": parameter_name(c.parameter), "size": now, "check": check}
+        return Statement("told.cause_new", values)
     if c.status is CauseStatus.GONE:
-        return f"{c.label} is no longer found (it was {_size(c.old, c.unit)})."
-    more = f" {check}" if c.status is CauseStatus.GREW and check else ""
-    return f"{c.label} {_WORDS[c.status]}: {_size(c.old, c.unit)} → {_size(c.new, c.unit)}.{more}"
-
-
-def new_since(causes: Sequence[CauseChange], since: str) -> str:
-    """One sentence on what is new or more since a date; empty where nothing is."""
-    worse = [c for c in causes if c.status in (CauseStatus.APPEARED, CauseStatus.GREW)]
-    if not worse:
-        return ""
-    said = []
-    for c in worse[:2]:
-        effect = BY_CAUSE.get(c.cause)
-        title = (effect.title if effect else c.cause.replace("_", " ")).split(" (")[0]
-        place = f" at {c.element}" if c.element and c.element != "mass 1" else ""
-        how = (
-            f"{title} of {_size(c.new, c.unit)}"
-            if c.old is None
-            else f"{title} grew to {_size(c.new, c.unit)}"
-        )
-        said.append(f"{how} on {c.axis}{place}")
-    more = f" and {len(worse) - 2} more" if len(worse) > 2 else ""
-    first = BY_CAUSE.get(worse[0].cause)
-    check = f"; {first.check[0].lower()}{first.check[1:].rstrip('.')}" if first and len(worse) == 1 else ""
-    kind = "New" if worse[0].old is None else "More"
-    return f"{kind} since {since}: {', '.join(said)}{more}{check}."
-
-
-def _size(e: Estimate | None, unit: str | None) -> str:
-    if e is None:
-        return "nothing"
-    of = f" {unit}" if unit and unit != "1" else ""
-    if e.std is None or not e.std > 0:
-        return f"{e.value:.4g}{of}"
-    if abs(e.value) < 1e-2 and unit in ("rad", "m", "s"):
-        thousand = Estimate(1e3 * e.value, 1e3 * e.std)
-        return _size(thousand, f"m{unit}")
-    return f"{differing_number(e.value, e.std)} ± {differing_number(e.std, e.std)}{of}"
-
-
-def _and(words: Sequence[str]) -> str:
-    if len(words) == 1:
-        return f"{words[0]} is"
-    return f"{', '.join(words[:-1])} and {words[-1]} are"
+        return Statement("told.cause_gone", {**values, "size": was})
+    return Statement(f"told.cause_{c.status}", {**values, "check": check})

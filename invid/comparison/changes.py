@@ -6,7 +6,11 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
 
+from invid.diagnosis.clauses import shape_statement
+from invid.diagnosis.headline import changes_headline
 from invid.model.document import Estimate
+from invid.model.named_change import NamedChange
+from invid.wording.statement import ENGLISH, LANGUAGES, Statement, say, upper_first
 
 
 class Status(StrEnum):
@@ -39,13 +43,19 @@ class _Judged:
     ``difference`` ± ``std`` is new − old; ``bound`` the largest relative change that the data still allow.
     """
 
-    reason: str = ""
+    why: Statement | None = None
+    """Why nothing can be told."""
     difference: float | None = None
     std: float | None = None
     p_value: float | None = None
     p_adjusted: float | None = None
     bound: float | None = None
     detectable: float | None = None
+
+    @property
+    def reason(self) -> str:
+        """Why nothing can be told, in English; empty where something can."""
+        return "" if self.why is None else say(self.why)
 
     def _judged_to_json(
         self, old: Estimate | None, new: Estimate | None, status: Status | CauseStatus
@@ -87,6 +97,10 @@ class Change(_Judged):
     scale: float = 0.0
     final: bool = False
     rivals: tuple[str, ...] = ()
+    cause: str | None = None
+    """Of a number of a cause."""
+    element: str | None = None
+    other_axis: str | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""
@@ -167,21 +181,43 @@ class Comparison:
     effects: tuple[Change, ...]
     joint_p: float | None
     joint_dof: int
-    sentences: tuple[str, ...]
+    statements: tuple[Statement, ...] = ()
+    """All that can be said, what changed first."""
     warnings: tuple[str, ...] = ()
-    structure: tuple[str, ...] = field(default=())
+    shape: tuple[NamedChange, ...] = ()
     """What differs in structure: axes, numbers of masses."""
     repeatability: Repeatability = field(default=Repeatability())
     runs: tuple[int, int] = (1, 1)
     """How many models the old and the new side are the mean of."""
     causes: tuple[CauseChange, ...] = ()
     """What became of every cause that either side has."""
+    named: tuple[NamedChange, ...] = ()
+    """What changed beyond its uncertainty, as it is told first."""
+
+    @property
+    def structure(self) -> tuple[str, ...]:
+        """What differs in structure, in English."""
+        return tuple(say(shape_statement(c)) for c in self.shape)
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """All that can be said, in English."""
+        return self.sentences_in(ENGLISH)
+
+    def sentences_in(self, language: str) -> tuple[str, ...]:
+        """All that can be said in a language."""
+        return tuple(upper_first(say(s, language)).strip() for s in self.statements)
+
+    @property
+    def headlines(self) -> dict[str, str]:
+        """What changed, what it looks like and what now, by language."""
+        return {language: changes_headline(self.named, language) for language in LANGUAGES}
 
     @property
     def told(self) -> bool:
         """False where nothing could be called changed or unchanged."""
         return (
-            bool(self.structure)
+            bool(self.shape)
             or any(c.status is not Status.CANNOT_TELL or c.rivals for c in self.parameters + self.effects)
             or any(str(c.status) != "cannot_tell" for c in self.causes)
         )
@@ -200,6 +236,8 @@ class Comparison:
             "joint": {"p": self.joint_p, "dof": self.joint_dof},
             "repeatability": {"factor": self.repeatability.factor, "pairs": self.repeatability.pairs},
             "runs": {"old": self.runs[0], "new": self.runs[1]},
+            "headline": self.headlines[ENGLISH],
+            "headlines": self.headlines,
             "structure": list(self.structure),
             "sentences": list(self.sentences),
             "warnings": list(self.warnings),

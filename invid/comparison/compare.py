@@ -21,14 +21,18 @@ from invid.comparison.baseline import repeatability as measured_repeatability
 from invid.comparison.causes import cause_sentences, compare_causes, with_cause_verdicts
 from invid.comparison.changes import Change, Comparison, Repeatability, Status
 from invid.comparison.joint_test import Selection, Whitened, covariance_of, detectable, joint_p, select
+from invid.comparison.named import named_change
+from invid.comparison.news import named_changes
 from invid.comparison.pairs import effects as paired_effects
 from invid.comparison.pairs import parameter_changes
 from invid.comparison.pairs import structure as structure_of
-from invid.comparison.sentences import percent, sentences
+from invid.comparison.sentences import bound_phrase, statements
+from invid.diagnosis.clauses import label
 from invid.errors import InputError
 from invid.model.document import Model, units
 from invid.numerics.arrays import Float64
 from invid.numerics.distributions import normal_isf
+from invid.wording.statement import Listed, Statement
 
 ALPHA = 0.01
 """Probability of calling anything changed where nothing did (family-wise), of parameters and of causes each:
@@ -141,8 +145,9 @@ def compare(  # noqa: PLR0913 - the contract: each is one option of the command
         (len(sides[0]), len(sides[1])),
         causes,
     )
-    said = sentences(comparison, joint_alpha=_JOINT_SHARE * alpha, causes=cause_sentences(causes))
-    return replace(comparison, sentences=said)
+    joint_alpha = _JOINT_SHARE * alpha
+    said = statements(comparison, joint_alpha=joint_alpha, causes=cause_sentences(causes))
+    return replace(comparison, statements=said, named=named_changes(comparison, joint_alpha))
 
 
 def _covariance(old: Model, new: Model, changes: Sequence[Change]) -> Float64:
@@ -176,22 +181,21 @@ def _judge(
             difference, spread = sizes[k]
         bound = (abs(difference) + reach * spread) / c.scale if c.scale > 0 else None
         rivals: tuple[str, ...] = ()
+        why: Statement | None
         if k in doubtful:
             rivals = tuple(dict.fromkeys(changes[o].name for o in sorted(doubtful[k])))
-            labels = dict.fromkeys(changes[o].label for o in sorted(doubtful[k]))
+            others = tuple(label(named_change(changes[o])) for o in sorted(doubtful[k]))
             status = Status.CANNOT_TELL
-            reason = f"this or {' or '.join(labels)} changed; the data do not separate them"
+            why = Statement("why.rivals", {"labels": Listed(others, "or")})
         elif k in sizes:
-            status, reason = Status.CHANGED, ""
+            status, why = Status.CHANGED, None
         elif bound is not None and bound <= tolerance:
-            status, reason = Status.UNCHANGED, ""
+            status, why = Status.UNCHANGED, None
         else:
             status = Status.CANNOT_TELL
-            reason = (
-                "no value to compare with: it was 0"
-                if bound is None
-                else f"a change of up to {percent(bound)} would not be seen"
-            )
+            why = Statement("why.was_zero")
+            if bound is not None:
+                why = Statement("why.unseen", {"bound": bound_phrase(bound)})
         out.append(
             replace(
                 c,
@@ -200,7 +204,7 @@ def _judge(
                 p_value=selection.p[k],
                 p_adjusted=selection.p_adjusted[k],
                 status=status,
-                reason=reason,
+                why=why,
                 bound=bound,
                 rivals=rivals,
             )

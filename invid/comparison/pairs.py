@@ -10,34 +10,30 @@ from itertools import combinations
 from invid.comparison.changes import Change, Status
 from invid.comparison.joint_test import covariance_of
 from invid.model.document import EffectTerm, Estimate, Model, numbers_by_name, stds_by_name, units
+from invid.model.named_change import ChangeKind, NamedChange
+from invid.wording.statement import Statement
 
 
 def _estimate(value: float, std: float, unit: str) -> Estimate:
     return Estimate(float(value), float(std) if math.isfinite(std) else None, unit)
 
 
-def structure(old: Model, new: Model, common: Sequence[str]) -> list[str]:
-    """What differs in axes and numbers of masses, in sentences."""
+def structure(old: Model, new: Model, common: Sequence[str]) -> list[NamedChange]:
+    """What differs in axes and numbers of masses."""
     said = []
     for axis in old.axes:
         if axis not in new.axes:
-            said.append(f"{axis} is in the old model only.")
+            said.append(NamedChange(ChangeKind.AXIS_GONE, axis))
     for axis in new.axes:
         if axis not in old.axes:
-            said.append(f"{axis} is in the new model only.")
+            said.append(NamedChange(ChangeKind.AXIS_NEW, axis))
     for axis in common:
         before = old.chains.masses[old.axes.index(axis)].size
         after = new.chains.masses[new.axes.index(axis)].size
         if before != after:
-            said.append(
-                f"{axis} had {before} {_plural(before, 'mass')} and now has {after}: only its whole "
-                "inertia can be compared."
-            )
+            counts = Estimate(float(before)), Estimate(float(after))
+            said.append(NamedChange(ChangeKind.MASSES, axis, old=counts[0], new=counts[1]))
     return said
-
-
-def _plural(count: int, word: str) -> str:
-    return word if count == 1 else word + "es"
 
 
 def _names(count: int) -> list[str]:
@@ -122,11 +118,12 @@ def _pair(
     )
     missing = [w for w, e in (("old", old), ("new", new)) if e.std is None or e.std < 0]
     if missing:
-        return replace(change, reason=f"the {' and the '.join(missing)} model gives no uncertainty")
+        which = "both" if len(missing) == 2 else missing[0]
+        return replace(change, why=Statement(f"why.no_std_{which}"))
     variance = (old.std or 0.0) ** 2 + (new.std or 0.0) ** 2
     variance += repeatability**2 * (old.value**2 + new.value**2)
     if variance == 0:
-        return replace(change, reason="both models claim a standard deviation of 0")
+        return replace(change, why=Statement("why.std_zero"))
     return replace(change, std=math.sqrt(variance))
 
 
@@ -153,13 +150,18 @@ def effects(old: Model, new: Model, common: Sequence[str], repeatability: float)
         if now is None:
             continue
         changes += [
-            _pair(
-                f"{name_of(term)}.{parameter}",
-                f"{term.axis}: {describe(term)}, {parameter}",
-                term.axis,
-                "effect",
-                (value, now.parameters[parameter]),
-                repeatability,
+            replace(
+                _pair(
+                    f"{name_of(term)}.{parameter}",
+                    f"{term.axis}: {describe(term)}, {parameter}",
+                    term.axis,
+                    "effect",
+                    (value, now.parameters[parameter]),
+                    repeatability,
+                ),
+                cause=term.cause,
+                element=term.element,
+                other_axis=term.other_axis,
             )
             for parameter, value in term.parameters.items()
             if parameter in now.parameters and not _is_chosen(value, now.parameters[parameter])

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from invid.config import CellConfig, parse_config
-from invid.diagnosis.headline import headline
+from invid.diagnosis.headline import with_headline
 from invid.effects.registry import effect_of
 from invid.effects.sizes import Machine, Size, measured_sizes
 from invid.errors import ConfigError
@@ -129,7 +129,7 @@ def grade_consequences(diagnosis: Diagnosis, recording: Recording) -> Diagnosis:
     # A later comparison asks whether a cause that is not in the model was looked for.
     model = replace(result.model, fit={**result.model.fit, "verdict": str(result.verdict)})
     result = replace(result, model=model)
-    return replace(result, headline=headline(result))
+    return with_headline(result)
 
 
 def _grade_finding(finding: Finding, machine: Machine) -> Finding:

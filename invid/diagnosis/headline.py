@@ -1,64 +1,173 @@
-"""One sentence for the person beside the robot: finding, axes, size, what to do."""
+"""The headline for the person beside the robot: what changed, does it matter, where, what now.
+
+``headline_order`` puts typed statements in order and knows no language; ``headline`` says them in one.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
+from invid.diagnosis.clauses import (
+    axes_phrase,
+    change_check,
+    change_clause,
+    change_looks,
+    doubt_statement,
+    grade_of,
+    group_clause,
+)
 from invid.effects.registry import BY_CAUSE
 from invid.model.diagnosis_document import Diagnosis, Finding, Grade, Verdict
-
-_COUNTS = (
-    "no",
-    "one",
-    "two",
-    "three",
-    "four",
-    "five",
-    "six",
-    "seven",
-    "eight",
-    "nine",
-    "ten",
-    "eleven",
-    "twelve",
+from invid.model.doubts import Doubt, doubts_of
+from invid.model.named_change import ChangeKind, NamedChange, is_tool_change
+from invid.wording.statement import (
+    ENGLISH,
+    LANGUAGES,
+    Clause,
+    Listed,
+    Statement,
+    say,
+    say_sentence,
 )
-_TODO = {Grade.AS_EXPECTED: "as expected, nothing to do", Grade.WATCH: "compare with the next measurement"}
+
+MOST = 2
+"""Changes told one by one; a person reads no longer headline (a convention)."""
 
 
-def headline(diagnosis: Diagnosis) -> str:
-    """The most serious findings, like ones together; or that nothing was found, or nothing with a name."""
-    axes = diagnosis.model.axes
-    if not diagnosis.model.fit.get("trustworthy", True):
-        share = diagnosis.details.get("missed_fraction")
-        why = (
-            f"the model misses {share:.0%} of the torque"
-            if share
-            else "the search for causes ran out of time"
-            if diagnosis.details.get("cut_short") and not diagnosis.findings
-            else "the data do not carry the whole model"
-        )
-        return f"This result is not to be trusted: {why}."
-    if diagnosis.verdict is Verdict.CONSISTENT:
-        return f"Nothing beyond noise on {axes_text(axes, axes)}: nothing to do."
-    unexplained = diagnosis.unexplained
-    if diagnosis.verdict is Verdict.UNEXPLAINED or not diagnosis.findings:
-        where = f" on {unexplained.axis}" if unexplained is not None else ""
-        return (
-            f"Something{where} is not in the model and no known cause explains it: do not accept it unseen."
-        )
-    groups = _group_findings(diagnosis.findings)
-    clauses = [_clause(groups[0], axes, advice=True)]
-    same = [g for g in groups[1:] if _grade_of(g) is _grade_of(groups[0])]
-    rest = [g for g in groups[1:] if _grade_of(g) is not _grade_of(groups[0])]
-    clauses += [_lower_first(_clause(g, axes, advice=False)) for g in same[:1]]
+@dataclass(frozen=True)
+class Facts:
+    """What a headline is made of.
+
+    ``changes``: against the accepted model; ``None`` where there is none to compare with. ``doubt``: the
+    weightiest reason not to trust the result.
+    """
+
+    axes: Sequence[str]
+    linear: bool
+    verdict: Verdict
+    findings: Sequence[Finding] = ()
+    unexplained_axis: str | None = None
+    doubt: Doubt | None = None
+    changes: Sequence[NamedChange] | None = None
+
+
+def facts_of(diagnosis: Diagnosis, doubt: Doubt | None = None) -> Facts:
+    """Return the facts of a diagnosis; ``doubt`` is one beside the model's own, of how it was measured."""
+    own = doubts_of(diagnosis.model.fit)
+    return Facts(
+        diagnosis.model.axes,
+        diagnosis.model.linear,
+        diagnosis.verdict,
+        diagnosis.findings,
+        None if diagnosis.unexplained is None else diagnosis.unexplained.axis,
+        own[0] if own else doubt,
+        diagnosis.changes,
+    )
+
+
+def headline(facts: Facts, language: str = ENGLISH) -> str:
+    """Return the headline in a language."""
+    return " ".join(say_sentence(parts, language) for parts in headline_order(facts) if parts)
+
+
+def with_headline(diagnosis: Diagnosis, doubt: Doubt | None = None) -> Diagnosis:
+    """Return the diagnosis with its headline in every language."""
+    said = {language: headline(facts_of(diagnosis, doubt), language) for language in LANGUAGES}
+    return replace(diagnosis, headline=said[ENGLISH], headlines=said)
+
+
+def changes_headline(changes: Sequence[NamedChange], language: str = ENGLISH) -> str:
+    """Return the headline of changes alone, where nothing is known of the rest."""
+    serious = [c for c in changes if c.matters]
+    if not changes:
+        return say(Statement("told.nothing"), language)
+    if not serious:
+        return say_sentence(_calm(changes), language)
+    facts = Facts((), False, Verdict.CONSISTENT)
+    return f"{say_sentence(_changed(serious), language)} {say_sentence([_now(facts, serious)], language)}"
+
+
+def headline_order(facts: Facts) -> list[list[Statement]]:
+    """Return the sentences of the headline, each as the statements it joins.
+
+    A doubt comes first only where the change cannot be believed because of it, or where nothing changed that
+    matters; else it is the last word, on what to do now.
+    """
+    doubt, changes = facts.doubt, facts.changes
+    serious = [c for c in changes or () if c.matters]
+    if doubt is not None and (doubt.spoils_changes or not serious):
+        said = [Statement("headline.untrusted", {"why": doubt_statement(doubt)})]
+        return [[*said, *([Statement("headline.unsure")] if changes else [])]]
+    if not serious:
+        return [[*_calm(changes), *_findings(facts, facts.findings)]]
+    told = {_place(c) for c in serious if c.cause is not None}
+    rest = [f for f in facts.findings if _place_of(f) not in told and grade_of(f) is not Grade.AS_EXPECTED]
+    beside = [] if facts.verdict is Verdict.UNEXPLAINED or not rest else _groups(facts, rest)
+    return [_changed(serious), beside, [_now(facts, serious)]]
+
+
+def _calm(changes: Sequence[NamedChange] | None) -> list[Statement]:
+    """What is said of changes that do not matter, or of none."""
+    if changes is None:
+        return []
+    if not changes:
+        return [Statement("change.none")]
+    return [change_clause(c) for c in changes[:MOST]]
+
+
+def _changed(serious: Sequence[NamedChange]) -> list[Statement]:
+    """The changes, what they look like, and how many more there are."""
+    tool = is_tool_change(serious)
+    # How loads couple and weigh changes with them.
+    listed = [c for c in serious if c.kind is ChangeKind.LOAD] if tool else list(serious)
+    said = []
+    for c in listed[:MOST]:
+        looks = None if tool else change_looks(c)
+        clause = change_clause(c)
+        said.append(clause if looks is None else Statement("change.means", {"what": clause, "means": looks}))
+    if len(listed) > MOST:
+        said.append(Statement("change.more", {"n": len(listed) - MOST}))
+    return [*said, Statement("looks.tool")] if tool else said
+
+
+def _now(facts: Facts, serious: Sequence[NamedChange]) -> Statement:
+    """What to do now: look at what speaks against it, check, or accept."""
+    if facts.doubt is not None:
+        return Statement("now.doubt", {"why": doubt_statement(facts.doubt)})
+    if facts.verdict is Verdict.UNEXPLAINED:
+        return _unexplained(facts.unexplained_axis)
+    check = next((found for c in serious if (found := change_check(c)) is not None), None)
+    return Statement("now.accept") if check is None else Statement("now.first", {"what": Clause(check)})
+
+
+def _unexplained(axis: str | None) -> Statement:
+    return Statement("headline.unexplained_on", {"axis": axis}) if axis else Statement("headline.unexplained")
+
+
+def _findings(facts: Facts, findings: Sequence[Finding]) -> list[Statement]:
+    """What was found, the most serious first, like ones together."""
+    if facts.verdict is Verdict.CONSISTENT:
+        return [Statement("headline.consistent", {"axes": axes_phrase(facts.axes, facts.axes)})]
+    if facts.verdict is Verdict.UNEXPLAINED or not findings:
+        return [_unexplained(facts.unexplained_axis)]
+    return _groups(facts, findings)
+
+
+def _groups(facts: Facts, findings: Sequence[Finding]) -> list[Statement]:
+    groups = _group_findings(findings)
+    first = grade_of(groups[0][0])
+    same = [g for g in groups[1:] if grade_of(g[0]) is first]
+    rest = [g for g in groups[1:] if grade_of(g[0]) is not first]
+    said = [group_clause(groups[0], facts.axes, facts.linear)]
+    said += [group_clause(g, facts.axes, facts.linear, advice=False) for g in same[:1]]
     more = sum(len(g) for g in same[1:])
     if more:
-        clauses.append(f"{more} more alike")
-    clauses += _summary_of_rest(rest)
-    text = "; ".join(clauses)
-    if diagnosis.verdict is Verdict.PARTLY_EXPLAINED:
-        text += "; something more is left that has no name"
-    return f"{text}."
+        said.append(Statement("headline.more_alike", {"n": more}))
+    said += _count_of_rest(rest)
+    if facts.verdict is Verdict.PARTLY_EXPLAINED:
+        said.append(Statement("headline.left"))
+    return said
 
 
 def _group_findings(findings: Sequence[Finding]) -> list[list[Finding]]:
@@ -67,121 +176,24 @@ def _group_findings(findings: Sequence[Finding]) -> list[list[Finding]]:
     for f in findings:
         effect = BY_CAUSE.get(f.effect.cause)
         kind = effect.family if effect is not None and effect.family == "friction" else f.effect.cause
-        groups.setdefault((_grade_of([f]), kind), []).append(f)
+        groups.setdefault((grade_of(f), kind), []).append(f)
     return list(groups.values())
 
 
-def _grade_of(group: Sequence[Finding]) -> Grade:
-    consequence = group[0].consequence
-    return Grade.WATCH if consequence is None else consequence.grade
-
-
-def _clause(group: Sequence[Finding], axes: Sequence[str], *, advice: bool) -> str:
-    """One clause such as "Dry friction on all three axes, up to 0.2 % of rated torque: as expected, nothing
-    to do"."""
-    if len(group) == 1:
-        text = f"{finding_title(group[0])} {_place_text(group, axes)}"
-    else:
-        titles = list(dict.fromkeys(cause_title(f.effect.cause) for f in group))
-        text = f"{_join_titles(titles)} {_place_text(group, axes)}{_alternatives_clause(group, axes)}"
-    sizes = [
-        f.consequence.text.split(", ")[0] for f in group if f.consequence is not None and f.consequence.text
-    ]
-    if sizes:
-        text += f", {'up to ' if len(group) > 1 else ''}{_largest_size(group)}"
-    grade = _grade_of(group)
-    if grade is Grade.ACT:
-        effect = BY_CAUSE.get(group[0].effect.cause)
-        todo = "act" if effect is None or not advice else _lower_first(effect.check.split(";")[0].rstrip("."))
-    else:
-        todo = _TODO[grade]
-    return _upper_first(f"{text}: {todo}")
-
-
-def _alternatives_clause(group: Sequence[Finding], axes: Sequence[str]) -> str:
-    """A clause such as " (on A2 it may be play instead)" about findings with alternatives."""
-    contested: dict[str, list[str]] = {}
-    for f in group:
-        for other in f.alternatives[:1]:
-            contested.setdefault(_lower_first(cause_title(other.cause)), []).append(f.effect.axis)
-    said = _join_words(
-        [f"on {axes_text(where, axes)} it may be {other}" for other, where in contested.items()]
-    )
-    return f" ({said} instead)" if said else ""
-
-
-def _largest_size(group: Sequence[Finding]) -> str:
-    """The size of the group's largest finding, by its first measure."""
-
-    def size(f: Finding) -> float:
-        measures = {} if f.consequence is None else f.consequence.measures
-        return abs(next(iter(measures.values()), 0.0))
-
-    largest = max(group, key=size).consequence
-    return "" if largest is None else largest.text.split(", ")[0]
-
-
-def _summary_of_rest(rest: Sequence[Sequence[Finding]]) -> list[str]:
+def _count_of_rest(rest: Sequence[Sequence[Finding]]) -> list[Statement]:
     """The less serious groups as counts, such as "beside it 2 to watch and 4 as expected"."""
     counts = {
-        g: sum(len(group) for group in rest if _grade_of(group) is g)
+        g: sum(len(group) for group in rest if grade_of(group[0]) is g)
         for g in (Grade.WATCH, Grade.AS_EXPECTED)
     }
-    words = {Grade.WATCH: "to watch", Grade.AS_EXPECTED: "as expected"}
-    said = [f"{n} {words[g]}" for g, n in counts.items() if n]
-    return [f"beside it {' and '.join(said)}"] if said else []
+    said = tuple(Statement(f"headline.n_{g}", {"n": n}) for g, n in counts.items() if n)
+    return [Statement("headline.beside", {"what": Listed(said)})] if said else []
 
 
-def finding_title(finding: Finding) -> str:
-    """The plain name of the cause, with its first alternative."""
-    return " or ".join(
-        dict.fromkeys(
-            [cause_title(finding.effect.cause), *(cause_title(a.cause) for a in finding.alternatives[:1])]
-        )
-    )
+def _place(change: NamedChange) -> tuple[str | None, ...]:
+    return change.cause, change.axis, change.element, change.other_axis
 
 
-def cause_title(cause: str) -> str:
-    """The plain name of a cause: "dry friction" of "coulomb_friction"."""
-    effect = BY_CAUSE.get(cause)
-    return cause.replace("_", " ") if effect is None else effect.title.split(" (")[0]
-
-
-def _place_text(group: Sequence[Finding], axes: Sequence[str]) -> str:
-    if len(group) > 1:
-        return f"on {axes_text([f.effect.axis for f in group], axes)}"
-    effect = group[0].effect
-    if effect.other_axis is not None:
-        return f"of {effect.axis} and {effect.other_axis}"
-    place = f" at {effect.element}" if effect.element and effect.element != "mass 1" else ""
-    return f"on {effect.axis}{place}"
-
-
-def axes_text(named: Sequence[str], axes: Sequence[str]) -> str:
-    """The axes in words: "all three axes", "A1 and A2"."""
-    some = [a for a in axes if a in named]
-    if len(some) == len(axes) and len(axes) > 1:
-        count = _COUNTS[len(axes)] if len(axes) < len(_COUNTS) else str(len(axes))
-        return "both axes" if len(axes) == 2 else f"all {count} axes"
-    return _join_words(some)
-
-
-def _join_titles(titles: Sequence[str]) -> str:
-    """Titles joined, a common last word once: "dry and viscous friction"."""
-    ends = {t.rpartition(" ")[2] for t in titles}
-    if len(titles) < 2 or len(ends) != 1 or any(t.count(" ") != 1 for t in titles):
-        return _join_words(titles)
-    return f"{_join_words([t.partition(' ')[0] for t in titles])} {ends.pop()}"
-
-
-def _join_words(words: Sequence[str]) -> str:
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}" if words else ""
-
-
-def _lower_first(text: str) -> str:
-    """The text with its first letter small, unless it begins with a name such as A1."""
-    return text if text[1:2].isdigit() or text[:2].isupper() else text[:1].lower() + text[1:]
-
-
-def _upper_first(text: str) -> str:
-    return text[:1].upper() + text[1:]
+def _place_of(finding: Finding) -> tuple[str | None, ...]:
+    effect = finding.effect
+    return effect.cause, effect.axis, effect.element, effect.other_axis

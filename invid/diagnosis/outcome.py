@@ -19,6 +19,7 @@ from invid.diagnosis.thresholds import COMPETES, CONTESTED, EXPLAINED, FLOOR, MI
 from invid.effects.registry import BY_CAUSE
 from invid.model.diagnosis_document import Alternative, AxisResidual, Diagnosis, Finding, Unexplained, Verdict
 from invid.model.document import EffectTerm, Model
+from invid.model.doubts import Doubt, DoubtCode
 from invid.numerics.arrays import Float64
 from invid.recording.model import Recording, Role
 
@@ -253,7 +254,7 @@ def _mark_untrusted(diagnosis: Diagnosis, recording: Recording) -> Diagnosis:
     )
     return replace(
         diagnosis,
-        model=diagnosis.model.distrusted(warning),
+        model=diagnosis.model.distrusted(Doubt(DoubtCode.MISSED_TORQUE, warning, {"share": share})),
         warnings=(warning, *diagnosis.warnings),
         sentences=(warning, *diagnosis.sentences),
         details={**diagnosis.details, "missed_fraction": share},
@@ -296,7 +297,7 @@ def limit_unfinished_search(result: Diagnosis) -> Diagnosis:
         verdict=Verdict.UNEXPLAINED,
         unexplained=left,
         sentences=sentences,
-        model=result.model.distrusted(reason),
+        model=result.model.distrusted(Doubt(DoubtCode.CUT_SHORT, reason)),
         warnings=(*result.warnings, reason),
         details=details,
     )

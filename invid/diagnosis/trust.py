@@ -17,6 +17,7 @@ from invid.likelihood.nuisance.hold_share import HOLD_BAND, SHARES, driven_hold
 from invid.likelihood.null_test import NullTest
 from invid.model.diagnosis_document import Finding, Unexplained
 from invid.model.document import Model, parameter_vector, stds_by_name
+from invid.model.doubts import Doubt, DoubtCode, by_weight, doubts_of
 from invid.recording.model import Recording
 
 LEAST_EXPLAINED = 0.9
@@ -26,9 +27,9 @@ LEAST_EXPLAINED = 0.9
 
 @dataclass(frozen=True)
 class Trust:
-    """Doubts about the linear fit, most important first; empty where there are none."""
+    """Doubts about the linear fit, the weightiest first; empty where there are none."""
 
-    reasons: tuple[str, ...] = ()
+    reasons: tuple[Doubt, ...] = ()
     unseen: tuple[str, ...] = ()
     """Sentences about parameters that the data do not determine."""
     broken: bool = False
@@ -38,6 +39,11 @@ class Trust:
     def trustworthy(self) -> bool:
         """Whether the exit status may be 0."""
         return not self.broken and not self.unseen
+
+    @property
+    def doubts(self) -> tuple[Doubt, ...]:
+        """All doubts, the weightiest first."""
+        return (*self.reasons, *(Doubt(DoubtCode.UNSEEN, said) for said in self.unseen))
 
 
 def judge_linear_fit(
@@ -65,29 +71,30 @@ def judge_linear_fit(
     is_extended = final.fit is not base.fit
     if is_extended and share >= LEAST_EXPLAINED and beaten <= MOST_BEATEN and not short:
         return Trust(unseen=unseen)
-    doubts = [str(r) for r in model.fit.get("doubts", ()) if isinstance(r, str)]
     # A parameter that the linear fit could not determine makes no wrong model: a strong cause hides it from
     # the fit without effects, and what the extended fit cannot determine is in ``unseen``.
-    blind = (*model.fit.get("unseen", ()), *model.fit.get(CUT_SHORT, ()))
-    reasons = [r for r in doubts if r not in blind]
-    if not doubts and model.fit.get("trustworthy", True) is False:
-        reasons = list(model.warnings[:1]) or ["the identification does not trust its own fit"]
+    blind = {*model.fit.get("unseen", ()), *model.fit.get(CUT_SHORT, ())}
+    reasons = [d for d in doubts_of(model.fit) if d.code is not DoubtCode.UNSEEN and d.text not in blind]
     reasons += short
     if not is_extended and not base.fit.converged and not reasons:
-        reasons.append("the linear fit did not converge")
+        reasons.append(Doubt(DoubtCode.NOT_CONVERGED, "the linear fit did not converge"))
     share = min(share, _explained_share(final.fit.evaluation))
-    if share < LEAST_EXPLAINED and not any("of the torque only" in r for r in reasons):
-        reasons.append(
+    if share < LEAST_EXPLAINED and not any(d.code is DoubtCode.LITTLE_EXPLAINED for d in reasons):
+        said = (
             f"the model accounts for {share:.0%} of the torque only: another number of masses, a "
             "torque channel that is not the motor torque, or axes that do not move freely"
         )
-    return Trust(tuple(dict.fromkeys(reasons)), unseen, broken=bool(reasons))
+        reasons.append(Doubt(DoubtCode.LITTLE_EXPLAINED, said, {"share": share}))
+    return Trust(by_weight(reasons), unseen, broken=bool(reasons))
 
 
-def _short_experiments(recording: Recording) -> list[str]:
+def _short_experiments(recording: Recording) -> list[Doubt]:
     """Reasons about experiments that end before their first period does: their lines are not resolved."""
     return [
-        f"experiment {e.key} holds {e.samples / e.period_samples:.0%} of one period of its excitation"
+        Doubt(
+            DoubtCode.SHORT_RECORD,
+            f"experiment {e.key} holds {e.samples / e.period_samples:.0%} of one period of its excitation",
+        )
         for e in recording.experiments
         if 0 < e.samples < e.period_samples
     ][:1]
@@ -221,7 +228,7 @@ def distrust_sentences(found: Trust, masses: tuple[int, ...], *, only_independen
         sizes = ", ".join(str(n) for n in masses)
         named = "only what a motor's own motion shows is" if only_independent else "no cause is"
         return [
-            f"The linear model itself cannot be trusted, so {named} named: {found.reasons[0]}.",
+            f"The linear model itself cannot be trusted, so {named} named: {found.reasons[0].text}.",
             "Put that right first: see that every axis is excited and hits nothing, and that the torque "
             f"channel is the motor's; try another number of masses than {sizes} (--masses auto lets the data "
             "choose); record more periods, a wider band, or a smaller amplitude, at which a strong effect is "

@@ -29,6 +29,7 @@ from invid.likelihood.joint_fit import JointFit, evaluate_held_out
 from invid.likelihood.null_test import NullTest, null_test, rms_torque
 from invid.model.diagnosis_document import AxisResidual, Diagnosis
 from invid.model.document import EffectTerm, Model, parameter_vector, std_by_name
+from invid.model.doubts import doubt_facts
 from invid.numerics.arrays import frozen_float
 from invid.recording.model import Recording
 from invid.signals.spectral_record import SpectralRecord
@@ -103,8 +104,7 @@ def build_diagnosis(  # noqa: PLR0913 - the parts of a document
         extended,
         fit={
             **extended.fit,
-            "trustworthy": linear.trustworthy,
-            "doubts": [*linear.reasons, *linear.unseen],
+            **doubt_facts(linear.doubts),
             "unseen": list(linear.unseen),
         },
     )

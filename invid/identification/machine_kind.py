@@ -18,6 +18,7 @@ from invid.likelihood.nuisance.torque_lags import add_coulomb_columns
 from invid.likelihood.records import problem_from_spectra, transfer_parameters
 from invid.model.chains import CoupledChains
 from invid.model.document import MISSED, Model
+from invid.model.doubts import Doubt, DoubtCode
 from invid.model.parameters import ChainStructure
 from invid.numerics.arrays import Float64, frozen_float
 from invid.recording.model import Experiment, Kind, Recording, Role
@@ -120,10 +121,10 @@ def rigid_model(recording: Recording, kind: MachineKind) -> Model:
     left, power = np.sum(_rigid_powers(analysis), axis=0)
     warnings = [kind.sentence] if kind.sentence else []
     if left > MISSED**2 * power:
-        sentence = (
-            f"the model misses {_share_text(float(np.sqrt(left / power)))} of the torque on rows kept out"
-        )
-        model, warnings = model.distrusted(sentence), [sentence, *warnings]
+        share = float(np.sqrt(left / power))
+        sentence = f"the model misses {_share_text(share)} of the torque on rows kept out"
+        doubt = Doubt(DoubtCode.MISSED_TORQUE, sentence, {"share": share})
+        model, warnings = model.distrusted(doubt), [sentence, *warnings]
     return replace(model, warnings=(*warnings, *model.warnings))
 
 

@@ -20,6 +20,7 @@ from invid.identification.identifiability import Unidentifiable, blind_direction
 from invid.inverse import PaperResult
 from invid.likelihood.fit import Fit
 from invid.model.document import EffectTerm, Estimate, Model, parameter_vector, std_by_name, units
+from invid.model.doubts import Doubt, DoubtCode, doubt_facts
 from invid.numerics import budget
 from invid.numerics.arrays import Float64, frozen_float
 from invid.recording.model import Recording, Role
@@ -56,14 +57,15 @@ def paper_model(
     names_all, values = parameter_vector(chains)
     known = {n: float(np.sqrt(max(v, 0.0))) for n, (_, v) in paper.named.items()}
     std = np.array([known.get(name, np.nan) for name in names_all])
-    warnings = [*warnings, *paper.warnings, *_doubts_of_order(order)]
-    trust = not _doubts_of_order(order)
+    doubts = _doubts_of_order(order)
+    warnings = [*warnings, *paper.warnings, *(d.text for d in doubts)]
     for name, value, error in zip(names_all, values, std, strict=True):
         if ".damper." in name or ".coupling" in name:
             continue
         if not np.isfinite(error) or error > Unidentifiable.LIMIT * abs(value):
-            trust = False
-            warnings.append(f"{name}: {value:.4g} ± {error:.2g} is not known; measure longer or use refined")
+            said = f"{name}: {value:.4g} ± {error:.2g} is not known; measure longer or use refined"
+            doubts.append(Doubt(DoubtCode.UNSEEN, said))
+            warnings.append(said)
     return Model(
         robot=recording.robot,
         method="paper",
@@ -74,7 +76,7 @@ def paper_model(
         covariance=frozen_float(paper.covariance),
         parameter_names=tuple(known),
         fit={
-            "trustworthy": trust,
+            **doubt_facts(doubts),
             "resonances_hz": (np.sort(paper.modes.omega) / 2 / np.pi).tolist(),
             "frf_error": float(paper.modes.model_error),
             "band_hz": [float(measured.frequency_hz[0]), float(measured.frequency_hz[-1])],
@@ -84,14 +86,17 @@ def paper_model(
     )
 
 
-def _doubts_of_order(order: Mapping[str, Any]) -> list[str]:
+def _doubts_of_order(order: Mapping[str, Any]) -> list[Doubt]:
     """Doubts about structures that the data cannot tell apart: other parameters, the same motion."""
     if not order.get("alike"):
         return []
     alike = " and ".join(",".join(map(str, n)) for n in (order["chosen"], *order["alike"]))
     return [
-        f"order: {alike} masses explain these data alike: the motors do not show on which branch the further "
-        "mass is; say it with --masses"
+        Doubt(
+            DoubtCode.ORDER_OPEN,
+            f"order: {alike} masses explain these data alike: the motors do not show on which branch the "
+            "further mass is; say it with --masses",
+        )
     ]
 
 
@@ -113,32 +118,34 @@ def refined_model(
     bottom = min(float(s.frequency_hz[s.excited].min()) for s in spectra if s.excited.any())
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     blind = blind_directions(chains, names, values, covariance, (bottom, top))
-    doubts: list[str] = []
+    doubts: list[Doubt] = []
     unseen: list[str] = []
     cut_short: list[str] = []
     if fit.solution.result != "converged":
-        doubts.append(
-            f"the fit did not converge ({fit.solution.result} after {fit.solution.iterations} iterations)"
-        )
-        cut_short = doubts[-1:] if budget.is_spent() else []
+        said = f"the fit did not converge ({fit.solution.result} after {fit.solution.iterations} iterations)"
+        doubts.append(Doubt(DoubtCode.NOT_CONVERGED, said))
+        cut_short = [said] if budget.is_spent() else []
     if blind.unseen:
         std = np.where([n in blind.unseen for n in names], np.nan, std)
         unseen += blind.sentences or [f"{', '.join(sorted(blind.unseen))}: not known from these data"]
-        doubts += unseen
+        doubts += [Doubt(DoubtCode.UNSEEN, said) for said in unseen]
     if fit.explained < EXPLAINED:
-        doubts.append(
+        said = (
             f"the model explains {fit.explained:.0%} of the torque only: another number of masses, a torque "
             "channel that is not the motor torque, or axes that do not move freely"
         )
+        doubts.append(Doubt(DoubtCode.LITTLE_EXPLAINED, said, {"share": fit.explained}))
     doubts += _doubts_of_order(order)
     missed_ratio, missed_power = missed_by_structure(spectra, fit) if fit.noise_chi2 > SUSPECT else (0.0, 0.0)
     if missed_ratio > MOST_BEATEN and missed_power > MOST_BEATEN:
-        doubts.append(
-            f"an FRF without structure misses the records by {np.sqrt(missed_ratio):.2g} times less than the "
+        times = float(np.sqrt(missed_ratio))
+        said = (
+            f"an FRF without structure misses the records by {times:.2g} times less than the "
             "fitted plant: the fit stands in a wrong minimum, or the machine has another structure (number "
             "of masses, springs to ground)"
         )
-    warnings += doubts
+        doubts.append(Doubt(DoubtCode.WRONG_STRUCTURE, said, {"times": times}))
+    warnings += [d.text for d in doubts]
     if fit.noise_chi2 > 2.0:
         warnings.append(
             f"the torque is missed by {np.sqrt(fit.noise_chi2):.2g} times its noise: something acts that the "
@@ -160,8 +167,7 @@ def refined_model(
     routes = compare_routes(paper, names, values, covariance, warnings)
     finite = np.isfinite(covariance).all()
     facts = {
-        "trustworthy": not doubts,
-        "doubts": doubts,
+        **doubt_facts(doubts),
         "unseen": unseen,
         **({CUT_SHORT: cut_short} if cut_short else {}),
         "chi2": fit.solution.chi2,

@@ -26,6 +26,7 @@ from invid.model.document import (
     model_to_json,
     save_text,
 )
+from invid.model.named_change import NamedChange
 
 FORMAT = "invid-diagnosis"
 FORMAT_VERSION = 1
@@ -173,14 +174,20 @@ class Diagnosis:
     details: Mapping[str, Any] = field(default_factory=dict)
     """Further facts: null test (chi2, dof, p), causes the record could not have shown, …"""
     headline: str = ""
-    """One sentence for the person beside the robot."""
+    """What changed, does it matter, where, what now, for the person beside the robot; in English."""
+    headlines: Mapping[str, str] = field(default_factory=dict)
+    """The same by language."""
+    changes: tuple[NamedChange, ...] | None = None
+    """What changed since the accepted model; ``None`` where nothing was compared."""
 
     @property
     def grade(self) -> Grade | None:
-        """The most serious of the findings; ``None`` where something is there that has no name."""
+        """The most serious of findings and changes; ``None`` where something is there that has no name."""
         if self.verdict is Verdict.UNEXPLAINED or not self.model.fit.get("trustworthy", True):
             return None
         grades = [f.consequence.grade for f in self.findings if f.consequence is not None]
+        # A new state of the robot has no figure to be judged by.
+        grades += [Grade.WATCH for c in self.changes or () if c.matters]
         return min(grades, key=lambda g: g.rank, default=Grade.AS_EXPECTED)
 
     def save(self, path: str | Path) -> None:
@@ -218,6 +225,7 @@ def diagnosis_to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "format_version": FORMAT_VERSION,
         "verdict": str(diagnosis.verdict),
         "headline": diagnosis.headline,
+        "headlines": dict(diagnosis.headlines),
         "grade": None if diagnosis.grade is None else str(diagnosis.grade),
         "residual": [asdict(r) for r in diagnosis.residual],
         "explained_fraction": diagnosis.explained_fraction,
@@ -226,6 +234,7 @@ def diagnosis_to_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "model": model_to_json(diagnosis.model),
         "warnings": list(diagnosis.warnings),
         "sentences": list(diagnosis.sentences),
+        "changes": None if diagnosis.changes is None else [asdict(c) for c in diagnosis.changes],
         "details": dict(diagnosis.details),
     }
 

@@ -21,6 +21,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from invid.errors import InputError, ModelError
 from invid.model.chains import CoupledChains
+from invid.model.doubts import Doubt, doubt_facts, doubts_of
 from invid.numerics.arrays import Float64, frozen_float
 
 FORMAT = "invid-model"
@@ -121,10 +122,9 @@ class Model:
         """The same model with further effects."""
         return replace(self, effects=self.effects + effects)
 
-    def distrusted(self, reason: str) -> Model:
+    def distrusted(self, doubt: Doubt) -> Model:
         """The same model with a reason why it is not to be trusted."""
-        doubts = [*self.fit.get("doubts", ()), reason]
-        return replace(self, fit={**self.fit, "trustworthy": False, "doubts": doubts})
+        return replace(self, fit={**self.fit, **doubt_facts((*doubts_of(self.fit), doubt))})
 
     def save(self, path: str | Path) -> None:
         """Write the ``invid-model`` file; InputError where that cannot be."""

@@ -10,8 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 from html import escape
 
-from invid.comparison.sentences import differing_number
-from invid.diagnosis.headline import cause_title
+from invid.diagnosis.clauses import cause_title
 from invid.diagnosis.sentences import format_estimate as size_of
 from invid.model.diagnosis_document import Finding, Unexplained
 from invid.model.document import EffectTerm, Model, units
@@ -20,6 +19,7 @@ from invid.report.branch_marks import (
     INK,
     LEFT,
     LINE,
+    MARGIN,
     MASS,
     PAPER,
     SPRING,
@@ -33,8 +33,10 @@ from invid.report.branch_marks import (
     places,
     room_of,
     text_at,
+    text_width,
 )
 from invid.report.labels import label, printable
+from invid.wording.figures import differing_number
 
 WORDS: Mapping[str, str] = {
     "title": "The drives: motors, springs with dampers, masses",
@@ -82,8 +84,10 @@ def branch_drawing(
     """
     said = {**WORDS, **(words or {})}
     marks = _marks(model, findings, unexplained, news or {}, said)
-    where = places(model, [m.place for m in marks], max((room_of(m.text) for m in marks), default=0.0))
     changes = changed_places(changed or {}, model.chains)
+    widest = max((room_of(m.text) for m in marks), default=0.0)
+    box, gap = _widths(model, changes, said)
+    where = places(model, [m.place for m in marks], widest, box=box, gap=gap)
     parts = [_couplings(model, where, changes, said)]
     parts += [_row(model, i, where, changes, said) for i in range(model.chains.branches)]
     parts += [
@@ -147,6 +151,29 @@ def _number(value: float, std: float, said: Mapping[str, str]) -> str:
     return _local(f"{differing_number(value, std)} ± {differing_number(std, std)}", said)
 
 
+def _widths(
+    model: Model, changes: Mapping[tuple[str, int, int], str], said: Mapping[str, str]
+) -> tuple[float, float]:
+    """Widths of a mass and of a spring between which every number of the drawing has its room."""
+    chains, std = model.chains, model.std
+    inside, between = [0.0], [0.0]
+    for i in range(chains.branches):
+        count = int(chains.masses[i].size)
+        inside += [text_width(mass_name(q, count, said), 13.0) for q in range(1, count + 1)]
+        inside += [
+            text_width(_number(v, s, said)) for v, s in zip(chains.masses[i], std.masses[i], strict=True)
+        ]
+        for kind, values, spreads in (
+            ("spring", chains.springs[i], std.springs[i]),
+            ("damper", chains.dampers[i], std.dampers[i]),
+        ):
+            for s, (value, spread) in enumerate(zip(values, spreads, strict=True), 1):
+                change = changes.get((kind, i, s)) if kind == "damper" else None
+                text = _number(value, spread, said) + (f"  Δ {change}" if change else "")
+                between.append(text_width(text))
+    return max(MASS, max(inside) + 2 * MARGIN), max(SPRING, max(between) + MARGIN)
+
+
 # --- elements -----------------------------------------------------------------------------------------
 def _row(
     model: Model,
@@ -160,14 +187,13 @@ def _row(
     count = int(chains.masses[axis].size)
     for q in range(1, count + 1):
         mass = _number(chains.masses[axis][q - 1], model.std.masses[axis][q - 1], said)
-        parts.append(
-            _mass(where.mass(q), y, mass_name(q, count, said), mass, changes.get(("mass", axis, q)), q == 1)
-        )
+        parts.append(_mass(where, q, axis, (mass_name(q, count, said), mass), changes.get(("mass", axis, q))))
     for s in range(1, count):
         stiffness = _number(chains.springs[axis][s - 1], model.std.springs[axis][s - 1], said)
         damping = _number(chains.dampers[axis][s - 1], model.std.dampers[axis][s - 1], said)
-        parts.append(_spring(where.spring(s), y, stiffness, changes.get(("spring", axis, s))))
-        parts.append(_damper(where.spring(s), y, damping, changes.get(("damper", axis, s))))
+        at = where.spring(s), y, where.gap
+        parts.append(_spring(at, stiffness, changes.get(("spring", axis, s))))
+        parts.append(_damper(at, damping, changes.get(("damper", axis, s))))
     if chains.ground_springs[axis] != 0:
         value = _number(chains.ground_springs[axis], model.std.ground_springs[axis], said)
         parts.append(text_at(LEFT, y + BELOW + 8, said["held"].format(value=value), font_size="11.5"))
@@ -183,12 +209,13 @@ def mass_name(number: int, count: int, said: Mapping[str, str] = WORDS) -> str:
     )
 
 
-def _mass(x: float, y: float, name: str, value: str, change: str | None, motor: bool) -> str:
+def _mass(where: Places, number: int, axis: int, texts: tuple[str, str], change: str | None) -> str:
+    (name, value), x, y = texts, where.mass(number), where.rows[axis]
     box = (
-        f'<rect x="{x:g}" y="{y - 25:g}" width="{MASS:g}" height="50" rx="{22 if motor else 3}" '
+        f'<rect x="{x:g}" y="{y - 25:g}" width="{where.box:g}" height="50" rx="{22 if number == 1 else 3}" '
         f'fill="{PAPER}" {_ink(change, 1.6, 4)}/>'
     )
-    middle, size = x + MASS / 2, "13" if len(name) < 12 else "12"
+    middle, size = x + where.box / 2, "13" if len(name) < 12 else "12"
     return (
         box
         + text_at(middle, y - 3, name, text_anchor="middle", font_weight="600", font_size=size)
@@ -208,22 +235,24 @@ def _delta(x: float, y: float, change: str | None) -> str:
     return text_at(x, y, f"Δ {change}", text_anchor="middle", font_weight="700", fill=_CHANGED)
 
 
-def _spring(x: float, y: float, value: str, change: str | None) -> str:
-    line, step = y - 8, (SPRING - 28) / 8
+def _spring(at: tuple[float, float, float], value: str, change: str | None) -> str:
+    x, y, width = at
+    line, step = y - 8, (width - 28) / 8
     turns = "".join(f"L{x + 14 + step * (k + 0.5):g} {line + (-7 if k % 2 else 7):g}" for k in range(8))
-    path = f"M{x:g} {line:g}h14{turns}L{x + SPRING - 14:g} {line:g}h14"
+    path = f"M{x:g} {line:g}h14{turns}L{x + width - 14:g} {line:g}h14"
     return (
         f'<path d="{path}" fill="none" {_ink(change, 1.6, 3.5)}/>'
-        + text_at(x + SPRING / 2, y - 21, value, text_anchor="middle", font_size="12")
-        + _delta(x + SPRING / 2, y - 36, change)
+        + text_at(x + width / 2, y - 21, value, text_anchor="middle", font_size="12")
+        + _delta(x + width / 2, y - 36, change)
     )
 
 
-def _damper(x: float, y: float, value: str, change: str | None) -> str:
-    line, middle = y + 13, x + SPRING / 2
+def _damper(at: tuple[float, float, float], value: str, change: str | None) -> str:
+    x, y, width = at
+    line, middle = y + 13, x + width / 2
     piston = f"M{x:g} {line:g}H{middle - 2:g}M{middle - 2:g} {line - 5:g}v10"
     pot = f"M{middle - 10:g} {line - 7:g}H{middle + 8:g}v14H{middle - 10:g}"
-    path = f"{piston}{pot}M{middle + 8:g} {line:g}H{x + SPRING:g}"
+    path = f"{piston}{pot}M{middle + 8:g} {line:g}H{x + width:g}"
     shown = f"{value}  Δ {change}" if change else value
     more = {"font_weight": "700", "fill": _CHANGED} if change else {}
     return f'<path d="{path}" fill="none" {_ink(change, 1.4, 3)}/>' + text_at(
@@ -240,7 +269,7 @@ def _couplings(
         change = changes.get(("coupling", i, j))
         colour = _CHANGED if change else _QUIET
         for axis in (i, j):
-            start = where.mass(int(model.chains.masses[axis].size)) + MASS
+            start = where.mass(int(model.chains.masses[axis].size)) + where.box
             y = where.rows[axis]
             parts.append(f'<path d="M{start:g} {y:g}H{lane.x:g}" stroke="{_QUIET}" fill="none"/>')
             parts.append(f'<circle cx="{lane.x:g}" cy="{y:g}" r="3.5" fill="{colour}"/>')

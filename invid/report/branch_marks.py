@@ -90,7 +90,9 @@ def callout(m: Mark, where: Places, y: float) -> str:
 
 
 LEFT, MASS, SPRING = 54.0, 112.0, 104.0
-"""Widths of the axis' name, of a mass and of a spring, in units of the drawing."""
+"""Least widths of the axis' name, of a mass and of a spring, in units of the drawing."""
+MARGIN = 8.0
+"""Room on either side of a number in its box."""
 LANE = 26.0
 LEAST_WIDTH = 430.0
 ABOVE, BELOW, LINE = 56.0, 50.0, 22.0
@@ -116,16 +118,18 @@ class Places:
     lanes: tuple[Lane, ...]
     width: float
     height: float
+    box: float = MASS
+    """Width of a mass."""
+    gap: float = SPRING
+    """Width of a spring."""
 
-    @staticmethod
-    def mass(number: int) -> float:
+    def mass(self, number: int) -> float:
         """Left edge of a mass, counted from the motor, from 1."""
-        return LEFT + (number - 1) * (MASS + SPRING)
+        return LEFT + (number - 1) * (self.box + self.gap)
 
-    @staticmethod
-    def spring(number: int) -> float:
+    def spring(self, number: int) -> float:
         """Left end of a spring."""
-        return LEFT + number * MASS + (number - 1) * SPRING
+        return LEFT + number * self.box + (number - 1) * self.gap
 
 
 def place_of(term: EffectTerm, chains: CoupledChains) -> Place:
@@ -153,10 +157,18 @@ def lines_below(chains: CoupledChains, axis: int) -> int:
     return int(chains.ground_springs[axis] != 0)
 
 
-def places(model: Model, marked: Sequence[Place], widest: float = 0.0) -> Places:
+def text_width(text: str, size: float = 12.0) -> float:
+    """Width of a line of numbers in a wide font (DejaVu Sans): a digit takes 0.64 of its size, a point half."""
+    return size * sum(0.33 if c in " .,|" else 0.84 if c in "±−+Δ→" else 0.64 for c in text)
+
+
+def places(
+    model: Model, marked: Sequence[Place], widest: float = 0.0, *, box: float = MASS, gap: float = SPRING
+) -> Places:
     """Rows one below the other, as high as their findings ask; couplings to the right, none over another.
 
-    ``widest`` is the room that the longest line of text takes.
+    ``widest`` is the room that the longest line of text takes, ``box`` and ``gap`` the widths of a mass and of
+    a spring that their numbers need.
     """
     chains = model.chains
     lines = [lines_below(chains, i) + sum(p[1] == i for p in marked) for i in range(chains.branches)]
@@ -165,10 +177,10 @@ def places(model: Model, marked: Sequence[Place], widest: float = 0.0) -> Places
         rows.append(y + ABOVE)
         y += ABOVE + BELOW + LINE * count
     longest = max(m.size for m in chains.masses)
-    right = LEFT + longest * MASS + (longest - 1) * SPRING + 20.0
+    right = LEFT + longest * box + (longest - 1) * gap + 20.0
     lanes = _lanes(model, right, {(p[1], p[2]) for p in marked if p[0] == "coupling"})
     width = max([right - 12.0, LEAST_WIDTH, widest, *(lane.x + 24.0 for lane in lanes)])
-    return Places(tuple(rows), tuple(lanes), width, y)
+    return Places(tuple(rows), tuple(lanes), width, y, box, gap)
 
 
 SURELY = 3.0

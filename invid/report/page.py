@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from invid.comparison.sentences import differing_number
 from invid.model.diagnosis_document import Diagnosis, Verdict
 from invid.model.document import EffectTerm, Model, linear_parameters
 from invid.recording.model import Recording
@@ -24,6 +23,7 @@ from invid.report.dependence import replay_data
 from invid.report.figures import draw
 from invid.report.labels import printable
 from invid.report.plots import replay_picture
+from invid.wording.figures import differing_number
 
 HEADLINE = {
     Verdict.CONSISTENT: "The model explains this measurement down to its noise.",

@@ -9,6 +9,7 @@ import numpy as np
 from invid.errors import ModelError, NotIdentifiableError
 from invid.model.chains import CoupledChains
 from invid.model.document import ChainStd, Model
+from invid.model.doubts import Doubt, DoubtCode, doubt_facts
 from invid.numerics.arrays import frozen_float
 from invid.recording.model import Recording
 from invid.rigid_motion.analysis import Analysis, analyse
@@ -70,13 +71,14 @@ def model_of(a: Analysis, given: Model | None = None) -> Model:
     doubts = []
     for i in unseen:
         mass[i] = _hidden_inertia_std(a, i)
-        doubts.append(
+        said = (
             f"the inertia of {recording.axes[i]} does not show: the mass in this model, {mass[i]:.2g}, is "
             "what the rest could hide; record faster moves, or see that the torque is the motor's"
         )
-    warnings += doubts
+        doubts.append(Doubt(DoubtCode.UNSEEN, said))
+    warnings += [d.text for d in doubts]
     if doubts:
-        facts |= {"trustworthy": False, "doubts": doubts}
+        facts |= doubt_facts(doubts)
     try:
         chains = CoupledChains.build(
             [[m] for m in mass],

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from invid.comparison.changes import CauseChange, Change, Comparison
+from invid.wording.statement import LANGUAGES
 
 
 def changes_view(c: Comparison, sides: tuple[list[str], list[str]]) -> dict[str, Any]:
@@ -15,6 +16,8 @@ def changes_view(c: Comparison, sides: tuple[list[str], list[str]]) -> dict[str,
     return {
         "sentence": " ".join(c.sentences),
         "sentences": list(c.sentences),
+        "headlines": c.headlines,
+        "lines": {language: list(c.sentences_in(language)) for language in LANGUAGES},
         "parameters": [_entry(p) for p in c.parameters],
         "effects": [_entry(p) for p in c.effects],
         "causes": [_cause(x) for x in c.causes],

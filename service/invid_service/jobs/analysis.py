@@ -11,6 +11,7 @@ from invid.config import CellConfig
 from invid.errors import InputError, RecordingError
 from invid.model.diagnosis_document import Diagnosis, Finding, diagnosis_to_json
 from invid.model.document import dump_json, model_to_json, save_text
+from invid.model.doubts import doubts_of
 from invid.planning.separating_experiments import to_separate
 from invid.recording import read_recording
 from invid.report import render_report
@@ -50,7 +51,9 @@ def analyse(job: Job, line: Line, seen: Mapping[str, Any] | None) -> dict[str, A
         if not diagnosis.findings:
             # The identification's own numbers, with what the search for causes said of them.
             judged = {
-                k: v for k, v in best.fit.items() if k in ("verdict", "trustworthy", "doubts", "unseen")
+                k: v
+                for k, v in best.fit.items()
+                if k in ("verdict", "trustworthy", "doubts", "distrust", "unseen")
             }
             best = replace(model, fit={**model.fit, **judged})
         save_text(job.folder / "model.json", dump_json({**model_to_json(best), **flag}))
@@ -65,11 +68,13 @@ def analyse(job: Job, line: Line, seen: Mapping[str, Any] | None) -> dict[str, A
     return {
         "verdict": str(diagnosis.verdict),
         "headline": diagnosis.headline,
+        "headlines": dict(diagnosis.headlines),
         "grade": None if diagnosis.grade is None else str(diagnosis.grade),
         "findings": [summary_of(f) for f in diagnosis.findings],
         "sentences": list(diagnosis.sentences),
         "explained_fraction": diagnosis.explained_fraction,
         "trustworthy": bool(best.fit.get("trustworthy", True)),
+        "distrust": [d.to_json() for d in doubts_of(best.fit)],
         "warnings": list(dict.fromkeys([*said, *model.warnings, *diagnosis.warnings])),
         "separating": separating(diagnosis, job),
         "analysis_s": round(tell.elapsed_s, 1),

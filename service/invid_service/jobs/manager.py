@@ -369,10 +369,7 @@ class JobManager:
         if run.record.cell is None or not job.acceptable:
             await self._move(run, State.SUCCEEDED, {"summary": summary})
             return
-        changes = await asyncio.to_thread(self._results.against_accepted, run.record)
-        if changes is not None:
-            summary = {**summary, "changes": changes}
-            summary["headline"] = f"{summary.get('headline', '')} {changes['new_causes']}".strip()
+        summary = await asyncio.to_thread(self._results.concluded, run.record, summary, self._clock())
         await self._move(run, State.AWAITING_ACCEPT, {"summary": summary})
         if job.mode != "test" and self._results.may_auto_accept(summary):
             await self.decide(run, accept=True, by="auto")

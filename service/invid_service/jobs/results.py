@@ -5,17 +5,22 @@ from __future__ import annotations
 
 import json
 import logging
+from dataclasses import replace
 from datetime import datetime
 from typing import Any
 
 from sqlalchemy.exc import SQLAlchemyError
 
-from invid.comparison.causes import new_since
 from invid.comparison.changes import Comparison
 from invid.comparison.compare import compare
+from invid.diagnosis.headline import with_headline
 from invid.errors import InvidError
-from invid.model.document import Model, model_from_json
+from invid.model.diagnosis_document import Diagnosis, diagnosis_to_json, load_diagnosis
+from invid.model.document import Model, dump_json, model_from_json, save_text
+from invid.model.doubts import DoubtCode
+from invid.model.named_change import NamedChange
 from invid_service.cells.changes import changes_view
+from invid_service.jobs.doubts import doubt_view, doubts_against
 from invid_service.jobs.leftovers import complete_recording
 from invid_service.settings import AutoAccept
 from invid_service.store.blobs import KINDS, Blobs
@@ -106,21 +111,59 @@ class Results:
         before = [m for m in reversed(newest_first[at + 1 :]) if m != new.id]
         return before[-HISTORY:], list(reversed(newest_first[start:at]))[-HISTORY:]
 
-    def against_accepted(self, run: RunRecord) -> dict[str, Any] | None:
-        """The comparison of a fresh result with the model in force; ``None`` where there is none."""
+    def concluded(self, run: RunRecord, summary: dict[str, Any], now: datetime) -> dict[str, Any]:
+        """The summary of a fresh result with what changed since the model in force: headline, grade, doubts.
+
+        The stored diagnosis says the same.
+        """
+        doubts = doubts_against(run.mode, summary)
+        summary = {**summary, "doubts": [doubt_view(d) for d in doubts]}
+        try:
+            found = self._against_accepted(run)
+            changes = None if found is None else found[0]
+            if found is not None:
+                summary["changes"] = found[1]
+            diagnosis = self._diagnosis(run)
+            if diagnosis is None:
+                return summary
+            beside = next((d for d in doubts if d.code is DoubtCode.TEST), None)
+            said = with_headline(replace(diagnosis, changes=changes), beside)
+            self._rewrite(run, said, now)
+        except (InvidError, SQLAlchemyError, OSError) as error:
+            log.error("run %s: no comparison with the accepted model: %s", run.id, error)
+            return summary
+        grade = None if said.grade is None else str(said.grade)
+        return {**summary, "headline": said.headline, "headlines": dict(said.headlines), "grade": grade}
+
+    def _against_accepted(self, run: RunRecord) -> tuple[tuple[NamedChange, ...], dict[str, Any]] | None:
+        """What changed since the model in force, and how the interface shows it; ``None`` without one."""
         if run.cell is None:
             return None
-        try:
-            old, new = self.in_force(run.cell), self._store.model(run.cell, run.id)
-            if old is None or new is None:
-                return None
-            found, sides = self.changes(run.cell, old, new, averaged=True)
-            at = self._store.approvals(run.cell)[0].at
-            since = new_since(found.causes, f"{at.day} {at:%B}")
-            return {"from": old.id, "new_causes": since, **changes_view(found, sides)}
-        except (InvidError, SQLAlchemyError) as error:
-            log.error("run %s: no comparison with the accepted model: %s", run.id, error)
+        old, new = self.in_force(run.cell), self._store.model(run.cell, run.id)
+        if old is None or new is None:
             return None
+        found, sides = self.changes(run.cell, old, new, averaged=True)
+        return found.named, {"from": old.id, **changes_view(found, sides)}
+
+    def _diagnosis(self, run: RunRecord) -> Diagnosis | None:
+        """The stored diagnosis; ``None`` where there is none that can be read."""
+        blob = self._store.artefacts(run.id).get("diagnosis")
+        if blob is None:
+            return None
+        try:
+            return load_diagnosis(self._blobs.path(blob.path))
+        except InvidError as error:
+            log.error("run %s: its diagnosis cannot be read: %s", run.id, error)
+            return None
+
+    def _rewrite(self, run: RunRecord, diagnosis: Diagnosis, now: datetime) -> None:
+        """Store the diagnosis with what the comparison added; the runner knows no accepted model."""
+        text = dump_json({**diagnosis_to_json(diagnosis), "simulated": run.simulated})
+        source = self._blobs.scratch(run.id) / KINDS["diagnosis"][0]
+        save_text(source, text)
+        blob = self._blobs.put(run.id, "diagnosis", source)
+        if blob is not None:
+            self._store.add_artefacts(run.id, {"diagnosis": blob}, now)
 
     def may_auto_accept(self, summary: dict[str, Any]) -> bool:
         """True where the configured bounds allow acceptance without a person.

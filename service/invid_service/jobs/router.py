@@ -15,6 +15,7 @@ from fastapi.responses import FileResponse, StreamingResponse
 from invid_service.auth import Reader, Require
 from invid_service.context import Context
 from invid_service.events import EventLog, sse
+from invid_service.jobs.doubts import why_untrusted
 from invid_service.jobs.live import LiveRun, WrongStateError
 from invid_service.jobs.schema import (
     PARTS,
@@ -25,7 +26,6 @@ from invid_service.jobs.schema import (
     StartBody,
     polling_headers,
     view,
-    why_untrusted,
 )
 from invid_service.jobs.start import begin_identification
 from invid_service.jobs.states import ENDED, State
@@ -177,7 +177,7 @@ async def act_on_identification(
     caller = await Require(scope)(request)
     record, live = await service.run(identification)
     facts = {"identification": record.id, "cell": record.cell, "state": str(record.state)}
-    doubt = why_untrusted(record)
+    doubt = why_untrusted(record.mode, record.facts.get("summary"))
     if body.type == "accept" and record.state is State.AWAITING_ACCEPT and doubt is not None:
         if body.override is None:
             raise Problem(
@@ -231,7 +231,8 @@ async def _apply(
         case "cancel":
             await service.jobs.cancel(live)
         case _:
-            override = body.override if why_untrusted(record) is not None else None
+            doubt = why_untrusted(record.mode, record.facts.get("summary"))
+            override = body.override if doubt is not None else None
             await service.jobs.decide(live, accept=action == "accept", by=caller, override=override)
 
 

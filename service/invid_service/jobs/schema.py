@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from invid_service.jobs.doubts import why_untrusted
 from invid_service.jobs.live import LiveRun, Progress
 from invid_service.jobs.protocol import ErrorInfo
 from invid_service.jobs.states import ENDED, State
@@ -200,7 +201,7 @@ def view(record: RunRecord, live: LiveRun | None, *, trace: bool = True) -> Iden
         else {k: v for k, v in measurement.items() if k not in _DETAILS},
         decision=record.facts.get("decision"),
         summary=None if summary is None else _news(summary),
-        untrusted=why_untrusted(record),
+        untrusted=why_untrusted(record.mode, summary),
         separating=(summary or {}).get("separating"),
         links={"self": base, **{name: f"{base}/{name}" for name in names}},
     )
@@ -213,22 +214,6 @@ def _news(summary: dict[str, Any]) -> dict[str, Any]:
         return summary
     lists = {n: [e for e in changes[n] if e["status"] == "changed"] for n in _PARAMETERS if n in changes}
     return {**summary, "changes": {**changes, **lists}}
-
-
-def why_untrusted(record: RunRecord) -> str | None:
-    """Why this result is no model to run a robot with, in words; ``None`` where nothing speaks against it."""
-    summary = record.facts.get("summary")
-    if summary is None:
-        return None
-    if record.mode == "test":
-        return "it was measured with a test's small torques: friction and noise weigh more than in a full run"
-    if not summary.get("trustworthy", True):
-        return "the model is not to be trusted: " + next(
-            iter(summary.get("warnings", [])), "see the warnings"
-        )
-    if summary.get("verdict") == "unexplained":
-        return "the model misses torque on the measured data, and no known cause explains it"
-    return None
 
 
 def polling_headers(record: RunRecord) -> dict[str, str]:

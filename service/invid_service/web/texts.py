@@ -9,10 +9,15 @@ from pathlib import Path
 
 from fastapi import Request
 
+from invid.wording import statement as wording
+
 FOLDER = Path(__file__).parent / "static" / "texts"
 LANGUAGES = ("en", "de")
 """The first is spoken where none of what a browser asks for is there."""
 COOKIE = "invid-language"
+FAMILIES = ("cause.", "effect.", "measure.")
+SHARED = ("number.point", "word.and", "word.or")
+"""What the page says in the words of the core (``invid.wording``): names of causes and of their sizes."""
 
 
 @cache
@@ -20,8 +25,9 @@ def catalogue(language: str) -> Mapping[str, str]:
     """Texts by key; KeyError for a language that is not there."""
     if language not in LANGUAGES:
         raise KeyError(language)
-    texts: Mapping[str, str] = json.loads((FOLDER / f"{language}.json").read_text(encoding="utf-8"))
-    return texts
+    own: Mapping[str, str] = json.loads((FOLDER / f"{language}.json").read_text(encoding="utf-8"))
+    shared = wording.catalogue(language)
+    return {**{k: v for k, v in shared.items() if k in SHARED or k.startswith(FAMILIES)}, **own}
 
 
 def wanted(request: Request) -> str:

@@ -16,10 +16,10 @@ from hypothesis import strategies as st
 from invid.comparison.baseline import pool_models
 from invid.comparison.changes import Comparison, Status
 from invid.comparison.compare import compare
-from invid.comparison.sentences import differing_number
 from invid.errors import InputError
 from invid.model.chains import CoupledChains
 from invid.model.document import ChainStd, EffectTerm, Estimate, Model, parameter_vector, save_model
+from invid.wording.figures import differing_number
 
 MASSES = [[0.7, 2.0, 3.0], [4.0, 5.0, 6.0]]
 SPRINGS = [[1000.0, 2000.0], [3000.0, 4000.0]]
@@ -243,7 +243,7 @@ def test_effects_that_grow_or_are_described_otherwise_are_said() -> None:
     grown = compare(model(effects=(coulomb(2.0),)), model(effects=(coulomb(3.0),)))
     assert by_name(grown, "A2.coulomb_friction.mass 1.torque") is Status.CHANGED
     renamed = compare(model(effects=(coulomb(2.0),)), model(effects=(coulomb(2.0, "presliding_friction"),)))
-    assert any("it was described as coulomb friction before" in s for s in renamed.sentences)
+    assert any("it was described as dry friction before" in s for s in renamed.sentences)
     assert not any("is new" in s for s in renamed.sentences)
 
 

@@ -16,8 +16,8 @@ from large_motion import recording as recording_of
 from test_extended_model import SIZES
 
 from invid.config import load_config
+from invid.diagnosis.clauses import cause_title
 from invid.diagnosis.consequence import consequence_of
-from invid.diagnosis.headline import cause_title
 from invid.diagnosis.known_effects import effect_place, effect_vector
 from invid.diagnosis.linear_fit import layout_of
 from invid.diagnosis.score_test import terms_to_test

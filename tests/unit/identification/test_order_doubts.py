@@ -11,7 +11,7 @@ def test_structures_with_as_many_masses_that_fit_alike_are_named() -> None:
     trials = {sizes: OrderTrial(cost, 1000) for sizes, cost in costs.items()}
     assert _equivalent_structures((3, 2), trials) == [(2, 3)]
     (doubt,) = _doubts_of_order({"chosen": [3, 2], "alike": [[2, 3]]})
-    assert "3,2 and 2,3" in doubt
+    assert "3,2 and 2,3" in doubt.text
     assert _doubts_of_order({"chosen": [3, 3], "alike": []}) == []
 
 

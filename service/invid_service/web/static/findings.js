@@ -1,6 +1,6 @@
-// What was found, in words of the page's language: headline, groups by grade, what changed.
-import { $, el, estimate, fill, fmt, sentence } from "./dom.js";
-import { and, english, has, named, t } from "./texts.js";
+// What was found, in words of the page's language: headline, what changed, groups by grade.
+import { $, el, fill, fmt, sentence } from "./dom.js";
+import { LANGUAGE, english, has, named, t } from "./texts.js";
 
 const GRADES = ["act", "watch", "as_expected", "none"];
 const SHAPES = { act: "▲", watch: "◆", as_expected: "●", none: "■" };
@@ -33,51 +33,18 @@ export function size(finding, linear) {
 }
 export const linearOf = (model) => model?.units?.mass === "kg";
 
-export function headline(summary) {
-  // What is new stands in a line of its own.
-  const news = summary.changes?.new_causes;
-  if (english && summary.headline) return (news ? summary.headline.replace(news, "") : summary.headline).trim();
-  if (summary.trustworthy === false) return t("headline.untrusted");
-  const findings = summary.findings ?? [];
-  if (summary.verdict === "consistent") return t("headline.consistent");
-  if (summary.verdict === "unexplained") return t("headline.unexplained");
-  if (!findings.length) return t(`verdict.${summary.verdict}`);
-  const groups = GRADES.map((grade) => ({ grade, list: findings.filter((f) => gradeOf(f) === grade) })).filter((g) => g.list.length);
-  const [first, ...rest] = groups, unique = (values) => [...new Set(values)];
-  const largest = Math.max(...first.list.map((f) => f.consequence?.share_of_rated_torque ?? 0));
-  let text = t("headline.group", {
-    what: and(unique(first.list.map((f) => named("cause", f.cause)))), where: and(unique(first.list.map((f) => f.axis)).sort()), todo: t(`grade.${first.grade}.todo`),
-  });
-  if (largest > 0) text += ` ${t("headline.size", { size: t("measure.friction_fraction_of_rated", { percent: `${fmt(100 * largest, 2)} %` }) })}`;
-  if (rest.length) text += `; ${t("headline.beside", { what: and(rest.map((g) => t("headline.count", { n: g.list.length, grade: t(`grade.${g.grade}`) }))) })}`;
-  if (summary.verdict === "partly_explained") text += `; ${t("headline.left")}`;
-  return `${sentence(text)}.`;
-}
+// Sentences are the service's, in the page's language; of a run of an earlier release, in English.
+export const headline = (summary) => summary.headlines?.[LANGUAGE] ?? summary.headline ?? "";
+export const spokenHeadline = (summary) => (summary.headlines?.[LANGUAGE] ? null : "en");
 
+// Why a result is not to be trusted: its weightiest reason.
 export function why(run) {
-  if (!run.untrusted || english) return run.untrusted ? `${sentence(run.untrusted)}.` : "";
-  if (run.mode === "test") return t("untrusted.test");
-  if (run.summary?.verdict === "unexplained") return t("untrusted.unexplained");
-  return `${t("untrusted.other")} (${run.untrusted})`;
+  const said = run.untrusted && (run.summary?.doubts?.[0]?.texts[LANGUAGE] ?? run.untrusted);
+  return said ? `${sentence(said)}.` : "";
 }
 
-// One line: what changed, causes and the largest changes first; the long form stands among the notes.
-export function changesLine(changes, model) {
-  if (!changes) return "";
-  const sizes = sizesOf(model);
-  const causes = (changes.causes ?? []).filter((c) => ["appeared", "grew", "shrank", "gone"].includes(c.status))
-    .map((c) => `${c.axis}: ${named("cause", c.cause)} ${t(`status.${c.status}`)}`);
-  const share = (p) => Math.abs(p.difference / (p.from?.value || 1));
-  const parts = (changes.parameters ?? []).filter((p) => p.status === "changed" && p.difference != null).sort((a, b) => share(b) - share(a)).map((p) => {
-    const by = p.from?.value ? `${fmt(100 * share(p), 2)} %` : estimate(Math.abs(p.difference), p.difference_std);
-    return `${parameterLabel(p.parameter, sizes)} ${p.difference > 0 ? "+" : "−"}${by}`;
-  });
-  const all = [...causes, ...parts];
-  if (!all.length) return changes.structure?.length ? changes.structure.join(" ") : t("changes.none");
-  const shown = all.slice(0, 4);
-  if (all.length > 4) shown.push(t("changes.more", { n: all.length - 4 }));
-  return t("changes.since", { what: shown.join("; ") });
-}
+// What changed against another model, in full.
+export const changeLines = (changes) => (changes ? changes.lines?.[LANGUAGE] ?? changes.sentences ?? [] : []);
 
 // "A1.spring.2" as a person says it.
 export function parameterLabel(name, sizes) {

@@ -2,10 +2,11 @@
 import { get, post } from "./api.js";
 import { ask } from "./ask.js";
 import { historyChart } from "./charts.js";
-import { changesLine, headline, place, sizesOf } from "./findings.js";
+import { changeLines, headline, place, sizesOf } from "./findings.js";
 import { numbersOf } from "./result.js";
 import { $, button, clear, el, fill, table, time, when } from "./dom.js";
-import { english, named, t } from "./texts.js";
+import { ended } from "./spoken.js";
+import { named, t } from "./texts.js";
 
 export async function showHistory(cell, guarded, open) {
   const { history } = await get(`/cells/${cell.id}/models`);
@@ -18,14 +19,13 @@ export async function showHistory(cell, guarded, open) {
   const compare = (m) => guarded(async () => {
     // As the result does: either side is the mean of the accepted runs that agree with it.
     const answer = await get(`/cells/${cell.id}/changes?from=${m.id}&to=${history[0].id}&averaged=true`);
-    const what = english ? answer.sentence : changesLine(answer, null);
-    changes.textContent = t("changes.since_time", { time: time(m.accepted), what });
+    changes.textContent = t("changes.since_time", { time: time(m.accepted), what: changeLines(answer).join(" ") });
   });
   clear(changes);
   table($("accepted"), [t("history.when"), t("history.model"), t("history.by"), ""], history.map((m, i) => ({ cells: [when(m.accepted), `…${m.id.slice(-8)}`, `${m.by} (${named("how", m.how)})`,
     i ? el("span", { class: "actions" }, [button(t("history.compare"), compare(m)), button(t("history.restore"), restore(m))]) : el("b", {}, t("history.now"))] })));
   const { identifications } = await get(`/identifications?cell=${cell.id}`);
-  const said = (r) => (r.summary ? headline(r.summary) : r.error?.text ?? "");
+  const said = (r) => (r.summary ? headline(r.summary) : r.error ? el("span", {}, ended(r)) : "");
   table($("runs"), [t("history.started"), t("history.kind"), t("history.state"), t("history.result"), ""], identifications.map((r) => ({ cells: [when(r.created), named("mode", r.mode), t(`state.${r.state}`).split(":")[0],
     said(r), button(t("history.show"), () => open(r), { "aria-label": `${t("history.show")} ${when(r.created)}` })] })));
   await charts(cell, history, identifications);

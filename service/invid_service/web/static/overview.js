@@ -1,10 +1,10 @@
 // All cells at a glance, worst first, as the poll tells; what the last run found is asked for when a run has ended.
 import { get } from "./api.js";
-import { changesLine, gradeBadge, headline } from "./findings.js";
+import { gradeBadge, headline, spokenHeadline } from "./findings.js";
 import { $, button, el, fill, sentence, when } from "./dom.js";
 import { blind, busy, known, troubled } from "./store.js";
 import { stop } from "./stop.js";
-import { english, named, t } from "./texts.js";
+import { named, t } from "./texts.js";
 
 const SHAPES = { trouble: "▲", moves: "►", waits: "◆", busy: "…", ready: "●" }, RANKS = Object.keys(SHAPES);
 const found = { key: "", cells: new Map(), order: [] };
@@ -24,13 +24,12 @@ export function stateText(c) {
 }
 
 // The last run in the page's language, where it is told in full; else the service's own sentences.
-function said({ last_identification: full, overview: { last_run: last, changed } }) {
+function said({ last_identification: full, overview: { last_run: last } }) {
   const same = full && full.id === last?.id ? full : null, summary = same?.summary;
-  const own = (text, ours) => text && el("p", { lang: ours || english ? null : "en" }, text);
+  const text = summary ? headline(summary) : same?.stopped?.reason ?? last?.headline;
   return [
     last ? el("p", {}, [el("small", { class: "quiet" }, t("overview.last", { time: when(last.ended ?? full?.started ?? full?.created) })), " ", last.grade && gradeBadge(last.grade)]) : el("p", { class: "quiet" }, t("overview.never")),
-    own(summary ? headline(summary) : same?.stopped?.reason ?? last?.headline, summary),
-    last?.verdict && (changed ? el("p", { class: "changed", lang: english || summary?.changes ? null : "en" }, summary?.changes ? changesLine(summary.changes, null) : changed) : el("p", { class: "quiet" }, t("overview.unchanged"))),
+    text && el("p", { lang: summary ? spokenHeadline(summary) : "en" }, text),
   ];
 }
 

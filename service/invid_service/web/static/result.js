@@ -1,18 +1,18 @@
 // The result: grade and headline, where it is, the decision; what was found; the numbers unfold below.
 import { call, get } from "./api.js";
-import { changesLine, gradeBadge, headline, linearOf, parameterLabel, showFindings, sizesOf, place, why } from "./findings.js";
+import { changeLines, gradeBadge, headline, linearOf, parameterLabel, showFindings, sizesOf, spokenHeadline, place, why } from "./findings.js";
 import { cloud, curves, redraw } from "./plots.js";
 import { $, clear, el, estimate, fill, fmt, time, typical } from "./dom.js";
 import { LANGUAGE, english, has, named, t } from "./texts.js";
 
+// Not before what stands above a button has its place: one that moves under a finger is pressed by mistake.
 let shown = null, settled = null, latest = null, diagnosed = null;
 const PATIENCE_MS = 3000;
 const FILES = { report: "report.html", model: "model.json", diagnosis: "diagnosis.json", recording: "recording.h5" };
 
 export function showDecision(run) {
   latest = run;
-  // Not before what stands above it has its place: a button that moves under a finger is pressed by mistake.
-  $("decide").hidden = run.state !== "awaiting_accept" || settled !== run.id;
+  $("decide").hidden = run.state !== "awaiting_accept";
   const d = run.decision;
   $("decision").textContent = d ? `${t(`result.${d.type}`, { by: d.by })}${d.override ? ` ${t("result.reason", { reason: d.override })}` : ""}` : "";
   // A result that is not to be trusted does not invite.
@@ -40,13 +40,14 @@ export async function showResult(run) {
   if (shown === run.id) return;
   shown = run.id;
   $("run-facts").textContent = t("run.facts", { kind: named("mode", run.mode), time: time(run.started ?? run.created), by: run.requested_by }) + (run.simulated ? ` ${t("run.simulated")}` : "");
-  const grade = summary.trustworthy === false || summary.verdict === "unexplained" ? "none" : summary.grade ?? (summary.verdict === "consistent" ? "as_expected" : null);
-  $("grade").hidden = grade == null;
-  fill($("grade"), grade == null ? [] : [gradeBadge(grade)]);
+  fill($("grade"), [gradeBadge(summary.grade ?? "none")]);
   $("sentence").textContent = headline(summary);
+  $("sentence").lang = spokenHeadline(summary) ?? LANGUAGE;
   $("sentence").focus({ preventScroll: true });
   window.scrollTo(0, 0);
-  $("changes-sentence").textContent = changesLine(summary.changes, null);
+  const lines = changeLines(summary.changes);
+  $("changes").hidden = !lines.length;
+  fill($("changes-lines"), lines.map((line) => el("li", {}, line)));
   warnings(summary);
   fill($("links"), Object.entries(FILES).map(([name, file]) => el("a", { href: run.links[name], "data-download": `${run.id}-${file}` }, t(`file.${name}`))));
   for (const id of ["axis-choice", "frf", "missing", "where", "numbers"]) $(id).hidden = true;
@@ -58,7 +59,6 @@ export async function showResult(run) {
     [model, diagnosis, changes] = await Promise.all([get(run.links.model), get(run.links.diagnosis).catch(() => null), compared]);
   } finally { if (!model) { settled = run.id; showDecision(latest); } }
   if (shown !== run.id) return;
-  $("changes-sentence").textContent = changesLine(summary.changes, model);
   showFindings(run, diagnosis, model);
   diagnosed = diagnosis;
   $("numbers").hidden = false;
@@ -102,7 +102,7 @@ function separating(run, diagnosis) {
 }
 
 function warnings(summary) {
-  const all = [...new Set([summary.changes && summary.changes.sentence, ...(summary.warnings ?? []), ...(summary.changes?.warnings ?? [])].filter(Boolean))];
+  const all = [...new Set([...(summary.warnings ?? []), ...(summary.changes?.warnings ?? [])].filter(Boolean))];
   $("notes").hidden = !all.length;
   $("notes-title").textContent = t("result.warnings", { n: all.length });
   fill($("warnings"), [...(english || !all.length ? [] : [el("li", { class: "quiet" }, t("page.untranslated"))]), ...all.map((w) => el("li", { lang: "en" }, w))]);
