@@ -131,9 +131,9 @@ def _search_whole_or_periods(recording: Recording, model: Model) -> SearchPass:
                 first = _beside_friction(recording, model, spectra, warnings, (base, train, held))
     if first is not None:
         final = first.selection.final
+        if scatter and is_law_of_motion(final, scatter):
+            return first  # no mean period shows what it found
         is_right = not final.rejects([*first.train, *first.held]) or final.cost < AT_FLOOR * final.dof
-        if scatter:
-            is_right = is_right or is_law_of_motion(final, scatter)
         if (is_right and len(model.axes) > 1) or budget.is_left_out(BY_PERIODS):
             return first
     second = _search_by_periods(recording, model)
