@@ -158,7 +158,7 @@ def lines_below(chains: CoupledChains, axis: int) -> int:
 
 
 def text_width(text: str, size: float = 12.0) -> float:
-    """Width of a line of numbers in a wide font (DejaVu Sans): a digit takes 0.64 of its size, a point half."""
+    """Width of a line of numbers in a wide font (DejaVu Sans), where a digit takes 0.64 of its size."""
     return size * sum(0.33 if c in " .,|" else 0.84 if c in "±−+Δ→" else 0.64 for c in text)
 
 
@@ -167,7 +167,7 @@ def places(
 ) -> Places:
     """Rows one below the other, as high as their findings ask; couplings to the right, none over another.
 
-    ``widest`` is the room that the longest line of text takes, ``box`` and ``gap`` the widths of a mass and of
+    ``widest`` is the room that the longest line takes, ``box`` and ``gap`` the widths of a mass and of
     a spring that their numbers need.
     """
     chains = model.chains
