@@ -167,8 +167,8 @@ def places(
 ) -> Places:
     """Rows one below the other, as high as their findings ask; couplings to the right, none over another.
 
-    ``widest`` is the room that the longest line of text takes, ``box`` and ``gap`` the widths of a mass and
-    of a spring that their numbers need.
+    ``widest`` is the room that the longest line takes, ``box`` and ``gap`` the widths of a mass and of
+    a spring that their numbers need.
     """
     chains = model.chains
     lines = [lines_below(chains, i) + sum(p[1] == i for p in marked) for i in range(chains.branches)]

@@ -100,6 +100,6 @@ def changed_parameters(changes: Mapping[str, Any] | None, point: str = ".") -> d
 def _news(found: Diagnosis, changes: Mapping[str, Any] | None, texts: Mapping[str, str]) -> dict[int, str]:
     """A word for the findings that came, grew or shrank since the model in force."""
     status = {c.get("name"): c.get("status") for c in (changes or {}).get("causes", [])}
-    words = {s: texts[f"status.{s}"] for s in ("appeared", "grew", "shrank")}
+    words = {s: texts[f"drawing.{s}"] for s in ("appeared", "grew", "shrank")}
     said = {n: words.get(str(status.get(name_of(f.effect)))) for n, f in enumerate(found.findings, 1)}
     return {n: word for n, word in said.items() if word is not None}

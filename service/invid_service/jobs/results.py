@@ -125,15 +125,16 @@ class Results:
                 summary["changes"] = found[1]
             diagnosis = self._diagnosis(run)
             if diagnosis is None:
-                return summary
+                said = {} if found is None else found[1]["headlines"]
+                return {**summary, **({"headline": said["en"], "headlines": said} if said else {})}
             beside = next((d for d in doubts if d.code is DoubtCode.TEST), None)
-            said = with_headline(replace(diagnosis, changes=changes), beside)
-            self._rewrite(run, said, now)
+            told = with_headline(replace(diagnosis, changes=changes), beside)
+            self._rewrite(run, told, now)
         except (InvidError, SQLAlchemyError, OSError) as error:
             log.error("run %s: no comparison with the accepted model: %s", run.id, error)
             return summary
-        grade = None if said.grade is None else str(said.grade)
-        return {**summary, "headline": said.headline, "headlines": dict(said.headlines), "grade": grade}
+        grade = None if told.grade is None else str(told.grade)
+        return {**summary, "headline": told.headline, "headlines": dict(told.headlines), "grade": grade}
 
     def _against_accepted(self, run: RunRecord) -> tuple[tuple[NamedChange, ...], dict[str, Any]] | None:
         """What changed since the model in force, and how the interface shows it; ``None`` without one."""

@@ -38,8 +38,12 @@ def test_a_cause_that_appears_is_in_the_headline_and_in_the_changes(tmp_path: Pa
     with running(tmp_path, director) as (client, _):
         accept(client, director, document(None))
         run = accept(client, director, document(3e-4))
-        assert "free play in the transmission of 0.30 ± 0.01 mrad on A2" in run["summary"]["headline"]
-        assert "New since " in run["summary"]["headline"]
+        headlines = run["summary"]["headlines"]
+        assert run["summary"]["headline"] == headlines["en"]
+        assert headlines["en"].startswith(
+            "New: free play in the transmission on A2 at spring 1, 0.30 ± 0.01 m"
+        )
+        assert headlines["de"].startswith("Neu: Spiel im Getriebe an A2, Feder 1, 0,30 ± 0,01 mrad.")
         (cause,) = client.get(f"{API}/changes").json()["causes"]
         assert (cause["name"], cause["status"]) == ("A2.backlash.spring 1", "appeared")
         assert cause["from"] is None
@@ -51,7 +55,7 @@ def test_a_cause_that_the_run_before_had_no_name_for_cannot_be_called_new(tmp_pa
     with running(tmp_path, director) as (client, _):
         accept(client, director, document(None, "partly_explained"))
         run = accept(client, director, document(3e-4))
-        assert "New since" not in run["summary"]["headline"]
+        assert "ew: free play" not in run["summary"]["headline"]
         assert run["summary"]["changes"]["causes"][0]["status"] == "cannot_tell"
 
 

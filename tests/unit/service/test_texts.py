@@ -12,7 +12,7 @@ from service_doubles import running
 from invid import errors
 from invid.config import load_config
 from invid.effects.registry import CATALOGUE
-from invid.model.diagnosis_document import Grade, Verdict
+from invid.model.diagnosis_document import Grade
 from invid.planning import make_plan
 from invid.report.branch_drawing import WORDS
 from invid_service.cells.readiness import Reason
@@ -79,9 +79,7 @@ def test_what_the_service_may_name_has_a_name_in_every_language() -> None:
         wanted = {f"cause.{e.cause}" for e in CATALOGUE}
         wanted |= {f"effect.{p}" for e in CATALOGUE for p in e.parameters}
         wanted |= {f"measure.{name}" for name in measures}
-        wanted |= (
-            {f"state.{s}" for s in State} | {f"verdict.{v}" for v in Verdict} | {f"grade.{g}" for g in Grade}
-        )
+        wanted |= {f"state.{s}" for s in State} | {f"grade.{g}" for g in Grade}
         for code in get_args(Reason.model_fields["code"].annotation):
             wanted |= {f"reason.{code}", f"reason.{code}.fix"}
         wanted |= {f"problem.{kind}" for kind in PROBLEMS}
