@@ -8,7 +8,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from invid.diagnosis.clauses import (
+from invid.effects.registry import BY_CAUSE
+from invid.model.diagnosis_document import Diagnosis, Finding, Grade, Verdict
+from invid.model.doubts import Doubt, doubts_of
+from invid.model.named_change import ChangeKind, NamedChange, is_tool_change
+from invid.wording.clauses import (
     axes_phrase,
     change_check,
     change_clause,
@@ -17,10 +21,6 @@ from invid.diagnosis.clauses import (
     grade_of,
     group_clause,
 )
-from invid.effects.registry import BY_CAUSE
-from invid.model.diagnosis_document import Diagnosis, Finding, Grade, Verdict
-from invid.model.doubts import Doubt, doubts_of
-from invid.model.named_change import ChangeKind, NamedChange, is_tool_change
 from invid.wording.statement import (
     ENGLISH,
     LANGUAGES,
