@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
@@ -65,7 +66,7 @@ TABLE = [
 ]  # fmt: skip
 
 
-def facts(changes: tuple[NamedChange, ...] | None, doubt: Doubt | None = None, **more: object) -> Facts:
+def facts(changes: tuple[NamedChange, ...] | None, doubt: Doubt | None = None, **more: Any) -> Facts:
     return replace(Facts(("A1", "A2"), False, Verdict.CONSISTENT, changes=changes, doubt=doubt), **more)
 
 
