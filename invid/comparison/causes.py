@@ -26,10 +26,10 @@ from invid.comparison.joint_test import two_sided
 from invid.comparison.named import named_cause
 from invid.comparison.pairs import describe, name_of
 from invid.comparison.sentences import bound_phrase
-from invid.diagnosis.clauses import cause_check, cause_name, label, parameter_name, size_text
 from invid.effects.registry import BY_CAUSE
 from invid.model.document import EffectTerm, Estimate, Model
 from invid.numerics.distributions import chi2_isf, normal_isf
+from invid.wording.clauses import cause_check, cause_name, label, parameter_name, size_text
 from invid.wording.figures import differing_number, percent
 from invid.wording.statement import Figure, Listed, Statement, Value
 

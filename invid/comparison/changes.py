@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
 
-from invid.diagnosis.clauses import shape_statement
 from invid.diagnosis.headline import changes_headline
 from invid.model.document import Estimate
 from invid.model.named_change import NamedChange
+from invid.wording.clauses import shape_statement
 from invid.wording.statement import ENGLISH, LANGUAGES, Statement, say, upper_first
 
 

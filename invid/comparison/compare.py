@@ -27,11 +27,11 @@ from invid.comparison.pairs import effects as paired_effects
 from invid.comparison.pairs import parameter_changes
 from invid.comparison.pairs import structure as structure_of
 from invid.comparison.sentences import bound_phrase, statements
-from invid.diagnosis.clauses import label
 from invid.errors import InputError
 from invid.model.document import Model, units
 from invid.numerics.arrays import Float64
 from invid.numerics.distributions import normal_isf
+from invid.wording.clauses import label
 from invid.wording.statement import Listed, Statement
 
 ALPHA = 0.01

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 from invid.comparison.changes import CauseStatus, Change, Comparison
 from invid.comparison.named import named_change
-from invid.diagnosis.clauses import label, shape_statement
 from invid.model.named_change import ChangeKind
+from invid.wording.clauses import label, shape_statement
 from invid.wording.figures import differing_number, percent
 from invid.wording.statement import Figure, Listed, Statement, Value, say
 

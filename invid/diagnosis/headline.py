@@ -8,7 +8,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from invid.diagnosis.clauses import (
+from invid.effects.registry import BY_CAUSE
+from invid.model.diagnosis_document import Diagnosis, Finding, Grade, Verdict
+from invid.model.doubts import Doubt, doubts_of
+from invid.model.named_change import ChangeKind, NamedChange, is_tool_change
+from invid.wording.clauses import (
     axes_phrase,
     change_check,
     change_clause,
@@ -17,10 +21,6 @@ from invid.diagnosis.clauses import (
     grade_of,
     group_clause,
 )
-from invid.effects.registry import BY_CAUSE
-from invid.model.diagnosis_document import Diagnosis, Finding, Grade, Verdict
-from invid.model.doubts import Doubt, doubts_of
-from invid.model.named_change import ChangeKind, NamedChange, is_tool_change
 from invid.wording.statement import (
     ENGLISH,
     LANGUAGES,
@@ -91,12 +91,12 @@ def changes_headline(changes: Sequence[NamedChange], language: str = ENGLISH) ->
 def headline_order(facts: Facts) -> list[list[Statement]]:
     """Return the sentences of the headline, each as the statements it joins.
 
-    A doubt comes first only where the change cannot be believed because of it, or where nothing changed that
-    matters; else it is the last word, on what to do now.
+    A doubt comes first only where the change cannot be believed because of it, or where it is of the model
+    and nothing changed that matters; else it is the last word, on what to do now.
     """
     doubt, changes = facts.doubt, facts.changes
     serious = [c for c in changes or () if c.matters]
-    if doubt is not None and (doubt.spoils_changes or not serious):
+    if doubt is not None and (doubt.spoils_changes or (doubt.is_of_model and not serious)):
         said = [Statement("headline.untrusted", {"why": doubt_statement(doubt)})]
         return [[*said, *([Statement("headline.unsure")] if changes else [])]]
     if not serious:

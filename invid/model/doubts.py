@@ -34,7 +34,8 @@ class DoubtCode(StrEnum):
     """Measured with a test's small torques."""
 
 
-_LEAVES_THE_REST = {DoubtCode.UNSEEN, DoubtCode.UNEXPLAINED, DoubtCode.TEST}
+_OF_THE_RUN = {DoubtCode.UNEXPLAINED, DoubtCode.TEST}
+_LEAVES_THE_REST = {DoubtCode.UNSEEN, *_OF_THE_RUN}
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,11 @@ class Doubt:
         measured weakly is in the standard deviations of the rest.
         """
         return self.code not in _LEAVES_THE_REST
+
+    @property
+    def is_of_model(self) -> bool:
+        """Whether it speaks against the model itself, and not of how it was measured or what it lacks."""
+        return self.code not in _OF_THE_RUN
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""

@@ -10,7 +10,6 @@ import math
 from collections.abc import Mapping, Sequence
 from html import escape
 
-from invid.diagnosis.clauses import cause_title
 from invid.diagnosis.sentences import format_estimate as size_of
 from invid.model.diagnosis_document import Finding, Unexplained
 from invid.model.document import EffectTerm, Model, units
@@ -36,6 +35,7 @@ from invid.report.branch_marks import (
     text_width,
 )
 from invid.report.labels import label, printable
+from invid.wording.clauses import cause_title
 from invid.wording.figures import differing_number
 
 WORDS: Mapping[str, str] = {

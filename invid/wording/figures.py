@@ -35,4 +35,4 @@ def signed_share(difference: float, of: float) -> str:
     share = abs(100 * difference / of) if of else math.inf
     if not share < 1000:
         return ""
-    return f"{'+' if difference >= 0 else '−'}{share:.2g} %" if share < 99.5 else f"+{share:.0f} %"
+    return f"{'+' if difference >= 0 else '−'}{f'{share:.2g}' if share < 99.5 else f'{share:.0f}'} %"

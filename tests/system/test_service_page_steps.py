@@ -206,7 +206,7 @@ def test_the_page_speaks_german_to_a_german_browser_and_english_when_told_to(tmp
         page.wait_text("run-title", "Es wird gemessen")
         assert not driver.find_element("id", "language").is_enabled(), "the stop button stays while it moves"
         page.shown("accept", 120)
-        page.wait_text("sentence", "Trockene Reibung an A1: nichts zu tun")
+        page.wait_text("sentence", "Trockene Reibung an A1, 2 % des Nennmoments: wie erwartet, nichts zu tun")
         page.wait_text("grade", "Wie erwartet")
         assert "Last" in page.drawing().text
         said = re.search(r"trockene Reibung, (\d+,\d+) ± ", page.drawing().text)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from invid.diagnosis.clauses import doubt_statement
 from invid.model.doubts import Doubt, DoubtCode, by_weight, doubts_of
+from invid.wording.clauses import doubt_statement
 from invid.wording.statement import ENGLISH, LANGUAGES, say
 
 Reason = dict[str, Any]

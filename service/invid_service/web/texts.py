@@ -12,7 +12,7 @@ from fastapi import Request
 from invid.wording import statement as wording
 
 FOLDER = Path(__file__).parent / "static" / "texts"
-LANGUAGES = ("en", "de")
+LANGUAGES = wording.LANGUAGES
 """The first is spoken where none of what a browser asks for is there."""
 COOKIE = "invid-language"
 FAMILIES = ("cause.", "effect.", "measure.")

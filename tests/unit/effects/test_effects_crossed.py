@@ -16,7 +16,6 @@ from large_motion import recording as recording_of
 from test_extended_model import SIZES
 
 from invid.config import load_config
-from invid.diagnosis.clauses import cause_title
 from invid.diagnosis.consequence import consequence_of
 from invid.diagnosis.known_effects import effect_place, effect_vector
 from invid.diagnosis.linear_fit import layout_of
@@ -38,6 +37,7 @@ from invid.recording.model import Recording
 from invid.signals.spectra import all_spectra
 from invid.simulation.rigid import simulate_motion
 from invid.simulation.run import simulate
+from invid.wording.clauses import cause_title
 
 FILES = Path(__file__).parents[2] / "effects"
 CONFIG = Path(__file__).parents[3] / "configs" / "case-study.yaml"

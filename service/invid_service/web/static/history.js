@@ -25,7 +25,7 @@ export async function showHistory(cell, guarded, open) {
   table($("accepted"), [t("history.when"), t("history.model"), t("history.by"), ""], history.map((m, i) => ({ cells: [when(m.accepted), `…${m.id.slice(-8)}`, `${m.by} (${named("how", m.how)})`,
     i ? el("span", { class: "actions" }, [button(t("history.compare"), compare(m)), button(t("history.restore"), restore(m))]) : el("b", {}, t("history.now"))] })));
   const { identifications } = await get(`/identifications?cell=${cell.id}`);
-  const said = (r) => (r.summary ? headline(r.summary) : r.error ? el("span", {}, ended(r)) : "");
+  const said = (r) => (r.summary ? headline(r.summary) : r.error ? ended(r)[0] : "");
   table($("runs"), [t("history.started"), t("history.kind"), t("history.state"), t("history.result"), ""], identifications.map((r) => ({ cells: [when(r.created), named("mode", r.mode), t(`state.${r.state}`).split(":")[0],
     said(r), button(t("history.show"), () => open(r), { "aria-label": `${t("history.show")} ${when(r.created)}` })] })));
   await charts(cell, history, identifications);

@@ -1,4 +1,4 @@
-"""Statements about findings and changes: what, where, how large. Their words stand in ``invid.wording``."""
+"""Statements about findings and changes: what, where, how large. Their words: ``en.json`` and ``de.json``."""
 
 from __future__ import annotations
 

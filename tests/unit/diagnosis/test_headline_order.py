@@ -1,0 +1,152 @@
+"""The headline answers in this order: what changed, does it matter, where, what now; in both languages."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from invid.diagnosis.headline import Facts, headline
+from invid.model.diagnosis_document import Consequence, Diagnosis, Finding, Grade, Verdict
+from invid.model.document import EffectTerm, Estimate
+from invid.model.doubts import Doubt, DoubtCode, by_weight, doubt_facts, doubts_of
+from invid.model.named_change import ChangeKind, NamedChange, is_tool_change
+
+UNIT = "kg·m²"
+LOAD = NamedChange(
+    ChangeKind.LOAD, "A2", "A2.mass.3", 3, difference=1.31, std=0.02, unit=UNIT, share=1.31 / 5.97
+)
+SOFTER = NamedChange(
+    ChangeKind.SPRING, "A1", "A1.spring.1", 1, difference=-190.0, std=3.0, unit="N·m/rad", share=-0.19
+)
+COUPLED = NamedChange(
+    ChangeKind.COUPLING, "A1", other_axis="A2", difference=0.3, std=0.02, unit=UNIT, share=0.1
+)
+SMALL = replace(LOAD, difference=0.06, std=0.004, share=0.01, matters=False)
+MISSED = Doubt(DoubtCode.MISSED_TORQUE, "The model cannot be trusted: …", {"share": 0.79})
+UNSEEN = Doubt(DoubtCode.UNSEEN, "A1.spring.2: not seen by these data")
+TEST = Doubt(DoubtCode.TEST, "")
+TOOL = "New load on A2: +1.31 ± 0.02 kg·m² (+22 %); looks like a tool change."
+WERKZEUG = "Neue Last an A2: +1,31 ± 0,02 kg·m² (+22 %); sieht nach einem Werkzeugwechsel aus."
+SOFT = "Spring 1 of A1 is softer: −190 ± 3 N·m/rad (−19 %)."
+WEICH = "Feder 1 von A1 ist weicher: −190 ± 3 N·m/rad (−19 %)."
+NOT_79 = "This result is not to be trusted: the model misses 79 % of the torque"
+NICHT_79 = "Diesem Ergebnis ist nicht zu trauen: dem Modell fehlen 79 % des Moments"
+CALM, RUHE = (
+    "nothing beyond noise on both axes: nothing to do.",
+    "nichts außer Rauschen an beiden Achsen: nichts zu tun.",
+)
+NONE, NICHTS = (
+    "Nothing changed since the accepted model",
+    "Nichts hat sich seit dem angenommenen Modell geändert",
+)
+TABLE = [
+    # changes, doubt, English, German
+    (None, None, CALM, RUHE),
+    ((), None, f"{NONE}; {CALM}", f"{NICHTS}; {RUHE}"),
+    ((SMALL,), None, f"New load on A2: +0.060 ± 0.004 kg·m² (+1 %), too small to matter; {CALM}",
+     f"Neue Last an A2: +0,060 ± 0,004 kg·m² (+1 %), zu klein, um zu zählen; {RUHE}"),
+    ((LOAD,), None, f"{TOOL} Accept?", f"{WERKZEUG} Annehmen?"),
+    ((LOAD, COUPLED), None, f"{TOOL} Accept?", f"{WERKZEUG} Annehmen?"),
+    ((SOFTER,), None, f"{SOFT} Before accepting: check belt tension, screws and the gear for wear.",
+     f"{WEICH} Vor dem Annehmen: Riemenspannung, Schrauben und Verschleiß des Getriebes prüfen."),
+    (None, MISSED, f"{NOT_79}.", f"{NICHT_79}."),
+    ((), MISSED, f"{NOT_79}.", f"{NICHT_79}."),
+    ((LOAD,), MISSED, f"{NOT_79}; whether anything changed cannot be told from it.",
+     f"{NICHT_79}; ob sich etwas geändert hat, ist daraus nicht zu sagen."),
+    ((SOFTER,), MISSED, f"{NOT_79}; whether anything changed cannot be told from it.",
+     f"{NICHT_79}; ob sich etwas geändert hat, ist daraus nicht zu sagen."),
+    ((LOAD,), UNSEEN, f"{TOOL} Accept only for a reason: the data do not carry the whole model.",
+     f"{WERKZEUG} Nur aus einem Grund annehmen: die Daten tragen nicht das ganze Modell."),
+    ((SOFTER,), UNSEEN, f"{SOFT} Accept only for a reason: the data do not carry the whole model.",
+     f"{WEICH} Nur aus einem Grund annehmen: die Daten tragen nicht das ganze Modell."),
+    ((SMALL,), UNSEEN, "This result is not to be trusted: the data do not carry the whole model; whether "
+     "anything changed cannot be told from it.", None),
+]  # fmt: skip
+
+
+def facts(changes: tuple[NamedChange, ...] | None, doubt: Doubt | None = None, **more: Any) -> Facts:
+    return replace(Facts(("A1", "A2"), False, Verdict.CONSISTENT, changes=changes, doubt=doubt), **more)
+
+
+def capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
+
+
+@pytest.mark.parametrize(("changes", "doubt", "english", "german"), TABLE)
+def test_the_headline_says_what_changed_whether_it_matters_where_and_what_now(
+    changes: tuple[NamedChange, ...] | None, doubt: Doubt | None, english: str, german: str | None
+) -> None:
+    assert headline(facts(changes, doubt)) == capital(english)
+    if german is not None:
+        assert headline(facts(changes, doubt), "de") == capital(german)
+
+
+def finding(cause: str, axis: str, grade: Grade) -> Finding:
+    term = EffectTerm(cause, axis, {"gap": Estimate(3e-3, 1e-5, "rad")}, "spring 1")
+    means = Consequence(grade, "3 mrad (10′) of play", "", measures={"backlash": 3e-3})
+    return Finding(term, 0.99, 0.4, 0.05, 0.9, consequence=means)
+
+
+def test_what_to_act_on_stands_beside_a_change_and_is_not_told_twice() -> None:
+    act = finding("backlash", "A1", Grade.ACT)
+    said = headline(facts((LOAD,), verdict=Verdict.EXPLAINED, findings=(act,)))
+    assert said.startswith(TOOL)
+    assert (
+        "Free play in the transmission on A1 at spring 1, 3 mrad (10′) of play: check the gear's wear" in said
+    )
+    came = NamedChange(
+        ChangeKind.APPEARED, "A1", "A1.backlash.spring 1", cause="backlash", element="spring 1",
+        new=Estimate(3e-3, 1e-5, "rad"), unit="rad",
+    )  # fmt: skip
+    said = headline(facts((came,), verdict=Verdict.EXPLAINED, findings=(act,)))
+    assert said.lower().count("free play") == 1
+    assert said.endswith("Before accepting: check the gear's wear, keys and couplings.")
+
+
+def test_what_has_no_name_is_the_last_word_after_a_change() -> None:
+    said = headline(facts((LOAD,), verdict=Verdict.UNEXPLAINED, unexplained_axis="A1"))
+    nameless = "Something on A1 is not in the model and no known cause explains it: do not accept it unseen."
+    assert said == f"{TOOL} {nameless}"
+    assert headline(facts((), TEST)) == headline(facts(()))
+    said = headline(facts((LOAD,), TEST))
+    assert said.startswith(f"{TOOL} Accept only for a reason: it was measured with a test's small torques")
+
+
+def test_a_tool_changes_loads_how_they_couple_and_how_they_weigh_and_nothing_else() -> None:
+    weight = NamedChange(ChangeKind.GREW, "A2", cause="gravity")
+    friction = NamedChange(ChangeKind.GREW, "A2", cause="coulomb_friction")
+    assert is_tool_change((LOAD, COUPLED, weight))
+    assert is_tool_change((LOAD, replace(SOFTER, matters=False)))
+    assert not is_tool_change((LOAD, SOFTER))
+    assert not is_tool_change((LOAD, friction))
+    assert not is_tool_change((COUPLED,))
+    assert not is_tool_change(())
+
+
+def test_doubts_are_chosen_by_weight_and_not_by_their_order() -> None:
+    assert [d.code for d in by_weight([TEST, UNSEEN, MISSED])] == ["missed_torque", "unseen", "test"]
+    assert doubts_of(doubt_facts([UNSEEN, MISSED]))[0] == MISSED
+    old = doubts_of({"trustworthy": False, "doubts": ["the fit did not converge"]})
+    assert [(d.code, d.text) for d in old] == [("other", "the fit did not converge")]
+    assert doubts_of({"trustworthy": False})[0].code is DoubtCode.OTHER
+    assert doubts_of({"trustworthy": True, "doubts": []}) == ()
+
+
+def test_a_change_that_matters_is_to_be_watched(small_diagnosis: Diagnosis) -> None:
+    assert small_diagnosis.grade is Grade.AS_EXPECTED
+    assert replace(small_diagnosis, changes=(SMALL,)).grade is Grade.AS_EXPECTED
+    assert replace(small_diagnosis, changes=(LOAD,)).grade is Grade.WATCH
+    worse = replace(small_diagnosis, changes=(LOAD,), findings=(finding("backlash", "A1", Grade.ACT),))
+    assert worse.grade is Grade.ACT
+
+
+@pytest.fixture
+def small_diagnosis() -> Diagnosis:
+    from invid.model.chains import CoupledChains
+    from invid.model.document import ChainStd, Model
+
+    chains = CoupledChains.build([[1.0, 2.0]], [[1000.0]], [[0.5]], axes=("A1",))
+    model = Model("cell", "refined", chains, ChainStd.unknown(chains))
+    return Diagnosis(Verdict.CONSISTENT, (), None, (), None, model)
