@@ -19,7 +19,7 @@ from invid.diagnosis.linear_fit import (
 from invid.diagnosis.search import select_causes
 from invid.diagnosis.selection import Selection
 from invid.diagnosis.slow_move import find_slow_moves
-from invid.diagnosis.thresholds import AT_FLOOR, CLOSE, NAMED_SHARE
+from invid.diagnosis.thresholds import AT_FLOOR, CLOSE, FAR, NAMED_SHARE
 from invid.diagnosis.tone import Tone, remove_tones
 from invid.diagnosis.validation import (
     PLAIN,
@@ -122,8 +122,10 @@ def _search_whole_or_periods(recording: Recording, model: Model) -> SearchPass:
     scatter = scatter_ratio(base, held)
     start = CandidateEvidence(base, evaluate_held_out(base, held))
     first: SearchPass | None = None
+    is_whole = scatter > 0.0 and not any(r.alone for r in (*train, *held))
+    if len(model.axes) == 1:
+        return _search_one_axis(recording, model, scatter, is_whole)
     if start.rejects([*train, *held]):
-        is_whole = scatter > 0.0 and not any(r.alone for r in (*train, *held))
         with budget.use_share(TIME_BESIDE_FRICTION, 0.05, 0.6):
             if is_whole and not budget.is_left_out(WHOLE_RECORDS):
                 first = _search_beside_friction(recording, model)
@@ -134,7 +136,7 @@ def _search_whole_or_periods(recording: Recording, model: Model) -> SearchPass:
         if scatter and is_law_of_motion(final, scatter):
             return first  # no mean period shows what it found
         is_right = not final.rejects([*first.train, *first.held]) or final.cost < AT_FLOOR * final.dof
-        if (is_right and len(model.axes) > 1) or budget.is_left_out(BY_PERIODS):
+        if is_right or budget.is_left_out(BY_PERIODS):
             return first
     second = _search_by_periods(recording, model)
     if first is None or second.tones:
@@ -145,6 +147,32 @@ def _search_whole_or_periods(recording: Recording, model: Model) -> SearchPass:
     # The second has weighed more: the first has to be nearer by far, as between any two laws.
     is_nearer = one.excess / one.dof < (1.0 - NAMED_SHARE) * max(other.excess, other.dof) / other.dof
     return first if is_nearer and other.cost > CLOSE * other.dof else second
+
+
+def _search_one_axis(recording: Recording, model: Model, scatter: float, is_whole: bool) -> SearchPass:
+    """The pass cause by cause over mean periods, or the one beside friction where that is nearer by far.
+
+    A single cause on one axis is told from its rivals by the first; the second supposes friction, and beside
+    it another law passes for a mode.
+    """
+    beside: SearchPass | None = None
+    search = partial(_search_beside_friction, recording, model)
+    if is_whole:
+        with budget.use_share(0.5, 0.05, 0.4):  # the rest is for the other pass
+            beside = budget.or_else(WHOLE_RECORDS, search, None)
+        if beside is not None and is_law_of_motion(beside.selection.final, scatter):
+            return beside
+    result = _search_by_periods(recording, model)
+    final = result.selection.final
+    if result.tones or final.cost < FAR * final.dof:
+        return result
+    if beside is None and not scatter:
+        beside = budget.or_else(WHOLE_RECORDS, search, None)
+    if beside is None:
+        return result
+    other = beside.selection.final
+    is_nearer = other.excess / other.dof < (1.0 - NAMED_SHARE) * final.excess / final.dof
+    return beside if is_nearer else result
 
 
 def _search_beside_friction(recording: Recording, model: Model) -> SearchPass | None:
