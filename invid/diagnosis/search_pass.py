@@ -136,7 +136,9 @@ def _search_whole_or_periods(recording: Recording, model: Model) -> SearchPass:
         if scatter and is_law_of_motion(final, scatter):
             return first  # no mean period shows what it found
         is_right = not final.rejects([*first.train, *first.held]) or final.cost < AT_FLOOR * final.dof
-        if is_right or budget.is_left_out(BY_PERIODS):
+        named = {step.chosen.term.place.axis for step in first.selection.steps}
+        # What acts on one axis alone is told from its rivals by the other pass.
+        if (is_right and len(named) > 1) or budget.is_left_out(BY_PERIODS):
             return first
     second = _search_by_periods(recording, model)
     if first is None or second.tones:
