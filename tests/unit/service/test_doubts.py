@@ -1,0 +1,40 @@
+"""Why a result is not to be trusted: by weight and code, in both languages, not the first warning."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from service_doubles import Director, running, wait_for
+
+START = "/api/v1/cells/cell/identifications"
+PLANNED = "A1: velocity could be 2.63 rad/s without its model; limits.velocity ends the run"
+UNSEEN = {"code": "unseen", "text": "A1.damper.1: not seen by these data", "values": {}}
+MISSED = {"code": "missed_torque", "text": "The model cannot be trusted: …", "values": {"share": 0.79}}
+
+
+def test_the_weightiest_doubt_is_the_reason_and_stays_it_in_a_test_run(tmp_path: Path) -> None:
+    director = Director()
+    director.summary = {"trustworthy": False, "warnings": [PLANNED], "distrust": [UNSEEN, MISSED]}
+    with running(tmp_path, director) as (client, _):
+        for mode, codes in (
+            ("full", ["missed_torque", "unseen"]),
+            ("test", ["missed_torque", "unseen", "test"]),
+        ):
+            location = client.post(START, json={"mode": mode, "arm": True}).headers["Location"]
+            body = wait_for(client, location, "awaiting_accept")
+            doubts = body["summary"]["doubts"]
+            assert [d["code"] for d in doubts] == codes
+            assert doubts[0]["texts"]["de"] == "dem Modell fehlen 79 % des Moments"
+            assert body["untrusted"] == "the model misses 79 % of the torque"
+            refused = client.post(f"{location}/actions", json={"type": "accept"})
+            assert refused.status_code == 409
+            assert refused.json()["detail"].startswith("the model misses 79 % of the torque.")
+
+
+def test_a_run_of_an_earlier_release_without_codes_still_needs_a_reason(tmp_path: Path) -> None:
+    director = Director()
+    director.summary = {"trustworthy": False, "warnings": [PLANNED]}
+    with running(tmp_path, director) as (client, _):
+        location = client.post(START, json={"mode": "full", "arm": True}).headers["Location"]
+        body = wait_for(client, location, "awaiting_accept")
+        assert body["untrusted"] == "the data do not carry the model"
