@@ -393,7 +393,9 @@ class Cia402Cell:
                 self.held.set_options(self._cycle, self.clock, self.exchange, LEAVING_S)
         stays = [h.stays for h in self.holdings]
         weigh = partial(self.held.weigh_in_quick_stop, self._config, self.rated_torque)
-        way = WayOut(self._moving(self.exchange), stays, self._ramp_s, self.held.doubted, weigh)
+        opposed = self._relief.opposed if self._relief is not None else ()
+        moving = self._moving(self.exchange)
+        way = WayOut(moving, stays, self._ramp_s, self.held.doubted, opposed, weigh)
         self.not_off = way.take()
         self.held_at_end = tuple(
             h.config.name

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from invid.config import CellConfig
+from invid.errors import SafetyStop
 from invid.sweep.ports import Event, Mode, Sample, Severity
 from invid_drivers.cia402.axis import Drive
 from invid_drivers.cia402.cycle import Cycle
@@ -57,6 +58,8 @@ class WeightRelief:
         self._config, self._drives, self._cycle = config, drives, cycle
         self._counts = [abs(count) for count, _ in units]
         self._torque = [abs(torque) for _, torque in units]
+        self.opposed: set[int] = set()
+        """Axes that less torque makes slower: their drives drive what they are to hold."""
         self._axes = {
             i: _Axis(*d.protection.torque_lowered)
             for i, d in enumerate(drives)
@@ -69,7 +72,10 @@ class WeightRelief:
         return {i for i, a in self._axes.items() if a.rows or a.before is not None}
 
     def look(self, sample: Sample, doubted: Sequence[bool]) -> None:
-        """One cycle; ``doubted``: axes that may be loaded and were not seen to be held."""
+        """One cycle; ``doubted``: axes that may be loaded and were not seen to be held.
+
+        SafetyStop where the drive of one of them turns out to drive it.
+        """
         for i, axis in list(self._axes.items()):
             if axis.held is not None:
                 self._report(i, axis, sample)
@@ -113,8 +119,16 @@ class WeightRelief:
         faster = away * _acceleration(axis.rows) - axis.before
         limit = self._config.axes[i].limits.torque
         if faster < -DECISIVE * noise:
-            del self._axes[i]  # a sign is wrong: with less torque it does less harm
-        elif faster > DECISIVE * noise:
+            self.opposed.add(i)
+            name = self._config.axes[i].name
+            raise SafetyStop(
+                f"axis {name}: with half its torque it gets faster more slowly: its drive drives what it is "
+                "to hold",
+                way_out="a sign is wrong: compare the directions of motor and encoder in the drive",
+                code="yields",
+                axis=name,
+            )
+        if faster > DECISIVE * noise:
             # what the config allows, by the scale of its motion; never less than was written by its own
             allowed = max(axis.wrote, math.floor(axis.wrote * limit / (2 * faster * inertia)))
             axis.held, axis.since = min(axis.found, allowed), sample.time

@@ -49,13 +49,15 @@ class WayOut:
         stays: Sequence[bool],
         ramp_s: float = 0.0,
         doubted: Collection[int] = (),
+        opposed: Collection[int] = (),
         weigh: Callable[[Collection[int], Float64, Bool], Collection[int]] | None = None,
     ) -> None:
         """``stays``: axes that their drives go on holding in quick stop active.
 
         ``ramp_s``: longest that a drive's quick stop takes, where that is known; ``doubted``: axes that stay
         only because nobody knows whether they are loaded, and ``weigh``: which of these carry nothing, by
-        torque and freshness (n, M) while their drives hold them.
+        torque and freshness (n, M) while their drives hold them. ``opposed``: axes that their drives drive,
+        which are cut off at once.
         """
         self._config = cell.config
         self._link = cell.link
@@ -63,7 +65,10 @@ class WayOut:
         self._cycle = cell.cycle
         self._exchange = cell.exchange
         self._stays, self._resolution, self._permitted = list(stays), cell.resolution, cell.permitted
-        self._doubted, self._weigh = tuple(doubted), weigh
+        for i in opposed:
+            self._stays[i] = False
+        self._opposed = tuple(opposed)
+        self._doubted, self._weigh = tuple(i for i in doubted if i not in opposed), weigh
         self._standstill = Standstill(tolerances(cell.config, cell.resolution, STILL_SHARE))
         self._given_up: set[int] = set()
         self._deaf: set[int] = set()
@@ -76,6 +81,8 @@ class WayOut:
         self._cycle.leaving = True
         with contextlib.suppress(Exception):
             self._cycle.control[:] = [states.QUICK_STOP] * len(self._drives)
+            for i in self._opposed:
+                self._cycle.control[i] = states.DISABLE_VOLTAGE
             guard = RunawayGuard(self._config, self._stays, self._resolution, self._permitted)
             self._drive_to(self._quick_stop_s, lambda s: self._cut_runaways(guard, s) or self._at_rest(s))
         with contextlib.suppress(Exception):
