@@ -9,6 +9,7 @@ friction enters as a torque of its own, iterated, since its sign follows the mot
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -101,34 +102,22 @@ def foretold_motion(
     drive = np.concatenate((drive, np.zeros((padded - count, drive.shape[1]))))
     sigma = SHIFT / (padded * cycle)
     fade = np.exp(-sigma * cycle * np.arange(padded))[:, None]
-    omega = 2 * np.pi * np.fft.rfftfreq(padded, cycle)
     # Ten times the band holds the harmonics of friction that still move a mass.
     top = max(10 * float(experiment.frequencies_hz.max(initial=5.0)), 100.0)
-    keep = omega <= 2 * np.pi * min(top, 0.45 / cycle)
-    s: Complex128 = np.asarray(sigma + 1j * omega[keep], dtype=np.complex128)
-    held = np.exp(-s * cycle / 2) * np.sinc(1j * s * cycle / 2 / np.pi)  # (1 − e^{−sh})/(sh)
-    # A hold of the master answers a sample at the next SYNC, with the mean velocity of the last cycle, and
-    # keeps its torque for a cycle; the loop inside a drive is fast against all that is shaken.
-    z = np.exp(-s * cycle)[:, None]
-    law = np.where(
-        held_by_drive(config, experiment),
-        stiffness + damping * s[:, None],
-        held[:, None] * z * (stiffness + damping * (1.0 - z) / cycle),
-    )
-    plant = _condensed_stiffness(belief.chains, belief.viscous, s)
-    index = np.arange(law.shape[1])
-    plant[:, index, index] += law
-    answer = np.linalg.inv(plant)
+    inside = held_by_drive(config, experiment)
+    loops = np.stack((stiffness, damping, inside, belief.viscous))
+    found = _closed_loop(belief.chains, loops.tobytes(), cycle, padded, min(top, 0.45 / cycle))
+    keep, s, held, law, answer = found
 
     def spectrum(values: Float64) -> Complex128:
-        found: Complex128 = np.fft.rfft(values * fade, axis=0)[keep]
-        return found
+        transformed: Complex128 = np.fft.rfft(values * fade, axis=0)[keep]
+        return transformed
 
     def wave(values: Complex128) -> Float64:
-        full = np.zeros((omega.size, values.shape[1]), dtype=complex)
+        full = np.zeros((keep.size, values.shape[1]), dtype=complex)
         full[keep] = values
-        found: Float64 = np.fft.irfft(full, n=padded, axis=0) / fade
-        return found
+        over_time: Float64 = np.fft.irfft(full, n=padded, axis=0) / fade
+        return over_time
 
     commanded = held[:, None] * spectrum(drive)
     friction = np.zeros_like(drive)
@@ -143,6 +132,36 @@ def foretold_motion(
     position, velocity = wave(motion), wave(s[:, None] * motion)
     torque = drive - wave(law * motion)
     return Motion(position[:count], velocity[:count], torque[:count])
+
+
+@lru_cache(maxsize=16)
+def _closed_loop(
+    chains: CoupledChains, loops: bytes, cycle: float, samples: int, top_hz: float
+) -> tuple[Bool, Complex128, Complex128, Complex128, Complex128]:
+    """Return which of the frequencies of a padded record are used, s (F,) [1/s], the hold (F,), the law
+    (F, M) and the answer (F, M, M) of the motors' positions to torque.
+
+    Kept, because a plan is lowered step by step and only its torque changes. ``loops`` are the bytes of
+    (4, M) stiffness, damping, whether a loop is inside the drive, and viscous friction of each motor.
+    """
+    stiffness, damping, inside, viscous = np.frombuffer(loops).reshape(4, -1)
+    sigma = SHIFT / (samples * cycle)
+    omega = 2 * np.pi * np.fft.rfftfreq(samples, cycle)
+    keep: Bool = omega <= 2 * np.pi * top_hz
+    s: Complex128 = np.asarray(sigma + 1j * omega[keep], dtype=np.complex128)
+    held: Complex128 = np.exp(-s * cycle / 2) * np.sinc(1j * s * cycle / 2 / np.pi)  # (1 − e^{−sh})/(sh)
+    # A hold of the master answers a sample at the next SYNC, with the mean velocity of the last cycle, and
+    # keeps its torque for a cycle; the loop inside a drive is fast against all that is shaken.
+    z = np.exp(-s * cycle)[:, None]
+    law: Complex128 = np.where(
+        inside > 0,
+        stiffness + damping * s[:, None],
+        held[:, None] * z * (stiffness + damping * (1.0 - z) / cycle),
+    )
+    plant = _condensed_stiffness(chains, viscous, s)
+    index = np.arange(law.shape[1])
+    plant[:, index, index] += law
+    return keep, s, held, law, np.asarray(np.linalg.inv(plant), dtype=np.complex128)
 
 
 def _condensed_stiffness(chains: CoupledChains, viscous: Float64, s: Complex128) -> Complex128:

@@ -16,6 +16,8 @@ from scipy.ndimage import median_filter, uniform_filter1d
 from invid.errors import InputError
 from invid.numerics.arrays import Bool, Float64, Int64
 
+EVEN = 1e-3
+"""Lateness of every stamp [steps] up to which a clock is even beyond question: a lost row is a step."""
 EVENTS_SPREAD = 0.6
 """Steps of robust spread about an even clock from which rows come at events: a jitter of half a step has at
 most 0.43, instants without any clock 0.7 or more."""
@@ -79,6 +81,10 @@ class Slots:
 def count_slots(time: Float64) -> Slots:
     """The slot of each of n ≥ 3 rows whose stamps ``time`` [s] may be late, but not in the long run."""
     rows = np.arange(time.size)
+    even = float(time[-1] - time[0]) / (time.size - 1)
+    late = (time - time[0]) / even - rows if even > 0 else np.full(time.size, np.inf)
+    if np.abs(late).max() < EVEN:
+        return Slots(even, rows, late, even=True)
     # Stamps spread over a whole step have no phase; their means over some rows have.
     rough = _spread(np.diff(time)) > INCOHERENT * np.median(np.diff(time))
     run = min(_RUN, time.size // 2) if rough else 1

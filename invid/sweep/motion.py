@@ -183,6 +183,7 @@ class Motion:
         bounds = self._bounds
         self._watch = Watch(bounds, cycle_s=self.plan.cycle_s)
         sample = self.cell.exchange(self._zero)
+        bounds.check(sample, getattr(self.cell, "asked", None))
         self.origin = list(sample.position)
         self._last, self._last_time = list(sample.position), [sample.time] * self.count
         if bounds.origin is None:

@@ -44,7 +44,7 @@ def test_friction_on_every_axis_is_named_with_its_size_from_where_the_identifica
     truth |= {("viscous_friction", a): t for a, t in zip(recording.axes, WET, strict=True)}
     assert set(found) == set(truth)
     for key, size in truth.items():
-        (estimate,) = found[key].effect.parameters.values()
+        estimate = found[key].effect.parameters["torque" if key[0] == "coulomb_friction" else "coefficient"]
         assert estimate.std is not None
         assert abs(estimate.value - size) < max(4.0 * estimate.std, 0.03 * size), (key, size, estimate)
     assert sum(f.fraction for f in result.findings) > 0.98

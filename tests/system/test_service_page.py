@@ -109,6 +109,7 @@ def test_the_stop_button_and_the_escape_key_stop_the_robot_at_once(tmp_path: Pat
     with serving(tmp_path, cell=cell) as service, browser(tmp_path / "profile", 800, 1100) as driver:
         page = Page(driver)
         driver.get(service.url + "/")
+        page.wait_text("stop", "small cell")  # before the page knows its cells, it stops all of them
         page.shown("stop").click()
         page.wait_text("stop-note", "small cell: nothing was moving")
         location = service.start()

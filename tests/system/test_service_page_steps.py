@@ -326,7 +326,7 @@ def test_the_history_draws_every_number_with_its_band_and_the_overview_shows_eve
             c.get_attribute("data-cell"): c for c in driver.find_elements("css selector", "#cells article")
         }
         assert set(cards) == {"small", "other"}
-        assert "Dry friction on A1" in cards["small"].text
+        assert "dry friction on A1" in cards["small"].text
         assert "As expected" in cards["small"].text
         assert "Not measured yet" in cards["other"].text
         page.press(cards["other"].find_element("tag name", "button"))

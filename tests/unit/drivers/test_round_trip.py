@@ -20,6 +20,7 @@ from invid.config import CellConfig, parse_config
 from invid.errors import BusError, ConfigError
 from invid.planning import make_plan
 from invid.planning.budget import bound, judge, needed, rank, tolerable_share
+from invid_drivers import readiness
 from invid_drivers.cia402.link import Link
 from invid_drivers.cli import check, init
 from invid_drivers.round_trip import probe, require, sample
@@ -187,8 +188,10 @@ def test_check_does_not_call_a_cycle_ready_that_the_adapter_does_not_carry(
     hard = hardware(config.bus.cycle_s)
     monkeypatch.setattr(check, "is_virtual", lambda _: False)
     monkeypatch.setattr(
-        check, "probe", lambda link, _, plan: judge([0.004] * 600, hard, cycles=10_000, loaded_s=0.001)
+        readiness,
+        "probe",
+        lambda link, _, plan, cancelled: judge([0.004] * 600, hard, cycles=10_000, loaded_s=0.001),
     )
-    monkeypatch.setattr(check, "require", lambda found, _: require(found, hard))
+    monkeypatch.setattr(readiness, "require", lambda found, _: require(found, hard))
     with pytest.raises(ConfigError, match=r"Set bus\.cycle_s to"):
         check.preflight(config)
