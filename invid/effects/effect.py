@@ -355,6 +355,13 @@ class ImpedanceEffect(Effect):
         """Mass and damper that its impedance contains."""
         return 0.0, 0.0
 
+    def of_own_jumps(self, view: View, place: Place, x: Sequence[float]) -> Complex128 | None:
+        """(F, 2) force along the pattern for jumps of position and velocity of a mass of its own.
+
+        Each jump is twice its motion; ``None`` for an effect without a mass of its own.
+        """
+        return None
+
     def force_per_motion(self, view: View, place: Place, x: Sequence[float]) -> Complex128:
         """(F,) force per motion that the pattern would have without the effect."""
         z = self.impedance(view, place, x)

@@ -11,7 +11,7 @@ from invid.effects.motion import View
 from invid.likelihood.inner_motion import learn_inner_directions
 from invid.likelihood.law_response import direct_effect_changes, effect_response
 from invid.likelihood.law_slopes import ForceChange, slopes_of
-from invid.likelihood.nuisance.transients import jump_response
+from invid.likelihood.nuisance.transients import jump_response, own_jump_response
 from invid.likelihood.placed_effect import Candidate, PlacedEffect, contributions, forces_of
 from invid.numerics.arrays import Complex128, Float64
 
@@ -120,16 +120,23 @@ def jump_columns(
     view: View, candidate: Candidate, motion: Complex128, jumps: Float64, columns: Complex128, at: int
 ) -> None:
     """Adds to the effects' columns their change at the ``jumps`` (2ΣN,) of a record that does not close."""
+    plant, first = motion.shape[-1], motion.shape[-1]
     for term, x in zip(candidate.terms, candidate.x, strict=True):
+        ringing = np.zeros(0)
+        if own_jump_response(view, term, x) is not None:
+            ringing, first = jumps[first : first + 2], first + 2
+
+        def moved(own: Float64, term: PlacedEffect = term, ringing: Float64 = ringing) -> Complex128:
+            out: Complex128 = jump_response(view, Candidate((term,), (own,)), motion)[0] @ jumps[:plant]
+            response = own_jump_response(view, term, own) if ringing.size else None
+            return out if response is None else out + response[0] @ ringing
+
         for k in range(x.size):
             if isinstance(term.effect, ImpedanceEffect):
                 h = _difference_step(view, term, x, k)
                 more = x.copy()
                 more[k] += h
-                one, two = (
-                    jump_response(view, Candidate((term,), (own,)), motion)[0] @ jumps for own in (x, more)
-                )
-                columns[..., at] += (two - one) / h
+                columns[..., at] += (moved(more) - moved(x)) / h
             at += 1
 
 

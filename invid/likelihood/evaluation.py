@@ -57,7 +57,8 @@ class RecordEvaluation:
     basis: Float64
     """(rows, k) orthonormal basis of the whitened columns of ends and initial states."""
     jumps: Float64
-    """(2ΣN,) jumps between the ends of a record that does not close; empty for one that does."""
+    """(2ΣN + 2 for each mass of an effect,) jumps between the ends of a record that does not close; empty for
+    one that does."""
     ends: Ends | None
     acting: ActingTorque
     white: Float64
@@ -296,7 +297,7 @@ def _linear_columns(  # noqa: PLR0913 - the terms of the derivative
     columns[..., : structure.count] = structure.torque_derivative(sp, record.omega, view.motion, q[None])[0]
     if jumps.size:
         columns[..., : structure.count] += end_derivative(
-            structure, sp, record.omega, view.motion, jumps, record.span
+            structure, sp, record.omega, view.motion, jumps[: 2 * structure.dofs], record.span
         )
     at = structure.count
     by_delay = 1j * record.omega[:, None] * view.acting * actuator_gain

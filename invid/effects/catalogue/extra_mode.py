@@ -9,7 +9,7 @@ import numpy as np
 
 from invid.effects.effect import Experiment, ImpedanceEffect
 from invid.effects.elements import AddedMass, Element, ModelPlace
-from invid.effects.motion import View
+from invid.effects.motion import View, along
 from invid.effects.sizes import RESONANCE, Size, resonance_change, with_mode
 from invid.model.parameters import ChainStructure
 from invid.model.place import Pattern, Place, mass_places
@@ -70,6 +70,19 @@ class ExtraMode(ImpedanceEffect):
         spring = own**2 + 2j * zeta * own * w
         out: Complex128 = -(w**2) * x[0] * spring / (spring - w**2)
         return out
+
+    def of_own_jumps(self, view: View, place: Place, x: Sequence[float]) -> Complex128:
+        # m·(−ω²Y + (2/T)(jωΔx + Δv)) with Y from the mass' own balance: both reach the host by its spring.
+        own, zeta, w = float(np.exp(x[1])), float(np.exp(x[2])), view.omega
+        spring = own**2 + 2j * zeta * own * w
+        pattern = place.pattern(view.structure)
+        moved = along(pattern, view.base) * spring / (spring - w**2)
+        bound = 2.0 * np.array([np.linalg.norm(moved), np.linalg.norm(w * moved)])
+        jumps = np.stack((1j * w * own**2, spring), axis=-1) * bound
+        out: Complex128 = (2.0 * x[0] / view.record.span) * jumps / (spring - w**2)[:, None]
+        out[0] *= 0.5
+        felt = 1.0 + self.impedance(view, place, x) * view.driving_point_receptance(pattern)
+        return out / felt[:, None]
 
     def values(self, x: Sequence[float], place: Place) -> dict[str, float]:
         return {

@@ -9,7 +9,7 @@ import numpy as np
 from invid.effects.effect import ImpedanceEffect
 from invid.effects.motion import Closing, View
 from invid.likelihood.hypothesis import Layout
-from invid.likelihood.placed_effect import Candidate
+from invid.likelihood.placed_effect import Candidate, PlacedEffect
 from invid.model.parameters import ChainStructure
 from invid.model.transient_terms import end_columns, end_forces, end_points, motor_end_indices
 from invid.numerics.arrays import Complex128, Float64
@@ -18,7 +18,8 @@ from invid.numerics.whitening import orthonormal, stack, unstack, unwhitener, wh
 
 @dataclass(frozen=True, eq=False)
 class Ends:
-    """Responses to a unit jump of each coordinate's position, then velocity; lines with 0 Hz first."""
+    """Responses to a unit jump of each coordinate's position, then velocity, then of effects' own masses;
+    lines with 0 Hz first."""
 
     torque: Complex128
     """(F, M, 2ΣN) missing torque."""
@@ -28,10 +29,15 @@ class Ends:
     """(F, ΣN, 2ΣN) the same without the response to the motors' own end points."""
 
     def with_effects(self, view: View, candidate: Candidate) -> Ends:
-        """The responses with effects that are linear in motion."""
+        """The responses with effects that are linear in motion, those of their own masses last."""
         torque, motion = jump_response(view, candidate, self.motion)
+        own = [own_jump_response(view, t, x) for t, x in zip(candidate.terms, candidate.x, strict=True)]
+        torques, motions = ([pair[k] for pair in own if pair is not None] for k in (0, 1))
         return replace(
-            self, torque=self.torque + torque, motion=self.motion + motion, inner=self.inner + motion
+            self,
+            torque=np.concatenate((self.torque + torque, *torques), axis=-1),
+            motion=np.concatenate((self.motion + motion, *motions), axis=-1),
+            inner=np.concatenate((self.inner + motion, *motions), axis=-1),
         )
 
 
@@ -63,13 +69,31 @@ def jump_response(view: View, candidate: Candidate, moved: Complex128) -> tuple[
     return torque, motion
 
 
+def own_jump_response(view: View, term: PlacedEffect, x: Float64) -> tuple[Complex128, Complex128] | None:
+    """(F, M, 2) missing torque and (F, ΣN, 2) motion for jumps of the mass that an effect has of its own.
+
+    A record that does not close does not close for it either: a light mode that rings on from before the
+    record was else answered with a second mode at the same frequency on the next mass.
+    """
+    if not isinstance(term.effect, ImpedanceEffect):
+        return None
+    force = term.effect.of_own_jumps(view, term.place, x.tolist())
+    if force is None:
+        return None
+    pattern = term.place.pattern(view.structure)
+    torque: Complex128 = view.condensed_force(pattern)[:, :, None] * force[:, None, :]
+    motion: Complex128 = -view.inner_receptance(pattern)[:, :, None] * force[:, None, :]
+    return torque, motion
+
+
 def solve_record_ends(view: View, ends: Ends, root: Complex128, linear: Complex128) -> Closing:
     """The regularised map from missing torque to jumps: least squares with the size of the motion as prior.
 
     Jumps that the motors hardly feel would else be noise many times the motion that laws are read from.
     ``linear`` (F, M) is the missing torque without effects.
     """
-    scale = view.jump_bound
+    scale = np.ones(ends.torque.shape[-1])
+    scale[: view.jump_bound.size] = view.jump_bound
     whitened: Complex128 = root @ (ends.torque * scale)
     scaled = stack(whitened)
     inverse = np.linalg.inv(scaled.T @ scaled + np.eye(scale.size))

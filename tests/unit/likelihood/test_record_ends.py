@@ -8,6 +8,7 @@ from two_masses import from_rest
 from two_masses import recording as recording_of
 
 from invid.diagnosis.linear_fit import layout_of
+from invid.effects.catalogue.extra_mode import ExtraMode
 from invid.effects.catalogue.parameter_drift import ParameterDrift
 from invid.effects.catalogue.payload_change import PayloadChange
 from invid.effects.catalogue.viscous_friction import ViscousFriction
@@ -16,6 +17,7 @@ from invid.likelihood.placed_effect import Candidate, PlacedEffect
 from invid.likelihood.prepare_records import spectral_record, split_into_periods
 from invid.model.parameters import ChainStructure
 from invid.model.place import Place
+from invid.numerics.arrays import Float64
 from invid.recording import Role
 from invid.signals.spectra import spectra_of
 from invid.signals.spectral_record import SpectralRecord
@@ -44,13 +46,22 @@ def excess(
     At the true plant (which rubs nowhere), but for what ``candidate`` has to make up for.
     """
     structure = ChainStructure((2,), ("A1",), viscous=True)
-    layout = layout_of(structure, [record], LONG_AGO)
-    p = np.zeros(layout.count)
     at = structure.slices
+    p = np.zeros(structure.count)
     p[at["mass"]] = np.log([0.7, mass])
     p[at["spring"]] = np.log([spring])
     p[at["damper"]] = 0.5
     p[at["viscous"]] = rubbing
+    return excess_of(structure, p, record, candidate)
+
+
+def excess_of(
+    structure: ChainStructure, plant: Float64, record: SpectralRecord, candidate: Candidate
+) -> float:
+    """The same at the parameters ``plant`` of a structure."""
+    layout = layout_of(structure, [record], LONG_AGO)
+    p = np.zeros(layout.count)
+    p[: structure.count] = plant
     p[structure.count] = 0.5 * record.step  # the torque is held over each sample
     p[layout.zoh_slice] = 1.0
     found = evaluate(layout, [record], p, candidate, jacobian=False)
@@ -85,3 +96,39 @@ def test_an_effect_that_is_linear_in_motion_makes_up_for_the_same_error_of_the_p
     }[cause]
     assert excess(record, Candidate(), **wrong) > 30.0
     assert abs(excess(record, Candidate((term,), (np.array(x),)), **wrong)) < 5.0
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_the_mass_of_a_mode_has_ends_of_its_own(number: int) -> None:
+    """The load of the plant as a mode beside its motor: the same machine."""
+    motor = ChainStructure((1,), ("A1",), viscous=True)
+    plant = np.zeros(motor.count)
+    plant[motor.slices["mass"]] = np.log([0.7])
+    mass, spring, damper = 2.0, 1000.0, 0.5
+    shape = [0.5 * np.log(spring / mass), np.log(0.5 * damper / np.sqrt(mass * spring))]
+    mode = Candidate((PlacedEffect(ExtraMode(), Place("mass", 0, 1)),), (np.array([mass, *shape]),))
+    record = periods()[0][number]
+    assert abs(excess_of(motor, plant, record, mode)) < 5.0
+    lighter = Candidate(mode.terms, (np.array([0.98 * mass, *shape]),))
+    assert excess_of(motor, plant, record, lighter) > 30.0
+
+
+def test_the_ends_of_a_modes_mass_are_in_the_derivatives() -> None:
+    motor = ChainStructure((1,), ("A1",), viscous=True)
+    record = periods()[0][0]
+    layout = layout_of(motor, [record], LONG_AGO)
+    p = np.zeros(layout.count)
+    p[motor.slices["mass"]] = np.log([0.8])
+    p[motor.count], p[layout.zoh_slice] = 0.5 * record.step, 1.0
+    terms = (PlacedEffect(ExtraMode(), Place("mass", 0, 1)),)
+
+    def cost(x: Float64) -> float:
+        return evaluate(layout, [record], p, Candidate(terms, (x,)), jacobian=False).cost
+
+    x = np.array([1.5, np.log(22.0), np.log(0.01)])
+    here = evaluate(layout, [record], p, Candidate(terms, (x,)))
+    gradient = 2.0 * here.jacobian[:, -3:].T @ here.residual
+    for k, h in enumerate((1e-5, 1e-6, 1e-4)):
+        step = np.zeros(3)
+        step[k] = h
+        assert gradient[k] == pytest.approx((cost(x + step) - cost(x - step)) / (2 * h), rel=0.02)
