@@ -19,7 +19,7 @@ from invid.diagnosis.linear_fit import (
 from invid.diagnosis.search import select_causes
 from invid.diagnosis.selection import Selection
 from invid.diagnosis.slow_move import find_slow_moves
-from invid.diagnosis.thresholds import AT_FLOOR, CLOSE, FAR, NAMED_SHARE
+from invid.diagnosis.thresholds import AT_FLOOR, CLOSE, FAR, LEFT, NAMED_SHARE
 from invid.diagnosis.tone import Tone, remove_tones
 from invid.diagnosis.validation import (
     PLAIN,
@@ -116,7 +116,8 @@ def _search_whole_or_periods(recording: Recording, model: Model) -> SearchPass:
 
     The first comes first: every joint has friction, and one fit finds all of it. It takes the records whole
     where periods differ in motion. The second weighs every cause of the catalogue at every place against its
-    rivals; it is left out where the first is at the noise of several motors, and else the better one counts.
+    rivals; it is left out where the first is right on several motors (at the noise, or next to nothing is
+    left of what was missing) or was ended by the budget, and else the better one counts.
     """
     spectra, warnings, (base, _, train, held) = _fit_and_split(recording, model, PLAIN)
     scatter = scatter_ratio(base, held)
@@ -135,10 +136,15 @@ def _search_whole_or_periods(recording: Recording, model: Model) -> SearchPass:
         final = first.selection.final
         if scatter and is_law_of_motion(final, scatter):
             return first  # no mean period shows what it found
+        before = first.selection.base.excess
         is_right = not final.rejects([*first.train, *first.held]) or final.cost < AT_FLOOR * final.dof
+        is_right |= final.excess < LEFT * before
         named = {step.chosen.term.place.axis for step in first.selection.steps}
         # What acts on one axis alone is told from its rivals by the other pass.
         if (is_right and len(named) > 1) or budget.is_left_out(BY_PERIODS):
+            return first
+        if first.selection.is_cut_short:
+            budget.leave_out(BY_PERIODS)
             return first
     second = _search_by_periods(recording, model)
     if first is None or second.tones:

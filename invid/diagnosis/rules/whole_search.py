@@ -31,7 +31,7 @@ from invid.effects.laws.joint import JointFriction
 from invid.effects.laws.sign import DryLaw
 from invid.effects.registry import BY_CAUSE
 from invid.likelihood.evaluation import evaluate
-from invid.likelihood.joint_fit import JointFit, evaluate_held_out, fit, reorder_effects
+from invid.likelihood.joint_fit import JointFit, evaluate_held_out, fit, pack, reorder_effects
 from invid.likelihood.null_test import null_test
 from invid.likelihood.placed_effect import Candidate, PlacedEffect
 from invid.model.place import Place
@@ -41,15 +41,20 @@ from invid.numerics.distributions import chi2_isf
 from invid.signals.spectral_record import SpectralRecord
 
 LAW = JointFriction()
-MOST_FITS = 3
-"""Most candidates of a screen that are fitted (empirical)."""
+MOST_FITS, MOST_TRIED = 3, 5
+"""Most candidates of a screen that compete, and most that are fitted to find them (empirical)."""
 NEAR_BEST = 0.5
-"""Share of the best one's gain from which a candidate is fitted (empirical)."""
+"""Share of the best fit's gain from which a candidate is fitted (empirical)."""
+MOVE_ITERATIONS = 15
+"""Iterations of a mode that is moved to another mass beside all other causes (empirical)."""
 TIME_TO_FIND = 0.75
 """Share of the time for causes; the rest is for their parts, and for what they may be mistaken for
 (empirical)."""
-OTHER_FRICTION = ("presliding_friction",)
-"""Friction of a motor that the joint's law replaces."""
+LARGER_FRICTION = ("presliding_friction", "stribeck_friction", "asymmetric_friction")
+"""Laws that contain dry or viscous friction: each begins with one of the two, and what more there is of it is
+asked once that is found."""
+NAMING_ITERATIONS = 10
+"""Iterations of a fit with the friction's parts, or without causes: it starts where it ends, almost."""
 TIMING = ("torque_delay", "torque_lag")
 """Causes that the free time constants and offsets of the drives replace here."""
 
@@ -148,33 +153,36 @@ def _add_cause(
     terms = [
         t
         for t in terms_to_test(here.layout.structure, linear_axes=linear_axes, chosen=chosen)
-        if t.effect.cause not in (*TIMING, *OTHER_FRICTION)
+        if t.effect.cause not in (*TIMING, *LARGER_FRICTION)
     ]
     scores = screen_candidates(Screen(here), terms)
     least_gain = chi2_isf(SIGNIFICANCE / len(terms), 1) * min(here.dispersion, 1.0)
     # No refit of what could not be accepted at three times its prediction.
     least_gain = max(least_gain, SHARE * (here.cost - here.dof))
     scores = [s for s in scores if REACH * s.gain >= least_gain]
-    trials = []
-    for score in scores[:MOST_FITS]:
-        if score.gain < NEAR_BEST * scores[0].gain:
-            continue
+    before = _predicted_chi2(current, held)
+    trials: list[CandidateEvidence] = []
+    reached = 0.0
+    for score in _one_weight_an_axis(scores)[:MOST_TRIED]:
+        if score.gain < NEAR_BEST * reached or len(trials) == MOST_FITS:
+            break
         trial = _refit_score(here, score, train, held)
-        if trial is not None and not is_at_bound(trial.fit) and not is_smaller_model(trial):
-            trials.append(trial)
+        if trial is None or is_at_bound(trial.fit) or is_smaller_model(trial):
+            continue
+        gain = here.cost - trial.fit.cost
+        needed = chi2_isf(SIGNIFICANCE / len(terms), max(trial.term.size, 1))
+        needed = max(needed, np.log(max(rows, 2)) * trial.term.size) * trial.fit.dispersion
+        needed = max(needed, SHARE * (here.cost - here.dof))
+        if gain < needed or (before - _predicted_chi2(trial, held)) / trial.fit.dispersion < HELD_OUT:
+            continue  # the next in the screen may keep what this one promised
+        trials.append(trial)
+        reached = max(reached, gain)
     if not trials:
         return None
     least = min(t.dispersion for t in trials)
-    # Ranked by the training records; the held-out ones are tested below, parameter uncertainty included.
+    # Ranked by the training records; the held-out ones are tested above, parameter uncertainty included.
     ranked = sorted(((t, t.fit.cost / least + schwarz_penalty(t, rows)) for t in trials), key=lambda r: r[1])
     best = ranked[0][0]
-    needed = chi2_isf(SIGNIFICANCE / len(terms), max(best.term.size, 1))
-    needed = max(needed, np.log(max(rows, 2)) * best.term.size)
-    gain = here.cost - best.fit.cost
-    if gain / best.fit.dispersion < needed or gain < SHARE * (here.cost - here.dof):
-        return None
-    if (_predicted_chi2(current, held) - _predicted_chi2(best, held)) / best.fit.dispersion < HELD_OUT:
-        return None
     steps = (*found.steps, Step(current, best, tuple(ranked)))
     ripples = _independent_ripples(best, scores, here)
     if ripples:
@@ -187,6 +195,19 @@ def _add_cause(
                 steps = (*steps, Step(best, one, ((one, one.cost),)))
             best = together
     return SearchState(best, steps)
+
+
+def _one_weight_an_axis(scores: Sequence[Score]) -> list[Score]:
+    """The scores, best first, with gravity at one place of an axis alone: elsewhere on it it is the same
+    cause."""
+    out, taken = [], set[int]()
+    for s in scores:
+        if s.term.effect.cause == "gravity":
+            if s.term.place.axis in taken:
+                continue
+            taken.add(s.term.place.axis)
+        out.append(s)
+    return out
 
 
 def _independent_ripples(best: CandidateEvidence, scores: Sequence[Score], here: JointFit) -> list[Score]:
@@ -268,22 +289,27 @@ def _name_friction(
     for k in rest:
         candidate = candidate.plus(final.fit.candidate.terms[k], final.fit.candidate.x[k])
     layout = final.fit.layout
-    whole = _finished(partial(fit, layout, train, final.fit.p, candidate, iterations=30), held)
+    run = partial(fit, layout, train, final.fit.p, candidate, iterations=NAMING_ITERATIONS, quick=True)
+    whole = _finished(run, held)
     if whole is None:
         return Selection(base, base)
     all_steps = [*[Step(base, null, ((null, null.cost),)) for _ in friction], *steps]
-    while all_steps:
-        sizes = np.array([_wald_ratio(whole.fit, known + n) for n in range(len(all_steps))])
-        # One after the other, for each is judged beside the others; all at once where time is spent.
-        weak = np.flatnonzero(sizes <= 1.0) if budget.is_spent() else np.array([int(np.argmin(sizes))])
-        weak = weak[sizes[weak] <= 1.0]
-        if not weak.size:
+    needed: list[Step] = []
+    while not budget.is_spent():
+        sure = [n for n, step in enumerate(all_steps) if step in needed]
+        weak = _weak_causes(whole.fit, known, sure)
+        if not weak:
             break
         kept = [n for n in range(len(all_steps)) if n not in weak]
         fewer = whole.fit.candidate.only([*range(known), *(known + n for n in kept)])
-        other = _finished(partial(fit, layout, train, whole.fit.p, fewer, iterations=20), held)
+        run = partial(fit, layout, train, whole.fit.p, fewer, iterations=NAMING_ITERATIONS, quick=True)
+        other = _finished(run, held)
         if other is None:
             break
+        size = sum(t.size for t in whole.fit.candidate.terms) - sum(t.size for t in fewer.terms)
+        if other.fit.cost - whole.fit.cost > chi2_isf(SIGNIFICANCE, size) * whole.fit.dispersion:
+            needed += [all_steps[n] for n in weak]  # strong together with others, whatever its own size
+            continue
         whole, all_steps = other, [all_steps[n] for n in kept]
     out, cut = [], False
     for n, step in enumerate(all_steps):
@@ -301,6 +327,18 @@ def _name_friction(
     if cut:
         budget.leave_out("what the causes found may be mistaken for")
     return Selection(base, whole, tuple(out), is_cut_short=cut)
+
+
+def _weak_causes(found: JointFit, known: int, sure: Sequence[int]) -> list[int]:
+    """Numbers, after ``known``, of the causes that are not significant beside the others, no ``sure`` one.
+
+    All of them where they are not together either, else the weakest, for each may stand for the next.
+    """
+    ratios = [_wald_ratio(found, known + n) for n in range(len(found.candidate.terms) - known)]
+    weak = [n for n, ratio in enumerate(ratios) if ratio <= 1.0 and n not in sure]
+    if len(weak) < 2 or _wald_ratio(found, *(known + n for n in weak)) <= 1.0:
+        return weak
+    return [min(weak, key=lambda n: ratios[n])]
 
 
 def _finished(run: Callable[[], JointFit], held: Sequence[SpectralRecord]) -> CandidateEvidence | None:
@@ -335,11 +373,13 @@ def _exchange_cause(
     """
     budget.check()
     own, here = _move_to_end(whole, at), whole.fit
-    run = partial(fit, here.layout, train, here.p, here.candidate.without(at), iterations=10, quick=True)
+    # Two iterations: what is left to first order is projected out of the screen.
+    run = partial(fit, here.layout, train, here.p, here.candidate.without(at), iterations=2, quick=True)
     rest = evidence_if_finite(run, held)
     if rest is None:
         return whole, step
-    lost_chi2, term = rest.fit.cost - here.cost, own.term
+    screen, term = Screen(rest.fit), own.term
+    lost_chi2 = float(screen.residual @ screen.residual) - here.cost
     terms = [
         t
         for t in terms_to_test(
@@ -349,8 +389,27 @@ def _exchange_cause(
         and t.place.axis == term.place.axis
         and (t.effect.cause, t.place) != (term.effect.cause, term.place)
     ]
-    scores = [s for s in screen_candidates(Screen(rest.fit), terms) if s.gain > NEAR_BEST * lost_chi2]
+    is_mode = term.effect.cause == "extra_mode"
+    moved = [t for t in terms if is_mode and t.effect.cause == term.effect.cause]
+    scores = screen_candidates(screen, [t for t in terms if t not in moved])
+    scores = [s for s in scores if s.gain > NEAR_BEST * lost_chi2]
     trials = [_refit_score(rest.fit, s, train, held) for s in scores[:MOST_FITS]]
+    # Without it the others have bent to hide it, and the screen's order of its places is theirs.
+    trials += [
+        evidence_if_finite(
+            partial(
+                fit,
+                here.layout,
+                train,
+                here.p,
+                here.candidate.without(at).plus(t, own.x),
+                iterations=MOVE_ITERATIONS,
+                quick=True,
+            ),
+            held,
+        )
+        for t in moved
+    ]
     possible = [t for t in trials if t is not None and not is_at_bound(t.fit) and not is_smaller_model(t)]
     fits = [own, *possible]
     least, rows = min(t.fit.dispersion for t in fits), here.dof
@@ -366,21 +425,28 @@ def _exchange_cause(
     return whole, Step(rest, best, tuple(ranked))
 
 
-def _wald_ratio(found: JointFit, number: int) -> float:
-    """Wald statistic of an effect's coefficients over its ``SIGNIFICANCE`` limit; infinite without
-    coefficients."""
-    term, x = found.candidate.terms[number], found.candidate.x[number]
-    count = max(len(term.effect.coefficients), 0)
+def _wald_ratio(found: JointFit, *numbers: int) -> float:
+    """Wald statistic of the coefficients of effects together over its ``SIGNIFICANCE`` limit; infinite
+    without coefficients."""
+    terms = found.candidate.terms
+    ends = found.layout.count + np.cumsum([t.size for t in terms])
+    sizes, shapes = list[int](), list[int]()
+    for n in numbers:
+        at, count = int(ends[n]) - terms[n].size, len(terms[n].effect.coefficients)
+        sizes += range(at, at + count)
+        shapes += range(at + count, at + terms[n].size)
+    count = len(sizes)
     if not count:
         return np.inf
-    block = found.covariance_of(number)
+    rows = [*sizes, *shapes]
+    block = found.covariance[np.ix_(rows, rows)]
     if not np.isfinite(block).all():
         block = block[:count, :count]
         if not np.isfinite(block).all():
             return 0.0
     scale = np.sqrt(np.maximum(np.diag(block), 1e-300))
     information = np.linalg.pinv(block / scale[:, None] / scale, hermitian=True)[:count, :count]
-    size = x[:count] / scale[:count]
+    size = pack(found.p, found.candidate)[sizes] / scale[:count]
     return float(size @ information @ size) / chi2_isf(SIGNIFICANCE, count)
 
 

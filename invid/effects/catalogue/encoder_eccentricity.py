@@ -61,8 +61,11 @@ class EncoderEccentricity(Effect):
     def contribution(
         self, view: View, place: Place, x: Sequence[float]
     ) -> tuple[Complex128, Complex128 | None]:
-        reading = view.record.motor_wave[:, place.axis]
-        error = self._error_lines(view, place, (reading - _true_position(reading, x))[:, None])
+        def lines() -> Complex128:
+            reading = view.record.motor_wave[:, place.axis]
+            return self._error_lines(view, place, (reading - _true_position(reading, x))[:, None])
+
+        error = view.cached((self, place, tuple(x)), lines)  # no inner motion changes it
         # Every coordinate moves as the motor does, not as it reads.
         return -view.stiffness[:, :, place.axis] * error, -view.motion[:, :, place.axis] * error
 
