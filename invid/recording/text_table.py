@@ -22,6 +22,8 @@ from invid.recording.units import BY_MACHINE, FACTORS, normal_unit
 
 MAX_BYTES = 2_000_000_000
 _DELIMITERS = (";", "\t", ",", "|", " ")
+SELDOM = 0.01
+"""Share of rows with one cell more from which the others have left it blank: as many may be broken."""
 _FAILED = 1000
 """Cells that could not be read and are kept to find out why."""
 _NOT_A_NUMBER = {"nan", "inf", "+inf", "-inf", "na", "n/a", "null", "none", ""}
@@ -41,7 +43,10 @@ def read_text_table(path: Path, source: Source) -> Table:
     if not numbered:
         raise InputError(f"{path}: holds no row of data; is it the right file?")
     delimiter = source.delimiter or _find_delimiter([line for _, line in numbered], source.decimal)
-    width = Counter(len(_cells(line, delimiter)) for _, line in numbered[-5000:]).most_common(1)[0][0]
+    widths = Counter(len(_cells(line, delimiter)) for _, line in numbered[-5000:])
+    width = widths.most_common(1)[0][0]
+    # The last column may be blank in most rows: a value that is logged at a slower rate.
+    width += delimiter != " " and widths[width + 1] > SELDOM * sum(widths.values())
     sample = [_cells(line, delimiter) for _, line in (*numbered[:400], *_middle(numbered))]
     form = find_number_format(
         zip(*(row for row in sample if len(row) == width), strict=True),
