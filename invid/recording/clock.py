@@ -7,6 +7,7 @@ took; what stays away is lost.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,6 +42,9 @@ FAR = 3.0
 """Steps off the even clock beyond which a stamp out of order is a broken row, not a late one (empirical)."""
 LONGEST_STEP = 1.0
 """Seconds between two rows up to which what is added up may be time: a drive is logged ten times a second."""
+RISING = 0.98
+"""Share of steps that rise from which a column may be time: a counter that wraps falls at times."""
+_SAMPLE = 20_000
 _POWERS = (16, 24, 31, 32)
 _TICKS = (1e-9, 1e-6, 1e-5, 1e-4, 1e-3)
 _ROUNDS = {1.0: "second", 60.0: "minute", 3600.0: "hour", 43200.0: "half day", 86400.0: "day"}
@@ -274,6 +278,23 @@ def _sentence(slots: Slots) -> str:
     return text
 
 
+def best_clock(columns: Iterable[Float64]) -> int | None:
+    """The number of the column that keeps time best; ``None`` where none rises throughout.
+
+    A motion in one direction rises as time does, but not in even steps.
+    """
+    found: tuple[float, int] | None = None
+    for number, column in enumerate(columns):
+        known = column[np.isfinite(column)][:_SAMPLE]
+        rise = np.diff(known)
+        if known.size < 3 or float(np.mean(rise >= 0)) < RISING or not np.mean(rise > 0) > REPEATED:
+            continue
+        uneven = _spread(rise) / float(np.mean(rise[rise >= 0]))
+        if found is None or uneven < found[0] - EVEN:
+            found = uneven, number
+    return None if found is None else found[1]
+
+
 def nice_rate(rate: float, doubt: float) -> str:
     """The shortest number within ``doubt`` (relative) of ``rate``."""
     return next(
@@ -415,4 +436,4 @@ def _in_order(stamps: Float64, how: StampsRead, where: str) -> tuple[Float64, li
     ]
 
 
-__all__ = ["Slots", "Stamps", "StampsRead", "count_slots", "nice_rate", "read_stamps"]
+__all__ = ["Slots", "Stamps", "StampsRead", "best_clock", "count_slots", "nice_rate", "read_stamps"]

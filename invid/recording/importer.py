@@ -239,7 +239,7 @@ def named_files(
             raise InputError(f"{source}: no such file or folder")
     if not chart.skip:
         return found, ()
-    every = [f for s in found for f in (_inside(s) if s.is_dir() else [s])]
+    every = [f for s in found for f in (files_inside(s) if s.is_dir() else [s])]
     reasons = {f: r for p, r in chart.skip.items() for f in every if _matches(f.as_posix(), p)}
     unused = [p for p in chart.skip if not any(_matches(f.as_posix(), p) for f in every)]
     if unused:
@@ -249,7 +249,8 @@ def named_files(
     )
 
 
-def _inside(folder: Path) -> list[Path]:
+def files_inside(folder: Path) -> list[Path]:
+    """Every file below a folder, numbers in names in their order."""
     return sorted((p for p in folder.rglob("*") if p.is_file()), key=_natural)
 
 
@@ -264,7 +265,7 @@ def assign(sources: Sequence[Path], entries: Sequence[ExperimentMap]) -> list[tu
         found = False
         for source in sources:
             if source.is_dir():
-                names = [(p, p.relative_to(source).as_posix()) for p in _inside(source)]
+                names = [(p, p.relative_to(source).as_posix()) for p in files_inside(source)]
             else:
                 names = [(source, source.as_posix())]
             taken = [(entry, path) for path, name in names if _matches(name, entry.file)]

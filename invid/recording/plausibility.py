@@ -210,8 +210,8 @@ def doubts(recording: Recording) -> list[str]:
                     f"experiment {e.key}: the torque of {axis} went through a low-pass: its noise is level "
                     f"up to {filtered.corner_hz:.3g} Hz and falls by {filtered.fall_db:.0f} dB above; name "
                     f"the 'column' of the unfiltered torque where the file has one: this one is {late:.2g} "
-                    f"ms late, which counts as damping where identify does not take it out, and too small above "
-                    f"the corner"
+                    f"ms late, which counts as damping where identify does not take it out, and too small "
+                    f"above the corner"
                 )
     return said
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from invid.errors import InputError
 from invid.numerics.arrays import Float64
+from invid.recording.clock import best_clock
 from invid.recording.import_map import Source
 from invid.recording.scope_export import is_scope_export, read_scope_export
 from invid.recording.tables import BrokenRow, Table
@@ -57,9 +58,9 @@ def read_text_table(path: Path, source: Source) -> Table:
     else:
         start = _first_data_row(numbered, delimiter, width, form, path)
         header = lines[: numbered[start][0] - 1]
-    names, units = _names(header, delimiter, width, source.names, path)
     body = _Body(numbered[start:], delimiter, width)
     data, broken, form = body.parse(form, source, path)
+    names, units = _names(header, delimiter, data, source.names, path)
     stamped = _timestamps(data, [_cells(line, delimiter) for _, line in body.lines[:5]])
     units |= {names[i]: "s" for i in stamped}
     said = {"delimiter": delimiter, "decimal": form.decimal, "header_lines": numbered[start][0] - 1}
@@ -183,8 +184,9 @@ def _half_numbers(cells: list[str], width: int, form: NumberFormat) -> bool:
 
 
 def _names(
-    header: list[str], delimiter: str, width: int, given: list[str] | None, path: Path
+    header: list[str], delimiter: str, data: Float64, given: list[str] | None, path: Path
 ) -> tuple[list[str], dict[str, str]]:
+    width = data.shape[1]
     if given is not None:
         if len(given) != width:
             raise InputError(f"{path}: the map names {len(given)} columns, the file has {width}")
@@ -201,15 +203,9 @@ def _names(
     if len(candidates) >= 2 and _all_units(candidates[-1]):
         units = candidates.pop()
     names = candidates[-1] if candidates else [""] * width
-    names = [
-        n
-        or (
-            "time"
-            if i == 0 and not (units and normal_unit(units[0]) not in FACTORS["time"])
-            else f"column{i}"
-        )
-        for i, n in enumerate(names)
-    ]
+    # An unnamed first column is common, and then it is the time, unless its numbers or its unit say no.
+    is_time = not (units and normal_unit(units[0]) not in FACTORS["time"]) and best_clock(data.T) == 0
+    names = [n or ("time" if i == 0 and is_time else f"column{i}") for i, n in enumerate(names)]
     unique: list[str] = []
     for n in names:
         unique.append(n if n not in unique else f"{n}.{sum(u.split('.')[0] == n for u in unique)}")
