@@ -16,16 +16,17 @@ import numpy as np
 
 from invid.errors import InputError
 from invid.numerics.arrays import Bool, Float64, frozen, frozen_float
-from invid.recording.binary_table import read_hdf5_table, read_mat_table, read_parquet_table
 from invid.recording.check import check_recording
 from invid.recording.clock import StampsRead, read_stamps
 from invid.recording.import_map import AxisMap, Channel, ExperimentMap, ImportMap, Source
-from invid.recording.mcap_table import read_mcap_table
-from invid.recording.mdf_table import read_mdf_table
 from invid.recording.model import Experiment, Recording, nominal_sample_rate
 from invid.recording.plausibility import doubt_of_sides, doubts, doubts_of_signs, held_rows, with_sign
+from invid.recording.readers.binary_table import read_hdf5_table, read_mat_table, read_parquet_table
+from invid.recording.readers.mcap_table import read_mcap_table
+from invid.recording.readers.mdf_table import read_mdf_table
+from invid.recording.readers.tdms_table import read_tdms_table
+from invid.recording.readers.text_table import read_text_table
 from invid.recording.tables import BrokenRow, SparseRows, Table, good_rows, on_clock, slowest_rows
-from invid.recording.text_table import read_text_table
 from invid.recording.units import BY_MACHINE, LINEAR, MachineConstants, Quantity, factor, normal_unit
 
 READERS = "invid.readers"
@@ -34,18 +35,24 @@ _KINDS = {
     ".csv": "csv", ".txt": "csv", ".tsv": "csv", ".dat": "csv",
     ".mat": "mat", ".parquet": "parquet", ".pq": "parquet",
     ".h5": "hdf5", ".hdf5": "hdf5", ".hdf": "hdf5",
-    ".mf4": "mdf", ".mdf": "mdf", ".mcap": "mcap",
+    ".mf4": "mdf", ".mdf": "mdf", ".mcap": "mcap", ".tdms": "tdms",
     ".log": "can_log", ".asc": "can_log", ".blf": "can_log", ".trc": "can_log",
 }  # fmt: skip
 
-_STARTS = {b"\x89HDF\r\n\x1a\n": "hdf5", b"PAR1": "parquet", b"\x89MCAP0\r\n": "mcap", b"MDF     ": "mdf"}
+_STARTS = {
+    b"\x89HDF\r\n\x1a\n": "hdf5",
+    b"PAR1": "parquet",
+    b"\x89MCAP0\r\n": "mcap",
+    b"MDF     ": "mdf",
+    b"TDSm": "tdms",
+}
 """First bytes of files whose name does not tell."""
 _CAN_TEXT = (b"Time Stamp,ID,Extended", b"***BUSMASTER", b";$FILEVERSION")
 """First bytes of text logs of CAN frames, whatever their name: SavvyCAN, BUSMASTER, PEAK."""
 
 _READERS: dict[str, Callable[[Path], Table]] = {
     "mat": read_mat_table, "hdf5": read_hdf5_table, "parquet": read_parquet_table,
-    "mdf": read_mdf_table, "mcap": read_mcap_table,
+    "mdf": read_mdf_table, "mcap": read_mcap_table, "tdms": read_tdms_table,
 }  # fmt: skip
 """Kinds whose files say everything themselves."""
 

@@ -806,6 +806,7 @@ def test_torque_of_one_side_with_motion_of_the_other_is_doubted(tmp_path, capsys
         ({"skip": {"t.csv": " "}}, "say why 't.csv'"),
         ({"time": {"colum": 0}}, "time.colum is no key of a map"),
         ({"axes": []}, "axes"),
+        ({"source": {"kind": "cvs"}}, "source.kind is 'cvs': it must be 'csv', "),
     ],
 )
 def test_a_map_that_is_wrong_is_told_with_its_line_and_no_words_of_a_library(tmp_path, capsys, change, said):

@@ -16,7 +16,7 @@ import yaml
 from invid.cli.app import run
 from invid.recording import read_recording
 from invid.recording.importer import integrated
-from invid.recording.text_table import seconds_of
+from invid.recording.readers.text_table import seconds_of
 from invid.recording.units import MachineConstants, factor
 
 COUNT = 60

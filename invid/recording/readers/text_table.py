@@ -16,7 +16,7 @@ from invid.errors import InputError
 from invid.numerics.arrays import Float64
 from invid.recording.clock import best_clock
 from invid.recording.import_map import Source
-from invid.recording.scope_export import is_scope_export, read_scope_export
+from invid.recording.readers.scope_export import is_scope_export, read_scope_export
 from invid.recording.tables import BrokenRow, Table
 from invid.recording.text_format import NUMBER, NumberFormat, decode_text, find_number_format, is_numeral
 from invid.recording.units import BY_MACHINE, FACTORS, normal_unit
