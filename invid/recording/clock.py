@@ -22,6 +22,9 @@ EVEN = 1e-3
 EVENTS_SPREAD = 0.6
 """Steps of robust spread about an even clock from which rows come at events: a jitter of half a step has at
 most 0.43, instants without any clock 0.7 or more."""
+WALKS = 0.2
+"""Steps of spread from which it is looked at whether lateness is handed on; of jitter, drawn anew for each
+row, differences spread 1.4 times as far as it does."""
 COHERENT = 0.2
 """Mean phasor of the stamps about the clock from which its slow wander can be followed; that of a thousand
 stamps spread over the whole step is 0.03."""
@@ -108,7 +111,11 @@ def count_slots(time: Float64) -> Slots:
             index, late, step = rows, without, plain
     bend = wander - np.polyval(np.polyfit(rows, wander, 1), rows)
     late = late - bend if np.abs(bend).max() > 0.1 else late
-    if _spread(late) > EVENTS_SPREAD or index[-1] <= 0:
+    # A loop that sleeps after its work keeps no clock: what one turn is late the next ones are too, and
+    # the clock seems to lose rows.
+    lost = index[-1] + 1 > time.size
+    walks = lost and _spread(late) > WALKS and _spread(np.diff(late)) < 0.5 * _spread(late)
+    if _spread(late) > EVENTS_SPREAD or walks or index[-1] <= 0:
         mean = float(time[-1] - time[0]) / max(time.size - 1, 1)
         return Slots(mean, rows, (time - time[0]) / mean - rows, even=False)
     return Slots(step, index, late, even=True)

@@ -26,6 +26,8 @@ FASTEST = {"rad": 2000.0, "m": 20.0}
 COHERENT = 0.7
 """Mean phasor of the rows at which a value changes, about a period of p rows, from which it changes every p
 rows; n changes at random have 1/√n. Rounding to whole rows leaves 0.83 at two and a half rows, more above."""
+LEAST_ROWS = 1.5
+"""Rows from which a value stands for several: below, some are only equal by chance."""
 FEW_CHANGES = 30
 """Changes from which that is more than chance: 0.7 has then a probability of 4e-7."""
 SMALLER = 0.25
@@ -79,10 +81,10 @@ def _is_coarse(changes: Float64) -> bool:
 
 def _hold(new: Bool) -> Hold | None:
     changed: Int64 = np.flatnonzero(new) + 1
-    if changed.size < FEW_CHANGES:
+    if changed.size < FEW_CHANGES or changed.size * LEAST_ROWS > new.size:
         return None
     clock = count_slots(changed.astype(np.float64))
-    if clock.step < 1.5 or not clock.even or abs(np.exp(2j * np.pi * clock.late).mean()) < COHERENT:
+    if clock.step < LEAST_ROWS or not clock.even or abs(np.exp(2j * np.pi * clock.late).mean()) < COHERENT:
         return None
     whole = abs(clock.step - round(clock.step)) < 1e-3
     # The first row after an instant has its value: up to a row late. A few stray changes do not count.

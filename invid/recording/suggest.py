@@ -6,6 +6,7 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import zip_longest
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -334,7 +335,9 @@ def _guess_quantity(name: str, tool: str | None = None) -> str | None:
     known = named_by(tool, name)
     if known is not None:
         return known.quantity
+    # The q-axis of a motor is its current, not a joint's coordinate.
     words = _words(name)
+    words = [w for w, after in zip_longest(words, words[1:]) if (w, after) != ("q", "axis")]
     for quantity in ("velocity", "torque", "position"):
         if any(re.match(_WORDS[quantity], w) for w in words if len(w) > 1 or w == "q"):
             return quantity
@@ -401,9 +404,14 @@ def _axes(
                     f"the motor's)"
                 )
         name = f"A{int(key) + 1 - base}" if key else "A1"
-        if name not in named:
+        # Columns without a number are the only axis, or none: a sensor beside the axes.
+        if name not in named or not _is_whole(named[name]):
             named[name] = axis
     return named
+
+
+def _is_whole(axis: _Axis) -> bool:
+    return bool((axis.torque or axis.torque_demand) and (axis.position or axis.velocity))
 
 
 def _complete(axis: _Axis, key: str, table: Table, time_column: str | None, unsure: list[str]) -> None:
@@ -418,6 +426,7 @@ def _complete(axis: _Axis, key: str, table: Table, time_column: str | None, unsu
             # A supply's voltage hardly moves about its mean; a motor's goes both ways.
             driving = known.size > 2 and float(known.min()) < 0 < float(known.max())
             volts = unit in BY_TORQUE_CONSTANT or bool(_VOLTS & set(_words(name)))
+            volts = volts or _words(name) == ["u"]  # as control calls its input
             if name != time_column and own and driving and volts and _guess_quantity(name) is None:
                 axis.torque, axis.torque_demand = (name, None) if unit == "A" else (None, name)
                 unsure.append(f"nothing is called torque: {name!r} is taken for it, as what drives the motor")

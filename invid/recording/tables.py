@@ -121,7 +121,7 @@ def good_rows(
     ]
     # Broken lines of a bus log are no rows of their own: a lost frame shows as a row without a value, and
     # what belongs to no mapped signal is missed by nobody; both are reported, each once.
-    own = {int(n) for n in numbers}
+    own = set(np.intersect1d(numbers, [b.line for b in table.broken]).tolist())
     holed = {int(numbers[row]) for row in reasons}
     behind = [int(numbers[max(int(np.searchsorted(numbers, b.line)) - 1, 0)]) for b in table.broken]
     lines = [b for b, row in zip(table.broken, behind, strict=True) if b.line not in own and row not in holed]

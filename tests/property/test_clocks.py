@@ -21,6 +21,7 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from invid.cli.app import run
+from invid.recording.clock import count_slots
 from invid.recording.hdf5 import read_recording
 from invid.recording.model import Experiment
 from invid.signals.timebase import resample_uniformly
@@ -243,6 +244,17 @@ def test_the_motion_on_the_grid_is_the_one_that_was(tmp_path_factory, capsys, lo
         row = float(np.sqrt(np.mean(np.diff(truth) ** 2)))
         # In rows, as if all were that far off: a twentieth; a quarter where losses lie in coarse stamps.
         assert wrong < row * (0.25 if coarse and (log.loss or log.gap) else 0.05), wrong / row
+
+
+@pytest.mark.parametrize(("work", "seldom"), [(0.04, 0.0), (0.02, 0.25), (0.3, 0.1)])
+def test_a_loop_that_sleeps_after_its_work_keeps_no_clock_and_misses_no_row(
+    work: float, seldom: float
+) -> None:
+    rng = np.random.default_rng(4)
+    turns = 1.0 + rng.exponential(work, 8000) + 1.4 * (rng.random(8000) < seldom)
+    slots = count_slots(np.cumsum(turns) * 5e-3)
+    assert not slots.even
+    assert slots.lost == 0
 
 
 @pytest.mark.parametrize(

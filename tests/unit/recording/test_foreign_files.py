@@ -532,6 +532,25 @@ def test_a_sign_that_may_be_either_is_asked_for(tmp_path, capsys):
     whole(e)
 
 
+@pytest.mark.parametrize("sign", [".", ","])
+def test_three_decimals_everywhere_are_decimals(tmp_path, capsys, sign):
+    # Never below one, where a zero would tell; several, for rounding decides which of two equals is more.
+    for offset in (16.0, 20.0, 33.3, 47.11, 80.5, 123.4, 250.25, 500.7):
+        three_decimals(tmp_path, capsys, sign, offset)
+
+
+def three_decimals(tmp_path, capsys, sign, offset):
+    rows = [
+        f"{k:d};{p:.6f};{0.05 * m + offset:.3f}"
+        for k, p, m in zip(ROW, POSITION * COUNT, TORQUE, strict=True)
+    ]
+    path = tmp_path / "n.csv"
+    path.write_text("\n".join(["t_ms;x;m", *rows]).replace(".", sign) + "\n", encoding="utf-8")
+    axis = {**CSV_MAP["axes"][0], "torque": {**CSV_MAP["axes"][0]["torque"], "offset": offset}}
+    e, _ = taken(tmp_path, path, {**CSV_MAP, "time": {"column": 0, "unit": "ms"}, "axes": [axis]}, capsys)
+    np.testing.assert_allclose(e.torque[:, 0], TORQUE * 0.05, atol=1e-6)
+
+
 @pytest.mark.parametrize("name", ["thousands_de.csv", "thousands_us.csv"])
 def test_the_thousands_of_the_field_are_read(tmp_path, capsys, name):
     e, _ = taken(tmp_path, field_file(name, tmp_path), field_map("v6.yaml"), capsys)

@@ -106,13 +106,24 @@ def test_a_motor_angle_that_is_the_links_is_doubted(tmp_path, capsys):
     assert not any("gear ratio" in u for u in motor["unsure"])
 
 
-@pytest.mark.parametrize("name", ["u_V", "voltage", "Spannung [V]", "current_A"])
+@pytest.mark.parametrize("name", ["u", "u_V", "voltage", "Spannung [V]", "current_A"])
 def test_what_drives_the_motor_stands_for_its_torque(tmp_path, capsys, name):
     supply = 48.0 + 0.1 * np.sin(TIME)
     source = written(tmp_path / "a.csv", ["t", "bus_V", name, "theta_rad"], TIME, supply, TORQUE, ANGLE)
     axis = suggested(capsys, source)["map"]["axes"][0]
     assert axis["torque"]["column"] == name
     assert axis["position"]["column"] == "theta_rad"
+
+
+def test_a_sensor_beside_numbered_axes_hides_none_of_them(tmp_path, capsys):
+    names = ["time [s]", "sensor torque [Nm]", "a1 q-axis [A]", "a1 position [rad]", "a1 torque [Nm]"]
+    names += ["a2 position [rad]", "a2 torque [Nm]"]
+    columns = [TIME, TORQUE, 9 * TORQUE, ANGLE, TORQUE, 2 * ANGLE, 2 * TORQUE]
+    axes = suggested(capsys, written(tmp_path / "a.csv", names, *columns))["map"]["axes"]
+    assert [(a["name"], a["position"]["column"], a["torque"]["column"]) for a in axes] == [
+        ("A1", "a1 position [rad]", "a1 torque [Nm]"),
+        ("A2", "a2 position [rad]", "a2 torque [Nm]"),
+    ]
 
 
 @pytest.mark.parametrize("fast", [False, True])
