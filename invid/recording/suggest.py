@@ -327,6 +327,13 @@ def _rank(name: str) -> int:
     return -1 if words & {"err", "error", "ref", "qg", "rel", "ff", "calc", "model"} else 0
 
 
+def _worth(name: str, table: Table, tool: str | None) -> tuple[bool, int]:
+    """What decides between columns of one kind: a torque beats a current or a voltage, then the words."""
+    known = named_by(tool, name)
+    unit = normal_unit(table.units.get(name) or _unit_in_name(name) or (known.unit if known else ""))
+    return unit not in BY_TORQUE_CONSTANT, _rank(name)
+
+
 def _family(name: str) -> str:
     return re.sub(r"\[\d+\]$", "[…]", name)
 
@@ -383,10 +390,11 @@ def _axes(
             axis.others.append(name)
             continue
         held = getattr(axis, slot)
-        if held is None or _rank(name) > _rank(held):
+        better = held is not None and _worth(name, table, tool) > _worth(held, table, tool)
+        if held is None or better:
             setattr(axis, slot, name)
         if held is not None:
-            taken, left = (name, held) if _rank(name) > _rank(held) else (held, name)
+            taken, left = (name, held) if better else (held, name)
             doubt = f"both {_family(taken)!r} and {_family(left)!r} look like {slot}: the former was taken"
             if doubt not in unsure:
                 unsure.append(doubt)
@@ -476,12 +484,12 @@ def _axis(
         )
     reasons.append(f"{name}: {quantity} is {motion!r} by its name, in {unit}")
     if not sure:
-        unsure.append(f"unit of {motion!r} is not stated; {unit} is assumed")
+        unsure.append(f"unit of {motion!r} is not {_said(motion, table)}; {unit} is assumed")
     torque_unit, sure = _unit(torque, "torque", table, tool)
     if not sure:
         current = bool({"iq", "current", "strom"} & set(_words(torque)))
         torque_unit = "A" if current else "N" if linear else "N·m"
-        unsure.append(f"unit of {torque!r} is not stated; {torque_unit} is assumed")
+        unsure.append(f"unit of {torque!r} is not {_said(torque, table)}; {torque_unit} is assumed")
     channel: dict[str, Any] = {"column": torque, "unit": torque_unit}
     channel["meaning"] = "measured" if axis.torque else "demanded"
     if torque_unit in BY_TORQUE_CONSTANT:
@@ -500,6 +508,11 @@ def _axis(
         demand = {k: v for k, v in channel.items() if k != "meaning"}
         entry["torque_demand"] = {**demand, "column": axis.torque_demand}
     return entry
+
+
+def _said(name: str, table: Table) -> str:
+    stated = table.units.get(name) or _unit_in_name(name)
+    return f"known ({stated!r})" if stated else "stated"
 
 
 def _unit(name: str, quantity: str, table: Table, tool: str | None) -> tuple[str, bool]:

@@ -126,6 +126,19 @@ def test_a_sensor_beside_numbered_axes_hides_none_of_them(tmp_path, capsys):
     ]
 
 
+def test_a_torque_is_taken_before_a_current_and_turns_a_second_are_a_velocity(tmp_path, capsys):
+    names = ["time [s]", "velocity measured [Hz]", "motor current measured [A]", "motor torque measured [Nm]"]
+    found = suggested(capsys, written(tmp_path / "a.csv", names, TIME, 3 * ANGLE, 9 * TORQUE, TORQUE))
+    axis = found["map"]["axes"][0]
+    assert axis["torque"] == {"column": "motor torque measured [Nm]", "unit": "N·m", "meaning": "measured"}
+    assert axis["velocity"] == {"column": "velocity measured [Hz]", "unit": "Hz"}
+    assert not any("stated" in u for u in found["unsure"])
+    odd = suggested(
+        capsys, written(tmp_path / "b.csv", ["t", "position [parsec]", "torque [Nm]"], TIME, ANGLE, TORQUE)
+    )
+    assert any("parsec" in u for u in odd["unsure"])
+
+
 @pytest.mark.parametrize("fast", [False, True])
 def test_the_fields_of_a_pdo_are_cut_where_numbers_end(fast):
     position = np.round((3e5 if fast else 2e4) * np.sin(9 * TIME)).astype("<i4")
